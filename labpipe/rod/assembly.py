@@ -1,0 +1,463 @@
+"""Out-of-balance forces of a line, and their tangent: what Newton's method works with.
+
+With elements of length l from x_e to x_(e+1), their direction d, stretch eps and force f, cells
+(the half elements on both sides of a node) of length h with the energy W of bending and twist, and
+forces F at the nodes, equilibrium is where
+
+    sum f . (x_(e+1) - x_e - l (1 + eps) d) + l (EA eps^2 / 2 + C eps tau) + h W(kappa) - F . x
+
+is stationary: the first term is the stretch row, whose multiplier f is the force in the element.
+EA infinite keeps eps = 0. Frames turn in themselves, by q exp(phi / 2), so that nothing depends on
+the frame of space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.rod.banded import Band, Places, entries, places_of
+from labpipe.rod.boundaries import Plane
+from labpipe.rod.cells import BentCells, bend_cells
+from labpipe.rod.directions import Directions, clamp_directions, directions_of
+from labpipe.rod.line import Line
+from labpipe.rod.rotations import (
+    conjugate,
+    from_rotation_vectors,
+    matrices,
+    multiply,
+    rotation_vectors,
+    skew,
+    unit,
+)
+from labpipe.rod.supports import Supports
+from labpipe.rod.touching import Touch, added_at, pull_strings, touch_plane
+
+_STIFF = 1e4
+"""Of planes and strings, in bending stiffnesses of an element."""
+_YIELD = 1e-6
+"""Of an element's length, by which a plane or string yields to the force of the whole line."""
+_LEAST_DRAG = 1e-10
+"""In the tangent only: keeps it solvable where a line may move freely without a force."""
+_LEAST_GIVE = 1e-10
+"""Of an element's length under the force of the line, in the tangent only: keeps it solvable where
+a straight line between two places could carry any force."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """What Newton's method improves.
+
+    Parameters
+    ----------
+    positions : shape (n + 1, 3), m
+    frames : shape (n, 4)
+    stretches : shape (n,)
+    forces : shape (n, 3), N, in space
+    """
+
+    positions: Floats
+    frames: Floats
+    stretches: Floats
+    forces: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Memory:
+    """What the line and its supports remember.
+
+    Parameters
+    ----------
+    rests : shape (cells, sliders, 2), 1/m
+    contacts : shape (planes, n + 1, 3), m
+    """
+
+    rests: Floats
+    contacts: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Demands:
+    """What the boundaries ask at a time.
+
+    Parameters
+    ----------
+    held : shape (grips, 3), m, where the held nodes are
+    clamps : shape (clamps, 4), their frames
+    forces : shape (n + 1, 3), N, of constant direction, weight and all
+    moments : shape (n, 3), N m, on the elements, of constant direction
+    anchors : shape (strings, 3), m
+    """
+
+    held: Floats
+    clamps: Floats
+    forces: Floats
+    moments: Floats
+    anchors: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drag:
+    """Holds a line where it was: `size`, as a share of its own stiffness, and the `shape`."""
+
+    size: float
+    shape: Shape
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Balance:
+    """How far from equilibrium a shape is.
+
+    Parameters
+    ----------
+    residual : shape (unknowns,): N of positions, N m of stretches and turns, m of forces
+    values : of the tangent, entry by entry
+    cells : of the line
+    directions : of the elements
+    memory : after the step
+    touches : of the planes
+    tensions : shape (strings, 3), N
+    """
+
+    residual: Floats
+    values: Floats
+    cells: BentCells
+    directions: Directions
+    memory: Memory
+    touches: tuple[Touch, ...]
+    tensions: Floats
+
+
+class Assembly:
+    """Residual and tangent of a line with given supports.
+
+    Parameters
+    ----------
+    line : the line
+    supports : its cells and held nodes
+    planes : that it may touch
+    strings : nodes and lengths, m, of strings
+    force : N, of the size that acts on the line as a whole; a drag of 1 is this over its length
+    """
+
+    def __init__(
+        self,
+        line: Line,
+        supports: Supports,
+        planes: tuple[Plane, ...],
+        strings: tuple[Ints, Floats],
+        force: float,
+    ) -> None:
+        self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
+        self.n = len(line.lengths)
+        self.places: Places = places_of(self.n)
+        section = line.section
+        self.is_rigid = not np.isfinite(section.axial_stiffness)
+        self._is_coupled = section.coupling != 0.0 and not self.is_rigid
+        self._free = supports.before >= 0, supports.behind >= 0
+        self._inner = np.flatnonzero(self._free[0] & self._free[1])
+        self._shares = self._coupling_shares()
+        self._shortest = float(np.min(line.lengths))
+        self._stiff = _STIFF * section.law.first_stiffness / self._shortest**3
+        self._stiff += force / (_YIELD * self._shortest)
+        self.drag = self._drag_of(force)
+        self.pattern = self._pattern()
+        self.band = Band(*self.pattern, self._scale(), self._fixed())
+        ones = np.ones(3 * self.n)
+        give = np.repeat(-_LEAST_GIVE / force * line.lengths, 3)
+        self._constants = np.concatenate([-ones, ones, -ones, ones, give])
+
+    def balance(
+        self, shape: Shape, demands: Demands, memory: Memory, drag: Drag | None = None
+    ) -> Balance:
+        """Work out residual and tangent.
+
+        Parameters
+        ----------
+        shape, demands : where the line is, and what is asked
+        memory : before the step
+        drag : where it holds the line to
+        """
+        line, p = self.line, self.places
+        lengths = line.lengths * (1.0 + shape.stretches)
+        cells = self._cells(shape, demands, memory)
+        turned = matrices(shape.frames)
+        pulls = lengths[:, None] * shape.forces
+        way = directions_of(self.supports, turned, clamp_directions(demands.clamps), pulls)
+        turns, by_turn = self._turns(cells, way, turned, demands)
+        places, by_place, touches, tensions = self._at_nodes(shape, demands, memory)
+        gaps = np.diff(shape.positions, axis=0) - lengths[:, None] * way.along
+        stretch, by_stretch = self._stretching(shape, way, cells)
+        residual = np.empty(p.total)
+        residual[_spread(p.positions)] = places.ravel()
+        residual[p.stretches] = stretch
+        residual[_spread(p.turns)] = turns.ravel()
+        residual[_spread(p.forces)] = gaps.ravel()
+        drags = _LEAST_DRAG if drag is None else drag.size
+        by_turn[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[_spread(p.turns)].reshape(-1, 3)
+        by_place[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[_spread(p.positions)].reshape(-1, 3)
+        if drag is not None:
+            residual += drag.size * self.drag * self.moved(drag.shape, shape)
+        across = cells.across[self._inner]
+        values = np.concatenate(
+            [
+                self._constants,
+                *(each.ravel() for each in by_stretch),
+                *_there_and_back(-lengths[:, None, None] * way.by_turn),
+                *_there_and_back((way.pull / (1.0 + shape.stretches)[:, None])[:, None, :]),
+                by_turn.ravel(),
+                *_there_and_back(across),
+                by_place.ravel(),
+                *self._coupled_values(cells),
+            ]
+        )
+        return Balance(
+            residual,
+            values,
+            cells,
+            way,
+            Memory(cells.rests, np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3)),
+            touches,
+            tensions,
+        )
+
+    def moved(self, before: Shape, behind: Shape) -> Floats:
+        """Changes of the unknowns from one shape to another, forces left out."""
+        p = self.places
+        out = np.zeros(p.total)
+        out[_spread(p.positions)] = (behind.positions - before.positions).ravel()
+        turned = rotation_vectors(multiply(conjugate(before.frames), behind.frames))
+        out[_spread(p.turns)] = turned.ravel()
+        return out
+
+    def changed(self, shape: Shape, change: Floats) -> Shape:
+        """Add a change of the unknowns to a shape."""
+        p = self.places
+        turns = change[_spread(p.turns)].reshape(-1, 3)
+        return Shape(
+            shape.positions + change[_spread(p.positions)].reshape(-1, 3),
+            unit(multiply(shape.frames, from_rotation_vectors(turns))),
+            shape.stretches + change[p.stretches],
+            shape.forces + change[_spread(p.forces)].reshape(-1, 3),
+        )
+
+    def right_side(
+        self, balance: Balance, shape: Shape, demands: Demands, held: Floats, clamps: Floats
+    ) -> Floats:
+        """Right side of a Newton step in which the held nodes and the clamps move as well.
+
+        Parameters
+        ----------
+        balance, shape, demands : before they move
+        held : shape (grips, 3), m, by how much the held nodes have to move
+        clamps : shape (clamps, 3), rad, by how much the clamps turn, in themselves
+        """
+        p, s = self.places, self.supports
+        right = -balance.residual
+        right[_spread(p.positions[s.held])] = held.ravel()
+        if self.is_rigid:
+            right[p.stretches] = -shape.stretches
+        if np.any(clamps):
+            across = balance.cells.across
+            self._push(right, s.behind, s.before, across, clamps)
+            self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamps)
+            turned = matrices(demands.clamps)
+            tilted = turned[:, :, 0] * clamps[:, 1:2] - turned[:, :, 1] * clamps[:, :1]
+            change = np.einsum("nxy,ny->nx", balance.directions.by_clamp, s.shares @ tilted)
+            lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
+            right[_spread(p.forces[s.ends])] += (lengths[:, None] * change).ravel()
+        return right
+
+    def _push(
+        self, right: Floats, elements: Ints, others: Ints, across: Floats, clamps: Floats
+    ) -> None:
+        """Take off what turning clamps do to the elements that their cells join them to."""
+        at = np.flatnonzero(others < 0)
+        push = np.einsum("nxy,ny->nx", across[at], clamps[-1 - others[at]])
+        np.subtract.at(right, _spread(self.places.turns[elements[at]]), push.ravel())
+
+    def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
+        """What the grips do to the line: N, shape (grips, 3), and N m in space, (clamps, 3)."""
+        s, cells = self.supports, balance.cells
+        at_places = _spread(self.places.positions[s.held])
+        moments = balance.directions.clamp_moments.copy()
+        turned = matrices(demands.clamps)
+        for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
+            at = np.flatnonzero(elements < 0)
+            clamp = -1 - elements[at]
+            np.add.at(moments, clamp, np.einsum("nxy,ny->nx", turned[clamp], feel[at]))
+        return balance.residual[at_places].reshape(-1, 3), moments
+
+    def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
+        """Energy that stretch and twist share, J."""
+        stretches = np.sum(self._shares * shape.stretches[self._sides], axis=1)
+        return float(stretches @ cells.curvatures[:, 2])
+
+    def _cells(self, shape: Shape, demands: Demands, memory: Memory) -> BentCells:
+        s = self.supports
+        frames = np.concatenate([shape.frames, demands.clamps[::-1]])
+        torques = np.zeros(len(s.nodes))
+        if self._is_coupled:
+            torques = np.sum(self._shares * shape.stretches[self._sides], axis=1) / s.lengths
+        return bend_cells(
+            self.line.section,
+            (frames[s.before], frames[s.behind]),
+            s.lengths,
+            s.natural,
+            rests=memory.rests,
+            torques=torques,
+        )
+
+    def _turns(
+        self, cells: BentCells, way: Directions, turned: Floats, demands: Demands
+    ) -> tuple[Floats, Floats]:
+        """Residuals of the turns, and the tangents of each by itself."""
+        s, (free_a, free_b) = self.supports, self._free
+        pushed = np.einsum("nkx,nk->nx", turned, demands.moments)
+        residual = way.pull - pushed
+        tangent = way.stiff - 0.5 * skew(pushed)
+        # no element stands twice on the same side of a cell, so that plain indices do
+        residual[s.before[free_a]] += cells.before[free_a]
+        tangent[s.before[free_a]] += cells.by_before[free_a]
+        residual[s.behind[free_b]] += cells.behind[free_b]
+        tangent[s.behind[free_b]] += cells.by_behind[free_b]
+        return residual, tangent
+
+    def _at_nodes(
+        self, shape: Shape, demands: Demands, memory: Memory
+    ) -> tuple[Floats, Floats, tuple[Touch, ...], Floats]:
+        """Residuals of the positions, the tangents of each by itself, planes and strings."""
+        residual = -demands.forces
+        residual[:-1] -= shape.forces
+        residual[1:] += shape.forces
+        tangent = np.zeros((self.n + 1, 3, 3))
+        touches = tuple(
+            touch_plane(plane, self._stiff, shape.positions, contacts)
+            for plane, contacts in zip(self.planes, memory.contacts, strict=True)
+        )
+        for touch in touches:
+            residual -= touch.forces
+            tangent += touch.stiffness
+        nodes, lengths = self.strings
+        tensions = np.zeros((len(nodes), 3))
+        if len(nodes):
+            tensions, stiffness = pull_strings(
+                demands.anchors, lengths, self._stiff, shape.positions[nodes]
+            )
+            np.subtract.at(residual, nodes, tensions)
+            np.add.at(tangent, nodes, stiffness)
+        return residual, tangent, touches, tensions
+
+    def _stretching(
+        self, shape: Shape, way: Directions, cells: BentCells
+    ) -> tuple[Floats, tuple[Floats, Floats, Floats]]:
+        """Residuals of the stretches, and their tangents by stretch and force, and back."""
+        lengths = self.line.lengths
+        if self.is_rigid:
+            none = np.zeros((self.n, 3))
+            return np.zeros(self.n), (np.zeros(self.n), none, none)
+        stiffness = self.line.section.axial_stiffness * lengths
+        residual = stiffness * shape.stretches
+        residual -= lengths * np.einsum("nk,nk->n", shape.forces, way.along)
+        if self._is_coupled:
+            for side, free in enumerate(self._free):
+                at = self._sides[free, side]
+                residual[at] += self._shares[free, side] * cells.curvatures[free, 2]
+        by_force = -lengths[:, None] * way.along
+        return residual, (stiffness, by_force, by_force)
+
+    def _coupled_values(self, cells: BentCells) -> list[Floats]:
+        values: list[Floats] = []
+        for stretch, turn, at in self._coupled:
+            rows = cells.tangents[at, 2, :] if turn else -cells.tangents[at, :, 2]
+            rows = rows * (self._shares[at, stretch] / self.supports.lengths[at])[:, None]
+            values += [rows.ravel(), rows.ravel()]
+        return values
+
+    # ---- where the unknowns are, and their sizes ----------------------------------------------
+
+    def _pattern(self) -> tuple[Ints, Ints]:
+        p, s = self.places, self.supports
+        a, b = p.turns[s.before[self._inner]], p.turns[s.behind[self._inner]]
+        blocks = [
+            _diagonal(p.positions[:-1], p.forces),
+            _diagonal(p.positions[1:], p.forces),
+            _diagonal(p.forces, p.positions[:-1]),
+            _diagonal(p.forces, p.positions[1:]),
+            _diagonal(p.forces, p.forces),
+            entries(p.stretches, 1, p.stretches, 1),
+            entries(p.stretches, 1, p.forces, 3),
+            entries(p.forces, 3, p.stretches, 1),
+            entries(p.forces, 3, p.turns, 3),
+            entries(p.turns, 3, p.forces, 3),
+            entries(p.stretches, 1, p.turns, 3),
+            entries(p.turns, 3, p.stretches, 1),
+            entries(p.turns, 3, p.turns, 3),
+            entries(b, 3, a, 3),
+            entries(a, 3, b, 3),
+            entries(p.positions, 3, p.positions, 3),
+        ]
+        for stretch, turn, at in self._coupled:
+            first = p.stretches[self._sides[at, stretch]]
+            second = p.turns[self._sides[at, turn]]
+            blocks += [entries(first, 1, second, 3), entries(second, 3, first, 1)]
+        rows, columns = zip(*blocks, strict=True)
+        return np.concatenate(rows), np.concatenate(columns)
+
+    def _scale(self) -> Floats:
+        mean = float(np.mean(self.line.lengths))
+        stiffness = self.line.section.law.first_stiffness
+        scale = np.ones(self.places.total)
+        scale[_spread(self.places.positions)] = mean
+        scale[_spread(self.places.forces)] = stiffness / mean**2
+        return np.asarray(scale * np.sqrt(mean / stiffness))
+
+    def _fixed(self) -> Flags:
+        fixed = np.zeros(self.places.total, dtype=np.bool_)
+        fixed[_spread(self.places.positions[self.supports.held])] = True
+        if self.is_rigid:
+            fixed[self.places.stretches] = True
+        return fixed
+
+    def _drag_of(self, force: float) -> Floats:
+        line, p = self.line, self.places
+        shares = line.lengths / line.length
+        at_nodes = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
+        drag = np.zeros(p.total)
+        drag[_spread(p.positions)] = np.repeat(at_nodes * force / line.length, 3)
+        drag[_spread(p.turns)] = np.repeat(shares * force * line.length, 3)
+        return drag
+
+    def _coupling_shares(self) -> Floats:
+        """What a stretch of the elements beside each cell does to its twist: (cells, 2), N m^2."""
+        s, (free_a, free_b) = self.supports, self._free
+        self._sides = np.stack([np.where(free_a, s.before, 0), np.where(free_b, s.behind, 0)], 1)
+        self._coupled: list[tuple[int, int, Ints]] = []
+        if not self._is_coupled:
+            return np.zeros((len(s.nodes), 2))
+        for stretch in (0, 1):
+            for turn in (0, 1):
+                at = np.flatnonzero(self._free[stretch] & self._free[turn])
+                self._coupled.append((stretch, turn, at))
+        count = added_at(s.before[free_a], np.ones(int(free_a.sum())), self.n)
+        count += added_at(s.behind[free_b], np.ones(int(free_b.sum())), self.n)
+        each = self.line.section.coupling * self.line.lengths / np.maximum(count, 1.0)
+        return np.where(np.stack(self._free, axis=1), each[self._sides], 0.0)
+
+
+_DIAGONAL = np.arange(3)
+
+
+def _spread(first: Ints) -> Ints:
+    """Places of three unknowns each."""
+    return np.asarray((first[:, None] + _DIAGONAL).ravel())
+
+
+def _diagonal(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
+    return _spread(rows), _spread(columns)
+
+
+def _there_and_back(blocks: Floats) -> tuple[Floats, Floats]:
+    return blocks.ravel(), np.swapaxes(blocks, 1, 2).ravel()

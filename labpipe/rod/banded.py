@@ -1,0 +1,105 @@
+"""The places of a line's unknowns in one banded matrix, and its solution.
+
+Every element has ten unknowns, in this order: the position of its first node (3), its stretch, the
+turn of its frame (3), its force (3); the last node follows. A matrix is a list of small blocks,
+always in the same order, whose entries are added to the band in one go.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+
+from labpipe.records.arrays import Flags, Floats, Ints
+
+PER_ELEMENT = 10
+STRETCH, TURN, FORCE = 3, 4, 7
+"""First place of them among the ten."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """First places of the unknowns of a line of n elements.
+
+    Parameters
+    ----------
+    positions : shape (n + 1,)
+    stretches, turns, forces : shape (n,)
+    """
+
+    positions: Ints
+    stretches: Ints
+    turns: Ints
+    forces: Ints
+
+    @property
+    def total(self) -> int:
+        """Number of unknowns."""
+        return int(self.positions[-1]) + 3
+
+
+def places_of(n: int) -> Places:
+    """Number the unknowns of a line of n elements."""
+    first = PER_ELEMENT * np.arange(n + 1)
+    return Places(first, first[:-1] + STRETCH, first[:-1] + TURN, first[:-1] + FORCE)
+
+
+def entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:
+    """Rows and columns of all entries of blocks of the same size, one block after the other."""
+    shape = (len(rows), height, width)
+    down = rows[:, None, None] + np.arange(height)[:, None]
+    right = columns[:, None, None] + np.arange(width)
+    return np.broadcast_to(down, shape).ravel(), np.broadcast_to(right, shape).ravel()
+
+
+class Band:
+    """A banded matrix that is filled again and again with the same blocks.
+
+    Parameters
+    ----------
+    rows, columns : shape (entries,), of every entry of every block; several may share a place
+    scale : shape (unknowns,), size of each unknown: rows and columns are multiplied by it
+    fixed : shape (unknowns,), whether its row is replaced by that of a given change
+    """
+
+    def __init__(self, rows: Ints, columns: Ints, scale: Floats, fixed: Flags) -> None:
+        self.size = len(scale)
+        self.scale = scale
+        self.fixed = fixed
+        self.lower = int(np.max(rows - columns))
+        self.upper = int(np.max(columns - rows))
+        self._deep = 2 * self.lower + self.upper + 1
+        self._at = self._deep * columns + (self.lower + self.upper + rows - columns)
+        self._weights = scale[rows] * scale[columns] * ~fixed[rows]
+        self._ones = self._deep * np.flatnonzero(fixed) + (self.lower + self.upper)
+
+    def solve(self, values: Floats, right: Floats) -> Floats | None:
+        """Solve for the unknowns, shape (unknowns,); None where the matrix is singular.
+
+        Parameters
+        ----------
+        values : shape (entries,)
+        right : shape (unknowns,); of fixed ones the change itself
+        """
+        factors = self.factorise(values)
+        return None if factors is None else self.solve_factored(factors, right)
+
+    def factorise(self, values: Floats) -> tuple[Floats, Ints] | None:
+        """LU factors with their pivots; None where the matrix is singular."""
+        flat = np.bincount(self._at, values * self._weights, minlength=self._deep * self.size)
+        flat[self._ones] = 1.0
+        band = flat.reshape(self.size, self._deep).T
+        factors, pivots, failed = lapack.dgbtrf(band, self.lower, self.upper, overwrite_ab=True)
+        return None if failed else (factors, pivots)
+
+    def solve_factored(self, factors: tuple[Floats, Ints], right: Floats) -> Floats | None:
+        """Solve with factors that are there; None where the result is not finite."""
+        scaled = np.where(self.fixed, right / self.scale, right * self.scale)
+        found, failed = lapack.dgbtrs(
+            factors[0], self.lower, self.upper, scaled, factors[1], overwrite_b=True
+        )
+        if failed or not np.all(np.isfinite(found)):
+            return None
+        return np.asarray(found * self.scale)

@@ -1,0 +1,91 @@
+"""Where the elements of a line point, and what their forces do to their frames.
+
+An element points along its d3. Beside a clamp its direction is that of d3 and the clamp's together,
+each with its share (`supports.END_SHARE`), made of length one again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.rod.rotations import cross, matrices
+from labpipe.rod.supports import Supports
+
+_EYE = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Directions:
+    """Of n elements with forces g (N m: their force times their length).
+
+    Parameters
+    ----------
+    along : shape (n, 3), unit
+    by_turn : shape (n, 3, 3), its derivative by a turn of the frame in itself
+    pull : shape (n, 3), N m, derivative of -g . along by the turn
+    stiff : shape (n, 3, 3), N m, its second derivative along turns, symmetric
+    by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the clamps'
+        directions, each times its share
+    clamp_moments : shape (clamps, 3), N m, in space, derivative of -g . along by their turns
+    """
+
+    along: Floats
+    by_turn: Floats
+    pull: Floats
+    stiff: Floats
+    by_clamp: Floats
+    clamp_moments: Floats
+
+
+def directions_of(supports: Supports, frames: Floats, clamps: Floats, pulls: Floats) -> Directions:
+    """Point the elements.
+
+    Parameters
+    ----------
+    supports : which elements are beside a clamp
+    frames : shape (n, 3, 3), matrices of the elements
+    clamps : shape (clamps, 3), directions d3 of the clamps
+    pulls : shape (n, 3), N m, g
+    """
+    along = frames[:, :, 2].copy()
+    by_turn = np.zeros_like(frames)
+    by_turn[:, :, 0], by_turn[:, :, 1] = -frames[:, :, 1], frames[:, :, 0]
+    stiff = _bend(np.einsum("nkx,nk->nx", frames, pulls))
+    by_clamp = np.zeros((len(supports.ends), 3, 3))
+    clamp_moments = np.zeros_like(clamps)
+    if len(supports.ends):
+        at, own = supports.ends, supports.own[:, None, None]
+        mixed = supports.shares @ clamps + own[:, 0] * along[at]
+        size = np.linalg.norm(mixed, axis=1)[:, None]
+        along[at] = mixed / size
+        flat = (_EYE - along[at, :, None] * along[at, None, :]) / size[:, :, None]
+        g = pulls[at]
+        p = np.einsum("nxy,ny->nx", flat, g)
+        second = along[at, :, None] * p[:, None, :]
+        second = second + np.swapaxes(second, 1, 2)
+        second += np.einsum("nk,nk->n", g, along[at])[:, None, None] * flat
+        second /= size[:, :, None]
+        turn = own * by_turn[at]
+        stiff[at] = own * _bend(np.einsum("nkx,nk->nx", frames[at], p))
+        stiff[at] += np.swapaxes(turn, 1, 2) @ second @ turn
+        by_turn[at] = flat @ turn
+        by_clamp = flat
+        clamp_moments = -cross(clamps, supports.shares.T @ p)
+    pull = -np.einsum("nkx,nk->nx", by_turn, pulls)
+    return Directions(along, by_turn, pull, stiff, by_clamp, clamp_moments)
+
+
+def _bend(g: Floats) -> Floats:
+    """Second derivative of -g . d3 along turns of the frame, g in the frame."""
+    out = g[:, 2, None, None] * _EYE
+    out[:, :, 2] -= 0.5 * g
+    out[:, 2, :] -= 0.5 * g
+    return np.asarray(out)
+
+
+def clamp_directions(clamps: Floats) -> Floats:
+    """d3 of frames, shape (clamps, 3)."""
+    return np.asarray(matrices(clamps)[:, :, 2])

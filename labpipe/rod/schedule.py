@@ -1,0 +1,226 @@
+"""What the boundaries of a line ask at every time of a walk.
+
+Time counts steps: k is step k, k - 1/2 halfway to it. From -1 to 0 the line is laid in: held nodes
+go from where the line is to row 0 of their paths, and weight and loads grow to row 0 of theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.rod.assembly import Demands, Shape
+from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane, Ring, String
+from labpipe.rod.line import Line
+from labpipe.rod.rotations import (
+    conjugate,
+    from_rotation_vectors,
+    multiply,
+    rotation_vectors,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LetGo:
+    """What a grip carried that lets go: it fades within the step.
+
+    Parameters
+    ----------
+    node : that was held
+    force, moment : shape (3,), N and N m
+    """
+
+    node: int
+    force: Floats
+    moment: Floats
+
+
+class Schedule:
+    """The boundaries of a line over a walk.
+
+    Parameters
+    ----------
+    line : the line
+    boundaries : in the order of the caller
+    steps : of the walk
+    start : where the line is before
+
+    Raises
+    ------
+    ValueError
+        If a node is not on the line, a path has another number of rows, or two boundaries hold one
+        node at the same time.
+    """
+
+    def __init__(
+        self, line: Line, boundaries: tuple[Boundary, ...], steps: int, start: Shape
+    ) -> None:
+        self.line, self.boundaries, self.steps, self.start = line, boundaries, steps, start
+        self.n = len(line.lengths)
+        _require_rows(boundaries, steps)
+        self.held = self._of(Held)
+        self.strings = self._of(String)
+        self.planes = self._of(Plane)
+        self.rings = self._of(Ring)
+        self.held_nodes = {k: self.node(boundaries[k]) for k in self.held}
+        self.string_nodes = np.array([self.node(boundaries[k]) for k in self.strings], dtype=int)
+        for k in (*self._of(Load), *self._of(Moment)):
+            self.node(boundaries[k])
+        self._require_one_each()
+        halves = 0.5 * line.section.mass_per_length * line.lengths
+        self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
+
+    def _of(self, kind: type) -> tuple[int, ...]:
+        return tuple(k for k, each in enumerate(self.boundaries) if isinstance(each, kind))
+
+    def node(self, boundary: Boundary) -> int:
+        """Node of a boundary, from 0."""
+        node = boundary.node  # type: ignore[union-attr]
+        if not -self.n - 1 <= node <= self.n:
+            message = (
+                f"{called(self.boundaries, boundary)}: node={node}: allowed are 0 to {self.n}, "
+                f"or -1 to {-self.n - 1} from the end"
+            )
+            raise ValueError(message)
+        return int(node % (self.n + 1))
+
+    def _require_one_each(self) -> None:
+        for step in range(self.steps + 1):
+            nodes = [self.held_nodes[k] for k in self.grips(step)]
+            twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
+            if twice:
+                message = f"step {step}: node {twice[0]} is held twice; allowed is once at a time"
+                raise ValueError(message)
+
+    def grips(self, step: int) -> tuple[int, ...]:
+        """Indices of the boundaries that hold a node in a step."""
+        return tuple(k for k in self.held if _holds(self.boundaries[k], step))
+
+    def force_scale(self) -> float:
+        """Size of the forces on the line as a whole, N."""
+        line = self.line
+        size = line.section.law.first_stiffness / line.length**2
+        for each in self.boundaries:
+            if isinstance(each, Gravity):
+                size += float(np.sum(self._masses)) * _largest(each.vector)
+            elif isinstance(each, Load):
+                size += _largest(each.force)
+            elif isinstance(each, Moment):
+                size += _largest(each.moment) / line.length
+        return size
+
+    def demands(self, time: float, grips: tuple[int, ...], fading: tuple[LetGo, ...]) -> Demands:
+        """What is asked at a time.
+
+        Parameters
+        ----------
+        time : in steps, from -1
+        grips : boundaries that hold
+        fading : grips that let go in the step that ends at or behind this time
+        """
+        share = min(1.0, time + 1.0)
+        forces, moments = self._loads(time, share)
+        left = np.ceil(time) - time
+        for gone in fading:
+            forces[gone.node] += left * gone.force
+            self._turn(moments, gone.node, left * gone.moment)
+        held, clamps = self._places(time, share, grips)
+        anchors = np.array([_at(self._string(k).anchor, time) for k in self.strings])
+        return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3))
+
+    def _loads(self, time: float, share: float) -> tuple[Floats, Floats]:
+        forces = np.zeros((self.n + 1, 3))
+        moments = np.zeros((self.n, 3))
+        for each in self.boundaries:
+            if isinstance(each, Gravity):
+                forces += share * self._masses[:, None] * _at(each.vector, time)
+            elif isinstance(each, Load):
+                forces[self.node(each)] += share * _at(each.force, time)
+            elif isinstance(each, Moment):
+                self._turn(moments, self.node(each), share * _at(each.moment, time))
+        return forces, moments
+
+    def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
+        held = np.zeros((len(grips), 3))
+        clamps = []
+        for row, k in enumerate(grips):
+            each, node = self._held(k), self.held_nodes[k]
+            goal = _at(each.position, time)
+            held[row] = share * goal + (1.0 - share) * self.start.positions[node]
+            if each.frame is not None:
+                frame = _frame_at(each.frame, time)
+                if share < 1.0:
+                    frame = _between(self.frame_at_node(node), frame, share)
+                clamps.append(frame)
+        return held, np.array(clamps).reshape(-1, 4)
+
+    def _held(self, k: int) -> Held:
+        each = self.boundaries[k]
+        assert isinstance(each, Held)
+        return each
+
+    def _string(self, k: int) -> String:
+        each = self.boundaries[k]
+        assert isinstance(each, String)
+        return each
+
+    def frame_at_node(self, node: int) -> Floats:
+        """Frame of the line at a node where it starts: halfway between the elements there."""
+        frames = self.start.frames
+        before, behind = frames[max(node - 1, 0)], frames[min(node, self.n - 1)]
+        return _between(before, behind, 0.5)
+
+    def _turn(self, moments: Floats, node: int, moment: Floats) -> None:
+        """Put a moment on the elements at a node."""
+        at = [k for k in (node - 1, node) if 0 <= k < self.n]
+        moments[at] += moment / len(at)
+
+
+def called(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
+    """Name of a boundary for messages."""
+    k = next(i for i, each in enumerate(boundaries) if each is boundary)
+    return boundary.name or f"boundary {k} ({type(boundary).__name__})"
+
+
+def _holds(boundary: Boundary, step: int) -> bool:
+    return isinstance(boundary, Held) and (boundary.release is None or step < boundary.release)
+
+
+def _largest(path: Floats) -> float:
+    return float(np.max(np.linalg.norm(path, axis=1)))
+
+
+def _at(path: Floats, time: float) -> Floats:
+    """Row of a path at a time, straight between two rows."""
+    if len(path) == 1 or time <= 0.0:
+        return np.asarray(path[0])
+    k = min(int(time), len(path) - 2)
+    return np.asarray(path[k] + (time - k) * (path[k + 1] - path[k]))
+
+
+def _frame_at(path: Floats, time: float) -> Floats:
+    if len(path) == 1 or time <= 0.0:
+        return np.asarray(path[0])
+    k = min(int(time), len(path) - 2)
+    return _between(path[k], path[k + 1], time - k)
+
+
+def _between(first: Floats, second: Floats, share: float) -> Floats:
+    turn = rotation_vectors(multiply(conjugate(first), second))
+    return multiply(first, from_rotation_vectors(share * turn))
+
+
+def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
+    names = ("position", "frame", "anchor", "force", "moment", "vector")
+    for each in boundaries:
+        for name in names:
+            path = getattr(each, name, None)
+            if path is None or path.ndim != 2 or len(path) in (1, steps + 1):
+                continue
+            message = (
+                f"{called(boundaries, each)}: {name} has {len(path)} rows; allowed are 1 or "
+                f"steps + 1 = {steps + 1}"
+            )
+            raise ValueError(message)

@@ -1,0 +1,113 @@
+"""One step of a line to the equilibrium under new demands, by Newton's method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.rod.assembly import Assembly, Balance, Demands, Drag, Memory, Shape
+from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
+
+_ITERATIONS = 20
+_CLOSE = 1e-10
+"""Of force, moment and length of the whole line, by which an equilibrium may be off."""
+_STILL = 1e-11
+"""Of length and rad: a change so small ends the search where rounding keeps forces off."""
+_NEAR = 1e-5
+_TAUT = 1e4
+"""Of the forces on the line as a whole: a line that pulls more is taut, and its shape hangs on
+rounding."""
+_LARGEST_TURN = 0.7
+"""rad, of an element in one iteration."""
+_LARGEST_MOVE = 0.35
+"""Of the line's length, of a node in one iteration."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """An equilibrium: its shape, the balance there, and how many iterations it took."""
+
+    shape: Shape
+    balance: Balance
+    iterations: int
+
+
+def settle(
+    assembly: Assembly,
+    shape: Shape,
+    memory: Memory,
+    demands: tuple[Demands, Demands],
+    *,
+    force: float,
+    earlier: Memory | None = None,
+    drag: Drag | None = None,
+) -> Settled | None:
+    """Go from one equilibrium to the next.
+
+    Parameters
+    ----------
+    assembly : the line with its supports
+    shape, memory : where it is, and what it remembers
+    demands : what was asked there, and what is asked now
+    force : N, of the size that acts on the line as a whole
+    earlier : memory before the step that led there: the same forces, but what slid is sliding on,
+        which is the better guess where the walk goes on as it did
+    drag : where it holds the line to
+
+    Returns
+    -------
+    The equilibrium; None where Newton's method does not find one near.
+    """
+    now, goal = demands
+    held = goal.held - now.held
+    clamps = rotation_vectors(multiply(conjugate(now.clamps), goal.clamps))
+    partly = replace(goal, held=now.held, clamps=now.clamps)
+    balance = assembly.balance(shape, partly, memory if earlier is None else earlier, drag)
+    right = assembly.right_side(balance, shape, partly, held, clamps)
+    still = np.zeros_like(held)
+    straight = np.zeros_like(clamps)
+    for iteration in range(1, _ITERATIONS + 1):
+        change = assembly.band.solve(balance.values, right)
+        if change is None or not _is_modest(assembly, change):
+            return None
+        shape = assembly.changed(shape, change)
+        balance = assembly.balance(shape, goal, memory, drag)
+        if _is_close(assembly, balance, shape, change, force):
+            return Settled(shape, balance, iteration)
+        right = assembly.right_side(balance, shape, goal, still, straight)
+    return None
+
+
+def _is_modest(assembly: Assembly, change: Floats) -> bool:
+    p = assembly.places
+    turn = float(np.max(np.abs(change[p.turns[:, None] + np.arange(3)])))
+    move = float(np.max(np.abs(change[p.positions[:, None] + np.arange(3)])))
+    return turn < _LARGEST_TURN and move < _LARGEST_MOVE * assembly.line.length
+
+
+def _is_close(
+    assembly: Assembly, balance: Balance, shape: Shape, change: Floats, force: float
+) -> bool:
+    p = assembly.places
+    three = np.arange(3)
+    length = assembly.line.length
+    residual = np.where(assembly.band.fixed, 0.0, balance.residual)
+    pull = float(np.max(np.abs(shape.forces)))
+    if pull > _TAUT * force:
+        return False
+    force = max(force, pull)
+    off = max(
+        float(np.max(np.abs(residual[p.positions[:, None] + three]))) / force,
+        float(np.max(np.abs(residual[p.turns[:, None] + three]))) / (force * length),
+        float(np.max(np.abs(residual[p.stretches]))) / (force * length),
+        float(np.max(np.abs(residual[p.forces[:, None] + three]))) / length,
+    )
+    if off < _CLOSE:
+        return True
+    moved = max(
+        float(np.max(np.abs(change[p.turns[:, None] + three]))),
+        float(np.max(np.abs(change[p.positions[:, None] + three]))) / length,
+    )
+    return moved < _STILL and off < _NEAR

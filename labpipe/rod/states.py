@@ -1,0 +1,96 @@
+"""Between the cells that a solver sees and the nodes that a state tells."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.rod.assembly import Assembly, Balance, Demands, Shape
+from labpipe.rod.path import RodState
+from labpipe.rod.rotations import matrices
+from labpipe.rod.schedule import Schedule
+from labpipe.rod.supports import Supports
+
+
+class Reached(Protocol):
+    """A shape in balance under demands."""
+
+    @property
+    def shape(self) -> Shape:
+        """Where the line is."""
+
+    @property
+    def balance(self) -> Balance:
+        """Of it."""
+
+    @property
+    def demands(self) -> Demands:
+        """That it is in balance under."""
+
+
+def merged_rests(supports: Supports, rests: Floats) -> Floats:
+    """Rests of cells, shape (cells, sliders, 2), from those before and behind the nodes.
+
+    Where a clamp is gone, both sides make up one cell with the mean of their rests: no slider is
+    then bent by more than it holds.
+    """
+    return np.asarray(np.einsum("cs,csjx->cjx", supports.sides, rests[supports.nodes]))
+
+
+def parted_rests(supports: Supports, rests: Floats) -> Floats:
+    """Rests before and behind the nodes, shape (n + 1, 2, sliders, 2), from those of cells."""
+    return _at_sides(supports, rests)
+
+
+def _at_sides(supports: Supports, values: Floats) -> Floats:
+    out = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
+    for side in (0, 1):
+        at = supports.sides[:, side] > 0.0
+        out[supports.nodes[at], side] = values[at]
+    return out
+
+
+def state_of(
+    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: Reached
+) -> RodState:
+    """Tell a state, all forces and moments in space."""
+    supports, cells = assembly.supports, now.balance.cells
+    n_nodes = assembly.n + 1
+    forces, clamp_moments = assembly.reactions(now.balance, now.demands)
+    moments = _at_sides(supports, _moments_in_space(assembly, now))
+    n = len(schedule.boundaries)
+    reaction_forces, reaction_moments = np.zeros((n, 3)), np.zeros((n, 3))
+    reaction_forces[list(grips)] = forces
+    clamped = [grips[int(row)] for row in supports.clamps]
+    reaction_moments[clamped] = clamp_moments
+    for k, touch in zip(schedule.planes, now.balance.touches, strict=True):
+        reaction_forces[k] = touch.forces.sum(axis=0)
+    reaction_forces[list(schedule.strings)] = now.balance.tensions
+    touched = np.array([touch.forces for touch in now.balance.touches]).reshape(-1, n_nodes, 3)
+    return RodState(
+        positions=now.shape.positions,
+        frames=now.shape.frames,
+        stretches=now.shape.stretches,
+        forces=now.shape.forces,
+        moments=moments,
+        curvatures=_at_sides(supports, cells.curvatures),
+        rests=_at_sides(supports, now.balance.memory.rests),
+        reaction_forces=reaction_forces,
+        reaction_moments=reaction_moments,
+        contacts=now.balance.memory.contacts,
+        contact_forces=touched,
+        slid=np.full(n, np.nan),
+    )
+
+
+def _moments_in_space(assembly: Assembly, now: Reached) -> Floats:
+    """Moments of the cells, of the part behind on the part before, N m, shape (cells, 3).
+
+    At a clamp the moment at the node itself, which is a little more than that of the half cell.
+    """
+    supports, cells = assembly.supports, now.balance.cells
+    frames = np.concatenate([now.shape.frames, now.demands.clamps[::-1]])
+    turned = matrices(frames[supports.behind])
+    return np.asarray(np.einsum("nxy,ny->nx", turned, cells.behind))

@@ -1,0 +1,489 @@
+"""Follow a line through the steps of its boundaries, from equilibrium to equilibrium.
+
+Every step is one of Newton's method, halved where it does not arrive or turns the line too far; the
+memory of sliders and friction moves on with every part of a step. Where no equilibrium follows
+(a line that snaps, buckles or is let go) the line is let down: dragged through ever less of a
+resistance to its movement, always downhill in energy, as a line in honey would go. Such steps are
+`snapped`. An equilibrium that is not stable is left in the direction in which it gives way first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.rod.assembly import Assembly, Balance, Demands, Drag, Memory, Shape
+from labpipe.rod.boundaries import Boundary, Moment, Plane
+from labpipe.rod.energies import lost_energy, stored_energy, work_done
+from labpipe.rod.line import Line
+from labpipe.rod.path import Reason, RodPath, RodState, Status
+from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
+from labpipe.rod.schedule import LetGo, Schedule
+from labpipe.rod.settling import Settled, settle
+from labpipe.rod.stability import StabilityCheck
+from labpipe.rod.states import merged_rests, parted_rests, state_of
+from labpipe.rod.supports import supports_of
+
+_FOLDED = 2.2
+"""rad, between two elements: more is a fold that needs shorter elements."""
+_FIRST_DRAG = 1.0
+_LAST_DRAG = 1e-4
+_MOST_DRAG = 1e12
+_LESS, _MORE = 0.25, 8.0
+_AT_REST = 1e-6
+"""Of the line's length: what moves by less does not move."""
+_LET_DOWN = 400
+"""Steps, at most, in which a line is let down."""
+_KICKS = (0.0, 1e-3, 1e-2)
+"""Of the line's length, or rad: how far a line that finds no way on is moved off."""
+
+
+@dataclass(frozen=True, slots=True)
+class RodSettings:
+    """How a line is followed.
+
+    Parameters
+    ----------
+    smallest_part : of a step, to which it is halved at most
+    most_turn : rad, by which two neighbouring elements may turn against each other, and twice that
+        any element in space, in a part of a step
+    most_stretch : strain beyond which the line counts as torn
+    checks_stability : whether equilibria are checked, and left where they are not stable
+    """
+
+    smallest_part: float = 2.0**-8
+    most_turn: float = 0.5
+    most_stretch: float = 0.05
+    checks_stability: bool = True
+
+
+def follow(
+    line: Line,
+    boundaries: Sequence[Boundary],
+    *,
+    steps: int,
+    settings: RodSettings | None = None,
+    start: RodState | None = None,
+) -> RodPath:
+    """Follow a line through the steps of its boundaries.
+
+    Parameters
+    ----------
+    line : the line, which has never been bent but to its curvature at rest
+    boundaries : what holds, pulls and supports it
+    steps : of their paths
+    settings : how; the usual where not given
+    start : state of the same line to start from, with its memory, in place of the line's own shape
+
+    Returns
+    -------
+    States 0 to `steps`, or up to the step before the one that failed: `status` is then `failed`,
+    and the reason says in which step and where.
+
+    Raises
+    ------
+    ValueError
+        If a node is not on the line, a path has another number of rows, or two boundaries hold one
+        node at the same time.
+    """
+    walk = _Walk(line, tuple(boundaries), steps, settings or RodSettings(), start)
+    for step in range(steps + 1):
+        if not walk.go_to(step):
+            break
+    return walk.path()
+
+
+def _apart(before: Floats, behind: Floats) -> float:
+    return float(np.max(np.abs(behind - before)))
+
+
+class _NoWayError(Exception):
+    """No way on, and why."""
+
+    def __init__(self, reason: Reason) -> None:
+        super().__init__(reason.sentence)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Now:
+    """Where the walk is: a shape in balance under its demands, and the memory before and behind."""
+
+    time: float
+    shape: Shape
+    balance: Balance
+    demands: Demands
+    memory: Memory
+    earlier: Memory | None
+
+
+class _Walk:
+    def __init__(
+        self,
+        line: Line,
+        boundaries: tuple[Boundary, ...],
+        steps: int,
+        settings: RodSettings,
+        start: RodState | None,
+    ) -> None:
+        self.line, self.boundaries, self.settings = line, boundaries, settings
+        shape, rests, contacts = _begin(line, boundaries, start)
+        self.schedule = Schedule(line, boundaries, steps, shape)
+        self.force = self.schedule.force_scale()
+        self.states: list[RodState] = []
+        self.energies: list[tuple[float, ...]] = []
+        self.reasons: list[Reason] = []
+        self.snapped: list[int] = []
+        self.step = 0
+        self.work = self.lost = self.rubbed = self.jumped = 0.0
+        self.failed = False
+        # a moment of constant direction has no energy to be lowest
+        has_energy = not any(isinstance(each, Moment) for each in boundaries)
+        self.is_checked = self.settings.checks_stability and has_energy
+        self._gather(
+            self.schedule.grips(0), (), time=-1.0, shape=shape, rests=rests, contacts=contacts
+        )
+        self.begun = self._stored()
+
+    # ---- grips --------------------------------------------------------------------------------
+
+    def _gather(
+        self,
+        grips: tuple[int, ...],
+        fading: tuple[LetGo, ...],
+        *,
+        time: float,
+        shape: Shape,
+        rests: Floats,
+        contacts: Floats,
+    ) -> None:
+        """Set the line up with the grips that hold from a time on."""
+        self.grips, self.fading = grips, fading
+        schedule = self.schedule
+        held = []
+        for k in grips:
+            held.append(
+                (schedule.held_nodes[k], getattr(self.boundaries[k], "frame", 0) is not None)
+            )
+        planes = tuple(each for each in self.boundaries if isinstance(each, Plane))
+        lengths = np.array([getattr(self.boundaries[k], "length", 0.0) for k in schedule.strings])
+        self.assembly = Assembly(
+            self.line,
+            supports_of(self.line, tuple(held)),
+            planes,
+            (schedule.string_nodes, lengths),
+            self.force,
+        )
+        self.check = StabilityCheck(self.assembly)
+        memory = Memory(merged_rests(self.assembly.supports, rests), contacts)
+        demands = schedule.demands(time, grips, fading)
+        balance = self.assembly.balance(shape, demands, memory)
+        self.now = _Now(time, shape, balance, demands, memory, None)
+
+    def _let_go(self, step: int) -> None:
+        """Take the grips away that hold no more in a step."""
+        grips = self.schedule.grips(step)
+        if grips == self.grips:
+            if self.fading:
+                self.fading = ()
+            return
+        forces, moments = self.assembly.reactions(self.now.balance, self.now.demands)
+        clamp_of = {int(at): k for k, at in enumerate(self.assembly.supports.clamps)}
+        gone = []
+        for row, k in enumerate(self.grips):
+            if k not in grips:
+                moment = moments[clamp_of[row]] if row in clamp_of else np.zeros(3)
+                gone.append(LetGo(self.schedule.held_nodes[k], forces[row], moment))
+        now = self.now
+        before = self._stored()
+        rests = parted_rests(self.assembly.supports, now.memory.rests)
+        self._gather(
+            grips,
+            tuple(gone),
+            time=float(step - 1),
+            shape=now.shape,
+            rests=rests,
+            contacts=now.memory.contacts,
+        )
+        self.jumped += before - self._stored()
+
+    # ---- steps --------------------------------------------------------------------------------
+
+    def go_to(self, step: int) -> bool:
+        """Walk to a step; false where that fails."""
+        self.step = step
+        try:
+            self._require_reach(step)
+            if step > 0:
+                self._let_go(step)
+            self._walk_to(float(step))
+        except _NoWayError as failure:
+            self.reasons.insert(0, failure.reason)
+            self.failed = True
+            return False
+        self._keep(step)
+        return True
+
+    def _walk_to(self, goal: float) -> None:
+        part = 1.0
+        smallest = self.settings.smallest_part
+        while self.now.time < goal:
+            time = min(goal, self.now.time + part)
+            settled = self._settled(time)
+            if settled is not None:
+                self._commit(time, settled)
+                part = min(1.0, 2.0 * part)
+                # what fades of a grip's moment has no energy: only the end of the step counts
+                may_check = self.is_checked and (time == goal or not self.fading)
+                if may_check and not self._is_stable():
+                    self._let_down(time, is_unstable=True)
+            elif part > smallest:
+                part *= 0.5
+            else:
+                self._let_down(goal if self.fading else time, is_unstable=False)
+
+    def _settled(self, time: float) -> Settled | None:
+        """The equilibrium at a time; None where it is not found or is too far."""
+        now = self.now
+        goal = self.schedule.demands(time, self.grips, self.fading)
+        settled = settle(
+            self.assembly,
+            now.shape,
+            now.memory,
+            (now.demands, goal),
+            force=self.force,
+            earlier=now.earlier,
+        )
+        return settled if settled is not None and self._is_near(settled) else None
+
+    def _is_near(self, settled: Settled) -> bool:
+        now, most = self.now, self.settings.most_turn
+        bent = settled.balance.cells.turns - now.balance.cells.turns
+        if float(np.max(np.linalg.norm(bent, axis=1), initial=0.0)) > most:
+            return False
+        turned = rotation_vectors(multiply(conjugate(now.shape.frames), settled.shape.frames))
+        return float(np.max(np.linalg.norm(turned, axis=1))) < 2.0 * most
+
+    def _is_stable(self) -> bool:
+        return self.check.is_stable(self.now.balance, self.now.shape)
+
+    def _commit(self, time: float, settled: Settled) -> None:
+        """Move on to an equilibrium, with memory and energies."""
+        now = self.now
+        goal = self.schedule.demands(time, self.grips, self.fading)
+        new = settled.balance
+        self.work += work_done(
+            self.assembly, (now.demands, goal), (now.shape, settled.shape), (now.balance, new)
+        )
+        self.lost += lost_energy(self.assembly, now.memory.rests, new.memory.rests)
+        self.rubbed += sum(touch.rubbed for touch in new.touches)
+        self.now = _Now(time, settled.shape, new, goal, new.memory, now.memory)
+        self._require_whole()
+
+    def _stored(self) -> float:
+        return stored_energy(self.assembly, self.now.balance, self.now.shape)
+
+    # ---- letting down -------------------------------------------------------------------------
+
+    def _let_down(self, time: float, *, is_unstable: bool) -> None:
+        """Let the line go downhill to a stable equilibrium at a time."""
+        if self.step not in self.snapped:
+            self.snapped.append(self.step)
+        before = self.now, self.work, self.lost, self.rubbed
+        free = self.work - self._stored() - self.lost - self.rubbed
+        for kick in _KICKS[1:] if is_unstable else _KICKS:
+            if self._comes_to_rest(time, kick):
+                self.jumped += self.work - self._stored() - self.lost - self.rubbed - free
+                return
+            self.now, self.work, self.lost, self.rubbed = before
+        if not is_unstable:
+            self._give_up()
+        self._doubt_stability()
+
+    def _comes_to_rest(self, time: float, kick: float) -> bool:
+        """Drag the line through ever less of a resistance; false where it finds no rest."""
+        goal = self.schedule.demands(time, self.grips, self.fading)
+        shape = self._kicked(kick)
+        size = _FIRST_DRAG
+        rested: Floats | None = None
+        for _ in range(_LET_DOWN):
+            settled = self._dragged(shape, goal, size)
+            if settled is None:
+                size *= _MORE
+                if size > _MOST_DRAG:
+                    return False
+                continue
+            self._commit(time, settled)
+            shape = settled.shape
+            size *= _LESS
+            if size < _LAST_DRAG:
+                if self._rests(time):
+                    return True
+                if (
+                    rested is not None
+                    and _apart(rested, shape.positions) < _AT_REST * self.line.length
+                ):
+                    return False
+                rested = shape.positions
+                size *= _MORE
+        return False
+
+    def _rests(self, time: float) -> bool:
+        """Whether the line is in a stable equilibrium without drag; it is then there."""
+        final = self._settled(time)
+        if final is None:
+            return False
+        if self.is_checked and not self.check.is_stable(final.balance, final.shape):
+            return False
+        self._commit(time, final)
+        return True
+
+    def _dragged(self, shape: Shape, goal: Demands, size: float) -> Settled | None:
+        now = self.now
+        drag = Drag(size, shape)
+        settled = settle(
+            self.assembly, shape, now.memory, (now.demands, goal), force=self.force, drag=drag
+        )
+        if settled is None or not self._is_near(settled):
+            return None
+        if self.is_checked and not self.check.is_stable(settled.balance, settled.shape):
+            return None
+        return settled
+
+    def _kicked(self, size: float) -> Shape:
+        """The line, moved off in the way in which it resists least."""
+        now = self.now
+        if not size:
+            return now.shape
+        p = self.assembly.places
+        three = np.arange(3)
+        goal = self.schedule.demands(float(self.step), self.grips, self.fading)
+        push = np.zeros(p.total)
+        push[p.positions[:, None] + three] = goal.forces
+        mode = self.check.lowest_mode(now.balance, now.shape, push)
+        if mode is None:
+            return now.shape
+        move = float(np.max(np.abs(mode[p.positions[:, None] + three]))) / self.line.length
+        turn = float(np.max(np.abs(mode[p.turns[:, None] + three])))
+        return self.assembly.changed(now.shape, mode * (size / max(move, turn)))
+
+    # ---- failures -----------------------------------------------------------------------------
+
+    def _give_up(self) -> None:
+        node = int(np.argmax(np.linalg.norm(self.now.shape.forces, axis=1)))
+        pull = float(np.linalg.norm(self.now.shape.forces[node]))
+        sentence = (
+            f"step {self.step}: no equilibrium follows, however small the step; the largest force, "
+            f"{pull:.3g} N, was behind node {node}"
+        )
+        raise _NoWayError(Reason("no_equilibrium", sentence, self.step, node))
+
+    def _doubt_stability(self) -> None:
+        """Go on with an equilibrium that is not stable, and say so once."""
+        if any(reason.code == "unstable" for reason in self.reasons):
+            return
+        push = np.zeros(self.assembly.places.total)
+        mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
+        node = None
+        if mode is not None:
+            moved = mode[self.assembly.places.positions[:, None] + np.arange(3)]
+            node = int(np.argmax(np.linalg.norm(moved, axis=1)))
+        sentence = (
+            f"step {self.step}: the equilibrium is not stable, and no stable one was reached from "
+            f"it; it gives way most at node {node}"
+        )
+        self.reasons.append(Reason("unstable", sentence, self.step, node))
+
+    def _require_reach(self, step: int) -> None:
+        """Refuse places that a line that keeps its length cannot reach."""
+        if not self.assembly.is_rigid:
+            return
+        grips = self.schedule.grips(step)
+        demands = self.schedule.demands(float(step), grips, ())
+        nodes = np.array([self.schedule.held_nodes[k] for k in grips], dtype=np.int64)
+        order = np.argsort(nodes)
+        stations = self.line.stations[nodes[order]]
+        apart = np.linalg.norm(np.diff(demands.held[order], axis=0), axis=1)
+        between = np.diff(stations)
+        short = np.flatnonzero(apart > between * (1.0 + 1e-9))
+        if len(short):
+            k = int(short[0])
+            first, second = nodes[order][k : k + 2]
+            sentence = (
+                f"step {step}: between nodes {first} and {second} the line is {between[k]:.6g} m "
+                f"long, and the places that hold them are {apart[k]:.6g} m apart"
+            )
+            raise _NoWayError(Reason("too_short", sentence, step, int(second)))
+
+    def _require_whole(self) -> None:
+        """Refuse a line that is torn or folded."""
+        stretches = self.now.shape.stretches
+        at = int(np.argmax(stretches))
+        if stretches[at] > self.settings.most_stretch:
+            sentence = (
+                f"step {self.step}: the line is stretched by {100.0 * stretches[at]:.3g} % behind "
+                f"node {at}, allowed are {100.0 * self.settings.most_stretch:.3g} %"
+            )
+            raise _NoWayError(Reason("torn", sentence, self.step, at))
+        turns = np.linalg.norm(self.now.balance.cells.turns, axis=1)
+        if len(turns) and float(np.max(turns)) > _FOLDED:
+            cell = int(np.argmax(turns))
+            node = int(self.assembly.supports.nodes[cell])
+            sentence = (
+                f"step {self.step}: the line turns by {turns[cell]:.3g} rad at node {node}: take "
+                "more elements"
+            )
+            raise _NoWayError(Reason("folded", sentence, self.step, node))
+
+    # ---- what is kept -------------------------------------------------------------------------
+
+    def _keep(self, step: int) -> None:
+        state = state_of(self.assembly, self.schedule, self.grips, self.now)
+        self.states.append(state)
+        stored = self._stored()
+        self.energies.append((self.work, stored, self.lost, self.rubbed, self.jumped))
+        last = self.line.section.law.last
+        node = int(np.argmax(state.bendings))
+        if state.bendings[node] > last and not any(r.code == "beyond_law" for r in self.reasons):
+            sentence = (
+                f"step {step}: the curvature {state.bendings[node]:.4g} 1/m at node {node} is "
+                f"beyond the range of the law, which ends at {last:.4g} 1/m"
+            )
+            self.reasons.append(Reason("beyond_law", sentence, step, node))
+
+    def path(self) -> RodPath:
+        """What the walk leaves."""
+        columns = np.array(self.energies).reshape(-1, 5).T
+        status: Status = "doubtful" if self.reasons else "ok"
+        return RodPath(
+            tuple(self.states),
+            "failed" if self.failed else status,
+            tuple(self.reasons),
+            tuple(self.snapped),
+            *columns,
+        )
+
+
+def _begin(
+    line: Line, boundaries: tuple[Boundary, ...], start: RodState | None
+) -> tuple[Shape, Floats, Floats]:
+    n, sliders = len(line.lengths), len(line.section.law.stiffnesses)
+    n_planes = sum(isinstance(each, Plane) for each in boundaries)
+    if start is None:
+        shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))
+        contacts = np.tile(line.positions, (n_planes, 1, 1))
+        return shape, np.zeros((n + 1, 2, sliders, 2)), contacts
+    if start.rests.shape != (n + 1, 2, sliders, 2):
+        message = (
+            f"start: a state of {start.rests.shape[0] - 1} elements and {start.rests.shape[2]} "
+            f"sliders; allowed is one of this line, {n} and {sliders}"
+        )
+        raise ValueError(message)
+    shape = Shape(start.positions, start.frames, start.stretches, start.forces)
+    contacts = start.contacts
+    if len(contacts) != n_planes:
+        contacts = np.tile(start.positions, (n_planes, 1, 1))
+    return shape, start.rests, contacts
