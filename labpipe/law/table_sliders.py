@@ -12,7 +12,6 @@ SLIDERS = 12
 """With fewer, what a wire keeps after unloading is off by more than 2 %."""
 
 
-@lru_cache(maxsize=16)  # a table is known by its identity
 def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
     """Sliders of a wire over its whole table.
 
@@ -26,6 +25,11 @@ def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
     ValueError
         As `fit_sliders`.
     """
+    return _fitted(table, sliders)
+
+
+@lru_cache(maxsize=16)  # a table is known by its identity
+def _fitted(table: WireTable, sliders: int) -> SliderLaw:
     return fit_sliders(table.curvature, table.moment, sliders)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple, TypeAlias
 
 from labpipe.records.curve import Interval
@@ -105,6 +106,7 @@ def number_form(value: float, place: int) -> str:
     return _decimals(-place)
 
 
+@cache
 def _decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
@@ -156,7 +158,12 @@ def form_in_column(value: float, place: int | None) -> str:
     """Form of a plain number: as its column has it, unless it is too small to be seen so."""
     if isinstance(value, int) or place is None:
         return "0"
-    size = abs(value)
-    is_small = 0.0 < size < 10.0 ** (place + _DIGITS_OF_SMALL - 1)
+    is_small = 0.0 < abs(value) < _smallest(place)
     own = place_of(value, None, digits=_DIGITS_OF_SMALL) if is_small else place
     return number_form(value, own)
+
+
+@cache
+def _smallest(place: int) -> float:
+    """Number that has as few digits down to a power of ten as a small one may."""
+    return float(10.0 ** (place + _DIGITS_OF_SMALL - 1))

@@ -8,7 +8,7 @@ import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -203,7 +203,7 @@ class _Book:
 
     def form(self, number: str = "", **look: Any) -> Any:
         """Look of a cell, made once."""
-        key = f"{number} {sorted(look)}"
+        key = f"{number} {sorted(look)}" if look else number
         if key not in self.forms:
             wanted = {"valign": "top", **({"num_format": number} if number else {}), **look}
             self.forms[key] = self.book.add_format(wanted)
@@ -354,7 +354,12 @@ def unique_heads(heads: Sequence[str]) -> list[str]:
 
 
 def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
-    page.write_string(row, column, begin_of(printable(text), _LONGEST_TEXT), form)
+    page.write_string(row, column, _cell_text(text), form)
+
+
+@lru_cache(maxsize=256)  # a name stands in many rows
+def _cell_text(text: str) -> str:
+    return begin_of(printable(text), _LONGEST_TEXT)
 
 
 def _lines(row: Sequence[Value], wrapped: Sequence[bool]) -> int:

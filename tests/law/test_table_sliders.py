@@ -17,3 +17,4 @@ def test_sliders_follow_the_table_and_their_card_says_how_well() -> None:
     assert len(law.stiffnesses) == SLIDERS
     assert float(off.max()) == pytest.approx(dict(table_card(table).sliders)[SLIDERS], rel=1e-6)
     assert len(sliders_of(table, 4).stiffnesses) == 4
+    assert sliders_of(table) is sliders_of(table, sliders=SLIDERS)  # fitted once
