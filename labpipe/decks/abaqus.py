@@ -65,7 +65,7 @@ def _comments(table: WireTable, law: Thinned, label: str) -> tuple[str, ...]:
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
         f"*M1, *M2: {len(law.curvature)} points; the straight lines between them are within "
         f"{law.error:.2g} of the wire's moment.",
-        "Neither ELASTIC nor LINEAR: elastic-plastic, unloading with the first slope. Not for loops.",
+        "Neither ELASTIC nor LINEAR: elastic-plastic, unloads with the first slope. Not for loops.",
         *deck_losses(table, hardens(table, law.error, _WAY_BACK)),
         "The guide does not say what follows the last point: hold SK1, SK2 against the range.",
         f"M1 and M2 do not know of each other: bent askew, the wire is up to "

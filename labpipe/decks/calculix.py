@@ -259,8 +259,9 @@ def _closeness(material: EquivalentMaterial) -> Iterator[str]:
 def _own_loss(material: EquivalentMaterial) -> str:
     off, linear = np.abs(material.error), material.curvature <= material.elastic_curvature
     return (
-        f"This deck: first loading within {percent(float(off[~linear].max()))} of the wire's moment "
-        f"from {material.elastic_curvature:.4g} 1/m on, within {percent(float(off.max()))} below it."
+        f"This deck: first loading within {percent(float(off[~linear].max()))} of the wire's "
+        f"moment from {material.elastic_curvature:.4g} 1/m on, within {percent(float(off.max()))} "
+        f"below it."
     )
 
 

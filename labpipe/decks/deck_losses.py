@@ -51,9 +51,9 @@ def own_loss(first: float, way_back: float, turn: float, why: str) -> str:
     why : what the program does there
     """
     return (
-        f"This deck: first loading within {percent(first)} of the wire's moment. Straightened again "
-        f"after bends up to half of the range it is off by up to {percent(way_back)} of the moment "
-        f"at the turn (from {turn:.2g} 1/m): {why}."
+        f"This deck: first loading within {percent(first)} of the wire's moment. Straightened "
+        f"again after bends up to half of the range it is off by up to {percent(way_back)} of the "
+        f"moment at the turn (from {turn:.2g} 1/m): {why}."
     )
 
 

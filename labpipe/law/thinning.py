@@ -89,7 +89,9 @@ def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
         raise ValueError(message)
     finite = np.isfinite(curvature) & np.isfinite(moment)
     if not finite.all():
-        message = f"point {int(np.argmin(finite)) + 1} of the law is not finite: allowed are numbers"
+        message = (
+            f"point {int(np.argmin(finite)) + 1} of the law is not finite: allowed are numbers"
+        )
         raise ValueError(message)
     if curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
         message = "the law does not go from zero: allowed are increasing curvatures from 0"
@@ -149,8 +151,7 @@ def _as_far_as_allowed(x: list[float], y: list[float], tolerance: float, most: i
             at_x, at_y, steepest = x[new - 1], y[new - 1], -np.inf
             width = x[new] - at_x
         slope = (share * to - at_y) / width
-        if slope > steepest:  # `max` takes as long as all the rest
-            steepest = slope
+        steepest = slope if slope > steepest else steepest  # `max` takes as long as all the rest
     return [*chosen, len(x) - 1]
 
 

@@ -32,7 +32,10 @@ def test_every_deck_says_what_forms_of_law_lose(ending: str) -> None:
         ("csv", "This deck: first loading within 0 % of the wire's moment. Straightened again"),
         ("csv", "off by up to 108 % of the moment at the turn (from 0.072 1/m): a curve forgets"),
         ("abaqus.inp", "This deck: first loading within 0 % of the wire's moment."),
-        ("abaqus.inp", "off by up to 176 % of the moment at the turn (from 62 1/m): if it hardens alike"),
+        (
+            "abaqus.inp",
+            "off by up to 176 % of the moment at the turn (from 62 1/m): if it hardens alike",
+        ),
         ("ansys.inp", "This deck: first loading within 0.2 % of the wire's moment."),
         ("ansys.inp", "176 % of the moment at the turn (from 62 1/m): isotropic hardening."),
         ("calculix.inp", "moment from 0.25 1/m on, within 75 % below it."),
@@ -46,7 +49,9 @@ def test_a_deck_says_what_it_loses_itself(ending: str, said: str) -> None:
 def test_the_constant_stiffness_by_hand() -> None:
     """988 %: the sticking wire's slope against the last secant."""
     table = wire_table("A2")
-    assert table.stick_stiffness / table.secant_stiffness[-1] - 1.0 == pytest.approx(9.882, abs=0.01)
+    assert table.stick_stiffness / table.secant_stiffness[-1] - 1.0 == pytest.approx(
+        9.882, abs=0.01
+    )
 
 
 def test_numbers_in_both_jsons() -> None:

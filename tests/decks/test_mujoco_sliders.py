@@ -154,7 +154,7 @@ def test_directions_that_are_not_turned_bend_sideways() -> None:
     """Why the directions of the nodes are turned: else C4 leaves the plane of its load."""
     deck = mujoco_space_deck(example("C4"), length=LENGTH)
     rows = re.findall(r'<fixed class="slider_1">(.*?)</fixed>', deck)
-    first = [row.replace("_1\"", "_@\"") for row in rows[:4]]
+    first = [row.replace('_1"', '_@"') for row in rows[:4]]
     for number, row in enumerate(rows):
         deck = deck.replace(row, first[number % 4].replace("@", str(1 + number // 4)))
     loads, _ = wanted("C4")
@@ -181,7 +181,7 @@ def test_what_the_deck_says() -> None:
     ):
         assert said in plane
     for said in (
-        "8 sliders in each of 4 directions at each of 30 nodes, turned from node to node by 0, 22.5,",
+        "8 sliders in each of 4 directions at each of 30 nodes, turned from node to node by 0, 22",
         "the moment of 4 nodes together is",
     ):
         assert said in space
@@ -238,7 +238,9 @@ def test_the_check_of_a_law_that_ends_early() -> None:
 def test_a_mass_that_is_none(mass: float) -> None:
     table = replace(example("A2"), mass_per_length=mass)
     for ending in ("mujoco.xml", "mujoco-plane.xml", "mujoco-space.xml", "abaqus.inp", "ansys.inp"):
-        with pytest.raises(ValueError, match=r"^mass_per_length=\S+: allowed are finite numbers > 0"):
+        with pytest.raises(
+            ValueError, match=r"^mass_per_length=\S+: allowed are finite numbers > 0"
+        ):
             DECKS[ending](table)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -77,7 +79,7 @@ def test_the_way_back_step_by_step() -> None:
         rests = slide(law, np.array([turn]), virgin_rests(law, 1)).rests
         top = float(np.interp(turn, x, y))
         carried, hardened = top, float(np.interp(turn, x, plastic))
-        for before, at in zip(way[:-1], way[1:], strict=True):
+        for before, at in pairwise(way):
             carried += slope * (at - before)
             limit = float(np.interp(hardened, plastic, y))
             if -carried > limit:

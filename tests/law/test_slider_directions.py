@@ -58,7 +58,7 @@ def test_more_directions_lose_less() -> None:
 
 @pytest.mark.parametrize("name", ["A2", "C5"])
 def test_nodes_that_are_turned_are_more_alike_together(name: str) -> None:
-    """The mean of four nodes, each by its own sliders: within what is stated, and closer than one."""
+    """The mean of four nodes, each by its own sliders: within what is stated, closer than one."""
     table = wire_table(name)
     law = fit_sliders(table.curvature, table.moment, 8)
     alone = in_directions(law, 4)
