@@ -39,6 +39,8 @@ _STIFF = 1e4
 """Of planes and strings, in bending stiffnesses of an element."""
 _YIELD = 1e-6
 """Of an element's length, by which a plane or string yields to the force of the whole line."""
+_CLOSE = 1e-9
+"""Of an element's length: how near to a plane a node touches it."""
 _LEAST_DRAG = 1e-10
 """In the tangent only: keeps it solvable where a line may move freely without a force."""
 _LEAST_GIVE = 1e-10
@@ -114,6 +116,7 @@ class Balance:
     ----------
     residual : shape (unknowns,): N of positions, N m of stretches and turns, m of forces
     values : of the tangent, entry by entry
+    even : the same without what has no energy (friction that grows with pressure)
     cells : of the line
     directions : of the elements
     memory : after the step
@@ -123,6 +126,7 @@ class Balance:
 
     residual: Floats
     values: Floats
+    even: Floats
     cells: BentCells
     directions: Directions
     memory: Memory
@@ -200,22 +204,24 @@ class Assembly:
         by_place[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[_spread(p.positions)].reshape(-1, 3)
         if drag is not None:
             residual += drag.size * self.drag * self.moved(drag.shape, shape)
-        across = cells.across[self._inner]
-        values = np.concatenate(
+        first = np.concatenate(
             [
                 self._constants,
                 *(each.ravel() for each in by_stretch),
                 *_there_and_back(-lengths[:, None, None] * way.by_turn),
                 *_there_and_back((way.pull / (1.0 + shape.stretches)[:, None])[:, None, :]),
                 by_turn.ravel(),
-                *_there_and_back(across),
-                by_place.ravel(),
+                *_there_and_back(cells.across[self._inner]),
                 *self._coupled_values(cells),
             ]
         )
+        values = even = np.append(first, by_place)
+        if any(plane.friction > 0.0 for plane in self.planes):
+            even = np.append(first, by_place - sum(touch.pressing for touch in touches))
         return Balance(
             residual,
             values,
+            even,
             cells,
             way,
             Memory(cells.rests, np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3)),
@@ -334,7 +340,9 @@ class Assembly:
         residual[1:] += shape.forces
         tangent = np.zeros((self.n + 1, 3, 3))
         touches = tuple(
-            touch_plane(plane, self._stiff, shape.positions, contacts)
+            touch_plane(
+                plane, self._stiff, shape.positions, contacts, close=_CLOSE * self._shortest
+            )
             for plane, contacts in zip(self.planes, memory.contacts, strict=True)
         )
         for touch in touches:
@@ -397,12 +405,12 @@ class Assembly:
             entries(p.turns, 3, p.turns, 3),
             entries(b, 3, a, 3),
             entries(a, 3, b, 3),
-            entries(p.positions, 3, p.positions, 3),
         ]
         for stretch, turn, at in self._coupled:
             first = p.stretches[self._sides[at, stretch]]
             second = p.turns[self._sides[at, turn]]
             blocks += [entries(first, 1, second, 3), entries(second, 3, first, 1)]
+        blocks.append(entries(p.positions, 3, p.positions, 3))
         rows, columns = zip(*blocks, strict=True)
         return np.concatenate(rows), np.concatenate(columns)
 

@@ -100,7 +100,7 @@ def frame_from_axes(direction: Floats, up: Floats) -> Floats:
         If one is zero or both are along one line.
     """
     d3 = np.asarray(direction, dtype=np.float64)
-    across = cross(np.asarray(up, dtype=np.float64), d3)
+    across = cross(d3, np.asarray(up, dtype=np.float64))
     if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
         message = (
             f"direction={np.asarray(direction).tolist()}, up={np.asarray(up).tolist()}: allowed "
@@ -108,7 +108,6 @@ def frame_from_axes(direction: Floats, up: Floats) -> Floats:
         )
         raise ValueError(message)
     d3, d2 = unit(d3), unit(across)
-    d2 = unit(cross(d3, cross(d2, d3)))
     return _from_matrix(np.stack([cross(d2, d3), d2, d3], axis=1))
 
 

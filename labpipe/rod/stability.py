@@ -122,7 +122,7 @@ class StabilityCheck:
         stiffness = np.swapaxes(row, 1, 2) @ row * (stiff / line.lengths)[:, None, None]
         values = np.concatenate(
             [
-                balance.values[self._kept],
+                balance.even[self._kept],
                 stiffness[:, :FORCE, :FORCE].ravel(),
                 stiffness[:, :FORCE, FORCE:].ravel(),
                 stiffness[:, FORCE:, FORCE:].ravel(),

@@ -27,7 +27,7 @@ from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.states import merged_rests, parted_rests, state_of
 from labpipe.rod.supports import supports_of
 
-_FOLDED = 2.2
+_FOLDED = 3.13
 """rad, between two elements: more is a fold that needs shorter elements."""
 _FIRST_DRAG = 1.0
 _LAST_DRAG = 1e-4
@@ -35,7 +35,7 @@ _MOST_DRAG = 1e12
 _LESS, _MORE = 0.25, 8.0
 _AT_REST = 1e-6
 """Of the line's length: what moves by less does not move."""
-_LET_DOWN = 400
+_LET_DOWN = 150
 """Steps, at most, in which a line is let down."""
 _KICKS = (0.0, 1e-3, 1e-2)
 """Of the line's length, or rad: how far a line that finds no way on is moved off."""

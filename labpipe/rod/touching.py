@@ -25,17 +25,22 @@ class Touch:
     ----------
     forces : shape (nodes, 3), N
     stiffness : shape (nodes, 3, 3), N/m, of minus the force by the place
+    pressing : shape (nodes, 3, 3), N/m, the part of it by which friction grows with pressure: it
+        has no energy, so that stability is judged without it
     contacts : shape (nodes, 3), m, where the nodes stick
     rubbed : J, lost to friction in this step
     """
 
     forces: Floats
     stiffness: Floats
+    pressing: Floats
     contacts: Floats
     rubbed: float
 
 
-def touch_plane(plane: Plane, stiffness: float, positions: Floats, contacts: Floats) -> Touch:
+def touch_plane(
+    plane: Plane, stiffness: float, positions: Floats, contacts: Floats, *, close: float
+) -> Touch:
     """Support nodes by a plane.
 
     Parameters
@@ -44,11 +49,12 @@ def touch_plane(plane: Plane, stiffness: float, positions: Floats, contacts: Flo
     stiffness : N/m of a node
     positions : shape (nodes, 3), m
     contacts : shape (nodes, 3), m, where the nodes stuck before the step
+    close : m, a node that near counts as touching, with no force as yet
     """
     normal = plane.normal
     depth = -(positions - plane.point) @ normal
     press = stiffness * np.maximum(depth, 0.0)
-    is_in = depth > 0.0
+    is_in = depth >= -close
     out = np.where(is_in, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
     forces = press[:, None] * normal
     flat = _EYE - np.outer(normal, normal)
@@ -59,16 +65,18 @@ def touch_plane(plane: Plane, stiffness: float, positions: Floats, contacts: Flo
     kept = np.where(is_sliding, most / np.where(size > 0.0, size, 1.0), 1.0)
     kept = np.where(is_in, kept, 0.0)
     held = kept[:, None] * aside
+    pressing = np.zeros_like(out)
     if plane.friction > 0.0:
         forces = forces - stiffness * held
         turning = is_sliding & is_in
         heading = np.where(turning, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)[:, None] * aside
         across = flat - heading[:, :, None] * heading[:, None, :]
         out = out + stiffness * kept[:, None, None] * across
-        out -= stiffness * plane.friction * heading[:, :, None] * normal
+        pressing = -stiffness * plane.friction * heading[:, :, None] * normal
+        out = out + pressing
     moved = (aside - held) * is_in[:, None]
     rubbed = float(np.sum(plane.friction * press * np.linalg.norm(moved, axis=1)))
-    return Touch(forces, out, positions - held, rubbed)
+    return Touch(forces, out, pressing, positions - held, rubbed)
 
 
 def pull_strings(
