@@ -143,24 +143,37 @@ def six_wires(of: Values) -> Bounds:
     return 6.0 * low + sheath, stuck + sheath
 
 
-def cord(of: Values) -> Bounds:
-    """A flexible cable of which the mass alone is known, from slip to stick, N m^2."""
+def _cord(of: Values) -> CrossSection:
+    """A flexible cable of which the mass alone is known."""
     mass_si = of["mass_g_per_m"] * 1e-3
     copper = of["copper_mass_share"] * mass_si
     area = copper / 8960.0 * np.cos(np.radians(of["lay_deg"]))
     count = int(of["strands"])
     bore = strand_diameter(area, count) * (RINGS[count] + 0.5)
     outer = (bore**2 + (mass_si - copper) / of["density"] / np.pi) ** 0.5
-    section = _wire(
-        {**of, "copper_mm2": area * 1e6}, outer, Elastic(of["modulus_copper_gpa"] * 1e9)
-    )
+    return _wire({**of, "copper_mm2": area * 1e6}, outer, Elastic(of["modulus_copper_gpa"] * 1e9))
+
+
+def cord(of: Values) -> Bounds:
+    """The same from slip to stick, N m^2."""
+    section = _cord(of)
     return slip_stiffness(section), stick_stiffness(section)
+
+
+def cord_torsion(of: Values) -> Bounds:
+    """Its torsional over its bending stiffness: free to lengthen over stick, to fixed over slip."""
+    section = _cord(of)
+    pair = stretch_torsion(section)
+    return (
+        pair.torsional_free / stick_stiffness(section),
+        pair.torsional / slip_stiffness(section),
+    )
 
 
 MODELS: dict[str, Callable[[Values], Bounds]] = {
     each.__name__: each
     for each in (
         *(mass, axial, modulus, modulus_share, strand_mass),
-        *(bending, six_wires, cord),
+        *(bending, six_wires, cord, cord_torsion),
     )
 }

@@ -71,7 +71,7 @@ def draw(cards: list[Card], path: Path) -> None:
     whose bounds are far apart, has a panel and a scale of its own.
     """
     numbers = [number for card in cards for number in card.numbers]
-    wide = [number for number in numbers if number.quantity.startswith("bending")]
+    wide = [number for number in numbers if number.quantity.endswith("bending stiffness")]
     narrow = [number for number in numbers if number not in wide]
     heights = [len(narrow) + 1, len(wide) + 1]
     with style.context(STYLE):
@@ -80,7 +80,7 @@ def draw(cards: list[Card], path: Path) -> None:
         _dots(stretch, narrow)
         stretch.set_title("Mass, stretch")
         _dots(bend, wide)
-        bend.set_title("Bending: from slip to stick")
+        bend.set_title("Bending, and twist over bending: from slip to stick")
         bend.set_xscale("log")
         bend.set_xticks([0.01, 0.1, 1.0, 10.0, 100.0])
         bend.xaxis.set_major_formatter("{x:g}")

@@ -123,3 +123,15 @@ def test_masses_stand_in_the_files(card: Card, realdata: Path) -> None:
             for part in parts
         )
         assert any(set(wanted) <= each for each in stated), number.name
+
+
+def test_the_twist_of_a_cable_without_lay() -> None:
+    """Straight strands do not couple: both ends are one GJ, over stick and over slip."""
+    given = {
+        **{"mass_g_per_m": 20.0, "copper_mass_share": 0.5, "lay_deg": 1e-4, "strands": 19.0},
+        **{"density": 1300.0, "modulus_copper_gpa": 110.0, "modulus_insulation_mpa": 20.0},
+    }
+    (low, high), (slip, stick) = (interval(model, given, {}) for model in ("cord_torsion", "cord"))
+    assert low * stick == pytest.approx(high * slip, rel=1e-9)
+    strand = 0.25 * (20e-3 * 0.5 / 8960.0) ** 2 / np.pi / 19.0  # sum of I = A^2 / (4 pi n)
+    assert high * slip > 2.0 * 110e9 / (2.0 * 1.34) * strand
