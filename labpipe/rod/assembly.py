@@ -33,12 +33,14 @@ from labpipe.rod.rotations import (
     unit,
 )
 from labpipe.rod.supports import Supports
+from labpipe.rod.threaded import Threaded, thread
 from labpipe.rod.touching import Touch, added_at, pull_strings, touch_plane
 
-_STIFF = 1e4
-"""Of planes and strings, in bending stiffnesses of an element."""
 _YIELD = 1e-6
-"""Of an element's length, by which a plane or string yields to the force of the whole line."""
+"""Of an element's length, by which planes, strings and rings yield to the force of the whole line.
+Stiffer ones would turn the rounding of places into forces that can be seen."""
+_ROUNDED = 2e-15
+"""Of a line's length: how exact places are at best."""
 _CLOSE = 1e-9
 """Of an element's length: how near to a plane a node touches it."""
 _LEAST_DRAG = 1e-10
@@ -74,10 +76,12 @@ class Memory:
     ----------
     rests : shape (cells, sliders, 2), 1/m
     contacts : shape (planes, n + 1, 3), m
+    places : shape (rings,), where the line goes through them, in nodes (`threaded`)
     """
 
     rests: Floats
     contacts: Floats
+    places: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +95,7 @@ class Demands:
     forces : shape (n + 1, 3), N, of constant direction, weight and all
     moments : shape (n, 3), N m, on the elements, of constant direction
     anchors : shape (strings, 3), m
+    rings : shape (rings, 3), m
     """
 
     held: Floats
@@ -98,6 +103,7 @@ class Demands:
     forces: Floats
     moments: Floats
     anchors: Floats
+    rings: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +128,7 @@ class Balance:
     memory : after the step
     touches : of the planes
     tensions : shape (strings, 3), N
+    threads : of the rings
     """
 
     residual: Floats
@@ -132,6 +139,7 @@ class Balance:
     memory: Memory
     touches: tuple[Touch, ...]
     tensions: Floats
+    threads: tuple[Threaded, ...]
 
 
 class Assembly:
@@ -143,7 +151,13 @@ class Assembly:
     supports : its cells and held nodes
     planes : that it may touch
     strings : nodes and lengths, m, of strings
+    n_rings : number of rings
     force : N, of the size that acts on the line as a whole; a drag of 1 is this over its length
+
+    Attributes
+    ----------
+    rounding : N, by which forces of planes, strings and rings may be off
+    drag : shape (unknowns,), N/m and N m, of a drag of 1
     """
 
     def __init__(
@@ -152,10 +166,13 @@ class Assembly:
         supports: Supports,
         planes: tuple[Plane, ...],
         strings: tuple[Ints, Floats],
+        *,
+        n_rings: int,
         force: float,
     ) -> None:
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
         self.n = len(line.lengths)
+        self._has_rings = n_rings > 0
         self.places: Places = places_of(self.n)
         section = line.section
         self.is_rigid = not np.isfinite(section.axial_stiffness)
@@ -164,8 +181,10 @@ class Assembly:
         self._inner = np.flatnonzero(self._free[0] & self._free[1])
         self._shares = self._coupling_shares()
         self._shortest = float(np.min(line.lengths))
-        self._stiff = _STIFF * section.law.first_stiffness / self._shortest**3
-        self._stiff += force / (_YIELD * self._shortest)
+        self._stiff = force / (_YIELD * self._shortest)
+        self.rounding = 0.0
+        if planes or len(strings[0]) or n_rings:
+            self.rounding = _ROUNDED * self._stiff * line.length
         self.drag = self._drag_of(force)
         self.pattern = self._pattern()
         self.band = Band(*self.pattern, self._scale(), self._fixed())
@@ -192,6 +211,11 @@ class Assembly:
         way = directions_of(self.supports, turned, clamp_directions(demands.clamps), pulls)
         turns, by_turn = self._turns(cells, way, turned, demands)
         places, by_place, touches, tensions = self._at_nodes(shape, demands, memory)
+        threads = tuple(
+            thread(shape.positions, ring, float(place), self._stiff)
+            for ring, place in zip(demands.rings, memory.places, strict=True)
+        )
+        aside = self._threading(threads, places, by_place)
         gaps = np.diff(shape.positions, axis=0) - lengths[:, None] * way.along
         stretch, by_stretch = self._stretching(shape, way, cells)
         residual = np.empty(p.total)
@@ -213,6 +237,7 @@ class Assembly:
                 by_turn.ravel(),
                 *_there_and_back(cells.across[self._inner]),
                 *self._coupled_values(cells),
+                *aside,
             ]
         )
         values = even = np.append(first, by_place)
@@ -224,9 +249,14 @@ class Assembly:
             even,
             cells,
             way,
-            Memory(cells.rests, np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3)),
+            Memory(
+                cells.rests,
+                np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3),
+                np.array([t.place for t in threads]),
+            ),
             touches,
             tensions,
+            threads,
         )
 
     def moved(self, before: Shape, behind: Shape) -> Floats:
@@ -358,6 +388,22 @@ class Assembly:
             np.add.at(tangent, nodes, stiffness)
         return residual, tangent, touches, tensions
 
+    def _threading(
+        self, threads: tuple[Threaded, ...], residual: Floats, tangent: Floats
+    ) -> list[Floats]:
+        """Add what rings do to the nodes; give back the tangents between different nodes."""
+        if not self._has_rings:
+            return []
+        beside = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
+        for each in threads:
+            at = slice(each.first, each.first + 3)
+            residual[at] -= each.weights[:, None] * each.force
+            for i in range(3):
+                tangent[each.first + i] += each.stiffness[i, :, i, :]
+                for step in range(1, 3 - i):
+                    beside[step - 1][each.first + i] += each.stiffness[i, :, i + step, :]
+        return [entry for blocks in beside for entry in _there_and_back(blocks)]
+
     def _stretching(
         self, shape: Shape, way: Directions, cells: BentCells
     ) -> tuple[Floats, tuple[Floats, Floats, Floats]]:
@@ -410,6 +456,9 @@ class Assembly:
             first = p.stretches[self._sides[at, stretch]]
             second = p.turns[self._sides[at, turn]]
             blocks += [entries(first, 1, second, 3), entries(second, 3, first, 1)]
+        for step in (1, 2) if self._has_rings else ():
+            first, second = p.positions[:-step], p.positions[step:]
+            blocks += [entries(first, 3, second, 3), entries(second, 3, first, 3)]
         blocks.append(entries(p.positions, 3, p.positions, 3))
         rows, columns = zip(*blocks, strict=True)
         return np.concatenate(rows), np.concatenate(columns)

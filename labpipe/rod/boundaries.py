@@ -95,7 +95,7 @@ class Ring:
 
     Parameters
     ----------
-    position : shape (3,), m
+    position : path, m, shape (steps + 1, 3)
     direction : shape (3,), of its opening; it turns with the line, so that only pictures need it
     near : node at which the line goes through it to begin with; None: the nearest one
     name : for messages
@@ -112,7 +112,7 @@ class Ring:
     name: str = ""
 
     def __post_init__(self) -> None:
-        position = _rows("position", self.position, 3)[0]
+        position = _rows("position", self.position, 3)
         _set(self, position=position, direction=_direction("direction", self.direction))
 
 

@@ -20,6 +20,7 @@ from labpipe.rod.rotations import (
     multiply,
     rotation_vectors,
 )
+from labpipe.rod.threaded import nearest_place, point_at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +69,7 @@ class Schedule:
         self.string_nodes = np.array([self.node(boundaries[k]) for k in self.strings], dtype=int)
         for k in (*self._of(Load), *self._of(Moment)):
             self.node(boundaries[k])
+        self.start_places = np.array([self._ring_start(self._ring(k)) for k in self.rings])
         self._require_one_each()
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
@@ -85,6 +87,24 @@ class Schedule:
             )
             raise ValueError(message)
         return int(node % (self.n + 1))
+
+    def _ring_start(self, ring: Ring) -> float:
+        """Node, or between two, at which the line goes through a ring to begin with."""
+        if self.n < 2:
+            message = f"{called(self.boundaries, ring)}: allowed on a line of at least two elements"
+            raise ValueError(message)
+        if ring.near is None:
+            apart = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
+            return nearest_place(self.start.positions, ring.position[0], float(np.argmin(apart)))
+        if not -self.n - 1 <= ring.near <= self.n:
+            message = (
+                f"{called(self.boundaries, ring)}: near={ring.near}: allowed are 0 to {self.n}, or "
+                f"-1 to {-self.n - 1} from the end"
+            )
+            raise ValueError(message)
+        return nearest_place(
+            self.start.positions, ring.position[0], float(ring.near % (self.n + 1))
+        )
 
     def _require_one_each(self) -> None:
         for step in range(self.steps + 1):
@@ -128,7 +148,17 @@ class Schedule:
             self._turn(moments, gone.node, left * gone.moment)
         held, clamps = self._places(time, share, grips)
         anchors = np.array([_at(self._string(k).anchor, time) for k in self.strings])
-        return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3))
+        rings = self._ring_places(time, share)
+        return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3), rings)
+
+    def _ring_places(self, time: float, share: float) -> Floats:
+        """Where the rings are: while the line is laid in, they come from it to their places."""
+        places = [_at(self._ring(k).position, time) for k in self.rings]
+        goal = np.array(places).reshape(-1, 3)
+        if share < 1.0:
+            starts = [point_at(self.start.positions, u) for u in self.start_places]
+            goal = share * goal + (1.0 - share) * np.array(starts).reshape(-1, 3)
+        return goal
 
     def _loads(self, time: float, share: float) -> tuple[Floats, Floats]:
         forces = np.zeros((self.n + 1, 3))
@@ -155,6 +185,11 @@ class Schedule:
                     frame = _between(self.frame_at_node(node), frame, share)
                 clamps.append(frame)
         return held, np.array(clamps).reshape(-1, 4)
+
+    def _ring(self, k: int) -> Ring:
+        each = self.boundaries[k]
+        assert isinstance(each, Ring)
+        return each
 
     def _held(self, k: int) -> Held:
         each = self.boundaries[k]

@@ -98,8 +98,9 @@ def _is_close(
     if pull > _TAUT * force:
         return False
     force = max(force, pull)
+    unbalanced = float(np.max(np.abs(residual[p.positions[:, None] + three])))
     off = max(
-        float(np.max(np.abs(residual[p.positions[:, None] + three]))) / force,
+        max(unbalanced - assembly.rounding, 0.0) / force,
         float(np.max(np.abs(residual[p.turns[:, None] + three]))) / (force * length),
         float(np.max(np.abs(residual[p.stretches]))) / (force * length),
         float(np.max(np.abs(residual[p.forces[:, None] + three]))) / length,

@@ -68,6 +68,11 @@ def state_of(
     for k, touch in zip(schedule.planes, now.balance.touches, strict=True):
         reaction_forces[k] = touch.forces.sum(axis=0)
     reaction_forces[list(schedule.strings)] = now.balance.tensions
+    slid = np.full(n, np.nan)
+    stations = assembly.line.stations
+    for k, each in zip(schedule.rings, now.balance.threads, strict=True):
+        reaction_forces[k] = each.force
+        slid[k] = np.interp(each.place, np.arange(n_nodes), stations)
     touched = np.array([touch.forces for touch in now.balance.touches]).reshape(-1, n_nodes, 3)
     return RodState(
         positions=now.shape.positions,
@@ -81,7 +86,7 @@ def state_of(
         reaction_moments=reaction_moments,
         contacts=now.balance.memory.contacts,
         contact_forces=touched,
-        slid=np.full(n, np.nan),
+        slid=slid,
     )
 
 

@@ -21,7 +21,7 @@ from labpipe.rod.energies import lost_energy, stored_energy, work_done
 from labpipe.rod.line import Line
 from labpipe.rod.path import Reason, RodPath, RodState, Status
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
-from labpipe.rod.schedule import LetGo, Schedule
+from labpipe.rod.schedule import LetGo, Schedule, called
 from labpipe.rod.settling import Settled, settle
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.states import merged_rests, parted_rests, state_of
@@ -144,7 +144,13 @@ class _Walk:
         has_energy = not any(isinstance(each, Moment) for each in boundaries)
         self.is_checked = self.settings.checks_stability and has_energy
         self._gather(
-            self.schedule.grips(0), (), time=-1.0, shape=shape, rests=rests, contacts=contacts
+            self.schedule.grips(0),
+            (),
+            time=-1.0,
+            shape=shape,
+            rests=rests,
+            contacts=contacts,
+            places=_start_places(self.schedule, start),
         )
         self.begun = self._stored()
 
@@ -159,6 +165,7 @@ class _Walk:
         shape: Shape,
         rests: Floats,
         contacts: Floats,
+        places: Floats,
     ) -> None:
         """Set the line up with the grips that hold from a time on."""
         self.grips, self.fading = grips, fading
@@ -175,10 +182,11 @@ class _Walk:
             supports_of(self.line, tuple(held)),
             planes,
             (schedule.string_nodes, lengths),
-            self.force,
+            n_rings=len(schedule.rings),
+            force=self.force,
         )
         self.check = StabilityCheck(self.assembly)
-        memory = Memory(merged_rests(self.assembly.supports, rests), contacts)
+        memory = Memory(merged_rests(self.assembly.supports, rests), contacts, places)
         demands = schedule.demands(time, grips, fading)
         balance = self.assembly.balance(shape, demands, memory)
         self.now = _Now(time, shape, balance, demands, memory, None)
@@ -207,6 +215,7 @@ class _Walk:
             shape=now.shape,
             rests=rests,
             contacts=now.memory.contacts,
+            places=now.memory.places,
         )
         self.jumped += before - self._stored()
 
@@ -282,6 +291,7 @@ class _Walk:
         self.rubbed += sum(touch.rubbed for touch in new.touches)
         self.now = _Now(time, settled.shape, new, goal, new.memory, now.memory)
         self._require_whole()
+        self._require_threaded()
 
     def _stored(self) -> float:
         return stored_energy(self.assembly, self.now.balance, self.now.shape)
@@ -438,6 +448,16 @@ class _Walk:
             )
             raise _NoWayError(Reason("folded", sentence, self.step, node))
 
+    def _require_threaded(self) -> None:
+        """Refuse a line that slid out of a ring."""
+        n = self.assembly.n
+        for k, each in zip(self.schedule.rings, self.now.balance.threads, strict=True):
+            if not 0.0 < each.place < n:
+                end = 0 if each.place <= 0.0 else n
+                what = called(self.boundaries, self.boundaries[k])
+                sentence = f"step {self.step}: the line slid out of {what} with its node {end}"
+                raise _NoWayError(Reason("left_ring", sentence, self.step, end))
+
     # ---- what is kept -------------------------------------------------------------------------
 
     def _keep(self, step: int) -> None:
@@ -465,6 +485,16 @@ class _Walk:
             tuple(self.snapped),
             *columns,
         )
+
+
+def _start_places(schedule: Schedule, start: RodState | None) -> Floats:
+    """Where the line goes through the rings, in nodes."""
+    places = schedule.start_places
+    if start is None or len(start.slid) != len(schedule.boundaries):
+        return places
+    stations = schedule.line.stations
+    known = np.interp(start.slid[list(schedule.rings)], stations, np.arange(len(stations)))
+    return np.where(np.isfinite(known), known, places)
 
 
 def _begin(
