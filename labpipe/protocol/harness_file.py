@@ -139,7 +139,7 @@ _OWN_KEYS = {
     "sliders": ("diameter", "axial_stiffness"),
     "bending_stiffness": (
         *("largest_curvature", "torsional_stiffness", "axial_stiffness"),
-        *("mass_per_length", "diameter", "stiffness_uncertainty"),
+        *("mass_per_length", "diameter"),
     ),
 }
 _NEEDED = {
@@ -376,7 +376,6 @@ class HarnessFile(Block):
         40, description="Equilibria after the start; more where a path is hard to follow"
     )
     gravity: Acceleration = Field((0.0, 0.0, -GRAVITY), description="Three zeros for none")
-    gravity_by: Step = Field(1, description="Step at which the whole weight acts")
     allowed_bend_radius: Length | None = Field(
         None, description="Else 5 times the outer diameter, an assumption that the results name"
     )
@@ -400,9 +399,10 @@ class HarnessFile(Block):
 def _late_steps(data: Mapping[str, object], listed: list[Mapping[str, object]]) -> list[Fault]:
     """Find steps after the last one."""
     last = str(data.get("steps", HarnessFile.model_fields["steps"].default))
-    said: list[tuple[KeyPath, object]] = [(("gravity_by",), data.get("gravity_by"))]
     shown = data.get("show")
-    said += [(("show", i), each) for i, each in enumerate(shown if isinstance(shown, list) else [])]
+    said: list[tuple[KeyPath, object]] = [
+        (("show", i), each) for i, each in enumerate(shown if isinstance(shown, list) else [])
+    ]
     for number, each in enumerate(listed):
         said += [(("boundaries", number, key), each.get(key)) for key in ("by", "release")]
         points = each.get("path")

@@ -32,12 +32,12 @@ _BARELY = 1.0 + 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A straight stretch of the path of something that holds the line.
+    """The end of a straight stretch of the path of something that holds the line.
 
     Parameters
     ----------
-    step : at which it ends
-    position : m, where it ends
+    step : at which it is there
+    position : m
     """
 
     step: int
@@ -88,18 +88,21 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     return position, direction or (1.0, 0.0, 0.0)
 
 
-def legs_of(boundary: Held, steps: int) -> tuple[Leg, ...]:
-    """Stretches of the path of what holds the line, in order; none for one that stays.
+def legs_of(boundary: Held, start: Vector3, steps: int) -> tuple[Leg, ...]:
+    """Path of what holds the line: where it is at the start, and the ends of its straight legs.
 
     Parameters
     ----------
     boundary : clip, pin or grip
+    start : m, where the line lies at the start
     steps : of the harness
     """
+    legs = [Leg(0, start)]
     if isinstance(boundary, Clip | Pin):
-        return (Leg(boundary.by or steps, boundary.position),)
-    known = [each for each in boundary.path if each.position is not None]
-    return tuple(Leg(each.step, each.position) for each in known if each.position is not None)
+        return (*legs, Leg(boundary.by or steps, boundary.position))
+    for point in boundary.path:
+        legs.append(Leg(point.step, point.position or legs[-1].position))
+    return tuple(legs)
 
 
 def _held(harness: HarnessFile) -> list[Held]:
@@ -183,7 +186,7 @@ def _tie_of(harness: HarnessFile, boundary: Held | String, length: float) -> _Ti
         return _Tie(boundary.name, along, (Leg(0, boundary.anchor),), harness.steps)
     start, direction = start_of(harness)
     x, y, z = (begin + along * each for begin, each in zip(start, direction, strict=True))
-    legs = (Leg(0, (x, y, z)), *legs_of(boundary, harness.steps))
+    legs = legs_of(boundary, (x, y, z), harness.steps)
     last = harness.steps if boundary.release is None else boundary.release - 1
     return _Tie(boundary.name, along, legs, last)
 
