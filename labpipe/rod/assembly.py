@@ -21,10 +21,11 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.rod.banded import Band, Places, entries, places_of
 from labpipe.rod.boundaries import Plane
 from labpipe.rod.cells import BentCells, bend_cells
-from labpipe.rod.directions import Directions, clamp_directions, directions_of
+from labpipe.rod.directions import Directions, directions_of, lent_directions
 from labpipe.rod.line import Line
 from labpipe.rod.rotations import (
     conjugate,
+    cross,
     from_rotation_vectors,
     matrices,
     multiply,
@@ -208,7 +209,9 @@ class Assembly:
         cells = self._cells(shape, demands, memory)
         turned = matrices(shape.frames)
         pulls = lengths[:, None] * shape.forces
-        way = directions_of(self.supports, turned, clamp_directions(demands.clamps), pulls)
+        way = directions_of(
+            self.supports, turned, lent_directions(self.supports, demands.clamps), pulls
+        )
         turns, by_turn = self._turns(cells, way, turned, demands)
         places, by_place, touches, tensions = self._at_nodes(shape, demands, memory)
         threads = tuple(
@@ -299,9 +302,11 @@ class Assembly:
             across = balance.cells.across
             self._push(right, s.behind, s.before, across, clamps)
             self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamps)
-            turned = matrices(demands.clamps)
-            tilted = turned[:, :, 0] * clamps[:, 1:2] - turned[:, :, 1] * clamps[:, :1]
-            change = np.einsum("nxy,ny->nx", balance.directions.by_clamp, s.shares @ tilted)
+            row, clamp = s.lent.T
+            turns = np.einsum("nxy,ny->nx", matrices(demands.clamps), clamps)
+            tilted = np.zeros((len(s.ends), 3))
+            np.add.at(tilted, row, cross(turns[clamp], lent_directions(s, demands.clamps)))
+            change = np.einsum("nxy,ny->nx", balance.directions.by_clamp, tilted)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
             right[_spread(p.forces[s.ends])] += (lengths[:, None] * change).ravel()
         return right

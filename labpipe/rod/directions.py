@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.rod.rotations import cross, matrices
-from labpipe.rod.supports import Supports
+from labpipe.rod.rotations import cross, matrices, multiply
+from labpipe.rod.supports import END_SHARE, Supports
 
 _EYE = np.eye(3)
 
@@ -27,8 +27,8 @@ class Directions:
     by_turn : shape (n, 3, 3), its derivative by a turn of the frame in itself
     pull : shape (n, 3), N m, derivative of -g . along by the turn
     stiff : shape (n, 3, 3), N m, its second derivative along turns, symmetric
-    by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the clamps'
-        directions, each times its share
+    by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the directions
+        that clamps lend
     clamp_moments : shape (clamps, 3), N m, in space, derivative of -g . along by their turns
     """
 
@@ -40,14 +40,14 @@ class Directions:
     clamp_moments: Floats
 
 
-def directions_of(supports: Supports, frames: Floats, clamps: Floats, pulls: Floats) -> Directions:
+def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Floats) -> Directions:
     """Point the elements.
 
     Parameters
     ----------
     supports : which elements are beside a clamp
     frames : shape (n, 3, 3), matrices of the elements
-    clamps : shape (clamps, 3), directions d3 of the clamps
+    lent : shape (pairs, 3), what clamps lend to them: see `lent_directions`
     pulls : shape (n, 3), N m, g
     """
     along = frames[:, :, 2].copy()
@@ -55,10 +55,12 @@ def directions_of(supports: Supports, frames: Floats, clamps: Floats, pulls: Flo
     by_turn[:, :, 0], by_turn[:, :, 1] = -frames[:, :, 1], frames[:, :, 0]
     stiff = _bend(np.einsum("nkx,nk->nx", frames, pulls))
     by_clamp = np.zeros((len(supports.ends), 3, 3))
-    clamp_moments = np.zeros_like(clamps)
+    clamp_moments = np.zeros((len(supports.clamps), 3))
     if len(supports.ends):
         at, own = supports.ends, supports.own[:, None, None]
-        mixed = supports.shares @ clamps + own[:, 0] * along[at]
+        row, clamp = supports.lent.T
+        mixed = own[:, 0] * along[at]
+        np.add.at(mixed, row, lent)
         size = np.linalg.norm(mixed, axis=1)[:, None]
         along[at] = mixed / size
         flat = (_EYE - along[at, :, None] * along[at, None, :]) / size[:, :, None]
@@ -73,7 +75,7 @@ def directions_of(supports: Supports, frames: Floats, clamps: Floats, pulls: Flo
         stiff[at] += np.swapaxes(turn, 1, 2) @ second @ turn
         by_turn[at] = flat @ turn
         by_clamp = flat
-        clamp_moments = -cross(clamps, supports.shares.T @ p)
+        np.subtract.at(clamp_moments, clamp, cross(lent, p[row]))
     pull = -np.einsum("nkx,nk->nx", by_turn, pulls)
     return Directions(along, by_turn, pull, stiff, by_clamp, clamp_moments)
 
@@ -86,6 +88,13 @@ def _bend(g: Floats) -> Floats:
     return np.asarray(out)
 
 
-def clamp_directions(clamps: Floats) -> Floats:
-    """d3 of frames, shape (clamps, 3)."""
-    return np.asarray(matrices(clamps)[:, :, 2])
+def lent_directions(supports: Supports, clamps: Floats) -> Floats:
+    """Work out what clamps lend to the directions of the elements beside them, shape (pairs, 3).
+
+    Parameters
+    ----------
+    supports : which elements those are
+    clamps : shape (clamps, 4), frames
+    """
+    turned = multiply(clamps[supports.lent[:, 1]], supports.carried)
+    return np.asarray(END_SHARE * matrices(turned)[:, :, 2])

@@ -17,6 +17,7 @@ from labpipe.records.arrays import ArrayRecord, Floats
 from labpipe.rod.rotations import (
     conjugate,
     frame_from_axes,
+    from_rotation_vectors,
     multiply,
     rotation_vectors,
     shortest_turns,
@@ -125,6 +126,34 @@ class Line(ArrayRecord):
     def length(self) -> float:
         """Length at rest, m."""
         return float(np.sum(self.lengths))
+
+    @property
+    def natural_at_nodes(self) -> Floats:
+        """Curvature at rest of all nodes, 1/m, shape (n + 1, 3): at the ends the neighbours'."""
+        if not len(self.natural):
+            return np.zeros((len(self.positions), 3))
+        return np.concatenate([self.natural[:1], self.natural, self.natural[-1:]])
+
+    def frame_at(self, node: int) -> Floats:
+        """Frame at a node, shape (4,): where a clamp there leaves the line as it is.
+
+        Parameters
+        ----------
+        node : from 0, or negative from the end
+        """
+        n = len(self.lengths)
+        at = node % (n + 1)
+        if at == 0:
+            back = -0.5 * self.lengths[0] * self.natural_at_nodes[0]
+            return multiply(self.frames[0], from_rotation_vectors(back))
+        lower = 0.5 * self.lengths[at - 1]
+        if at == n:
+            turn = lower * self.natural_at_nodes[n]
+        else:
+            both = lower + 0.5 * self.lengths[at]
+            whole = rotation_vectors(multiply(conjugate(self.frames[at - 1]), self.frames[at]))
+            turn = lower / both * whole
+        return multiply(self.frames[at - 1], from_rotation_vectors(turn))
 
     @property
     def stations(self) -> Floats:

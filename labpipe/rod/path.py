@@ -89,7 +89,8 @@ class RodPath(ArrayRecord):
     reasons : why, first things first; empty where all is well
     snapped : steps in which the line jumped: the equilibrium is not the continuation of the one
         before, and what the jump set free was lost
-    work : shape (states,), J, of clamps, loads and weight on the line, since before step 0
+    work : shape (states,), J, of clamps, loads and weight on the line since before step 0, and what
+        it stored then
     stored : shape (states,), J, elastic, of bending, twist and stretch
     lost : shape (states,), J, in the sliders
     rubbed : shape (states,), J, on planes

@@ -6,7 +6,7 @@ go from where the line is to row 0 of their paths, and weight and loads grow to 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,6 +71,8 @@ class Schedule:
             self.node(boundaries[k])
         self.start_places = np.array([self._ring_start(self._ring(k)) for k in self.rings])
         self._require_one_each()
+        here = replace(line, positions=start.positions, frames=start.frames)
+        self._start_frames = {k: here.frame_at(node) for k, node in self.held_nodes.items()}
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
 
@@ -182,7 +184,7 @@ class Schedule:
             if each.frame is not None:
                 frame = _frame_at(each.frame, time)
                 if share < 1.0:
-                    frame = _between(self.frame_at_node(node), frame, share)
+                    frame = _between(self._start_frames[k], frame, share)
                 clamps.append(frame)
         return held, np.array(clamps).reshape(-1, 4)
 
@@ -200,12 +202,6 @@ class Schedule:
         each = self.boundaries[k]
         assert isinstance(each, String)
         return each
-
-    def frame_at_node(self, node: int) -> Floats:
-        """Frame of the line at a node where it starts: halfway between the elements there."""
-        frames = self.start.frames
-        before, behind = frames[max(node - 1, 0)], frames[min(node, self.n - 1)]
-        return _between(before, behind, 0.5)
 
     def _turn(self, moments: Floats, node: int, moment: Floats) -> None:
         """Put a moment on the elements at a node."""

@@ -95,7 +95,7 @@ def _is_close(
     length = assembly.line.length
     residual = np.where(assembly.band.fixed, 0.0, balance.residual)
     pull = float(np.max(np.abs(shape.forces)))
-    if pull > _TAUT * force:
+    if assembly.is_rigid and pull > _TAUT * force:
         return False
     force = max(force, pull)
     unbalanced = float(np.max(np.abs(residual[p.positions[:, None] + three])))

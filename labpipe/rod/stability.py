@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Balance, Shape
-from labpipe.rod.banded import FORCE, PER_ELEMENT, STRETCH, entries
+from labpipe.rod.banded import FORCE, PER_ELEMENT, STRETCH, TURN, entries
 
 _STIFFER = 1e6
 _NEUTRAL = 3e-4
@@ -80,8 +80,8 @@ class StabilityCheck:
         Notes
         -----
         Inverse iteration with the nodes' share of the drag as the mass: a way without movement, as
-        a mere twist, is none. A little of something that is no symmetry of anything is added to the
-        push.
+        a mere twist, is none. Moments in the frames of the elements that are no symmetry of
+        anything are added to the push, a little of them.
         """
         drag = 1e-3
         factors = self._factors(balance, shape, drag)
@@ -90,7 +90,10 @@ class StabilityCheck:
             factors = self._factors(balance, shape, drag)
         if factors is None:
             return None
-        some = self._mass * np.cos(1.0 + 2.4 * np.arange(self.size))
+        is_across = (np.arange(self.size) % FORCE >= TURN) & (
+            np.arange(self.size) % FORCE < TURN + 2
+        )
+        some = np.cos(1.0 + 2.4 * np.arange(self.size)) * is_across
         some /= np.sqrt(np.sum(some**2))
         pushed = push[self._free] * self._scale * ~self._fixed
         size = float(np.sqrt(np.sum(pushed**2)))

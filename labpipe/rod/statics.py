@@ -152,7 +152,7 @@ class _Walk:
             contacts=contacts,
             places=_start_places(self.schedule, start),
         )
-        self.begun = self._stored()
+        self.work = self._stored()
 
     # ---- grips --------------------------------------------------------------------------------
 

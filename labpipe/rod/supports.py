@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
 from labpipe.rod.line import Line
+from labpipe.rod.rotations import from_rotation_vectors
 
 Grip: TypeAlias = tuple[int, bool]
 """Node that is held, and whether its frame is as well."""
@@ -19,10 +20,10 @@ END_SHARE = 1.0 / 6.0
 """Of the direction of an element beside a clamp, which is the clamp's; the rest is its frame's.
 
 The half cell at a clamp feels the moment of the node and not that of its middle, which makes the
-line too soft by an angle; with a direction of the element that is in part the clamp's, the moment
-is the one a little further along. A sixth takes the error of second order at the clamp out of both
-the angle and the deflection of a line that bends a little, and leaves less than a third of it where
-it bends far.
+line too soft by an angle. With a direction of the element that is in part the clamp's (carried
+along the curvature at rest), the moment is the one a little further along. A sixth takes the error
+of second order at the clamp out of both the angle and the deflection of a line that bends a little,
+and leaves less than a third of it where it bends far.
 """
 
 
@@ -40,9 +41,10 @@ class Supports:
     sides : shape (cells, 2), weight of the node's two sides in it: (1, 0), (0, 1), or both
     lengths : shape (cells,), m
     natural : shape (cells, 3), 1/m
-    shares : shape (clamped elements, clamps), of their direction, that is a clamp's
-    ends : shape (clamped elements,), those elements
+    ends : shape (clamped elements,), elements beside a clamp
     own : shape (clamped elements,), share of the direction that is their frame's
+    lent : shape (pairs, 2), row in `ends` and clamp: whose direction has a share of a clamp's
+    carried : shape (pairs, 4), turns from the clamp to the element at rest: quaternions
     """
 
     n_nodes: int
@@ -54,9 +56,10 @@ class Supports:
     sides: Floats
     lengths: Floats
     natural: Floats
-    shares: Floats
     ends: Ints
     own: Floats
+    lent: Ints
+    carried: Floats
 
 
 def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
@@ -73,10 +76,15 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
     rows = [row for node in range(len(line.positions)) for row in _cells_at(line, node, clamp_at)]
     before, behind, nodes, sides, lengths = zip(*rows, strict=True) if rows else ((),) * 5
     at = np.array(nodes, dtype=np.int64)
-    shares = np.zeros((len(line.lengths), len(clamps)))
+    natural = line.natural_at_nodes
+    lent, turns = [], []
     for node, number in clamp_at.items():
-        shares[max(node - 1, 0) : node + 1, number] += END_SHARE
-    ends = np.flatnonzero(shares.sum(axis=1))
+        for element, way in ((node - 1, -0.5), (node, 0.5)):
+            if 0 <= element < len(line.lengths):
+                lent.append((element, number))
+                turns.append(way * line.lengths[element] * natural[node])
+    pairs = np.array(lent, dtype=np.int64).reshape(-1, 2)
+    ends, row = np.unique(pairs[:, 0], return_inverse=True)
     return Supports(
         n_nodes=len(line.positions),
         held=held,
@@ -86,10 +94,11 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
         nodes=at,
         sides=np.array(sides, dtype=np.float64).reshape(-1, 2),
         lengths=np.array(lengths, dtype=np.float64),
-        natural=_at_nodes(line)[at],
-        shares=shares[ends],
+        natural=natural[at],
         ends=ends,
-        own=1.0 - shares[ends].sum(axis=1),
+        own=np.asarray(1.0 - END_SHARE * np.bincount(row, minlength=len(ends)), dtype=np.float64),
+        lent=np.stack([row, pairs[:, 1]], axis=1),
+        carried=from_rotation_vectors(np.array(turns).reshape(-1, 3)),
     )
 
 
@@ -109,10 +118,3 @@ def _cells_at(line: Line, node: int, clamp_at: dict[int, int]) -> list[_Cell]:
         return []
     both = lower + upper
     return [(node - 1, node, node, (lower / both, upper / both), both)]
-
-
-def _at_nodes(line: Line) -> Floats:
-    """Curvature at rest of all nodes, 1/m: at the ends that of the neighbours."""
-    if not len(line.natural):
-        return np.zeros((len(line.positions), 3))
-    return np.concatenate([line.natural[:1], line.natural, line.natural[-1:]])

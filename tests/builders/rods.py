@@ -1,0 +1,128 @@
+"""Lines for tests of the rod: small, with sliders, in general position."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.law.sliders import SliderLaw, linear_moment_law
+from labpipe.records.arrays import Floats
+from labpipe.rod.boundaries import Boundary, Gravity, Held, Load
+from labpipe.rod.line import Line, Section, line_along
+from labpipe.rod.path import RodPath, RodState
+from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
+from labpipe.rod.statics import follow
+
+STIFFNESS = 1e-3
+SLIDING = SliderLaw(
+    0.3e-3, np.array([0.4e-3, 0.2e-3, 0.1e-3]), np.array([0.5, 2.0, 5.0]), 0.0, 80.0
+)
+"""Of 1e-3 N m^2 before anything slides."""
+LENGTH = 0.5
+
+
+def linear_section(
+    stiffness: float = STIFFNESS, *, torsion: float = 0.8e-3, mass: float = 0.0
+) -> Section:
+    """A section without sliders."""
+    return Section(linear_moment_law(stiffness, 1e6), torsion, mass_per_length=mass)
+
+
+def sliding_section(*, mass: float = 0.0) -> Section:
+    """A section with three sliders."""
+    return Section(SLIDING, 0.8e-3, mass_per_length=mass)
+
+
+def clamp(line: Line, node: int = 0) -> Held:
+    """Hold an end of a line where it is, with its frame."""
+    return Held(node, line.positions[node], line.frame_at(node))
+
+
+def ramp(peak: tuple[float, float, float], steps: int) -> Floats:
+    """From nothing to a peak, shape (steps + 1, 3)."""
+    return np.asarray(np.linspace(0.0, 1.0, steps + 1)[:, None] * np.array(peak))
+
+
+def there_and_back(peak: tuple[float, float, float], steps: int, cycles: int = 1) -> Floats:
+    """From nothing to a peak, to its opposite and so on: turns at odd quarters of a cycle."""
+    turns = np.concatenate([[0.0], np.tile([1.0, -1.0], cycles), [0.0]])
+    at = np.linspace(0.0, len(turns) - 1.0, steps + 1)
+    return np.asarray(np.interp(at, np.arange(len(turns)), turns)[:, None] * np.array(peak))
+
+
+def space_case(
+    turn: Floats | None = None, *, steps: int = 6, n: int = 12
+) -> tuple[Line, list[Boundary]]:
+    """A curved line with sliders, its ends moved and turned in space, under its weight and a load.
+
+    Its elements are not alike, and it is curved at rest, so that no step snaps.
+
+    Parameters
+    ----------
+    turn : unit quaternion, shape (4,), that everything is turned by
+    steps, n : of the walk, and elements
+    """
+    angle = np.linspace(0.0, 1.2, n + 1) ** 1.1
+    points = np.stack([np.sin(angle), 1.0 - np.cos(angle), 0.1 * angle], axis=1)
+    scale = LENGTH / np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    line = line_along(scale * points, sliding_section(mass=0.02), is_formed=True)
+    way = line.positions[-1] + ramp((-0.1, 0.06, 0.03), steps)
+    twist = from_rotation_vectors(ramp((0.4, -0.3, 0.9), steps))
+    frames = multiply(twist, line.frame_at(-1)[None])
+    load, weight = ramp((0.0, 0.02, -0.01), steps), ramp((0.0, 0.0, -9.81), steps)
+    first = line.frame_at(0)
+    if turn is not None:
+        space = matrices(turn)
+        line = Line(
+            line.lengths,
+            line.section,
+            line.positions @ space.T,
+            multiply(turn, line.frames),
+            line.natural,
+        )
+        way, load, weight = way @ space.T, load @ space.T, weight @ space.T
+        frames, first = multiply(turn, frames), multiply(turn, first)
+    return line, [
+        Held(0, line.positions[0], first),
+        Held(-1, way, frames),
+        Load(n // 3, load),
+        Gravity(weight),
+    ]
+
+
+def reversed_case(line: Line, boundaries: list[Boundary]) -> tuple[Line, list[Boundary]]:
+    """The same line with its nodes counted from the other end.
+
+    Frames turn half round about d1: the line then points the other way.
+    """
+    half = np.array([0.0, 1.0, 0.0, 0.0])
+    flipped = line.natural[::-1] * np.array([-1.0, 1.0, 1.0])
+    other = Line(
+        line.lengths[::-1],
+        line.section,
+        line.positions[::-1],
+        multiply(line.frames[::-1], half),
+        flipped,
+    )
+    out: list[Boundary] = []
+    for each in boundaries:
+        if isinstance(each, Held):
+            frame = None if each.frame is None else multiply(each.frame, half)
+            out.append(Held(-1 - each.node, each.position, frame, each.release))
+        elif isinstance(each, Load):
+            out.append(Load(-1 - each.node, each.force))
+        else:
+            out.append(each)
+    return other, out
+
+
+def walked(line: Line, boundaries: list[Boundary], steps: int) -> RodPath:
+    """A walk that arrives."""
+    path = follow(line, boundaries, steps=steps)
+    assert path.status == "ok", path.reasons
+    assert len(path.states) == steps + 1
+    return path
+
+
+def element_lengths(state: RodState) -> Floats:
+    """Of all elements, m."""
+    return np.asarray(np.linalg.norm(np.diff(state.positions, axis=0), axis=1))

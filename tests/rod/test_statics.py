@@ -1,0 +1,241 @@
+"""A line followed through its boundaries: what must hold for every line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.law.sliders import linear_moment_law
+from labpipe.rod.boundaries import Gravity, Held, Load, Moment
+from labpipe.rod.line import Section, straight_line
+from labpipe.rod.rotations import (
+    conjugate,
+    from_rotation_vectors,
+    matrices,
+    multiply,
+    rotation_vectors,
+)
+from labpipe.rod.statics import RodSettings, follow
+from tests.builders.rods import (
+    LENGTH,
+    STIFFNESS,
+    clamp,
+    element_lengths,
+    linear_section,
+    ramp,
+    reversed_case,
+    sliding_section,
+    space_case,
+    there_and_back,
+    walked,
+)
+
+TURN = from_rotation_vectors(np.array([0.7, -1.1, 2.0]))
+
+
+def test_nothing_depends_on_the_frame_of_space() -> None:
+    plain, turned = (walked(*space_case(turn), 6) for turn in (None, TURN))
+    space = matrices(TURN)
+    for before, behind in zip(plain.states, turned.states, strict=True):
+        np.testing.assert_allclose(behind.positions, before.positions @ space.T, atol=1e-9 * LENGTH)
+        np.testing.assert_allclose(behind.rests, before.rests, atol=1e-9 * 5.0)
+        np.testing.assert_allclose(behind.forces, before.forces @ space.T, atol=1e-9)
+        off = rotation_vectors(multiply(conjugate(multiply(TURN, before.frames)), behind.frames))
+        np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    np.testing.assert_allclose(turned.lost, plain.lost, atol=1e-9 * plain.lost[-1])
+
+
+def test_nothing_depends_on_the_order_of_the_nodes() -> None:
+    line, boundaries = space_case()
+    plain = walked(line, boundaries, 6)
+    other = walked(*reversed_case(line, boundaries), 6)
+    assert plain.lost[-1] > 0.0
+    for before, behind in zip(plain.states, other.states, strict=True):
+        np.testing.assert_allclose(behind.positions[::-1], before.positions, atol=1e-9 * LENGTH)
+        np.testing.assert_allclose(behind.forces[::-1], -before.forces, atol=1e-9)
+        np.testing.assert_allclose(
+            np.linalg.norm(behind.rests[::-1, ::-1], axis=3),
+            np.linalg.norm(before.rests, axis=3),
+            atol=1e-9 * 5.0,
+        )
+        np.testing.assert_allclose(behind.reaction_forces, before.reaction_forces, atol=1e-9)
+    np.testing.assert_allclose(other.lost, plain.lost, atol=1e-9 * plain.lost[-1])
+
+
+def test_a_line_that_does_not_stretch_keeps_its_length() -> None:
+    line, boundaries = space_case()
+    path = walked(line, boundaries, 6)
+    for state in path.states:
+        np.testing.assert_allclose(element_lengths(state), line.lengths, rtol=1e-8)
+
+
+def test_forces_and_moments_balance() -> None:
+    """Over the line as a whole, and over each element about its first node."""
+    line, boundaries = space_case()
+    state = walked(line, boundaries, 6).last
+    loads = np.zeros((13, 3))
+    loads[4] = (0.0, 0.02, -0.01)
+    loads[1:, 2] -= 0.02 * 9.81 * line.lengths / 2.0
+    loads[:-1, 2] -= 0.02 * 9.81 * line.lengths / 2.0
+    np.testing.assert_allclose(
+        loads.sum(axis=0) + state.reaction_forces[:2].sum(axis=0), 0.0, atol=1e-9
+    )
+    arms = np.cross(state.positions, loads).sum(axis=0)
+    ends = np.cross(state.positions[[0, -1]], state.reaction_forces[:2]).sum(axis=0)
+    np.testing.assert_allclose(arms + ends + state.reaction_moments[:2].sum(axis=0), 0.0, atol=1e-9)
+    inner = np.diff(state.moments[1:-1, 0], axis=0)
+    turned = np.cross(np.diff(state.positions, axis=0), state.forces)[1:-1]
+    np.testing.assert_allclose(inner + turned, 0.0, atol=1e-9)
+
+
+def test_work_is_stored_or_lost() -> None:
+    """To third order in the steps, which the mean of forces at both ends of a step is good for."""
+    off = []
+    for steps in (20, 40):
+        path = walked(*space_case(steps=steps), steps)
+        off.append(abs(path.work - path.stored - path.lost)[-1] / path.work[-1])
+        assert path.lost[-1] > 0.2 * path.work[-1]
+        assert (path.work - path.stored)[0] == pytest.approx(0.0, abs=1e-12)
+    assert off[0] < 1e-3
+    assert off[1] < 0.35 * off[0]
+
+
+def test_a_plane_that_is_turned_has_the_same_loop() -> None:
+    line = straight_line(LENGTH, 10, sliding_section())
+    peak = 0.01
+    tips = []
+    for angle in (0.0, 1.0, 2.5):
+        force = there_and_back((0.0, peak * np.cos(angle), peak * np.sin(angle)), 30)
+        path = walked(line, [clamp(line), Load(-1, force)], 30)
+        along = np.array([0.0, np.cos(angle), np.sin(angle)])
+        tips.append([state.positions[-1] @ along for state in path.states])
+    np.testing.assert_allclose(tips[1], tips[0], atol=1e-9)
+    np.testing.assert_allclose(tips[2], tips[0], atol=1e-9)
+    assert abs(tips[0][-1]) > 0.01 * max(tips[0])  # it has come to rest elsewhere
+
+
+def test_a_moment_rolls_a_circle_to_second_order() -> None:
+    gaps = []
+    for n in (20, 40):
+        line = straight_line(LENGTH, n, linear_section())
+        moment = ramp((0.0, 2.0 * np.pi * STIFFNESS / LENGTH, 0.0), 10)
+        state = walked(line, [clamp(line), Moment(-1, moment)], 10).last
+        gaps.append(np.linalg.norm(state.positions[-1] - state.positions[0]) / LENGTH)
+        # a moment is the same all along, and so is the curvature, to rounding
+        np.testing.assert_allclose(
+            np.abs(state.curvatures[1:-1, :, 1]), 2.0 * np.pi / LENGTH, rtol=1e-8
+        )
+    assert gaps[0] < 2e-3
+    assert gaps[1] == pytest.approx(gaps[0] / 4.0, rel=0.05)
+
+
+def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
+    line, boundaries = space_case()
+    whole = walked(line, boundaries, 6)
+    held = boundaries[1]
+    assert isinstance(held, Held)
+    assert held.frame is not None
+    load, weight = boundaries[2], boundaries[3]
+    assert isinstance(load, Load)
+    assert isinstance(weight, Gravity)
+    rest = [
+        boundaries[0],
+        Held(-1, held.position[3:], held.frame[3:]),
+        Load(load.node, load.force[3:]),
+        Gravity(weight.vector[3:]),
+    ]
+    again = follow(line, rest, steps=3, start=whole.states[3])
+    np.testing.assert_allclose(again.last.positions, whole.last.positions, atol=1e-9)
+    np.testing.assert_allclose(again.last.rests, whole.last.rests, atol=1e-7)
+
+
+def test_a_column_buckles_beyond_its_critical_load_only() -> None:
+    line = straight_line(LENGTH, 30, linear_section())
+    critical = np.pi**2 * STIFFNESS / (4.0 * LENGTH**2)
+    straight = walked(line, [clamp(line), Load(-1, ramp((-0.998 * critical, 0.0, 0.0), 3))], 3)
+    assert straight.snapped == ()
+    assert straight.last.positions[-1] == pytest.approx([LENGTH, 0.0, 0.0], abs=1e-9)
+    # Timoshenko and Gere, Theory of Elastic Stability, table 2-4: at 1.063 of it, 40 degrees
+    bent = walked(line, [clamp(line), Load(-1, ramp((-1.063 * critical, 0.0, 0.0), 3))], 3)
+    assert bent.snapped == (3,)
+    assert bent.last.positions[-1, 0] / LENGTH == pytest.approx(0.881, abs=2e-3)
+    assert np.linalg.norm(bent.last.positions[-1, 1:]) / LENGTH == pytest.approx(0.422, abs=3e-3)
+
+
+def test_an_equilibrium_that_is_not_checked_may_be_unstable() -> None:
+    line = straight_line(LENGTH, 10, linear_section())
+    load = Load(-1, ramp((-2.0 * np.pi**2 * STIFFNESS / (4.0 * LENGTH**2), 0.0, 0.0), 3))
+    settings = RodSettings(checks_stability=False)
+    path = follow(line, [clamp(line), load], steps=3, settings=settings)
+    assert path.last.positions[-1] == pytest.approx([LENGTH, 0.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("node", [-1, 5])
+def test_what_is_let_go_springs_back_in_part(node: int) -> None:
+    line = straight_line(LENGTH, 10, sliding_section())
+    reach = line.positions[node, 0]
+    angle = np.linspace(0.0, 0.5, 6)[:, None]
+    way = 0.9 * reach * np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    grip = Held(node, np.concatenate([way, way[-1:]]), release=6)
+    path = walked(line, [clamp(line), grip], 6)
+    before, behind = path.states[5], path.states[6]
+    np.testing.assert_allclose(behind.reaction_forces[1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(behind.reaction_moments[0], 0.0, atol=1e-9)
+    assert 0.02 * reach < behind.positions[node, 1] < 0.9 * before.positions[node, 1]
+    assert path.lost[-1] > path.lost[-2] or path.snapped == ()
+
+
+def test_a_clamp_that_lets_go_leaves_no_moment() -> None:
+    line = straight_line(LENGTH, 10, sliding_section())
+    frames = multiply(from_rotation_vectors(ramp((0.0, 0.0, 0.8), 5)), line.frames[-1:])
+    way = line.positions[-1] + ramp((-0.05, 0.15, 0.0), 5)
+    grip = Held(-1, np.append(way, way[-1:], 0), np.append(frames, frames[-1:], 0), release=6)
+    path = walked(line, [clamp(line), grip], 6)
+    np.testing.assert_allclose(path.last.forces, 0.0, atol=1e-9)
+    np.testing.assert_allclose(path.last.moments, 0.0, atol=1e-9)
+    assert np.max(path.last.bendings) > 0.05
+
+
+def test_a_line_too_short_for_its_clips_fails_with_step_and_nodes() -> None:
+    line = straight_line(LENGTH, 10, linear_section())
+    way = line.positions[-1] + ramp((0.04, 0.0, 0.0), 4) + (-0.025, 0.0, 0.0)
+    path = follow(line, [clamp(line), Held(-1, way)], steps=4)
+    assert path.status == "failed"
+    assert len(path.states) == 3
+    (reason,) = path.reasons
+    assert (reason.code, reason.step, reason.node) == ("too_short", 3, 10)
+    assert reason.sentence == (
+        "step 3: between nodes 0 and 10 the line is 0.5 m long, and the places that hold them are "
+        "0.505 m apart"
+    )
+
+
+def test_a_line_that_stretches_too_far_is_torn() -> None:
+    section = Section(linear_moment_law(STIFFNESS, 1e3), 8e-4, axial_stiffness=1e3)
+    line = straight_line(LENGTH, 5, section)
+    way = line.positions[-1] + ramp((0.08, 0.0, 0.0), 8)
+    path = follow(line, [clamp(line), Held(-1, way)], steps=8)
+    assert path.status == "failed"
+    assert path.reasons[0].code == "torn"
+    assert path.reasons[0].step == 3  # 4 % in step 2, 6 % in step 3
+    assert path.last.forces[:, 0] == pytest.approx(1e3 * 0.02 / LENGTH, rel=1e-8)
+
+
+def test_bends_beyond_the_law_are_doubtful_and_said_once() -> None:
+    line = straight_line(LENGTH, 10, Section(linear_moment_law(STIFFNESS, 2.0), 8e-4))
+    load = Load(-1, ramp((0.0, 0.02, 0.0), 5))
+    path = follow(line, [clamp(line), load], steps=5)
+    assert path.status == "doubtful"
+    assert [reason.code for reason in path.reasons] == ["beyond_law"]
+    assert path.reasons[0].node == 0
+    assert len(path.states) == 6
+
+
+def test_faults_of_boundaries_are_said() -> None:
+    line = straight_line(LENGTH, 10, linear_section())
+    with pytest.raises(ValueError, match=r"boundary 1 \(Load\): node=11: allowed are 0 to 10"):
+        follow(line, [clamp(line), Load(11, np.zeros(3))], steps=2)
+    with pytest.raises(ValueError, match=r"tip: force has 4 rows; allowed are 1 or steps \+ 1 = 3"):
+        follow(line, [clamp(line), Load(-1, np.zeros((4, 3)), name="tip")], steps=2)
+    with pytest.raises(ValueError, match="step 0: node 0 is held twice"):
+        follow(line, [clamp(line), Held(0, line.positions[0])], steps=2)
