@@ -75,10 +75,7 @@ class Tangents:
         if stretches.failure is not None:
             return stretches.failure
         there = slice(int(np.argmin([*stretches.is_enough, False])))
-        columns = np.zeros((2, len(stretches.at[there]), len(d) + 1))
-        for column, weights in zip(columns, stretches.weights(), strict=True):
-            np.put_along_axis(column, stretches.samples[there], weights[there], axis=1)
-        levels, slopes = columns[..., :-1]
+        levels, slopes = (stretches.spread(each)[there] for each in stretches.weights())
         path = OnePath.of(displacement, force, samples)
         last = stretches.samples[0][stretches.samples[0] < len(d)]
         return cls(path, over, stretches.at[there], slopes, levels[0], last)
@@ -154,34 +151,43 @@ class Tangents:
         levels = _levels(self.path.displacement, f, place, 0.5 * self.over)
         return place.reshape(shape), levels.reshape(shape)
 
-    def corners(self, force: Floats, at: float, slope: float) -> tuple[float, float, float]:
-        """What tangents of half the length change about an onset.
+    def corners(
+        self,
+        force: Floats,
+        at: Floats | float,
+        slope: Floats | float,
+        displacement: Floats | None = None,
+    ) -> tuple[Floats, Floats, Floats]:
+        """What tangents of half the length change about an onset, of each of many curves.
 
         Parameters
         ----------
-        force : shape (n,), N
-        at : m, the onset
-        slope : N/m, that the tangent has there
+        force, displacement : as `slope_at_end` takes them
+        at : shape (...), m, the onset
+        slope : shape (...), N/m, that the tangent has there
 
         Returns
         -------
-        Change of the place, m, and of the force there, N; and the slope beyond the place, N/m, half
-        a tangent on. A tangent smears a corner over its length, which moves the onset; the parabola
-        that the force is read from cuts it.
+        Each of shape (...): change of the place, m, and of the force there, N; and the slope beyond
+        the place, N/m, half a tangent on. A tangent smears a corner over its length, which moves
+        the onset; the parabola that the force is read from cuts it.
         """
-        d, f, half = self.path.displacement, self.path.force(force), 0.5 * self.over
-        near = at + self.over * np.linspace(0.5, -0.5, 2 * _STEPS + 1)
+        f = self.path.force(force, displacement)
+        shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
+        at, slope = (np.broadcast_to(each, shape).reshape(-1) for each in (at, slope))
+        # All curves are looked at about one place: noise moves it by little of a tangent.
+        d, half, middle = self.path.displacement, 0.5 * self.over, float(np.nanmean(at))
+        near = middle + self.over * np.linspace(0.5, -0.5, 2 * _STEPS + 1)
         is_inside = (near <= d.max() - 0.5 * half) & (near >= d.min() + 0.5 * half)
         stretches = _Stretches.of(d, near[is_inside], half)
-        _, weights = stretches.weights()
-        slopes = np.vecdot(weights, np.append(f, 0.0)[stretches.samples])
         there = stretches.is_enough
-        found = _reached(stretches.at[there], slopes[None, there], np.array([slope]))[0]
-        whole, short = (
-            float(_levels(d, f[None], np.array([at]), over)[0]) for over in (self.over, half)
-        )
-        beyond = np.interp(at + half, self.places[::-1], (self.rows @ f)[::-1])
-        return 0.0 if np.isnan(found) else float(found) - at, short - whole, float(beyond)
+        rows = stretches.spread(stretches.weights()[1])[there]
+        found = _reached(stretches.at[there], f @ rows.T, slope)
+        whole, short = (_levels_at(d, f, middle, over) for over in (self.over, half))
+        places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
+        beyond = np.array([np.interp(middle + half, places, each) for each in slopes])
+        moved = np.where(np.isnan(found), 0.0, found - at)
+        return moved.reshape(shape), (short - whole).reshape(shape), beyond.reshape(shape)
 
 
 def _reached(places: Floats, slopes: Floats, wanted: Floats) -> Floats:
@@ -210,6 +216,14 @@ def _levels(d: Floats, f: Floats, places: Floats, over: float) -> Floats:
     return levels
 
 
+def _levels_at(d: Floats, f: Floats, place: float, over: float) -> Floats:
+    """Forces of curves (R, k) at one place by the parabola over a stretch around it."""
+    stretch = _Stretches.of(d, np.array([place]), over)
+    level, _ = stretch.weights()
+    found: Floats = f @ stretch.spread(level)[0]
+    return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stretches:
     """Samples of a path around places, and the powers of their distances from these.
@@ -219,6 +233,7 @@ class _Stretches:
     at : shape (p,), m
     over : m
     samples : shape (p, m), padded with the number of all samples
+    count : of all samples
     powers : shape (p, 3, m), of the distance from the place over `over`; 0 where padded
     products : shape (p, 3, 3), of the powers with one another
     is_enough : shape (p,), whether a parabola can be laid through them
@@ -227,6 +242,7 @@ class _Stretches:
     at: Floats
     over: float
     samples: Ints
+    count: int
     powers: Floats
     products: Floats
     is_enough: Flags
@@ -245,7 +261,7 @@ class _Stretches:
         products = powers @ powers.transpose(0, 2, 1)
         count = products[:, 0, 0]
         is_wide = (travel >= _TRAVEL) & (np.linalg.det(products) > _FLAT * count**3)
-        return cls(at, over, samples, powers, products, (count >= _LEAST) & is_wide)
+        return cls(at, over, samples, len(d), powers, products, (count >= _LEAST) & is_wide)
 
     @property
     def failure(self) -> Failure | None:
@@ -258,6 +274,13 @@ class _Stretches:
                 "too_few_samples", f"{count} samples in the stretch, {_LEAST} are needed"
             )
         return Failure("no_travel", "the displacement jumps over the stretch")
+
+    def spread(self, weights: Floats) -> Floats:
+        """Weights (p, m) of the samples of each stretch as weights of all samples (p, k)."""
+        count = self.count
+        columns = np.zeros((len(self.at), count + 1))
+        np.put_along_axis(columns, self.samples, weights, axis=1)
+        return columns[:, :-1]
 
     def weights(self) -> tuple[Floats, Floats]:
         """Level and slope of the parabola at each place as sums over forces, shapes (p, m)."""

@@ -29,6 +29,7 @@ from labpipe.records.quality import Finding, blocking, doubtful, warning, worth_
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
 from labpipe.results.failures import loading_before
+from labpipe.results.force_samples import cuts_of
 from labpipe.results.likely_curves import likely_curves, loading_of, traced
 from labpipe.results.taut_curves import counted_from_taut, slack_of
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
@@ -234,8 +235,7 @@ def _filtered_in_pieces(test: Evidence, lost: int | Failure | None) -> Evidence:
     changed = {"force": curve.force, "displacement": curve.displacement}
     for quantity, name in names.items():
         if name in signals.filters:
-            at = [test.clocks.from_curve(end, raw[name].clock) for end in ends]
-            cuts = np.searchsorted(raw[name].time, at, side="right").tolist()
+            cuts = cuts_of(test.clocks, ends, raw[name])
             made = raw[name].changed(partial(in_pieces, cuts=cuts, filters=signals.filters[name]))
             filtered = replace(signals.filtered[name], values=made.values, moved=made.moved)
             signals = signals.with_filtered(name, filtered)
@@ -320,7 +320,7 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
     off = slack.value
     made = replace(
         _with_displacement(test, curve, test.displacement.changed(lambda values: values - off)),
-        replicates=test.replicates and counted_from_taut(test.replicates, decide, off),
+        replicates=test.replicates and counted_from_taut(test.replicates, decide, slack),
         slips=tuple(_moved(slip, off) for slip in test.slips),
     )
     message = f"{1e3 * off:.4g} mm of slack taken off: displacement counts from where it is taut"

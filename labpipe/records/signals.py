@@ -222,6 +222,11 @@ class Clocks:
         fit = self._fit(clock)
         return at if fit is None else (at - fit.offset) / (1.0 + fit.drift)
 
+    def times_on_curve(self, signal: Signal) -> Floats:
+        """Put the times of a signal on the clock of the curve, shape (n,), s."""
+        fit = self._fit(signal.clock)
+        return signal.time if fit is None else (signal.time - fit.offset) / (1.0 + fit.drift)
+
     def from_curve(self, at: float, clock: str) -> float:
         """Put a time of the curve on another clock; as it is while they are not joined."""
         fit = self._fit(clock)

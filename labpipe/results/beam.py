@@ -44,7 +44,7 @@ from labpipe.results.likely_curves import loading_of, traced
 from labpipe.results.stiffness import OfStiffness
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.readings import Decide, Reading, Trace, combined
-from labpipe.uncertainty.replicates import Input
+from labpipe.uncertainty.replicates import Input, Replicates
 
 _LOST = 3
 """Samples at the end of a branch that the joining of two clocks may cost."""
@@ -53,6 +53,53 @@ _SMEARED, _CUT = 3.0, 2.0
 in proportion to the length, so that it lies twice that change away; a smooth bend by the square of
 it, so that it lies 4/3 of it away. The force is read from half the length, which cuts off once or a
 third of that change."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Corner:
+    """What tangents change that are shorter, and what noise does to that.
+
+    Half of it is in the estimate, so half of the noise in it is in the interval.
+
+    Parameters
+    ----------
+    size : shape (2,), m and N, as far as it is more than noise
+    share : shape (2,), of what was seen
+    base : shape (2,), of the smooth curve, with what noise adds on average
+    """
+
+    size: Floats
+    share: Floats
+    base: Floats
+
+    @classmethod
+    def none(cls) -> _Corner:
+        """No corner at all."""
+        return cls(np.zeros(2), np.zeros(2), np.zeros(2))
+
+    @classmethod
+    def of(cls, seen: Floats, base: Floats, noise: Floats) -> _Corner:
+        """What is left of a corner when noise is taken off.
+
+        Parameters
+        ----------
+        seen, base : shape (2,), of the measured and of the smooth curve
+        noise : shape (2, replicates), what noise adds to it
+
+        Notes
+        -----
+        On average noise adds its variance to the square of what is seen, so that is taken off:
+        s = sqrt(1 - v / c^2) of a corner c is left, and none where noise explains all of it.
+        """
+        average, variance = np.nanmean(noise, axis=1), np.nanvar(noise, axis=1)
+        clear = seen - average
+        by_noise = np.divide(variance, clear**2, out=np.ones(2), where=clear != 0.0)
+        share = np.sqrt(np.maximum(1.0 - by_noise, 0.0))
+        return cls(share * clear, share, base + average)
+
+    def in_noise(self, corners: Floats) -> Floats:
+        """What noise adds to the estimate by way of the corner, shape (2, ...)."""
+        return 0.5 * self.share[:, None] * (corners - self.base[:, None])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +182,7 @@ class Plateau(Kind):
         return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
 
     def _decide_onset(
-        self, trace: Trace, *, initial: Decide, corner: tuple[float, float] = (0.0, 0.0)
+        self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
     ) -> Reading | Failure:
         """Decide on the place from which on the curve is flat, and the force there.
 
@@ -152,27 +199,42 @@ class Plateau(Kind):
 
         if np.isnan(plain(trace)[1]):
             return Failure("no_plateau", "nowhere steeper, or too few samples about the onset")
+        if corner is None:
+            return Reading(plain, len(tangents.last))
 
         def numbers(trace: Trace) -> tuple[Floats, Floats]:
             (place, level), shorter = plain(trace), trace.sizes.get(TANGENT, 0.0)
-            return place + shorter * corner[0], level + shorter * corner[1]
+            return place + shorter * corner.size[0], level + shorter * corner.size[1]
 
-        return Reading(numbers, len(tangents.last))
+        def in_noise(trace: Trace) -> tuple[Floats, Floats]:
+            by = corner.in_noise(self._corners(trace, begun))
+            return tuple(each + more for each, more in zip(plain(trace), by, strict=True))
 
-    def _corner(self, test: Evidence, initial: Decide) -> tuple[float, float]:
-        """How far off the onset may lie for the length of the tangents, m and N.
+        return Reading(numbers, len(tangents.last), in_noise)
+
+    def _corners(self, trace: Trace, begun: tuple[Tangents, Reading]) -> Floats:
+        """How far off the onset may lie for the length of the tangents, m and N, (2, ...)."""
+        (tangents, slope), (d, f) = begun, _loading(trace)
+        initial = slope.numbers(trace)[0]
+        place, _ = tangents.onset(f, initial, d, slope_below=self.slope_below)
+        smeared, cut, beyond = tangents.corners(f, place, self.slope_below * initial, d)
+        moved = _SMEARED * smeared
+        return np.stack([moved, _CUT * cut + moved * beyond])
+
+    def _corner(self, known: Replicates, initial: Decide) -> _Corner:
+        """The same of the measured curve, as far as it is more than noise.
 
         By the measured curve: the smooth one may have no corners of this size.
         """
-        trace = traced(test)
-        begun = self._begun(trace, initial)
-        reading = self._decide_onset(trace, initial=initial)
-        if isinstance(begun, Failure) or isinstance(reading, Failure):
-            return 0.0, 0.0
-        (tangents, slope), (place, _) = begun, reading.numbers(trace)
-        steep = self.slope_below * float(slope.numbers(trace)[0])
-        smeared, cut, beyond = tangents.corners(_loading(trace)[1], float(place), steep)
-        return _SMEARED * smeared, _CUT * cut + _SMEARED * smeared * beyond
+        begun, smooth = (self._begun(each, initial) for each in (known.measured, known.smooth))
+        if isinstance(begun, Failure):
+            return _Corner.none()
+        seen = self._corners(known.measured, begun)
+        if isinstance(smooth, Failure):
+            return _Corner(seen, np.zeros(2), np.zeros(2))
+        base = self._corners(known.smooth, smooth)
+        noise = [self._corners(each, smooth) - base[:, None] for each in known.traces()]
+        return _Corner.of(seen, base, np.concatenate(noise, axis=1))
 
     def _onset(
         self, test: Evidence, initial: Stiffness, end: Result
@@ -199,7 +261,9 @@ class Plateau(Kind):
         length = Input(TANGENT, _shortened, law="step")
         more = replace(known, inputs=(*known.inputs, length))
         decide = partial(self._decide_onset, initial=initial.decide)
-        return measure(more, partial(decide, corner=self._corner(test, initial.decide)))
+        if isinstance(failed := decide(known.measured), Failure):
+            return failed
+        return measure(more, partial(decide, corner=self._corner(known, initial.decide)))
 
     def _no_plateau(self, test: Evidence, end: Result) -> Finding:
         reached = float(np.nanmax(test.known_curve.displacement[test.loading_stretch]))

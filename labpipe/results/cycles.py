@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -25,6 +25,7 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.evidence import Evidence
+from labpipe.results.force_samples import ForceSamples
 from labpipe.results.kinds import (
     NO_CYCLE,
     Computed,
@@ -420,8 +421,23 @@ class PeakForce(OfCycle):
         return "largest force of the cycle after the filter, in the sense of loading"
 
     def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
-        """Largest sample of the force."""
-        return peak_of(test, trace, number)
+        """Largest sample of the force; in noise, of all that it has."""
+        found = peak_of(test, trace, number)
+        if isinstance(found, Failure) or test.force.clock == test.clocks.curve:
+            return found
+        stretch = stretch_of_cycle(trace, cycle_of(trace, number))
+        samples = cache(partial(ForceSamples.of, test, trace, stretch))
+        sense, plain = sense_of(trace, trace.force), found
+
+        def in_noise(drawn: Trace) -> tuple[Floats]:
+            known, raised = samples(), None
+            if known is not None and drawn.noise is not None:
+                raised = known.raised(drawn.noise, sense)
+            if raised is None:
+                return (plain.numbers(drawn)[0],)
+            return (plain.numbers(trace)[0] + sense * raised,)
+
+        return replace(found, in_noise=in_noise)
 
     def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
         """Of all samples of the force: on its own clock where that is another one."""

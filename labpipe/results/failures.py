@@ -28,6 +28,8 @@ from labpipe.results.kinds import (
     blocked_or,
     force_scale,
 )
+from labpipe.results.taut_curves import doubts_of_slack
+from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.noise import fast_noise
 from labpipe.uncertainty.readings import Reading, Trace
 
@@ -210,8 +212,9 @@ class SlipResults(Kind):
             part, scale = f".{count}", force_scale(test, lost)
             travelled = test.displacement.relative_error * abs(place.value)
             slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
+            doubts = doubts_of_slack(test.slack) if isinstance(test.slack, Measured) else ()
             numbers += [
-                self.number(place, method, slack, during=during, part=part),
+                self.number(place, method, slack, during=during, doubts=doubts, part=part),
                 self.number(lost, method, scale, output=1, during=during, part=part),
             ]
         return Computed(tuple(numbers))

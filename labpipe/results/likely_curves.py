@@ -87,9 +87,10 @@ def likely_curves(test: Evidence) -> Replicates | None:
     )
     first, second = (partial(_filtered, acts=each, cuts=cuts) for each in acts)
     inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
-    return replicated(
+    made_so = replicated(
         measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
     )
+    return replace(made_so, before_filters=None) if _does_nothing(acts[1]) else made_so
 
 
 def traced(test: Evidence) -> Trace:

@@ -12,8 +12,9 @@ from labpipe.fits.slack import toe_line
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SLACK
 from labpipe.records.estimates import Failure
+from labpipe.records.quality import Reason
 from labpipe.results.likely_curves import displaced, loading_of
-from labpipe.uncertainty.intervals import Decided, measure
+from labpipe.uncertainty.intervals import Decided, Measured, measure
 from labpipe.uncertainty.readings import Decide, Reading, Trace
 from labpipe.uncertainty.replicates import Input, Replicates
 
@@ -47,20 +48,21 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading 
     return Reading(numbers, len(trace.force[stretch][region]), is_cut=True)
 
 
-def counted_from_taut(replicates: Replicates, slack: Decide, off: float) -> Replicates:
+def counted_from_taut(replicates: Replicates, slack: Decide, found: Measured) -> Replicates:
     """Count the displacement of all curves from where each is taut.
 
     Parameters
     ----------
     replicates : of a curve whose slack can be measured
     slack : how it is decided on
-    off : m, slack of the measured curve
+    found : the slack of the measured curve, m
 
     Returns
     -------
     Every curve without its own slack: what noise does to the slack comes in as one more input,
     drawn with the curve that it belongs to, and what another input does to the slack goes with what
     it does to the curve. So a zero of the displacement that is in both is in no number behind.
+    What makes the slack doubtful goes with it.
     """
     alone = measure(replace(replicates, inputs=()), slack)
     if isinstance(alone, Failure):
@@ -69,8 +71,20 @@ def counted_from_taut(replicates: Replicates, slack: Decide, off: float) -> Repl
     draws = np.where(np.isnan(alone[0].off), np.nanmean(alone[0].off), alone[0].off)
     error = float(np.std(draws))
     inputs = tuple(_with_slack(each, replicates.smooth, slack) for each in replicates.inputs)
-    drawn = Input(SLACK, partial(displaced, by=-error), draws=draws / error) if error else None
-    return replace(replicates, inputs=inputs).displaced(-off, *([drawn] if drawn else []))
+    made = replace(replicates, inputs=inputs)
+    if not error:
+        return made.displaced(-found.value)
+    moved = partial(displaced, by=-error)
+    of_slack = Input(SLACK, moved, draws=draws / error, doubts=doubts_of_slack(found))
+    return made.displaced(-found.value, of_slack)
+
+
+def doubts_of_slack(found: Measured) -> tuple[Reason, ...]:
+    """Why what counts from a slack is as doubtful as the slack."""
+    return tuple(
+        Reason(each.code, f"displacement counts from a slack that is doubtful: {each.message}")
+        for _, each in found.doubts
+    )
 
 
 def _with_slack(given: Input, smooth: Trace, slack: Decide) -> Input:

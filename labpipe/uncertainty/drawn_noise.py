@@ -12,16 +12,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress
 from math import ceil
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import chdtri
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Singles
 
-Singles: TypeAlias = NDArray[np.float32]
 _PIECES = 12
 """Pieces that the longest branch is cut into: with 8 the curve comes in, and intervals are 3 to 5
 times too wide."""
@@ -49,9 +46,9 @@ _PRIOR = -0.4
 """Power of the correlation time in the prior."""
 _STEEP, _CROSSINGS = (0.6, 0.8, 1.0, 1.2, 1.5), (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
 """Of flicker noise: powers of the frequency; rad per sample at which white noise is as large."""
-_FLICKER = 0.1
-"""Prior of flicker noise without white noise, where that of white noise is 1; the later it rises
-from white noise, the less, as with a memory that is longer."""
+_FLICKER = 1.0
+"""Prior of flicker noise without white noise, that of white noise; where both cross may be anywhere
+along the frequency, so that the later it rises from white noise, the less it has."""
 _RISES, _STEEPEST = 2.0, 1.2
 """Of flicker noise that pieces tell without rests: times the slowest wave of a piece at which it is
 above white noise, and power of the frequency."""
@@ -117,7 +114,7 @@ def _processes(longest: int, count: int) -> _Processes:
                 prior,
                 0.5 * prior,
                 np.tile(0.5 * prior / kinds, kinds),
-                _FLICKER * (crossing / np.pi) ** -_PRIOR,
+                _FLICKER * crossing / np.pi,
             ]
         ),
         # Its end forgets its beginning no sooner than the record is over.

@@ -125,6 +125,7 @@ def measure(
     between, share = _between_samples(replicates, found, smooth), 1.0 / np.sqrt(3.0)
     off = noise - np.outer(between, 0.5 + share * replicates.draws(_BETWEEN))
     parts, doubts = [(STEP, share * between)], list[tuple[str, Reason]]()
+    handed = list[tuple[Floats, Reason]]()
     for given in replicates.inputs:
         low, high = (smooth.changed(given, x) for x in (-1.0, 1.0))
         if np.isnan(low + high).any():
@@ -134,6 +135,7 @@ def measure(
         z = replicates.draws(given)
         off = off + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
         parts.append((given.cause, 0.5 * (high - low) * given.deviation))
+        handed += [(np.abs(parts[-1][1]), reason) for reason in given.doubts]
     lost = float(np.isnan(off).any(axis=0).mean())
     if lost >= _NONE:
         return Failure("not_repeatable", f"{lost:.0%} of curves with such noise have none")
@@ -141,15 +143,19 @@ def measure(
         message = f"{lost:.0%} of curves with such noise have no such number"
         doubts.append(("", Reason("not_repeatable", message)))
     about_noise = tuple(_doubts(replicates, plain.n))
-    spread = np.nanstd(noise, axis=1)
-    matters = spread > _SLIGHT * np.abs(values)
+    spread, slight = np.nanstd(noise, axis=1), _SLIGHT * np.abs(values)
     return tuple(
         Measured(
             value,
             off[row],
             _budget(float(spread[row]), parts, row),
             found.n,
-            (*doubts, *_unfit(value, off[row]), *(about_noise if matters[row] else ())),
+            (
+                *doubts,
+                *_unfit(value, off[row]),
+                *(about_noise if spread[row] > slight[row] else ()),
+                *(("", reason) for by, reason in handed if by[row] > slight[row]),
+            ),
         )
         for row, value in enumerate(values)
     )
@@ -198,13 +204,18 @@ def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
     for name, noise in replicates.noises.items():
         if noise.is_none:
             continue
-        longest = noise.count * _OF_RECORD
-        if count > 1:
-            longest = min(longest, count * _OF_WINDOW)
-        if noise.count >= _TOLD and noise.memory > max(longest, _BRIEF):
+        # One sentence for all numbers of a test, whose samples stand beside them.
+        memory, known = noise.memory, noise.count >= _TOLD
+        if known and memory > max(noise.count * _OF_RECORD, _BRIEF):
             message = (
                 f"the noise of the {name} is as slow as what is measured: it remembers "
-                f"{noise.memory:.3g} samples, the number is read from {count}"
+                f"{memory:.3g} of the {noise.count} samples of the record"
+            )
+            yield name, Reason("slow_noise", message)
+        elif known and count > 1 and memory > max(count * _OF_WINDOW, _BRIEF):
+            message = (
+                f"the noise of the {name} is as slow as what is measured: it remembers "
+                f"{memory:.3g} samples, more than a fifth of those that the number is read from"
             )
             yield name, Reason("slow_noise", message)
         # Steps of a converter come and go with the slope of the curve; they are an input.

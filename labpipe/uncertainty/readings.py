@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Singles
 from labpipe.records.curve import Branch
 from labpipe.records.estimates import Failure
 
@@ -32,6 +32,8 @@ class Trace:
     beyond : share of a sampling step by which the specimen failed, or turned, behind the last
         sample before it
     steps : that each sampling step has been divided into
+    noise : shape (..., n), N, of many curves what noise adds to the force before all filters; None
+        where it is not known, or filters do nothing
     """
 
     time: Floats
@@ -42,6 +44,7 @@ class Trace:
     sizes: Mapping[str, float] = field(default_factory=dict)
     beyond: float = 0.0
     steps: int = 1
+    noise: Floats | Singles | None = None
 
     def finer(self, times: int) -> Trace:
         """The same curve, with straight lines from sample to sample divided into so many steps.

@@ -17,8 +17,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.special import ndtri
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Singles
 from labpipe.records.curve import Branch
+from labpipe.records.quality import Reason
 from labpipe.uncertainty.drawn_noise import LEAST, Noise, noise_of
 from labpipe.uncertainty.readings import Trace
 
@@ -57,6 +58,7 @@ class Input:
     moves_curve : whether it moves the curve, so that windows are decided anew
     draws : shape (replicates,), in standard uncertainties, where the input has been drawn before
     stream : name of its stream of chance; the cause where it is empty
+    doubts : why its uncertainty may not be trusted; nor may numbers that rest on it
     """
 
     cause: str
@@ -65,6 +67,7 @@ class Input:
     moves_curve: bool = True
     draws: Floats | None = None
     stream: str = ""
+    doubts: tuple[Reason, ...] = ()
 
     @property
     def deviation(self) -> float:
@@ -84,6 +87,8 @@ class Replicates:
     inputs : what else is drawn
     seed : of all draws
     noises : what the noise of force and displacement was taken for
+    before_filters : shape (replicates, n), N, what noise adds to the force before all filters; None
+        where it is not known, or filters do nothing
     """
 
     measured: Trace
@@ -93,13 +98,15 @@ class Replicates:
     inputs: tuple[Input, ...]
     seed: bytes
     noises: Mapping[str, Noise]
+    before_filters: Singles | None = None
 
     def traces(self) -> Iterator[Trace]:
         """The replicates, some at a time."""
         for first in range(0, len(self.force), _CHUNK):
             rows = slice(first, first + _CHUNK)
             displacement, force = self.displacement[rows], self.force[rows]
-            yield replace(self.smooth, displacement=displacement, force=force)
+            noise = None if self.before_filters is None else self.before_filters[rows]
+            yield replace(self.smooth, displacement=displacement, force=force, noise=noise)
 
     def draws(self, given: Input) -> Floats:
         """Draws of an input, in its standard uncertainties, shape (replicates,): always the same.
@@ -276,14 +283,15 @@ def replicated(
     -------
     The same for the same seed.
     """
-    parts = parts_of(unfiltered)
+    parts, before = parts_of(unfiltered), None
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     for name, act in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
         curve = smooth_curve(time, values, cuts, parts, broken=failed, branches=unfiltered.branches)
         noise = _noise(values, curve, unfiltered, cuts)
-        made = curve[None] if noise.is_none else _with_noise(curve, noise, stream(seed, name))
+        before = None if noise.is_none else noise.draw(len(time), COUNT, stream(seed, name))
+        made = curve[None] if before is None else curve + before
         drawn.append(np.broadcast_to(act(made), (COUNT, len(time))))
         noises[name] = noise
         smooth.append(curve)
@@ -292,11 +300,7 @@ def replicated(
         smooth[0] = smooth[0] - compliance * smooth[1]
         displacement = displacement - compliance * force
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
-    return Replicates(measured, base, displacement, force, inputs, seed, noises)
-
-
-def _with_noise(curve: Floats, noise: Noise, rng: np.random.Generator) -> Floats:
-    return curve + noise.draw(len(curve), COUNT, rng)
+    return Replicates(measured, base, displacement, force, inputs, seed, noises, before)
 
 
 def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> Noise:

@@ -163,7 +163,7 @@ def test_what_a_corner_hides() -> None:
         rel=1e-6,
     )
     assert abs(cut) > 0.005
-    assert float(level) == pytest.approx(float(np.interp(at, D, force)), abs=2.0 * abs(cut))
+    assert float(level) == pytest.approx(float(np.interp(at, D, force)), abs=2.0 * abs(float(cut)))
     smooth = tangents_of(D, SOFT).corners(SOFT, SCALE * np.log(10.0), 0.1 * INITIAL)
     assert abs(smooth[0]) < 2e-4
 

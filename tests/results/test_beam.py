@@ -13,7 +13,7 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SHAPE, TANGENT
 from labpipe.records.result import Result, Status
-from labpipe.results.beam import Plateau
+from labpipe.results.beam import Plateau, _Corner
 from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import to_result
 from labpipe.results.likely_curves import likely_curves
@@ -80,10 +80,11 @@ def test_plateau(done: Reduced, usual: tuple[Evidence, dict[str, Result]]) -> No
     assert done.lines[2].slope == pytest.approx(FLAT, abs=1.0)
 
 
-def cornered(over: str, seed: int = 0) -> dict[str, Result]:
+def cornered(over: str, seed: int = 0, noise: float = 0.0) -> dict[str, Result]:
     """5 N/mm up to a corner at 12 mm, 0.1 N/mm behind it; the tangent falls below a fifth there."""
     travel, force = pull(seed=seed)
     flat = force - 4900.0 * np.maximum(travel - 0.012, 0.0)
+    flat = flat + noise * np.random.default_rng(seed).normal(size=len(flat))
     line = "stiffness, from: 1 mm, to: 3 mm"
     tangents = f"plateau, slope_below: 20 %, of: stiffness, over: {over}"
     return pulled(travel, flat, results=[line, tangents])[1]
@@ -101,6 +102,31 @@ def test_a_corner_that_tangents_smear_is_in_the_interval(over: str) -> None:
         assert max(found.budget, key=lambda each: abs(each.change)).cause == TANGENT
         if name == "plateau_displacement":
             assert found.value - true > 3.0 * abs(found.estimate - true)  # a quarter is left
+
+
+def test_what_is_left_of_a_corner_when_noise_is_taken_off() -> None:
+    """5 mm seen, 3 mm of noise and 1 mm more on average; 2 N seen, all of which is noise."""
+    noise = np.array([[1e-3 + 3e-3, 1e-3 - 3e-3], [-4.0, 4.0]])
+    found = _Corner.of(np.array([6e-3, 2.0]), np.array([1e-3, 0.5]), noise)
+    assert found.size == pytest.approx([4e-3, 0.0])  # 5^2 - 3^2 = 4^2
+    assert found.share == pytest.approx([0.8, 0.0])
+    drawn = found.in_noise(np.array([[1e-3 + 4e-3], [7.0]]))
+    assert drawn[:, 0] == pytest.approx([0.5 * 0.8 * 3e-3, 0.0])
+    nothing = _Corner.of(np.zeros(2), np.zeros(2), np.zeros((2, 5)))
+    assert nothing.size == pytest.approx([0.0, 0.0])
+
+
+def test_noise_in_a_corner_is_in_the_interval() -> None:
+    """Tangents of half the length have three times the noise, and half of it is in the estimate."""
+    off, stated = list[float](), list[float]()
+    for seed in range(12):
+        found = cornered("1 mm", seed, noise=0.03)["plateau_displacement"]
+        assert found.estimate is not None
+        assert found.interval is not None
+        off.append(found.estimate - 0.012)
+        stated.append(found.interval.upper - found.interval.lower)
+    assert np.std(off) < 1.4 * np.median(stated) / 3.92
+    assert np.mean(np.abs(off) < 0.5 * np.array(stated)) > 0.8
 
 
 def test_the_doubt_about_a_corner_by_hand() -> None:

@@ -14,6 +14,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.causes import SLACK, ZERO_OF_DISPLACEMENT, ZERO_OF_FORCE
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure
+from labpipe.records.quality import Reason
 from labpipe.results.cycles import PeakDisplacement
 from labpipe.results.evidence import Evidence
 from labpipe.results.taut_curves import counted_from_taut, slack_of
@@ -126,6 +127,33 @@ def test_each_curve_counts_from_its_own_slack() -> None:
 def test_a_slack_that_was_not_measured_is_refused() -> None:
     test = taut()
     assert test.replicates is not None
+    assert isinstance(test.slack, Measured)
     never = partial(slack_of, start_share=0.2, stop_share=0.2)
     with pytest.raises(ValueError, match="expected a slack that was measured, found 0 samples"):
-        counted_from_taut(test.replicates, never, 0.0)
+        counted_from_taut(test.replicates, never, test.slack)
+
+
+def _always(reading: Reading, trace: Trace) -> Reading:
+    del trace
+    return reading
+
+
+def test_what_counts_from_a_doubtful_slack_is_doubtful() -> None:
+    """What moves with the displacement, and not the force."""
+    test = taut(displacement=1e-4)
+    assert test.replicates is not None
+    assert isinstance(test.slack, Measured)
+    why = Reason("slow_noise", "it remembers")
+    doubted = replace(test.slack, doubts=(("force", why),))
+    made = counted_from_taut(test.replicates, slack, doubted)
+    for name, codes in (("displacement", ["slow_noise"]), ("force", [])):
+
+        def last(trace: Trace, name: str = name) -> tuple[Floats]:
+            values: Floats = getattr(trace, name)
+            return (values[..., 300],)
+
+        found = measure(made, partial(_always, Reading(last, 1)))
+        assert isinstance(found, tuple)
+        assert [reason.code for _, reason in found[0].doubts] == codes
+        if codes:
+            assert found[0].doubts[0][1].message.endswith("slack that is doubtful: it remembers")

@@ -69,12 +69,13 @@ def test_a_white_record_is_drawn_as_it_is() -> None:
 def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
     """In a long record a memory of ten samples is seen by its own power only.
 
-    A memory of fifty may be flicker noise, by a chance of one in six at most.
+    A memory of fifty is as likely flicker noise: waves of a piece, but for its six slowest, leave
+    that open.
     """
     noise = judged(autoregressive(factor, (20_000,), 2))
     steep = _processes(noise.longest, noise.count).steep[: len(noise.chances)]
     remembers = np.where(steep > 0.0, 0.0, noise.chances)
-    assert remembers.sum() > 5.0 / 6.0
+    assert remembers.sum() > (5.0 / 6.0 if factor < 0.98 else 1.0 / 3.0)
     drawn = replace(noise, chances=remembers / remembers.sum()).draw(20_000, 400, RNG(1))
     for at in (slice(0, 200), slice(10_000, 10_200), slice(-200, None)):
         part = drawn[:, at]
@@ -191,7 +192,7 @@ def test_processes_by_their_formulas() -> None:
     spectra = np.concatenate([white_alone, 1.0 / bare, bare, *on_floors, np.array(flicker)])
     assert found.spectra(angle) == pytest.approx(spectra, rel=1e-9)
     prior = (times / 0.4) ** -0.4
-    of_flicker = 0.1 * np.tile((np.array(crossings) / np.pi) ** 0.4, 5)
+    of_flicker = np.tile(np.array(crossings) / np.pi, 5)
     weights = [np.ones(1), prior, prior / 2.0, np.tile(prior / 14.0, 7), of_flicker]
     assert found.prior == pytest.approx(np.concatenate(weights))
 

@@ -14,11 +14,13 @@ from labpipe.records.causes import (
     NOISE,
     SCALE_OF_FORCE,
     SECTION,
+    SLACK,
     STEP,
     ZERO_OF_DISPLACEMENT,
     ZERO_OF_FORCE,
 )
 from labpipe.records.estimates import Failure
+from labpipe.records.quality import Reason
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Input
@@ -499,6 +501,27 @@ def test_noise_as_slow_as_the_number(tau: float, count: int, window: int, is_slo
     assert [(name, each.code) for name, each in found.doubts] == (
         [("force", "slow_noise")] if is_slow else []
     )
+
+
+def test_slow_noise_is_one_sentence_for_all_numbers_of_a_test() -> None:
+    """How many samples a number is read from stands beside it."""
+    trace = trace_of(slow(20.0, 3000))
+    sentences = [measured(trace, mean, n=window)[0].doubts[0][1].message for window in (60, 80)]
+    assert sentences[0] == sentences[1]
+    assert sentences[0].startswith("the noise of the force is as slow as what is measured: it reme")
+
+
+def test_doubts_of_an_input_are_those_of_what_rests_on_it() -> None:
+    """By more than half a thousandth of the number."""
+    why = Reason("slow_noise", "the slack is doubtful")
+    trace = trace_of(FORCE + RNG(0).normal(size=len(FORCE)))
+    for by, doubts in ((1.0, [("", why)]), (1e-3, [])):
+
+        def more(trace: Trace, x: float, by: float = by) -> Trace:
+            return replace(trace, force=trace.force + by * x)
+
+        (found,) = measured(trace, mean, Input(SLACK, more, doubts=(why,)))
+        assert list(found.doubts) == doubts
 
 
 @pytest.mark.parametrize("share", [0.015, 0.05])

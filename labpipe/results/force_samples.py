@@ -1,0 +1,196 @@
+"""The largest force in noise on the clock of the force, which has more samples than the curve.
+
+A curve whose displacement cameras see has a sample a frame; the force has several, and its filter
+acts on those. The largest of more samples lies higher, and a line through the end of a branch is
+less sure where the filter has four times as many: so the noise of a peak is that of the force's own
+samples. Slow waves are those of the replicates, a level for each frame; what single samples have
+beside the level of their frame is taken from the record itself, a stretch from anywhere in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats, Ints, Singles
+from labpipe.records.signals import Clocks, Filter, Signal
+from labpipe.results.evidence import Evidence
+from labpipe.signal.filters import in_pieces
+from labpipe.uncertainty.readings import Trace
+
+_FASTER = 2.0
+"""Samples of the force for each one of the curve, from which on its own are looked at."""
+_REACH, _MOST = 8.0, 20_000
+"""Standard deviations of noise below the top up to which a sample may be the largest; so many
+samples at most, of a longer plateau the curve has enough."""
+_PULSE, _FELT = 4001, 1e-3
+"""Samples that a filter may reach over, and share of its height that counts."""
+
+
+def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
+    """Samples of a signal at which a new piece begins.
+
+    Parameters
+    ----------
+    clocks : of the test
+    ends : s on the clock of the curve, of branches, and of the failure
+    signal : of which
+    """
+    at = [clocks.from_curve(end, signal.clock) for end in ends]
+    found: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceSamples:
+    """The force of a curve without noise on its own clock, and what single samples add to it.
+
+    Parameters
+    ----------
+    smooth : shape (n,), N, without noise
+    left : shape (n,), N, what single samples of the record have beside the mean of their frame
+    frames : shape (n,), sample of the curve that each belongs to
+    filters : of the force
+    cuts : at which a new piece begins
+    inside : shape (n,), those of the cycle
+    reach : samples on either side that the filters need
+    """
+
+    smooth: Floats
+    left: Floats
+    frames: Ints
+    filters: tuple[Filter, ...]
+    cuts: tuple[int, ...]
+    inside: Flags
+    reach: int
+
+    @classmethod
+    def of(cls, test: Evidence, trace: Trace, stretch: slice) -> ForceSamples | None:
+        """Samples of a cycle.
+
+        Parameters
+        ----------
+        test : with a curve
+        trace : the curve without noise
+        stretch : of it, the cycle
+
+        Returns
+        -------
+        None where the force has hardly more samples than the curve, or no filter acts on them.
+        """
+        signal, filters = test.unfiltered, test.signals.filters.get(test.signals.force, ())
+        if signal is None or not filters or any(stride != 1 for _, stride in filters):
+            return None
+        reach = _reach_of(filters)
+        if reach is None or np.isnan(trace.force[stretch]).any():
+            return None
+        if len(signal.time) < _FASTER * len(trace.time):
+            return None
+        time = test.clocks.times_on_curve(signal)
+        frames = np.searchsorted(0.5 * (trace.time[1:] + trace.time[:-1]), time)
+        ends = [at for each in trace.branches for at in (each.start_time, each.stop_time)]
+        cuts = cuts_of(test.clocks, ends, signal)
+        smooth = _between_frames(trace, time, cuts, reach)
+        first, last = trace.time[stretch][[0, -1]]
+        inside = (time >= first) & (time <= last) & ~np.isnan(smooth)
+        left = np.nan_to_num(_beside_frames(signal.values - smooth, frames))
+        if not inside.any():
+            return None
+        return cls(smooth, left, frames, filters, tuple(cuts), inside, reach)
+
+    def raised(self, noise: Floats | Singles, sense: float) -> Floats | None:
+        """What noise adds to the largest sample of the cycle.
+
+        Parameters
+        ----------
+        noise : shape (replicates, frames), N, of the curve before all filters
+        sense : which way loading goes
+
+        Returns
+        -------
+        N in that sense, shape (replicates,). None where too many samples may be the largest.
+        """
+        over = sense * self.smooth
+        top = float(over[self.inside].max())
+        size = float(np.hypot(noise.std(), self.left[self.inside].std()))
+        near = np.flatnonzero(self.inside & (over >= top - _REACH * size))
+        reach = self.reach
+        if len(near) > _MOST:
+            return None
+        # Which stretch of the record goes with a replicate is chance, and the same every time.
+        chance = np.random.default_rng(noise[:, :8].astype(np.float32).view(np.uint32).ravel())
+        largest = np.full(len(noise), -np.inf)
+        for run in np.split(near, np.flatnonzero(np.diff(near) > 2 * reach) + 1):
+            part = slice(max(run[0] - reach, 0), min(run[-1] + 1 + reach, len(over)))
+            count = part.stop - part.start
+            first = chance.integers(0, len(self.left) - count + 1, len(noise))
+            beside = self.left[first[:, None] + np.arange(count)]
+            force = self.smooth[part] + noise[:, self.frames[part]] + beside
+            made = in_pieces(force, [cut - part.start for cut in self.cuts], self.filters)
+            seen = sense * made[:, run[0] - part.start : run[-1] + 1 - part.start]
+            largest = np.maximum(largest, seen.max(axis=1))
+        return largest - top
+
+
+def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int) -> Floats:
+    """Force of a curve at other times: straight lines, carried on to where the next piece begins.
+
+    Parameters
+    ----------
+    trace : the curve
+    time : shape (n,), s on its clock
+    cuts : samples of `time` at which branches begin and end
+    reach : samples that the filter of the force feels, over which a piece joins the one before
+    """
+    frames = [at for each in trace.branches for at in (each.start, each.stop)]
+    found = np.interp(time, trace.time, trace.force)
+    ends = sorted({(0, 0), *zip(cuts, frames, strict=True), (len(time), len(trace.time))})
+    for (low, begin), (high, end) in pairwise(ends):
+        if high > low and end - begin > 1:
+            found[low:high] = _carried_on(
+                time[low:high], trace.time[begin:end], trace.force[begin:end]
+            )
+            _join(found, low, min(reach, high - low))
+    return found
+
+
+def _join(values: Floats, cut: int, over: int) -> None:
+    """Let a piece begin where the one before it ends, but for what a step of either explains.
+
+    A force does not jump where the motion turns, while a spline may be off at its end.
+    """
+    if not 1 < cut < len(values) - 1 or over < 2:
+        return
+    step = max(abs(values[cut - 1] - values[cut - 2]), abs(values[cut + 1] - values[cut]))
+    gap = values[cut - 1] - values[cut]
+    ramp = 1.0 - np.arange(over) / over
+    values[cut : cut + over] += (gap - np.clip(gap, -step, step)) * ramp
+
+
+def _carried_on(at: Floats, time: Floats, values: Floats) -> Floats:
+    """Values at other times, beyond both ends on the line through the last two samples."""
+    found = np.interp(at, time, values)
+    for pair, there in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
+        (before, after), (low, high) = time[pair], values[pair]
+        found[there] = low + (high - low) / (after - before) * (at[there] - before)
+    return found
+
+
+def _beside_frames(values: Floats, frames: Ints) -> Floats:
+    """Values less the mean of their frame."""
+    count = np.bincount(frames)
+    mean = np.bincount(frames, values) / np.maximum(count, 1)
+    return values - mean[frames]
+
+
+def _reach_of(filters: Sequence[Filter]) -> int | None:
+    """Samples on either side that a filter feels; None for one that reaches farther than looked."""
+    pulse = np.zeros(_PULSE)
+    pulse[_PULSE // 2] = 1.0
+    felt = in_pieces(pulse, (), filters)
+    far = np.flatnonzero(np.abs(felt) > _FELT * np.abs(felt).max())
+    reach = int(np.abs(far - _PULSE // 2).max()) + 1
+    return 2 * reach if 4 * reach < _PULSE else None
