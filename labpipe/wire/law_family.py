@@ -96,12 +96,15 @@ class LawFamily:
 
     Parameters
     ----------
-    spec : of the wire, with the numbers that the slip curvatures were chosen for
-    base : its law
+    spec : of the wire, as its sheet has it
+    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's own where left
+        out
+    base : the law with these values
     scale : of the chords, so that the base law is as much above its wire's as below
     """
 
     spec: WireSpec
+    values: Mapping[str, float]
     base: SliderLaw
     scale: float
 
@@ -110,9 +113,9 @@ class LawFamily:
 
         Parameters
         ----------
-        inputs : logarithms of `PARAMETERS` (of the values themselves; those left out are the
-            spec's own), and `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, 0 where left out; other
-            names are not looked at
+        inputs : logarithms of `PARAMETERS`, of the values themselves; those left out are `values`,
+            or the sheet's own. `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, 0 where left out.
+            Other names are not looked at
 
         Raises
         ------
@@ -120,7 +123,7 @@ class LawFamily:
             If there is no such wire.
         """
         said = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        spec = with_values(self.spec, said)
+        spec = with_values(self.spec, {**self.values, **said})
         built = build(spec)
         corners = self.corners
         bent = moment_curvature(
@@ -150,12 +153,16 @@ class LawFamily:
         return np.concatenate([[0.0], self.base.slip_curvatures, [self.base.last]])
 
 
-def family_of(spec: WireSpec, *, sliders: int = SLIDERS) -> LawFamily:
+def family_of(
+    spec: WireSpec, values: Mapping[str, float] | None = None, *, sliders: int = SLIDERS
+) -> LawFamily:
     """Choose slip curvatures for a wire, and give the laws that it has with other numbers.
 
     Parameters
     ----------
-    spec : of the wire, with the numbers around which it is looked at
+    spec : of the wire, as its sheet has it
+    values : of `PARAMETERS`, around which it is looked at, such as those of a solution of a
+        calibration; the sheet's own where left out or NaN
     sliders : at most
 
     Raises
@@ -165,9 +172,10 @@ def family_of(spec: WireSpec, *, sliders: int = SLIDERS) -> LawFamily:
     WireError
         As `wire_table`.
     """
-    table = wire_table(spec)
+    around = dict(values or {})
+    table = wire_table(with_values(spec, around))
     base = sliders_of(table, sliders)
-    family = LawFamily(spec, base, 1.0)
+    family = LawFamily(spec, around, base, 1.0)
     moment = np.interp(family.corners, table.curvature, table.moment)
     plain = _falling_slopes(family.corners, moment)
     return replace(family, scale=base.first_stiffness / float(plain[0]))

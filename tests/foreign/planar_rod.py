@@ -1,25 +1,27 @@
 """A second rod, in one plane: angles of rigid links, not nodes and frames; dense Newton.
 
 It knows nothing of the package. Links of equal length carry springs with Coulomb stops between
-them, and half a link away from each clamp another one; the shape is the stationary point of the
-work of a step, with the place of the far end as two constraints. What holds the far end may let go
-little by little: its force and moment then fall to zero in proportion.
+them, and half a link away from each clamp another one; the shape is the least of the work of a step
+(augmented Lagrangian for the place of the far end), so that a line that jumps is followed to where
+it comes to rest. What holds the far end may let go little by little.
 
 Lengths in m, angles in rad from the x axis, gravity along -z, moments in N m.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 Numbers = NDArray[np.float64]
-_ROUNDS, _CLOSE, _DEEPEST = 40, 1e-10, 9
-_MOST, _FARTHEST = 0.3, 30.0
+_ROUNDS, _PULLS, _DEEPEST = 200, 30, 9
+_DOWN, _BLUR = 1e-4, 1e-13
+_CLOSE, _NEAR = 1e-8, 1e-8
+_MOST, _SHORTEST = 0.5, 1e-6
+_STIFF = 1e5
+"""Of the spring that draws the far end to its place, over EI / L^3."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,8 @@ def stops_through(curvature: Numbers, moment: Numbers) -> Stops:
 class Shape:
     """Places of the nodes, m, x and z; curvature of the springs, 1/m, and where along the line, m.
 
-    `force` is what holds the far end, N, x and z; `start_force` what holds the near one.
+    `force` is what holds the far end, N, x and z; `start_force` what holds the near one, and
+    `start_moment`, N m, about the y axis.
     """
 
     places: Numbers
@@ -53,6 +56,7 @@ class Shape:
     along: Numbers
     force: Numbers
     start_force: Numbers
+    start_moment: float
 
 
 class PlanarRod:
@@ -93,17 +97,30 @@ class PlanarRod:
     def hold(self, place: Numbers, angle: float = 0.0) -> None:
         """Go on to a place and an angle of the far end, from those before, halving the way."""
         goal = np.append(np.asarray(place, dtype=np.float64), angle)
-        begin = np.append(self._ways()[1], self.far or 0.0)
+        begin = np.append(self._tip(self.angles), self.far or 0.0)
         if np.ptp(self.angles) == 0.0:  # nothing gives way along a straight line
             self.angles = self._arc(goal[:2])
-        self._halve(self._hold_once, begin, goal, 0)
+        self._halve(begin, goal, 0)
+
+    def load(self, force: Numbers, moment: float = 0.0) -> None:
+        """Free the far end but for a dead force, N, x and z, and a moment, N m."""
+        load = np.array([*force, moment])
+        before = np.append(self.force, self.far_moment)
+        for share in (1.0, 0.5, 0.75, 0.875, 1.0):  # the last ones only where one step is too far
+            part = before + share * (load - before)
+            if self._settle(None, part, np.zeros(2), 0.0):
+                _, _, self.rests, _ = self._balance(self.angles, None, part)
+                self.force, self.far_moment, self.has_far_clamp = part[:2], moment, False
+                if share == 1.0:
+                    return
+        message = f"no equilibrium under {load}"
+        raise RuntimeError(message)
 
     def let_go(self, steps: int = 20) -> None:
-        """Take away what holds the far end."""
-        held = np.append(self.force, self.far_moment)
-        shares = np.linspace(1.0, 0.0, steps + 1)
-        for last, share in pairwise(shares):
-            self._halve(self._load_once, last * held, share * held, 0)
+        """Take away what holds the far end, force and moment in proportion."""
+        force, moment = self.force, self.far_moment
+        for share in np.linspace(1.0, 0.0, steps + 1)[1:]:
+            self.load(share * force, float(share * moment))
 
     def shape(self) -> Shape:
         """As it is now."""
@@ -112,19 +129,19 @@ class PlanarRod:
         places[1:, 1] = self.step * np.cumsum(np.sin(self.angles))
         bent = self._bent(self.angles, self.far if self.has_far_clamp else None) + self.natural
         start = np.array([0.0, self.weight * self.length]) - self.force
-        return Shape(places, bent, self.along, self.force.copy(), start)
+        held = np.clip(bent[0] - self.natural - self.rests[0], -self.law.width, self.law.width)
+        moment = self.law.spring * (bent[0] - self.natural) + held @ self.law.stiffness
+        return Shape(places, bent, self.along, self.force.copy(), start, float(moment))
 
-    def _halve(
-        self, way: Callable[[Numbers], bool], begin: Numbers, goal: Numbers, depth: int
-    ) -> None:
-        if way(goal):
+    def _halve(self, begin: Numbers, goal: Numbers, depth: int) -> None:
+        if self._hold_once(goal):
             return
         if depth == _DEEPEST:
             message = f"no equilibrium at {goal}"
             raise RuntimeError(message)
         middle = 0.5 * (begin + goal)
-        self._halve(way, begin, middle, depth + 1)
-        self._halve(way, middle, goal, depth + 1)
+        self._halve(begin, middle, depth + 1)
+        self._halve(middle, goal, depth + 1)
 
     def _arc(self, place: Numbers) -> Numbers:
         """Angles of a bow between both ends: a first guess."""
@@ -150,68 +167,97 @@ class PlanarRod:
         tangent = law.spring + (held == away) @ law.stiffness
         return law.spring * bent + held @ law.stiffness, tangent, bent[:, None] - held
 
-    def _ways(self) -> tuple[Numbers, Numbers]:
-        """What the far end's force does to each angle, and where that end is."""
-        sine, cosine = np.sin(self.angles), np.cos(self.angles)
-        return self.step * np.stack([sine, -cosine]), self.step * np.array(
-            [cosine.sum(), sine.sum()]
-        )
+    def _energy(self, angles: Numbers, far: float | None, load: Numbers) -> float:
+        """What a step from the present rests to these angles takes, J, with a dead load."""
+        law, bent = self.law, self._bent(angles, far)
+        away = np.abs(bent[:, None] - self.rests)
+        stuck = np.minimum(away, law.width)
+        springs = 0.5 * law.spring * bent**2 + (stuck * (away - 0.5 * stuck)) @ law.stiffness
+        if far is None:
+            springs[-1] = -load[2] * angles[-1] / self.cells[-1]
+        sine, cosine = np.sin(angles), np.cos(angles)
+        falls = self._hangs() @ sine - load[1] * sine.sum() - load[0] * cosine.sum()
+        return float(springs @ self.cells + self.step * falls)
+
+    def _hangs(self) -> Numbers:
+        """Weight behind each link and half of its own, N."""
+        return np.asarray(self.weight * self.step * (self.links - np.arange(self.links) - 0.5))
 
     def _balance(
-        self, far: float | None, force: Numbers, moment: float
+        self, angles: Numbers, far: float | None, load: Numbers
     ) -> tuple[Numbers, Numbers, Numbers, float]:
-        """What each angle lacks, its slope, rests, and the moment at the far end."""
-        carried, tangent, rests = self._answer(self._bent(self.angles, far))
+        """Slope of the energy by the angles, its slope, rests, and the moment at the far end."""
+        carried, tangent, rests = self._answer(self._bent(angles, far))
         if far is None:
-            carried[-1], tangent[-1], rests[-1] = moment, 0.0, self.rests[-1]
+            carried[-1], tangent[-1], rests[-1] = load[2], 0.0, self.rests[-1]
         stiff = tangent / self.cells
-        hangs = self.weight * self.step * (self.links - np.arange(self.links) - 0.5)
-        sine, cosine = np.sin(self.angles), np.cos(self.angles)
-        up = hangs - force[1]
-        lack = carried[:-1] - carried[1:] + self.step * (up * cosine + force[0] * sine)
-        slope = stiff[:-1] + stiff[1:] + self.step * (force[0] * cosine - up * sine)
-        matrix = np.diag(slope) - np.diag(stiff[1:-1], 1) - np.diag(stiff[1:-1], -1)
-        return lack, matrix, rests, float(carried[-1])
+        sine, cosine = np.sin(angles), np.cos(angles)
+        up = self._hangs() - load[1]
+        slope = carried[:-1] - carried[1:] + self.step * (up * cosine + load[0] * sine)
+        own = stiff[:-1] + stiff[1:] + self.step * (load[0] * cosine - up * sine)
+        matrix = np.diag(own) - np.diag(stiff[1:-1], 1) - np.diag(stiff[1:-1], -1)
+        return slope, matrix, rests, float(carried[-1])
 
-    def _is_small(self, lack: Numbers) -> bool:
-        return bool(np.abs(lack).max() < _CLOSE * self.law.spring / self.length)
+    def _settle(self, far: float | None, load: Numbers, goal: Numbers, stiff: float) -> bool:
+        """Go downhill from the present angles, towards a place by a spring to it."""
+        angles = self.angles
 
-    def _turn(self, move: Numbers) -> float:
-        """Share of a step that is safe; 0 where the step is none."""
-        size = float(np.abs(move).max())
-        return min(1.0, _MOST / size) if 0.0 < size < _FARTHEST else float(size == 0.0)
+        def height(at: Numbers) -> float:
+            off = self._tip(at) - goal
+            return self._energy(at, far, load) + 0.5 * stiff * float(off @ off)
+
+        now = height(angles)
+        for _ in range(_ROUNDS):
+            slope, matrix, _, _ = self._balance(angles, far, load)
+            pull = stiff * (self._tip(angles) - goal)
+            ways = self.step * np.stack([-np.sin(angles), np.cos(angles)])
+            slope = slope + pull @ ways
+            bow = self.step * (-pull[0] * np.cos(angles) - pull[1] * np.sin(angles))
+            matrix = matrix + stiff * ways.T @ ways + np.diag(bow)
+            if np.abs(slope).max() < _CLOSE * self.law.spring / self.length:
+                self.angles = angles
+                return True
+            move = _downhill(matrix, slope)
+            share = min(1.0, _MOST / float(np.abs(move).max()))
+            blur = _BLUR * abs(now)
+            while (then := height(angles + share * move)) > now + _DOWN * share * (
+                slope @ move
+            ) + blur:
+                share *= 0.5
+                if share < _SHORTEST:
+                    break
+            angles, now = angles + share * move, then
+        return False
 
     def _hold_once(self, goal: Numbers) -> bool:
         before = self.angles, self.force
         far = float(goal[2]) if self.has_far_clamp else None
-        for _ in range(_ROUNDS):
-            lack, matrix, rests, moment = self._balance(far, self.force, 0.0)
-            ways, tip = self._ways()
-            off = tip - goal[:2]
-            if self._is_small(lack) and np.abs(off).max() < _CLOSE * self.length:
-                self.rests, self.far, self.far_moment = rests, float(goal[2]), moment
-                return True
-            whole = np.block([[matrix, ways.T], [ways, np.zeros((2, 2))]])
-            move = np.linalg.solve(whole, np.concatenate([-lack, off]))
-            share = self._turn(move[:-2])
-            if share == 0.0:
+        stiff = _STIFF * self.law.spring / self.length**3
+        for _ in range(_PULLS):
+            load = np.append(self.force, 0.0)
+            if not self._settle(far, load, goal[:2], stiff):
                 break
-            self.angles = self.angles + share * move[:-2]
-            self.force = self.force + share * move[-2:]
+            off = self._tip(self.angles) - goal[:2]
+            self.force = self.force - stiff * off
+            if np.abs(off).max() < _NEAR * self.length:
+                load = np.append(self.force, 0.0)
+                _, _, self.rests, self.far_moment = self._balance(self.angles, far, load)
+                self.far = float(goal[2])
+                return True
         self.angles, self.force = before
         return False
 
-    def _load_once(self, goal: Numbers) -> bool:
-        before = self.angles
-        for _ in range(_ROUNDS):
-            lack, matrix, rests, _ = self._balance(None, goal[:2], float(goal[2]))
-            if self._is_small(lack):
-                self.rests, self.force, self.has_far_clamp = rests, goal[:2], False
-                return True
-            move = np.asarray(np.linalg.solve(matrix, -lack), dtype=np.float64)
-            share = self._turn(move)
-            if share == 0.0:
-                break
-            self.angles = self.angles + share * move
-        self.angles = before
-        return False
+    def _tip(self, angles: Numbers) -> Numbers:
+        return self.step * np.array([np.cos(angles).sum(), np.sin(angles).sum()])
+
+
+def _downhill(matrix: Numbers, slope: Numbers) -> Numbers:
+    """Newton's step, made one that goes down where the energy bends the other way."""
+    lift = 0.0
+    while True:
+        try:
+            root = np.linalg.cholesky(matrix + lift * np.eye(len(slope)))
+            break
+        except np.linalg.LinAlgError:
+            lift = max(4.0 * lift, 1e-3 * float(np.diag(matrix).max()))
+    return np.asarray(np.linalg.solve(root.T, np.linalg.solve(root, -slope)), dtype=np.float64)

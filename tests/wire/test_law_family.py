@@ -87,3 +87,14 @@ def test_a_table_of_the_insulation_grows_with_its_modulus() -> None:
 def test_what_is_not_known_stays() -> None:
     spec = table_of("A2").spec
     assert with_values(spec, {RADIAL_FRICTION: np.nan}) == spec
+
+
+def test_it_may_look_around_other_values() -> None:
+    spec, values = table_of("A2").spec, {COPPER_SCALE: 1.4, INSULATION_MODULUS: 0.7e9}
+    family = family_of(spec, values)
+    other = wire_table(with_values(spec, values))
+    assert slider_moment(family.at({}).law, other.curvature) == pytest.approx(
+        other.moment, rel=1.1 * family.base.error
+    )
+    own = {name: float(np.log(value)) for name, value in values.items()}
+    assert family.at(own).law.stiffnesses == pytest.approx(family.at({}).law.stiffnesses)

@@ -1,0 +1,250 @@
+"""What the package predicts of the drawn lines: calibration of synthetic tests, then bands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import PARAMETERS, Calibration
+from labpipe.rod.bands import LineBands, bands_of
+from labpipe.rod.beliefs import Belief, calibrated_beliefs, joined, known
+from labpipe.rod.path import RodPath
+from labpipe.rod.response import Band
+from labpipe.units import GRAVITY
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.calibration.fit import Wire
+from labpipe.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.wire.cantilever import StringRig
+from labpipe.wire.law_family import (
+    LAW_FACTOR,
+    MASS_FACTOR,
+    TORSION_FACTOR,
+    LawFamily,
+    family_of,
+)
+from labpipe.wire.tested_curvature import tested_curvature
+from labpipe.wire.wire_table import build, mass_per_length
+from tests.foreign import wire_section as foreign
+from tests.line_coverage.drawn_lines import (
+    FREEDOM,
+    SPREAD,
+    WIRES,
+    Drawn,
+    LineKind,
+    draw,
+)
+from tests.line_coverage.true_lines import Laid, TrueLine, held_at, true_line
+
+SAMPLES, POINTS, DEEPEST = 3, 272, 0.05
+NOISE, GAIN = 2e-3, 0.005
+"""N, of a point; of the load cell, in logarithms."""
+LENGTH_FACTOR = "length_factor"
+_INPUTS = {
+    "spool": LAW_FACTOR,
+    "mass_factor": MASS_FACTOR,
+    "torsion_factor": TORSION_FACTOR,
+    "length_factor": LENGTH_FACTOR,
+}
+_STILL = 1e-9
+"""m: a band that is narrower is that of a node that is held."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """One number of a line, and the band that was predicted for it."""
+
+    name: str
+    truth: float
+    value: float
+    lower: float
+    upper: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the band has the truth."""
+        return self.lower <= self.truth <= self.upper
+
+
+@cache
+def spec_of(name: str) -> WireSpec:
+    """The wire as a sheet has it."""
+    made = foreign.BUILDS[name]
+    counts = (1, *(6 * ring for ring in range(1, len(made.lays) + 1)))
+    nominal = foreign.Truth()
+    return WireSpec(
+        name=name,
+        wire_diameter=made.diameter,
+        layer_counts=counts,
+        strand_diameters=(made.strand,) * len(counts),
+        lay_angles=tuple(float(np.radians(lay)) for lay in made.lays),
+        insulation_thickness=made.wall,
+        insulation_modulus=nominal.modulus,
+        friction_strand=nominal.strand,
+        friction_insulation=nominal.tube,
+        radial_force=nominal.friction / (nominal.strand + nominal.tube),
+        layout="compressed" if made.is_compressed else "auto",
+    )
+
+
+@cache
+def wire_of(name: str) -> Wire:
+    """The same, to be calibrated."""
+    spec = spec_of(name)
+    built = build(spec)
+    weight = GRAVITY * mass_per_length(spec, built.section)
+    return Wire(built.section, built.contacts, self_weight=weight)
+
+
+def tests_of(drawn: Drawn, chance: np.random.Generator) -> tuple[MeasuredCurve, ...]:
+    """Three cantilever tests of the wire, bent by the second simulator."""
+    name, long = drawn.wire, 1e-3 * WIRES[drawn.wire]
+    bent = foreign.loading(name, long, drawn.truth)
+    deflection = np.linspace(0.0, DEEPEST, POINTS)
+    exact = PchipInterpolator(bent.deflection, bent.force)(deflection)
+    gain = float(np.exp(GAIN * chance.normal()))
+    rig = StringRig(foreign.STRING, foreign.COUNTERWEIGHT, long, foreign.STRING)
+    curves = []
+    for number in range(1, SAMPLES + 1):
+        factor = gain * np.exp(SPREAD["specimen"] * chance.normal())
+        force = factor * exact + NOISE * chance.normal(size=POINTS)
+        label = f"{name}-{number}"
+        weight = wire_of(name).self_weight
+        about = (name, label, label, long, deflection, force, NOISE, rig)
+        curves.append(MeasuredCurve(*about, self_weight=weight))
+    return tuple(curves)
+
+
+def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[Belief, ...]:
+    """What is known of the line's inputs, for each solution."""
+    stated = [
+        known(
+            _INPUTS.get(name, name),
+            deviation,
+            freedom=FREEDOM.get(name.removesuffix("_1").removesuffix("_2"), np.inf),
+            cause=name,
+        )
+        for name, deviation in drawn.stated.items()
+        if name != "specimen"
+    ]
+    calibrated = calibrated_beliefs(found.solutions, found.widening, specimen=LAW_FACTOR)
+    return tuple(joined([each, *stated]) for each in calibrated)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solver:
+    """Follows a line for named inputs, with the laws of one solution."""
+
+    kind: LineKind
+    drawn: Drawn
+    family: LawFamily
+
+    def __call__(self, inputs: Mapping[str, float]) -> RodPath:
+        """The whole path."""
+        law = self.family.at(inputs)
+        laid = Laid(
+            law.law,
+            law.torsional_stiffness,
+            law.mass_per_length,
+            self.drawn.length * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0))),
+            (inputs.get("free_curvature_1", 0.0), inputs.get("free_curvature_2", 0.0)),
+            inputs,
+        )
+        return laid.follow(self.kind, self.drawn)
+
+
+def solvers_of(kind: LineKind, drawn: Drawn, found: Calibration) -> list[Solver]:
+    """One for each solution."""
+    return [
+        Solver(
+            kind,
+            drawn,
+            family_of(
+                spec_of(drawn.wire), dict(zip(PARAMETERS, each.values.tolist(), strict=True))
+            ),
+        )
+        for each in found.solutions
+        if each.is_allowed
+    ]
+
+
+def predicted(kind: LineKind, drawn: Drawn, found: Calibration) -> LineBands | None:
+    """The line with bands, held and on its way back."""
+    wire, values = wire_of(drawn.wire), found.solutions[0].values
+    curves = tests_of(drawn, np.random.default_rng(0))
+    return bands_of(
+        solvers_of(kind, drawn, found),
+        beliefs_of(kind, drawn, found),
+        at=(held_at(kind), -1),
+        tested_curvature=tested_curvature(wire, values, curves[:1]),
+    )
+
+
+def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[Asked]:
+    """The numbers that are looked at: one of each sort, chosen with the line."""
+    held, back = bands.states
+    which = drawn.asked
+    places = which["node"], which["axis"]
+    yield _asked("shape", truth.held[places], held.positions, places)
+    yield _asked(
+        "moment",
+        truth.moment[which["moment axis"]],
+        held.reaction_moments,
+        (0, which["moment axis"]),
+    )
+    yield _asked("bend radius", truth.bend_radius, held.smallest_bend_radius, ())
+    places = which["free node"], which["free axis"]
+    yield _asked("shape on the way back", truth.back[places], back.positions, places)
+
+
+def _asked(name: str, truth: float, band: Band, place: tuple[int, ...]) -> Asked:
+    ends = (float(each[place]) for each in (band.value, band.lower, band.upper))
+    return Asked(name, float(truth), *ends)
+
+
+def shares_inside(truth: TrueLine, bands: LineBands) -> dict[str, float]:
+    """Share of all nodes and components inside; what is held is left out."""
+    found = {}
+    for name, places, state in zip(
+        ("shape", "shape on the way back"), (truth.held, truth.back), bands.states, strict=True
+    ):
+        band = state.positions
+        moves = band.upper - band.lower > _STILL
+        inside = (places >= band.lower) & (places <= band.upper)
+        found[name] = float(inside[moves].mean())
+    return found
+
+
+def rows(kind: LineKind, seed: int) -> dict[str, Any]:
+    """What is predicted of a line, beside what it does.
+
+    Returns
+    -------
+    rows : by number asked: truth, value, ends of the band
+    inside : share of all nodes and components inside, by shape
+    notes : what makes the bands doubtful
+    solutions : of the calibration, in its 95 % set
+    shares : of each cause in the bend radius
+    """
+    drawn, chance = draw(kind, seed)
+    found = calibrate(wire_of(drawn.wire), tests_of(drawn, chance), Settings(gain=GAIN))
+    if not isinstance(found, Calibration):
+        return {"failed": f"{found.code}: {found.message}"}
+    nominal = family_of(spec_of(drawn.wire)).at({}).torsional_stiffness
+    truth = true_line(kind, drawn, nominal)
+    bands = predicted(kind, drawn, found)
+    if bands is None:
+        return {"failed": "the prediction has no equilibrium"}
+    return {
+        "rows": [asdict(each) for each in asked(drawn, truth, bands)],
+        "inside": shares_inside(truth, bands),
+        "notes": [note.code for note in bands.notes],
+        "solutions": sum(each.is_allowed for each in found.solutions),
+        "shares": dict(bands.states[0].shares["smallest_bend_radius"]),
+        "wire": drawn.wire,
+    }
