@@ -424,7 +424,17 @@ def measured(test: Evidence) -> tuple[Bending | Failure, list[Finding]]:
         bending = measure_bending(frames)
     except ValueError as error:
         return Failure("no_moment_curvature", str(error)), found
-    return bending, [*found, _measured_law(bending)]
+    return bending, [*found, *_weight_notes(test), _measured_law(bending)]
+
+
+def _weight_notes(test: Evidence) -> list[Finding]:
+    if test.setup.mass_per_length is not None:
+        return []
+    message = (
+        "specimen.mass_per_length is not stated: moments leave out the specimen's own weight, "
+        "which matters most in the first millimetres"
+    )
+    return [worth_knowing("weight_not_stated", "specimen.mass_per_length", message)]
 
 
 def _numbers(curve: Curve, time: Floats) -> tuple[Ints, Ints]:

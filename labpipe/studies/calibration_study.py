@@ -38,7 +38,12 @@ from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.report.saving import pngs_of
 from labpipe.store.replace import locked, replacing_together
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
-from labpipe.studies.first_loadings import FirstLoading, read_first_loadings, with_weight
+from labpipe.studies.first_loadings import (
+    FirstLoading,
+    read_first_loadings,
+    weight_note,
+    with_weight,
+)
 from labpipe.studies.validation import (
     bent_shapes,
     built_wire,
@@ -363,10 +368,14 @@ def calibrate_tests(
     tested = {each.curve.wire for each in loadings}
     asked_for = sorted(tested | {each.wire for each in curves})
     built = {wire: built_wire(specs[wire], wires) for wire in asked_for}
+    said = [each for each in loadings if each.curve.wire == name]
+    note = weight_note(said, built[name].self_weight)
     loadings = [with_weight(each, built[each.curve.wire].self_weight) for each in loadings]
     own = [each for each in loadings if each.curve.wire == name]
     say("calibration")
     calibration = _calibration(built[name], own, asked)
+    if note is not None:
+        calibration = replace(calibration, notes=(*calibration.notes, note))
     groups = compare(calibration, built, loadings)
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,

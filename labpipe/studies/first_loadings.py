@@ -352,6 +352,26 @@ def with_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
     return replace(loading, notes=(*loading.notes, note))
 
 
+def weight_note(loadings: Sequence[FirstLoading], self_weight: float) -> QualityNote | None:
+    """Say which weight tests have whose own sheets say none.
+
+    Parameters
+    ----------
+    loadings : of one wire, as they were read
+    self_weight : N/m, of the wire by its row in the sheet of wires
+    """
+    without = [each.curve.test for each in loadings if each.curve.self_weight == 0.0]
+    if not without:
+        return None
+    count = f"{len(without)} of {len(loadings)} test sheets do not say"
+    which = "no test sheet says" if len(without) == len(loadings) else count
+    message = (
+        f"{which} a mass per length (specimen.mass_per_length): the weight is that of the sheet of "
+        f"wires, {1e3 * self_weight / GRAVITY:.4g} g/m, stated there or from copper and insulation"
+    )
+    return QualityNote("weight_of_sheet", Severity.INFO, loadings[0].curve.wire, message)
+
+
 def _require_cantilever(protocol: Protocol) -> None:
     has_shape = any(isinstance(step, FitShape) for step in protocol.steps)
     if protocol.rig.string is None and not has_shape:

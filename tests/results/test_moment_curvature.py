@@ -98,6 +98,12 @@ def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None
     assert results["bending_stiffness_at_1"].value == pytest.approx(4.8e-3, rel=0.05)
 
 
+def test_without_a_mass_a_note_says_that_weight_is_left_out(repository: Path) -> None:
+    test, _ = reduced(repository)
+    (said,) = notes(test, "weight_not_stated")
+    assert said.startswith("specimen.mass_per_length is not stated: moments leave out the spec")
+
+
 def near(found: Result, scenario: CantileverScenario, curvature: float, within: float) -> bool:
     """Whether an interval holds the truth, and is no wider than a share of it to each side."""
     law = scenario.mechanics.wire.law()

@@ -19,6 +19,8 @@ from labpipe.studies.first_loadings import (
     first_loading,
     noise_of,
     read_first_loadings,
+    weight_note,
+    with_weight,
 )
 from labpipe.units import GRAVITY
 
@@ -224,3 +226,41 @@ def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     assert not found
     assert told == ["T1"]
     assert str(broken) in left_out[str(broken)]
+
+
+def weighing(grams: float, loading: FirstLoading) -> FirstLoading:
+    """A test whose sheet says so many grams per metre; 0 for one that says none."""
+    curve = replace(loading.curve, self_weight=1e-3 * grams * GRAVITY)
+    return replace(loading, curve=curve)
+
+
+def test_a_mass_that_contradicts_the_sheet_of_wires_is_said(protocol: Protocol) -> None:
+    """The test's own is taken; more than a third off is said, with both numbers."""
+    light, sheet = taken(protocol), 6.85e-3 * GRAVITY
+    found = with_weight(weighing(9.5, light), sheet)
+    (said,) = [note for note in found.notes if note.code == "mass_contradicts"]
+    assert said.where == "T1"
+    assert said.message == (
+        "its sheet says 9.5 g/m (specimen.mass_per_length), the sheet of wires 6.85 g/m for A2: "
+        "that of the test is taken"
+    )
+    assert found.curve.self_weight == pytest.approx(9.5e-3 * GRAVITY)
+    alike = weighing(9.0, light)
+    assert with_weight(alike, sheet) is alike
+    assert with_weight(light, sheet).curve.self_weight == sheet
+
+
+def test_tests_without_a_mass_have_that_of_the_sheet_of_wires_and_it_is_said(
+    protocol: Protocol,
+) -> None:
+    light, sheet = taken(protocol), 6.85e-3 * GRAVITY
+    heavy = weighing(7.0, light)
+    assert weight_note([heavy], sheet) is None
+    note = weight_note([light], sheet)
+    assert note is not None
+    assert (note.code, note.where) == ("weight_of_sheet", "A2")
+    assert note.message.startswith("no test sheet says a mass per length (specimen.mass_per_lengt")
+    assert "6.85 g/m" in note.message
+    some = weight_note([light, heavy], sheet)
+    assert some is not None
+    assert some.message.startswith("1 of 2 test sheets do not say a mass")
