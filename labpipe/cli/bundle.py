@@ -94,14 +94,14 @@ def _friction(modelled: ModelledBundle) -> Iterator[str]:
     fit = modelled.friction
     if fit is None:
         return
-    shares = {
-        "share of the wires' axial stiffness that takes part": fit.composite_share,
-        "share of it still held once they slip (fitted)": fit.held,
-        "error where it was fitted, of the peak force": fit.error_fitted,
-        "error of what was left out, of the peak force": fit.error_held_out,
-    }
-    for words, share in shares.items():
-        yield f"  {words:<{_WIDE}}{100.0 * share:>6.2g} %"
+    ends = f", 95 %: {100.0 * fit.held_lower:.2g} to {100.0 * fit.held_upper:.2g} %"
+    for words, share, more in (
+        ("share of the wires' axial stiffness that takes part", fit.composite_share, ""),
+        ("share of it still held once they slip (fitted)", fit.held, ends),
+        ("error where it was fitted, of the peak force", fit.error_fitted, ""),
+        ("error of what was left out, of the peak force", fit.error_held_out, ""),
+    ):
+        yield f"  {words:<{_WIDE}}{100.0 * share:>6.2g} %{more}"
     loss = f"{1e3 * fit.loss:.3g} mJ measured, {1e3 * fit.predicted_loss:.3g} mJ predicted"
     yield f"  {'work lost over the cycles left out':<{_WIDE}}{loss}"
 

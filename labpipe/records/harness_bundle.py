@@ -173,6 +173,7 @@ class BundleLoop(ArrayRecord):
     branch : counted from 0, loading and unloading in turns
     kink : deflection, m, and force, N, at which the wires begin to slip
     slide : m, deflection from which the tape slides; infinite where it never does
+    self_weight : N/m, of the bundle that lies level at rest, its tip held; 0 where it is not stated
     """
 
     length: float
@@ -181,6 +182,7 @@ class BundleLoop(ArrayRecord):
     branch: Annotated[Ints, "n"]
     kink: tuple[float, float]
     slide: float
+    self_weight: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,6 +196,7 @@ class FrictionFit(ArrayRecord):
     slide_curvature : 1/m, at which what holds the wires after that slides; infinite where nothing
         does
     held : share of `composite_share` that is still held once the wires slip; the parameter fitted
+    held_lower, held_upper : ends of its 95 % interval, by what the fitted points are off
     loop : measured cycles
     predicted : shape (n,), N, at the deflections of `loop`
     is_held_out : shape (n,), whether a point was left out of the fit
@@ -207,6 +210,8 @@ class FrictionFit(ArrayRecord):
     slip_curvature: float
     slide_curvature: float
     held: float
+    held_lower: float
+    held_upper: float
     loop: BundleLoop
     predicted: Vector
     is_held_out: Annotated[Flags, "n"]

@@ -95,7 +95,8 @@ def _note(fit: FrictionFit) -> str:
     return (
         f"Read off the first loading: {_percent(fit.composite_share)} of the wires' axial "
         f"stiffness takes part up to the kink at {LENGTH.factor * fit.loop.kink[0]:.3g} mm{tape}. "
-        f"Fitted to panel a alone: {_percent(fit.held)} of that is still held after the kink. "
+        f"Fitted to panel a alone: {_percent(fit.held)} of that is still held after the kink "
+        f"(95 %: {_percent(fit.held_lower)} to {_percent(fit.held_upper)}). "
         f"Work over the cycles of panel b: {1e3 * fit.loss:.3g} mJ measured, "
         f"{1e3 * fit.predicted_loss:.3g} mJ predicted. Error: root of the mean square."
     )

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.process.targets import RESULT_FILE
+from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Ints
 from labpipe.records.curve import Curve
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_outcome
+from labpipe.units import GRAVITY
 
 _PER_BRANCH = 30
 """Points of a branch that friction is fitted to."""
@@ -46,6 +48,10 @@ def loop_of(test: TestResult) -> BundleLoop:
     test : of a bundle, with the specimen's `length` (a cantilever) or `span` (bent between two
         supports)
 
+    Returns
+    -------
+    The loop; of a cantilever with the weight that its sheet says. A span rests on both supports.
+
     Raises
     ------
     ValueError
@@ -74,7 +80,14 @@ def loop_of(test: TestResult) -> BundleLoop:
         branch=branch,
         kink=(kink[0], share * kink[1]),
         slide=np.inf if slide is None else slide,
+        self_weight=_self_weight(test) if "length" in dimensions else 0.0,
     )
+
+
+def _self_weight(test: TestResult) -> float:
+    """Weight per length as the sheet of the test says, N/m; 0 where it does not."""
+    specimen = parse_protocol(test.protocol_yaml, test.test).specimen
+    return GRAVITY * (specimen.mass_per_length or 0.0)
 
 
 def _thinned(curve: Curve, least: float) -> tuple[Ints, Ints]:
@@ -90,8 +103,8 @@ def _thinned(curve: Curve, least: float) -> tuple[Ints, Ints]:
 
 
 _FRICTION = (
-    *("composite_share", "slip_curvature", "held", "error_fitted", "error_held_out"),
-    *("loss", "predicted_loss"),
+    *("composite_share", "slip_curvature", "held", "held_lower", "held_upper"),
+    *("error_fitted", "error_held_out", "loss", "predicted_loss"),
 )
 
 

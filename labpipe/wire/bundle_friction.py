@@ -22,11 +22,12 @@ parameter: Coulomb sliders side by side are plays one after the other (`law.play
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.special import stdtrit
 
 from labpipe.law.play_fits import concave_law
 from labpipe.law.plays import PlayLaw
@@ -43,6 +44,8 @@ _ON_AXIS = 1e-6
 _STATIONS = 16
 _HELD = 2e-3
 """To which the share that is held is found."""
+_MOST_ALIKE = 0.98
+"""Correlation of neighbouring points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,18 +165,13 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     Notes
     -----
     Least squares of the force, with `wire.end_load_path` as the cantilever. What the bundle cannot
-    do is push: a predicted force below zero counts as zero (a string is slack, a span is left). A
-    share has no interval here: what it is worth is the error of the cycles left out.
+    do is push: a predicted force below zero counts as zero (a string is slack, a span is left).
+    The interval of the share is what the fitted points allow: the sum of squares rises by t^2 of
+    the mean square, neighbouring points that are off alike counting for less (first-order
+    correlation). What the model lacks is in it as far as it looks like slow noise; what the share
+    is worth is the error of the cycles left out.
     """
-    deflection, force = loop.kink
-    stiffness = force * loop.length**3 / (3.0 * deflection)
-    if not stiffness > model.free:
-        message = (
-            f"up to the kink the bundle has a bending stiffness of {1e6 * stiffness:.4g} N mm^2, "
-            f"its wires that slip have {1e6 * model.free:.4g} N mm^2: there is no friction to fit"
-        )
-        raise ValueError(message)
-    share = min((stiffness - model.free) / (model.high - model.free), 1.0)
+    share = _composite_share(model, loop)
     per_deflection = 3.0 / loop.length**2
     is_held_out = loop.branch > (1 if loop.branch.max(initial=0) > 1 else 0)
     if not np.any(is_held_out):
@@ -182,28 +180,90 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
     def friction(held: float) -> Friction:
         slide = per_deflection * loop.slide
-        return Friction(share, per_deflection * deflection, slide, held)
+        return Friction(share, per_deflection * loop.kink[0], slide, held)
+
+    def loads(held: float, count: int | None = None) -> Floats | None:
+        """Predicted forces; None where the wires would be bent beyond their laws."""
+        law = friction_law(model, tables, friction(held))
+        path = end_load_path(
+            *(law, loop.length, loop.deflection[:count]),
+            n_stations=_STATIONS,
+            self_weight=loop.self_weight,
+        )
+        whole = len(path.load) == len(loop.deflection[:count])
+        return np.maximum(path.load, 0.0) if whole else None
 
     def predicted(held: float, count: int | None = None) -> Floats:
-        law = friction_law(model, tables, friction(held))
-        path = end_load_path(law, loop.length, loop.deflection[:count], n_stations=_STATIONS)
-        if len(path.load) < len(loop.deflection[:count]):
+        found = loads(held, count)
+        if found is None:
             message = "the bundle was bent further than the laws of its wires go"
             raise ValueError(message)
-        return np.maximum(path.load, 0.0)
+        return found
 
     count = int(np.argmax(is_held_out))
 
-    def squares(held: float) -> float:
-        return float(np.sum((predicted(held, count) - loop.force[:count]) ** 2))
+    def off(held: float) -> Floats:
+        return np.asarray(predicted(held, count) - loop.force[:count])
 
-    found = minimize_scalar(squares, bounds=(0.0, 1.0), method="bounded", options={"xatol": _HELD})
+    found = minimize_scalar(
+        lambda held: float(np.sum(off(held) ** 2)),
+        bounds=(0.0, 1.0),
+        method="bounded",
+        options={"xatol": _HELD},
+    )
     held = float(found.x)
-    return _judged(friction(held), loop, predicted(held), is_held_out)
+    limit = _allowed(off(held))
+
+    def is_out(share: float) -> bool:
+        path = loads(share, count)
+        return path is None or float(np.sum((path - loop.force[:count]) ** 2)) > limit
+
+    ends = _end(is_out, held, 0.0), _end(is_out, held, 1.0)
+    return _judged(friction(held), ends, loop, predicted(held), is_held_out)
+
+
+def _composite_share(model: BundleModel, loop: BundleLoop) -> float:
+    """Share of the wires' axial stiffness that the stiffness up to the kink tells."""
+    deflection, force = loop.kink
+    stiffness = force * loop.length**3 / (3.0 * deflection)
+    if not stiffness > model.free:
+        message = (
+            f"up to the kink the bundle has a bending stiffness of {1e6 * stiffness:.4g} N mm^2, "
+            f"its wires that slip have {1e6 * model.free:.4g} N mm^2: there is no friction to fit"
+        )
+        raise ValueError(message)
+    return min((stiffness - model.free) / (model.high - model.free), 1.0)
+
+
+def _allowed(off: Floats) -> float:
+    """Sum of squares up to which a share is in the 95 % interval, N^2."""
+    least = float(off @ off)
+    alike = float(off[1:] @ off[:-1]) / least if least > 0.0 else 0.0
+    alike = min(max(alike, 0.0), _MOST_ALIKE)
+    freedom = max(len(off) * (1.0 - alike) / (1.0 + alike) - 1.0, 1.0)
+    return least * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
+
+
+def _end(is_out: Callable[[float], bool], inside: float, bound: float) -> float:
+    """Where shares begin to be out on the way to a bound, by halves; the bound if they are not."""
+    if not is_out(bound):
+        return bound
+    outside = bound
+    while abs(outside - inside) > _HELD:
+        middle = 0.5 * (inside + outside)
+        if is_out(middle):
+            outside = middle
+        else:
+            inside = middle
+    return outside
 
 
 def _judged(
-    friction: Friction, loop: BundleLoop, predicted: Floats, is_held_out: Flags
+    friction: Friction,
+    ends: tuple[float, float],
+    loop: BundleLoop,
+    predicted: Floats,
+    is_held_out: Flags,
 ) -> FrictionFit:
     off = (predicted - loop.force) / float(loop.force.max())
     over = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
@@ -212,6 +272,8 @@ def _judged(
         slip_curvature=friction.slip_curvature,
         slide_curvature=friction.slide_curvature,
         held=friction.held,
+        held_lower=ends[0],
+        held_upper=ends[1],
         loop=loop,
         predicted=predicted,
         is_held_out=is_held_out,

@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
+from labpipe.protocol.load import dump_protocol, load_protocol
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Result, Specimen, TestResult
 from labpipe.virtual_lab.bundles import TAPED_TYPES
 from labpipe.wire.end_load_path import end_load_path
 from tests.builders.bundles import bundle
 
+_PROTOCOL = load_protocol(Path(__file__).resolve().parents[2] / "protocols" / "taped-bundle.yaml")
 LENGTH = 0.1143
 _TURNS = (1e-4, 0.04, 0.02, 0.04, 0.02)
 """m, where the tip turns; at 20 mm the string still pulls."""
@@ -39,7 +42,7 @@ def bent_bundle() -> TestResult:
         test="TWB-1",
         specimen=Specimen("TWB", "s1", "1", {"length": LENGTH}, bundle=bundle(("B1", 7))),
         protocol="taped-bundle",
-        protocol_yaml="",
+        protocol_yaml=dump_protocol(_PROTOCOL),
         test_yaml="",
         labpipe_version="0",
         inputs=(),

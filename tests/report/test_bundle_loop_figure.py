@@ -17,6 +17,8 @@ FIT = FrictionFit(
     slip_curvature=0.3,
     slide_curvature=4.5,
     held=0.2,
+    held_lower=0.15,
+    held_upper=0.26,
     loop=LOOP,
     predicted=1.1 * FORCE,
     is_held_out=np.array([False, False, False, True, True]),
@@ -45,4 +47,5 @@ def test_the_errors_are_said() -> None:
     assert "Left out, error 7 % of the peak" in said + titles
     words = " ".join(str(text.get_text()).replace("\n", " ") for text in page.texts)
     assert "the tape slides from 15 mm on" in words
+    assert "20 % of that is still held after the kink (95 %: 15 % to 26 %)" in words
     assert "2 mJ measured, 2.2 mJ predicted" in words

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from labpipe.errors import UsageError
+from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.records.result import TestResult
 from labpipe.store.write import write_result
 from labpipe.studies.bundle_bounds import model_bundle
 from labpipe.studies.bundle_loops import loop_of, processed_test
+from labpipe.units import GRAVITY
 from tests.builders.bent_bundles import LENGTH, bent_bundle
 from tests.builders.bundles import EXAMPLES
 
@@ -39,6 +41,7 @@ def test_the_second_cycle_is_predicted_from_the_first(tmp_path: Path) -> None:
     assert 0.05 < fit.held < 0.25
     told = json.loads((tmp_path / "out" / "bundle.json").read_text())["friction"]
     assert told["held"] == fit.held
+    assert told["held_lower"] < told["held"] < told["held_upper"]
     assert told["slide_curvature"] is None
     assert len(told["predicted"]) == len(told["force"]) == 120
     assert (tmp_path / "out" / "figures" / "bundle-loop.svg").is_file()
@@ -51,6 +54,19 @@ def test_a_span_is_two_cantilevers() -> None:
     assert other.length == one.length == LENGTH
     assert other.force == pytest.approx(0.5 * one.force)
     assert other.kink == (one.kink[0], 0.5 * one.kink[1])
+
+
+def test_a_cantilever_weighs_what_its_sheet_says() -> None:
+    """A bundle on two supports is none that lies level, its tip held."""
+    whole = bent_bundle()
+    protocol = parse_protocol(whole.protocol_yaml, "p.yaml")
+    specimen = protocol.specimen.model_copy(update={"mass_per_length": 0.0758})
+    said = dump_protocol(protocol.model_copy(update={"specimen": specimen}))
+    heavy = replace(whole, protocol_yaml=said)
+    assert loop_of(whole).self_weight == 0.0
+    assert loop_of(heavy).self_weight == pytest.approx(0.0758 * GRAVITY)
+    span = replace(heavy, specimen=replace(whole.specimen, dimensions={"span": 0.15}))
+    assert loop_of(span).self_weight == 0.0
 
 
 def test_the_zero_and_gaps_are_left_out() -> None:

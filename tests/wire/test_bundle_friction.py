@@ -16,6 +16,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import BundleLoop, BundleModel
 from labpipe.wire.bundle_friction import Friction, fit_friction, friction_law, friction_moment
 from labpipe.wire.bundle_model import bundle_model
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.wire_table import wire_table
 from tests.builders.bundles import bundle, example_wires, solid_stiffnesses, solid_wire
 
@@ -117,6 +118,34 @@ def test_the_share_held_is_found_again() -> None:
     assert found.error_fitted < 0.01
     assert found.is_held_out.tolist() == [False] * 12 + [True]
     assert found.error_held_out == pytest.approx(found.predicted[-1] / force[-1])
+
+
+def test_the_interval_of_the_share_is_that_of_the_linear_model() -> None:
+    """White noise: 1.96 standard errors by the slope of the forces to each side."""
+    model, tables, kink = seven(), [example_wires()["B1"]], (1.8e-3, 0.30)
+    up = np.linspace(0.6e-3, 12e-3, 40)
+    whole = BundleLoop(
+        *(LENGTH, np.append(up, 11e-3), np.ones(41), np.append(np.zeros(40, dtype=np.int64), 1)),
+        kink=kink,
+        slide=np.inf,
+    )
+    given = fit_friction(model, tables, whole)  # for what is read off the kink
+
+    def forces(held: float) -> Floats:
+        friction = Friction(given.composite_share, given.slip_curvature, np.inf, held)
+        law = friction_law(model, tables, friction)
+        return np.append(end_load_path(law, LENGTH, up, n_stations=16).load, 0.0)
+
+    noise = 5e-2 * np.random.default_rng(3).normal(size=41)
+    found = fit_friction(model, tables, replace(whole, force=forces(0.3) + noise))
+    slope = (forces(0.31) - forces(0.29))[:40] / 0.02
+    error = 5e-2 / float(np.sqrt(slope @ slope))
+    assert found.held == pytest.approx(0.3, abs=3.0 * error)
+    assert found.held_upper - found.held == pytest.approx(2.0 * error, rel=0.3)
+    assert found.held - found.held_lower == pytest.approx(2.0 * error, rel=0.3)
+    slow = 5e-2 * np.repeat(np.random.default_rng(4).normal(size=5), 9)[:41]
+    other = fit_friction(model, tables, replace(whole, force=forces(0.3) + slow))
+    assert other.held_upper - other.held_lower > 1.5 * (found.held_upper - found.held_lower)
 
 
 def loop(branch: list[int], kink: tuple[float, float]) -> BundleLoop:
