@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.law.slider_directions import in_directions, turned
 from labpipe.law.sliders import SliderLaw, fit_sliders, within_range
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 
 COUNTS = (4, 6, 8, 12)
 """Sliders of which a card tells the loss."""
@@ -22,10 +22,10 @@ DIRECTIONS = 4
 
 _ENOUGH = 80
 _DECAYS = 60
-_ROUNDS = 25
+_EXCHANGES = 40
 _TURNS, _WAY = 40, 41
-_STILL = 1e-12
-"""Error of a point that keeps its weight: a law that is met everywhere has no largest one."""
+_STILL = 1e-9
+"""Error above the even one, absolute and as a share of it, of points that stay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,9 +191,15 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
     Notes
     -----
-    For each of many decays Lawson's algorithm (weights that grow with the error: Lawson, thesis,
-    UCLA 1961) brings the largest relative error down; springs and sliders that push are left out.
+    For each of many decays the spring and the slider of the least largest error, by exchange of the
+    three points at which it is the same with changing sign (Stiefel, Numerische Mathematik 1 (1959)
+    1-28): the ratio of the two only falls, so that there is one such best. Springs and sliders that
+    push are left out.
     """
+    if len(curvature) < 3:  # two points have no third at which the error is the same
+        middle = 0.5 * (curvature[0] + curvature[-1])
+        moment = np.insert(moment, 1, np.interp(middle, curvature, moment))
+        curvature = np.insert(curvature, 1, middle)
     coarse = _best_dahl(curvature, moment, 0.3 * curvature[0], 3.0 * curvature[-1])
     near = (10.0 * curvature[-1] / curvature[0]) ** (2.0 / _DECAYS)
     return _best_dahl(curvature, moment, coarse.decay / near, coarse.decay * near)
@@ -201,27 +207,37 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
 def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) -> DahlLaw:
     decay = np.geomspace(least, largest, _DECAYS)
-    spring = curvature / moment
+    spring = np.broadcast_to(curvature / moment, (_DECAYS, len(curvature)))
     slider = -np.expm1(-curvature / decay[:, None]) / moment
-    products = np.stack([*np.broadcast_arrays(spring**2, spring, spring * slider)])
-    products = np.concatenate([products, [slider**2, slider]])
-    weight = np.full_like(slider, 1.0 / len(curvature))
-    best = DahlLaw(0.0, 0.0, float(decay[0]), np.inf)
-    for _ in range(_ROUNDS):
-        stiffness, height = _least_squares(*np.einsum("rk,crk->cr", weight, products))
-        off = np.abs(stiffness[:, None] * spring + height[:, None] * slider - 1.0)
-        worst = np.where((stiffness >= 0.0) & (height >= 0.0), off.max(axis=1), np.inf)
-        at = int(np.argmin(worst))
-        if worst[at] < best.error:
-            values = (stiffness[at], height[at], decay[at], worst[at])
-            best = DahlLaw(*map(float, values))
-        weight *= np.maximum(off, _STILL)
-        weight /= weight.sum(axis=1, keepdims=True)
-    return best
+    points = np.tile([0, len(curvature) // 2, len(curvature) - 1], (_DECAYS, 1))
+    for _ in range(_EXCHANGES):
+        sides = [np.take_along_axis(each, points, axis=1) for each in (spring, slider)]
+        signs = np.broadcast_to([1.0, -1.0, 1.0], points.shape)
+        level = np.linalg.solve(np.stack([*sides, signs], axis=2), np.ones((_DECAYS, 3, 1)))
+        stiffness, height, even = level[..., 0].T
+        off = 1.0 - stiffness[:, None] * spring - height[:, None] * slider
+        worst = np.argmax(np.abs(off), axis=1)
+        most = np.take_along_axis(off, worst[:, None], axis=1)[:, 0]
+        moves = np.abs(most) > np.abs(even) * (1.0 + _STILL) + _STILL
+        if not moves.any():
+            break
+        swapped = _exchanged(points, worst, np.sign(most), np.sign(even[:, None]) * signs)
+        points = np.where(moves[:, None], swapped, points)
+    error = np.where((stiffness >= 0.0) & (height >= 0.0), np.abs(most), np.inf)
+    at = int(np.argmin(error))
+    return DahlLaw(*map(float, (stiffness[at], height[at], decay[at], error[at])))
 
 
-def _least_squares(aa: Floats, a: Floats, ab: Floats, bb: Floats, b: Floats) -> tuple[Floats, ...]:
-    """Coefficients of two columns whose sum is to be 1, from the means of their products."""
-    determinant = aa * bb - ab**2
-    determinant = np.where(determinant > 0.0, determinant, np.inf)
-    return (a * bb - b * ab) / determinant, (b * aa - a * ab) / determinant
+def _exchanged(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
+    """Points with the worst one among them, and signs that still change from one to the next."""
+    place = np.sum(points < worst[:, None], axis=1)
+    row = np.arange(len(points))
+    left, right = np.maximum(place - 1, 0), np.minimum(place, 2)
+    is_left = (place > 0) & (signs[row, left] == sign)
+    is_right = (place < 3) & (signs[row, right] == sign)
+    swapped = points.copy()
+    swapped[row, np.where(is_left, left, right)] = worst
+    before = np.column_stack([worst, points[:, :2]])
+    behind = np.column_stack([points[:, 1:], worst])
+    beyond = np.where((place == 0)[:, None], before, behind)
+    return np.where((is_left | is_right)[:, None], swapped, beyond)

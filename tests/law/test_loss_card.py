@@ -63,7 +63,16 @@ def test_the_best_dahl_law_against_a_search() -> None:
     start = np.log([found.stiffness, found.moment, found.decay])
     assert largest(start) == pytest.approx(found.error)
     searched = minimize(largest, start, method="Nelder-Mead", options={"maxiter": 4000})
-    assert found.error < 1.03 * searched.fun
+    assert found.error < 1.005 * searched.fun
+
+
+def test_a_dahl_law_of_a_straight_line_and_of_two_points() -> None:
+    bent = np.array([1.0, 2.0, 3.0, 5.0])
+    straight = fit_dahl(bent, 2.0 * bent)
+    assert straight.error < 1e-9
+    assert straight.stiffness == pytest.approx(2.0)
+    two = fit_dahl(np.array([1.0, 4.0]), np.array([3.0, 6.0]))
+    assert two.error < 0.05
 
 
 def test_the_way_back_step_by_step() -> None:
