@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.builders.real_wires import HangFit, Interval, scatter_of
+from labpipe.studies.rod_fits import Estimate, HangFit, mean_of
 from tests.real_wires.pictures import draw_hangs, draw_twist
 from tests.real_wires.studied import Study
 
@@ -37,12 +37,12 @@ def _each(values: Iterable[float], scale: float, digits: int) -> str:
     return ", ".join(f"{scale * each:.{digits}f}" for each in values)
 
 
-def _with_width(found: Interval, scale: float, digits: int) -> str:
+def _with_width(found: Estimate, scale: float, digits: int) -> str:
     return f"**{scale * found.value:.{digits}f} ± {scale * found.half_width:.{digits}f}**"
 
 
-def _parts(found: Interval) -> str:
-    parts = (f"{name} {100 * size / found.value:.1f} %" for name, (size, _) in found.parts.items())
+def _parts(found: Estimate) -> str:
+    parts = (f"{name} {100 * size / found.value:.1f} %" for name, size, _ in found.parts)
     return ", ".join(parts)
 
 
@@ -60,7 +60,7 @@ def _mean(fits: list[HangFit]) -> str:
 
 
 def _turns(study: Study) -> str:
-    return _with_width(scatter_of(np.array(study.wire.snaps)), 1, 0)
+    return _with_width(mean_of(study.wire.snaps), 1, 0)
 
 
 _ROWS: list[tuple[str, Callable[[Study], str]]] = [
@@ -81,8 +81,13 @@ _ROWS: list[tuple[str, Callable[[Study], str]]] = [
     ("turn at which the loop snaps over, degrees, measured", _turns),
     ("**torsional over bending stiffness, 95 % interval**", lambda s: _with_width(s.torsion, 1, 2)),
     ("standard uncertainties in it", lambda s: _parts(s.torsion)),
+    ("the same, straight when free", lambda s: _with_width(s.torsion_straight, 1, 2)),
+    (
+        "elastica of our own: bending stiffness, hangs 0 to 4, N mm2",
+        lambda s: _each([each.stiffness for each in s.by_elastica], 1e6, 1),
+    ),
     ("mean stiffness, straight when free, N mm2", lambda s: _mean(s.straight)),
-    ("mean stiffness, two terms of free curvature, N mm2", lambda s: _mean(s.more)),
+    ("the same, two terms of free curvature, held in its plane, N mm2", lambda s: _mean(s.more)),
     ("authors' rod: stiffness, hangs 0 to 4, N mm2", lambda s: _each(s.wire.authors, 1e6, 1)),
     ("authors, with MuJoCo's cable: mean stiffness, N mm2", lambda s: _one(s.wire.cable, 1e6, 1)),
     (

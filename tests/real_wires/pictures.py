@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -30,11 +29,11 @@ def draw_hangs(studies: list[Study], path: Path) -> None:
 
 
 def _loops(axes: Axes, each: Study) -> None:
-    for number, (points, fit, colour) in enumerate(
-        zip(each.hangs, each.fits, COLOURS, strict=True)
-    ):
-        axes.plot(*points.T, ".", color=colour, markersize=3.0, label=f"Hang {number}")
-        axes.plot(*fit.model.T, color=colour, linewidth=0.7)
+    for number, (hang, fit, colour) in enumerate(zip(each.hangs, each.fits, COLOURS, strict=True)):
+        axes.plot(
+            *hang.points[:, [0, 2]].T, ".", color=colour, markersize=3.0, label=f"Hang {number}"
+        )
+        axes.plot(*fit.model[:, [0, 2]].T, color=colour, linewidth=0.7)
     axes.set_aspect("equal")
     axes.set_title(f"{each.wire.name.capitalize()} wire: points of photographs, lines of the model")
     axes.set_xlabel("To the right (m)")
@@ -42,7 +41,7 @@ def _loops(axes: Axes, each: Study) -> None:
 
 
 def _distances(axes: Axes, each: Study) -> None:
-    place = np.linspace(0.0, 1.5, each.hangs.shape[1])
+    place = each.hangs[0].shares * each.hangs[0].length
     for fit, colour in zip(each.fits, COLOURS, strict=True):
         axes.plot(place, 1e3 * fit.distances, color=colour, linewidth=0.9)
     for fit, colour in zip(each.straight, COLOURS, strict=True):

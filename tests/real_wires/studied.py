@@ -8,18 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from tests.builders.hung_wires import GRAVITY, HungElastica
-from tests.builders.real_wires import (
-    LENGTH,
-    HangFit,
-    Interval,
-    RealWire,
-    fit_hang,
-    scatter_of,
-    snap_line,
-    stiffness_of,
-    torsion_of,
-)
+from labpipe.studies.rod_fits import Estimate, Hang, HangFit, fit_hang, mean_of
+from labpipe.studies.rod_snaps import fit_torsion
+from tests.builders.real_wires import RealWire, by_elastica, elastica_of, mean_hang
 from tests.builders.twisted_loops import TwistedLoop
 
 _PIECES = 90
@@ -33,38 +24,54 @@ class Study:
     Parameters
     ----------
     wire : what is known of it
-    hangs : shape (hangs, points, 2), m
-    fits : with one term of free curvature
-    straight, more : the same without free curvature, and with two terms of it
-    stiffness, torsion : bending stiffness, and torsional stiffness as a share of it
-    snapping : points of the last stable loop, shape (points, 3), m
+    hangs : as photographed
+    fits : of the rod, with one term of free curvature
+    straight : the same without free curvature
+    more : with two terms of it, of an elastica that cannot leave its plane
+    by_elastica : with one term, of the elastica that shares nothing with the rod
+    stiffness : of bending, N m^2
+    torsion, torsion_straight : torsional stiffness as a share of it, with the slope of the free
+        curvature, and of a wire that is straight when it is free
+    snapping : points of the last stable loop, straight when free, shape (points, 3), m
     """
 
     wire: RealWire
-    hangs: Floats
+    hangs: list[Hang]
     fits: list[HangFit]
     straight: list[HangFit]
     more: list[HangFit]
-    stiffness: Interval
-    torsion: Interval
+    by_elastica: list[HangFit]
+    stiffness: Estimate
+    torsion: Estimate
+    torsion_straight: Estimate
     snapping: Floats
 
     @property
-    def slope(self) -> Interval:
+    def slope(self) -> Estimate:
         """Free curvature at the end less that in the middle, 1/m."""
-        return scatter_of(np.array([each.natural[0] for each in self.fits]))
+        return mean_of([each.natural[0] for each in self.fits])
 
 
 def study(wire: RealWire, folder: Path) -> Study:
     """Compute all of a wire."""
     hangs = wire.hangs(folder)
-    fits = [fit_hang(wire, each, 1, has_blocks=True) for each in hangs]
-    straight = [fit_hang(wire, each, 0) for each in hangs]
-    more = [fit_hang(wire, each, 2) for each in hangs]
-    stiffness = stiffness_of(wire, hangs, fits)
-    middle = hangs.mean(axis=0)
-    torsion = torsion_of(wire, snap_line(wire, middle, stiffness.value), stiffness)
-    chord = (float(middle[-1, 0]), float(middle[-1, 1]))
-    hung = HungElastica(LENGTH, wire.mass * GRAVITY, stiffness.value, chord, pieces=_PIECES)
-    _, snapping = TwistedLoop(hung, torsion.value * stiffness.value).snap()
-    return Study(wire, hangs, fits, straight, more, stiffness, torsion, snapping)
+    fits = [fit_hang(each) for each in hangs]
+    stiffness, middle = wire.stiffness_of(hangs, fits), mean_hang(hangs)
+    turns = np.radians(wire.snaps)
+    slope = mean_of([each.natural[0] for each in fits])
+    straight = fit_torsion(middle, turns, stiffness)
+    loop = TwistedLoop(
+        elastica_of(middle, stiffness.value, pieces=_PIECES), straight.value * stiffness.value
+    )
+    return Study(
+        wire,
+        hangs,
+        fits,
+        straight=[fit_hang(each, terms=0, blocks=0) for each in hangs],
+        more=[fit_hang(each, terms=2, blocks=0, hanging=by_elastica) for each in hangs],
+        by_elastica=[fit_hang(each, blocks=0, hanging=by_elastica) for each in hangs],
+        stiffness=stiffness,
+        torsion=fit_torsion(middle, turns, stiffness, [slope]),
+        torsion_straight=straight,
+        snapping=loop.snap()[1],
+    )
