@@ -15,7 +15,6 @@ from labpipe.process.targets import files_below
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,
-    load_harness,
     load_protocol,
     load_test_sheet,
     resolve,
@@ -122,6 +121,7 @@ def _loader_of(path: Path) -> Callable[[Path], object] | None:
     """What reads a YAML file that is no protocol; a misspelt protocol is one."""
     from labpipe.protocol.campaign_plan import PLAN_NAME
     from labpipe.protocol.harness_file import HarnessFile
+    from labpipe.protocol.harness_loading import load_harness
     from labpipe.protocol.plans import CalibrationPlan
 
     if path.name == PLAN_NAME:

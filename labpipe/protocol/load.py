@@ -28,7 +28,6 @@ from labpipe.protocol.yaml_text import Document, PlacedFault, parse_yaml, read_t
 
 if TYPE_CHECKING:
     from labpipe.protocol.campaign_plan import CampaignPlan
-    from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.plans import CalibrationPlan
 
 
@@ -229,34 +228,6 @@ def load_campaign_plan(path: Path) -> CampaignPlan:
     return checked(CampaignPlan, parse_yaml(read_text(path), str(path)))
 
 
-def load_harness(path: Path) -> HarnessFile:
-    """Read a harness: one line between its boundaries.
-
-    Parameters
-    ----------
-    path : the YAML file
-
-    Returns
-    -------
-    The harness, defaults filled in; its line is long enough for its boundaries.
-
-    Raises
-    ------
-    ProtocolError
-        If anything is wrong with it, or a file that it names is not there; the message has one line
-        per fault.
-    """
-    from labpipe.protocol.harness_file import HarnessFile  # tests do without it
-    from labpipe.protocol.harness_reach import file_faults, reach_faults
-
-    document = parse_yaml(read_text(path), str(path))
-    harness = checked(HarnessFile, document)
-    faults = [*file_faults(harness, path), *reach_faults(harness)]
-    if faults:
-        raise _complaint(list(map(document.place, faults)))
-    return harness
-
-
 def resolve(
     sheet: TestSheet,
     sheet_path: Path,
@@ -289,7 +260,7 @@ def resolve(
     said = parse_yaml(read_text(sheet_path), str(sheet_path))
     found = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
     if isinstance(found, Fault):
-        raise _complaint([said.place(found)])
+        raise complaint_of([said.place(found)])
     plain = parse_yaml(read_text(found), str(found))
     merged = with_overrides(plain, said)
     followed = follow_links or are_followed(plain)
@@ -303,7 +274,7 @@ def resolve(
             bare = merged.place(fault)
             is_of_sheet = bare.file == str(sheet_path)
             placed.append(bare if is_of_sheet else merged.place(fault, remark))
-        raise _complaint(placed) from None
+        raise complaint_of(placed) from None
     numbers = merged.numbers.get(("steps",), range(len(protocol.steps)))
     steps = zip(protocol.steps, numbers, strict=True)
     protocol = protocol.model_copy(
@@ -312,7 +283,7 @@ def resolve(
     kept = without_absent(protocol, sheet.files)
     placed += [said.place(fault) for fault in absent_faults(kept, protocol)]
     if placed:
-        raise _complaint(placed)
+        raise complaint_of(placed)
     return kept
 
 
@@ -349,13 +320,14 @@ def checked(model: type[_B], document: Document) -> _B:
         block = model.model_validate(document.data)
     except ValidationError as error:
         faults = faults_of(error, data=document.data, keys=())
-        raise _complaint([*placed, *map(document.place, faults)]) from None
+        raise complaint_of([*placed, *map(document.place, faults)]) from None
     if placed:
-        raise _complaint(placed)
+        raise complaint_of(placed)
     return block
 
 
-def _complaint(placed: list[PlacedFault]) -> ProtocolError:
+def complaint_of(placed: list[PlacedFault]) -> ProtocolError:
+    """Make one error of all faults of a file, a line each, in the order of the file."""
     lines = sorted({(each.file, each.mark, each.text) for each in placed})
     return ProtocolError("\n".join(text for _, _, text in lines))
 

@@ -6,8 +6,8 @@ import pytest
 
 from labpipe.errors import ProtocolError
 from labpipe.protocol.harness_file import HarnessFile
+from labpipe.protocol.harness_loading import load_harness
 from labpipe.protocol.harness_reach import start_of
-from labpipe.protocol.load import load_harness
 
 BETWEEN_CLIPS = """\
 version: 1
