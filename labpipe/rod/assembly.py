@@ -323,7 +323,7 @@ class Assembly:
         """What the grips do to the line: N, shape (grips, 3), and N m in space, (clamps, 3)."""
         s, cells = self.supports, balance.cells
         at_places = _spread(self.places.positions[s.held])
-        moments = balance.directions.clamp_moments.copy()
+        moments = added_at(s.lent[:, 1], balance.directions.lent_moments, len(s.clamps))
         turned = matrices(demands.clamps)
         for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
             at = np.flatnonzero(elements < 0)

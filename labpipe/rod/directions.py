@@ -29,7 +29,8 @@ class Directions:
     stiff : shape (n, 3, 3), N m, its second derivative along turns, symmetric
     by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the directions
         that clamps lend
-    clamp_moments : shape (clamps, 3), N m, in space, derivative of -g . along by their turns
+    lent_moments : shape (pairs, 3), N m, in space, derivative of -g . along by the turns of the
+        clamps, pair by pair
     """
 
     along: Floats
@@ -37,7 +38,7 @@ class Directions:
     pull: Floats
     stiff: Floats
     by_clamp: Floats
-    clamp_moments: Floats
+    lent_moments: Floats
 
 
 def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Floats) -> Directions:
@@ -55,10 +56,10 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
     by_turn[:, :, 0], by_turn[:, :, 1] = -frames[:, :, 1], frames[:, :, 0]
     stiff = _bend(np.einsum("nkx,nk->nx", frames, pulls))
     by_clamp = np.zeros((len(supports.ends), 3, 3))
-    clamp_moments = np.zeros((len(supports.clamps), 3))
+    lent_moments = np.zeros_like(lent)
     if len(supports.ends):
         at, own = supports.ends, supports.own[:, None, None]
-        row, clamp = supports.lent.T
+        row = supports.lent[:, 0]
         mixed = own[:, 0] * along[at]
         np.add.at(mixed, row, lent)
         size = np.linalg.norm(mixed, axis=1)[:, None]
@@ -75,9 +76,9 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
         stiff[at] += np.swapaxes(turn, 1, 2) @ second @ turn
         by_turn[at] = flat @ turn
         by_clamp = flat
-        np.subtract.at(clamp_moments, clamp, cross(lent, p[row]))
+        lent_moments = -cross(lent, p[row])
     pull = -np.einsum("nkx,nk->nx", by_turn, pulls)
-    return Directions(along, by_turn, pull, stiff, by_clamp, clamp_moments)
+    return Directions(along, by_turn, pull, stiff, by_clamp, lent_moments)
 
 
 def _bend(g: Floats) -> Floats:

@@ -103,7 +103,10 @@ class StabilityCheck:
         for _ in range(_ITERATIONS):
             mode, _ = lapack.dpbtrs(factors, mode, lower=True)
             mode = self._mass * mode
-            mode /= np.sqrt(np.sum(mode**2))
+            size = float(np.sqrt(np.sum(mode**2)))
+            if size == 0.0:
+                return None
+            mode /= size
         mode, _ = lapack.dpbtrs(factors, mode, lower=True)
         change = np.zeros(self._assembly.places.total)
         change[self._free] = mode * self._scale

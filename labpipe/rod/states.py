@@ -98,4 +98,9 @@ def _moments_in_space(assembly: Assembly, now: Reached) -> Floats:
     supports, cells = assembly.supports, now.balance.cells
     frames = np.concatenate([now.shape.frames, now.demands.clamps[::-1]])
     turned = matrices(frames[supports.behind])
-    return np.asarray(np.einsum("nxy,ny->nx", turned, cells.behind))
+    moments = np.einsum("nxy,ny->nx", turned, cells.behind)
+    for (row, clamp), lent in zip(supports.lent, now.balance.directions.lent_moments, strict=True):
+        element, mark = supports.ends[row], -1 - clamp
+        moments[(supports.before == mark) & (supports.behind == element)] -= lent
+        moments[(supports.behind == mark) & (supports.before == element)] += lent
+    return np.asarray(moments)

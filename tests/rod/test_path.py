@@ -1,0 +1,25 @@
+"""What a walk leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.rod.path import CODES
+from tests.builders.rods import space_case, walked
+
+
+def test_a_path_ends_with_its_last_state() -> None:
+    path = walked(*space_case(steps=2), 2)
+    assert path.last is path.states[-1]
+    assert len(path.work) == len(path.states) == 3
+
+
+def test_bendings_are_the_larger_of_both_sides_without_the_twist() -> None:
+    state = walked(*space_case(steps=2), 2).last
+    across = np.hypot(state.curvatures[..., 0], state.curvatures[..., 1])
+    np.testing.assert_allclose(state.bendings, across.max(axis=1))
+    assert state.bendings.shape == (13,)
+
+
+def test_codes_are_single_words_with_a_sentence() -> None:
+    assert all(code.replace("_", "").isalpha() and said for code, said in CODES.items())
