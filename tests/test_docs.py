@@ -14,6 +14,7 @@ import pytest
 
 from labpipe.cli import main
 from labpipe.errors import CODES
+from labpipe.protocol.harness_loading import load_harness
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,
@@ -182,6 +183,12 @@ def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path
             campaign = tmp_path / "campaign.yaml"
             campaign.write_text(text if "version:" in text else f"version: 1\n{text}", "utf-8")
             assert load_campaign_plan(campaign).pair.by in text
+            continue
+        if re.search(r"^boundaries:", text, flags=re.MULTILINE):
+            harness = tmp_path / "harness.yaml"
+            harness.write_text(text, encoding="utf-8")
+            (tmp_path / "wires.xlsx").touch()
+            assert load_harness(harness).boundaries
             continue
         if re.search(r"^version:", text, flags=re.MULTILINE):
             assert parse_protocol(text, name_of(path)).results

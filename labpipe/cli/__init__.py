@@ -43,6 +43,8 @@ first steps:
   labpipe model examples/wires.xlsx stiffness of wires from their dimensions
   labpipe bundle "19 B1" --wire examples/wires.xlsx
                                     bounds of a bundle's stiffness
+  labpipe harness examples/harness-clips.yaml
+                                    shape, forces and bend radii of a line between clips
 """
 
 
@@ -377,6 +379,17 @@ def _bundle(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
 
 
+def _harness(parser: argparse.ArgumentParser) -> None:
+    what = "harness YAML: a line, what holds it, and what moves it"
+    parser.add_argument("files", nargs="+", type=_path, metavar="HARNESS", help=what)
+    sheet = "wire sheet in place of the one that the file names"
+    parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
+    where = "folder of the results (default: processed/harness/<name of the file>)"
+    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
+    _figures(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
+
+
 def _calibrate(parser: argparse.ArgumentParser) -> None:
     what = "folder with processed cantilever tests, or a result.h5"
     parser.add_argument("paths", nargs="+", type=_path, metavar="PATH", help=what)
@@ -433,9 +446,10 @@ _COMMANDS = {
     "serve": ("a report in the browser that saves decisions on tests", _serve),
     "model": ("wire dimensions to stiffness tables and simulation decks", _model),
     "bundle": ("bounds of a harness bundle's bending stiffness", _bundle),
+    "harness": ("a line between clips to its shape, forces and bend radii", _harness),
     "calibrate": ("cantilever tests to a calibrated wire model", _calibrate),
     "simulate": ("synthetic exports of a test, with known truth", _simulate),
-    "examples": ("copy a wire sheet, a calibration plan and the protocols", _examples),
+    "examples": ("copy a wire sheet, a calibration plan, harnesses, the protocols", _examples),
     "completion": ("a script that lets Tab complete commands and options", _completion),
 }
 """What each command is for, and its arguments."""

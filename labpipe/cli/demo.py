@@ -7,19 +7,25 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from shutil import copyfile
 
 from labpipe.campaign.machine import default_jobs
 from labpipe.campaign.reporting import Wanted, report_tests
 from labpipe.campaign.runs import run_jobs
 from labpipe.cli.calibrate import calibration_table
+from labpipe.cli.harness import harness_table
 from labpipe.cli.process import headline, process_all, table
 from labpipe.cli.report import status_of
 from labpipe.cli.terminal import from_here
 from labpipe.process.run import Processed
 from labpipe.process.targets import find_tests
-from labpipe.protocol.load import load_test_sheet
+from labpipe.protocol.load import load_test_sheet, shipped_folder
 from labpipe.protocol.sheet_grammar import SHEET_NAME
-from labpipe.studies.calibration_study import Calibrated, calibrate_tests
+from labpipe.records.result import Status
+from labpipe.studies.calibration_study import MODEL_FILE, Calibrated, calibrate_tests
+from labpipe.studies.harness_followed import FollowedHarness
+from labpipe.studies.harness_section import DEFAULT_SHEET
+from labpipe.studies.harness_study import follow_harness
 from labpipe.virtual_lab import (
     SMALL_HARNESS,
     Campaign,
@@ -30,7 +36,7 @@ from labpipe.virtual_lab import (
     write_wire_sheet,
 )
 
-WIRES, ONE_OF_EACH = "wires", "one-of-each"
+WIRES, ONE_OF_EACH, LINES = "wires", "one-of-each", "lines"
 CAMPAIGNS: Mapping[str, Sequence[Campaign]] = {
     WIRES: (WireCampaign(cycles=2, fps=25.0),),
     "tensile": (TensileCampaign(),),
@@ -46,6 +52,9 @@ FIRST_LOOK: Sequence[Campaign] = (
 )
 """A test of each kind: those whose numbers the reference of results shows."""
 PLAN = "version: 1\nwire: A2   # its tests calibrate; tests of other wires are predicted\n"
+SHEET_WORDS = "{wire: A2, sheet: wires.xlsx}"
+CALIBRATED_WORDS = "{wire: A2, sheet: wires.xlsx, calibration: calibration.json}"
+"""Section of an example, and what the demo puts in its place: the wire that it has calibrated."""
 _LOOK_AT = ("stiffness-lines", "wire-shapes", "force-displacement")
 """Of the figures of a test, the one that says most: the first of these that it has."""
 _NEXT = """
@@ -54,7 +63,7 @@ next:
                             what an export holds; then try one of yours
   labpipe new FOLDER        write the test sheet of a folder with exports of yours
   labpipe process FOLDER    results with intervals, quality notes, figures
-  labpipe demo --full       three campaigns of 99 tests and a calibration, in some minutes"""
+  labpipe demo --full       three campaigns of 99 tests, a calibration and four lines, in minutes"""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -98,7 +107,7 @@ def _shown_first(processed: Sequence[Processed]) -> list[Path]:
 
 
 def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
-    """Three campaigns with a report each, and a calibration."""
+    """Three campaigns with a report each, a calibration, and the lines of four harnesses."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
     run_jobs(
         [partial(simulate_campaigns, each, raw / name) for name, each in CAMPAIGNS.items()],
@@ -113,8 +122,11 @@ def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
     )
     calibrated = _calibrated(raw / WIRES, out / WIRES, wires, is_drawn=not options.no_figures)
     print(f"\n{calibration_table(calibrated)}")
-    _name_files([page for page, _ in reports], processed, calibrated)
-    return _status(processed, refused, *(status for _, status in reports))
+    harnesses = _harnesses(raw / LINES, out / LINES, calibrated.folder / MODEL_FILE, options)
+    print("\n".join(f"\n{harness_table(each)}" for each in harnesses))
+    _name_files([page for page, _ in reports], processed, calibrated, harnesses)
+    is_failed = [int(each.status is Status.FAILED) for each in harnesses]
+    return _status(processed, refused, *(status for _, status in reports), *is_failed)
 
 
 def _status(processed: Sequence[Processed], refused: int, *reports: int) -> int:
@@ -162,15 +174,38 @@ def _calibrated(raw: Path, out: Path, wires: Path, *, is_drawn: bool) -> Calibra
     return calibrate_tests([out], wires=wires, plan=plan, figures=is_drawn)
 
 
+def _harnesses(
+    raw: Path, out: Path, calibration: Path, options: argparse.Namespace
+) -> list[FollowedHarness]:
+    """Follow the lines of the examples; that of the calibrated wire has its law, and bands."""
+    examples = shipped_folder("examples")
+    raw.mkdir(parents=True, exist_ok=True)
+    copyfile(examples / DEFAULT_SHEET, raw / DEFAULT_SHEET)
+    copyfile(calibration, raw / calibration.name)
+    done = []
+    for example in sorted(examples.glob("harness-*.yaml")):
+        file = raw / example.name
+        text = example.read_text(encoding="utf-8")
+        file.write_text(text.replace(SHEET_WORDS, CALIBRATED_WORDS), encoding="utf-8")
+        print(f"following {file.stem}", file=sys.stderr)
+        figures = not options.no_figures
+        done.append(follow_harness(file, out=out / file.stem, figures=figures, png=options.png))
+    return done
+
+
 def _name_files(
-    pages: Sequence[Path], processed: Sequence[Processed], calibrated: Calibrated
+    pages: Sequence[Path],
+    processed: Sequence[Processed],
+    calibrated: Calibrated,
+    harnesses: Sequence[FollowedHarness],
 ) -> None:
     print("\nreports, one page each:")
     print("\n".join(f"  {from_here(page)}" for page in pages))
     firsts = [path for each in _firsts(processed) for path in each.figures]
-    drawn = [path for path in (*firsts, *calibrated.files) if path.suffix == ".svg"]
+    lines = [path for each in harnesses for path in each.files]
+    drawn = [path for path in (*firsts, *calibrated.files, *lines) if path.suffix == ".svg"]
     if drawn:
-        print("\nfigures to look at, of the first test of each kind and of the calibration:")
+        print("\nfigures to look at, of a test of each kind, the calibration and the lines:")
         print("\n".join(f"  {from_here(path)}" for path in drawn))
 
 

@@ -14,7 +14,7 @@ from labpipe.store.replace import storing
 
 
 def run(options: argparse.Namespace) -> int:
-    """Copy what a lab starts from: a wire sheet, a calibration plan and the protocols."""
+    """Copy what a lab starts from: a wire sheet, a calibration plan, harnesses, the protocols."""
     wanted = _copies(options.folder)
     for goal, source in wanted.items():
         _refuse_another(goal, source)

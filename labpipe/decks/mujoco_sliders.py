@@ -55,7 +55,7 @@ _NODE = "@"  # stands for the number of a node
 
 
 @dataclass(frozen=True, slots=True)
-class _Chain:
+class Chain:
     """Numbers of the model, SI.
 
     Parameters
@@ -92,7 +92,7 @@ class _Chain:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Hinges:
+class Hinges:
     """Hinges of a node and the springs across them.
 
     Parameters
@@ -139,7 +139,7 @@ def mujoco_plane_deck(
         return made
     chain = _chain(table, made, length, nodes)
     law = chain.law
-    hinges = _Hinges(
+    hinges = Hinges(
         (("z", "0 0 1", law.stiffness),), np.ones((1, 1, 1)), law.stiffnesses, law.slip_curvatures
     )
     lines = (
@@ -179,26 +179,45 @@ def mujoco_space_deck(
     if isinstance(made, str):
         return made
     chain = _chain(table, made, length, nodes)
+    hinges, lines = space_hinges(chain, directions)
+    return _deck(table, chain, hinges, lines, pulls="yz")
+
+
+def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tuple[str, str]]:
+    """Hinges of a chain that bends in every plane and twists, and what a deck says of them.
+
+    Parameters
+    ----------
+    chain : numbers of the model
+    directions : in which each node has scalar sliders
+    """
+    twist = f"Torsional stiffness {chain.torsional_stiffness:.6g} N m2, linear."
+    if not len(chain.law.stiffnesses):
+        nothing = np.zeros(0)
+        hinges = Hinges(_axes(chain, chain.law.stiffness), np.zeros((1, 0, 2)), nothing, nothing)
+        return hinges, (f"Bending stiffness {chain.law.stiffness:.6g} N m2, constant.", twist)
     few = in_directions(chain.law, directions, most=MOST_IN_DIRECTION)
-    spring = few.stiffness * directions / 2.0
-    axes = (
-        ("z", "0 0 1", spring),
-        ("y", "0 -1 0", spring),
-        ("x", "1 0 0", chain.torsional_stiffness),
-    )
+    axes = _axes(chain, few.stiffness * directions / 2.0)
     tendons = np.array([few.turned_normals(share) for share in TURNS])
-    hinges = _Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)
+    hinges = Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)
     mean = turned(chain.law, few)
     angles = ", ".join(f"{180.0 / directions * share:.4g}" for share in TURNS)
     lines = (
-        f"{len(few.stiffnesses)} sliders in each of {directions} directions at each of {nodes} "
-        f"nodes, turned from node to node by {angles} deg. MuJoCo has no vector sliders: bent in "
-        f"the worst direction, the moment of {len(TURNS)} nodes together is {_percent(mean.error)} "
-        f"off, and {_percent(mean.sideways)} of it points sideways (of one alone: "
+        f"{len(few.stiffnesses)} sliders in each of {directions} directions at each of "
+        f"{chain.nodes} nodes, turned from node to node by {angles} deg. MuJoCo has no vector "
+        f"sliders: bent in the worst direction, the moment of {len(TURNS)} nodes together is "
+        f"{_percent(mean.error)} off, and {_percent(mean.sideways)} of it points sideways (of one "
+        "alone: "
         f"{_percent(few.error)}, {_percent(few.sideways)}).",
-        f"Torsional stiffness {chain.torsional_stiffness:.6g} N m2, linear.",
+        twist,
     )
-    return _deck(table, chain, hinges, lines, pulls="yz")
+    return hinges, lines
+
+
+def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
+    """Hinges of a node in space with their springs, N m^2."""
+    twist = ("x", "1 0 0", chain.torsional_stiffness)
+    return ("z", "0 0 1", spring), ("y", "0 -1 0", spring), twist
 
 
 def _percent(share: float) -> str:
@@ -214,16 +233,21 @@ def _law(table: WireTable, sliders: int) -> SliderLaw | str:
         return sliders_of(table, sliders)
     except ValueError as error:
         name = on_one_line(table.name, _WIDEST_NAME)
-        lines = "\n".join(map(_comment, (*facts(table, name), no_sliders(error))))
+        lines = "\n".join(map(comment, (*facts(table, name), no_sliders(error))))
         return f"<mujoco model={quoteattr(name)}>\n{lines}\n</mujoco>\n"
 
 
-def _comment(line: str) -> str:
-    """A line of text in XML, in which two hyphens would end a comment."""
+def comment(line: str) -> str:
+    """A line of text in XML, in which two hyphens would end a comment.
+
+    Parameters
+    ----------
+    line : text
+    """
     return f"  <!-- {line.replace('--', '- -')} -->"
 
 
-def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> _Chain:
+def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
     length = table.spec.length if length is None else length
     if not (np.isfinite(length) and length > 0.0):
         message = f"length={length!r}: allowed are finite numbers > 0"
@@ -231,7 +255,7 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
     if nodes < FEWEST_NODES:
         message = f"nodes={nodes}: allowed are numbers >= {FEWEST_NODES}"
         raise ValueError(message)
-    return _Chain(
+    return Chain(
         law,
         length,
         table.layout.wire_radius,
@@ -242,7 +266,7 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
 
 
 def _deck(
-    table: WireTable, chain: _Chain, hinges: _Hinges, lines: tuple[str, ...], *, pulls: str
+    table: WireTable, chain: Chain, hinges: Hinges, lines: tuple[str, ...], *, pulls: str
 ) -> str:
     """The whole text; written line by line, as a chain has thousands of springs."""
     comments = [*_comments(table, chain), *lines]
@@ -250,17 +274,17 @@ def _deck(
     model = quoteattr(on_one_line(table.name, _WIDEST_NAME))
     text = [
         f"<mujoco model={model}>",
-        *map(_comment, comments),
+        *map(comment, comments),
         '  <compiler angle="radian" />',
         f'  <option timestep="{_STEP * chain.unit_time:{_DIGITS}}" integrator="discrete" '
         'gravity="0 0 0"><flag contact="disable" /></option>',
-        *_defaults(chain, hinges),
+        *default_lines(chain, hinges),
         "  <worldbody>",
         '    <site name="clamp" />',
         *_bodies(chain, hinges),
         "  </worldbody>",
         "  <tendon>",
-        *_tendons(chain, hinges),
+        *tendon_lines(chain, hinges),
         "  </tendon>",
         "  <actuator>",
         *(
@@ -274,8 +298,14 @@ def _deck(
     return "\n".join(text) + "\n"
 
 
-def _defaults(chain: _Chain, hinges: _Hinges) -> Iterator[str]:
-    """What all nodes have alike: hinges, wire, and a class for each slider."""
+def default_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
+    """What all nodes have alike: hinges, wire, and a class for each slider.
+
+    Parameters
+    ----------
+    chain : numbers of the model
+    hinges : of a node
+    """
     h = chain.spacing
     yield "  <default>"
     yield f'    <joint type="hinge" damping="{chain.damping:{_DIGITS}}" />'
@@ -290,7 +320,7 @@ def _defaults(chain: _Chain, hinges: _Hinges) -> Iterator[str]:
     yield "  </default>"
 
 
-def _comments(table: WireTable, chain: _Chain) -> tuple[str, ...]:
+def _comments(table: WireTable, chain: Chain) -> tuple[str, ...]:
     return (
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
         "Unloading and cycles follow by Masing's rule: springs that yield, and keep what a load "
@@ -327,7 +357,7 @@ def _check(law: SliderLaw, length: float) -> tuple[str, ...]:
     return ()
 
 
-def _bodies(chain: _Chain, hinges: _Hinges) -> Iterator[str]:
+def _bodies(chain: Chain, hinges: Hinges) -> Iterator[str]:
     h, last = chain.spacing, chain.nodes
     for node in range(1, last + 1):
         place = 0.5 * h if node == 1 else h
@@ -346,7 +376,14 @@ def _bodies(chain: _Chain, hinges: _Hinges) -> Iterator[str]:
     yield "    " + "</body>" * last
 
 
-def _tendons(chain: _Chain, hinges: _Hinges) -> Iterator[str]:
+def tendon_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
+    """Sliders of all nodes, each a tendon on the node's hinges.
+
+    Parameters
+    ----------
+    chain : numbers of the model
+    hinges : of a node
+    """
     classes = [f"slider_{number}" for number in range(1, len(hinges.stiffnesses) + 1)]
     blocks = [
         "\n".join(
@@ -360,7 +397,7 @@ def _tendons(chain: _Chain, hinges: _Hinges) -> Iterator[str]:
         yield blocks[(node - 1) % len(blocks)].replace(_NODE, str(node))
 
 
-def _joints(hinges: _Hinges, shares: Sequence[float]) -> str:
+def _joints(hinges: Hinges, shares: Sequence[float]) -> str:
     """Joints of a tendon, of a node that is still to be numbered."""
     return "".join(
         f'<joint joint="{name}_{_NODE}" coef="{share:{_DIGITS}}" />'

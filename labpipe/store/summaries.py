@@ -48,7 +48,7 @@ def summary(result: TestResult) -> dict[str, object]:
             "sheet": sha256(result.test_yaml.encode()).hexdigest(),
             "protocol": sha256(result.protocol_yaml.encode()).hexdigest(),
         },
-        "results": [_entry(entry) for entry in result.results],
+        "results": [result_entry(entry) for entry in result.results],
         "quality": [
             {"code": note.code, "severity": str(note.severity), "message": note.message}
             for note in result.quality
@@ -118,7 +118,13 @@ def _instrument(instrument: Instrument) -> dict[str, object]:
     }
 
 
-def _entry(result: Result) -> dict[str, object]:
+def result_entry(result: Result) -> dict[str, object]:
+    """A result as ``summary.json`` has it.
+
+    Parameters
+    ----------
+    result : of a test, or of a harness
+    """
     interval = result.interval
     return {
         "name": result.name,

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections import Counter
@@ -9,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.cli.demo import CAMPAIGNS, FIRST_LOOK
+from labpipe.cli.demo import CALIBRATED_WORDS, CAMPAIGNS, FIRST_LOOK, SHEET_WORDS
 from labpipe.virtual_lab import Campaign
 from labpipe.virtual_lab.sheet_texts import protocol_of
+from tests.builders.harness_files import EXAMPLES, pushed, written
 from tests.builders.pulls import broken, pull
 from tests.builders.small_tests import Run, make_lab, small_scenario
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -25,8 +27,8 @@ def simulated(make: Callable[[Path], None] | list[Callable[[Path], None]], raw: 
 
 
 @pytest.fixture
-def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two small tests and two pulls in place of the campaigns, which take a while."""
+def quick_campaign(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two small tests, two pulls and a short line in place of the campaigns and examples."""
 
     def simulate(folder: Path) -> None:
         small = small_scenario()
@@ -53,6 +55,10 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labpipe.cli.demo.CAMPAIGNS", campaigns)
     monkeypatch.setattr("labpipe.cli.demo.FIRST_LOOK", (simulate_tensile,))
     monkeypatch.setattr("labpipe.cli.demo.simulate_campaigns", simulated)
+    examples = tmp_path / "examples"
+    examples.mkdir()
+    written(examples, pushed(SHEET_WORDS), name="harness-push.yaml")
+    monkeypatch.setattr("labpipe.cli.demo.shipped_folder", {"examples": examples}.__getitem__)
 
 
 @pytest.mark.usefixtures("quick_campaign")
@@ -72,6 +78,10 @@ def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Pat
         assert f"Synthetic demo campaign: {name}" in page.read_text(encoding="utf-8")
         assert f"  {page}\n" in ran.out
     assert "radial_friction" in ran.out
+    line = json.loads((done / "lines" / "harness-push" / "summary.json").read_text())
+    assert [each["role"] for each in line["inputs"]] == ["harness", "wires", "calibration"]
+    assert line["bands"]["kind"] == "pointwise 95 %", "it has the law that was calibrated"
+    assert "\nharness-push: " in ran.out
     assert (done / "wires" / "calibration" / "calibration.json").is_file()
     assert "figures to look at" not in ran.out
 
@@ -85,9 +95,10 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
     ran = run("demo", tmp_path, "--full", "--jobs", 1)
     folder = tmp_path / "processed" / "demo"
     _, _, told = ran.out.partition(
-        "\nfigures to look at, of the first test of each kind and of the calibration:\n"
+        "\nfigures to look at, of a test of each kind, the calibration and the lines:\n"
     )
     names = [line.strip().rpartition("/")[2] for line in told.splitlines()]
+    assert names.pop() == "harness.svg"
     assert names.pop() == "calibration.svg"
     assert names.count("force-displacement.svg") == 2
     assert all(name.endswith(".svg") for name in names)
@@ -125,6 +136,13 @@ def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
     first = kinds(FIRST_LOOK)
     assert set(first) == set(kinds(each for several in CAMPAIGNS.values() for each in several))
     assert set(first.values()) == {1}
+
+
+def test_an_example_is_of_the_wire_that_the_demo_calibrates() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in EXAMPLES.glob("harness-*.yaml")]
+    assert len(texts) == 4
+    assert sum(SHEET_WORDS in text for text in texts) == 1
+    assert CALIBRATED_WORDS.startswith(SHEET_WORDS[:-1])
 
 
 @pytest.mark.slow

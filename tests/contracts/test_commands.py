@@ -19,7 +19,7 @@ from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenari
 
 COMMANDS = (
     *("demo", "inspect", "new", "check", "process", "campaign", "report", "serve"),
-    *("model", "bundle", "calibrate", "simulate", "examples", "completion"),
+    *("model", "bundle", "harness", "calibrate", "simulate", "examples", "completion"),
 )
 
 

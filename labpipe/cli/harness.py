@@ -1,0 +1,108 @@
+"""``labpipe harness``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from labpipe.cli.terminal import from_here, reading
+from labpipe.records.result import Result, Status
+from labpipe.report.wording import unit_words
+from labpipe.studies.harness_followed import FollowedHarness
+from labpipe.studies.harness_study import as_json, follow_harness
+
+_SHOWN = {
+    "m": (1e3, "mm"),
+    "N": (1.0, "N"),
+    "N*m": (1e3, "N*mm"),
+    "1/m": (1.0, "1/m"),
+    "J": (1e3, "mJ"),
+}
+_WIDTH = 32
+
+
+def run(options: argparse.Namespace) -> int:
+    """Follow the line of each harness, and say what became of it."""
+    statuses = []
+    for file in options.files:
+        out = options.out if options.out is None or len(options.files) == 1 else None
+        with reading(1) as say:
+            found = follow_harness(
+                file,
+                wires=options.wire,
+                out=out or _own_folder(options.out, file),
+                figures=not options.no_figures,
+                png=options.png,
+                say=say,
+            )
+        print(json.dumps(as_json(found)) if options.json else harness_table(found))
+        for reason in found.reasons if found.status is Status.FAILED else ():
+            print(f"labpipe harness: {file}: {reason.code}: {reason.message}", file=sys.stderr)
+        statuses.append(1 if found.status is Status.FAILED else 0)
+    return max(statuses)
+
+
+def _own_folder(out: Path | None, file: Path) -> Path | None:
+    """Folder of one of several files below the one that was asked for."""
+    return None if out is None else out / file.stem
+
+
+def harness_table(found: FollowedHarness) -> str:
+    """Lay out a harness for a terminal.
+
+    Parameters
+    ----------
+    found : that was followed
+
+    Returns
+    -------
+    Its status, its numbers, its allowed bend radius, doubts, and where the files are.
+    """
+    line, steps = found.laid.line, found.harness.steps
+    head = (
+        f"{found.file.stem}: {found.status}; {1e3 * line.length:.6g} mm of {found.material.name}, "
+        f"{len(line.lengths)} elements, {steps} steps"
+    )
+    if found.status is Status.FAILED:
+        reached = len(found.path.states) - 1
+        way = f"to step {reached} of {steps}" if reached >= 0 else "not even laid as at the start"
+        return f"{head}\n  followed {way}; earlier results stay"
+    lines = [head, *map(_line, found.results), *_limit(found), *_sweep(found)]
+    lines += [f"  doubtful: {each.code}: {each.message}" for each in found.reasons]
+    lines += [f"  {each.severity}: {each.message}" for each in found.material.notes]
+    return "\n".join([*lines, f"results: {from_here(found.folder)}"])
+
+
+def _line(result: Result) -> str:
+    factor, unit = _SHOWN[result.unit]
+    if result.value is None:
+        return f"  {result.name:<{_WIDTH}}{'-':>11}  {result.why}"
+    shown = f"  {result.name:<{_WIDTH}}{factor * result.value:>11.4g} {unit_words(unit):<5}"
+    if result.interval is not None:
+        low, high = factor * result.interval.lower, factor * result.interval.upper
+        shown += f"  95 %: {low:.4g} to {high:.4g}"
+    return f"{shown}  {result.remark}".rstrip()
+
+
+def _limit(found: FollowedHarness) -> Iterator[str]:
+    limit, bend = found.limit, found.sharpest
+    verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
+    where = f"step {bend.step}, {1e3 * bend.place:.4g} mm from the start"
+    words = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.words}): {verdict}"
+    yield (
+        words if bend.radius >= limit.radius else f"{words}, {1e3 * bend.radius:.4g} mm at {where}"
+    )
+
+
+def _sweep(found: FollowedHarness) -> Iterator[str]:
+    if found.sweep:
+        yield "  length of the line    smallest bend radius    on the way"
+    for each in found.sweep:
+        if each.path.status == "failed":
+            yield f"  {1e3 * each.length:>12.5g} mm        -  {each.path.reasons[0].sentence}"
+            continue
+        radius, way = 1e3 * each.bend.radius, 1e3 * each.way.radius
+        yield f"  {1e3 * each.length:>12.5g} mm{radius:>19.4g} mm{way:>14.4g} mm"

@@ -1,0 +1,417 @@
+"""A harness from three sides, its bend radius as colour, and that radius along the line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.report.figure_page import (
+    DOUBLE_COLUMN,
+    GREY,
+    Words,
+    area_key,
+    keyed_page,
+    line_key,
+    number_log,
+    panel_letter,
+)
+from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.wire_sections import LENGTH
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
+"""Names of the files, without the ending."""
+
+_HEIGHT, _SWEEP_HEIGHT = 118.0, 76.0
+_COLOURS = "viridis"
+_BELOW = "#d62728"
+_BAND: dict[str, Any] = {"color": "#9ecae1", "linewidth": 0.0}
+_EARLIER: dict[str, Any] = {"color": "#999999", "linewidth": 0.7}
+_LIMIT: dict[str, Any] = {"color": _BELOW, "linewidth": 0.8, "linestyle": (0, (5, 2))}
+_SIGNS: dict[str, dict[str, Any]] = {
+    "clip": {"marker": "s", "markersize": 4.5},
+    "pin": {"marker": "o", "markersize": 4.5},
+    "grip": {"marker": "D", "markersize": 4.2},
+    "ring": {"marker": "o", "markersize": 6.5, "markerfacecolor": "none"},
+    "string": {"marker": "^", "markersize": 4.5},
+    "load": {"marker": "v", "markersize": 4.5},
+}
+_VIEWS = (("side", 0, 2), ("end", 1, 2), ("top", 0, 1))
+_AXES = "xyz"
+_LEAST_SHARE = 0.12
+"""Of the widest side of the line: how much of a side is shown at the least."""
+_STRAIGHTER = 40.0
+"""Times the allowed radius: lines that are straighter have one colour."""
+_ARROW = 0.06
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnShape:
+    """A line at one step.
+
+    Parameters
+    ----------
+    step : number
+    positions : shape (n + 1, 3), m
+    radius : shape (n + 1,), m; infinite where it is straight
+    band : lower and upper ends of the positions, shape (n + 1, 3) each; None without
+    radius_band : lower and upper ends of the radius, shape (n + 1,) each; None without
+    """
+
+    step: int
+    positions: Floats
+    radius: Floats
+    band: tuple[Floats, Floats] | None = None
+    radius_band: tuple[Floats, Floats] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnMark:
+    """What holds or pulls the line.
+
+    Parameters
+    ----------
+    name, kind : of the boundary
+    position : shape (3,), m, at the last step
+    way : shape (steps + 1, 3), m, that it took; empty for one that stays
+    direction : shape (3,), of the line in it, or of the force; None without
+    holds : whether it still does
+    """
+
+    name: str
+    kind: str
+    position: Floats
+    way: Floats
+    direction: Floats | None = None
+    holds: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnHarness:
+    """All that the figure of a harness shows.
+
+    Parameters
+    ----------
+    name, note : title and footnote
+    along : shape (n + 1,), m, along the line
+    shapes : by step; the last one is drawn in full
+    marks : clips, grips and others
+    planes : point and normal of each, m
+    allowed : bend radius, m
+    allowed_words : where that comes from
+    """
+
+    name: str
+    note: str
+    along: Floats
+    shapes: tuple[DrawnShape, ...]
+    marks: tuple[DrawnMark, ...]
+    planes: tuple[tuple[Floats, Floats], ...]
+    allowed: float
+    allowed_words: str
+
+
+def save_harness_figure(
+    drawn: DrawnHarness, sweep: DrawnSweep | None, folder: Path, *, png: bool = False
+) -> list[Path]:
+    """Draw a harness as SVG, and its sweep where there is one.
+
+    Parameters
+    ----------
+    drawn : the harness
+    sweep : several lengths of it
+    folder : made if it is not there
+    png : as PNG, too
+
+    Raises
+    ------
+    StoreError
+        If a file cannot be written.
+    """
+    pages = [FigureToSave(FIGURE, partial(harness_figure, drawn))]
+    if sweep is not None:
+        pages.append(FigureToSave(SWEEP_FIGURE, partial(sweep_figure, sweep)))
+    return save_pages(pages, folder, what="the figure", again="run the harness", png=png)
+
+
+def harness_figure(drawn: DrawnHarness) -> Figure:
+    """Draw a line from three sides, and its bend radius along it.
+
+    Parameters
+    ----------
+    drawn : the harness
+    """
+    words = Words(f"{drawn.name}  ·  shape", drawn.note, _keys(drawn))
+    page = keyed_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
+    panels = page.subplots(2, 2, width_ratios=(1.35, 1.0)).ravel()
+    lines: list[LineCollection] = []
+    for letter, panel, (view, across, up) in zip("abc", panels, _VIEWS, strict=False):
+        lines.append(plot_view(drawn, across, up, panel))
+        panel_letter(panel, letter, f"From the {view}")
+    bar = page.colorbar(lines[0], ax=list(panels[1:2]), label=LENGTH.label("Bend radius"))
+    number_log(bar.ax.yaxis)
+    plot_radius(drawn, panels[3])
+    panel_letter(panels[3], "d", "Along the line")
+    return page
+
+
+def _keys(drawn: DrawnHarness) -> list[Artist]:
+    last = drawn.shapes[-1]
+    keys: list[Artist] = []
+    if len(drawn.shapes) > 1:
+        steps = ", ".join(str(each.step) for each in drawn.shapes[:-1])
+        keys.append(line_key(f"step {steps}", **_EARLIER))
+    if last.band is not None:
+        keys.append(area_key("95 % band, point by point", **_BAND))
+    for kind, look in _SIGNS.items():
+        names = [each.name for each in drawn.marks if each.kind == kind]
+        if names:
+            words = f"{kind} {', '.join(names)}"
+            keys.append(line_key(words, color="black", linestyle="", **look))
+    return [*keys, line_key("allowed bend radius", **_LIMIT)]
+
+
+def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineCollection:
+    """Draw a line from one side, with what holds it.
+
+    Parameters
+    ----------
+    drawn : the harness
+    across, up : numbers of the coordinates to the right and upwards
+    axes : to draw on
+
+    Returns
+    -------
+    The line of the last step, which has the colours.
+    """
+    import matplotlib as mpl
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    last, pair = drawn.shapes[-1], [across, up]
+    for plane in drawn.planes:
+        _plot_plane(drawn, plane, pair, axes)
+    for shape in drawn.shapes[:-1]:
+        _draw(axes, shape.positions[:, pair], **_EARLIER, zorder=2)
+    if last.band is not None:
+        low, high = (LENGTH.factor * end[:, pair] for end in last.band)
+        axes.add_collection(PolyCollection(_boxes(low, high), **_BAND, zorder=1), autolim=False)
+    points = LENGTH.factor * last.positions[:, pair]
+    ends = np.stack([points[:-1], points[1:]], axis=1)
+    colours = mpl.colormaps[_COLOURS].with_extremes(under=_BELOW)
+    line = LineCollection(
+        list(ends), cmap=colours, norm=_norm(drawn), linewidth=2.2, capstyle="round", zorder=3
+    )
+    line.set_array(LENGTH.factor * np.minimum(last.radius[:-1], last.radius[1:]))
+    axes.add_collection(line, autolim=False)
+    for mark in drawn.marks:
+        _plot_mark(mark, _extent(drawn), pair, axes)
+    _set_view(drawn, pair, axes)
+    return line
+
+
+def _norm(drawn: DrawnHarness) -> Any:
+    """Colours from the allowed radius on; what is below has one of its own."""
+    from matplotlib.colors import LogNorm
+
+    allowed = LENGTH.factor * drawn.allowed
+    return LogNorm(allowed, _STRAIGHTER * allowed, clip=False)
+
+
+def _boxes(low: Floats, high: Floats) -> list[Floats]:
+    """Outlines of what two bands sweep between neighbouring nodes."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    outlines = []
+    corners = [np.stack([a[:, 0], b[:, 1]], axis=1) for a in (low, high) for b in (low, high)]
+    for one in range(len(low) - 1):
+        points = np.vstack([corner[one : one + 2] for corner in corners])
+        try:
+            outlines.append(points[ConvexHull(points).vertices])
+        except QhullError:  # a band without width
+            continue
+    return outlines
+
+
+def _extent(drawn: DrawnHarness) -> float:
+    """Widest side of all that is drawn of the line, m."""
+    every = np.vstack([shape.positions for shape in drawn.shapes])
+    return float(np.max(np.ptp(every, axis=0)))
+
+
+def _plot_plane(
+    drawn: DrawnHarness, plane: tuple[Floats, Floats], pair: list[int], axes: Axes
+) -> None:
+    point, normal = plane
+    seen = normal[pair]
+    if np.linalg.norm(seen) < 0.5:  # looked at from above
+        return
+    reach = 2.0 * _extent(drawn) / np.linalg.norm(seen) * np.array([-seen[1], seen[0]])
+    ends = np.array([point[pair] - reach, point[pair] + reach])
+    _draw(axes, ends, color=GREY, linewidth=1.2, zorder=0)
+
+
+def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], axes: Axes) -> None:
+    place = mark.position[pair]
+    colour = "black" if mark.holds else "#bbbbbb"
+    _draw(axes, mark.way[:, pair], color="#bbbbbb", linewidth=0.5, zorder=0)
+    _draw(axes, place[None], color=colour, linestyle="", zorder=4, **_SIGNS[mark.kind])
+    if mark.direction is not None:
+        reach = _ARROW * extent * mark.direction[pair]
+        ends = np.array([place - reach, place + reach])
+        _draw(axes, ends, color=colour, linewidth=0.8, zorder=4)
+
+
+def _draw(axes: Axes, points: Floats, **look: Any) -> None:
+    """Draw a line through points, shape (k, 2), m, that does not widen what is shown."""
+    from matplotlib.lines import Line2D
+
+    axes.add_artist(Line2D(*(LENGTH.factor * points.T), **look))
+
+
+def _set_view(drawn: DrawnHarness, pair: list[int], axes: Axes) -> None:
+    every = np.vstack(
+        [
+            *(shape.positions for shape in drawn.shapes),
+            *(mark.position[None] for mark in drawn.marks),
+        ]
+    )[:, pair]
+    middle = 0.5 * (every.max(axis=0) + every.min(axis=0))
+    half = np.maximum(0.55 * np.ptp(every, axis=0), _LEAST_SHARE * _extent(drawn))
+    axes.update_datalim(LENGTH.factor * np.array([middle - half, middle + half]))
+    axes.autoscale_view()
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(LENGTH.label(_AXES[pair[0]]))
+    axes.set_ylabel(LENGTH.label(_AXES[pair[1]]))
+
+
+def plot_radius(drawn: DrawnHarness, axes: Axes) -> None:
+    """Draw the bend radius along the line, with what is allowed.
+
+    Parameters
+    ----------
+    drawn : the harness
+    axes : to draw on
+    """
+    along, last = LENGTH.factor * drawn.along, drawn.shapes[-1]
+    axes.set_yscale("log")
+    for shape in drawn.shapes[:-1]:
+        axes.plot(along, _shown(shape.radius), **_EARLIER)
+    if last.radius_band is not None:
+        low, high = map(_shown, last.radius_band)
+        axes.fill_between(along, low, high, **_BAND)
+    axes.plot(along, _shown(last.radius), color="black", linewidth=1.0)
+    axes.axhline(LENGTH.factor * drawn.allowed, **_LIMIT)
+    allowed = LENGTH.factor * drawn.allowed
+    sharpest = [np.nanmin(_shown(shape.radius), initial=np.inf) for shape in drawn.shapes]
+    highest = max([100.0 * allowed, *(3.0 * each for each in sharpest if np.isfinite(each))])
+    axes.set_ylim(0.7 * min(*sharpest, allowed), highest)
+    axes.set_xlim(along[0], along[-1])
+    axes.set_xlabel(LENGTH.label("From the start"))
+    axes.set_ylabel(LENGTH.label("Bend radius"))
+    number_log(axes.yaxis)
+
+
+def _shown(radius: Floats) -> Floats:
+    """Radii in mm; NaN, a gap, where the line is straight."""
+    return np.asarray(np.where(np.isfinite(radius), LENGTH.factor * radius, np.nan))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnSweep:
+    """Several lengths of one harness.
+
+    Parameters
+    ----------
+    name, note : title and footnote
+    length : shape (k,), m
+    radius : shape (k,), m, smallest bend radius at the last step; NaN where there is none
+    way : shape (k,), m, the smallest on the way
+    radius_band : lower and upper ends, shape (k,) each; None without
+    shapes : shape (n + 1, 3), m, of each length at the last step
+    allowed : bend radius, m
+    """
+
+    name: str
+    note: str
+    length: Floats
+    radius: Floats
+    way: Floats
+    radius_band: tuple[Floats, Floats] | None
+    shapes: tuple[Floats, ...]
+    allowed: float
+
+
+def sweep_figure(sweep: DrawnSweep) -> Figure:
+    """Draw (a) the lines of several lengths and (b) their smallest bend radius.
+
+    Parameters
+    ----------
+    sweep : the lengths
+    """
+    keys = [
+        line_key("when laid", color="black", marker="o", markersize=3.0, linewidth=1.0),
+        line_key("on the way", **_EARLIER, marker="o", markersize=2.0),
+        line_key("allowed bend radius", **_LIMIT),
+    ]
+    if sweep.radius_band is not None:
+        keys.append(area_key("95 % band, length by length", **_BAND))
+    words = Words(f"{sweep.name}  ·  length against bend radius", sweep.note, keys)
+    page = keyed_page(words, height_mm=_SWEEP_HEIGHT, width_mm=DOUBLE_COLUMN)
+    shapes, radii = page.subplots(1, 2, width_ratios=(1.2, 1.0))
+    plot_lengths(sweep, shapes)
+    plot_sweep(sweep, radii)
+    panel_letter(shapes, "a", "From the side, by length")
+    panel_letter(radii, "b", "Smallest bend radius")
+    return page
+
+
+def plot_lengths(sweep: DrawnSweep, axes: Axes) -> None:
+    """Draw the lines of a sweep from the side that shows most of them.
+
+    Parameters
+    ----------
+    sweep : the lengths
+    axes : to draw on
+    """
+    import matplotlib as mpl
+
+    every = np.vstack(sweep.shapes)
+    up = 1 if np.ptp(every[:, 1]) > np.ptp(every[:, 2]) else 2
+    colours = mpl.colormaps[_COLOURS](np.linspace(0.1, 0.9, len(sweep.shapes)))
+    for positions, colour in zip(sweep.shapes, colours, strict=True):
+        axes.plot(*(LENGTH.factor * positions[:, [0, up]].T), color=colour, linewidth=1.1)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(LENGTH.label("x"))
+    axes.set_ylabel(LENGTH.label(_AXES[up]))
+
+
+def plot_sweep(sweep: DrawnSweep, axes: Axes) -> None:
+    """Draw the smallest bend radius over the length.
+
+    Parameters
+    ----------
+    sweep : the lengths
+    axes : to draw on
+    """
+    length = LENGTH.factor * sweep.length
+    if sweep.radius_band is not None:
+        low, high = map(_shown, sweep.radius_band)
+        axes.fill_between(length, low, high, **_BAND)
+    axes.plot(length, _shown(sweep.way), marker="o", markersize=2.0, **_EARLIER)
+    axes.plot(
+        length, _shown(sweep.radius), color="black", marker="o", markersize=3.0, linewidth=1.0
+    )
+    axes.axhline(LENGTH.factor * sweep.allowed, **_LIMIT)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel(LENGTH.label("Length of the line"))
+    axes.set_ylabel(LENGTH.label("Smallest bend radius"))

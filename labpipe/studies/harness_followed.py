@@ -1,0 +1,174 @@
+"""A harness, followed: its path, its numbers with their bands, and the lengths of its sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.protocol.harness_file import HarnessFile
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
+from labpipe.rod.path import RodPath
+from labpipe.rod.statics import follow
+from labpipe.studies.harness_bands import Followed, HarnessBands, harness_bands
+from labpipe.studies.harness_line import Inputs, Laid, laid
+from labpipe.studies.harness_numbers import (
+    Bend,
+    BendLimit,
+    bend_limit,
+    numbers_of,
+    reasons_of,
+    results_of,
+    sharpest,
+)
+from labpipe.studies.harness_section import Material
+
+FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swept:
+    """One length of a sweep.
+
+    Parameters
+    ----------
+    length : m
+    path : as followed
+    laid : that was followed
+    bands : of the last step; None without
+    """
+
+    length: float
+    path: RodPath
+    laid: Laid
+    bands: HarnessBands | None = None
+
+    @property
+    def bend(self) -> Bend:
+        """The sharpest bend at the last step."""
+        return sharpest(self.path, self.laid.line, [len(self.path.states) - 1])
+
+    @property
+    def way(self) -> Bend:
+        """The sharpest bend on the way."""
+        return sharpest(self.path, self.laid.line, range(len(self.path.states)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowedHarness:
+    """What became of a harness.
+
+    Parameters
+    ----------
+    file : its YAML
+    harness : as read
+    material : of its line
+    laid : line and boundaries that were followed
+    path : as followed
+    status : ``failed`` where the line cannot be followed to the last step; nothing is written then
+        but the reason
+    reasons : why it is doubtful or failed
+    results : numbers; none of a failed one
+    limit : allowed bend radius
+    folder : of the results
+    files : that were written
+    sweep : other lengths
+    bands : of the steps that are shown; None where nothing says how well the line is known
+    """
+
+    file: Path
+    harness: HarnessFile
+    material: Material
+    laid: Laid
+    path: RodPath
+    status: Status
+    reasons: tuple[Reason, ...]
+    results: tuple[Result, ...]
+    limit: BendLimit
+    folder: Path
+    files: tuple[Path, ...] = ()
+    sweep: tuple[Swept, ...] = ()
+    bands: HarnessBands | None = None
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """Steps that are shown: those that were asked for, and the last."""
+        return shown_steps(self.harness)
+
+    @property
+    def sharpest(self) -> Bend:
+        """The sharpest bend on the whole way."""
+        return sharpest(self.path, self.laid.line, range(len(self.path.states)))
+
+
+def shown_steps(harness: HarnessFile) -> tuple[int, ...]:
+    """Steps that were asked for, and the last.
+
+    Parameters
+    ----------
+    harness : as read
+    """
+    return tuple(sorted({*harness.show, harness.steps}))
+
+
+def followed(harness: HarnessFile, file: Path, material: Material, folder: Path) -> FollowedHarness:
+    """Follow a harness, without its sweep.
+
+    Parameters
+    ----------
+    harness : as read
+    file : its YAML
+    material : of its line
+    folder : of the results, which is not touched
+    """
+    steps = shown_steps(harness)
+    path, ready, bands = _with_bands(harness, material, steps, None)
+    reasons = reasons_of(path, ready.line, material)
+    is_whole = path.status != FAILED
+    if bands is not None:
+        known = {each.code for each in reasons} | _SAID_ALREADY
+        notes = [Reason(each.code, each.message) for each in bands.line.notes]
+        reasons += tuple(each for each in notes if each.code not in known)
+    status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
+    intervals = {} if bands is None else bands.intervals
+    results = results_of(numbers_of(path, ready), reasons, intervals) if is_whole else ()
+    limit = bend_limit(harness, material)
+    return FollowedHarness(
+        *(file, harness, material, ready, path, status, reasons, results, limit, folder),
+        bands=bands,
+    )
+
+
+_SAID_ALREADY = {"beyond_tested"}
+"""Codes of notes of bands that `reasons_of` has a word for."""
+
+
+def swept(harness: HarnessFile, material: Material, length: float) -> Swept:
+    """Follow a harness with another length of its line.
+
+    Parameters
+    ----------
+    harness : as read
+    material : of its line
+    length : m
+    """
+    path, ready, bands = _with_bands(harness, material, (harness.steps,), length)
+    return Swept(length, path, ready, bands)
+
+
+def _with_bands(
+    harness: HarnessFile, material: Material, steps: Sequence[int], length: float | None
+) -> tuple[RodPath, Laid, HarnessBands | None]:
+    """Follow a line at its best inputs, and beside them where something is believed of them."""
+    known: list[Followed] = []
+
+    def follow_line(number: int, inputs: Inputs) -> Followed:
+        ready = laid(harness, material.sections[number](inputs), inputs, length=length)
+        found = follow(ready.line, ready.boundaries, steps=harness.steps), ready
+        known.append(found)
+        return found
+
+    bands = harness_bands(follow_line, material, steps)
+    path, ready = known[0] if known else follow_line(0, material.best)
+    return path, ready, bands

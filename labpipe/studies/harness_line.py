@@ -1,0 +1,231 @@
+"""From a harness YAML to a rod: where its nodes are, how it lies at rest, and what holds it when.
+
+Paths have a row per step and one before: the start, where all that holds the line is where the line
+at rest would be, and its weight bends it. Every place that the file names is a node. What holds the
+line goes straight from one pose to the next; its direction turns about the axis across both, and
+the line's own turn is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.protocol.harness_file import (
+    HELD,
+    Clip,
+    Grip,
+    HarnessFile,
+    Held,
+    Load,
+    Pin,
+    Plane,
+    Ring,
+    Spool,
+    String,
+    Vector3,
+    Waypoint,
+)
+from labpipe.protocol.harness_reach import legs_of, start_of
+from labpipe.records.arrays import Floats
+from labpipe.rod import boundaries as rod
+from labpipe.rod.line import Line, Section, line_along
+from labpipe.rod.rotations import (
+    from_rotation_vectors,
+    matrices,
+    multiply,
+    rotation_vectors,
+    shortest_turns,
+    unit,
+)
+
+LENGTH_FACTOR = "length_factor"
+"""Logarithm of what the length of the line is multiplied by."""
+FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
+"""Added to the curvature at rest, 1/m: towards the spool's side, and across it."""
+Inputs = Mapping[str, float]
+
+_SHARE_OF_STEPS = 5
+"""One in so many: steps in which the weight of a line comes on that begins taut."""
+_UPWARD = 0.9  # share of a direction along z from which on x is taken for upward
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """A line with all that holds and moves it, ready to be followed.
+
+    Parameters
+    ----------
+    line : at the start
+    boundaries : in the order of the file, and the weight last where there is any
+    nodes : by name of a boundary, the node that it is at; rings and planes have none
+    """
+
+    line: Line
+    boundaries: tuple[rod.Boundary, ...]
+    nodes: Mapping[str, int]
+
+
+def laid(
+    harness: HarnessFile, section: Section, inputs: Inputs, *, length: float | None = None
+) -> Laid:
+    """Lay a line as a harness says.
+
+    Parameters
+    ----------
+    harness : as read
+    section : what the line is made of
+    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`, 0 where left out; other names are not looked at
+    length : m, of a sweep; None for that of the file
+
+    Raises
+    ------
+    ValueError
+        If the line has no such length or section.
+    """
+    stations = _stations(harness, harness.line.length if length is None else length)
+    places = {
+        each.name: int(np.argmin(np.abs(stations - min(each.at, stations[-1]))))
+        for each in harness.boundaries
+        if not isinstance(each, Ring | Plane)
+    }
+    stations = stations * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0)))
+    line = _line(harness, section, stations)
+    free = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
+    if np.any(free):
+        natural = line.natural.copy()
+        natural[:, :2] += free @ _bend_axes(line, harness.line.spool)
+        line = Line(line.lengths, section, line.positions, line.frames, natural)
+    return Laid(line, tuple(_boundaries(harness, line, places)), places)
+
+
+def _bend_axes(line: Line, spool: Spool | None) -> Floats:
+    """Bendings about d1 and d2 of a curl to the spool's side, and of one across it, shape (2, 2).
+
+    A line curls to a side t when it turns about d3 x t. Without a spool the side is that of d1.
+    """
+    axes = matrices(line.frames[0])
+    side = np.array([1.0, 0.0])
+    if spool is not None:
+        side = (_towards(spool, axes[:, 2]) @ axes)[:2]
+    return np.array([[-side[1], side[0]], [-side[0], -side[1]]])
+
+
+def _stations(harness: HarnessFile, length: float) -> Floats:
+    """Where the nodes are, m: elements of one length between any two places that are named."""
+    named = (getattr(each, "at", 0.0) for each in harness.boundaries)
+    marks = sorted({0.0, length, *(min(place, length) for place in named)})
+    count = harness.line.elements
+    parts = [
+        np.linspace(low, high, 1 + max(1, round(count * (high - low) / length)))[1:]
+        for low, high in pairwise(marks)
+    ]
+    return np.concatenate([[0.0], *parts])
+
+
+def _line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
+    begin, direction = (np.array(each) for each in start_of(harness))
+    spool = harness.line.spool
+    if spool is None:
+        positions = begin + stations[:, None] * direction
+        return line_along(positions, section, up=_upward(direction))
+    towards = _towards(spool, direction)
+    middles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
+    steps = np.cos(middles)[:, None] * direction + np.sin(middles)[:, None] * towards
+    positions = begin + np.vstack(
+        [np.zeros(3), np.cumsum(np.diff(stations)[:, None] * steps, axis=0)]
+    )
+    return line_along(positions, section, up=_as_tuple(towards), is_formed=True)
+
+
+def _towards(spool: Spool, direction: Floats) -> Floats:
+    """Unit vector across a direction, to the side that a spool names."""
+    towards = np.array(spool.towards)
+    across = towards - (towards @ direction) * direction
+    if np.linalg.norm(across) < 1e-6:
+        message = f"towards={spool.towards}: allowed is a side of the line, not its direction"
+        raise ValueError(message)
+    return np.asarray(unit(across))
+
+
+def _upward(direction: Floats) -> Vector3:
+    return (1.0, 0.0, 0.0) if abs(direction[2]) > _UPWARD else (0.0, 0.0, 1.0)
+
+
+def _as_tuple(vector: Floats) -> Vector3:
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def _boundaries(
+    harness: HarnessFile, line: Line, nodes: Mapping[str, int]
+) -> Iterator[rod.Boundary]:
+    steps = harness.steps
+    for each in harness.boundaries:
+        match each:
+            case Clip() | Pin() | Grip():
+                yield _held(each, line, nodes[each.name], steps)
+            case Ring():
+                yield rod.Ring(np.array(each.position), np.array(each.direction), name=each.name)
+            case String():
+                anchor = np.array(each.anchor)
+                yield rod.String(nodes[each.name], anchor, each.length, name=each.name)
+            case Load():
+                force = _ramp(each.by or steps, steps)[:, None] * np.array(each.force)
+                yield rod.Load(nodes[each.name], force, name=each.name)
+            case Plane():
+                table = np.array(each.point), np.array(each.normal)
+                yield rod.Plane(*table, each.friction, name=each.name)
+    if any(harness.gravity) and line.section.mass_per_length > 0.0:
+        yield rod.Gravity(_weight(harness), name="weight")
+
+
+def _weight(harness: HarnessFile) -> Floats:
+    """Acceleration step by step; it grows where the line begins taut between two places.
+
+    A taut line that keeps its length has no tension that its weight could give it.
+    """
+    whole = np.array(harness.gravity)
+    if sum(isinstance(each, HELD) for each in harness.boundaries) < 2:
+        return whole
+    share = _ramp(max(1, harness.steps // _SHARE_OF_STEPS), harness.steps)
+    return np.asarray(share[:, None] * whole)
+
+
+def _ramp(by: int, steps: int) -> Floats:
+    """From 0 at the start to 1 at a step, and so on to the last: shape (steps + 1,)."""
+    return np.minimum(1.0, np.arange(steps + 1) / by)
+
+
+def _held(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
+    legs = legs_of(boundary, line.positions[node].tolist(), steps)
+    at, rows = [leg.step for leg in legs], np.arange(steps + 1)
+    corners = np.array([leg.position for leg in legs])
+    position = np.column_stack([np.interp(rows, at, axis) for axis in corners.T])
+    frame = None
+    if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
+        frame = _frames(boundary, line.frame_at(node), steps)
+    return rod.Held(node, position, frame, boundary.release, boundary.name)
+
+
+def _frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
+    """Frames of a path: from direction to direction without twist, then the turns."""
+    frames, turns = [start], {0: 0.0}
+    points = boundary.path if isinstance(boundary, Grip) else (boundary,)
+    for point in points:
+        step = point.step if isinstance(point, Waypoint) else point.by or steps
+        span = step - len(frames) + 1
+        here = matrices(frames[-1])[:, 2]
+        there = here if point.direction is None else np.array(point.direction)
+        whole = rotation_vectors(shortest_turns(here, there))
+        shares = np.arange(1, span + 1) / span
+        moved = from_rotation_vectors(shares[:, None] * whole)
+        frames += list(multiply(moved, np.tile(frames[-1], (span, 1))))
+        turns[step] = turns[step - span] if point.turn is None else point.turn
+    frames += [frames[-1]] * (steps + 1 - len(frames))
+    about = np.zeros((steps + 1, 3))
+    about[:, 2] = np.interp(np.arange(steps + 1), list(turns), list(turns.values()))
+    return np.asarray(multiply(np.array(frames), from_rotation_vectors(about)))

@@ -1,0 +1,262 @@
+"""What a followed harness says: bend radii, forces of clips and grips, what it keeps, doubts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.law.sliders import SliderLaw
+from labpipe.protocol.harness_file import HarnessFile
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
+from labpipe.rod import boundaries as rod
+from labpipe.rod.line import Line
+from labpipe.rod.path import RodPath, RodState
+from labpipe.studies.harness_line import Laid
+from labpipe.studies.harness_section import Material
+
+DIAMETERS = 5.0
+"""Outer diameters that the allowed bend radius is taken to be where nobody says it."""
+LOWEST = "lowest_point"
+_STRAIGHT = 1e-6
+"""1/m: a line that is bent by less has no bend radius worth a number."""
+
+
+@dataclass(frozen=True, slots=True)
+class BendLimit:
+    """The bend radius that is allowed.
+
+    Parameters
+    ----------
+    radius : m
+    words : where it comes from
+    is_assumed : whether nobody said it
+    """
+
+    radius: float
+    words: str
+    is_assumed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """The sharpest bend of a line.
+
+    Parameters
+    ----------
+    radius : m; infinite for a straight line
+    step : in which
+    place : m along the line
+    """
+
+    radius: float
+    step: int
+    place: float
+
+
+def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
+    """The allowed bend radius, or what is assumed of it.
+
+    Parameters
+    ----------
+    harness : may say it
+    material : of the line, whose diameter it is assumed by
+    """
+    if harness.allowed_bend_radius is not None:
+        return BendLimit(harness.allowed_bend_radius, "stated in the file", is_assumed=False)
+    words = f"assumed: {DIAMETERS:g} times the outer diameter of {_mm(material.diameter)}"
+    return BendLimit(DIAMETERS * material.diameter, words, is_assumed=True)
+
+
+def curvature_of(state: RodState, line: Line) -> Floats:
+    """Curvature across the line as it lies, 1/m, shape (n + 1,); what it has at rest included.
+
+    Parameters
+    ----------
+    state : of the line
+    line : that it is a state of
+
+    Notes
+    -----
+    The larger one where a clip parts both sides of a node.
+    """
+    whole = state.curvatures[:, :, :2] + line.natural_at_nodes[:, None, :2]
+    return np.asarray(np.linalg.norm(whole, axis=2).max(axis=1))
+
+
+def radius_of(curvature: Floats) -> Floats:
+    """Bend radius, m; infinite where the line is straight.
+
+    Parameters
+    ----------
+    curvature : 1/m, any shape
+    """
+    is_bent = curvature > _STRAIGHT
+    return np.asarray(np.where(is_bent, 1.0 / np.where(is_bent, curvature, 1.0), np.inf))
+
+
+def sharpest(path: RodPath, line: Line, steps: Sequence[int]) -> Bend:
+    """Find the sharpest bend among some steps.
+
+    Parameters
+    ----------
+    path : of the line
+    line : that was followed
+    steps : at least one
+    """
+    curvature = np.array([curvature_of(path.states[step], line) for step in steps])
+    row, node = divmod(int(np.argmax(curvature)), curvature.shape[1])
+    radius = float(radius_of(curvature[row, node : node + 1])[0])
+    return Bend(radius, steps[row], float(line.stations[node]))
+
+
+def kept_curvature(state: RodState, law: SliderLaw) -> Floats:
+    """Curvature that the line would keep if nothing held it any more, 1/m, shape (n + 1,).
+
+    Parameters
+    ----------
+    state : with the memory of its sliders
+    law : of the line
+
+    Notes
+    -----
+    Less that at rest. The curvature without moment, reached without a slider that slides on the way
+    back: sum of K_j a_j over the first stiffness.
+    """
+    if not len(law.stiffnesses):
+        return np.zeros(len(state.positions))
+    rest = np.einsum("j,nsjx->nsx", law.stiffnesses, state.rests) / law.first_stiffness
+    return np.asarray(np.linalg.norm(rest, axis=2).max(axis=1))
+
+
+def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, ...]:
+    """Why the numbers of a harness are doubtful, or why there are none.
+
+    Parameters
+    ----------
+    path : as followed
+    line : that was followed
+    material : with the curvature up to which its law is backed
+    """
+    found = [Reason(each.code, each.sentence) for each in path.reasons]
+    if not path.states:
+        return tuple(found)
+    bent = np.array([state.bendings for state in path.states])
+    row, node = divmod(int(np.argmax(bent)), bent.shape[1])
+    known = {each.code for each in found}
+    if bent[row, node] > material.limit and "beyond_law" not in known:
+        message = (
+            f"step {row}, {_mm(line.stations[node])} from the start: the line is bent to "
+            f"{bent[row, node]:.4g} 1/m, its law is backed up to {material.limit:.4g} 1/m by "
+            f"{material.limit_words}"
+        )
+        found.append(Reason("beyond_backed", message))
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number of a harness.
+
+    Parameters
+    ----------
+    name : of the result
+    value : in `unit`; infinite for the bend radius of a straight line
+    unit : SI
+    remark : where and when
+    """
+
+    name: str
+    value: float
+    unit: str
+    remark: str = ""
+
+    @property
+    def is_signed(self) -> bool:
+        """Whether it may be below zero: a coordinate, not a size."""
+        return self.name == LOWEST
+
+
+def numbers_of(path: RodPath, laid: Laid) -> tuple[Number, ...]:
+    """The numbers of a harness at its last step, and of the whole way.
+
+    Parameters
+    ----------
+    path : as followed, to the last step
+    laid : that was followed
+    """
+    return (*_bends(path, laid.line), *_forces(path, laid), *_kept(path, laid))
+
+
+def results_of(
+    numbers: Sequence[Number], reasons: tuple[Reason, ...], intervals: Mapping[str, Interval]
+) -> tuple[Result, ...]:
+    """Numbers as results.
+
+    Parameters
+    ----------
+    numbers : of a harness
+    reasons : why all of them are doubtful; empty where they are not
+    intervals : by name, of those that have one
+    """
+    status = Status.DOUBTFUL if reasons else Status.OK
+    return tuple(
+        Result(
+            *(each.name, each.value, each.unit, intervals.get(each.name), status, reasons),
+            remark=each.remark,
+        )
+        if np.isfinite(each.value)
+        else Result(each.name, None, each.unit, None, Status.FAILED, (_STRAIGHT_REASON,))
+        for each in numbers
+    )
+
+
+_STRAIGHT_REASON = Reason("straight", "the line is straight: it has no bend radius")
+
+
+def _bends(path: RodPath, line: Line) -> Iterator[Number]:
+    last = len(path.states) - 1
+    end, way = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
+    yield Number("smallest_bend_radius", end.radius, "m", f"{_mm(end.place)} from the start")
+    where = f"step {way.step}, {_mm(way.place)} from the start"
+    yield Number("smallest_bend_radius_on_the_way", way.radius, "m", where)
+    heights = path.last.positions[:, 2]
+    node = int(np.argmin(heights))
+    where = f"{_mm(line.stations[node])} from the start"
+    yield Number(LOWEST, float(heights[node]), "m", where)
+
+
+def _forces(path: RodPath, laid: Laid) -> Iterator[Number]:
+    sizes = np.array([np.linalg.norm(each.reaction_forces, axis=1) for each in path.states])
+    moments = np.linalg.norm(path.last.reaction_moments, axis=1)
+    for number, each in enumerate(laid.boundaries):
+        if not isinstance(each, rod.Held | rod.Ring | rod.String | rod.Plane):
+            continue
+        most = int(np.argmax(sizes[:, number]))
+        way = f"largest on the way: {sizes[most, number]:.4g} N at step {most}"
+        yield Number(f"force.{each.name}", float(sizes[-1, number]), "N", way)
+        if isinstance(each, rod.Held) and each.frame is not None:
+            yield Number(f"moment.{each.name}", float(moments[number]), "N*m", "")
+
+
+def _kept(path: RodPath, laid: Laid) -> Iterator[Number]:
+    for each in laid.boundaries:
+        if isinstance(each, rod.Held) and each.release is not None:
+            node = laid.nodes[each.name]
+            before = path.states[each.release - 1].positions[node]
+            moved = float(np.linalg.norm(path.last.positions[node] - before))
+            way = f"of its place, from step {each.release - 1}, the last in which it was held"
+            yield Number(f"springback.{each.name}", moved, "m", way)
+    kept = kept_curvature(path.last, laid.line.section.law)
+    node = int(np.argmax(kept))
+    where = f"{_mm(laid.line.stations[node])} from the start; what the line would keep, let go"
+    yield Number("kept_curvature", float(kept[node]), "1/m", where if kept[node] else "")
+    yield Number("energy_lost", float(path.lost[-1]), "J", "in bending, since the start")
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:.4g} mm"

@@ -1,0 +1,298 @@
+"""What the line of a harness is made of: laws by the numbers that bands move, with their range."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe.errors import ProcessingError, ReadError, UsageError, complaint, nearest
+from labpipe.law.sliders import SliderLaw, linear_moment_law
+from labpipe.protocol.harness_file import HarnessFile, SectionBlock
+from labpipe.protocol.harness_reach import file_beside
+from labpipe.records.quality import QualityNote
+from labpipe.records.result import InputFile
+from labpipe.records.wire import WireSpec
+from labpipe.rod.beliefs import Belief, calibrated_beliefs, joined, known
+from labpipe.rod.line import Section
+from labpipe.studies.calibrated_file import CalibratedFile, read_calibrated
+from labpipe.studies.harness_line import FREE_CURVATURES
+from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.wire.law_family import (
+    LAW_FACTOR,
+    MASS_FACTOR,
+    TORSION_FACTOR,
+    LawFamily,
+    family_of,
+    with_values,
+)
+from labpipe.wire.wire_table import wire_table
+
+FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
+"""Inputs: logarithms of what moments, torsional stiffness and mass are multiplied by."""
+DEFAULT_SHEET = "wires.xlsx"
+_MOST_BYTES = 1 << 26
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Material:
+    """What a line is made of.
+
+    Parameters
+    ----------
+    name : of the wire, or in words
+    sections : for named inputs, such as ``law_factor``; 0 for one that is left out. One for each
+        solution of a calibration, the best first: a law keeps the slips that were chosen for it
+    limit : 1/m, up to which the law is backed
+    limit_words : by what
+    files : that it was read from
+    notes : what a careful person would want to know
+    beliefs : what is known of the inputs, one for each solution of a calibration; empty where
+        nothing says how well the law is known
+    """
+
+    name: str
+    sections: tuple[Callable[[Mapping[str, float]], Section], ...]
+    limit: float
+    limit_words: str
+    files: tuple[InputFile, ...] = ()
+    notes: tuple[QualityNote, ...] = ()
+    beliefs: tuple[Belief, ...] = ()
+
+    @property
+    def diameter(self) -> float:
+        """Over all, m."""
+        return self.sections[0](self.best).diameter
+
+    @property
+    def best(self) -> Mapping[str, float]:
+        """The best inputs."""
+        return self.beliefs[0].inputs() if self.beliefs else {}
+
+
+def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
+    """Read what the line of a harness is made of.
+
+    Parameters
+    ----------
+    harness : as read
+    file : its YAML, for the places of files beside it
+    wires : wire sheet in place of the one that the file names
+
+    Raises
+    ------
+    LabpipeError
+        If a file cannot be used, or has no such wire.
+    """
+    block = harness.line.section
+    if block.wire is not None:
+        found = _of_wire(block, file, wires)
+    elif block.sliders is not None:
+        found = _of_deck(block, file_beside(block.sliders, file))
+    else:
+        found = _of_stiffness(block)
+    return replace(found, beliefs=_with_stated(found.beliefs, harness))
+
+
+def _with_stated(beliefs: tuple[Belief, ...], harness: HarnessFile) -> tuple[Belief, ...]:
+    """Beliefs of a calibration with what the file states beside them."""
+    stated = {LAW_FACTOR: harness.line.section.stiffness_uncertainty or 0.0}
+    if harness.line.spool is not None:
+        stated |= dict.fromkeys(FREE_CURVATURES, harness.line.spool.spread)
+    own = [
+        known(name, deviation, cause=_CAUSES[name])
+        for name, deviation in stated.items()
+        if deviation > 0.0
+    ]
+    if not own:
+        return beliefs
+    return tuple(joined([each, *own]) for each in beliefs) or (joined(own),)
+
+
+_CAUSES = {LAW_FACTOR: "stiffness as stated"} | dict.fromkeys(FREE_CURVATURES, "curl of the spool")
+
+
+def input_file(role: str, path: Path) -> InputFile:
+    """A file with its hash, for the record.
+
+    Parameters
+    ----------
+    role : what it is for
+    path : that can be read
+    """
+    content = path.read_bytes()
+    return InputFile(role, path.name, hashlib.sha256(content).hexdigest(), len(content))
+
+
+def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
+    """Find a wire in a sheet.
+
+    Parameters
+    ----------
+    name : of the wire
+    sheet : that has it as a row
+    where : what asks for it, for the message
+
+    Raises
+    ------
+    LabpipeError
+        If the sheet has faults, or no such wire.
+    """
+    specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
+    if name in specs:
+        return specs[name]
+    near = ", ".join(nearest(name, list(specs)))
+    message = complaint(
+        *(where, ""),
+        expected=f"a wire of {sheet}, such as {near}",
+        found=repr(name),
+        remedy="Add its row to the sheet, or name another sheet.",
+    )
+    raise UsageError(message)
+
+
+def _of_wire(block: SectionBlock, file: Path, wires: Path | None) -> Material:
+    sheet = wires or file_beside(block.sheet or DEFAULT_SHEET, file)
+    spec = wire_of(str(block.wire), sheet, where=f"{file}, line.section.wire")
+    files = [input_file("wires", sheet)]
+    calibrated = None
+    if block.calibration is not None:
+        path = file_beside(block.calibration, file)
+        calibrated = read_calibrated(path)
+        files.append(input_file("calibration", path))
+    specs = _solved(spec, calibrated)
+    try:
+        table, families = wire_table(specs[0]), [family_of(each) for each in specs]
+    except ValueError as error:
+        message = complaint(
+            *(sheet, f"{spec.place}, wire {spec.name!r}"),
+            expected="a wire whose law can be put into sliders",
+            found=f"this: {error}",
+            remedy="Check its row against the wire.",
+        )
+        raise ProcessingError(message) from error
+    limits = {
+        "its table": float(table.curvature[-1]),
+        "the straight line of its insulation": table.doubtful_curvature,
+    }
+    if calibrated is not None and np.isfinite(calibrated.tested_curvature):
+        limits["the tests of its calibration"] = calibrated.tested_curvature
+    words = min(limits, key=lambda each: limits[each])
+    return Material(
+        _name(spec, calibrated),
+        tuple(partial(_of_family, each, spec.wire_diameter) for each in families),
+        *(limits[words], words),
+        files=tuple(files),
+        notes=table.notes,
+        beliefs=() if calibrated is None else _beliefs(calibrated),
+    )
+
+
+def _solved(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:
+    """The wire with the numbers of each solution that a calibration allows; alone without one."""
+    if calibrated is None:
+        return [spec]
+    return [
+        with_values(spec, calibrated.values(number))
+        for number, each in enumerate(calibrated.solutions)
+        if each.is_allowed
+    ]
+
+
+def _of_family(family: LawFamily, diameter: float, inputs: Mapping[str, float]) -> Section:
+    made = family.at(inputs)
+    return Section(
+        *(made.law, made.torsional_stiffness, made.axial_stiffness, made.coupling),
+        mass_per_length=made.mass_per_length,
+        diameter=diameter,
+    )
+
+
+def _beliefs(calibrated: CalibratedFile) -> tuple[Belief, ...]:
+    return calibrated_beliefs(calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR)
+
+
+def _name(spec: WireSpec, calibrated: CalibratedFile | None) -> str:
+    """Name of a wire, and of the one that it was calibrated by where that is another."""
+    if calibrated is None or calibrated.wire == spec.name:
+        return spec.name
+    return f"{spec.name} (calibrated as {calibrated.wire})"
+
+
+def _changed(section: Section, inputs: Mapping[str, float]) -> Section:
+    """A section with moments, torsion and mass multiplied as the inputs say."""
+    bending, torsion, mass = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
+    law = section.law
+    return replace(
+        section,
+        law=replace(law, stiffness=bending * law.stiffness, stiffnesses=bending * law.stiffnesses),
+        torsional_stiffness=torsion * section.torsional_stiffness,
+        mass_per_length=mass * section.mass_per_length,
+    )
+
+
+def _of_stiffness(block: SectionBlock) -> Material:
+    stiffness, limit = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
+    section = Section(
+        linear_moment_law(stiffness, limit),
+        block.torsional_stiffness or 0.0,
+        block.axial_stiffness or np.inf,
+        mass_per_length=block.mass_per_length or 0.0,
+        diameter=block.diameter or 0.0,
+    )
+    name = f"stiffness {1e6 * stiffness:.6g} N mm^2"
+    words = "'largest_curvature' of the file"
+    return Material(name, (partial(_changed, section),), limit, words)
+
+
+def _of_deck(block: SectionBlock, path: Path) -> Material:
+    said = _read_deck(path)
+    try:
+        first, last = map(float, said["range"]["curvature"])
+        law = SliderLaw(
+            float(said["stiffness"]),
+            np.array(said["stiffnesses"], dtype=np.float64),
+            np.array(said["slip_curvatures"], dtype=np.float64),
+            first,
+            last,
+            float(said.get("error", 0.0)),
+        )
+        section = Section(
+            law,
+            float(said["torsional_stiffness"]),
+            block.axial_stiffness or np.inf,
+            mass_per_length=float(said.get("mass_per_length") or 0.0),
+            diameter=block.diameter or 0.0,
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        found = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
+        raise _no_deck(path, "the law of a wire with its range", found) from error
+    return Material(
+        *(str(said.get("wire", path.stem)), (partial(_changed, section),)),
+        *(law.last, "the range of the deck"),
+        files=(input_file("sliders", path),),
+    )
+
+
+def _read_deck(path: Path) -> dict[str, Any]:
+    try:
+        said = json.loads(path.read_bytes()) if path.stat().st_size < _MOST_BYTES else None
+    except (OSError, ValueError, RecursionError) as error:
+        raise _no_deck(path, "a deck that labpipe wrote", f"a damaged one ({error})") from error
+    if not isinstance(said, dict):
+        raise _no_deck(path, "a deck that labpipe wrote", "something else")
+    if "reason" in said:
+        raise _no_deck(path, "the law of a wire as sliders", f"why there is none: {said['reason']}")
+    return said
+
+
+def _no_deck(path: Path, expected: str, found: str) -> ReadError:
+    remedy = "`labpipe model` writes <wire>.sliders.json."
+    return ReadError(complaint(path, "", expected=expected, found=found, remedy=remedy))

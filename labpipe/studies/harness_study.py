@@ -1,0 +1,276 @@
+"""From a harness YAML to a shape: followed, judged, written, and drawn."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.decks.mujoco_line import line_deck
+from labpipe.protocol.harness_loading import load_harness
+from labpipe.records.quality import QualityNote
+from labpipe.records.result import InputFile, Status
+from labpipe.report.harness_figure import (
+    FIGURE,
+    SWEEP_FIGURE,
+    save_harness_figure,
+)
+from labpipe.rod.bands import StateBands
+from labpipe.store.failure_file import FAILURE_FILE
+from labpipe.store.replace import locked, replacing, replacing_together, storing
+from labpipe.store.summaries import SUMMARY_FILE, result_entry
+from labpipe.studies.harness_drawn import drawn_harness, drawn_sweep
+from labpipe.studies.harness_followed import FAILED, FollowedHarness, Swept, followed, swept
+from labpipe.studies.harness_section import input_file, material_of
+from labpipe.studies.harness_tables import Bands, forces_csv, shape_csv, shape_vtk
+
+SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
+VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"
+FIGURES_FOLDER = "figures"
+SCHEMA = 1
+
+
+def follow_harness(
+    file: Path,
+    *,
+    wires: Path | None = None,
+    out: Path | None = None,
+    figures: bool = True,
+    png: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> FollowedHarness:
+    """Follow the line of a harness, and write what was found.
+
+    Parameters
+    ----------
+    file : harness YAML
+    wires : wire sheet in place of the one that the file names
+    out : folder of the results; None for ``processed/harness/<name of the file>`` in the working
+        folder
+    figures : whether to draw
+    png : figures as PNG, too; without it those of an earlier run are taken away
+    say : is given each stage as it begins
+
+    Returns
+    -------
+    The harness with its numbers and files. Of one whose line cannot be followed to the last step
+    only ``failure.json`` is written; earlier results are then as they were.
+
+    Raises
+    ------
+    LabpipeError
+        If the file or one that it names has faults; earlier results are then as they were.
+    """
+    harness = load_harness(file)
+    material = material_of(harness, file, wires)
+    folder = Path("processed/harness") / file.stem if out is None else out
+    say("equilibria")
+    found = followed(harness, file, material, folder)
+    if found.status is Status.FAILED:
+        _write_failure(found)
+        return found
+    lengths = harness.sweep.length if harness.sweep else ()
+    sweep = []
+    for length in lengths:
+        say(f"length {1e3 * length:.6g} mm")
+        sweep.append(swept(harness, material, length))
+    return _write(replace(found, sweep=tuple(sweep)), figures=figures, png=png)
+
+
+def _write_failure(found: FollowedHarness) -> None:
+    """Say why beside earlier results, which stay."""
+    first, states = found.reasons[0], found.path.states
+    reached = states[-1].positions if states else found.laid.line.positions
+    said = {
+        **_head(found),
+        "code": first.code,
+        "reason": first.message,
+        "reasons": [asdict(each) for each in found.reasons],
+        "reached": {"step": len(states) - 1, "positions": reached.tolist()},
+    }
+    text = json.dumps(said, indent=1, ensure_ascii=False)
+    with locked(found.folder), replacing(found.folder / FAILURE_FILE) as temporary:
+        temporary.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+
+
+def _write(found: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarness:
+    folder, path, ready = found.folder, found.path, found.laid
+    title = f"{found.file.stem}, {found.material.name}, labpipe {__version__}"
+    texts = {
+        SHAPE_FILE: shape_csv(path, ready.line, found.steps, _shape_bands(found)),
+        FORCES_FILE: forces_csv(path, ready, _force_bands(found)),
+        VTK_FILE: shape_vtk(path, ready.line, found.steps, title),
+        DECK_FILE: line_deck(ready.line, ready.boundaries, title=title),
+        SUMMARY_FILE: json.dumps(as_json(found), indent=1, ensure_ascii=False) + "\n",
+    }
+    if found.sweep:
+        texts[SWEEP_FILE] = _sweep_csv(found.sweep)
+    names = (FIGURE, SWEEP_FIGURE) if figures else ()
+    owned = [SWEEP_FILE, FAILURE_FILE, *(f"{FIGURES_FOLDER}/{name}.png" for name in names)]
+    owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.svg"] if figures else []
+    with locked(folder), replacing_together(folder, owned=owned) as stage:
+        with storing(folder):
+            for name, text in texts.items():
+                (stage / name).write_text(text, encoding="utf-8", newline="\n")
+        written = [stage / name for name in texts]
+        if figures:
+            drawn = drawn_harness(found)
+            into = stage / FIGURES_FOLDER
+            written += save_harness_figure(drawn, drawn_sweep(found), into, png=png)
+        files = tuple(folder / each.relative_to(stage) for each in written)
+    return replace(found, files=files)
+
+
+def _states(found: FollowedHarness) -> Mapping[int, StateBands]:
+    """Bands by step; none where there are none."""
+    return {} if found.bands is None else {each.step: each for each in found.bands.line.states}
+
+
+def _shape_bands(found: FollowedHarness) -> Bands:
+    return {
+        step: (
+            np.column_stack([each.positions.lower, each.curvature.lower]),
+            np.column_stack([each.positions.upper, each.curvature.upper]),
+        )
+        for step, each in _states(found).items()
+    }
+
+
+def _force_bands(found: FollowedHarness) -> Bands:
+    return {
+        step: (each.reaction_forces.lower, each.reaction_forces.upper)
+        for step, each in _states(found).items()
+    }
+
+
+def _sweep_csv(sweep: Sequence[Swept]) -> str:
+    ends = "smallest_bend_radius [m],lower [m],upper [m],place [m]"
+    after = "smallest_bend_radius_on_the_way [m],step,lowest_point [m]"
+    lines = [f"length [m],{ends},{after},status,code,reason"]
+    for each in sweep:
+        reason = each.path.reasons[0] if each.path.reasons else None
+        numbers = [""] * 7
+        if each.path.status != FAILED:
+            lowest = float(each.path.last.positions[:, 2].min())
+            bend, way = each.bend, each.way
+            low, high = _ends(each).values()
+            values = (bend.radius, low, high, bend.place, way.radius, way.step, lowest)
+            numbers = ["" if value is None else f"{value:.9g}" for value in values]
+        why = ["", ""] if reason is None else [reason.code, f'"{reason.sentence}"']
+        lines.append(",".join([f"{each.length:.9g}", *numbers, each.path.status, *why]))
+    return "\n".join(lines) + "\n"
+
+
+def _head(found: FollowedHarness) -> dict[str, object]:
+    files = _files(found)
+    fingerprints = "".join([__version__, *(each.sha256 for each in files)])
+    return {
+        "schema": SCHEMA,
+        "harness": found.file.stem,
+        "about": found.harness.about,
+        "labpipe": __version__,
+        "run": hashlib.sha256(fingerprints.encode()).hexdigest(),
+        "inputs": [{"role": each.role, "file": each.file, "sha256": each.sha256} for each in files],
+        "status": str(found.status),
+    }
+
+
+def _files(found: FollowedHarness) -> tuple[InputFile, ...]:
+    return (input_file("harness", found.file), *found.material.files)
+
+
+def as_json(found: FollowedHarness) -> dict[str, object]:
+    """What ``summary.json`` holds: plain SI numbers; None for one that is not available.
+
+    Parameters
+    ----------
+    found : a harness that was followed
+    """
+    section, line = found.laid.line.section, found.laid.line
+    bend, limit = found.sharpest, found.limit
+    return {
+        **_head(found),
+        "reasons": [asdict(each) for each in found.reasons],
+        "line": {
+            "of": found.material.name,
+            "length": line.length,
+            "elements": len(line.lengths),
+            "diameter": section.diameter,
+            "mass_per_length": section.mass_per_length,
+            "first_bending_stiffness": section.law.first_stiffness,
+            "sliders": len(section.law.stiffnesses),
+            "torsional_stiffness": section.torsional_stiffness,
+            "axial_stiffness": _finite(section.axial_stiffness),
+            "backed_curvature": found.material.limit,
+            "backed_by": found.material.limit_words,
+        },
+        "bend_radius": {
+            "allowed": limit.radius,
+            "allowed_from": limit.words,
+            "assumed": limit.is_assumed,
+            "smallest": _finite(bend.radius),
+            "step": bend.step,
+            "place": bend.place,
+            "kept": bend.radius >= limit.radius,
+        },
+        "results": [result_entry(each) for each in found.results],
+        "sweep": [
+            {
+                "length": each.length,
+                "status": each.path.status,
+                "smallest_bend_radius": _finite(each.bend.radius),
+                **_ends(each),
+                "smallest_bend_radius_on_the_way": _finite(each.way.radius),
+            }
+            for each in found.sweep
+        ],
+        "bands": _bands_json(found),
+        "quality": [_note(each) for each in found.material.notes],
+        "units": dict(_UNITS),
+    }
+
+
+def _ends(swept: Swept) -> dict[str, float | None]:
+    """Ends of the band of the smallest bend radius; None without one."""
+    if swept.bands is None:
+        return {"lower": None, "upper": None}
+    found = swept.bands.intervals["smallest_bend_radius"]
+    return {"lower": _finite(found.lower), "upper": _finite(found.upper)}
+
+
+def _bands_json(found: FollowedHarness) -> dict[str, object]:
+    """What the bands are, and what each cause has in them; or why there are none."""
+    if found.bands is None:
+        words = "nothing says how well the law is known: name a calibration, or an uncertainty"
+        return {"kind": None, "reason": words}
+    shares = found.bands.line.states[-1].shares
+    return {
+        "kind": "pointwise 95 %",
+        "shares": {name: dict(each) for name, each in shares.items()},
+    }
+
+
+_UNITS: Mapping[str, str] = {
+    "length": "m",
+    "diameter": "m",
+    "place": "m",
+    "bend_radius": "m",
+    "curvature": "1/m",
+    "mass_per_length": "kg/m",
+    "stiffness": "N*m^2",
+    "axial_stiffness": "N",
+}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _note(note: QualityNote) -> dict[str, str]:
+    return {"code": note.code, "severity": str(note.severity), "message": note.message}

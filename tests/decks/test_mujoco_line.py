@@ -1,0 +1,127 @@
+"""The line of a harness in MuJoCo, moved as the deck says, against the rod."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from labpipe.decks.mujoco_line import line_deck
+from labpipe.protocol.harness_loading import load_harness
+from labpipe.records.arrays import Floats
+from labpipe.rod import boundaries as rod
+from labpipe.rod.statics import follow
+from labpipe.studies.harness_line import Laid, laid
+from labpipe.studies.harness_section import material_of
+from tests.builders.harness_files import STIFFNESS, arch, pushed, written
+
+
+def ready(folder: Path, text: str) -> Laid:
+    file = written(folder, text)
+    harness = load_harness(file)
+    return laid(harness, material_of(harness, file).sections[0]({}), {})
+
+
+def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 600) -> Floats:
+    """Where MuJoCo has the chain in the end, shape (places, 3), evenly along it."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
+    model = mujoco.MjModel.from_xml_string(deck)
+    data = mujoco.MjData(model)
+    weight = model.opt.gravity.copy()
+    paths: dict[str, Floats] = {}
+    releases: dict[str, Floats] = {}
+    for number in range(model.nnumeric):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_NUMERIC, number)
+        begin, size = model.numeric_adr[number], model.numeric_size[number]
+        kind, _, of = name.partition("_")
+        values = model.numeric_data[begin : begin + size]
+        (paths if kind == "path" else releases)[of] = values
+    for step in range(steps):
+        for move in range(moves):
+            share = (move + 1) / moves
+            model.opt.gravity[:] = weight * min(1.0, step + share)
+            for name, path in paths.items():
+                rows = path.reshape(-1, 7)
+                row = (1.0 - share) * rows[step] + share * rows[step + 1]
+                body = model.body(name).mocapid[0]
+                data.mocap_pos[body], data.mocap_quat[body] = row[:3], row[3:]
+                if releases[name][0] == step + 1:
+                    data.eq_active[model.equality(f"hold_{name}").id] = 0
+            mujoco.mj_step(model, data)
+    for _ in range(rest):
+        mujoco.mj_step(model, data)
+    nodes = np.round(np.linspace(1, 30, places)).astype(int)
+    return np.array([data.body(f"node_{node}").xpos for node in nodes])
+
+
+def along_rod(found: Laid, steps: int, places: int) -> Floats:
+    """The same places of the rod: bodies begin at (i - 1/2) / 30 of the length."""
+    path = follow(found.line, found.boundaries, steps=steps)
+    nodes = np.round(np.linspace(1, 30, places)).astype(int)
+    at = (nodes - 0.5) / 30.0 * found.line.length
+    return np.column_stack([np.interp(at, found.line.stations, x) for x in path.last.positions.T])
+
+
+@pytest.mark.parametrize("section", [STIFFNESS, "{wire: A2}"])
+def test_mujoco_has_the_shape_of_the_rod(tmp_path: Path, section: str) -> None:
+    """An arch in its plane: within 1.5 % of the length."""
+    found = ready(tmp_path, arch(section).replace("elements: 16", "elements: 30"))
+    deck = line_deck(found.line, found.boundaries, title="arch")
+    assert moved(deck, 8, 7) == pytest.approx(along_rod(found, 8, 7), abs=3e-3)
+
+
+def test_what_is_let_go_springs_back_in_mujoco_too(tmp_path: Path) -> None:
+    found = ready(tmp_path, pushed().replace("elements: 12", "elements: 30"))
+    deck = line_deck(found.line, found.boundaries, title="pushed")
+    assert moved(deck, 10, 7) == pytest.approx(along_rod(found, 10, 7), abs=2e-3)
+
+
+def test_the_model_begins_as_the_line_lies(tmp_path: Path) -> None:
+    """A curled line, by the places of the bodies before anything moves."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
+    curl = "  spool: {curvature: 5 1/m, towards: [0, 1, 0]}\n"
+    found = ready(tmp_path, arch(line=curl).replace("elements: 16", "elements: 30"))
+    model = mujoco.MjModel.from_xml_string(line_deck(found.line, found.boundaries, title="curl"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    last = data.body("node_30")
+    end = last.xpos + last.xmat.reshape(3, 3)[:, 0] * 0.5 * 0.2 / 30
+    assert end == pytest.approx(found.line.positions[-1], abs=2e-3)
+
+
+def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
+    text = (
+        arch()
+        .replace("left", "'a \"b\" <c>'")
+        .replace(
+            "steps:",
+            "  - {kind: string, name: thread, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], "
+            "length: 95 mm}\n"
+            "  - {kind: load, name: weight, at: 77 mm, force: [0 N, 0 N, -1 N]}\n"
+            "  - {kind: ring, name: guide, position: [50 mm, 0 mm, 0 mm], direction: [1, 0, 0]}\n"
+            "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:",
+        )
+    )
+    found = ready(tmp_path, text)
+    deck = line_deck(found.line, found.boundaries, title="all -- kinds")
+    root = ET.fromstring(deck)
+    names = {each.get("name") for each in root.iter() if each.get("name")}
+    assert names >= {
+        *('a "b" <c>', "right", 'path_a "b" <c>', "release_right", "hold_right"),
+        *("thread", "anchor_thread", "weight_x", "weight_z", "at_weight"),
+    }
+    assert "Left out, as this chain touches nothing: guide, table." in deck
+    spatial = root.find(".//spatial")
+    assert spatial is not None
+    assert spatial.get("range") == "0 0.095"
+
+
+def test_a_line_that_may_fall_is_free_in_space(tmp_path: Path) -> None:
+    found = ready(tmp_path, arch())
+    held = [each for each in found.boundaries if isinstance(each, rod.Held)]
+    loose = line_deck(found.line, held[1:], title="loose")
+    fixed = line_deck(found.line, held, title="fixed")
+    assert loose.count("<freejoint />") == 1
+    assert "freejoint" not in fixed

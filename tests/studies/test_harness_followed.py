@@ -1,0 +1,60 @@
+"""A harness as followed: status, reasons, steps that are shown, lengths of a sweep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from labpipe.protocol.harness_loading import load_harness
+from labpipe.records.result import Status
+from labpipe.studies.harness_followed import FollowedHarness, followed, shown_steps, swept
+from labpipe.studies.harness_section import material_of
+from tests.builders.harness_files import STIFFNESS, arch, written
+
+
+def run(folder: Path, text: str, limit: float | None = None) -> FollowedHarness:
+    file = written(folder, text)
+    harness = load_harness(file)
+    material = material_of(harness, file)
+    material = material if limit is None else replace(material, limit=limit)
+    return followed(harness, file, material, folder / "out")
+
+
+def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
+    found = run(tmp_path, arch())
+    assert (found.status, found.reasons, found.bands) == (Status.OK, (), None)
+    assert found.steps == (8,)
+    assert {each.status for each in found.results if each.value is not None} == {Status.OK}
+    assert found.sharpest.radius <= found.results[0].value  # type: ignore[operator]
+    assert not (tmp_path / "out").exists(), "nothing is written here"
+
+
+def test_one_beyond_it_is_doubtful_with_all_its_numbers(tmp_path: Path) -> None:
+    section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
+    for text in (arch(), arch(section)):
+        found = run(tmp_path, text, limit=2.0)
+        assert found.status is Status.DOUBTFUL
+        assert [each.code for each in found.reasons] == ["beyond_backed"], "said once"
+        assert {each.status for each in found.results} == {Status.DOUBTFUL}
+    assert found.bands is not None
+
+
+def test_one_beyond_the_range_of_its_law_says_so(tmp_path: Path) -> None:
+    found = run(tmp_path, arch(STIFFNESS.replace("80 1/m", "5 1/m")))
+    assert found.status is Status.DOUBTFUL
+    assert [each.code for each in found.reasons] == ["beyond_law"]
+    assert "step" in found.reasons[0].message
+
+
+def test_steps_and_lengths(tmp_path: Path) -> None:
+    file = written(tmp_path, arch(more="show: [6, 2, 8]\n"))
+    harness = load_harness(file)
+    assert shown_steps(harness) == (2, 6, 8)
+    material = material_of(harness, file)
+    longer = swept(harness, material, 0.25)
+    assert longer.laid.line.length == pytest.approx(0.25)
+    assert (longer.length, longer.bands) == (0.25, None)
+    assert longer.way.radius <= longer.bend.radius
+    assert longer.bend.step == 8

@@ -1,0 +1,170 @@
+"""Numbers of a followed harness, against what is known of simple lines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.law.sliders import SliderLaw
+from labpipe.protocol.harness_loading import load_harness
+from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
+from labpipe.records.result import Status
+from labpipe.rod.path import Reason as RodReason
+from labpipe.rod.path import RodPath
+from labpipe.rod.statics import follow
+from labpipe.studies.harness_line import Laid, laid
+from labpipe.studies.harness_numbers import (
+    Number,
+    bend_limit,
+    curvature_of,
+    kept_curvature,
+    numbers_of,
+    radius_of,
+    reasons_of,
+    results_of,
+    sharpest,
+)
+from labpipe.studies.harness_section import Material, material_of
+from tests.builders.harness_files import STIFFNESS, arch, pushed, written
+
+RELEASED = pushed()
+ALONE = pushed(STIFFNESS).partition("  - kind: grip")[0] + "steps: 2\n"
+"""A cantilever under its own weight."""
+
+
+def followed(folder: Path, text: str) -> tuple[Material, Laid, RodPath]:
+    file = written(folder, text)
+    harness = load_harness(file)
+    material = material_of(harness, file)
+    ready = laid(harness, material.sections[0]({}), {})
+    return material, ready, follow(ready.line, ready.boundaries, steps=harness.steps)
+
+
+def by_name(path: RodPath, ready: Laid) -> dict[str, Number]:
+    return {each.name: each for each in numbers_of(path, ready)}
+
+
+def test_a_heavy_cantilever(tmp_path: Path) -> None:
+    """w = 0.0686 N/m on 0.1 m of 150 N mm^2: w L^4 / 8 EI = 5.7 mm, w L^2 / 2 at the clip."""
+    _, ready, path = followed(tmp_path, ALONE)
+    numbers = by_name(path, ready)
+    weight = 0.007 * 9.80665
+    moment = weight * 0.1**2 / 2.0
+    assert numbers["force.bench"].value == pytest.approx(weight * 0.1, rel=1e-6)
+    assert numbers["moment.bench"].value == pytest.approx(moment, rel=0.01)
+    assert numbers["smallest_bend_radius"].value == pytest.approx(150e-6 / moment, rel=0.04)
+    assert numbers["smallest_bend_radius"].remark == "0 mm from the start"
+    assert numbers["lowest_point"].value == pytest.approx(-weight * 0.1**4 / 8 / 150e-6, rel=0.02)
+    assert numbers["lowest_point"].remark == "100 mm from the start"
+    assert numbers["kept_curvature"].value == 0.0
+    assert not any(name.startswith("springback") for name in numbers)
+
+
+def test_what_a_gripper_leaves(tmp_path: Path) -> None:
+    _, ready, path = followed(tmp_path, RELEASED)
+    numbers = by_name(path, ready)
+    node = ready.nodes["gripper"]
+    moved = np.linalg.norm(path.states[-1].positions[node] - path.states[8].positions[node])
+    assert numbers["springback.gripper"].value == pytest.approx(moved)
+    assert "from step 8, the last in which it was held" in numbers["springback.gripper"].remark
+    assert numbers["force.gripper"].value == pytest.approx(0.0, abs=1e-9)
+    assert numbers["energy_lost"].value > 0.0
+    way, end = (numbers[f"smallest_bend_radius{word}"].value for word in ("_on_the_way", ""))
+    assert way < 0.5 * end
+    assert numbers["smallest_bend_radius_on_the_way"].remark.startswith("step ")
+    assert "moment.gripper" not in numbers, "it may turn in the gripper"
+
+
+def test_the_curvature_that_a_line_keeps_has_no_moment(tmp_path: Path) -> None:
+    """Bent back to it, with the sliders where they rest, the line carries nothing."""
+    _, ready, path = followed(tmp_path, RELEASED)
+    law, state = ready.line.section.law, path.states[8]
+    kept = kept_curvature(state, law)
+    node = int(np.argmax(kept))
+    rests = state.rests[node, 0]
+    set_to = np.einsum("j,jx->x", law.stiffnesses, rests) / law.first_stiffness
+    moment = law.stiffness * set_to + np.einsum("j,jx->x", law.stiffnesses, set_to - rests)
+    assert np.linalg.norm(moment) == pytest.approx(0.0, abs=1e-12)
+    assert kept[node] == pytest.approx(float(np.linalg.norm(set_to)))
+
+
+def test_curvature_at_rest_counts_in_the_radius(tmp_path: Path) -> None:
+    """A curled line that nothing bends is as round as its spool."""
+    curl = "line: {length: 100 mm, elements: 12, spool: {curvature: 8 1/m}, section: "
+    text = ALONE.replace("line: {length: 100 mm, elements: 12, section: ", curl)
+    text += "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n"
+    _, ready, path = followed(tmp_path, text)
+    assert curvature_of(path.last, ready.line)[1:-1] == pytest.approx(np.full(11, 8.0), rel=1e-6)
+    assert sharpest(path, ready.line, [2]).radius == pytest.approx(1.0 / 8.0, rel=1e-6)
+
+
+def test_a_straight_line_has_no_radius(tmp_path: Path) -> None:
+    _, ready, path = followed(tmp_path, ALONE + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")
+    first, *_ = results_of(numbers_of(path, ready), (), {})
+    assert (first.name, first.value, first.status) == (
+        "smallest_bend_radius",
+        None,
+        Status.FAILED,
+    )
+    assert first.codes == ("straight",)
+    assert radius_of(np.array([0.0, 2.0])).tolist() == [np.inf, 0.5]
+
+
+def test_intervals_and_doubts_go_to_the_results() -> None:
+    numbers = [Number("a", 1.0, "m"), Number("b", 2.0, "N", "there")]
+    reason = Reason("why", "so")
+    one, other = results_of(numbers, (reason,), {"b": Interval(1.0, 3.0, 0.95)})
+    assert (one.interval, one.status, one.reasons) == (None, Status.DOUBTFUL, (reason,))
+    assert (other.interval, other.remark) == (Interval(1.0, 3.0, 0.95), "there")
+
+
+def test_beyond_what_backs_the_law(tmp_path: Path) -> None:
+    material, ready, path = followed(tmp_path, arch())
+    assert reasons_of(path, ready.line, material) == ()
+    most = max(float(state.bendings.max()) for state in path.states)
+    (reason,) = reasons_of(path, ready.line, replace(material, limit=0.5 * most))
+    assert reason.code == "beyond_backed"
+    words = f"the line is bent to {most:.4g} 1/m, its law is backed up to {most / 2:.4g} 1/m by "
+    assert words in reason.message
+    assert reason.message.startswith("step ")
+    said = replace(path, reasons=(RodReason("beyond_law", "step 3: too far", 3),))
+    (reason,) = reasons_of(said, ready.line, replace(material, limit=0.5 * most))
+    assert (reason.code, reason.message) == ("beyond_law", "step 3: too far"), "said once"
+
+
+def test_nothing_was_reached(tmp_path: Path) -> None:
+    material, ready, path = followed(tmp_path, ALONE)
+    why = RodReason("no_equilibrium", "step 0: none", 0)
+    nothing = replace(
+        path,
+        states=(),
+        status="failed",
+        reasons=(why,),
+        snapped=(),
+        **{name: np.zeros(0) for name in ("work", "stored", "lost", "rubbed", "jumped")},
+    )
+    (reason,) = reasons_of(nothing, ready.line, material)
+    assert reason.code == "no_equilibrium"
+
+
+def test_the_allowed_radius_is_stated_or_assumed(tmp_path: Path) -> None:
+    for more, radius, words in (
+        ("", 0.01, "assumed: 5 times the outer diameter of 2 mm"),
+        ("allowed_bend_radius: 25 mm\n", 0.025, "stated in the file"),
+    ):
+        file = written(tmp_path, arch(more=more))
+        harness = load_harness(file)
+        limit = bend_limit(harness, material_of(harness, file))
+        assert limit.radius == pytest.approx(radius)
+        assert (limit.words, limit.is_assumed) == (words, not more)
+
+
+def test_a_spring_keeps_nothing(tmp_path: Path) -> None:
+    _, ready, path = followed(tmp_path, ALONE)
+    spring = SliderLaw(1.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
+    assert not kept_curvature(path.last, spring).any()
+    assert ready.line.section.law.stiffness == pytest.approx(150e-6)
