@@ -16,7 +16,7 @@ from labpipe.rod.line import Line
 from labpipe.rod.path import RodState
 from labpipe.rod.rotations import matrices
 from labpipe.studies.harness_followed import FAILED, FollowedHarness, Swept
-from labpipe.studies.harness_numbers import Bend, curvature_of, radius_of
+from labpipe.studies.harness_numbers import curvature_of, radius_of
 
 
 def drawn_harness(found: FollowedHarness) -> DrawnHarness:
@@ -105,16 +105,12 @@ def drawn_sweep(found: FollowedHarness) -> DrawnSweep | None:
         name=found.file.stem,
         note=_words(found),
         length=np.array([each.length for each in sweep]),
-        radius=np.array([_or_nan(each, each.bend) for each in sweep]),
-        way=np.array([_or_nan(each, each.way) for each in sweep]),
+        radius=np.array([each.bend.radius for each in sweep]),
+        way=np.array([each.way.radius for each in sweep]),
         radius_band=_radius_band(sweep),
         shapes=tuple(each.path.last.positions for each in whole),
         allowed=found.limit.radius,
     )
-
-
-def _or_nan(swept: Swept, bend: Bend) -> float:
-    return bend.radius if swept.path.status != FAILED else math.nan
 
 
 def _radius_band(sweep: Sequence[Swept]) -> tuple[Floats, Floats] | None:

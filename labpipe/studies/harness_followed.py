@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from labpipe.errors import ProcessingError, complaint
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
@@ -46,13 +48,18 @@ class Swept:
 
     @property
     def bend(self) -> Bend:
-        """The sharpest bend at the last step."""
-        return sharpest(self.path, self.laid.line, [len(self.path.states) - 1])
+        """The sharpest bend at the last step; NaN for a line that could not be followed there."""
+        return self._sharpest([len(self.path.states) - 1])
 
     @property
     def way(self) -> Bend:
-        """The sharpest bend on the way."""
-        return sharpest(self.path, self.laid.line, range(len(self.path.states)))
+        """The sharpest bend on the way; NaN for a line that could not be followed to its end."""
+        return self._sharpest(range(len(self.path.states)))
+
+    def _sharpest(self, steps: Sequence[int]) -> Bend:
+        if self.path.status == FAILED:
+            return Bend(math.nan, -1, math.nan)
+        return sharpest(self.path, self.laid.line, steps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,9 +128,14 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
     file : its YAML
     material : of its line
     folder : of the results, which is not touched
+
+    Raises
+    ------
+    ProcessingError
+        If the line cannot be laid as its boundaries say.
     """
     steps = shown_steps(harness)
-    path, ready, bands = _with_bands(harness, material, steps, None)
+    path, ready, bands = _with_bands(harness, file, material, steps)
     reasons = reasons_of(path, ready.line, material)
     is_whole = path.status != FAILED
     if bands is not None:
@@ -144,21 +156,31 @@ _SAID_ALREADY = {"beyond_tested"}
 """Codes of notes of bands that `reasons_of` has a word for."""
 
 
-def swept(harness: HarnessFile, material: Material, length: float) -> Swept:
+def swept(harness: HarnessFile, file: Path, material: Material, length: float) -> Swept:
     """Follow a harness with another length of its line.
 
     Parameters
     ----------
     harness : as read
+    file : its YAML
     material : of its line
     length : m
+
+    Raises
+    ------
+    ProcessingError
+        As `followed`.
     """
-    path, ready, bands = _with_bands(harness, material, (harness.steps,), length)
+    path, ready, bands = _with_bands(harness, file, material, (harness.steps,), length)
     return Swept(length, path, ready, bands)
 
 
 def _with_bands(
-    harness: HarnessFile, material: Material, steps: Sequence[int], length: float | None
+    harness: HarnessFile,
+    file: Path,
+    material: Material,
+    steps: Sequence[int],
+    length: float | None = None,
 ) -> tuple[RodPath, Laid, HarnessBands | None]:
     """Follow a line at its best inputs, and beside them where something is believed of them."""
     known: list[Followed] = []
@@ -169,6 +191,15 @@ def _with_bands(
         known.append(found)
         return found
 
-    bands = harness_bands(follow_line, material, steps)
-    path, ready = known[0] if known else follow_line(0, material.best)
+    try:
+        bands = harness_bands(follow_line, material, steps)
+        path, ready = known[0] if known else follow_line(0, material.best)
+    except ValueError as error:
+        message = complaint(
+            *(file, "line"),
+            expected="a line that can be laid as its boundaries say",
+            found=f"this: {error}",
+            remedy="Check the line and what holds it.",
+        )
+        raise ProcessingError(message) from error
     return path, ready, bands

@@ -79,7 +79,7 @@ def follow_harness(
     sweep = []
     for length in lengths:
         say(f"length {1e3 * length:.6g} mm")
-        sweep.append(swept(harness, material, length))
+        sweep.append(swept(harness, file, material, length))
     return _write(replace(found, sweep=tuple(sweep)), figures=figures, png=png)
 
 

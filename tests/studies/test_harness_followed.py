@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from labpipe.errors import ProcessingError
 from labpipe.protocol.harness_loading import load_harness
 from labpipe.records.result import Status
 from labpipe.studies.harness_followed import FollowedHarness, followed, shown_steps, swept
@@ -53,8 +56,24 @@ def test_steps_and_lengths(tmp_path: Path) -> None:
     harness = load_harness(file)
     assert shown_steps(harness) == (2, 6, 8)
     material = material_of(harness, file)
-    longer = swept(harness, material, 0.25)
+    longer = swept(harness, file, material, 0.25)
     assert longer.laid.line.length == pytest.approx(0.25)
     assert (longer.length, longer.bands) == (0.25, None)
     assert longer.way.radius <= longer.bend.radius
     assert longer.bend.step == 8
+
+
+def test_a_length_that_failed_has_no_numbers(tmp_path: Path) -> None:
+    file = written(tmp_path, arch())
+    harness = load_harness(file)
+    one = swept(harness, file, material_of(harness, file), 0.25)
+    failed = replace(one, path=replace(one.path, status="failed"))
+    assert math.isnan(failed.bend.radius)
+    assert math.isnan(failed.way.radius)
+
+
+def test_a_line_that_cannot_be_laid_is_bad_input(tmp_path: Path) -> None:
+    curl = "  spool: {curvature: 5 1/m, towards: [2, 0, 0]}\n"
+    message = "line: expected a line that can be laid as its boundaries say, found this: towards="
+    with pytest.raises(ProcessingError, match=re.escape(message)):
+        run(tmp_path, arch(line=curl))
