@@ -10,8 +10,10 @@ import argparse
 import sys
 from pathlib import Path
 
+from tests.builders.arm_poses import POSES
 from tests.builders.real_wires import BLACK, WHITE
 from tests.real_wires.page import counted, publish
+from tests.real_wires.poses import study_pose, told
 from tests.real_wires.studied import study
 
 
@@ -21,9 +23,14 @@ def main() -> int:
     parser.add_argument("--publish", action="store_true", help="put the tables into the docs")
     options = parser.parse_args()
     studies = [study(wire, options.folder) for wire in (WHITE, BLACK)]
-    print(counted(studies))
+    poses = [
+        study_pose(each.wire, number, options.folder, *each.stiffnesses)
+        for each in studies
+        for number in range(len(POSES))
+    ]
+    print(counted(studies), told(poses), sep="\n\n")
     if options.publish:
-        publish(studies, options.folder)
+        publish(studies, poses, options.folder)
     return 0
 
 

@@ -9,21 +9,25 @@ import numpy as np
 
 from labpipe.studies.rod_fits import Estimate, HangFit, mean_of
 from tests.real_wires.pictures import draw_hangs, draw_twist
+from tests.real_wires.poses import PoseStudy, draw_poses, told
 from tests.real_wires.studied import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "explanations" / "real-rods.md"
 IMAGES = ROOT / "docs" / "images"
-BEGIN, END = "<!-- counted: begin -->", "<!-- counted: end -->"
 
 
-def publish(studies: list[Study], folder: Path) -> None:
+def publish(studies: list[Study], poses: list[PoseStudy], folder: Path) -> None:
     """Put the tables between the marks of the page, and draw the pictures."""
     text = PAGE.read_text(encoding="utf-8")
-    before, after = text.partition(BEGIN)[0], text.partition(END)[2]
-    PAGE.write_text(before + f"{BEGIN}\n{counted(studies)}\n{END}" + after, encoding="utf-8")
+    for name, table in (("counted", counted(studies)), ("poses", told(poses))):
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, after = text.partition(begin)[0], text.partition(end)[2]
+        text = f"{before}{begin}\n{table}\n{end}{after}"
+    PAGE.write_text(text, encoding="utf-8")
     draw_hangs(studies, IMAGES / "real-hangs.png")
     draw_twist(studies[0], folder, IMAGES / "real-twist.png")
+    draw_poses(poses, IMAGES / "real-poses.png")
 
 
 def counted(studies: list[Study]) -> str:

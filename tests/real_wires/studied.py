@@ -47,6 +47,11 @@ class Study:
     snapping: Floats
 
     @property
+    def stiffnesses(self) -> tuple[float, float]:
+        """Of bending and torsion, N m^2."""
+        return self.stiffness.value, self.torsion.value * self.stiffness.value
+
+    @property
     def slope(self) -> Estimate:
         """Free curvature at the end less that in the middle, 1/m."""
         return mean_of([each.natural[0] for each in self.fits])

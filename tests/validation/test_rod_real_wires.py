@@ -23,6 +23,8 @@ from labpipe.studies.rod_fits import (
     mean_of,
 )
 from labpipe.studies.rod_snaps import fit_torsion, snap_turn
+from tests.builders.arm_poses import POSES, distances, posed
+from tests.builders.arm_poses import seen as seen_poses
 from tests.builders.hung_wires import HungElastica
 from tests.builders.real_wires import (
     BLACK,
@@ -199,3 +201,31 @@ def test_torsion(wire: RealWire, straight: float, curved: float, realdata: Path)
     slope = mean_of([each.natural[0] for each in fits])
     assert fit_torsion(hang, turns, stiffness).value == pytest.approx(straight, rel=0.01)
     assert fit_torsion(hang, turns, stiffness, [slope]).value == pytest.approx(curved, rel=0.01)
+
+
+@pytest.mark.realdata
+def test_poses_of_the_white_wire_in_space(realdata: Path) -> None:
+    """With stiffnesses of other tests, nothing fitted; points are good to 5 % of 400 mm."""
+    stiffness, torsion = 0.793e-4, 0.793e-4
+    for pose, points in zip(POSES, seen_poses(WHITE, realdata), strict=True):
+        path = posed(WHITE, pose, points[-1], stiffness, torsion)
+        assert path.status == "ok"
+        off = float(distances(points, path).mean())
+        assert off < 7e-3
+    other_way = posed(
+        WHITE, POSES[1], seen_poses(WHITE, realdata)[1][-1], stiffness, torsion, twist=-1.0
+    )
+    assert float(distances(seen_poses(WHITE, realdata)[1], other_way).mean()) > 3 * 7e-3
+
+
+@pytest.mark.realdata
+def test_poses_of_the_black_wire_in_space(realdata: Path) -> None:
+    """The last one snapped over: the wire lies on itself in the picture."""
+    stiffness, torsion = 0.827e-3, 1.17e-3
+    off = []
+    for pose, points in zip(POSES, seen_poses(BLACK, realdata), strict=True):
+        path = posed(BLACK, pose, points[-1], stiffness, torsion)
+        off.append(float(distances(points, path).mean()))
+    assert max(off[:3]) < 11e-3
+    assert off[3] > 20e-3
+    assert max(path.snapped) > 40
