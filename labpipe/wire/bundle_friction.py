@@ -165,7 +165,8 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     Notes
     -----
     Least squares of the force, with `wire.end_load_path` as the cantilever. What the bundle cannot
-    do is push: a predicted force below zero counts as zero (a string is slack, a span is left).
+    do is push: less than nothing counts as nothing (a string is slack, a span is left), which is
+    below zero by what holds the weight at rest.
     The interval of the share is what the fitted points allow: the sum of squares rises by t^2 of
     the mean square, neighbouring points that are off alike counting for less (first-order
     correlation). What the model lacks is in it as far as it looks like slow noise; what the share
@@ -191,7 +192,8 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
             self_weight=loop.self_weight,
         )
         whole = len(path.load) == len(loop.deflection[:count])
-        return np.maximum(path.load, 0.0) if whole else None
+        at_rest = 0.0 if path.rest is None else float(path.rest.force[1])
+        return np.maximum(path.load, -at_rest) if whole else None
 
     def predicted(held: float, count: int | None = None) -> Floats:
         found = loads(held, count)
