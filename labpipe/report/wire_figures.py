@@ -287,7 +287,7 @@ def cantilever_figure(table: WireTable) -> Figure:
     slip without friction.
     """
     note = " ".join([*_setting(table), warnings_of(table)]).strip()
-    if not len(table.tip_deflection):
+    if len(table.tip_deflection) < 2:  # rest alone
         page = keyed_page(Words(wire_title(table), note), height_mm=40.0)
         say(page.subplots(), "There is no cantilever curve to draw.")
         return page

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,6 +37,13 @@ def test_figure_says_how_the_wire_is_held() -> None:
     assert page.texts[1].get_text().startswith("Free length 85 mm, first loading; the load stays")
     labels = [text.get_text() for text in page.legends[0].get_texts()]
     assert labels == ["wire model", "straight line, all stick", "straight line, all slip"]
+
+
+def test_rest_alone_is_no_curve() -> None:
+    """A law that stiffens has no cantilever curve beyond rest."""
+    table = replace(wire_table("A3"), tip_deflection=np.zeros(1), tip_force=np.zeros(1))
+    (said,) = cantilever_figure(table).axes[0].texts
+    assert said.get_text() == "There is no cantilever curve to draw."
 
 
 def test_no_curve_is_said_with_the_reason() -> None:
