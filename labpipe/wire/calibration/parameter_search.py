@@ -21,7 +21,8 @@ from labpipe.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.wire.calibration.wire_parts import COLUMNS, ModelForce, WireParts, gram, model_forces
 
 P = len(PARAMETERS)
-_MOST_STEPS = 60
+_MOST_STEPS, _FEW_STEPS = 60, 8
+_FAR = 200.0  # above another fit: no quantile of so few samples is as large
 _LONGEST_STEP = 1.5
 _SETTLED = 1e-5  # of the objective, predicted by a full step; intervals look at changes of 1
 _IDLE, _MOST_IDLE = 1e-3, 3  # gains of the objective in a row that end a walk along a flat valley
@@ -138,7 +139,7 @@ def search(
     """
     here = _look(problem, levels, start)
     damping, steps, idle = _DAMPING[0], 0, 0
-    while steps < _MOST_STEPS and damping <= _DAMPING[2] and idle < _MOST_IDLE:
+    while steps < _most(here, lowest) and damping <= _DAMPING[2] and idle < _MOST_IDLE:
         step, pull = _step_inside(problem, levels, here, free, damping)
         if float(step @ pull) <= max(enough, _ROUGHLY * (here.objective - lowest)):
             return replace(here, steps=steps, settled=True)
@@ -153,6 +154,11 @@ def search(
         else:
             damping *= _DAMPING[1]
     return replace(here, steps=steps, settled=steps < _MOST_STEPS)
+
+
+def _most(here: Fit, lowest: float) -> int:
+    """Steps that a search may take: few, as long as it is far above a better fit."""
+    return _FEW_STEPS if here.objective - lowest > _FAR else _MOST_STEPS
 
 
 def _look(problem: Problem, levels: Levels, point: Point) -> Fit:
