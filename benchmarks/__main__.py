@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import calibration, house, load_frames, two_segments, wire_model
+from benchmarks import calibration, house, load_frames, rods, two_segments, wire_model
 from benchmarks.jobs import FULL, JOBS, NO_FIGURES, Place, cost, cost_of_floor, prepared, write_raw
 from benchmarks.timing import in_turn, labpipe, median, paired, timed
 from labpipe.signal.filters import moving_average
@@ -119,6 +119,7 @@ def main() -> None:
     two_segments.main()
     wire_model.main()
     calibration.main()
+    rods.main()
 
 
 if __name__ == "__main__":

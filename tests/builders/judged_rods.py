@@ -136,15 +136,19 @@ def twist_that_buckles_a_ring(elements: int, *, step: float = 1e-3) -> float:
     return _left_at(shares, jumps)
 
 
-def bend_error(elements: int, *, load: float = 600.0) -> Floats:
-    """Of the tip of the bend of 45 degrees, m."""
+def bend_tip(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0) -> Floats:
+    """Tip of the bend of 45 degrees, as `bend_of_45_degrees` puts it, m."""
     angle = np.linspace(0.0, 0.25 * np.pi, elements + 1)
     points = 100.0 * np.stack([np.sin(angle), 1.0 - np.cos(angle), np.zeros_like(angle)], axis=1)
-    line = line_along(points, section(1e7 / 12.0, 5e6 / 6.0), is_formed=True)
+    line = line_along(points, section(1e7 / 12.0, 5e6 * torsion), is_formed=True)
     frame = frame_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     force = Load(-1, grown((0.0, 0.0, load), 6))
-    path = follow(line, [Held(0, np.zeros(3), frame), force], steps=6)
-    return tip(path) - bend_of_45_degrees(load)
+    return tip(follow(line, [Held(0, np.zeros(3), frame), force], steps=6))
+
+
+def bend_error(elements: int, *, load: float = 600.0) -> Floats:
+    """Of the tip of the bend of 45 degrees, m."""
+    return bend_tip(elements, load=load) - bend_of_45_degrees(load)
 
 
 POSED = Kirchhoff((1.0, 1.0, 0.7), 1.0, frame=(0.0, 0.5**0.5, 0.0, 0.5**0.5))

@@ -16,7 +16,8 @@ from labpipe.law.plays import PlayLaw
 from labpipe.law.sliders import fit_sliders, slider_moment
 from labpipe.records.arrays import Floats
 from labpipe.wire.end_load_path import end_load_path
-from tests.decks.test_mujoco_sliders import LENGTH, example, tips
+from tests.builders.mujoco_chains import tips
+from tests.decks.test_mujoco_sliders import LENGTH, example
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"

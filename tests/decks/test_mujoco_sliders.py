@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from labpipe.decks.deck_files import DECKS
-from labpipe.decks.mujoco_sliders import REST, mujoco_plane_deck, mujoco_space_deck
+from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
 from labpipe.decks.slider_table import sliders_csv, sliders_json
 from labpipe.law.play_fits import concave_law
 from labpipe.records.arrays import Floats
@@ -21,6 +21,7 @@ from labpipe.records.wire import WireTable
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.wire_table import wire_table
+from tests.builders.mujoco_chains import tips
 
 LENGTH = 0.085
 DEFLECTIONS = np.array([3e-3, 5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3])
@@ -47,28 +48,6 @@ def wanted(name: str) -> tuple[Floats, float]:
     at = int(np.argmax(load <= 0.0))
     left = float(np.interp(0.0, load[at : at - 2 : -1], back[at : at - 2 : -1]))
     return end_load_path(law, LENGTH, DEFLECTIONS).load, left
-
-
-def tips(
-    deck: str, loads: Floats, towards: float = 0.0, *, ramp: int = 400, rest: int = REST
-) -> Floats:
-    """Where the tip comes to rest under each load, shape (loads, 3)."""
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_string(deck)
-    data = mujoco.MjData(model)
-    pull = np.array([np.cos(towards), np.sin(towards)])[: model.nu]
-    places, before = [], 0.0
-    for load in loads:
-        for step in range(ramp + rest):
-            share = min(1.0, (step + 1) / ramp)
-            data.ctrl[:] = pull * (before + share * (load - before))
-            mujoco.mj_step(model, data)
-        before = float(load)
-        places.append(np.array(data.sensor("tip").data))
-    assert not any(warning.number for warning in data.warning)
-    assert float(np.max(np.abs(data.qvel))) < 1e-3
-    return np.array(places)
 
 
 @pytest.mark.parametrize("name", NAMES)

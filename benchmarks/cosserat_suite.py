@@ -1,0 +1,82 @@
+"""The rod of labpipe as a solver of cosseratbench, a suite that judges rods.
+
+An adapter for what the suite asks of equilibrium: rods held at their ends, under weight and loads.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from labpipe.law.sliders import linear_moment_law
+from labpipe.records.arrays import Floats
+from labpipe.rod.boundaries import Boundary, Gravity, Held, Load
+from labpipe.rod.line import Line, Section
+from labpipe.rod.rotations import frame_from_axes, matrices
+from labpipe.rod.statics import RodSettings, follow
+
+STEPS = 10
+SOFT = RodSettings(most_stretch=0.5)
+RAMP = np.linspace(0.0, 1.0, STEPS + 1)[:, None]
+
+
+class LabpipeRod:
+    """An adapter: the state at rest, reached in steps, as the last frames of a trajectory."""
+
+    name = "labpipe"
+
+    def __init__(self) -> None:
+        from cosseratbench.solver import Capability
+
+        self.capabilities = frozenset({Capability.STRETCH})
+
+    def run(self, scenario: Any, *, n_elements: int, n_frames: int) -> Any:
+        from cosseratbench.trajectory import Trajectory
+
+        (rod,) = scenario.rods
+        line = _line(rod, n_elements)
+        path = follow(line, _boundaries(rod, scenario, line), steps=STEPS, settings=SOFT)
+        assert path.status == "ok", path.reasons
+        row = np.clip(np.arange(n_frames), 0, STEPS)
+        positions = np.array([path.states[k].positions for k in row])
+        directors = np.array([matrices(path.states[k].frames)[:, :, 0] for k in row])
+        times = np.linspace(0.0, scenario.duration, n_frames)
+        return Trajectory(times, (positions,), (directors,))
+
+
+def _section(rod: Any) -> Section:
+    bending = rod.material.youngs_modulus * rod.second_moment_of_area
+    torsion = rod.material.shear_modulus * 2.0 * rod.second_moment_of_area
+    return Section(
+        linear_moment_law(bending, 1e6),
+        torsion,
+        axial_stiffness=rod.material.youngs_modulus * rod.area,
+        mass_per_length=rod.material.density * rod.area,
+    )
+
+
+def _line(rod: Any, n_elements: int) -> Line:
+    nodes, directors = rod.nodes(n_elements), rod.directors(n_elements)
+    frames = [
+        frame_from_axes(along, aside)
+        for along, aside in zip(np.diff(nodes, axis=0), directors, strict=True)
+    ]
+    lengths = np.full(n_elements, rod.length / n_elements)
+    return Line(lengths, _section(rod), nodes, np.array(frames), np.zeros((n_elements - 1, 3)))
+
+
+def _boundaries(rod: Any, scenario: Any, line: Line) -> list[Boundary]:
+    from cosseratbench.scenario import End, EndCondition
+
+    found: list[Boundary] = [Gravity(RAMP * np.array(scenario.gravity))]
+    for end, node in ((End.START, 0), (End.END, -1)):
+        condition = rod.condition(end)
+        if condition is not EndCondition.FREE:
+            is_clamped = condition is EndCondition.CLAMPED
+            frame: Floats | None = line.frames[node] if is_clamped else None
+            found.append(Held(node, line.positions[node], frame))
+    for load in rod.loads:
+        node = 0 if load.at is End.START else -1
+        found.append(Load(node, RAMP * np.array(load.force)))
+    return found
