@@ -53,6 +53,13 @@ def clamped(line: Line) -> Held:
     return Held(0, line.positions[0], line.frames[0])
 
 
+def elastica_error(elements: int) -> Floats:
+    """Of deflection and shortening under P L^2 / EI = 10, of the length (PHYSICS 5)."""
+    line = straight_line(1.0, elements, section())
+    x, _, z = tip(follow(line, [clamped(line), Load(-1, grown((0.0, 0.0, -10.0), 3))], steps=3))
+    return np.array([-z - 0.810609, 1.0 - x - 0.554996])
+
+
 def heavy_cantilever_error(elements: int, weight: float) -> Floats:
     """Of drop and shortening of the tip, of the length; weight is w L^3 / EI."""
     line = straight_line(1.0, elements, section(weight=weight))
@@ -86,13 +93,18 @@ def shares_near_one(step: float, *, first: float = 0.9, last: float = 1.06) -> F
     return np.concatenate([np.linspace(0.0, first, 18, endpoint=False), fine])
 
 
-def torque_that_buckles(elements: int, *, torsion: float = 0.8, step: float = 1e-3) -> float:
-    """M L / B at which a clamped straight rod leaves its line, over the least that theory has."""
+def twisted_rod(elements: int, shares: Floats, *, torsion: float) -> RodPath:
+    """A straight rod, one clamp turned by shares of the twist that buckles it in theory."""
     line = straight_line(1.0, elements, section(torsion=torsion, stretch=1e5))
-    shares = shares_near_one(step)
     frames = turning(line.frames[-1], shares * critical_torque() / torsion)
     grips = [clamped(line), Held(-1, line.positions[-1], frames)]
-    path = follow(line, grips, steps=len(shares) - 1)
+    return follow(line, grips, steps=len(shares) - 1)
+
+
+def torque_that_buckles(elements: int, *, torsion: float = 0.8, step: float = 1e-3) -> float:
+    """M L / B at which a clamped straight rod leaves its line, over the least that theory has."""
+    shares = shares_near_one(step)
+    path = twisted_rod(elements, shares, torsion=torsion)
     aside = [float(np.max(np.abs(state.positions[:, 1:]))) for state in path.states]
     return _left_at(shares, np.array(aside) > 1e-6)
 
@@ -136,14 +148,19 @@ def twist_that_buckles_a_ring(elements: int, *, step: float = 1e-3) -> float:
     return _left_at(shares, jumps)
 
 
-def bend_tip(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0) -> Floats:
-    """Tip of the bend of 45 degrees, as `bend_of_45_degrees` puts it, m."""
+def bend_path(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0) -> RodPath:
+    """The bend of 45 degrees, as `bend_of_45_degrees` puts it, its load grown in six steps."""
     angle = np.linspace(0.0, 0.25 * np.pi, elements + 1)
     points = 100.0 * np.stack([np.sin(angle), 1.0 - np.cos(angle), np.zeros_like(angle)], axis=1)
     line = line_along(points, section(1e7 / 12.0, 5e6 * torsion), is_formed=True)
     frame = frame_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     force = Load(-1, grown((0.0, 0.0, load), 6))
-    return tip(follow(line, [Held(0, np.zeros(3), frame), force], steps=6))
+    return follow(line, [Held(0, np.zeros(3), frame), force], steps=6)
+
+
+def bend_tip(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0) -> Floats:
+    """Tip of the bend of 45 degrees, m."""
+    return tip(bend_path(elements, load=load, torsion=torsion))
 
 
 def bend_error(elements: int, *, load: float = 600.0) -> Floats:
@@ -159,7 +176,7 @@ def posed_rod() -> tuple[Floats, Floats, Floats, Floats]:
     """Both ends clamped in space: places, frames, moments, and the far clamp's force."""
     weight = np.array([0.0, 0.0, -3.0])
     start = POSED.under(np.array([1.0, 4.0, 5.0]), weight)
-    return POSED.to(start[0][-1] * 0.85, start[1][-1], weight, start=start)
+    return POSED.to(start[0][-1] * 0.85, start[1][-1], weight, start=start, stations=81)
 
 
 def posed_rod_error(elements: int) -> tuple[float, float]:

@@ -10,6 +10,12 @@ from labpipe.law.sliders import linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Plane
 from labpipe.rod.line import Line, Section, straight_line
+from labpipe.rod.path import RodPath
+from labpipe.rod.statics import RodSettings, follow
+from tests.builders.judged_rods import section
+
+UNCHECKED = RodSettings(checks_stability=False)
+"""A line that is only pinned may turn about itself at no cost, which is no instability."""
 
 
 @dataclass(frozen=True)
@@ -67,3 +73,12 @@ class LiftedChain:
         path[:, 2] = self.height * share**2 * (3.0 - 2.0 * share)
         table = Plane(np.zeros(3), friction=self.friction)
         return [Held(elements // 2, path), Gravity(), table]
+
+
+def lifted_half(chain: LiftedChain, elements: int, soft: float, *, steps: int = 20) -> RodPath:
+    """Half of it, held where its middle is: links that resist bending by EI = GJ = soft, N m^2."""
+    line = straight_line(0.5 * chain.length, elements, section(soft, soft, weight=chain.weight))
+    way = np.zeros((steps + 1, 3))
+    way[:, 2] = np.linspace(0.0, chain.height, steps + 1)
+    table = Plane(np.zeros(3), friction=chain.friction)
+    return follow(line, [Held(0, way), Gravity(), table], steps=steps, settings=UNCHECKED)

@@ -9,24 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.rod.boundaries import Gravity, Held, Plane
-from labpipe.rod.line import straight_line
-from labpipe.rod.path import RodPath
-from labpipe.rod.statics import RodSettings, follow
-from tests.builders.judged_rods import section
-from tests.builders.lifted_chains import LiftedChain
-
-UNCHECKED = RodSettings(checks_stability=False)
-"""A line that is only pinned may turn about itself at no cost, which is no instability."""
-
-
-def lifted_half(chain: LiftedChain, elements: int, soft: float, *, steps: int = 20) -> RodPath:
-    """Links that resist bending by EI = GJ = soft, N m^2."""
-    line = straight_line(0.5 * chain.length, elements, section(soft, soft, weight=chain.weight))
-    way = np.zeros((steps + 1, 3))
-    way[:, 2] = np.linspace(0.0, chain.height, steps + 1)
-    table = Plane(np.zeros(3), friction=chain.friction)
-    return follow(line, [Held(0, way), Gravity(), table], steps=steps, settings=UNCHECKED)
+from tests.builders.lifted_chains import LiftedChain, lifted_half
 
 
 def shape_of(chain: LiftedChain, elements: int) -> Floats:

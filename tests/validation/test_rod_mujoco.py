@@ -24,7 +24,9 @@ PARTS = 5
 """Steps of the rod to each load of the chain."""
 
 
-def rod_tips(name: str, loads: Floats, towards: float | Floats = 0.0) -> Floats:
+def rod_tips(
+    name: str, loads: Floats, towards: float | Floats = 0.0, *, parts: int = PARTS
+) -> Floats:
     """Where the tip of the rod is under each load, shape (loads, 3)."""
     table = wire_table(name)
     section = Section(sliders_of(table), table.torsional_stiffness)
@@ -32,11 +34,11 @@ def rod_tips(name: str, loads: Floats, towards: float | Floats = 0.0) -> Floats:
     angles = np.broadcast_to(towards, loads.shape)
     pulls = np.column_stack([0.0 * loads, loads * np.cos(angles), loads * np.sin(angles)])
     corners = np.vstack([np.zeros(3), pulls])
-    at = np.arange(PARTS * len(loads) + 1) / PARTS
+    at = np.arange(parts * len(loads) + 1) / parts
     force = np.column_stack([np.interp(at, np.arange(len(corners)), each) for each in corners.T])
     path = follow(line, [clamped(line), Load(-1, force)], steps=len(force) - 1)
     assert path.status == "ok", path.reasons
-    return np.array([state.positions[-1] for state in path.states])[PARTS::PARTS]
+    return np.array([state.positions[-1] for state in path.states])[parts::parts]
 
 
 @pytest.mark.parametrize(("name", "most"), [("A2", 0.9), ("C4", 0.5)])
