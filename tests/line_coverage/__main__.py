@@ -19,9 +19,12 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=60.0, help="no line begins after them")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--file", type=Path, default=line_study.FILE, help="of the lines")
+    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), help="which of how many")
     options = parser.parse_args()
     if options.task == "run":
-        left = line_study.carry_on(options.file, minutes=options.minutes, jobs=options.jobs)
+        left = line_study.carry_on(
+            options.file, minutes=options.minutes, jobs=options.jobs, part=options.part
+        )
         print(f"{left} lines are left" if left else "all lines were made")
         return 0
     return _tell(options.task, options.file)

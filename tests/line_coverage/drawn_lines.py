@@ -42,7 +42,7 @@ SPREAD = {
 """Standard deviations: of logarithms, 1/m, m, rad."""
 FREEDOM = {"spool": 4, "free_curvature": 5}
 """Degrees of freedom of those that were found from a few spools, and are not known."""
-NODES, LOADING, RETURNING = 20, 12, 5
+NODES, LOADING, RETURNING = 20, 8, 4
 """Elements and steps of a prediction."""
 LAYING = 3
 """Steps before them, in which a line that is loaded takes its weight."""
@@ -169,14 +169,24 @@ class Drawn:
     asked: Mapping[str, int]
 
 
-def draw(kind: LineKind, seed: int) -> tuple[Drawn, np.random.Generator]:
-    """A line, and where the chances of its samples go on."""
-    chance = np.random.default_rng([seed, *kind.name.encode()])
+def wire_drawn(seed: int) -> tuple[str, foreign.Truth, np.random.Generator]:
+    """A wire and its numbers, and where the chances of its samples go on.
+
+    Lines of all kinds with one seed are of one spool and have one calibration; each of them is
+    another specimen of another spool, and has its own of everything else.
+    """
+    chance = np.random.default_rng(seed)
     wire = str(chance.choice(sorted(WIRES)))
     friction, modulus, copper = (
         float(np.exp(SPREAD[name] * chance.normal())) for name in ("friction", "modulus", "copper")
     )
-    truth = foreign.Truth(0.0465 * friction, 1e9 * modulus, copper)
+    return wire, foreign.Truth(0.0465 * friction, 1e9 * modulus, copper), chance
+
+
+def draw(kind: LineKind, seed: int) -> Drawn:
+    """A line."""
+    chance = np.random.default_rng([seed, *kind.name.encode()])
+    wire, truth, _ = wire_drawn(seed)
     length = float(chance.uniform(1.9, 2.8)) * 1e-3 * WIRES[wire]
     way = _way(kind, chance)
     names = _unknown(kind)
@@ -195,7 +205,7 @@ def draw(kind: LineKind, seed: int) -> tuple[Drawn, np.random.Generator]:
     }
     bent = way.peak / (1e-3 * WIRES[wire])
     peak = float(np.interp(bent, *foreign.law(wire, foreign.Truth()))) / length
-    return Drawn(wire, truth, length, peak, way, off, stated, asked), chance
+    return Drawn(wire, truth, length, peak, way, off, stated, asked)
 
 
 def _way(kind: LineKind, chance: np.random.Generator) -> Way:
@@ -207,7 +217,7 @@ def _way(kind: LineKind, chance: np.random.Generator) -> Way:
             shorter = float(chance.uniform(0.0, 0.05))
             return Way(float(chance.uniform(1.0, 1.9)), side=side, shorter=shorter)
         case "slack":
-            level = float(chance.uniform(0.5, 1.0))
+            level = float(chance.uniform(0.2, 0.6))
             return Way(float(chance.uniform(1.0, 1.5)), level=level)
         case "space bow":
             return Way(

@@ -61,7 +61,7 @@ def one(kind: LineKind, seed: int) -> Line:
     return {**made, "seconds": seconds, "error": error, **said}
 
 
-def carry_on(file: Path, *, minutes: float, jobs: int = 2) -> int:
+def carry_on(file: Path, *, minutes: float, jobs: int = 2, part: tuple[int, int] = (0, 1)) -> int:
     """Go on with the study for some minutes.
 
     Parameters
@@ -69,10 +69,12 @@ def carry_on(file: Path, *, minutes: float, jobs: int = 2) -> int:
     file : of the lines; made if it is not there
     minutes : no line is begun after them
     jobs : processes
+    part : which of how many equal parts of the seeds, for several files
 
     Returns
     -------
     How many lines are still missing.
     """
-    wanted = missing(file)
+    which, parts = part
+    wanted = [(kind, seed) for kind, seed in missing(file) if seed % parts == which]
     return len(wanted) - make_lines(file, one, wanted, minutes=minutes, jobs=jobs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ from tests.line_coverage.drawn_lines import (
     Drawn,
     LineKind,
     draw,
+    wire_drawn,
 )
 from tests.line_coverage.true_lines import Laid, TrueLine, held_at, true_line
 
@@ -101,10 +102,11 @@ def wire_of(name: str) -> Wire:
     return Wire(built.section, built.contacts, self_weight=weight)
 
 
-def tests_of(drawn: Drawn, chance: np.random.Generator) -> tuple[MeasuredCurve, ...]:
-    """Three cantilever tests of the wire, bent by the second simulator."""
-    name, long = drawn.wire, 1e-3 * WIRES[drawn.wire]
-    bent = foreign.loading(name, long, drawn.truth)
+def tests_of(seed: int) -> tuple[MeasuredCurve, ...]:
+    """Three cantilever tests of the wire of a seed, bent by the second simulator."""
+    name, truth, chance = wire_drawn(seed)
+    long, weight = 1e-3 * WIRES[name], wire_of(name).self_weight
+    bent = foreign.loading(name, long, truth)
     deflection = np.linspace(0.0, DEEPEST, POINTS)
     exact = PchipInterpolator(bent.deflection, bent.force)(deflection)
     gain = float(np.exp(GAIN * chance.normal()))
@@ -114,10 +116,34 @@ def tests_of(drawn: Drawn, chance: np.random.Generator) -> tuple[MeasuredCurve, 
         factor = gain * np.exp(SPREAD["specimen"] * chance.normal())
         force = factor * exact + NOISE * chance.normal(size=POINTS)
         label = f"{name}-{number}"
-        weight = wire_of(name).self_weight
         about = (name, label, label, long, deflection, force, NOISE, rig)
         curves.append(MeasuredCurve(*about, self_weight=weight))
     return tuple(curves)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known of a wire: its calibration, and how far its tests went, 1/m."""
+
+    calibration: Calibration
+    tested_curvature: float
+
+
+@lru_cache(maxsize=4)
+def known_of(seed: int) -> Known:
+    """Calibrate the wire of a seed.
+
+    Raises
+    ------
+    RuntimeError
+        If that fails.
+    """
+    wire, curves = wire_of(wire_drawn(seed)[0]), tests_of(seed)
+    found = calibrate(wire, curves, Settings(gain=GAIN))
+    if not isinstance(found, Calibration):
+        message = f"{found.code}: {found.message}"
+        raise RuntimeError(message)
+    return Known(found, tested_curvature(wire, found.solutions[0].values, curves[:1]))
 
 
 def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[Belief, ...]:
@@ -173,15 +199,13 @@ def solvers_of(kind: LineKind, drawn: Drawn, found: Calibration) -> list[Solver]
     ]
 
 
-def predicted(kind: LineKind, drawn: Drawn, found: Calibration) -> LineBands | None:
+def predicted(kind: LineKind, drawn: Drawn, what: Known) -> LineBands | None:
     """The line with bands, held and on its way back."""
-    wire, values = wire_of(drawn.wire), found.solutions[0].values
-    curves = tests_of(drawn, np.random.default_rng(0))
     return bands_of(
-        solvers_of(kind, drawn, found),
-        beliefs_of(kind, drawn, found),
+        solvers_of(kind, drawn, what.calibration),
+        beliefs_of(kind, drawn, what.calibration),
         at=(held_at(kind), -1),
-        tested_curvature=tested_curvature(wire, values, curves[:1]),
+        tested_curvature=what.tested_curvature,
     )
 
 
@@ -231,20 +255,17 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
     solutions : of the calibration, in its 95 % set
     shares : of each cause in the bend radius
     """
-    drawn, chance = draw(kind, seed)
-    found = calibrate(wire_of(drawn.wire), tests_of(drawn, chance), Settings(gain=GAIN))
-    if not isinstance(found, Calibration):
-        return {"failed": f"{found.code}: {found.message}"}
+    drawn, what = draw(kind, seed), known_of(seed)
     nominal = family_of(spec_of(drawn.wire)).at({}).torsional_stiffness
     truth = true_line(kind, drawn, nominal)
-    bands = predicted(kind, drawn, found)
+    bands = predicted(kind, drawn, what)
     if bands is None:
         return {"failed": "the prediction has no equilibrium"}
     return {
         "rows": [asdict(each) for each in asked(drawn, truth, bands)],
         "inside": shares_inside(truth, bands),
         "notes": [note.code for note in bands.notes],
-        "solutions": sum(each.is_allowed for each in found.solutions),
+        "solutions": sum(each.is_allowed for each in what.calibration.solutions),
         "shares": dict(bands.states[0].shares["smallest_bend_radius"]),
         "wire": drawn.wire,
     }
