@@ -26,7 +26,7 @@ def main(folder: Path = IMAGES) -> None:
     """Draw it."""
     made = {kind.name: drawing(kind, draws=SHOWN) for kind in KINDS if kind.name in _KINDS}
     with style.context(STYLE):
-        draw(made).savefig(folder / "rod-bands.png", dpi=150, metadata={"Software": None})
+        draw(made).savefig(folder / "rod-bands.png", dpi=125, metadata={"Software": None})
 
 
 def draw(made: dict[str, Drawing]) -> Figure:
