@@ -1,8 +1,8 @@
 """What one more test of a campaign costs, in a process that has already processed another one.
 
 As a process of its own: ``python -P next_test.py OUT.json FIRST TEST ...``. Seconds on the clock
-and of all threads for each test after the first: what is imported and built once is left out. One test
-at a time: several at once would go to processes of their own, which are not counted here.
+and of all threads for each test after the first: what is imported and built once is left out.
+They go one at a time: several at once would be processes of their own, which do not count here.
 """
 
 import json
