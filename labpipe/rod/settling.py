@@ -8,7 +8,13 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Balance, Demands, Drag, Memory, Shape
-from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
+from labpipe.rod.rotations import (
+    conjugate,
+    from_rotation_vectors,
+    multiply,
+    rotation_vectors,
+    unit,
+)
 
 _ITERATIONS = 20
 _CLOSE = 1e-10
@@ -23,6 +29,8 @@ _LARGEST_TURN = 0.7
 """rad, of an element in one iteration."""
 _LARGEST_MOVE = 0.35
 """Of the line's length, of a node in one iteration."""
+_SMALLEST_SHARE = 0.1
+"""Of a change: one that is so much too large says nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,30 +69,38 @@ def settle(
     The equilibrium; None where Newton's method does not find one near.
     """
     now, goal = demands
-    held = goal.held - now.held
-    clamps = rotation_vectors(multiply(conjugate(now.clamps), goal.clamps))
+    nodes = assembly.supports.held
+    # held nodes and clamps go there with the first change, or as far as it is taken
     partly = replace(goal, held=now.held, clamps=now.clamps)
     balance = assembly.balance(shape, partly, memory if earlier is None else earlier, drag)
-    right = assembly.right_side(balance, shape, partly, held, clamps)
-    still = np.zeros_like(held)
-    straight = np.zeros_like(clamps)
     for iteration in range(1, _ITERATIONS + 1):
+        held = goal.held - shape.positions[nodes]
+        clamps = rotation_vectors(multiply(conjugate(partly.clamps), goal.clamps))
+        right = assembly.right_side(balance, shape, partly, held, clamps)
         change = assembly.band.solve(balance.values, right)
-        if change is None or not _is_modest(assembly, change):
+        if change is None:
             return None
-        shape = assembly.changed(shape, change)
-        balance = assembly.balance(shape, goal, memory, drag)
-        if _is_close(assembly, balance, shape, change, force):
+        share = _modest_share(assembly, change)
+        if share < _SMALLEST_SHARE:
+            return None
+        shape = assembly.changed(shape, share * change)
+        partly = goal if share == 1.0 else _turned(partly, share * clamps)
+        balance = assembly.balance(shape, partly, memory, drag)
+        if share == 1.0 and _is_close(assembly, balance, shape, change, force):
             return Settled(shape, balance, iteration)
-        right = assembly.right_side(balance, shape, goal, still, straight)
     return None
 
 
-def _is_modest(assembly: Assembly, change: Floats) -> bool:
+def _turned(demands: Demands, clamps: Floats) -> Demands:
+    return replace(demands, clamps=unit(multiply(demands.clamps, from_rotation_vectors(clamps))))
+
+
+def _modest_share(assembly: Assembly, change: Floats) -> float:
+    """Share of a change that turns and moves no part of the line too far."""
     p = assembly.places
     turn = float(np.max(np.abs(change[p.turns[:, None] + np.arange(3)])))
     move = float(np.max(np.abs(change[p.positions[:, None] + np.arange(3)])))
-    return turn < _LARGEST_TURN and move < _LARGEST_MOVE * assembly.line.length
+    return 1.0 / max(1.0, turn / _LARGEST_TURN, move / (_LARGEST_MOVE * assembly.line.length))
 
 
 def _is_close(

@@ -31,11 +31,11 @@ _FOLDED = 3.13
 """rad, between two elements: more is a fold that needs shorter elements."""
 _FIRST_DRAG = 1.0
 _LAST_DRAG = 1e-4
-_MOST_DRAG = 1e12
+_MOST_DRAG = 1e5
 _LESS, _MORE = 0.25, 8.0
 _AT_REST = 1e-6
 """Of the line's length: what moves by less does not move."""
-_LET_DOWN = 150
+_LET_DOWN = 400
 """Steps, at most, in which a line is let down."""
 _KICKS = (0.0, 1e-3, 1e-2)
 """Of the line's length, or rad: how far a line that finds no way on is moved off."""
@@ -258,15 +258,19 @@ class _Walk:
         """The equilibrium at a time; None where it is not found or is too far."""
         now = self.now
         goal = self.schedule.demands(time, self.grips, self.fading)
-        settled = settle(
-            self.assembly,
-            now.shape,
-            now.memory,
-            (now.demands, goal),
-            force=self.force,
-            earlier=now.earlier,
-        )
-        return settled if settled is not None and self._is_near(settled) else None
+        # what slid may slide on, or stick where the walk turns back
+        for earlier in (now.earlier, None) if now.earlier is not None else (None,):
+            settled = settle(
+                self.assembly,
+                now.shape,
+                now.memory,
+                (now.demands, goal),
+                force=self.force,
+                earlier=earlier,
+            )
+            if settled is not None and self._is_near(settled):
+                return settled
+        return None
 
     def _is_near(self, settled: Settled) -> bool:
         now, most = self.now, self.settings.most_turn
