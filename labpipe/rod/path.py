@@ -109,7 +109,16 @@ class RodPath(ArrayRecord):
 
     @property
     def last(self) -> RodState:
-        """The last state that was reached."""
+        """The last state that was reached.
+
+        Raises
+        ------
+        ValueError
+            If there is none: the walk failed in step 0.
+        """
+        if not self.states:
+            message = f"no state was reached: {self.reasons[0].sentence}"
+            raise ValueError(message)
         return self.states[-1]
 
 
