@@ -71,7 +71,9 @@ def harness_table(found: FollowedHarness) -> str:
         way = f"to step {reached} of {steps}" if reached >= 0 else "not even laid as at the start"
         return f"{head}\n  followed {way}; earlier results stay"
     lines = [head, *map(_line, found.results), *_limit(found), *_sweep(found)]
-    lines += [f"  doubtful: {each.code}: {each.message}" for each in found.reasons]
+    own = [reason for each in found.results for reason in each.reasons if each.value is not None]
+    said = dict.fromkeys([*found.reasons, *own])
+    lines += [f"  doubtful: {each.code}: {each.message}" for each in said]
     lines += [f"  {each.severity}: {each.message}" for each in found.material.notes]
     return "\n".join([*lines, f"results: {from_here(found.folder)}"])
 
@@ -84,7 +86,8 @@ def _line(result: Result) -> str:
     if result.interval is not None:
         low, high = factor * result.interval.lower, factor * result.interval.upper
         shown += f"  95 %: {low:.4g} to {high:.4g}"
-    return f"{shown}  {result.remark}".rstrip()
+    doubts = [result.status] if result.status is Status.DOUBTFUL else []
+    return "  ".join([shown, *doubts, result.remark]).rstrip()
 
 
 def _limit(found: FollowedHarness) -> Iterator[str]:

@@ -19,6 +19,7 @@ from labpipe.studies.harness_numbers import (
     Bend,
     BendLimit,
     bend_limit,
+    jump_reason,
     numbers_of,
     reasons_of,
     results_of,
@@ -144,7 +145,11 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
         reasons += tuple(each for each in notes if each.code not in known)
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
     intervals = {} if bands is None else bands.intervals
-    results = results_of(numbers_of(path, ready), reasons, intervals) if is_whole else ()
+    results = (
+        results_of(numbers_of(path, ready), reasons, intervals, jump_reason(path))
+        if is_whole
+        else ()
+    )
     limit = bend_limit(harness, material)
     return FollowedHarness(
         *(file, harness, material, ready, path, status, reasons, results, limit, folder),

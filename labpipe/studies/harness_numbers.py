@@ -22,6 +22,10 @@ from labpipe.studies.harness_section import Material
 DIAMETERS = 5.0
 """Outer diameters that the allowed bend radius is taken to be where nobody says it."""
 LOWEST = "lowest_point"
+LOST = "energy_lost"
+MOMENT = "moment."
+MOST_IN_JUMPS = 0.1
+"""Of the energy that is lost, above which what remembers the way is doubtful."""
 _STRAIGHT = 1e-6
 """1/m: a line that is bent by less has no bend radius worth a number."""
 
@@ -158,6 +162,32 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     return tuple(found)
 
 
+def jump_reason(path: RodPath) -> Reason | None:
+    """Why numbers that remember the way are doubtful, if they are: much was lost in jumps.
+
+    Parameters
+    ----------
+    path : as followed
+
+    Notes
+    -----
+    A line that buckles, or is let go, comes down through states that are no equilibria. How it does
+    so is not known, and sliders remember it.
+    """
+    steps = [step for step in path.snapped if step < len(path.states)]
+    lost = np.diff(path.lost, prepend=0.0)
+    share = float(np.sum(lost[steps]) / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
+    if share <= MOST_IN_JUMPS:
+        return None
+    at = ", ".join(map(str, steps))
+    message = (
+        f"step {at}: the line jumped (it buckled, or was let go), and {100.0 * share:.0f} % of the "
+        "energy was lost there; moments and energy depend on how it came down: compare with twice "
+        "the steps"
+    )
+    return Reason("jumped", message)
+
+
 @dataclass(frozen=True, slots=True)
 class Number:
     """A number of a harness.
@@ -180,6 +210,11 @@ class Number:
         """Whether it may be below zero: a coordinate, not a size."""
         return self.name == LOWEST
 
+    @property
+    def remembers(self) -> bool:
+        """Whether it hangs on the way that the line came, more than its shape does."""
+        return self.name == LOST or self.name.startswith(MOMENT)
+
 
 def numbers_of(path: RodPath, laid: Laid) -> tuple[Number, ...]:
     """The numbers of a harness at its last step, and of the whole way.
@@ -193,7 +228,10 @@ def numbers_of(path: RodPath, laid: Laid) -> tuple[Number, ...]:
 
 
 def results_of(
-    numbers: Sequence[Number], reasons: tuple[Reason, ...], intervals: Mapping[str, Interval]
+    numbers: Sequence[Number],
+    reasons: tuple[Reason, ...],
+    intervals: Mapping[str, Interval],
+    jump: Reason | None = None,
 ) -> tuple[Result, ...]:
     """Numbers as results.
 
@@ -202,16 +240,24 @@ def results_of(
     numbers : of a harness
     reasons : why all of them are doubtful; empty where they are not
     intervals : by name, of those that have one
+    jump : why those that remember the way are doubtful, see `jump_reason`; None where they are not
     """
-    status = Status.DOUBTFUL if reasons else Status.OK
     return tuple(
-        Result(
-            *(each.name, each.value, each.unit, intervals.get(each.name), status, reasons),
-            remark=each.remark,
+        _result(
+            each,
+            (*reasons, jump) if jump is not None and each.remembers else reasons,
+            intervals.get(each.name),
         )
-        if np.isfinite(each.value)
-        else Result(each.name, None, each.unit, None, Status.FAILED, (_STRAIGHT_REASON,))
         for each in numbers
+    )
+
+
+def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | None) -> Result:
+    if not np.isfinite(number.value):
+        return Result(number.name, None, number.unit, None, Status.FAILED, (_STRAIGHT_REASON,))
+    status = Status.DOUBTFUL if reasons else Status.OK
+    return Result(
+        *(number.name, number.value, number.unit, interval, status, reasons), remark=number.remark
     )
 
 
@@ -240,7 +286,7 @@ def _forces(path: RodPath, laid: Laid) -> Iterator[Number]:
         way = f"largest on the way: {sizes[most, number]:.4g} N at step {most}"
         yield Number(f"force.{each.name}", float(sizes[-1, number]), "N", way)
         if isinstance(each, rod.Held) and each.frame is not None:
-            yield Number(f"moment.{each.name}", float(moments[number]), "N*m", "")
+            yield Number(f"{MOMENT}{each.name}", float(moments[number]), "N*m", "")
 
 
 def _kept(path: RodPath, laid: Laid) -> Iterator[Number]:
@@ -255,7 +301,7 @@ def _kept(path: RodPath, laid: Laid) -> Iterator[Number]:
     node = int(np.argmax(kept))
     where = f"{_mm(laid.line.stations[node])} from the start; what the line would keep, let go"
     yield Number("kept_curvature", float(kept[node]), "1/m", where if kept[node] else "")
-    yield Number("energy_lost", float(path.lost[-1]), "J", "in bending, since the start")
+    yield Number(LOST, float(path.lost[-1]), "J", "in bending, since the start")
 
 
 def _mm(length: float) -> str:

@@ -21,6 +21,7 @@ from labpipe.studies.harness_numbers import (
     Number,
     bend_limit,
     curvature_of,
+    jump_reason,
     kept_curvature,
     numbers_of,
     radius_of,
@@ -62,6 +63,23 @@ def test_a_heavy_cantilever(tmp_path: Path) -> None:
     assert numbers["lowest_point"].remark == "100 mm from the start"
     assert numbers["kept_curvature"].value == 0.0
     assert not any(name.startswith("springback") for name in numbers)
+
+
+def test_what_was_lost_in_a_jump_is_doubtful(tmp_path: Path) -> None:
+    """1 of 4 J in step 2, in which the line jumped: what remembers is doubtful, not its shape."""
+    _, ready, path = followed(tmp_path, ALONE)
+    jumped = replace(path, snapped=(2,), lost=np.array([1.0, 3.0, 4.0]))
+    reason = jump_reason(jumped)
+    assert reason is not None
+    assert reason.code == "jumped"
+    assert reason.message.startswith("step 2: the line jumped")
+    assert "25 % of the energy" in reason.message
+    found = {each.name: each for each in results_of(numbers_of(jumped, ready), (), {}, reason)}
+    doubtful = {name for name, each in found.items() if each.status is Status.DOUBTFUL}
+    assert doubtful == {"energy_lost", "moment.bench"}
+    assert jump_reason(replace(jumped, snapped=())) is None
+    assert jump_reason(replace(jumped, lost=np.array([1.0, 3.8, 4.0]))) is None, "a twentieth"
+    assert jump_reason(replace(jumped, lost=np.zeros(3))) is None, "a law without memory"
 
 
 def test_what_a_gripper_leaves(tmp_path: Path) -> None:
