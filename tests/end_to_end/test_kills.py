@@ -100,14 +100,20 @@ def killed_and_looked_at(home: Path, *, tests: int, kills: int) -> None:
     second = keys(labs)
     assert not set(first) & set(second)
     found, killed = Counter[str](), Counter[str]()
-    for number in range(kills):
+    for number in range(4 * kills):
+        if number >= kills:
+            if found["first"] and found["second"]:
+                break
+            whole *= 1.5  # the machine has become slower since it was timed: nothing was finished
         for lab, text in zip(labs, texts, strict=True):
             lab.sheet.write_text(text + CHANGED * (number % 2), "utf-8")
         killed[kill(home, chance.uniform(0.1, 1.2) * whole, chance)] += 1
         found.update(
             seen(*each) for each in zip(labs, zip(first, second, strict=True), strict=True)
         )
-    sys.stdout.write(f"{kills} kills: {dict(killed)}; {whole:.1f} s a run; {dict(found)}\n")
+    sys.stdout.write(
+        f"{sum(killed.values())} kills: {dict(killed)}; {whole:.1f} s a run; {dict(found)}\n"
+    )
     assert found["first"]
     assert found["second"]
     for lab, text in zip(labs, texts, strict=True):

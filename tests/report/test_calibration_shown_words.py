@@ -23,7 +23,7 @@ def test_rows_of_parameters() -> None:
 
 def test_open_intervals() -> None:
     friction = troubled().parameter("radial_friction")
-    assert parameter_row(friction)[2].startswith("below 1")
+    assert parameter_row(friction)[2].startswith("below 2")
     assert parameter_row(friction)[3] == "mN"
     above = replace(friction, is_open_below=False, is_open_above=True)
     assert parameter_row(above)[2].startswith("above ")
