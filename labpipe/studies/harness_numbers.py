@@ -20,7 +20,7 @@ from labpipe.studies.harness_line import Laid
 from labpipe.studies.harness_section import Material
 
 DIAMETERS = 5.0
-"""Outer diameters that the allowed bend radius is taken to be where nobody says it."""
+"""Outer diameters that the allowed bend radius is assumed to be where it is not stated."""
 LOWEST = "lowest_point"
 LOST = "energy_lost"
 MOMENT = "moment."

@@ -92,6 +92,42 @@ def whole(text: str) -> Line | None:
     return line if isinstance(line, dict) else None
 
 
+def read_lines(file: Path, kinds: Iterable[str], rests_on: str) -> list[Line]:
+    """Read the lines of a study that still hold, each kind and seed once, the last one made.
+
+    Parameters
+    ----------
+    file : of the lines; need not be there
+    kinds : names, in the order wanted; lines of others are left out
+    rests_on : digest that a line must rest on
+    """
+    order = {name: number for number, name in enumerate(kinds)}
+    found: dict[tuple[int, int], Line] = {}
+    for text in file.read_text(encoding="utf-8").split("\n") if file.is_file() else ():
+        line = whole(text)
+        if line and line["kind"] in order and line["rests_on"] == rests_on:
+            found[order[line["kind"]], line["seed"]] = line
+    return [line for _, line in sorted(found.items(), key=lambda each: each[0])]
+
+
+def line_of(kind: str, seed: int, rests_on: str, make: Callable[[], Line]) -> Line:
+    """Make a line of a study; an error that nobody expects is kept in it.
+
+    Parameters
+    ----------
+    kind, seed, rests_on : of the line
+    make : what it says beside them
+    """
+    begin, error, said = time.process_time(), "", {}
+    try:
+        said = make()
+    except Exception:  # noqa: BLE001 - kept in the line, and counted
+        error = traceback.format_exc()
+    seconds = round(time.process_time() - begin, 3)
+    made = {"kind": kind, "seed": seed, "rests_on": rests_on}
+    return {**made, "seconds": seconds, "error": error, **said}
+
+
 def missing(file: Path, kinds: Iterable[Kind] = KINDS) -> list[tuple[Kind, int]]:
     """Tests that have not been made, or rest on what has changed, in rounds."""
     done, asked = read(file), tuple(kinds)

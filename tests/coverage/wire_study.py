@@ -7,8 +7,6 @@ what it rests on; where that has changed since, the campaign is made again.
 
 from __future__ import annotations
 
-import time
-import traceback
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -16,7 +14,7 @@ from typing import Any
 
 from tests.coverage import wire_campaigns
 from tests.coverage.rests_on import ROOT, digest_of
-from tests.coverage.study import make_lines, whole
+from tests.coverage.study import line_of, make_lines, read_lines
 from tests.coverage.wire_campaigns import KINDS, WireKind
 
 Line = dict[str, Any]
@@ -33,13 +31,7 @@ def rests_on() -> str:
 
 def read(file: Path) -> list[Line]:
     """Campaigns that still hold, each once, in the order of the kinds."""
-    order = {kind.name: number for number, kind in enumerate(KINDS)}
-    found: dict[tuple[int, int], Line] = {}
-    for text in file.read_text(encoding="utf-8").split("\n") if file.is_file() else ():
-        line = whole(text)
-        if line and line["kind"] in order and line["rests_on"] == rests_on():
-            found[order[line["kind"]], line["seed"]] = line
-    return [line for _, line in sorted(found.items(), key=lambda each: each[0])]
+    return read_lines(file, (kind.name for kind in KINDS), rests_on())
 
 
 def missing(file: Path, kinds: Iterable[WireKind] = KINDS) -> list[tuple[WireKind, int]]:
@@ -59,14 +51,7 @@ def missing(file: Path, kinds: Iterable[WireKind] = KINDS) -> list[tuple[WireKin
 
 def one(kind: WireKind, seed: int) -> Line:
     """Make and calibrate one campaign; an error that nobody expects is kept in its line."""
-    begin, error, said = time.process_time(), "", {}
-    try:
-        said = wire_campaigns.rows(kind, seed)
-    except Exception:  # noqa: BLE001 - kept in the line, and counted
-        error = traceback.format_exc()
-    seconds = round(time.process_time() - begin, 3)
-    made = {"kind": kind.name, "seed": seed, "rests_on": rests_on()}
-    return {**made, "seconds": seconds, "error": error, **said}
+    return line_of(kind.name, seed, rests_on(), lambda: wire_campaigns.rows(kind, seed))
 
 
 def carry_on(

@@ -7,14 +7,12 @@ made again.
 
 from __future__ import annotations
 
-import time
-import traceback
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from tests.coverage.rests_on import ROOT, digest_of
-from tests.coverage.study import make_lines, whole
+from tests.coverage.study import line_of, make_lines, read_lines
 from tests.line_coverage import predicted_lines
 from tests.line_coverage.drawn_lines import KINDS, LineKind
 
@@ -32,13 +30,7 @@ def rests_on() -> str:
 
 def read(file: Path) -> list[Line]:
     """Lines that still hold, each once, in the order of the kinds."""
-    order = {kind.name: number for number, kind in enumerate(KINDS)}
-    found: dict[tuple[int, int], Line] = {}
-    for text in file.read_text(encoding="utf-8").split("\n") if file.is_file() else ():
-        line = whole(text)
-        if line and line["kind"] in order and line["rests_on"] == rests_on():
-            found[order[line["kind"]], line["seed"]] = line
-    return [line for _, line in sorted(found.items(), key=lambda each: each[0])]
+    return read_lines(file, (kind.name for kind in KINDS), rests_on())
 
 
 def missing(file: Path) -> list[tuple[LineKind, int]]:
@@ -51,14 +43,7 @@ def missing(file: Path) -> list[tuple[LineKind, int]]:
 
 def one(kind: LineKind, seed: int) -> Line:
     """Make, calibrate and predict one line; an error that nobody expects is kept in it."""
-    begin, error, said = time.process_time(), "", {}
-    try:
-        said = predicted_lines.rows(kind, seed)
-    except Exception:  # noqa: BLE001 - kept in the line, and counted
-        error = traceback.format_exc()
-    seconds = round(time.process_time() - begin, 3)
-    made = {"kind": kind.name, "seed": seed, "rests_on": rests_on()}
-    return {**made, "seconds": seconds, "error": error, **said}
+    return line_of(kind.name, seed, rests_on(), lambda: predicted_lines.rows(kind, seed))
 
 
 def carry_on(file: Path, *, minutes: float, jobs: int = 2, part: tuple[int, int] = (0, 1)) -> int:

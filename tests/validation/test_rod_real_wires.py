@@ -1,6 +1,6 @@
 """Wires that others hung between clamps and twisted: fits of the rod, and of models without it.
 
-Bending stiffness from the shape under the wire's own weight, free curvature from how lopsided it
+Bending stiffness from the shape under the wire's own weight, free curvature from how asymmetric it
 is, torsional stiffness from the turn of a clamp at which the loop snaps over.
 """
 
@@ -156,7 +156,7 @@ def test_the_elastica_fits_the_same(white: Seen, black: Seen) -> None:
 
 
 @pytest.mark.realdata
-def test_black_is_lopsided_by_its_free_curvature(black: Seen) -> None:
+def test_black_is_asymmetric_by_its_free_curvature(black: Seen) -> None:
     """One slope of free curvature fits four of five hangs, and takes more than half the misfit."""
     hangs, fits = black
     slopes = np.array([each.natural[0] for each in fits])
