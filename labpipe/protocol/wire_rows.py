@@ -252,9 +252,9 @@ def _layer_faults(row: WireRow) -> Iterator[Fault]:
     counts, angles = row.counts, len(row.lay_angles_deg)
     shown = " + ".join(map(str, counts))
     if sum(counts) != row.strands:
-        by = f"{angles} lay angle{'s' * (angles != 1)}"
-        by = "the layer counts" if row.layer_counts else by
-        expected = f"{sum(counts)} strands as {by} give ({shown})"
+        by = "1 lay angle gives" if angles == 1 else f"{angles} lay angles give"
+        by = "the layer counts give" if row.layer_counts else by
+        expected = f"{sum(counts)} strands as {by} ({shown})"
         remedy = "Correct the number of strands or the layers, or fill in layer_counts."
         yield Fault(("strands",), expected, str(row.strands), remedy)
         return

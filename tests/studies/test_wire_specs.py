@@ -191,7 +191,7 @@ def test_a_stress_table_takes_the_place_of_the_copper(tmp_path: Path) -> None:
         (
             {"strands": 8},
             "C2 (strands)",
-            ["7 strands", "1 lay angle give (1 + 6)", "found 8.", "layer_counts"],
+            ["7 strands", "1 lay angle gives (1 + 6)", "found 8.", "layer_counts"],
         ),
         (
             {"strands": 19, "layer_counts": "1;6;11"},
