@@ -12,6 +12,7 @@ import numpy as np
 from labpipe.cli.terminal import from_here, reading
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
+from labpipe.studies.stress_tables import stated_words
 from labpipe.studies.wire_models import Modelled, as_json, model_wires
 
 _HEADING = (
@@ -50,7 +51,7 @@ def model_table(modelled: Modelled) -> str:
     rows = [_HEADING, _UNITS, *(_cells(table) for table in modelled.tables)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADING))]
     lines = [_line(row, widths) for row in rows]
-    lines += ["", *_notes(modelled.tables)]
+    lines += ["", *_notes(modelled.tables), *_stated(modelled)]
     if modelled.refused:
         names = _named(tuple(modelled.refused), 0)
         lines.append(f"  not modelled: {names} (reasons below)")
@@ -102,6 +103,16 @@ def _notes(tables: Sequence[WireTable]) -> list[str]:
         f"  {severity}: {message}  [{_named(wires[severity, message], len(tables))}]"
         for severity, message in order
     ]
+
+
+def _stated(modelled: Modelled) -> list[str]:
+    """Stress tables with the wires that name them."""
+    wires: dict[str, list[str]] = {}
+    for table in modelled.tables:
+        if curves := modelled.curves.get(table.name):
+            wires.setdefault(stated_words(curves), []).append(table.name)
+    count = len(modelled.tables)
+    return [f"  info: {words}  [{_named(names, count)}]" for words, names in wires.items()]
 
 
 def _named(names: Sequence[str], count: int) -> str:

@@ -86,7 +86,7 @@ def wire_title(table: WireTable) -> str:
 def warnings_of(table: WireTable) -> str:
     """Sentences of the notes that are more than information, one after the other."""
     told = [note.message for note in table.notes if note.severity is not Severity.INFO]
-    return " ".join(told)
+    return " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in told)
 
 
 def bent(table: WireTable) -> Flags:

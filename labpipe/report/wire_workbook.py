@@ -66,6 +66,13 @@ def _doubtful_from(table: WireTable) -> float | None:
     return CURVATURE.factor * table.doubtful_curvature if table.is_doubtful.any() else None
 
 
+def _deflects_from(table: WireTable) -> float | None:
+    """Tip deflection beyond which it is, mm; None where the curve of the cantilever ends before."""
+    if not len(table.tip_deflection) or table.doubtful_deflection >= table.tip_deflection[-1]:
+        return None
+    return LENGTH.factor * table.doubtful_deflection
+
+
 def _share_at(table: WireTable) -> float | None:
     """Share of the moment that the insulation carries at that curvature, in per cent."""
     limit = table.doubtful_curvature
@@ -205,6 +212,7 @@ SUMMARY = (
     Column("sag at rest (mm)", lambda table: _rest(table, "sag", LENGTH.factor)),
     Column("force that holds the tip at rest (mN)", lambda table: _rest(table, "force", 1e3)),
     Column("cantilever length (mm)", lambda table: LENGTH.factor * table.spec.length),
+    Column("doubtful beyond, deflection (mm)", _deflects_from),
     *(_force_column(deflection) for deflection in DEFLECTIONS),
     Column("warnings", warnings_of),
     Column("defaults taken", lambda table: "; ".join(table.spec.defaults.values())),
@@ -253,7 +261,11 @@ _ABOUT = (
 
 
 def save_wire_workbook(
-    tables: Sequence[WireTable], path: Path, *, refused: Mapping[str, str] | None = None
+    tables: Sequence[WireTable],
+    path: Path,
+    *,
+    refused: Mapping[str, str] | None = None,
+    stated: Mapping[str, str] | None = None,
 ) -> None:
     """Write the results of a sheet of wires as an xlsx file.
 
@@ -262,6 +274,7 @@ def save_wire_workbook(
     tables : of the wires, in the order of the sheet
     path : of the file
     refused : name of each wire without a table -> why
+    stated : name of a wire -> words for the stress tables that its row names
 
     Raises
     ------
@@ -274,24 +287,27 @@ def save_wire_workbook(
     together but 40 of each at least; the summary says how many, and how far straight lines between
     them are from the whole law.
     """
-    sheets = list(_sheets(tables, refused or {}))
+    sheets = list(_sheets(tables, refused or {}, stated or {}))
     save_book(About("Laws of wires", _ABOUT), sheets, path, again="run the model")
 
 
-def _sheets(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Iterator[Sheet]:
+def _sheets(
+    tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
+) -> Iterator[Sheet]:
     most = max(MOST_ROWS // max(len(tables), 1), _FEWEST_ROWS)
     shown = [shown_rows(table, most) for table in tables]
     laws, places = _laws(tables, shown)
     links = {name: f"'{_LAWS}'!A{first + 2}" for name, (first, _) in places.items()}
-    yield _summary(tables, refused, shown)._replace(links=links)
+    yield _summary(tables, refused, shown, stated)._replace(links=links)
     yield laws
     loads = (("tip deflection", "tip_deflection", LENGTH), ("end load", "tip_force", FORCE))
     yield _below(
-        "cantilevers", tables, loads,
+        "cantilevers", tables, loads, lambda table: table.doubtful_deflection,
         "How hard does the end of each cantilever have to be pulled?",
     )  # fmt: skip
     yield _below(
         "onsets of slip", tables, (("strands begin to slip", "slip_onsets", CURVATURE),),
+        lambda table: table.doubtful_curvature,
         "At which curvatures do strands begin to slip?",
     )  # fmt: skip
     yield _strands(tables)
@@ -299,18 +315,21 @@ def _sheets(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Iterator
 
 
 def _summary(
-    tables: Sequence[WireTable], refused: Mapping[str, str], shown: Sequence[Ints]
+    tables: Sequence[WireTable],
+    refused: Mapping[str, str],
+    shown: Sequence[Ints],
+    stated: Mapping[str, str],
 ) -> Sheet:
     heads = (
         "wire", *(column.heading for column in SUMMARY), "rows of the law", "rows shown",
-        "error between the rows shown, largest (% of moment)",
+        "error between the rows shown, largest (% of moment)", "stress tables",
     )  # fmt: skip
     rows: list[Row] = [
-        (name, *(None for _ in SUMMARY[:-2]), f"not modelled: {reason}", *[None] * 4)
+        (name, *(None for _ in SUMMARY[:-2]), f"not modelled: {reason}", *[None] * 5)
         for name, reason in refused.items()
     ]
     for table, kept in zip(tables, shown, strict=True):
-        about = (len(table.curvature), len(kept), row_error(table, kept))
+        about = (len(table.curvature), len(kept), row_error(table, kept), stated.get(table.name))
         rows.append((table.name, *(column.value(table) for column in SUMMARY), *about))
     asks = "How stiff is each wire, when does it begin to slip, and how far does its law go?"
     return Sheet("wires", heads, rows, 1, asks=asks)
@@ -356,19 +375,24 @@ _MOMENT, _SECANT = 2, 8
 
 
 def _below(
-    name: str, tables: Sequence[WireTable], columns: Sequence[tuple[str, str, Scale]], asks: str
+    name: str,
+    tables: Sequence[WireTable],
+    columns: Sequence[tuple[str, str, Scale]],
+    limit: Callable[[WireTable], float],
+    asks: str,
 ) -> Sheet:
-    """Values of all wires below each other; where there are two columns of them, drawn."""
+    """Values of all wires below each other, doubtful above a limit; drawn if there are two."""
     rows: list[Row] = []
     lines = []
     for table in tables:
         values = [(scale.factor * getattr(table, field)).tolist() for _, field, scale in columns]
         first = len(rows)
-        rows += [(table.name, *row) for row in zip(*values, strict=True)]
+        doubt = ["yes" if each else None for each in getattr(table, columns[0][1]) > limit(table)]
+        rows += [(table.name, *row) for row in zip(*values, doubt, strict=True)]
         if len(columns) == _DRAWN and len(rows) > first + 1:
             lines.append(Line(table.name, (first, len(rows) - 1), 1, 2))
-    heads = ("wire", *(scale.label(words) for words, _, scale in columns))
-    across, up = _capital(heads[1]), _capital(heads[-1])
+    heads = ("wire", *(scale.label(words) for words, _, scale in columns), "doubtful")
+    across, up = _capital(heads[1]), _capital(heads[len(columns)])
     charts = [Chart("", across, up, lines)] if lines else []
     return Sheet(name, heads, rows, 1, asks=asks, charts=charts)
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +22,8 @@ from labpipe.report.saving import pngs_of
 from labpipe.report.wire_figures import own_figures, save_wire_figures, wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.stress_tables import StatedCurve, stated_words
+from labpipe.studies.wire_specs import read_wires
 from labpipe.wire.wire_table import wire_table
 
 WORKBOOK_FILE = "wires.xlsx"
@@ -47,6 +48,7 @@ class Modelled:
     refused : name -> why, of those that could not
     files : all that were written, the workbook first
     gone : wires of an earlier run that the sheet has no more; their files were taken away
+    curves : wire -> column of the sheet -> the stress table that it names there
     """
 
     sheet: Path
@@ -55,6 +57,7 @@ class Modelled:
     refused: Mapping[str, str]
     files: tuple[Path, ...]
     gone: tuple[str, ...] = ()
+    curves: Mapping[str, Mapping[str, StatedCurve]] = field(default_factory=dict)
 
 
 def model_wires(
@@ -88,14 +91,15 @@ def model_wires(
     """
     folder = Path("processed") / sheet.stem if out is None else out
     _spare(sheet, folder)
-    specs = read_wire_sheet(sheet)
+    read = read_wires(sheet)
+    specs = read.specs
     with _helpers(len(specs), sheet) as pool:
         made, refused = make_tables(specs, sheet, say, pool)
         if not made:
             raise ProcessingError("\n".join(refused.values()))
         tables = tuple(wire.table for wire in made)
         gone = _gone(folder, [spec.name for spec in specs])
-        modelled = Modelled(sheet, folder, tables, refused, (), gone)
+        modelled = Modelled(sheet, folder, tables, refused, (), gone, read.curves)
         owned = _files_of((*refused, *gone))
         if figures:
             owned += pngs_of(wire_drawings(tables), FIGURES_FOLDER)
@@ -208,7 +212,10 @@ def _write(
 ) -> list[Path]:
     """Write workbook, model and decks; the workbook in another process while the rest is."""
     workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
-    save = partial(save_wire_workbook, modelled.tables, workbook, refused=modelled.refused)
+    stated = {name: stated_words(own) for name, own in modelled.curves.items()}
+    save = partial(
+        save_wire_workbook, modelled.tables, workbook, refused=modelled.refused, stated=stated
+    )
     saving = pool.submit(save) if pool else None
     model.write_text(json.dumps(as_json(modelled)), encoding="utf-8")
     names = [table.name for table in modelled.tables]
@@ -264,7 +271,10 @@ def as_json(modelled: Modelled) -> dict[str, object]:
         "schema": SCHEMA,
         "labpipe": __version__,
         "sheet": modelled.sheet.name,
-        "wires": {table.name: _wire(table) for table in modelled.tables},
+        "wires": {
+            table.name: _wire(table, modelled.curves.get(table.name, {}))
+            for table in modelled.tables
+        },
         "refused": dict(modelled.refused),
     }
 
@@ -280,7 +290,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _wire(table: WireTable) -> dict[str, object]:
+def _wire(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
     layout = table.layout
     return {
         "stick_stiffness": table.stick_stiffness,
@@ -308,5 +318,6 @@ def _wire(table: WireTable) -> dict[str, object]:
             "bore_radius": layout.bore_radius,
             "wire_radius": layout.wire_radius,
         },
+        "stress_tables": {column: curve.as_json() for column, curve in curves.items()},
         "notes": [asdict(note) for note in table.notes],
     }

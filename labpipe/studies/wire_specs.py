@@ -4,32 +4,51 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TypeAlias
 
-from labpipe.errors import Fault, ReadError, complaint, nearest
-from labpipe.protocol.stress_curve import FIRST_SLOPES, StressPoint, curve_fault, curve_of
+from labpipe.errors import Fault, ReadError, complaint
+from labpipe.protocol.stress_curve import FIRST_SLOPES
 from labpipe.protocol.wire_rows import (
     COLUMNS,
-    Curve,
     WireRow,
     column_name,
     heading_faults,
     parse_row,
     wire_spec,
 )
-from labpipe.readers.sheet_cells import Cell, Table, as_table, csv_cells, sheets_of, workbook_cells
+from labpipe.readers.sheet_cells import Cell, as_table, csv_cells, sheets_of, workbook_cells
 from labpipe.readers.workbooks import is_workbook
 from labpipe.records.wire import WireSpec
+from labpipe.studies.stress_tables import (
+    Placed,
+    StatedCurve,
+    placed,
+    read_stress_table,
+    refuse,
+    texts,
+    worded,
+)
 
 WIRES_SHEET = "wires"
 _UNITS = {column.unit.casefold() for column in COLUMNS.values() if column.unit}
 _UNITS |= {"mm2", "mm\u00b2", "\u00b0", "-", "m^-1", "n/mm2", "n/mm^2", "n/mm\u00b2"}
-_NAME_COLUMNS = "Name the columns strain and stress_mpa."
-Placed: TypeAlias = tuple[str, Fault]
-"""A fault and the place of its cell."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireSheet:
+    """A wire sheet and the stress tables that it names.
+
+    Parameters
+    ----------
+    specs : the wires, in the order of the rows
+    curves : wire -> column of the sheet -> the stress table that it names there, if it names any
+    """
+
+    specs: tuple[WireSpec, ...]
+    curves: Mapping[str, Mapping[str, StatedCurve]]
 
 
 def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
@@ -49,31 +68,27 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
         If the file is damaged or holds no wires, or anything in it is wrong: all faults are in one
         message, each with its cell.
     """
+    return read_wires(path).specs
+
+
+def read_wires(path: Path) -> WireSheet:
+    """Read the wires of a sheet as `read_wire_sheet` does, and what their stress tables state."""
     cells, where = _cells(path)
-    _refuse(path, _first_row_faults(cells))
+    refuse(path, _first_row_faults(cells))
     table = as_table(cells, path, rows_of="one row per wire", place=where)
     wrong = heading_faults([cell.text for cell in table.heading])
-    _refuse(path, ((table.heading[number].place, fault) for number, fault in wrong))
+    refuse(path, ((table.heading[number].place, fault) for number, fault in wrong))
     names = [column_name(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
-    messages = _worded(path, _repeated([row["wire"] for row in rows]))
-    curves: dict[tuple[str, str], Curve] = {}
+    messages = worded(path, _repeated([row["wire"] for row in rows]))
+    curves: dict[tuple[str, str], StatedCurve] = {}
     specs = [_spec(row, path, curves, messages) for row in rows]
     if messages:
         raise ReadError("\n".join(dict.fromkeys(messages)))
-    return tuple(spec for spec in specs if spec is not None)
-
-
-def _worded(path: Path, faults: Iterable[Placed]) -> list[str]:
-    return [
-        complaint(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
-        for place, fault in faults
-    ]
-
-
-def _refuse(path: Path, faults: Iterable[Placed]) -> None:
-    if messages := _worded(path, faults):
-        raise ReadError("\n".join(messages))
+    return WireSheet(
+        tuple(spec for spec in specs if spec is not None),
+        {row["wire"].text: _named(row, curves) for row in rows},
+    )
 
 
 def _cells(path: Path) -> tuple[list[list[Cell]], str]:
@@ -130,18 +145,18 @@ def _repeated(names: Sequence[Cell]) -> Iterator[Placed]:
 def _spec(
     row: Mapping[str, Cell],
     path: Path,
-    curves: dict[tuple[str, str], Curve],
+    curves: dict[tuple[str, str], StatedCurve],
     messages: list[str],
 ) -> WireSpec | None:
     """One wire; none where anything is wrong, which is added to the messages."""
     before = len(messages)
-    read = parse_row(WireRow, _texts(row))
-    messages += _worded(path, _placed(read, row)) if isinstance(read, list) else []
+    read = parse_row(WireRow, texts(row))
+    messages += worded(path, placed(read, row)) if isinstance(read, list) else []
     for column in FIRST_SLOPES:
         table = row.get(column)
         if table is not None and table.text and (column, table.text) not in curves:
             try:
-                curves[column, table.text] = _curve(column, table, path)
+                curves[column, table.text] = read_stress_table(column, table, path)
             except ReadError as error:
                 messages.append(str(error))
     if isinstance(read, list) or len(messages) > before:
@@ -149,59 +164,16 @@ def _spec(
     blank = [name for name, cell in row.items() if not cell.text]
     place = re.sub(r", column \d+$", "", row["wire"].place)
     place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
-    named = (("stress_table", read.stress_table), ("insulation_table", read.insulation_table))
-    return wire_spec(read, blank, place, *(curves.get(each) for each in named))
+    named = _named(row, curves)
+    tables = [named[each].curve if each in named else None for each in FIRST_SLOPES]
+    return wire_spec(read, blank, place, *tables)
 
 
-def _texts(row: Mapping[str, Cell]) -> dict[str, str]:
-    return {name: cell.text for name, cell in row.items()}
-
-
-def _placed(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[Placed]:
-    """Each fault with the cell that it comes from; the first one if its column is not there."""
-    first, cell = next(iter(row.items()))
-    for fault in faults:
-        column = str(fault.path[0]) if fault.path else first
-        yield f"{row.get(column, cell).place} ({column})", fault
-
-
-def _curve(column: str, name: Cell, path: Path) -> Curve:
-    """The stress table that a cell names: strain and stress_mpa, one row per point."""
-    table, file = _curve_table(column, name, path)
-    names = [column_name(cell.text) for cell in table.heading]
-    columns = list(StressPoint.model_fields)
-    missing = [column for column in columns if column not in names]
-    found, remedy = ", ".join(repr(cell.text) for cell in table.heading), _NAME_COLUMNS
-    above = table.heading[0].place
-    _refuse(file, ((above, Fault((), f"a column {c!r}", found, remedy)) for c in missing))
-    places = [names.index(column) for column in columns]
-    rows = [{names[at]: row[at] for at in places} for row in table.rows]
-    read = [parse_row(StressPoint, _texts(row)) for row in rows]
-    wrong = ((row, each) for row, each in zip(rows, read, strict=True) if isinstance(each, list))
-    _refuse(file, chain.from_iterable(_placed(each, row) for row, each in wrong))
-    points = [each for each in read if not isinstance(each, list)]
-    if fault := curve_fault(points, column):
-        _refuse(file, [(rows[fault[0]]["strain"].place, fault[1])])
-    return curve_of(points)
-
-
-def _curve_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
-    """The table, and its file: another sheet of the workbook, or a csv beside the csv."""
-    rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
-    if not is_workbook(path):
-        if Path(name.text).name != name.text:
-            expected = "the name of a csv in the folder of the wire sheet"
-            remedy = "Put the table beside the sheet and give its name."
-            _refuse(path, [(place, Fault((), expected, repr(name.text), remedy))])
-        beside = path.with_name(name.text)
-        return as_table(csv_cells(beside), beside, rows_of=rows_of), beside
-    known = list(sheets_of(path))
-    same = [each for each in known if each.casefold() == name.text.casefold()]
-    if not same:
-        expected = f"the name of a sheet ({', '.join(map(repr, nearest(name.text, known)))})"
-        remedy = "Add the sheet or correct its name."
-        _refuse(path, [(place, Fault((), expected, repr(name.text), remedy))])
-    sheet = name.text if name.text in same else same[0]
-    where = f"sheet '{sheet}'"
-    cells = workbook_cells(path, sheet, where)
-    return as_table(cells, path, rows_of=rows_of, place=where), path
+def _named(
+    row: Mapping[str, Cell], curves: Mapping[tuple[str, str], StatedCurve]
+) -> dict[str, StatedCurve]:
+    """The stress tables that a row names, by column."""
+    found = {
+        column: curves.get((column, row[column].text)) for column in FIRST_SLOPES if column in row
+    }
+    return {column: curve for column, curve in found.items() if curve is not None}

@@ -49,7 +49,8 @@ def test_long_names_are_cut_in_titles() -> None:
 
 def test_warnings_without_what_is_only_worth_knowing() -> None:
     assert warnings_of(troubled()) == CUT.message
-    assert warnings_of(wire_table("A3")).startswith("where the rim of the insulation is")
+    assert warnings_of(wire_table("A3")).startswith("Where the rim of the insulation is")
+    assert warnings_of(wire_table("A3")).endswith("a stress table of the insulation says more.")
     assert warnings_of(replace(wire_table("A3"), notes=(DEFAULTS_TAKEN,))) == ""
 
 

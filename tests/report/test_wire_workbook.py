@@ -105,6 +105,15 @@ def test_law_of_a_wire_and_what_belongs_to_it(book: Workbook) -> None:
         np.testing.assert_allclose([row[head] for row in law], values, rtol=1e-14)
     loads = [row["end load (N)"] for row in of_wire(book, "cantilevers", "A1")]
     np.testing.assert_allclose(loads, table.tip_force, rtol=1e-14)
+    limit = 1e3 * table.doubtful_deflection
+    [summary] = of_wire(book, "wires", "A1")
+    assert summary["doubtful beyond, deflection (mm)"] == pytest.approx(limit)
+    doubt = [row["doubtful"] for row in of_wire(book, "cantilevers", "A1")]
+    assert doubt == [
+        "yes" if each > table.doubtful_deflection else None for each in table.tip_deflection
+    ]
+    assert None in doubt
+    assert "yes" in doubt
     found = of_wire(book, "onsets of slip", "A1")
     onsets = [row["strands begin to slip (1/m)"] for row in found]
     np.testing.assert_allclose(onsets, table.slip_onsets)

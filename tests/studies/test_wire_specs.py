@@ -495,7 +495,7 @@ def test_a_stress_table_of_the_workbook_in_other_letters(sheet: Path) -> None:
         (
             "soft",
             [["strain", "stress_mpa"], [0.002, 110], [0.001, 120]],
-            "sheet 'soft', cell A3: expected a strain above 0.002, found 0.001. Put the rows in",
+            "sheet 'soft', cell A3 (strain): expected a strain above 0.002, found 0.001. Put the",
         ),
     ],
 )
@@ -532,7 +532,9 @@ def test_a_stress_table_of_the_insulation_beside_a_csv(tmp_path: Path) -> None:
     assert spec.insulation_table == ((0.01, 0.1), (10e6, 24e6))
     assert not {"insulation_modulus", "insulation_strain"} & set(spec.defaults)
     (tmp_path / "pvc.csv").write_text("strain,stress_mpa\n0.01,10\n0.1,8\n")
-    with pytest.raises(ReadError, match=r"pvc\.csv, line 3, column 1: expected a stress of 10 MPa"):
+    with pytest.raises(
+        ReadError, match=r"pvc\.csv, line 3, column 2 \(stress_mpa\): expected a stress of 10"
+    ):
         read_wire_sheet(path)
     path.write_text(text.replace("pvc.csv", "none.csv"))
     with pytest.raises(ReadError, match=r"none\.csv"):

@@ -1,0 +1,313 @@
+"""Stress-strain curves that a wire sheet names: points, or the numbers of Ramberg and Osgood.
+
+Either may say at which strain rate and temperature it was measured.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Annotated, TypeAlias, TypeVar
+
+import numpy as np
+
+from labpipe.errors import Fault, ReadError, complaint, nearest
+from labpipe.law.thinning import thin
+from labpipe.protocol.grammar import Block
+from labpipe.protocol.stress_curve import FIRST_SLOPES, StressPoint, curve_fault, curve_of
+from labpipe.protocol.wire_rows import Column, Curve, column_name, parse_row
+from labpipe.readers.sheet_cells import Cell, Table, as_table, csv_cells, sheets_of, workbook_cells
+from labpipe.readers.workbooks import is_workbook
+from labpipe.wire.materials import RambergOsgood
+
+PROOF_STRAIN = 0.002
+"""Plastic strain at the proof stress."""
+_POINTS = 60
+_DENSE = 4000  # points that they are chosen from
+_ELASTIC = 1e-4  # share of plastic strain at the first of them
+_FREEZING = 273.15
+_MEGA = 1e6
+_CONDITION = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
+Placed: TypeAlias = tuple[str, Fault]
+"""A fault and the place of its cell."""
+_B = TypeVar("_B", bound=Block)
+
+
+class Proof(Block):
+    """Strain = s / E + 0.002 (s / Rp0.2)^n, and how far it holds; in the units of the columns."""
+
+    modulus_mpa: Annotated[float, Column("MPa", 0.1, 1e6)]
+    proof_stress_mpa: Annotated[float, Column("MPa", 1e-3, 1e5)]
+    exponent: Annotated[float, Column("", 1.1, 100.0)]
+    largest_strain: Annotated[float, Column("", 1e-4, 0.6)]
+
+
+class Conditions(Block):
+    """At what a curve was measured."""
+
+    strain_rate_per_s: Annotated[float | None, Column("1/s", 1e-9, 1e4)] = None
+    temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
+
+
+_POINT, _PROOF, _CONDITIONS = (list(kind.keys()) for kind in (StressPoint, Proof, Conditions))
+_NAME_COLUMNS = (
+    f"Name the columns {' and '.join(_POINT)}; or, for one row of numbers, {', '.join(_PROOF)}."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class StatedCurve:
+    """A stress-strain curve as a table states it.
+
+    Parameters
+    ----------
+    table : name of the sheet, or of the csv
+    curve : strains and stresses, Pa
+    numbers : of Ramberg and Osgood that it was made from, in the units of the columns; None where
+        the table has points
+    conditions : strain rate, 1/s, and temperature, degrees Celsius, where the table says them
+    """
+
+    table: str
+    curve: Curve
+    numbers: Proof | None
+    conditions: Conditions
+
+    @property
+    def words(self) -> str:
+        """Say where the curve comes from, in one line."""
+        strains, _ = self.curve
+        said, asked = self.numbers, self.conditions
+        made = f"{len(strains)} point{'s' * (len(strains) > 1)}"
+        if said is not None:
+            made = (
+                f"Ramberg-Osgood, modulus {said.modulus_mpa:.6g} MPa, proof stress "
+                f"{said.proof_stress_mpa:.6g} MPa, exponent {said.exponent:.6g}"
+            )
+        at = [
+            *([] if asked.strain_rate_per_s is None else [f"{asked.strain_rate_per_s:.6g} 1/s"]),
+            *([] if asked.temperature_c is None else [f"{asked.temperature_c:.6g} \u00b0C"]),
+        ]
+        measured = f", at {' and '.join(at)}" if at else ", rate and temperature not stated"
+        return f"'{self.table}': {made}, to a strain of {strains[-1]:.4g}{measured}"
+
+    def as_json(self) -> dict[str, object]:
+        """What the table states, in SI units; None for what it does not state."""
+        said, celsius = self.numbers, self.conditions.temperature_c
+        return {
+            "table": self.table,
+            "strain": list(self.curve[0]),
+            "stress": list(self.curve[1]),
+            "modulus": None if said is None else said.modulus_mpa * _MEGA,
+            "proof_stress": None if said is None else said.proof_stress_mpa * _MEGA,
+            "exponent": None if said is None else said.exponent,
+            "strain_rate": self.conditions.strain_rate_per_s,
+            "temperature": None if celsius is None else celsius + _FREEZING,
+        }
+
+
+def stated_words(curves: Mapping[str, StatedCurve]) -> str:
+    """Say what the stress tables of a wire are, in one line.
+
+    Parameters
+    ----------
+    curves : by the column of the wire sheet that names them
+    """
+    return "; ".join(f"{column} {curve.words}" for column, curve in curves.items())
+
+
+def ramberg_osgood_curve(numbers: Proof) -> Curve:
+    """Turn the numbers of Ramberg and Osgood into a stress table.
+
+    Parameters
+    ----------
+    numbers : of the curve
+
+    Returns
+    -------
+    Strains, the last of them `largest_strain`, and stresses, Pa: at most 60 points. Straight lines
+    between them lie below the curve, by less than 0.1 % of the stress for exponents to 5 and by
+    less for others; so does the first slope, which is the modulus of the table.
+
+    Notes
+    -----
+    strain = s / E + 0.002 (s / Rp0.2)^n is the form of data sheets and codes (Ramberg and Osgood,
+    NACA TN 902, 1943, with the offset of Hill, NACA TN 927, 1944; EN 1999-1-1, annex E). It is the
+    curve of `wire.materials.RambergOsgood` with K = Rp0.2 / 0.002^(1 / n), whose exponent is 1 / n.
+    """
+    modulus, proof = numbers.modulus_mpa * _MEGA, numbers.proof_stress_mpa * _MEGA
+    power, last = numbers.exponent, numbers.largest_strain
+    known = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
+    end = float(known.stress(np.array([last]))[0])
+    yields = proof * (_ELASTIC * proof / (PROOF_STRAIN * modulus)) ** (1.0 / (power - 1.0))
+    stress = np.concatenate([[0.0], np.geomspace(min(yields, end / 2.0), end, _DENSE)])
+    strain = known.strain(stress)
+    strain[-1] = last
+    chosen = thin(strain, stress, most=_POINTS + 1)
+    return tuple(chosen.curvature[1:].tolist()), tuple(chosen.moment[1:].tolist())
+
+
+def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
+    """Read the curve that a cell of a wire sheet names.
+
+    Parameters
+    ----------
+    column : of the wire sheet, one of `labpipe.protocol.stress_curve.FIRST_SLOPES`
+    name : the cell: another sheet of the workbook, or a csv beside the csv
+    path : of the wire sheet
+
+    Raises
+    ------
+    ReadError
+        If there is no such table, or anything in it is wrong: each fault with its cell.
+    """
+    table, file = _table(column, name, path)
+    names = [column_name(cell.text) for cell in table.heading]
+    rows = [dict(zip(names, row, strict=True)) for row in table.rows]
+    refuse(file, _heading_faults(table.heading, names))
+    conditions = _conditions(rows, file)
+    if set(names) & set(_PROOF):
+        numbers = _numbers(rows, column, file)
+        return StatedCurve(name.text, ramberg_osgood_curve(numbers), numbers, conditions)
+    points = _blocks(StressPoint, rows, file)
+    if found := curve_fault(points, column):
+        number, fault = found
+        before = points[number - 1].strain if number else 0.0
+        wrong = "strain" if points[number].strain <= before else "stress_mpa"
+        refuse(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
+    return StatedCurve(name.text, curve_of(points), None, conditions)
+
+
+def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[Placed]:
+    """Find columns that are missing, come twice, deny each other, or say a condition otherwise."""
+    numbers, points = ([name for name in names if name in kind] for kind in (_PROOF, _POINT))
+    needed = _PROOF if numbers else _POINT
+    for column in needed:
+        if column not in names:
+            found = ", ".join(repr(cell.text) for cell in heading)
+            yield heading[0].place, Fault((), f"a column {column!r}", found, _NAME_COLUMNS)
+    if numbers and points:
+        expected = f"either points or numbers, so no column {points[0]!r} beside {numbers[0]!r}"
+        place = heading[names.index(points[0])].place
+        yield place, Fault((), expected, "both", _NAME_COLUMNS)
+    for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
+        if name in (*needed, *_CONDITIONS) and name in names[:number]:
+            yield cell.place, Fault((), "each column once", f"{name!r} again", "Remove one.")
+        if name not in _CONDITIONS and (meant := _CONDITION.match(name)):
+            column = _CONDITIONS[1] if meant["temperature"] else _CONDITIONS[0]
+            remedy = "Give it in the unit of that column."
+            yield cell.place, Fault((), f"a column {column!r}", repr(cell.text), remedy)
+
+
+def _conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
+    """Rate and temperature, which are the same in all rows that say them."""
+    stated: dict[str, Cell] = {}
+    for column in _CONDITIONS:
+        cells = [row[column] for row in rows if column in row and row[column].text]
+        for cell in cells:
+            first = stated.setdefault(column, cell)
+            if cell.text != first.text:
+                expected = f"{first.text!r} as in {first.place}: one for the whole table"
+                fault = Fault((), expected, repr(cell.text), "Make a table of each.")
+                refuse(file, [(f"{cell.place} ({column})", fault)])
+    [conditions] = _blocks(Conditions, [stated], file)
+    return conditions
+
+
+def _numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> Proof:
+    """The numbers of the one row, if they make a curve."""
+    if len(rows) > 1:
+        expected, found = "one row of numbers", f"{len(rows)}"
+        place = next(iter(rows[1].values())).place
+        refuse(file, [(place, Fault((), expected, found, "Make a table of each."))])
+    own = [{key: row[key] for key in _PROOF} for row in rows]
+    [numbers] = _blocks(Proof, own, file)
+    refuse(file, placed(_number_faults(numbers, column), rows[0]))
+    return numbers
+
+
+def _number_faults(numbers: Proof, column: str) -> Iterator[Fault]:
+    low, high = (each / _MEGA for each in FIRST_SLOPES[column])
+    if not low <= numbers.modulus_mpa <= high:
+        what = "insulation" if column == "insulation_table" else "strands"
+        expected = f"a modulus of {what} of {low:g} to {high:g} MPa"
+        found, remedy = f"{numbers.modulus_mpa:g} MPa", "Is the unit right?"
+        yield Fault(("modulus_mpa",), expected, found, remedy)
+    yields = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
+    if yields > numbers.largest_strain:
+        expected = f"a largest strain of {yields:.4g} or more, where the proof stress is reached"
+        remedy = "Give the range of the test that the numbers come from."
+        yield Fault(("largest_strain",), expected, f"{numbers.largest_strain:g}", remedy)
+
+
+def _blocks(kind: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
+    """Read what a kind of row says; other columns are left out."""
+    own = [{key: cell for key, cell in row.items() if key in kind.model_fields} for row in rows]
+    read = [parse_row(kind, texts(row)) for row in own]
+    wrong = ((row, each) for row, each in zip(own, read, strict=True) if isinstance(each, list))
+    refuse(file, chain.from_iterable(placed(each, row) for row, each in wrong))
+    return [each for each in read if not isinstance(each, list)]
+
+
+def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
+    """The table, and its file: another sheet of the workbook, or a csv beside the csv."""
+    rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
+    if not is_workbook(path):
+        if Path(name.text).name != name.text:
+            expected = "the name of a csv in the folder of the wire sheet"
+            remedy = "Put the table beside the sheet and give its name."
+            refuse(path, [(place, Fault((), expected, repr(name.text), remedy))])
+        beside = path.with_name(name.text)
+        return as_table(csv_cells(beside), beside, rows_of=rows_of), beside
+    known = list(sheets_of(path))
+    same = [each for each in known if each.casefold() == name.text.casefold()]
+    if not same:
+        expected = f"the name of a sheet ({', '.join(map(repr, nearest(name.text, known)))})"
+        remedy = "Add the sheet or correct its name."
+        refuse(path, [(place, Fault((), expected, repr(name.text), remedy))])
+    sheet = name.text if name.text in same else same[0]
+    where = f"sheet '{sheet}'"
+    cells = workbook_cells(path, sheet, where)
+    return as_table(cells, path, rows_of=rows_of, place=where), path
+
+
+def texts(row: Mapping[str, Cell]) -> dict[str, str]:
+    """Text of each cell of a row, by column."""
+    return {name: cell.text for name, cell in row.items()}
+
+
+def placed(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[Placed]:
+    """Put each fault at the cell that it comes from; at the first one if its column is not there.
+
+    Parameters
+    ----------
+    faults : whose paths begin with a column
+    row : cells by column
+    """
+    for fault in faults:
+        first, cell = next(iter(row.items()))
+        column = str(fault.path[0]) if fault.path else first
+        yield f"{row.get(column, cell).place} ({column})", fault
+
+
+def worded(path: Path, faults: Iterable[Placed]) -> list[str]:
+    """Word faults of a file, one message each."""
+    return [
+        complaint(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
+        for place, fault in faults
+    ]
+
+
+def refuse(path: Path, faults: Iterable[Placed]) -> None:
+    """Refuse a file that has faults.
+
+    Raises
+    ------
+    ReadError
+        With a line for each fault, if there is one.
+    """
+    if messages := worded(path, faults):
+        raise ReadError("\n".join(messages))
