@@ -342,7 +342,7 @@ class Load(Block):
 
 
 class Plane(Block):
-    """A table or a wall: the line stays on the side that the normal points to."""
+    """A table or a wall: the line lies on it, its axis half its diameter above."""
 
     kind: Literal["plane"]
     name: TextLine

@@ -1,4 +1,4 @@
-"""Whether a line is long enough for its clips, rings and strings, at every step.
+"""Whether a line can come to its clips, rings and strings, and above its planes, at every step.
 
 Between waypoints everything that holds the line moves on a straight path, so that two such places
 are farthest from each other at a waypoint of one of them: only these steps are looked at.
@@ -21,6 +21,7 @@ from labpipe.protocol.harness_file import (
     HarnessFile,
     Held,
     Pin,
+    Plane,
     Ring,
     String,
     Vector3,
@@ -28,6 +29,8 @@ from labpipe.protocol.harness_file import (
 
 _BARELY = 1.0 + 1e-9
 """Times the length: a line may be straight between two clips."""
+_NEARLY = 1e-9
+"""Of the length: a line may lie on a plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +113,7 @@ def _held(harness: HarnessFile) -> list[Held]:
 
 
 def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
-    """Find what the line is too short for.
+    """Find what the line is too short for, and what would hold it in a plane.
 
     Parameters
     ----------
@@ -119,8 +122,11 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     Yields
     ------
     A fault for each two boundaries that are too far apart, with the step and the distance; those
-    of a sweep for the shortest line of it that is too short.
+    of a sweep for the shortest line of it that is too short. One for each that holds the line
+    nearer to a plane than half the diameter that the file states; that of a wire sheet is not
+    known here.
     """
+    yield from _in_planes(harness)
     lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
     swept = harness.sweep.length if harness.sweep else ()
     lengths += sorted((each, ("sweep", "length", i)) for i, each in enumerate(swept))
@@ -138,6 +144,27 @@ def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterato
             expected = f"a place on the line, which is {_mm(length)} long"
             remedy = "Write 'end', or make the line longer."
             yield Fault(path or ("boundaries", number, "at"), expected, _mm(place), remedy)
+
+
+def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
+    numbers = {each.name: number for number, each in enumerate(harness.boundaries)}
+    radius = 0.5 * (harness.line.section.diameter or 0.0)
+    first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
+    ties = [_tie_of(harness, each, harness.line.length) for each in _held(harness)]
+    for plane in (each for each in harness.boundaries if isinstance(each, Plane)):
+        for tie in ties:
+            legs = [leg for leg in tie.legs[first:] if leg.step <= tie.last]
+            low = min(legs, key=lambda leg: _height(plane, leg.position), default=None)
+            if low and _height(plane, low.position) < radius - _NEARLY * harness.line.length:
+                expected = f"the axis of the line {_mm(radius)} above {plane.name!r}, its radius"
+                found = f"{_mm(_height(plane, low.position))} at step {low.step}"
+                remedy = "Hold it higher, or begin higher ('line.start')."
+                yield Fault(_path(tie, numbers), expected, found, remedy)
+
+
+def _height(plane: Plane, position: Vector3) -> float:
+    rows = zip(plane.normal, position, plane.point, strict=True)
+    return sum((n * (a - b) for n, a, b in rows), 0.0) / math.hypot(*plane.normal)
 
 
 def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:

@@ -8,7 +8,7 @@ direction in space.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -174,7 +174,9 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A table: the nodes stay on the side of its normal, and rub where they slide (Coulomb).
+    """A table: the line stays on the side of its normal, and rubs where it slides (Coulomb).
+
+    The nodes, on the axis of the line, stay half its diameter above; friction acts on the axis.
 
     Parameters
     ----------
@@ -200,6 +202,10 @@ class Plane:
         if not (np.isfinite(self.friction) and self.friction >= 0.0):
             message = f"friction={self.friction!r}: allowed are finite numbers >= 0"
             raise ValueError(message)
+
+    def raised(self, height: float) -> Plane:
+        """A plane so much higher, m: where the axis of a line of that radius may be."""
+        return replace(self, point=self.point + height * self.normal)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -207,7 +207,8 @@ def _walk_of(line: Line, boundaries: Sequence[Boundary], settings: CompliantSett
                 "held for good, loads, weight and a plane"
             )
             raise ValueError(message)
-    planes = [each for each in boundaries if isinstance(each, Plane)]
+    radius = 0.5 * line.section.diameter
+    planes = [each.raised(radius) for each in boundaries if isinstance(each, Plane)]
     if len(planes) > 1:
         message = f"{len(planes)} planes: allowed is one"
         raise ValueError(message)

@@ -8,14 +8,19 @@ what gives way by less than 3e-4 of the line's own stiffness counts as neutral, 
 loads come out within about 1e-4. Sliders count as they slid in the step: where the
 line would go on in the same sense.
 
-Follower parts, as moments of constant direction on frames and sliding friction, count by their
-symmetric part.
+Moments of constant direction have no energy (Ziegler, Principles of structural stability, 1968):
+they make the tangent unsymmetric. Where its symmetric part is positive the line is stable all the
+same. Where it is not, the line in honey decides: it comes back where no eigenvalue of the tangent
+against the drag has a negative real part. A real one diverges: its zero, where another equilibrium
+branches off, does not depend on the drag. One of a pair that is not real whirls, and does depend on
+it. Flutter by inertia is not looked for. Sliding friction counts by its symmetric part.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Balance, Shape
@@ -27,13 +32,22 @@ _NEUTRAL = 3e-4
 _ROUNDING = 1e-14
 _ITERATIONS = 6
 _OF_ANYTHING = 1e-3
+_BESIDE = 10.0
+"""Drag: eigenvalues are looked for around minus this, which is nearer to the unstable ones."""
+_EIGENVALUES = 8
 
 
 class StabilityCheck:
-    """Checks of one line with given supports; what does not change is worked out once."""
+    """Checks of one line with given supports; what does not change is worked out once.
 
-    def __init__(self, assembly: Assembly) -> None:
-        self._assembly = assembly
+    Parameters
+    ----------
+    assembly : the line with its supports
+    is_turned : whether moments of constant direction act on it
+    """
+
+    def __init__(self, assembly: Assembly, *, is_turned: bool = False) -> None:
+        self._assembly, self._is_turned = assembly, is_turned
         n, band = assembly.n, assembly.band
         rows, columns = assembly.pattern
         is_force = np.arange(assembly.places.total) % PER_ELEMENT >= FORCE
@@ -66,8 +80,65 @@ class StabilityCheck:
         self._mass = self._drag * (np.arange(self.size) % FORCE < STRETCH)
 
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
-        """Whether the tangent of a balance at a shape is positive along what may change."""
-        return self._factors(balance, shape, _NEUTRAL) is not None
+        """Whether a line at a shape comes back from every small change, in honey."""
+        if self._factors(balance, shape, _NEUTRAL) is not None:
+            return True
+        return self._is_turned and self.slowest_return(balance)[0].real > -_NEUTRAL
+
+    def whirls(self, balance: Balance) -> bool:
+        """Whether a line that is not stable turns away round and round, more than it leaves."""
+        rate = self.slowest_return(balance)[0] if self._is_turned else complex(-np.inf)
+        return rate.real < 0.0 and abs(rate.imag) > abs(rate.real)
+
+    def slowest_return(self, balance: Balance) -> tuple[complex, Floats]:
+        """Find how fast the change dies out that does so slowest, and that change of the unknowns.
+
+        Parameters
+        ----------
+        balance : where it is
+
+        Returns
+        -------
+        Rate, 1 for a line of its own stiffness against a drag of 1: of negative real part for a
+        change that grows; minus infinity, with no change, where none was found.
+
+        Notes
+        -----
+        Rates r solve K x = r D x with the tangent K and the drag D. Arnoldi's method finds those
+        nearest to a negative number, where all that grow in earnest are nearer than any other.
+        """
+        band, drag = self._assembly.band, self._assembly.drag
+        own = np.flatnonzero((drag > 0.0) & ~band.fixed)
+        root = np.sqrt(drag[own])
+        change = np.zeros(len(drag))
+        factors = band.factorise(self._held_back(balance))
+        if factors is None:
+            return complex(-np.inf), change
+
+        def answer(push: Floats) -> Floats:
+            right = np.zeros(len(drag))
+            right[own] = root * np.ravel(push)
+            found = band.solve_factored(factors, right)
+            return np.full(len(own), np.nan) if found is None else root * found[own]
+
+        inverse = LinearOperator((len(own), len(own)), matvec=answer, dtype=np.float64)
+        first = np.cos(1.0 + 2.4 * np.arange(len(own)))
+        try:
+            found, ways = eigs(inverse, k=min(_EIGENVALUES, len(own) - 2), v0=first)
+        except ArpackError:
+            return complex(-np.inf), change
+        rates = 1.0 / found - _BESIDE
+        slowest = int(np.argmin(rates.real))
+        change[own] = np.real(ways[:, slowest]) / root
+        return complex(rates[slowest]), change
+
+    def _held_back(self, balance: Balance) -> Floats:
+        """Entries of the tangent with a drag of `_BESIDE`."""
+        rows, columns = self._assembly.pattern
+        at, first = np.unique(np.where(rows == columns, rows, -1), return_index=True)
+        values = balance.even.copy()
+        values[first[1:]] += _BESIDE * self._assembly.drag[at[1:]]
+        return values
 
     def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
         """The change of the unknowns in which the line resists least; None where none is found.
@@ -83,6 +154,10 @@ class StabilityCheck:
         a mere twist, is none. Moments in the frames of the elements that are no symmetry of
         anything are added to the push, a little of them.
         """
+        if self._is_turned:
+            rate, change = self.slowest_return(balance)
+            if rate.real < 0.0 and np.any(change):
+                return change
         drag = 1e-3
         factors = self._factors(balance, shape, drag)
         while factors is None and drag < 1e9:

@@ -140,9 +140,7 @@ class _Walk:
         self.step = 0
         self.work = self.lost = self.rubbed = self.jumped = 0.0
         self.failed = False
-        # a moment of constant direction has no energy to be lowest
-        has_energy = not any(isinstance(each, Moment) for each in boundaries)
-        self.is_checked = self.settings.checks_stability and has_energy
+        self.is_checked = self.settings.checks_stability
         self._gather(
             self.schedule.grips(0),
             (),
@@ -175,7 +173,11 @@ class _Walk:
             held.append(
                 (schedule.held_nodes[k], getattr(self.boundaries[k], "frame", 0) is not None)
             )
-        planes = tuple(each for each in self.boundaries if isinstance(each, Plane))
+        planes = tuple(
+            each.raised(0.5 * self.line.section.diameter)
+            for each in self.boundaries
+            if isinstance(each, Plane)
+        )
         lengths = np.array([getattr(self.boundaries[k], "length", 0.0) for k in schedule.strings])
         self.assembly = Assembly(
             self.line,
@@ -185,7 +187,8 @@ class _Walk:
             n_rings=len(schedule.rings),
             force=self.force,
         )
-        self.check = StabilityCheck(self.assembly)
+        is_turned = any(isinstance(each, Moment) for each in self.boundaries)
+        self.check = StabilityCheck(self.assembly, is_turned=is_turned)
         memory = Memory(merged_rests(self.assembly.supports, rests), contacts, places)
         demands = schedule.demands(time, grips, fading)
         balance = self.assembly.balance(shape, demands, memory)
@@ -226,6 +229,7 @@ class _Walk:
         self.step = step
         try:
             self._require_reach(step)
+            self._require_above(step)
             if step > 0:
                 self._let_go(step)
             self._walk_to(float(step))
@@ -248,7 +252,7 @@ class _Walk:
                 # what fades of a grip's moment has no energy: only the end of the step counts
                 may_check = self.is_checked and (time == goal or not self.fading)
                 if may_check and not self._is_stable():
-                    self._let_down(time, is_unstable=True)
+                    self._leave(time)
             elif part > smallest:
                 part *= 0.5
             else:
@@ -302,6 +306,13 @@ class _Walk:
 
     # ---- letting down -------------------------------------------------------------------------
 
+    def _leave(self, time: float) -> None:
+        """Leave an equilibrium that is not stable; in whirling there is none to come to."""
+        if self._is_said("whirls") or self.check.whirls(self.now.balance):
+            self._doubt_stability("whirls", "moments of constant direction set the line whirling")
+        else:
+            self._let_down(time, is_unstable=True)
+
     def _let_down(self, time: float, *, is_unstable: bool) -> None:
         """Let the line go downhill to a stable equilibrium at a time."""
         if self.step not in self.snapped:
@@ -315,7 +326,7 @@ class _Walk:
             self.now, self.work, self.lost, self.rubbed = before
         if not is_unstable:
             self._give_up()
-        self._doubt_stability()
+        self._doubt_stability("unstable", "no stable one was reached from it")
 
     def _comes_to_rest(self, time: float, kick: float) -> bool:
         """Drag the line through ever less of a resistance; false where it finds no rest."""
@@ -395,9 +406,9 @@ class _Walk:
         )
         raise _NoWayError(Reason("no_equilibrium", sentence, self.step, node))
 
-    def _doubt_stability(self) -> None:
+    def _doubt_stability(self, code: str, why: str) -> None:
         """Go on with an equilibrium that is not stable, and say so once."""
-        if any(reason.code == "unstable" for reason in self.reasons):
+        if self._is_said(code):
             return
         push = np.zeros(self.assembly.places.total)
         mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
@@ -406,10 +417,13 @@ class _Walk:
             moved = mode[self.assembly.places.positions[:, None] + np.arange(3)]
             node = int(np.argmax(np.linalg.norm(moved, axis=1)))
         sentence = (
-            f"step {self.step}: the equilibrium is not stable, and no stable one was reached from "
-            f"it; it gives way most at node {node}"
+            f"step {self.step}: the equilibrium is not stable, and {why}; it gives way most at "
+            f"node {node}"
         )
-        self.reasons.append(Reason("unstable", sentence, self.step, node))
+        self.reasons.append(Reason(code, sentence, self.step, node))
+
+    def _is_said(self, code: str) -> bool:
+        return any(reason.code == code for reason in self.reasons)
 
     def _require_reach(self, step: int) -> None:
         """Refuse places that a line that keeps its length cannot reach."""
@@ -431,6 +445,27 @@ class _Walk:
                 f"long, and the places that hold them are {apart[k]:.6g} m apart"
             )
             raise _NoWayError(Reason("too_short", sentence, step, int(second)))
+
+    def _require_above(self, step: int) -> None:
+        """Refuse to hold a line in a table."""
+        grips = self.schedule.grips(step)
+        held = self.schedule.demands(float(step), grips, ()).held
+        for k in self.schedule.planes:
+            plane = self.schedule.boundaries[k]
+            assert isinstance(plane, Plane)
+            heights = (held - plane.point) @ plane.normal
+            least = 0.5 * self.line.section.diameter
+            if len(held) and np.min(heights) < least - _AT_REST * self.line.length:
+                low = int(np.argmin(heights))
+                grip, table = (
+                    called(self.boundaries, each) for each in (self.boundaries[grips[low]], plane)
+                )
+                sentence = (
+                    f"step {step}: {grip} holds the axis of the line {1e3 * heights[low]:.6g} mm "
+                    f"above {table}; with its diameter it lies {1e3 * least:.6g} mm above or higher"
+                )
+                node = self.schedule.held_nodes[grips[low]]
+                raise _NoWayError(Reason("in_plane", sentence, step, node))
 
     def _require_whole(self) -> None:
         """Refuse a line that is torn or folded."""
@@ -471,7 +506,7 @@ class _Walk:
         self.energies.append((self.work, stored, self.lost, self.rubbed, self.jumped))
         last = self.line.section.law.last
         node = int(np.argmax(state.bendings))
-        if state.bendings[node] > last and not any(r.code == "beyond_law" for r in self.reasons):
+        if state.bendings[node] > last and not self._is_said("beyond_law"):
             sentence = (
                 f"step {step}: the curvature {state.bendings[node]:.4g} 1/m at node {node} is "
                 f"beyond the range of the law, which ends at {last:.4g} 1/m"

@@ -11,15 +11,19 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.law.sliders import linear_moment_law
 from labpipe.records.arrays import Flags, Floats
-from labpipe.rod.boundaries import Gravity, Held, Load
+from labpipe.rod.assembly import Assembly, Demands, Memory, Shape
+from labpipe.rod.boundaries import Gravity, Held, Load, Moment
 from labpipe.rod.line import Line, Section, line_along, straight_line
 from labpipe.rod.path import RodPath
-from labpipe.rod.rotations import frame_from_axes
+from labpipe.rod.rotations import frame_from_axes, from_rotation_vectors, multiply
+from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.statics import follow
+from labpipe.rod.supports import supports_of
 from tests.builders.rod_references import (
     Kirchhoff,
     bend_of_45_degrees,
     buckled_column,
+    critical_moment_of_joints,
     critical_torque,
     heavy_cantilever,
 )
@@ -27,6 +31,8 @@ from tests.builders.rod_references import (
 FAR = 1e6
 """1/m, end of the laws' range: no case gets there."""
 GRAVITY = 9.81
+STRETCH = 1e5
+"""N, of rods whose both ends are held."""
 
 
 def section(
@@ -95,7 +101,7 @@ def shares_near_one(step: float, *, first: float = 0.9, last: float = 1.06) -> F
 
 def twisted_rod(elements: int, shares: Floats, *, torsion: float) -> RodPath:
     """A straight rod, one clamp turned by shares of the twist that buckles it in theory."""
-    line = straight_line(1.0, elements, section(torsion=torsion, stretch=1e5))
+    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
     frames = turning(line.frames[-1], shares * critical_torque() / torsion)
     grips = [clamped(line), Held(-1, line.positions[-1], frames)]
     return follow(line, grips, steps=len(shares) - 1)
@@ -107,6 +113,72 @@ def torque_that_buckles(elements: int, *, torsion: float = 0.8, step: float = 1e
     path = twisted_rod(elements, shares, torsion=torsion)
     aside = [float(np.max(np.abs(state.positions[:, 1:]))) for state in path.states]
     return _left_at(shares, np.array(aside) > 1e-6)
+
+
+def rate_on_joints(
+    elements: int, moment: float, *, torsion: float = 0.8, tension: float = 0.0
+) -> float:
+    """How fast the slowest change of a straight twisted rod on universal joints dies out.
+
+    Parameters
+    ----------
+    elements : of a rod of length and bending stiffness 1
+    moment : of constant direction along it, at both ends
+    torsion : its torsional stiffness
+    tension : it is pulled with
+
+    Returns
+    -------
+    Real part, 1 for a rod of its own stiffness against a drag of 1; negative where it diverges, and
+    not below zero else, as the rod may spin.
+    """
+    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
+    supports = supports_of(line, ((0, False), (elements, False)))
+    none = (np.zeros(0, dtype=np.int64), np.zeros(0))
+    assembly = Assembly(line, supports, (), none, n_rings=0, force=1.0 + moment)
+    middles = (np.arange(elements) + 0.5) / elements
+    twist = np.outer(middles * moment / torsion, [0.0, 0.0, 1.0])
+    along = np.array([1.0, 0.0, 0.0])
+    shape = Shape(
+        line.positions * (1.0 + tension / STRETCH),
+        multiply(line.frames, from_rotation_vectors(twist)),
+        np.full(elements, tension / STRETCH),
+        np.tile(tension * along, (elements, 1)),
+    )
+    moments = np.zeros((elements, 3))
+    moments[0] -= moment * along
+    moments[-1] += moment * along
+    nothing = np.zeros((0, 3))
+    asked = Demands(
+        *(shape.positions[supports.held], np.zeros((0, 4)), np.zeros((elements + 1, 3))),
+        *(moments, nothing, nothing),
+    )
+    memory = Memory(
+        np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, elements + 1, 3)), np.zeros(0)
+    )
+    balance = assembly.balance(shape, asked, memory)
+    left = np.where(assembly.band.fixed, 0.0, balance.residual)
+    assert np.max(np.abs(left)) < 1e-10
+    return StabilityCheck(assembly, is_turned=True).slowest_return(balance)[0].real
+
+
+def moment_that_buckles(elements: int, *, torsion: float = 0.8, tension: float = 0.0) -> float:
+    """Least M at which a rod on universal joints diverges, over that of theory."""
+    critical = critical_moment_of_joints(tension)
+    low, high = 0.8 * critical, 1.2 * critical
+    while high - low > 1e-7 * critical:
+        middle = 0.5 * (low + high)
+        diverges = rate_on_joints(elements, middle, torsion=torsion, tension=tension) < -1e-6
+        low, high = (low, middle) if diverges else (middle, high)
+    return high / critical
+
+
+def turned_on_joints(elements: int, shares: Floats, *, torsion: float = 0.8) -> RodPath:
+    """A straight rod on universal joints under shares of the moment that buckles it in theory."""
+    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
+    moments = shares[:, None] * critical_moment_of_joints() * np.array([1.0, 0.0, 0.0])
+    ends = [Held(0, line.positions[0]), Held(-1, line.positions[-1])]
+    return follow(line, [*ends, Moment(0, -moments), Moment(-1, moments)], steps=len(shares) - 1)
 
 
 def _left_at(shares: Floats, has_left: Flags) -> float:

@@ -86,6 +86,13 @@ def test_a_line_may_be_straight_between_its_clips(tmp_path: Path) -> None:
             "found a way of 348.879 mm by 'guide'.",
         ),
         (
+            "boundaries:\n",
+            "boundaries:\n  - {kind: plane, name: table, point: [0 mm, 0 mm, -1 mm], "
+            "normal: [0, 0, 5]}\n",
+            "(boundaries.1): expected the axis of the line 1.1 mm above 'table', its radius, found "
+            "1 mm at step 0. Hold it higher, or begin higher ('line.start').",
+        ),
+        (
             "bending_stiffness: 150 N*mm^2",
             "sliders: none.sliders.json\n#",
             "(line.section.sliders): expected a file, found 'none.sliders.json'. There is none at ",
@@ -113,3 +120,8 @@ def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
     assert load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "11"))
     with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm between them at step 30"):
         load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))
+
+
+def test_a_line_may_be_held_on_a_table(tmp_path: Path) -> None:
+    table = "  - {kind: plane, name: table, point: [0 mm, 0 mm, -1.1 mm]}\n"
+    assert load(tmp_path, BETWEEN_CLIPS + table)

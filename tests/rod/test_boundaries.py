@@ -25,6 +25,13 @@ def test_directions_are_of_length_one() -> None:
     assert Gravity().vector == pytest.approx(np.array([[0.0, 0.0, -9.81]]))
 
 
+def test_a_plane_is_raised_along_its_normal() -> None:
+    table = Plane(np.array([1.0, 0.0, 0.0]), np.array([0.0, 3.0, 4.0]), 0.3, "table").raised(0.5)
+    assert table.point == pytest.approx([1.0, 0.3, 0.4])
+    assert (table.friction, table.name) == (0.3, "table")
+    assert table.normal == pytest.approx([0.0, 0.6, 0.8])
+
+
 def test_faults_are_said() -> None:
     with pytest.raises(ValueError, match=r"position of shape \(2, 2\): allowed is \(steps \+ 1, 3"):
         Held(0, np.zeros((2, 2)))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labpipe.law.sliders import linear_moment_law
-from labpipe.rod.boundaries import Gravity, Held, Load, Moment
+from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane
 from labpipe.rod.line import Section, straight_line
 from labpipe.rod.rotations import (
     conjugate,
@@ -119,7 +121,8 @@ def test_a_moment_rolls_a_circle_to_second_order() -> None:
     for n in (20, 40):
         line = straight_line(LENGTH, n, linear_section())
         moment = ramp((0.0, 2.0 * np.pi * STIFFNESS / LENGTH, 0.0), 10)
-        state = walked(line, [clamp(line), Moment(-1, moment)], 10).last
+        free = RodSettings(checks_stability=False)  # beyond half a circle it would whirl in space
+        state = follow(line, [clamp(line), Moment(-1, moment)], steps=10, settings=free).last
         gaps.append(np.linalg.norm(state.positions[-1] - state.positions[0]) / LENGTH)
         # a moment is the same all along, and so is the curvature, to rounding
         np.testing.assert_allclose(
@@ -127,6 +130,25 @@ def test_a_moment_rolls_a_circle_to_second_order() -> None:
         )
     assert gaps[0] < 2e-3
     assert gaps[1] == pytest.approx(gaps[0] / 4.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("torsion", "first"), [(0.3, 9), (0.8, 12), (3.0, 18)], ids=["soft", "middle", "stiff"]
+)
+def test_a_circle_rolled_by_a_moment_of_constant_direction_would_whirl(
+    torsion: float, first: int
+) -> None:
+    """In space; the rates of the dense matrix turn negative in that twentieth of a circle."""
+    line = straight_line(LENGTH, 20, linear_section(torsion=torsion * STIFFNESS))
+    moment = ramp((0.0, 2.0 * np.pi * STIFFNESS / LENGTH, 0.0), 20)
+    path = follow(line, [clamp(line), Moment(-1, moment)], steps=20)
+    assert path.status == "doubtful"
+    assert [(each.code, each.step) for each in path.reasons] == [("whirls", first)]
+    assert path.reasons[0].sentence == (
+        f"step {first}: the equilibrium is not stable, and moments of constant direction set the "
+        "line whirling; it gives way most at node 20"
+    )
+    assert path.snapped == ()
 
 
 def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
@@ -207,6 +229,36 @@ def test_a_line_too_short_for_its_clips_fails_with_step_and_nodes() -> None:
     assert reason.sentence == (
         "step 3: between nodes 0 and 10 the line is 0.5 m long, and the places that hold them are "
         "0.505 m apart"
+    )
+
+
+@pytest.mark.parametrize("start", [0.0, 3e-3])
+def test_a_heavy_line_lies_on_a_table_with_its_axis_a_radius_above(start: float) -> None:
+    """Drawn along it, it pulls by 0.4 of its weight, as a line without thickness would."""
+    section = replace(linear_section(mass=0.2), diameter=6e-3)
+    line = straight_line(LENGTH, 20, section, start=(0.0, 0.0, start))
+    drawn = Held(0, np.array([0.0, 0.0, 3e-3]) + ramp((-0.05, 0.0, 0.0), 4))
+    path = walked(line, [Plane(np.zeros(3), friction=0.4), Gravity(), drawn], 4)
+    weight = 0.2 * LENGTH * 9.81 * 39.0 / 40.0  # the grip carries that of half an element
+    for state in path.states:
+        assert state.positions[:, 2] == pytest.approx(3e-3, abs=1e-8)
+        assert state.reaction_forces[0, 2] == pytest.approx(weight)
+    assert path.last.reaction_forces[2, 0] == pytest.approx(-0.4 * weight)
+    assert path.last.positions[-1, 0] == pytest.approx(LENGTH - 0.05)
+
+
+def test_a_line_cannot_be_held_in_a_table() -> None:
+    section = replace(linear_section(), diameter=6e-3)
+    line = straight_line(LENGTH, 10, section, start=(0.0, 0.0, 0.01))
+    way = line.positions[-1] + ramp((0.0, 0.0, -0.01), 5)
+    down = Held(-1, way, line.frames[-1], name="grip")
+    path = follow(line, [down, Plane(np.zeros(3), name="table")], steps=5)
+    assert (path.status, len(path.states)) == ("failed", 4)
+    reason = path.reasons[0]
+    assert (reason.code, reason.step, reason.node) == ("in_plane", 4, 10)
+    assert reason.sentence == (
+        "step 4: grip holds the axis of the line 2 mm above table; with its diameter it lies 3 mm "
+        "above or higher"
     )
 
 

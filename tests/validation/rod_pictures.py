@@ -29,6 +29,7 @@ from tests.builders.judged_rods import (
     catenary_error,
     elastica_error,
     heavy_cantilever_error,
+    moment_that_buckles,
     off_plane,
     posed_rod_error,
     shares_near_one,
@@ -68,6 +69,9 @@ def cases() -> dict[str, Callable[[int], float]]:
         "posed in space, largest distance": lambda n: posed_rod_error(n)[0],
         "posed in space, force of the far clamp": lambda n: posed_rod_error(n)[1],
         "catenary, sag": lambda n: abs(catenary_error(n)),
+        "moment that buckles on universal joints, C = 2 B": lambda n: abs(
+            1.0 - moment_that_buckles(n, torsion=2.0)
+        ),
         "twist that buckles a ring": lambda n: abs(1.0 - twist_that_buckles_a_ring(n, step=2e-4)),
         "chain lifted from a table, pull": lambda n: abs(
             lifted_half(chain, n, 1e-6).last.forces[0, 0] / chain.pull - 1.0
@@ -105,7 +109,7 @@ def draw_convergence(errors: dict[str, list[float]]) -> Figure:
     """Errors over elements; cost of a step over nodes."""
     page = Figure(figsize=(6.3, 3.4), layout="constrained")
     left, right = page.subplots(1, 2, width_ratios=(1.0, 0.8))
-    marks = "osD^v<>ph*"
+    marks = "osD^v<>ph*P"
     for (name, found), mark in zip(errors.items(), marks, strict=True):
         left.loglog(ELEMENTS, found, marker=mark, markersize=3.5, linewidth=0.8, label=name)
     ends = np.array([ELEMENTS[0], ELEMENTS[-1]])

@@ -9,8 +9,10 @@ from tests.builders.rod_references import (
     Kirchhoff,
     bend_of_45_degrees,
     buckled_column,
+    critical_moment_of_joints,
     critical_torque,
     heavy_cantilever,
+    shaft_frequencies,
 )
 
 
@@ -53,6 +55,29 @@ def test_torque_that_buckles_a_clamped_rod() -> None:
     """Greenhill (1883): 8.9868 without tension; pulled hard, M^2 = 4 B T."""
     assert critical_torque() == pytest.approx(8.98682, abs=1e-5)
     assert critical_torque(1e4) == pytest.approx(2.0 * 100.0, rel=2e-3)
+
+
+def test_moment_that_buckles_a_rod_on_universal_joints() -> None:
+    """Greenhill (1883); with tension, M^2 = (2 pi)^2 + 4 T."""
+    assert critical_moment_of_joints() == pytest.approx(2.0 * np.pi, abs=1e-9)
+    assert critical_moment_of_joints(20.0) == pytest.approx(np.sqrt(4.0 * np.pi**2 + 80.0))
+
+
+def test_a_shaft_on_universal_joints_diverges_and_does_not_flutter() -> None:
+    """Its frequencies stay real, though nothing says they must, and the first comes to zero."""
+    assert shaft_frequencies(0.0)[0].real == pytest.approx(np.pi**4)
+    for moment in np.linspace(0.0, 2.0 * np.pi - 1e-3, 8):
+        lowest = shaft_frequencies(float(moment))[:4]
+        assert np.min(lowest.real) > 0.0
+        assert np.max(np.abs(lowest.imag)) < 1e-4
+    assert abs(shaft_frequencies(2.0 * np.pi)[0]) < 1e-3
+    assert shaft_frequencies(6.4)[0].real < -4.0
+
+
+def test_a_shaft_with_a_free_end_flutters_under_any_moment() -> None:
+    """Nicolai's paradox (1928): no moment of constant direction is too small, without damping."""
+    assert shaft_frequencies(0.0, is_free=True)[0] == pytest.approx(1.8751041**4)
+    assert abs(shaft_frequencies(0.1, is_free=True)[0].imag) > 0.3
 
 
 @pytest.mark.parametrize(
