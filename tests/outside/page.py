@@ -10,19 +10,23 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tests.outside.cards import Card, Number
+from tests.outside.springback import tables
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "explanations" / "outside.md"
 PICTURE = ROOT / "docs" / "images" / "outside.png"
 BEGIN, END = "<!-- counted: begin -->", "<!-- counted: end -->"
+SPRINGBACK = ("<!-- springback: begin -->", "<!-- springback: end -->")
 STYLE = ROOT / "labpipe" / "report" / "labpipe.mplstyle"
 
 
 def publish(cards: list[Card]) -> None:
-    """Put table and misses between the marks of the page, and draw the picture."""
+    """Put the tables and misses between the marks of the page, and draw the picture."""
     text = PAGE.read_text(encoding="utf-8")
-    before, after = text.partition(BEGIN)[0], text.partition(END)[2]
-    PAGE.write_text(before + f"{BEGIN}\n{counted(cards)}\n{END}" + after, encoding="utf-8")
+    for (begin, end), found in (((BEGIN, END), counted(cards)), (SPRINGBACK, tables())):
+        before, after = text.partition(begin)[0], text.partition(end)[2]
+        text = f"{before}{begin}\n{found}\n{end}{after}"
+    PAGE.write_text(text, encoding="utf-8")
     draw(cards, PICTURE)
 
 
