@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.uncertainty.noise import long_run_variance
 
@@ -87,7 +87,7 @@ def sense_of_loading(values: Floats) -> float:
     known = values[~np.isnan(values)]
     if not len(known):
         return 1.0
-    first = float(np.median(known[: max(1, len(known) // 100)]))
+    first = median(known[: max(1, len(known) // 100)])
     up, down = float(known.max()) - first, first - float(known.min())
     if max(up, down) > 2.0 * min(up, down):
         return 1.0 if up > down else -1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import ClassVar, Literal
@@ -25,7 +26,7 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.evidence import Evidence
-from labpipe.results.force_samples import ForceSamples
+from labpipe.results.force_samples import ForceSamples, Top
 from labpipe.results.kinds import (
     NO_CYCLE,
     Computed,
@@ -79,6 +80,10 @@ class OfCycle(Kind):
         """
         return partial(self.read, test, number=number)
 
+    def decider(self, test: Evidence) -> Callable[[int], Decide]:
+        """The same for all cycles of a test, which may share what takes long to make."""
+        return partial(self.deciding, test)
+
     def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
         """The plain number where it is read from more samples than the curve has."""
         del test, branches
@@ -93,11 +98,14 @@ class OfCycle(Kind):
         """A number for every cycle; one failure where there is no cycle."""
         if not test.cycles:
             return self.not_available(blocked_or(test, NO_CYCLE), self.method)
-        return Computed(tuple(self._of_cycle(test, branches) for branches in test.cycles))
+        decider = self.decider(test)
+        return Computed(tuple(self._of_cycle(test, branches, decider) for branches in test.cycles))
 
-    def _of_cycle(self, test: Evidence, branches: list[Branch]) -> Number:
+    def _of_cycle(
+        self, test: Evidence, branches: list[Branch], decider: Callable[[int], Decide]
+    ) -> Number:
         number = branches[0].cycle
-        found = test.measure(self.deciding(test, number), self.plain(test, branches))
+        found = test.measure(decider(number), self.plain(test, branches))
         doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
         doubts += self.doubts(test, number)
         if self.gap:
@@ -420,19 +428,34 @@ class PeakForce(OfCycle):
         """Of all cycles."""
         return "largest force of the cycle after the filter, in the sense of loading"
 
-    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
+    def decider(self, test: Evidence) -> Callable[[int], Decide]:
+        """All cycles are read from the same samples of the force."""
+        samples = cache(partial(ForceSamples.of, test))
+        return lambda number: partial(self.read, test, number=number, samples=samples)
+
+    def read(
+        self,
+        test: Evidence,
+        trace: Trace,
+        number: int,
+        samples: Callable[[Trace], ForceSamples | None] | None = None,
+    ) -> Reading | Failure:
         """Largest sample of the force; in noise, of all that it has."""
         found = peak_of(test, trace, number)
         if isinstance(found, Failure) or test.force.clock == test.clocks.curve:
             return found
-        stretch = stretch_of_cycle(trace, cycle_of(trace, number))
-        samples = cache(partial(ForceSamples.of, test, trace, stretch))
         sense, plain = sense_of(trace, trace.force), found
 
+        @cache
+        def top() -> Top | None:
+            stretch = stretch_of_cycle(trace, cycle_of(trace, number))
+            known = samples(trace) if samples is not None else ForceSamples.of(test, trace)
+            return None if known is None else known.of_cycle(trace, stretch, sense)
+
         def in_noise(drawn: Trace) -> tuple[Floats]:
-            known, raised = samples(), None
-            if known is not None and drawn.noise is not None:
-                raised = known.raised(drawn.noise, sense)
+            noise = drawn.noise
+            seen = None if noise is None else top()
+            raised = None if noise is None or seen is None else seen.raised(noise)
             if raised is None:
                 return (plain.numbers(drawn)[0],)
             return (plain.numbers(trace)[0] + sense * raised,)

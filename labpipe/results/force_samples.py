@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, Singles
+from labpipe.records.arrays import Floats, Ints, Singles
 from labpipe.records.signals import Clocks, Filter, Signal
 from labpipe.results.evidence import Evidence
 from labpipe.signal.filters import in_pieces
@@ -50,32 +50,31 @@ class ForceSamples:
 
     Parameters
     ----------
+    time : shape (n,), s on the clock of the curve, increasing
     smooth : shape (n,), N, without noise
     left : shape (n,), N, what single samples of the record have beside the mean of their frame
     frames : shape (n,), sample of the curve that each belongs to
     filters : of the force
     cuts : at which a new piece begins
-    inside : shape (n,), those of the cycle
     reach : samples on either side that the filters need
     """
 
+    time: Floats
     smooth: Floats
     left: Floats
     frames: Ints
     filters: tuple[Filter, ...]
     cuts: tuple[int, ...]
-    inside: Flags
     reach: int
 
     @classmethod
-    def of(cls, test: Evidence, trace: Trace, stretch: slice) -> ForceSamples | None:
-        """Samples of a cycle.
+    def of(cls, test: Evidence, trace: Trace) -> ForceSamples | None:
+        """Samples of a whole test.
 
         Parameters
         ----------
         test : with a curve
         trace : the curve without noise
-        stretch : of it, the cycle
 
         Returns
         -------
@@ -85,54 +84,106 @@ class ForceSamples:
         if signal is None or not filters or any(stride != 1 for _, stride in filters):
             return None
         reach = _reach_of(filters)
-        if reach is None or np.isnan(trace.force[stretch]).any():
-            return None
-        if len(signal.time) < _FASTER * len(trace.time):
+        if reach is None or len(signal.time) < _FASTER * len(trace.time):
             return None
         time = test.clocks.times_on_curve(signal)
-        frames = np.searchsorted(0.5 * (trace.time[1:] + trace.time[:-1]), time)
+        frames = _frames_of(time, trace.time)
         ends = [at for each in trace.branches for at in (each.start_time, each.stop_time)]
         cuts = cuts_of(test.clocks, ends, signal)
         smooth = _between_frames(trace, time, cuts, reach)
-        first, last = trace.time[stretch][[0, -1]]
-        inside = (time >= first) & (time <= last) & ~np.isnan(smooth)
-        left = np.nan_to_num(_beside_frames(signal.values - smooth, frames))
-        if not inside.any():
-            return None
-        return cls(smooth, left, frames, filters, tuple(cuts), inside, reach)
+        left = _beside_frames(signal.values - smooth, frames)
+        np.nan_to_num(left, copy=False)
+        return cls(time, smooth, left, frames, filters, tuple(cuts), reach)
 
-    def raised(self, noise: Floats | Singles, sense: float) -> Floats | None:
+    def of_cycle(self, trace: Trace, stretch: slice, sense: float) -> Top | None:
+        """The samples of a cycle.
+
+        Parameters
+        ----------
+        trace : the curve without noise
+        stretch : of it, the cycle
+        sense : which way loading goes
+
+        Returns
+        -------
+        None where the cycle has none, or the curve has gaps there.
+        """
+        if np.isnan(trace.force[stretch]).any():
+            return None
+        first, last = trace.time[stretch][[0, -1]]
+        low, high = np.searchsorted(self.time, first), np.searchsorted(self.time, last, "right")
+        over = sense * self.smooth[low:high]
+        known = ~np.isnan(over)
+        if not known.any():
+            return None
+        spread = float(self.left[low:high][known].std())
+        return Top(self, sense, int(low), over, float(over[known].max()), spread)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Top:
+    """Samples of a cycle, of which the largest is looked for.
+
+    Parameters
+    ----------
+    samples : of the whole test
+    sense : which way loading goes
+    start : the first one of the cycle
+    over : shape (n,), N in that sense, without noise; NaN where not known
+    top : N, the largest of them
+    spread : N, standard deviation of what single samples add
+    """
+
+    samples: ForceSamples
+    sense: float
+    start: int
+    over: Floats
+    top: float
+    spread: float
+
+    def raised(self, noise: Floats | Singles) -> Floats | None:
         """What noise adds to the largest sample of the cycle.
 
         Parameters
         ----------
         noise : shape (replicates, frames), N, of the curve before all filters
-        sense : which way loading goes
 
         Returns
         -------
-        N in that sense, shape (replicates,). None where too many samples may be the largest.
+        N in the sense of loading, shape (replicates,). None where too many samples may be the
+        largest.
         """
-        over = sense * self.smooth
-        top = float(over[self.inside].max())
-        size = float(np.hypot(noise.std(), self.left[self.inside].std()))
-        near = np.flatnonzero(self.inside & (over >= top - _REACH * size))
-        reach = self.reach
+        size = float(np.hypot(noise.std(), self.spread))
+        near = np.flatnonzero(self.over >= self.top - _REACH * size) + self.start
         if len(near) > _MOST:
             return None
         # Which stretch of the record goes with a replicate is chance, and the same every time.
         chance = np.random.default_rng(noise[:, :8].astype(np.float32).view(np.uint32).ravel())
-        largest = np.full(len(noise), -np.inf)
-        for run in np.split(near, np.flatnonzero(np.diff(near) > 2 * reach) + 1):
-            part = slice(max(run[0] - reach, 0), min(run[-1] + 1 + reach, len(over)))
-            count = part.stop - part.start
-            first = chance.integers(0, len(self.left) - count + 1, len(noise))
-            beside = self.left[first[:, None] + np.arange(count)]
-            force = self.smooth[part] + noise[:, self.frames[part]] + beside
-            made = in_pieces(force, [cut - part.start for cut in self.cuts], self.filters)
-            seen = sense * made[:, run[0] - part.start : run[-1] + 1 - part.start]
-            largest = np.maximum(largest, seen.max(axis=1))
-        return largest - top
+        largest, apart = np.full(len(noise), -np.inf), 2 * self.samples.reach
+        for run in np.split(near, np.flatnonzero(np.diff(near) > apart) + 1):
+            made = self._filtered(noise, int(run[0]), int(run[-1]) + 1, chance)
+            made *= self.sense
+            largest = np.maximum(largest, made.max(axis=1))
+        return largest - self.top
+
+    def _filtered(
+        self, noise: Floats | Singles, first: int, stop: int, chance: np.random.Generator
+    ) -> Floats:
+        """Some samples of the force with noise, filtered, shape (replicates, samples)."""
+        own = self.samples
+        part = slice(max(first - own.reach, 0), min(stop + own.reach, len(own.smooth)))
+        count = part.stop - part.start
+        stretches = np.lib.stride_tricks.sliding_window_view(own.left, count)
+        force = own.smooth[part] + noise.take(own.frames[part], axis=1)
+        force += stretches[chance.integers(0, len(stretches), len(noise))]
+        made = in_pieces(force, [cut - part.start for cut in own.cuts], own.filters)
+        return made[:, first - part.start : stop - part.start]
+
+
+def _frames_of(time: Floats, frames: Floats) -> Ints:
+    """Number of the nearest frame for each of many times, both increasing: shape (n,)."""
+    ends = np.searchsorted(time, 0.5 * (frames[1:] + frames[:-1]), side="right")
+    return np.repeat(np.arange(len(frames)), np.diff(ends, prepend=0, append=len(time)))
 
 
 def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int) -> Floats:
@@ -146,14 +197,16 @@ def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int)
     reach : samples that the filter of the force feels, over which a piece joins the one before
     """
     frames = [at for each in trace.branches for at in (each.start, each.stop)]
-    found = np.interp(time, trace.time, trace.force)
+    found = np.empty(len(time))
     ends = sorted({(0, 0), *zip(cuts, frames, strict=True), (len(time), len(trace.time))})
     for (low, begin), (high, end) in pairwise(ends):
-        if high > low and end - begin > 1:
+        if end - begin > 1:
             found[low:high] = _carried_on(
                 time[low:high], trace.time[begin:end], trace.force[begin:end]
             )
             _join(found, low, min(reach, high - low))
+        else:
+            found[low:high] = np.interp(time[low:high], trace.time, trace.force)
     return found
 
 

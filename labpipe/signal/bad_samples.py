@@ -8,7 +8,7 @@ from math import log, pi, sqrt
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, median, stretches_of
-from labpipe.signal.turning_points import noise_level
+from labpipe.signal.turning_points import noise_level, noise_of_differences
 
 _FEWEST = 3
 """Equal samples in a row: two stand on both sides of any corner."""
@@ -101,7 +101,7 @@ def stuck_runs(time: Floats, values: Floats, beside: Floats | None = None) -> li
     if not len(starts) or not np.nanmax(values) > np.nanmin(values):
         return []
     seen = _Seen.of(time, values, beside, lengths)
-    long = np.flatnonzero(lengths >= max(_FEWEST, _UNUSUAL * _usual(lengths)))
+    long = np.flatnonzero(lengths >= max(_FEWEST, _UNUSUAL * seen.usual))
     ends = np.flatnonzero((lengths >= _FEWEST) & seen.is_extreme(starts))
     found = []
     for run in np.union1d(long, ends).tolist():
@@ -120,10 +120,6 @@ def _runs(values: Floats) -> tuple[Ints, Ints]:
     lengths = np.diff(np.r_[starts, len(values)])
     known = ~np.isnan(values[starts])
     return lengths[known], starts[known]
-
-
-def _usual(lengths: Ints) -> float:
-    return float(np.quantile(lengths, 0.95))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +146,7 @@ class _Seen:
         sizes = np.abs(steps[moving])
         if not len(sizes):  # blanks stand between all that differ
             sizes, moving = np.array([high - low]), np.r_[True, moving[1:]]
-        resolution = _resolution(values, sizes, dust)
+        resolution, usual = _resolution(values, sizes, dust), float(np.quantile(lengths, 0.95))
         apart = np.maximum(np.diff(time)[moving], 1e-12)
         return cls(
             time=time,
@@ -160,9 +156,9 @@ class _Seen:
             high=high,
             resolution=resolution,
             speed=float(np.quantile(sizes / apart, 0.95)),
-            usual=_usual(lengths),
+            usual=usual,
             noise_beside=0.0 if beside is None else noise_level(beside),
-            longest_by_chance=_longest_by_chance(values, lengths, resolution),
+            longest_by_chance=_longest_by_chance(values, lengths, usual, resolution),
         )
 
     def is_extreme(self, at: Ints) -> Flags:
@@ -285,16 +281,17 @@ def _resolution(values: Floats, steps: Floats, dust: float) -> float:
     return float(steps.min()) if on_grid else dust
 
 
-def _longest_by_chance(values: Floats, lengths: Ints, resolution: float) -> float:
+def _longest_by_chance(values: Floats, lengths: Ints, usual: float, resolution: float) -> float:
     """Length of a run that noise makes by chance in one of 10^6 records; inf without noise."""
-    usual = np.repeat(lengths <= _UNUSUAL * max(1.0, _usual(lengths)), lengths)
-    known = values[~np.isnan(values)][usual]
-    second, third = np.diff(known, n=2), np.diff(known, n=3)
-    noise = noise_level(known)
-    if noise <= resolution or len(third) < 20:
+    is_usual = np.repeat(lengths <= _UNUSUAL * max(1.0, usual), lengths)
+    second = np.diff(values[~np.isnan(values)][is_usual], n=2)
+    third = np.diff(second)
+    if len(third) < 20:
         return float("inf")
-    if median(np.abs(third)) < _WHITE * median(np.abs(second)):
-        return float("inf")  # a smooth curve, and no noise
+    size = median(np.abs(second, out=second))
+    noise = noise_of_differences(size)
+    if not noise > resolution or median(np.abs(third, out=third)) < _WHITE * size:
+        return float("inf")  # no noise, or a smooth curve
     alike = resolution / (2.0 * sqrt(pi) * noise)  # chance that two neighbours are equal
     return max(_LEAST, 1.0 + log(_CHANCE / len(values)) / log(alike))
 
@@ -326,8 +323,10 @@ def find_spikes(force: Floats) -> Ints:
 
     level = median_filter(f, _WINDOW, mode="nearest")
     off = f - level
-    far = max(_FAR_OFF * 1.4826 * median(np.abs(off)), _FLOOR * float(np.ptp(level)))
-    runs = [_core(np.arange(*run), off) for run in stretches_of(np.abs(off) > far)]
+    away = np.abs(off)
+    # Few numbers again and again, in which `records.arrays.median` is slow.
+    far = max(_FAR_OFF * 1.4826 * float(np.median(away)), _FLOOR * float(np.ptp(level)))
+    runs = [_core(np.arange(*run), off) for run in stretches_of(away > far)]
     spikes = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
     numbers: Ints = known[np.concatenate(spikes).astype(np.int64)] if spikes else known[:0]
     return numbers

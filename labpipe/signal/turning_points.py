@@ -79,9 +79,17 @@ def noise_level(values: Floats) -> float:
     """
     second = np.diff(values, n=2)
     second = second[~np.isnan(second)]
-    if len(second) < 3:
-        return 0.0
-    return median(np.abs(second)) / (0.6745 * sqrt(6.0))
+    return noise_of_differences(median(np.abs(second))) if len(second) > 2 else 0.0
+
+
+def noise_of_differences(second: float) -> float:
+    """Standard deviation of white noise by the median of its second differences' absolute values.
+
+    Parameters
+    ----------
+    second : the median, in any unit
+    """
+    return second / (0.6745 * sqrt(6.0))
 
 
 def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[Stroke, ...]:

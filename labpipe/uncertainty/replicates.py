@@ -291,8 +291,7 @@ def replicated(
         curve = smooth_curve(time, values, cuts, parts, broken=failed, branches=unfiltered.branches)
         noise = _noise(values, curve, unfiltered, cuts)
         before = None if noise.is_none else noise.draw(len(time), COUNT, stream(seed, name))
-        made = curve[None] if before is None else curve + before
-        drawn.append(np.broadcast_to(act(made), (COUNT, len(time))))
+        drawn.append(_filtered(curve, before, act))
         noises[name] = noise
         smooth.append(curve)
     displacement, force = drawn
@@ -301,6 +300,17 @@ def replicated(
         displacement = displacement - compliance * force
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
     return Replicates(measured, base, displacement, force, inputs, seed, noises, before)
+
+
+def _filtered(curve: Floats, noise: Singles | None, act: Filter) -> Floats:
+    """A curve with each noise, filtered: shape (replicates, n), some at a time."""
+    if noise is None:
+        return np.broadcast_to(act(curve[None]), (COUNT, len(curve)))
+    found = np.empty(noise.shape)
+    for first in range(0, len(noise), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        found[rows] = act(curve + noise[rows])
+    return found
 
 
 def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> Noise:

@@ -30,4 +30,12 @@ def wanders(away: Floats, by: float) -> list[Floats]:
         return []
     places = np.pi * (np.arange(MODES) + 0.5)
     scale = by / float(np.sqrt(np.sum(places**-2.0)))
-    return [scale * np.sin(place * away / away.max()) / place for place in places.tolist()]
+    most, found = away.max(), list[Floats]()
+    for place in places.tolist():
+        wave = place * away
+        wave /= most
+        np.sin(wave, out=wave)
+        wave *= scale
+        wave /= place
+        found.append(wave)
+    return found

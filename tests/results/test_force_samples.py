@@ -11,7 +11,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.evidence import Evidence
-from labpipe.results.force_samples import ForceSamples, cuts_of
+from labpipe.results.force_samples import ForceSamples, Top, _frames_of, cuts_of
 from labpipe.signal.filters import Smoothing
 from labpipe.uncertainty.readings import Trace
 
@@ -65,15 +65,23 @@ def plainly_smoothed(rows: Floats) -> Floats:
     return found
 
 
+def top_of(samples: ForceSamples | None, trace: Trace, sense: float = 1.0) -> Top:
+    """The only cycle."""
+    assert samples is not None
+    found = samples.of_cycle(trace, slice(0, 501), sense)
+    assert found is not None
+    return found
+
+
 def test_the_largest_of_all_samples_in_noise() -> None:
     """Mean and spread as those of the noise itself, filtered on either side of the corner."""
     time = SINGLE * np.arange(float(2000))
     noisy = force_at(time) + NOISE * RNG(0).normal(size=2000)
     trace = curve()
-    samples = ForceSamples.of(evidence(noisy), trace, slice(0, 501))
+    samples = ForceSamples.of(evidence(noisy), trace)
     assert samples is not None
     of_frames = 0.5 * NOISE * RNG(1).normal(size=(4000, 501))
-    raised = samples.raised(of_frames, 1.0)
+    raised = top_of(samples, trace).raised(of_frames)
     assert raised is not None
 
     near = slice(900, 1100)
@@ -88,13 +96,11 @@ def test_the_largest_of_all_samples_in_noise() -> None:
 def test_a_push_is_as_large_as_a_pull() -> None:
     time = SINGLE * np.arange(float(2000))
     noisy = force_at(time) + NOISE * RNG(0).normal(size=2000)
-    pull = ForceSamples.of(evidence(noisy), curve(), slice(0, 501))
+    pull = top_of(ForceSamples.of(evidence(noisy), curve()), curve())
     trace = replace(curve(), force=-curve().force)
-    push = ForceSamples.of(evidence(-noisy), trace, slice(0, 501))
-    assert pull is not None
-    assert push is not None
+    push = top_of(ForceSamples.of(evidence(-noisy), trace), trace, -1.0)
     noise = 0.5 * NOISE * RNG(1).normal(size=(50, 501))
-    found = [pull.raised(noise, 1.0), push.raised(-noise, -1.0)]
+    found = [pull.raised(noise), push.raised(-noise)]
     assert found[0] is not None
     assert found[1] is not None
     # Other stretches of the record go with them, so they are alike on average.
@@ -103,11 +109,9 @@ def test_a_push_is_as_large_as_a_pull() -> None:
 
 def test_without_noise_nothing_is_raised() -> None:
     """But for what the filter takes off a corner: nothing, as it ends there."""
-    samples = ForceSamples.of(
-        evidence(force_at(SINGLE * np.arange(float(2000)))), curve(), slice(0, 501)
-    )
+    samples = ForceSamples.of(evidence(force_at(SINGLE * np.arange(float(2000)))), curve())
     assert samples is not None
-    raised = samples.raised(np.zeros((3, 501)), 1.0)
+    raised = top_of(samples, curve()).raised(np.zeros((3, 501)))
     assert raised == pytest.approx(np.zeros(3), abs=0.02)
     assert samples.smooth.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
 
@@ -116,17 +120,31 @@ def test_without_noise_nothing_is_raised() -> None:
 def test_where_the_curve_has_as_many(rate: float, filters: bool) -> None:
     """Hardly more samples than frames, or none that is filtered."""
     force = force_at(rate * np.arange(np.round(20.0 / rate)))
-    found = ForceSamples.of(evidence(force, rate=rate, filters=filters), curve(), slice(0, 501))
-    assert found is None
+    assert ForceSamples.of(evidence(force, rate=rate, filters=filters), curve()) is None
 
 
 def test_a_plateau_that_is_too_long_is_left_to_the_curve() -> None:
     time = 5e-4 * np.arange(40_000.0)
     noisy = 100.0 + NOISE * RNG(0).normal(size=len(time))
     trace = replace(curve(), force=np.full(501, 100.0))
-    samples = ForceSamples.of(evidence(noisy, rate=5e-4), trace, slice(0, 501))
+    samples = ForceSamples.of(evidence(noisy, rate=5e-4), trace)
+    assert top_of(samples, trace).raised(np.zeros((2, 501))) is None
+
+
+def test_a_cycle_with_a_gap_is_left_to_the_curve() -> None:
+    trace = curve()
+    samples = ForceSamples.of(evidence(force_at(SINGLE * np.arange(float(2000)))), trace)
     assert samples is not None
-    assert samples.raised(np.zeros((2, 501)), 1.0) is None
+    trace.force[100] = np.nan
+    assert samples.of_cycle(trace, slice(0, 501), 1.0) is None
+    assert samples.of_cycle(trace, slice(101, 501), 1.0) is not None
+
+
+def test_each_sample_belongs_to_the_frame_that_is_nearest() -> None:
+    """At a border between two frames to the earlier one."""
+    time = np.array([-1.0, 0.0, 0.4, 0.5, 0.6, 1.5, 2.4, 2.6, 9.0])
+    found = _frames_of(time, np.array([0.0, 1.0, 2.0, 3.0]))
+    assert found.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
 
 
 def test_pieces_begin_behind_the_time_of_a_turn() -> None:
