@@ -198,11 +198,15 @@ def _beside(node: int, count: int) -> list[int]:
 
 
 def _clamp(rod: Rod, body: Body, node: int, element: int, frame: Floats) -> Rows:
-    """An element that grows out of a clamp: its half bends against it; that of a chain is held."""
+    """An element that grows out of a clamp: its half bends against it; that of a chain is held.
+
+    At the ends of the line it is curved at rest as the joint beside it.
+    """
     imaginary, turn = _relative(frame, body.frames[element : element + 1])
     way = 1.0 if element == node else -1.0
     share = way / (rod.half[element] if rod.bending is not None else 1.0)
-    rest = rod.rest[node - 1] if 0 < node < rod.count and rod.bending is not None else 0.0
+    joint = min(max(node - 1, 0), rod.count - 2)
+    rest = rod.rest[joint] if rod.bending is not None and joint >= 0 else 0.0
     compliance = np.zeros(3) if rod.bending is None else way * share * rod.bending
     turns = np.zeros((1, 3, 2, 6))
     turns[0, :, 0, 3:] = share * turn[0]

@@ -124,6 +124,7 @@ class RodPath(ArrayRecord):
 
 CODES = {
     "too_short": "the line is shorter than the distance between two places that hold it",
+    "taut": "a line that keeps its length is pulled aside between places just as far apart",
     "in_plane": "the line is held in a plane, or nearer to it than half its diameter",
     "torn": "the line is stretched by more than it may",
     "no_equilibrium": "no equilibrium follows, however small the step",

@@ -20,15 +20,14 @@ from labpipe.rod.boundaries import Boundary, Moment, Plane
 from labpipe.rod.energies import lost_energy, stored_energy, work_done
 from labpipe.rod.line import Line
 from labpipe.rod.path import Reason, RodPath, RodState, Status
+from labpipe.rod.refusals import broken, held_in_plane, out_of_reach, slid_out
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
-from labpipe.rod.schedule import LetGo, Schedule, called
+from labpipe.rod.schedule import LetGo, Schedule
 from labpipe.rod.settling import Settled, settle
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.states import merged_rests, parted_rests, state_of
 from labpipe.rod.supports import supports_of
 
-_FOLDED = 3.13
-"""rad, between two elements: more is a fold that needs shorter elements."""
 _FIRST_DRAG = 1.0
 _LAST_DRAG = 1e-4
 _MOST_DRAG = 1e5
@@ -228,8 +227,12 @@ class _Walk:
         """Walk to a step; false where that fails."""
         self.step = step
         try:
-            self._require_reach(step)
-            self._require_above(step)
+            grips = self.schedule.grips(step)
+            is_rigid = self.assembly.is_rigid
+            self._refuse(
+                out_of_reach(self.schedule, grips, step) if is_rigid else None,
+                held_in_plane(self.schedule, grips, step),
+            )
             if step > 0:
                 self._let_go(step)
             self._walk_to(float(step))
@@ -298,8 +301,11 @@ class _Walk:
         self.lost += lost_energy(self.assembly, now.memory.rests, new.memory.rests)
         self.rubbed += sum(touch.rubbed for touch in new.touches)
         self.now = _Now(time, settled.shape, new, goal, new.memory, now.memory)
-        self._require_whole()
-        self._require_threaded()
+        most = self.settings.most_stretch
+        self._refuse(
+            broken(self.assembly, settled.shape, new, self.step, most_stretch=most),
+            slid_out(self.schedule, new, self.step),
+        )
 
     def _stored(self) -> float:
         return stored_energy(self.assembly, self.now.balance, self.now.shape)
@@ -425,77 +431,11 @@ class _Walk:
     def _is_said(self, code: str) -> bool:
         return any(reason.code == code for reason in self.reasons)
 
-    def _require_reach(self, step: int) -> None:
-        """Refuse places that a line that keeps its length cannot reach."""
-        if not self.assembly.is_rigid:
-            return
-        grips = self.schedule.grips(step)
-        demands = self.schedule.demands(float(step), grips, ())
-        nodes = np.array([self.schedule.held_nodes[k] for k in grips], dtype=np.int64)
-        order = np.argsort(nodes)
-        stations = self.line.stations[nodes[order]]
-        apart = np.linalg.norm(np.diff(demands.held[order], axis=0), axis=1)
-        between = np.diff(stations)
-        short = np.flatnonzero(apart > between * (1.0 + 1e-9))
-        if len(short):
-            k = int(short[0])
-            first, second = nodes[order][k : k + 2]
-            sentence = (
-                f"step {step}: between nodes {first} and {second} the line is {between[k]:.6g} m "
-                f"long, and the places that hold them are {apart[k]:.6g} m apart"
-            )
-            raise _NoWayError(Reason("too_short", sentence, step, int(second)))
-
-    def _require_above(self, step: int) -> None:
-        """Refuse to hold a line in a table."""
-        grips = self.schedule.grips(step)
-        held = self.schedule.demands(float(step), grips, ()).held
-        for k in self.schedule.planes:
-            plane = self.schedule.boundaries[k]
-            assert isinstance(plane, Plane)
-            heights = (held - plane.point) @ plane.normal
-            least = 0.5 * self.line.section.diameter
-            if len(held) and np.min(heights) < least - _AT_REST * self.line.length:
-                low = int(np.argmin(heights))
-                grip, table = (
-                    called(self.boundaries, each) for each in (self.boundaries[grips[low]], plane)
-                )
-                sentence = (
-                    f"step {step}: {grip} holds the axis of the line {1e3 * heights[low]:.6g} mm "
-                    f"above {table}; with its diameter it lies {1e3 * least:.6g} mm above or higher"
-                )
-                node = self.schedule.held_nodes[grips[low]]
-                raise _NoWayError(Reason("in_plane", sentence, step, node))
-
-    def _require_whole(self) -> None:
-        """Refuse a line that is torn or folded."""
-        stretches = self.now.shape.stretches
-        at = int(np.argmax(stretches))
-        if stretches[at] > self.settings.most_stretch:
-            sentence = (
-                f"step {self.step}: the line is stretched by {100.0 * stretches[at]:.3g} % behind "
-                f"node {at}, allowed are {100.0 * self.settings.most_stretch:.3g} %"
-            )
-            raise _NoWayError(Reason("torn", sentence, self.step, at))
-        turns = np.linalg.norm(self.now.balance.cells.turns, axis=1)
-        if len(turns) and float(np.max(turns)) > _FOLDED:
-            cell = int(np.argmax(turns))
-            node = int(self.assembly.supports.nodes[cell])
-            sentence = (
-                f"step {self.step}: the line turns by {turns[cell]:.3g} rad at node {node}: take "
-                "more elements"
-            )
-            raise _NoWayError(Reason("folded", sentence, self.step, node))
-
-    def _require_threaded(self) -> None:
-        """Refuse a line that slid out of a ring."""
-        n = self.assembly.n
-        for k, each in zip(self.schedule.rings, self.now.balance.threads, strict=True):
-            if not 0.0 < each.place < n:
-                end = 0 if each.place <= 0.0 else n
-                what = called(self.boundaries, self.boundaries[k])
-                sentence = f"step {self.step}: the line slid out of {what} with its node {end}"
-                raise _NoWayError(Reason("left_ring", sentence, self.step, end))
+    def _refuse(self, *reasons: Reason | None) -> None:
+        """Stop at the first of reasons that there is."""
+        for reason in reasons:
+            if reason is not None:
+                raise _NoWayError(reason)
 
     # ---- what is kept -------------------------------------------------------------------------
 

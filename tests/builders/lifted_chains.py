@@ -11,11 +11,8 @@ from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Plane
 from labpipe.rod.line import Line, Section, straight_line
 from labpipe.rod.path import RodPath
-from labpipe.rod.statics import RodSettings, follow
+from labpipe.rod.statics import follow
 from tests.builders.judged_rods import section
-
-UNCHECKED = RodSettings(checks_stability=False)
-"""A line that is only pinned may turn about itself at no cost, which is no instability."""
 
 
 @dataclass(frozen=True)
@@ -81,4 +78,4 @@ def lifted_half(chain: LiftedChain, elements: int, soft: float, *, steps: int = 
     way = np.zeros((steps + 1, 3))
     way[:, 2] = np.linspace(0.0, chain.height, steps + 1)
     table = Plane(np.zeros(3), friction=chain.friction)
-    return follow(line, [Held(0, way), Gravity(), table], steps=steps, settings=UNCHECKED)
+    return follow(line, [Held(0, way), Gravity(), table], steps=steps)

@@ -67,6 +67,20 @@ def test_a_bent_rest_shape_stays_without_loads() -> None:
     assert path.positions[-1] == pytest.approx(points, abs=1e-9)
 
 
+def test_a_curled_line_grows_out_of_a_clamp_as_the_circle_it_is() -> None:
+    """The half of an element at the clamp is curled, too: else the line turns by k l / 2."""
+    errors = []
+    for elements in (5, 10):
+        angle = 2.0 * np.linspace(0.0, 1.0, elements + 1)
+        points = 0.5 * np.stack([np.sin(angle), 0.0 * angle, 1.0 - np.cos(angle)], axis=1)
+        line = line_along(points, ELASTIC, is_formed=True)
+        clamp = Held(0, points[0], straight_line(1.0, 1, ELASTIC).frames[0])
+        path = compliant_path(line, [clamp], steps=20, settings=SLOW)
+        errors.append(np.max(np.linalg.norm(path.positions[-1] - points, axis=1)))
+    assert errors[0] < 1e-3
+    assert errors[1] == pytest.approx(errors[0] / 8.0, rel=0.05)
+
+
 def test_a_turned_clamp_twists_the_rod_evenly() -> None:
     """Half a turn about the line: each joint takes its share, and the line stays straight."""
     line = straight_line(1.0, 8, ELASTIC)
