@@ -94,7 +94,8 @@ class RodPath(ArrayRecord):
     stored : shape (states,), J, elastic, of bending, twist and stretch
     lost : shape (states,), J, in the sliders
     rubbed : shape (states,), J, on planes
-    jumped : shape (states,), J, in jumps
+    jumped : shape (states,), J, set free in jumps and kept by nothing
+    lost_in_jumps : shape (states,), J, of `lost`: in the sliders, on the way down in jumps
     """
 
     states: tuple[RodState, ...]
@@ -106,6 +107,7 @@ class RodPath(ArrayRecord):
     lost: Annotated[Floats, "states"]
     rubbed: Annotated[Floats, "states"]
     jumped: Annotated[Floats, "states"]
+    lost_in_jumps: Annotated[Floats, "states"]
 
     @property
     def last(self) -> RodState:

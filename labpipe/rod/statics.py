@@ -1,10 +1,12 @@
 """Follow a line through the steps of its boundaries, from equilibrium to equilibrium.
 
-Every step is one of Newton's method, halved where it does not arrive or turns the line too far; the
-memory of sliders and friction moves on with every part of a step. Where no equilibrium follows
-(a line that snaps, buckles or is let go) the line is let down: dragged through ever less of a
-resistance to its movement, always downhill in energy, as a line in honey would go. Such steps are
-`snapped`. An equilibrium that is not stable is left in the direction in which it gives way first.
+Every step is one of Newton's method, halved where it does not arrive, turns the line too far or
+ends where the line is not stable; the memory of sliders and friction moves on with every part of a
+step. So a line that buckles does it where it first can, and not after a whole step of pressing it
+straight. There, and where no equilibrium follows (a line that snaps or is let go), the line is let
+down: dragged through ever less of a resistance to its movement, always downhill in energy, as a
+line in honey would go. Such steps are `snapped`. An equilibrium that is not stable is left in the
+direction in which it gives way first.
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ class RodSettings:
     checks_stability : whether equilibria are checked, and left where they are not stable
     """
 
-    smallest_part: float = 2.0**-8
+    smallest_part: float = 2.0**-14
     most_turn: float = 0.5
     most_stretch: float = 0.05
     checks_stability: bool = True
@@ -137,7 +139,7 @@ class _Walk:
         self.reasons: list[Reason] = []
         self.snapped: list[int] = []
         self.step = 0
-        self.work = self.lost = self.rubbed = self.jumped = 0.0
+        self.work = self.lost = self.rubbed = self.jumped = self.lost_in_jumps = 0.0
         self.failed = False
         self.is_checked = self.settings.checks_stability
         self._gather(
@@ -246,20 +248,34 @@ class _Walk:
     def _walk_to(self, goal: float) -> None:
         part = 1.0
         smallest = self.settings.smallest_part
+        was_refused = False
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
             settled = self._settled(time)
-            if settled is not None:
-                self._commit(time, settled)
-                part = min(1.0, 2.0 * part)
-                # what fades of a grip's moment has no energy: only the end of the step counts
-                may_check = self.is_checked and (time == goal or not self.fading)
-                if may_check and not self._is_stable():
-                    self._leave(time)
-            elif part > smallest:
+            is_lost = settled is not None and self._is_lost(settled, time, goal)
+            was_refused, before = settled is None or is_lost, was_refused
+            if was_refused and part > smallest and not (is_lost and self._leaves_at_once):
                 part *= 0.5
-            else:
+                continue
+            if settled is None:
                 self._let_down(goal if self.fading else time, is_unstable=False)
+                continue
+            self._commit(time, settled)
+            if is_lost:
+                self._leave(time)
+            elif not before:
+                part = min(1.0, 2.0 * part)
+
+    def _is_lost(self, settled: Settled, time: float, goal: float) -> bool:
+        """Whether a line that gets to an equilibrium is not stable there."""
+        # what fades of a grip's moment has no energy: only the end of the step counts
+        may_check = self.is_checked and (time == goal or not self.fading)
+        return may_check and not self.check.is_stable(settled.balance, settled.shape)
+
+    @property
+    def _leaves_at_once(self) -> bool:
+        """Whether smaller parts of a step do not show better where a line gives way."""
+        return bool(self.fading) or self._is_said("unstable") or self._is_said("whirls")
 
     def _settled(self, time: float) -> Settled | None:
         """The equilibrium at a time; None where it is not found or is too far."""
@@ -286,9 +302,6 @@ class _Walk:
             return False
         turned = rotation_vectors(multiply(conjugate(now.shape.frames), settled.shape.frames))
         return float(np.max(np.linalg.norm(turned, axis=1))) < 2.0 * most
-
-    def _is_stable(self) -> bool:
-        return self.check.is_stable(self.now.balance, self.now.shape)
 
     def _commit(self, time: float, settled: Settled) -> None:
         """Move on to an equilibrium, with memory and energies."""
@@ -328,6 +341,7 @@ class _Walk:
         for kick in _KICKS[1:] if is_unstable else _KICKS:
             if self._comes_to_rest(time, kick):
                 self.jumped += self.work - self._stored() - self.lost - self.rubbed - free
+                self.lost_in_jumps += self.lost - before[2]
                 return
             self.now, self.work, self.lost, self.rubbed = before
         if not is_unstable:
@@ -443,7 +457,8 @@ class _Walk:
         state = state_of(self.assembly, self.schedule, self.grips, self.now)
         self.states.append(state)
         stored = self._stored()
-        self.energies.append((self.work, stored, self.lost, self.rubbed, self.jumped))
+        jumps = self.jumped, self.lost_in_jumps
+        self.energies.append((self.work, stored, self.lost, self.rubbed, *jumps))
         last = self.line.section.law.last
         node = int(np.argmax(state.bendings))
         if state.bendings[node] > last and not self._is_said("beyond_law"):
@@ -455,7 +470,7 @@ class _Walk:
 
     def path(self) -> RodPath:
         """What the walk leaves."""
-        columns = np.array(self.energies).reshape(-1, 5).T
+        columns = np.array(self.energies).reshape(-1, 6).T
         status: Status = "doubtful" if self.reasons else "ok"
         return RodPath(
             tuple(self.states),

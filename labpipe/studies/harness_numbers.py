@@ -174,16 +174,15 @@ def jump_reason(path: RodPath) -> Reason | None:
     A line that buckles, or is let go, comes down through states that are no equilibria. How it does
     so is not known, and sliders remember it.
     """
-    steps = [step for step in path.snapped if step < len(path.states)]
-    lost = np.diff(path.lost, prepend=0.0)
-    share = float(np.sum(lost[steps]) / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
+    share = float(path.lost_in_jumps[-1] / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
     if share <= MOST_IN_JUMPS:
         return None
-    at = ", ".join(map(str, steps))
+    fell = np.diff(path.lost_in_jumps, prepend=0.0)
+    at = ", ".join(map(str, np.flatnonzero(fell > 0.1 * np.max(fell))))
     message = (
-        f"step {at}: the line jumped (it buckled, or was let go), and {100.0 * share:.0f} % of the "
-        "energy was lost there; moments and energy depend on how it came down: compare with twice "
-        "the steps"
+        f"step {at}: the line jumped (it snapped, or was let go), and {100.0 * share:.0f} % of the "
+        "energy was lost on its way down; moments and energy depend on how it came down, which is "
+        "not known"
     )
     return Reason("jumped", message)
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from labpipe.law.sliders import linear_moment_law
+from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Flags, Floats
 from labpipe.rod.assembly import Assembly, Demands, Memory, Shape
 from labpipe.rod.boundaries import Gravity, Held, Load, Moment
@@ -17,7 +17,7 @@ from labpipe.rod.line import Line, Section, line_along, straight_line
 from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import frame_from_axes, from_rotation_vectors, multiply
 from labpipe.rod.stability import StabilityCheck
-from labpipe.rod.statics import follow
+from labpipe.rod.statics import RodSettings, follow
 from labpipe.rod.supports import supports_of
 from tests.builders.rod_references import (
     Kirchhoff,
@@ -218,6 +218,49 @@ def twist_that_buckles_a_ring(elements: int, *, step: float = 1e-3) -> float:
     jumps = np.array([number in path.snapped for number in range(len(path.states))])
     jumps[0] = False
     return _left_at(shares, jumps)
+
+
+def pressed_column_path(
+    elements: int, steps: int, law: SliderLaw | None = None, *, stretch: float = 1e6
+) -> RodPath:
+    """A column of length 1, both ends clamped, pressed along itself by a fifth of its length.
+
+    Parameters
+    ----------
+    elements, steps : of the line and of its walk
+    law : of its bending; None for a stiffness of 1
+    stretch : axial stiffness, of the bending stiffness over the square of the length
+    """
+    own = Section(law, 1.0, axial_stiffness=stretch) if law else section(stretch=stretch)
+    line = straight_line(1.0, elements, own)
+    way = line.positions[-1] - grown((0.2, 0.0, 0.0), steps)
+    return follow(line, [clamped(line), Held(-1, way, line.frame_at(-1))], steps=steps)
+
+
+def arch_path(loads: Floats | None = None, ways: Floats | None = None) -> RodPath:
+    """A flat arch, both ends clamped, pushed down in its middle; it stays in its plane.
+
+    Parameters
+    ----------
+    loads : N, step by step, of a force; or
+    ways : m, step by step, by which the node is brought down
+
+    Notes
+    -----
+    Length and stiffness are 1, and it leans so little that it snaps through as a whole. Sideways it
+    would buckle first, so that stability is not checked.
+    """
+    angle = np.linspace(-0.3, 0.3, 17)
+    points = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1) / 0.6
+    own = section(stretch=1.2e4)
+    line = line_along(points, own, up=(0.0, 1.0, 0.0), is_formed=True)
+    ends = [Held(node, line.positions[node], line.frame_at(node)) for node in (0, -1)]
+    down, rows = np.array([0.0, 0.0, -1.0]), loads if ways is None else ways
+    assert rows is not None
+    push = rows[:, None] * down
+    drive = Load(8, push) if ways is None else Held(8, line.positions[8] + push)
+    settings = RodSettings(checks_stability=False)
+    return follow(line, [*ends, drive], steps=len(rows) - 1, settings=settings)
 
 
 def bend_path(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0) -> RodPath:

@@ -68,6 +68,26 @@ def buckled_column(angle: float) -> tuple[float, float, float]:
     return (2.0 * first / np.pi) ** 2, 2.0 * second / first - 1.0, 2.0 * float(k) / first
 
 
+def pressed_column(shortening: float) -> tuple[float, float]:
+    """Force and energy of a column of length and stiffness 1, both ends clamped, pressed together.
+
+    Parameters
+    ----------
+    shortening : of the distance of its ends, which slide on one axis
+
+    Notes
+    -----
+    Four columns clamped at the foot, each a quarter as long. It keeps its length, so that the
+    energy is the work of the force after buckling, from 4 pi^2 on.
+    """
+    most = brentq(lambda angle: 1.0 - buckled_column(angle)[1] - shortening, 1e-3, 2.5, xtol=1e-14)
+    columns = [buckled_column(float(angle)) for angle in np.linspace(1e-4, most, 2001)]
+    forces = 4.0 * np.pi**2 * np.array([load for load, _, _ in columns])
+    ways = np.array([1.0 - height for _, height, _ in columns])
+    energy = forces[0] * ways[0] + np.sum(0.5 * (forces[1:] + forces[:-1]) * np.diff(ways))
+    return float(forces[-1]), float(energy)
+
+
 def critical_torque(tension: float = 0.0) -> float:
     """Least M L / B that buckles a straight rod, both ends clamped, under T L^2 / B of tension.
 
