@@ -22,7 +22,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from labpipe.decks.deck_law import facts, on_one_line
+from labpipe.decks.deck_law import facts, mass_of, on_one_line
 from labpipe.decks.deck_losses import deck_losses, percent
 from labpipe.law.equivalent_material import EquivalentMaterial, equivalent_material
 from labpipe.records.arrays import Flags, Floats, Ints, frozen
@@ -209,7 +209,8 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = N_
     lines = [f"** {line}" for line in (*_facts(table, material), *_loading(table, reach))]
     if reach > 0.0:
         mesh = half_bar(0.5 * diameter, table.spec.length, n_along=n_along)
-        lines += [*_model(mesh), *_material(material), *_step(reach, n_steps)]
+        density = mass_of(table) / (np.pi / 4.0 * diameter**2)
+        lines += [*_model(mesh), *_material(material, density), *_step(reach, n_steps)]
     return "\n".join(lines) + "\n"
 
 
@@ -295,12 +296,16 @@ def _lines(form: str, rows: Floats | Ints) -> str:
     return "\n".join([form] * len(rows)) % tuple(rows.ravel().tolist())
 
 
-def _material(material: EquivalentMaterial) -> Iterator[str]:
-    """True stress against plastic strain; after the last point the stress stays as it is."""
+def _material(material: EquivalentMaterial, density: float) -> Iterator[str]:
+    """True stress against plastic strain; after the last point the stress stays as it is.
+
+    The density, kg/m^3, is that of a bar as heavy as the wire.
+    """
     yield from ("*MATERIAL, NAME=WIRE", "*ELASTIC", f"{material.modulus:.9g}, {POISSON:g}")
     yield "*PLASTIC"
     for stress, strain in zip(material.stress, material.plastic_strain, strict=True):
         yield f"{stress:.9g}, {strain:.9g}"
+    yield from ("*DENSITY", f"{density:.9g}")
     yield "*SOLID SECTION, ELSET=WIRE, MATERIAL=WIRE"
 
 

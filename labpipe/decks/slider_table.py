@@ -62,6 +62,8 @@ def sliders_csv(table: WireTable) -> str:
     except ValueError as error:
         return "\n".join([*lines, f"# {no_sliders(error)}"]) + "\n"
     lines += [
+        f"# Mass {mass_of(table):.9g} kg/m, torsional stiffness {table.torsional_stiffness:.9g} "
+        "N m^2.",
         f"# {len(law.stiffnesses)} sliders, within {100.0 * law.error:.2g} % of the wire's moment.",
         f"# {loss_words(table_card(table))}",
         "# The first row is the spring, which never slides. On reversal a slider gives way after "

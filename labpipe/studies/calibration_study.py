@@ -40,10 +40,12 @@ from labpipe.store.replace import locked, replacing_together
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import (
     FirstLoading,
+    insulation_note,
     read_first_loadings,
     weight_note,
     with_weight,
 )
+from labpipe.studies.stress_tables import StatedCurve
 from labpipe.studies.validation import (
     bent_shapes,
     built_wire,
@@ -53,7 +55,7 @@ from labpipe.studies.validation import (
     wire_to_calibrate,
     without_copies,
 )
-from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.studies.wire_specs import read_wires
 from labpipe.wire.calibration.calibrate_wire import Settings, Wire, calibrate
 from labpipe.wire.calibration.source_method import calibrate_as_source
 from labpipe.wire.law_family import with_values
@@ -307,6 +309,7 @@ class Calibrated:
     comparisons : external curves, compared with tests and model
     tested_curvature : 1/m, largest that the tests of the calibrated wire reached
     shapes : of one sample of the calibrated wire, and of the model, by what they are of
+    stress_tables : that the sheet names for the calibrated wire, by column
     """
 
     folder: Path
@@ -318,6 +321,7 @@ class Calibrated:
     comparisons: tuple[ExternalCurveComparison, ...] = ()
     tested_curvature: float = math.nan
     shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
+    stress_tables: Mapping[str, StatedCurve] = field(default_factory=dict)
 
 
 def calibrate_tests(
@@ -355,7 +359,8 @@ def calibrate_tests(
     """
     asked = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
     wires = usual_sheet() if wires is None else wires
-    specs = {spec.name: spec for spec in read_wire_sheet(wires)}
+    sheet = read_wires(wires)
+    specs = {spec.name: spec for spec in sheet.specs}
     curves = read_external_curves(asked, plan, specs, wires)
     files = find_results(targets)
     loadings, left_out = read_first_loadings(files, points=asked.points, up_to=asked.up_to, say=say)
@@ -369,27 +374,26 @@ def calibrate_tests(
     asked_for = sorted(tested | {each.wire for each in curves})
     built = {wire: built_wire(specs[wire], wires) for wire in asked_for}
     said = [each for each in loadings if each.curve.wire == name]
-    note = weight_note(said, built[name].self_weight)
+    weight = weight_note(said, built[name].self_weight)
     loadings = [with_weight(each, built[each.curve.wire].self_weight) for each in loadings]
     own = [each for each in loadings if each.curve.wire == name]
     say("calibration")
     calibration = _calibration(built[name], own, asked)
-    if note is not None:
-        calibration = replace(calibration, notes=(*calibration.notes, note))
+    measured, values = [each.curve for each in own], calibration.solutions[0].values
+    reach = tested_curvature(built[name], values, measured)
+    told = [note for note in (weight, insulation_note(specs[name], reach)) if note is not None]
+    calibration = replace(calibration, notes=(*calibration.notes, *told))
     groups = compare(calibration, built, loadings)
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
         calibration=calibration,
-        source=calibrate_as_source(built[name], [each.curve for each in own])
-        if asked.method == "source"
-        else None,
+        source=calibrate_as_source(built[name], measured) if asked.method == "source" else None,
         groups=groups,
         left_out=left_out | copies,
         files=(),
         comparisons=compare_external_curves(curves, calibration, built, groups, own + loadings),
-        tested_curvature=tested_curvature(
-            built[name], calibration.solutions[0].values, [each.curve for each in own]
-        ),
+        tested_curvature=reach,
+        stress_tables=sheet.curves[name],
     )
     if figures:
         wire = built_wire(calibrated_spec(specs[name], calibration), wires)
@@ -491,4 +495,6 @@ def as_json(done: Calibrated) -> dict[str, object]:
     found = calibration_json(
         *(done.calibration, done.groups, done.source, done.left_out), done.tested_curvature
     )
-    return found | {"comparisons": [comparison_json(each) for each in done.comparisons]}
+    stated = {column: curve.as_json() for column, curve in done.stress_tables.items()}
+    compared = [comparison_json(each) for each in done.comparisons]
+    return found | {"comparisons": compared, "stress_tables": stated}

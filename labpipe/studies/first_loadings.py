@@ -25,6 +25,7 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
+from labpipe.records.wire import WireSpec
 from labpipe.results.moment_curvature import at_rest, notes_of
 from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import read_stages
@@ -32,6 +33,7 @@ from labpipe.uncertainty.noise import long_run_variance
 from labpipe.units import GRAVITY
 from labpipe.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.wire.cantilever import StringRig
+from labpipe.wire.wire_table import straight_range
 
 _ALIKE, _OWN = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
 """Causes that stretch deflections in proportion: of all tests of a rig, and of each its own."""
@@ -370,6 +372,26 @@ def weight_note(loadings: Sequence[FirstLoading], self_weight: float) -> Quality
         f"wires, {1e3 * self_weight / GRAVITY:.4g} g/m, stated there or from copper and insulation"
     )
     return QualityNote("weight_of_sheet", Severity.INFO, loadings[0].curve.wire, message)
+
+
+def insulation_note(spec: WireSpec, tested: float) -> QualityNote | None:
+    """Say when tests bent a wire beyond what the straight line of its insulation is taken for.
+
+    Parameters
+    ----------
+    spec : of the wire
+    tested : 1/m, largest curvature of its tests
+    """
+    limit = straight_range(spec)
+    if tested <= limit:
+        return None
+    message = (
+        f"the tests bend {spec.name} to {tested:.3g} 1/m; from {limit:.3g} 1/m on its insulation "
+        f"is strained by more than {100.0 * spec.insulation_strain:.3g} %, where its straight line "
+        f"is not taken to hold: parameters make up for an insulation that gives way. Give the "
+        f"sheet an insulation_table, or the plan a smaller up_to"
+    )
+    return QualityNote("insulation_doubtful", Severity.WARNING, spec.name, message)
 
 
 def _require_cantilever(protocol: Protocol) -> None:

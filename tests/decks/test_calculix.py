@@ -41,7 +41,7 @@ def test_the_blocks_and_their_order() -> None:
         "*ELEMENT, TYPE=C3D20R, ELSET=WIRE",
         *(f"*NSET, NSET={name}" for name in ("CLAMP", "HINGE", "CUT", TIP)),
         "*BOUNDARY",
-        *("*MATERIAL, NAME=WIRE", "*ELASTIC", "*PLASTIC"),
+        *("*MATERIAL, NAME=WIRE", "*ELASTIC", "*PLASTIC", "*DENSITY"),
         "*SOLID SECTION, ELSET=WIRE, MATERIAL=WIRE",
         *("*STEP, NLGEOM, INC=8000", "*STATIC", "*BOUNDARY"),
         *(f"*NODE PRINT, NSET={TIP}", f"*NODE PRINT, NSET={TIP}, TOTALS=ONLY"),
@@ -72,6 +72,8 @@ def test_the_material() -> None:
     assert stress == pytest.approx(expected.stress, rel=1e-8)
     assert strain == pytest.approx(expected.plastic_strain, rel=1e-7)
     assert strain[0] == 0.0
+    [[density]] = numbers(blocks["*DENSITY"])
+    assert density * np.pi / 4.0 * diameter**2 == pytest.approx(table.mass_per_length, rel=1e-8)
 
 
 def test_the_tip_goes_to_six_tenths_of_the_length() -> None:

@@ -24,6 +24,7 @@ def test_rows_of_the_csv_make_the_law() -> None:
     assert moment == pytest.approx(np.interp(bent, table.curvature, table.moment), rel=0.003)
     assert numbers[1:, 2] == pytest.approx(numbers[1:, 0] * numbers[1:, 1])
     assert any("Loss card" in line for line in lines)
+    assert any(f"Mass {table.mass_per_length:.9g} kg/m, torsional" in line for line in lines)
 
 
 def test_numbers_of_the_json() -> None:

@@ -86,6 +86,35 @@ def test_decks_are_those_of_the_calibrated_wires(
     assert deck["moment"] != pytest.approx(wire_table(nominal).moment.tolist(), rel=1e-6)
 
 
+def test_tests_beyond_the_range_of_the_insulation_are_told(
+    campaign: Path, tmp_path: Path, run: Run
+) -> None:
+    heading = "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg"
+    heading += ",insulation_thickness_mm,insulation_strain,insulation_table"
+    row = "A2,1.6,7,0.32,12,0.3"
+    sheet, asked = tmp_path / "wires.csv", ("--plan", plan(tmp_path, "wire: A2\n"), "--no-figures")
+    others = "B1,1.1,7,0.25,12,0.15,,"
+    arguments = ("calibrate", str(campaign), "--wire", str(sheet), *asked, "--out", str(tmp_path))
+
+    def told(cells: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        sheet.write_text(f"{heading}\n{row},{cells}\n{others}\n")
+        done = run(*arguments)
+        assert done.status == 0, done.err
+        found = json.loads((tmp_path / "calibration.json").read_text("utf-8"))
+        return found, [each for each in found["quality"] if each["code"] == "insulation_doubtful"]
+
+    found, [note] = told("0.01,")
+    assert note["message"].startswith(
+        f"the tests bend A2 to {found['tested_curvature']:.3g} 1/m; from 12.5 1/m on its insulation"
+        " is strained by more than 1 %, where its straight line is not taken to hold"
+    )
+    assert found["stress_tables"] == {}
+    (tmp_path / "pvc.csv").write_text("strain,stress_mpa,temperature_c\n0.2,200,23\n")
+    found, notes = told(",pvc.csv")
+    assert not notes
+    assert found["stress_tables"]["insulation_table"]["temperature"] == pytest.approx(296.15)
+
+
 def test_figures_are_drawn(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
     asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(tmp_path / "out"))
     assert run("calibrate", str(campaign), "--wire", sheet, *asked).status == 0
