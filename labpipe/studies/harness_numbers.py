@@ -26,6 +26,8 @@ LOST = "energy_lost"
 MOMENT = "moment."
 MOST_IN_JUMPS = 0.1
 """Of the energy that is lost, above which what remembers the way is doubtful."""
+_LET_GO = "what the line would keep, let go (Masing)"
+_MOST_STEPS_BACK, _SETTLED = 1000, 1e-9
 _STRAIGHT = 1e-6
 """1/m: a line that is bent by less has no bend radius worth a number."""
 
@@ -128,13 +130,23 @@ def kept_curvature(state: RodState, law: SliderLaw) -> Floats:
 
     Notes
     -----
-    Less that at rest. The curvature without moment, reached without a slider that slides on the way
-    back: sum of K_j a_j over the first stiffness.
+    Less that at rest. The curvature without moment on the straight way back, where sliders slide
+    as they do: EI_0 kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa -
+    a_j|), solved for kappa with the w_j of the step before (Weiszfeld's iteration, which descends
+    on a convex energy). It begins at the curvature that is reached if no slider slides.
     """
     if not len(law.stiffnesses):
         return np.zeros(len(state.positions))
-    rest = np.einsum("j,nsjx->nsx", law.stiffnesses, state.rests) / law.first_stiffness
-    return np.asarray(np.linalg.norm(rest, axis=2).max(axis=1))
+    weights = np.broadcast_to(law.stiffnesses, state.rests.shape[:-1])
+    kept = np.zeros_like(state.rests[:, :, 0])
+    for _ in range(_MOST_STEPS_BACK):
+        whole = law.stiffness + weights.sum(axis=2)
+        last, kept = kept, np.einsum("nsj,nsjx->nsx", weights, state.rests) / whole[..., None]
+        if np.max(np.abs(kept - last)) <= _SETTLED * np.max(np.abs(kept)):
+            break
+        bent = np.linalg.norm(kept[:, :, None] - state.rests, axis=3)
+        weights = law.stiffnesses * law.slip_curvatures / np.maximum(bent, law.slip_curvatures)
+    return np.asarray(np.linalg.norm(kept, axis=2).max(axis=1))
 
 
 def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, ...]:
@@ -298,7 +310,7 @@ def _kept(path: RodPath, laid: Laid) -> Iterator[Number]:
             yield Number(f"springback.{each.name}", moved, "m", way)
     kept = kept_curvature(path.last, laid.line.section.law)
     node = int(np.argmax(kept))
-    where = f"{_mm(laid.line.stations[node])} from the start; what the line would keep, let go"
+    where = f"{_mm(laid.line.stations[node])} from the start; {_LET_GO}"
     yield Number("kept_curvature", float(kept[node]), "1/m", where if kept[node] else "")
     yield Number(LOST, float(path.lost[-1]), "J", "in bending, since the start")
 
