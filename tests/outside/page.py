@@ -10,14 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tests.outside.cards import Card, Number
-from tests.outside.springback import tables
+from tests.outside.springback import STYLE, tables
+from tests.outside.springback import draw as draw_springback
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "explanations" / "outside.md"
 PICTURE = ROOT / "docs" / "images" / "outside.png"
 BEGIN, END = "<!-- counted: begin -->", "<!-- counted: end -->"
 SPRINGBACK = ("<!-- springback: begin -->", "<!-- springback: end -->")
-STYLE = ROOT / "labpipe" / "report" / "labpipe.mplstyle"
 
 
 def publish(cards: list[Card]) -> None:
@@ -28,6 +28,7 @@ def publish(cards: list[Card]) -> None:
         text = f"{before}{begin}\n{found}\n{end}{after}"
     PAGE.write_text(text, encoding="utf-8")
     draw(cards, PICTURE)
+    draw_springback(PICTURE.with_name("springback.png"))
 
 
 def counted(cards: list[Card]) -> str:
