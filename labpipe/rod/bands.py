@@ -1,8 +1,8 @@
 """Predicted 95 % bands of a line: shape, curvature, smallest bend radius, forces.
 
 Bands are pointwise: each node, each component for itself lies inside in 95 of 100 lines; that a
-whole shape does is rarer. The smallest bend radius is the least along the line in every draw of the
-linearised response, wherever along the line it then is, and its band is that of these least values.
+whole shape does is rarer. The smallest bend radius is the least along the line in every draw of
+the response, wherever along the line it then is, and its band is that of these least values.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def bands_of(
     The bands, from the lowest to the highest of all beliefs; None if the line fails at the best
     inputs of one. Notes: ``beyond_tested`` (curvature, step, node), ``one_sided`` and ``silent``
     (causes of which one side or none has an equilibrium), ``jumps`` (a jump at other steps than at
-    the best inputs, where no straight response holds).
+    the best inputs, where no smooth response holds).
 
     Raises
     ------
@@ -235,7 +235,7 @@ def _jumps(looks: Sequence[_Look]) -> Iterator[QualityNote]:
         at = looks[0].snapped[0]
         message = (
             f"the line jumps in steps {list(at)} at the best inputs, and in steps "
-            f"{list(differing[0])} a step of a cause away: near a jump a straight response, and "
+            f"{list(differing[0])} to one side of a cause: near a jump a smooth response, and "
             "the band, do not hold"
         )
         yield QualityNote("jumps", Severity.WARNING, "", message)

@@ -1,10 +1,11 @@
-"""The linearised response of a line to its inputs, and pointwise 95 % bands from it.
+"""How a line answers to its inputs, and pointwise 95 % bands from it.
 
-The line is solved at the best inputs, and along its whole path once to each side of every cause.
-What it answers is taken as straight on either side, with a slope of its own: memory makes lines
-answer otherwise upwards than downwards. Causes add up. With these slopes thousands of draws of the
-causes cost a product of matrices, so that quantiles of Student's t, of mixtures of it and of a
-largest value along the line need no approximation of their own.
+The line is solved at the best inputs, and along its whole path once to each side of every cause, as
+far away as 95 % of the draws of that cause lie. Its answer to a cause is the parabola through these
+three, straight beyond; causes add up. So the answer to a cause that makes most of a band is exact
+where the band ends. Thousands of draws of the causes then cost two products of matrices, so that
+quantiles of Student's t, of mixtures of it and of a largest value along the line need no
+approximation of their own.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
 from labpipe.rod.beliefs import Belief
 
 Fields = Mapping[str, Floats]
@@ -24,6 +25,9 @@ Look = Callable[[Mapping[str, float]], Fields | None]
 
 TAIL = 0.025
 """Outside a band, on each side."""
+_NEAREST, _FURTHEST = 0.1, 2.0
+"""Steps of a cause at which a line is solved: nearer, a difference is what the solver leaves; where
+tails are long, their ends are not looked at."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,41 +38,46 @@ class Response:
     ----------
     belief : what its inputs may be
     value : at the best inputs, by name
-    up, down : by name, shape (causes, ...): change of the value by a step of each cause, forwards,
-        and what a step backwards would undo
+    reach : shape (causes,), steps of each cause within which the parabolas are
+    slopes, bends : by name, shape (causes, ...): of an amount x of a cause the value changes by
+        slope x + bend x^2 within reach
     one_sided : causes of which one side has no equilibrium: the other is taken for both
     silent : causes with no equilibrium on either side: left out
     """
 
     belief: Belief
     value: Fields
-    up: Fields
-    down: Fields
+    reach: Floats
+    slopes: Fields
+    bends: Fields
     one_sided: tuple[str, ...] = ()
     silent: tuple[str, ...] = ()
 
     def drawn(self, name: str) -> Floats:
         """Draws of a field, shape (draws, ...)."""
-        amounts, value = self.belief.amounts, self.value[name]
-        flat = (len(self.belief.causes), value.size)
-        moved = np.maximum(amounts, 0.0) @ self.up[name].reshape(flat)
-        moved += np.minimum(amounts, 0.0) @ self.down[name].reshape(flat)
-        return np.asarray(value + moved.reshape(len(amounts), *value.shape))
+        value = self.value[name]
+        moved = self._moved(name, np.ones(len(self.belief.causes), dtype=np.bool_))
+        return np.asarray(value + moved.reshape(len(moved), *value.shape))
+
+    def _moved(self, name: str, which: Flags) -> Floats:
+        """Change by some of the causes, shape (draws, numbers)."""
+        amounts, reach = self.belief.amounts[:, which], self.reach[which]
+        within = np.clip(amounts, -reach, reach)
+        squares = within * (2.0 * amounts - within)  # beyond its reach a parabola goes on straight
+        flat = (len(self.belief.causes), self.value[name].size)
+        slopes, bends = (each[name].reshape(flat)[which] for each in (self.slopes, self.bends))
+        return np.asarray(amounts @ slopes + squares @ bends)
 
     def shares(self, name: str) -> dict[str, float]:
         """Share of each cause in the variance of a field, summed over all its numbers.
 
         Steps of one cause count together. Empty where nothing moves.
         """
-        amounts, causes = self.belief.amounts, self.belief.causes
-        size = self.value[name].size
-        up, down = (each[name].reshape(len(causes), size) for each in (self.up, self.down))
-        found: dict[str, float] = {}
-        for cause in dict.fromkeys(causes):
-            own = np.array([each == cause for each in causes])
-            moved = np.maximum(amounts[:, own], 0.0) @ up[own]
-            moved += np.minimum(amounts[:, own], 0.0) @ down[own]
-            found[cause] = float(np.nansum(_robust_variance(moved)))
+        causes = np.array(self.belief.causes)
+        found = {
+            cause: float(np.nansum(_robust_variance(self._moved(name, causes == cause))))
+            for cause in dict.fromkeys(self.belief.causes)
+        }
         total = sum(found.values())
         return {cause: each / total for cause, each in found.items()} if total > 0.0 else {}
 
@@ -103,42 +112,47 @@ def respond(look: Look, belief: Belief) -> Response | None:
     value = look(belief.inputs())
     if value is None:
         return None
-    up, down, one_sided, silent = [], [], [], []
-    for cause, step in zip(belief.causes, np.eye(len(belief.causes)), strict=True):
+    slopes, bends, one_sided, silent = [], [], [], []
+    reach = np.quantile(np.abs(belief.amounts), 1.0 - 2.0 * TAIL, axis=0)
+    reach = np.clip(reach, _NEAREST, _FURTHEST)
+    for cause, far, step in zip(belief.causes, reach, np.diag(reach), strict=True):
         ahead, behind = look(belief.inputs(step)), look(belief.inputs(-step))
         if ahead is None and behind is None:
             silent.append(cause)
         elif ahead is None or behind is None:
             one_sided.append(cause)
-        rises = {name: _change(value[name], ahead, behind, name) for name in value}
-        up.append({name: rise for name, (rise, _) in rises.items()})
-        down.append({name: fall for name, (_, fall) in rises.items()})
+        both = {name: _through(value[name], ahead, behind, name) for name in value}
+        slopes.append({name: slope / far for name, (slope, _) in both.items()})
+        bends.append({name: bend / far**2 for name, (_, bend) in both.items()})
     return Response(
         belief,
         value,
-        {name: _stacked(up, name, value[name]) for name in value},
-        {name: _stacked(down, name, value[name]) for name in value},
+        reach,
+        {name: _stacked(slopes, name, value[name]) for name in value},
+        {name: _stacked(bends, name, value[name]) for name in value},
         tuple(dict.fromkeys(one_sided)),
         tuple(dict.fromkeys(silent)),
     )
 
 
-def _change(
+def _through(
     value: Floats, ahead: Fields | None, behind: Fields | None, name: str
 ) -> tuple[Floats, Floats]:
+    """Slope and bend of the parabola through a value and those a length 1 to both sides of it.
+
+    With one side alone it is straight.
+    """
     rise = None if ahead is None else ahead[name] - value
     fall = None if behind is None else value - behind[name]
-    nothing = np.zeros_like(value)
-    first = rise if rise is not None else fall
-    last = fall if fall is not None else rise
-    return (
-        nothing if first is None else np.asarray(first),
-        nothing if last is None else np.asarray(last),
-    )
+    if rise is None or fall is None:
+        one = rise if rise is not None else fall
+        return (np.zeros_like(value) if one is None else np.asarray(one)), np.zeros_like(value)
+    return np.asarray(0.5 * (rise + fall)), np.asarray(0.5 * (rise - fall))
 
 
-def _stacked(changes: Sequence[Fields], name: str, value: Floats) -> Floats:
-    return np.stack([each[name] for each in changes]) if changes else np.zeros((0, *value.shape))
+def _stacked(each_cause: Sequence[Fields], name: str, value: Floats) -> Floats:
+    rows = [each[name] for each in each_cause]
+    return np.stack(rows) if rows else np.zeros((0, *value.shape))
 
 
 def _robust_variance(moved: Floats) -> Floats:

@@ -16,6 +16,8 @@ from tests.line_coverage.drawn_lines import KINDS
 
 PAGE = ROOT / "docs" / "explanations" / "rod-bands.md"
 BEGIN, END = "<!-- lines: begin -->", "<!-- lines: end -->"
+DRAWS = "<!-- draws: begin -->", "<!-- draws: end -->"
+SECOND = "<!-- second: begin -->", "<!-- second: end -->"
 ASKED = ("shape", "moment", "bend radius", "shape on the way back")
 """Numbers of a line, one of each sort, chosen with the line before it is made."""
 
@@ -136,7 +138,12 @@ def _row(*cells: object) -> str:
 
 def publish(lines: Sequence[Line], rests_on: str, missing: int, page: Path = PAGE) -> None:
     """Put the tables between their marks on the page."""
-    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    after = rest.partition(END)[2]
-    text = f"{before}{BEGIN}\n\n{tables(lines, rests_on, missing)}\n\n{END}{after}"
-    page.write_text(text, encoding="utf-8")
+    put(tables(lines, rests_on, missing), (BEGIN, END), page)
+
+
+def put(text: str, marks: tuple[str, str], page: Path = PAGE) -> None:
+    """Put words between marks on the page."""
+    begin, end = marks
+    before, _, rest = page.read_text(encoding="utf-8").partition(begin)
+    after = rest.partition(end)[2]
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")

@@ -209,26 +209,34 @@ def predicted(kind: LineKind, drawn: Drawn, what: Known) -> LineBands | None:
     )
 
 
-def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[Asked]:
+def looked_at(drawn: Drawn, truth: TrueLine) -> dict[str, float]:
     """The numbers that are looked at: one of each sort, chosen with the line."""
-    held, back = bands.states
     which = drawn.asked
-    places = which["node"], which["axis"]
-    yield _asked("shape", truth.held[places], held.positions, places)
-    yield _asked(
-        "moment",
-        truth.moment[which["moment axis"]],
-        held.reaction_moments,
-        (0, which["moment axis"]),
+    return {
+        "shape": float(truth.held[which["node"], which["axis"]]),
+        "moment": float(truth.moment[which["moment axis"]]),
+        "bend radius": truth.bend_radius,
+        "shape on the way back": float(truth.back[which["free node"], which["free axis"]]),
+    }
+
+
+def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[Asked]:
+    """The same, with their bands."""
+    (held, back), which = bands.states, drawn.asked
+    places: tuple[tuple[Band, tuple[int, ...]], ...] = (
+        (held.positions, (which["node"], which["axis"])),
+        (held.reaction_moments, (0, which["moment axis"])),
+        (held.smallest_bend_radius, ()),
+        (back.positions, (which["free node"], which["free axis"])),
     )
-    yield _asked("bend radius", truth.bend_radius, held.smallest_bend_radius, ())
-    places = which["free node"], which["free axis"]
-    yield _asked("shape on the way back", truth.back[places], back.positions, places)
+    for (name, number), (band, place) in zip(looked_at(drawn, truth).items(), places, strict=True):
+        value, lower, upper = (float(each[place]) for each in (band.value, band.lower, band.upper))
+        yield Asked(name, number, value, lower, upper)
 
 
-def _asked(name: str, truth: float, band: Band, place: tuple[int, ...]) -> Asked:
-    ends = (float(each[place]) for each in (band.value, band.lower, band.upper))
-    return Asked(name, float(truth), *ends)
+def nominal_torsion(wire: str) -> float:
+    """N m^2, of a wire as its sheet has it."""
+    return family_of(spec_of(wire)).at({}).torsional_stiffness
 
 
 def shares_inside(truth: TrueLine, bands: LineBands) -> dict[str, float]:
@@ -256,8 +264,7 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
     shares : of each cause in the bend radius
     """
     drawn, what = draw(kind, seed), known_of(seed)
-    nominal = family_of(spec_of(drawn.wire)).at({}).torsional_stiffness
-    truth = true_line(kind, drawn, nominal)
+    truth = true_line(kind, drawn, nominal_torsion(drawn.wire))
     bands = predicted(kind, drawn, what)
     if bands is None:
         return {"failed": "the prediction has no equilibrium"}

@@ -105,6 +105,7 @@ def test_draws_lie_in_the_bands_that_were_made_of_them() -> None:
     rows = list(compared(BY_NAME["bow"], drawing(BY_NAME["bow"], draws=20)))
     assert [each.name for each in rows] == list(ASKED)
     assert all(each.inside > 0.8 for each in rows)
+    assert all(0.9 < each.width < 1.12 for each in rows)
     assert "| bow | " in table(rows)
 
 

@@ -96,7 +96,7 @@ class Laid:
         weight = Gravity(np.array(EARTH))
         places, turns = far_end(drawn, self.off, self.loading, self.returning)
         release = steps if kind.lets_go else None
-        frames = _frames(turns, base.frames[0])
+        frames = frames_of(turns, base.frames[0])
         line = Line(base.lengths, section, *_circle(base, drawn), natural)
         far = Held(-1, places[: steps + 1], frames[: steps + 1], release=release)
         return follow(line, (near, far, weight), steps=steps)
@@ -133,13 +133,13 @@ def _circle(base: Line, drawn: Drawn) -> tuple[Numbers, Numbers]:
     """Positions and frames of a line on the circle along which its path begins."""
     share = (np.arange(len(base.lengths)) + 0.5) / len(base.lengths)
     turns = np.stack([share * drawn.way.first, np.full_like(share, drawn.way.side), 0.0 * share])
-    frames = _frames(turns.T, base.frames[0])
+    frames = frames_of(turns.T, base.frames[0])
     steps = base.lengths[:, None] * matrices(frames)[:, :, 2]
     return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]), frames
 
 
-def _frames(turns: Numbers, base: Numbers) -> Numbers:
-    """Frames bent by an angle towards a side, then twisted."""
+def frames_of(turns: Numbers, base: Numbers) -> Numbers:
+    """Frames bent by an angle towards a side, then twisted: shape (rows, 4) of turns (rows, 3)."""
     angle, side, twist = turns.T
     zero = np.zeros_like(angle)
     axis = np.stack([zero, -np.sin(side), np.cos(side)], axis=1)  # x turned towards the side
@@ -163,13 +163,26 @@ def true_line(kind: LineKind, drawn: Drawn, torsional_stiffness: float) -> TrueL
     kind, drawn : the line
     torsional_stiffness : N m^2, before the factor that nobody knows
     """
-    off = drawn.off
-    length = drawn.length * float(np.exp(off["length_factor"]))
-    weight = foreign.weight_of(foreign.BUILDS[drawn.wire]) * float(np.exp(off["mass_factor"]))
+    length, weight = true_length(drawn), true_weight(drawn)
     if kind.is_planar:
         return _in_plane(kind, drawn, length, weight)
-    torsion = torsional_stiffness * float(np.exp(off["torsion_factor"]))
+    torsion = true_torsion(drawn, torsional_stiffness)
     return _in_space(kind, drawn, length, weight / foreign.GRAVITY, torsion)
+
+
+def true_length(drawn: Drawn) -> float:
+    """m."""
+    return drawn.length * float(np.exp(drawn.off["length_factor"]))
+
+
+def true_weight(drawn: Drawn) -> float:
+    """N/m, by the standard gravity of the second simulator."""
+    return foreign.weight_of(foreign.BUILDS[drawn.wire]) * float(np.exp(drawn.off["mass_factor"]))
+
+
+def true_torsion(drawn: Drawn, torsional_stiffness: float) -> float:
+    """N m^2, from that before the factor that nobody knows."""
+    return torsional_stiffness * float(np.exp(drawn.off["torsion_factor"]))
 
 
 def _in_plane(kind: LineKind, drawn: Drawn, length: float, weight: float) -> TrueLine:

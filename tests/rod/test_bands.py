@@ -20,9 +20,9 @@ LENGTH, NODES, STEPS = 0.2, 10, 6
 LAW = SliderLaw(2e-4, np.array([3e-4, 2e-4]), np.array([1.0, 4.0]), 0.0, 50.0)
 BELIEF = joined(
     [
-        known("law_factor", 0.08, draws=2000),
-        known("length_factor", 0.01, draws=2000),
-        known("free_curvature", 0.3, draws=2000, seed=4),
+        known("law_factor", 0.08, draws=2048),
+        known("length_factor", 0.01, draws=2048),
+        known("free_curvature", 0.3, draws=2048, seed=4),
     ]
 )
 

@@ -1,4 +1,4 @@
-"""The linearised response: slopes to either side, bands, shares."""
+"""The response of a line: parabolas within reach, bands, shares."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from labpipe.rod.beliefs import joined, known
 from labpipe.rod.response import Fields, band_of, field_band, respond
 
-BELIEF = joined([known("a", 0.3, draws=20_000), known("b", 0.4, draws=20_000)])
+BELIEF = joined([known("a", 0.3, draws=16_384), known("b", 0.4, draws=16_384)])
 
 
 def straight(inputs: Mapping[str, float]) -> Fields:
@@ -29,16 +29,32 @@ def test_a_straight_line_has_the_band_of_its_inputs() -> None:
     assert response.shares("sum")["a"] == pytest.approx(5 * 0.09 / (5 * 0.09 + 0.16), rel=0.05)
 
 
-def test_each_side_has_its_own_slope() -> None:
-    def kinked(inputs: Mapping[str, float]) -> Fields:
-        a = inputs["a"]
-        return {"y": np.array(3.0 * a if a > 0.0 else a)}
+def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends() -> None:
+    """Kinked, bent or steep: the line is solved there."""
+    steep = np.exp(1.96 * 0.3)
+    for answer, ends in (
+        (lambda a: 3.0 * a if a > 0.0 else a, (-1.96 * 0.3, 3.0 * 1.96 * 0.3)),
+        (lambda a: a + 0.5 * a**2, (-0.588 + 0.5 * 0.588**2, 0.588 + 0.5 * 0.588**2)),
+        (np.exp, (1.0 / steep, steep)),
+    ):
+        belief = known("a", 0.3)
+        response = respond(lambda inputs, f=answer: {"y": np.array(f(inputs["a"]))}, belief)
+        assert response is not None
+        band = field_band([response], "y")
+        assert (float(band.lower), float(band.upper)) == pytest.approx(ends, rel=2e-3)
 
-    response = respond(kinked, BELIEF)
+
+def test_a_parabola_is_met_and_goes_on_straight() -> None:
+    belief = known("a", 1.0, freedom=4.0)
+    response = respond(lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief)
     assert response is not None
-    band = field_band([response], "y")
-    assert band.upper == pytest.approx(3.0 * 1.96 * 0.3, rel=0.05)
-    assert band.lower == pytest.approx(-1.96 * 0.3, rel=0.05)
+    assert response.reach.tolist() == [2.0]
+    at = belief.amounts[:, 0]
+    beyond = np.abs(at) > 2.0
+    drawn = response.drawn("y")
+    assert drawn[~beyond] == pytest.approx((1.0 + at[~beyond]) ** 2)
+    line = np.where(at > 0.0, 9.0 + 6.0 * (at - 2.0), 1.0 - 2.0 * (at + 2.0))
+    assert drawn[beyond] == pytest.approx(line[beyond])
 
 
 def test_a_least_value_is_taken_in_every_draw() -> None:
