@@ -87,7 +87,7 @@ def known(
         raise ValueError(message)
     chance = np.random.default_rng([seed, *f"{name} {cause}".encode()])
     even = (chance.permutation(draws) + 0.5) / draws
-    amounts = ndtri(even) if np.isinf(freedom) else stdtrit(freedom, even)
+    amounts = np.asarray(ndtri(even) if np.isinf(freedom) else stdtrit(freedom, even), np.float64)
     steps = np.array([[deviation]])
     return Belief((name,), (cause or name,), np.array([centre]), steps, amounts[:, None])
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.rod.boundaries import EARTH
-from labpipe.rod.line import frame_from_axes
-from labpipe.rod.rotations import matrices
+from labpipe.rod.rotations import frame_from_axes, matrices
 from tests.foreign import wire_section as foreign
 from tests.line_coverage.drawn_lines import (
     FIRST_SEED,

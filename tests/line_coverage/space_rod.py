@@ -23,7 +23,6 @@ Numbers = NDArray[np.float64]
 _STATIONS, _MOST = 121, 20_000
 _TOLERANCE = 1e-4
 _ROUNDS, _CLOSE = 60, 1e-11
-_DEEPEST = 6
 _RELEASE = 20
 
 
@@ -88,7 +87,18 @@ class SpaceRod:
         def ends(a: Numbers, b: Numbers, _: Numbers) -> Numbers:
             return np.concatenate([a[:7] - self._clamp, b[:3] - goal, _product(back, b[3:7])[1:]])
 
-        self._solve(ends, None)
+        found = solve_bvp(
+            self._slopes,
+            ends,
+            self.along,
+            self.state,
+            self.force,
+            tol=_TOLERANCE,
+            max_nodes=_MOST,
+        )
+        assert found.success, found.message
+        self.force = np.asarray(found.p)
+        self._keep(np.asarray(found.sol(self.along)))
         self.far_moment = self.state[7:, -1].copy()
 
     def load(self, force: Numbers, moment: Numbers | None = None) -> None:
@@ -120,28 +130,16 @@ class SpaceRod:
         def ends(a: Numbers, b: Numbers) -> Numbers:
             return np.concatenate([a[:7] - self._clamp, b[7:] - self.far_moment])
 
-        self._solve(ends, self.force)
-
-    def _solve(self, ends: object, force: Numbers | None) -> None:
-        def slopes(at: Numbers, y: Numbers, pull: Numbers) -> Numbers:
-            return self._slopes(at, y, pull)
-
-        def loaded(at: Numbers, y: Numbers) -> Numbers:
+        def slopes(at: Numbers, y: Numbers) -> Numbers:
             return self._slopes(at, y, self.force)
 
-        found = (
-            solve_bvp(
-                slopes, ends, self.along, self.state, self.force, tol=_TOLERANCE, max_nodes=_MOST
-            )
-            if force is None
-            else solve_bvp(loaded, ends, self.along, self.state, tol=_TOLERANCE, max_nodes=_MOST)
-        )
-        if not found.success:
-            raise RuntimeError(found.message)
-        self.state = np.asarray(found.sol(self.along))
-        if force is None:
-            self.force = np.asarray(found.p)
-        _, self.rests = self._bent(self.along, self.state)
+        found = solve_bvp(slopes, ends, self.along, self.state, tol=_TOLERANCE, max_nodes=_MOST)
+        assert found.success, found.message
+        self._keep(np.asarray(found.sol(self.along)))
+
+    def _keep(self, state: Numbers) -> None:
+        self.state = state
+        _, self.rests = self._bent(self.along, state)
 
     def _slopes(self, at: Numbers, y: Numbers, pull: Numbers) -> Numbers:
         """Of places, quaternions, and moments in space, shape (10, places along the line)."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 import pytest
@@ -29,6 +30,10 @@ def test_a_straight_line_has_the_band_of_its_inputs() -> None:
     assert response.shares("sum")["a"] == pytest.approx(5 * 0.09 / (5 * 0.09 + 0.16), rel=0.05)
 
 
+def answered(answer: Callable[[float], float], inputs: Mapping[str, float]) -> Fields:
+    return {"y": np.array(answer(inputs["a"]))}
+
+
 def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends() -> None:
     """Kinked, bent or steep: the line is solved there."""
     steep = np.exp(1.96 * 0.3)
@@ -37,8 +42,7 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends() -> Non
         (lambda a: a + 0.5 * a**2, (-0.588 + 0.5 * 0.588**2, 0.588 + 0.5 * 0.588**2)),
         (np.exp, (1.0 / steep, steep)),
     ):
-        belief = known("a", 0.3)
-        response = respond(lambda inputs, f=answer: {"y": np.array(f(inputs["a"]))}, belief)
+        response = respond(partial(answered, answer), known("a", 0.3))
         assert response is not None
         band = field_band([response], "y")
         assert (float(band.lower), float(band.upper)) == pytest.approx(ends, rel=2e-3)
