@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from labpipe.cli import main
 from labpipe.errors import ReadError
-from labpipe.studies.stress_tables import Proof, ramberg_osgood_curve
+from labpipe.studies.stress_tables import Conditions, Proof, ramberg_osgood_curve
 from labpipe.studies.wire_specs import read_wire_sheet, read_wires
 from labpipe.wire.materials import RambergOsgood
 from labpipe.wire.wire_table import wire_table
@@ -248,3 +248,13 @@ def test_the_model_carries_what_a_sheet_of_a_workbook_states(
     assert said["strain"][-1] == 0.08
     heads, row = load_workbook("processed/wires/wires.xlsx")["wires"].iter_rows(values_only=True)
     assert dict(zip(heads, row, strict=True))["stress tables"] == words
+
+
+def test_every_column_is_documented_with_its_range(repository: Path) -> None:
+    page = (repository / "docs" / "how-to" / "wire-sheet.md").read_text(encoding="utf-8")
+    for kind in (Proof, Conditions):
+        for name, field in kind.model_fields.items():
+            [column] = field.metadata
+            least = 0.1 if name == "modulus_mpa" else column.least
+            most = 10000.0 if name == "modulus_mpa" else column.most
+            assert f"`{name}` | {least:g} to {most:.10g}" in page
