@@ -18,12 +18,14 @@ from labpipe.studies.harness_line import Inputs, Laid, laid
 from labpipe.studies.harness_numbers import (
     Bend,
     BendLimit,
+    Doubt,
     bend_limit,
-    jump_reason,
+    jump_doubt,
     numbers_of,
     reasons_of,
     results_of,
     sharpest,
+    unloading_doubt,
 )
 from labpipe.studies.harness_section import Material
 
@@ -146,7 +148,7 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
     intervals = {} if bands is None else bands.intervals
     results = (
-        results_of(numbers_of(path, ready), reasons, intervals, jump_reason(path))
+        results_of(numbers_of(path, ready), reasons, intervals, _doubts(path, ready))
         if is_whole
         else ()
     )
@@ -155,6 +157,10 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
         *(file, harness, material, ready, path, status, reasons, results, limit, folder),
         bands=bands,
     )
+
+
+def _doubts(path: RodPath, ready: Laid) -> list[Doubt]:
+    return [each for each in (jump_doubt(path), unloading_doubt(path, ready)) if each is not None]
 
 
 _SAID_ALREADY = {"beyond_tested"}

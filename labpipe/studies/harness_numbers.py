@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.law.sliders import SliderLaw
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -17,17 +16,21 @@ from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
 from labpipe.studies.harness_line import Laid
+from labpipe.studies.harness_memory import kept_curvature, unbent, unloading_reason
 from labpipe.studies.harness_section import Material
 
 DIAMETERS = 5.0
 """Outer diameters that the allowed bend radius is assumed to be where it is not stated."""
-LOWEST = "lowest_point"
-LOST = "energy_lost"
-MOMENT = "moment."
+LOWEST, RADIUS = "lowest_point", "smallest_bend_radius"
+ON_THE_WAY = f"{RADIUS}_on_the_way"
+LOST, KEPT = "energy_lost", "kept_curvature"
+FORCE, MOMENT, BACK = "force.", "moment.", "springback."
 MOST_IN_JUMPS = 0.1
 """Of the energy that is lost, above which what remembers the way is doubtful."""
+MOST_UNBENT = 0.1
+"""Of its sharpest bend, by which a line may have gone back before forces hang on how it unloads."""
 _LET_GO = "what the line would keep, let go (Masing)"
-_MOST_STEPS_BACK, _SETTLED = 1000, 1e-9
+_HOLDS = rod.Held | rod.Ring | rod.String | rod.Plane
 _STRAIGHT = 1e-6
 """1/m: a line that is bent by less has no bend radius worth a number."""
 
@@ -120,35 +123,6 @@ def sharpest(path: RodPath, line: Line, steps: Sequence[int]) -> Bend:
     return Bend(radius, steps[row], float(line.stations[node]))
 
 
-def kept_curvature(state: RodState, law: SliderLaw) -> Floats:
-    """Curvature that the line would keep if nothing held it any more, 1/m, shape (n + 1,).
-
-    Parameters
-    ----------
-    state : with the memory of its sliders
-    law : of the line
-
-    Notes
-    -----
-    Less that at rest. The curvature without moment on the straight way back, where sliders slide
-    as they do: EI_0 kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa -
-    a_j|), solved for kappa with the w_j of the step before (Weiszfeld's iteration, which descends
-    on a convex energy). It begins at the curvature that is reached if no slider slides.
-    """
-    if not len(law.stiffnesses):
-        return np.zeros(len(state.positions))
-    weights = np.broadcast_to(law.stiffnesses, state.rests.shape[:-1])
-    kept = np.zeros_like(state.rests[:, :, 0])
-    for _ in range(_MOST_STEPS_BACK):
-        whole = law.stiffness + weights.sum(axis=2)
-        last, kept = kept, np.einsum("nsj,nsjx->nsx", weights, state.rests) / whole[..., None]
-        if np.max(np.abs(kept - last)) <= _SETTLED * np.max(np.abs(kept)):
-            break
-        bent = np.linalg.norm(kept[:, :, None] - state.rests, axis=3)
-        weights = law.stiffnesses * law.slip_curvatures / np.maximum(bent, law.slip_curvatures)
-    return np.asarray(np.linalg.norm(kept, axis=2).max(axis=1))
-
-
 def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, ...]:
     """Why the numbers of a harness are doubtful, or why there are none.
 
@@ -174,7 +148,21 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     return tuple(found)
 
 
-def jump_reason(path: RodPath) -> Reason | None:
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why some of the numbers are doubtful.
+
+    Parameters
+    ----------
+    reason : why
+    names : how the names of these numbers begin
+    """
+
+    reason: Reason
+    names: tuple[str, ...]
+
+
+def jump_doubt(path: RodPath) -> Doubt | None:
     """Why numbers that remember the way are doubtful, if they are: much was lost in jumps.
 
     Parameters
@@ -196,7 +184,37 @@ def jump_reason(path: RodPath) -> Reason | None:
         "energy was lost on its way down; moments and energy depend on how it came down, which is "
         "not known"
     )
-    return Reason("jumped", message)
+    return Doubt(Reason("jumped", message), (LOST, MOMENT))
+
+
+def unloading_doubt(path: RodPath, laid: Laid) -> Doubt | None:
+    """Why numbers that hang on the way back are doubtful, if they are.
+
+    Parameters
+    ----------
+    path : as followed
+    laid : that was followed
+
+    Notes
+    -----
+    Shape, where the line was let go; forces and moments, where it was unbent and is held by more
+    than one thing, so that they hang on its law. See `unloading_reason`.
+    """
+    reason = unloading_reason(path, laid.line)
+    if reason is None:
+        return None
+    holding = [each for each in laid.boundaries if isinstance(each, _HOLDS)]
+    left = [each for each in holding if not _lets_go(each)]
+    names = [LOST, KEPT, BACK]
+    if len(left) < len(holding):
+        names += [RADIUS, LOWEST]
+    if len(left) > 1 and unbent(path) > MOST_UNBENT:
+        names += [FORCE, MOMENT]
+    return Doubt(reason, tuple(names))
+
+
+def _lets_go(boundary: rod.Boundary) -> bool:
+    return isinstance(boundary, rod.Held) and boundary.release is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,11 +239,6 @@ class Number:
         """Whether it may be below zero: a coordinate, not a size."""
         return self.name == LOWEST
 
-    @property
-    def remembers(self) -> bool:
-        """Whether it hangs on the way that the line came, more than its shape does."""
-        return self.name == LOST or self.name.startswith(MOMENT)
-
 
 def numbers_of(path: RodPath, laid: Laid) -> tuple[Number, ...]:
     """The numbers of a harness at its last step, and of the whole way.
@@ -242,7 +255,7 @@ def results_of(
     numbers: Sequence[Number],
     reasons: tuple[Reason, ...],
     intervals: Mapping[str, Interval],
-    jump: Reason | None = None,
+    doubts: Sequence[Doubt] = (),
 ) -> tuple[Result, ...]:
     """Numbers as results.
 
@@ -251,16 +264,19 @@ def results_of(
     numbers : of a harness
     reasons : why all of them are doubtful; empty where they are not
     intervals : by name, of those that have one
-    jump : why those that remember the way are doubtful, see `jump_reason`; None where they are not
+    doubts : why some of them are
     """
     return tuple(
-        _result(
-            each,
-            (*reasons, jump) if jump is not None and each.remembers else reasons,
-            intervals.get(each.name),
-        )
-        for each in numbers
+        _result(each, (*reasons, *_own(each, doubts)), intervals.get(each.name)) for each in numbers
     )
+
+
+def _own(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
+    """Why this number is doubtful, of the doubts that touch some."""
+    is_on_the_way = number.name == ON_THE_WAY
+    for each in doubts:
+        if number.name.startswith(each.names) and not is_on_the_way:
+            yield each.reason
 
 
 def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | None) -> Result:
@@ -278,9 +294,9 @@ _STRAIGHT_REASON = Reason("straight", "the line is straight: it has no bend radi
 def _bends(path: RodPath, line: Line) -> Iterator[Number]:
     last = len(path.states) - 1
     end, way = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
-    yield Number("smallest_bend_radius", end.radius, "m", f"{_mm(end.place)} from the start")
+    yield Number(RADIUS, end.radius, "m", f"{_mm(end.place)} from the start")
     where = f"step {way.step}, {_mm(way.place)} from the start"
-    yield Number("smallest_bend_radius_on_the_way", way.radius, "m", where)
+    yield Number(ON_THE_WAY, way.radius, "m", where)
     heights = path.last.positions[:, 2]
     node = int(np.argmin(heights))
     where = f"{_mm(line.stations[node])} from the start"
@@ -291,11 +307,11 @@ def _forces(path: RodPath, laid: Laid) -> Iterator[Number]:
     sizes = np.array([np.linalg.norm(each.reaction_forces, axis=1) for each in path.states])
     moments = np.linalg.norm(path.last.reaction_moments, axis=1)
     for number, each in enumerate(laid.boundaries):
-        if not isinstance(each, rod.Held | rod.Ring | rod.String | rod.Plane):
+        if not isinstance(each, _HOLDS):
             continue
         most = int(np.argmax(sizes[:, number]))
         way = f"largest on the way: {sizes[most, number]:.4g} N at step {most}"
-        yield Number(f"force.{each.name}", float(sizes[-1, number]), "N", way)
+        yield Number(f"{FORCE}{each.name}", float(sizes[-1, number]), "N", way)
         if isinstance(each, rod.Held) and each.frame is not None:
             yield Number(f"{MOMENT}{each.name}", float(moments[number]), "N*m", "")
 
@@ -307,11 +323,11 @@ def _kept(path: RodPath, laid: Laid) -> Iterator[Number]:
             before = path.states[each.release - 1].positions[node]
             moved = float(np.linalg.norm(path.last.positions[node] - before))
             way = f"of its place, from step {each.release - 1}, the last in which it was held"
-            yield Number(f"springback.{each.name}", moved, "m", way)
+            yield Number(f"{BACK}{each.name}", moved, "m", way)
     kept = kept_curvature(path.last, laid.line.section.law)
     node = int(np.argmax(kept))
     where = f"{_mm(laid.line.stations[node])} from the start; {_LET_GO}"
-    yield Number("kept_curvature", float(kept[node]), "1/m", where if kept[node] else "")
+    yield Number(KEPT, float(kept[node]), "1/m", where if kept[node] else "")
     yield Number(LOST, float(path.lost[-1]), "J", "in bending, since the start")
 
 

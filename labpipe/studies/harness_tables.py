@@ -13,7 +13,8 @@ from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
 from labpipe.rod.rotations import matrices
 from labpipe.studies.harness_line import Laid
-from labpipe.studies.harness_numbers import curvature_of, kept_curvature, radius_of
+from labpipe.studies.harness_memory import kept_curvature
+from labpipe.studies.harness_numbers import curvature_of, radius_of
 
 BANDED = ("x [m]", "y [m]", "z [m]", "curvature [1/m]")
 """Columns of the shape that have bands where there are any."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.law.sliders import SliderLaw, slide_vector, slider_moment
+from labpipe.law.sliders import slider_moment
 from labpipe.protocol.harness_loading import load_harness
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
@@ -17,17 +17,19 @@ from labpipe.rod.path import Reason as RodReason
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_line import Laid, laid
+from labpipe.studies.harness_memory import kept_curvature
 from labpipe.studies.harness_numbers import (
+    Doubt,
     Number,
     bend_limit,
     curvature_of,
-    jump_reason,
-    kept_curvature,
+    jump_doubt,
     numbers_of,
     radius_of,
     reasons_of,
     results_of,
     sharpest,
+    unloading_doubt,
 )
 from labpipe.studies.harness_section import Material, material_of
 from tests.builders.harness_files import EXAMPLES, STIFFNESS, arch, pushed, written
@@ -48,6 +50,12 @@ def followed(folder: Path, text: str) -> tuple[Material, Laid, RodPath]:
 
 def by_name(path: RodPath, ready: Laid) -> dict[str, Number]:
     return {each.name: each for each in numbers_of(path, ready)}
+
+
+def doubtful_of(path: RodPath, ready: Laid, doubt: Doubt | None) -> set[str]:
+    doubts = () if doubt is None else (doubt,)
+    found = results_of(numbers_of(path, ready), (), {}, doubts)
+    return {each.name for each in found if each.status is Status.DOUBTFUL}
 
 
 def test_a_heavy_cantilever(tmp_path: Path) -> None:
@@ -71,16 +79,14 @@ def test_what_was_lost_in_a_jump_is_doubtful(tmp_path: Path) -> None:
     _, ready, path = followed(tmp_path, ALONE)
     lost, fallen = np.array([1.0, 3.0, 4.0]), np.array([0.0, 0.0, 1.0])
     jumped = replace(path, snapped=(0, 2), lost=lost, lost_in_jumps=fallen)
-    reason = jump_reason(jumped)
-    assert reason is not None
-    assert reason.code == "jumped"
-    assert reason.message.startswith("step 2: the line jumped")
-    assert "25 % of the energy" in reason.message
-    found = {each.name: each for each in results_of(numbers_of(jumped, ready), (), {}, reason)}
-    doubtful = {name for name, each in found.items() if each.status is Status.DOUBTFUL}
-    assert doubtful == {"energy_lost", "moment.bench"}
-    assert jump_reason(replace(jumped, lost_in_jumps=0.2 * fallen)) is None, "a twentieth"
-    assert jump_reason(replace(jumped, lost=0.0 * lost, lost_in_jumps=0.0 * lost)) is None, (
+    doubt = jump_doubt(jumped)
+    assert doubt is not None
+    assert doubt.reason.code == "jumped"
+    assert doubt.reason.message.startswith("step 2: the line jumped")
+    assert "25 % of the energy" in doubt.reason.message
+    assert doubtful_of(jumped, ready, doubt) == {"energy_lost", "moment.bench"}
+    assert jump_doubt(replace(jumped, lost_in_jumps=0.2 * fallen)) is None, "a twentieth"
+    assert jump_doubt(replace(jumped, lost=0.0 * lost, lost_in_jumps=0.0 * lost)) is None, (
         "a law without memory"
     )
 
@@ -96,12 +102,39 @@ def test_a_line_that_buckles_loses_no_more_in_coarse_steps() -> None:
         ready = laid(finer, material.sections[0](material.best), material.best)
         path = follow(ready.line, ready.boundaries, steps=steps)
         assert path.status == "ok"
-        assert jump_reason(path) is None
+        assert jump_doubt(path) is None
         numbers = by_name(path, ready)
         names = ("energy_lost", "moment.left", "moment.right", "kept_curvature")
         found.append([numbers[name].value for name in names])
     assert found[0] == pytest.approx(found[2], rel=0.02)
     assert found[1] == pytest.approx(found[2], rel=0.005)
+
+
+def test_how_a_wire_unloads_is_an_assumption(tmp_path: Path) -> None:
+    """Of a line let go its last shape hangs on it; the bench carries the weight in any case."""
+    _, ready, path = followed(tmp_path, RELEASED)
+    doubt = unloading_doubt(path, ready)
+    assert doubt is not None
+    assert doubt.reason.code == "unloading_assumed"
+    memory = {"energy_lost", "kept_curvature", "springback.gripper"}
+    shape = {"smallest_bend_radius", "lowest_point"}
+    assert doubtful_of(path, ready, doubt) == memory | shape
+    _, ready, path = followed(tmp_path, ALONE)
+    assert unloading_doubt(path, ready) is None, "a spring"
+
+
+def test_forces_hang_on_it_where_a_line_that_is_held_was_unbent() -> None:
+    """In the example of slack the wire is bent elsewhere and more sharply on the way."""
+    file = EXAMPLES / "harness-slack.yaml"
+    harness = load_harness(file)
+    material = material_of(harness, file)
+    ready = laid(harness, material.sections[0](material.best), material.best)
+    path = follow(ready.line, ready.boundaries, steps=harness.steps)
+    held = {f"{what}.{side}" for what in ("force", "moment") for side in ("left", "right")}
+    memory = {"energy_lost", "kept_curvature"}
+    assert doubtful_of(path, ready, unloading_doubt(path, ready)) == memory | held
+    first = replace(path, states=path.states[:1] + 40 * path.states[1:2])
+    assert doubtful_of(path, ready, unloading_doubt(first, ready)) == memory, "not unbent yet"
 
 
 def test_what_a_gripper_leaves(tmp_path: Path) -> None:
@@ -117,21 +150,6 @@ def test_what_a_gripper_leaves(tmp_path: Path) -> None:
     assert way < 0.5 * end
     assert numbers["smallest_bend_radius_on_the_way"].remark.startswith("step ")
     assert "moment.gripper" not in numbers, "it may turn in the gripper"
-
-
-def test_the_curvature_that_a_line_keeps_has_no_moment(tmp_path: Path) -> None:
-    """Bent back to it, sliders sliding as they do, the line carries nothing."""
-    _, ready, path = followed(tmp_path, RELEASED)
-    law, state = ready.line.section.law, path.states[8]
-    kept = kept_curvature(state, law)
-    node = int(np.argmax(kept))
-    rests = state.rests[node, 0]
-    along = law.stiffnesses @ rests
-    back = kept[node] * along / np.linalg.norm(along)
-    moments = [slide_vector(law, each[None], rests[None]).moment for each in (back, 0.0 * back)]
-    sizes = [float(np.linalg.norm(each)) for each in moments]
-    assert sizes[0] < 2e-3 * sizes[1], "but for a bend that is not quite in one plane"
-    assert kept[node] < np.linalg.norm(along) / law.first_stiffness, "sliders slide on the way"
 
 
 def test_a_bend_that_is_let_go_is_kept_by_masings_rule(tmp_path: Path) -> None:
@@ -218,10 +236,3 @@ def test_the_allowed_radius_is_stated_or_assumed(tmp_path: Path) -> None:
         limit = bend_limit(harness, material_of(harness, file))
         assert limit.radius == pytest.approx(radius)
         assert (limit.words, limit.is_assumed) == (words, not more)
-
-
-def test_a_spring_keeps_nothing(tmp_path: Path) -> None:
-    _, ready, path = followed(tmp_path, ALONE)
-    spring = SliderLaw(1.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
-    assert not kept_curvature(path.last, spring).any()
-    assert ready.line.section.law.stiffness == pytest.approx(150e-6)
