@@ -39,10 +39,19 @@ def run(options: argparse.Namespace) -> int:
                 say=say,
             )
         print(json.dumps(as_json(found)) if options.json else harness_table(found))
-        for reason in found.reasons if found.status is Status.FAILED else ():
-            print(f"labpipe harness: {file}: {reason.code}: {reason.message}", file=sys.stderr)
-        statuses.append(1 if found.status is Status.FAILED else 0)
+        faults = list(_faults(found))
+        for fault in faults:
+            print(f"labpipe harness: {file}: {fault}", file=sys.stderr)
+        statuses.append(1 if faults else 0)
     return max(statuses)
+
+
+def _faults(found: FollowedHarness) -> Iterator[str]:
+    """What a script that lays harnesses has to stop at; an assumed bend radius is no promise."""
+    if found.status is Status.FAILED:
+        yield from (f"{reason.code}: {reason.message}" for reason in found.reasons)
+    elif not found.limit.is_assumed and found.sharpest.radius < found.limit.radius:
+        yield "".join(_limit(found)).strip()
 
 
 def _own_folder(out: Path | None, file: Path) -> Path | None:

@@ -43,8 +43,18 @@ def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
 def test_what_is_not_kept_and_doubtful_is_said(run: Run, tmp_path: Path) -> None:
     text = arch(STIFFNESS.replace("80 1/m", "5 1/m"), more="allowed_bend_radius: 200 mm\n")
     ran = run("harness", written(tmp_path, text), "--out", tmp_path / "out", "--no-figures")
-    assert ran.status == DONE
+    assert ran.status == SOME_FAILED, "the file states a radius"
     assert "  doubtful: beyond_law: step " in ran.out
+    assert "allowed bend radius 200 mm (stated in the file): NOT KEPT" in ran.err
+    assert (tmp_path / "out" / "summary.json").exists()
+
+
+def test_a_radius_that_is_assumed_is_said_but_no_failure(run: Run, tmp_path: Path) -> None:
+    text = arch(STIFFNESS.replace("2 mm", "20 mm"))
+    ran = run("harness", written(tmp_path, text), "--out", tmp_path / "out", "--no-figures")
+    assert ran.status == DONE
+    assert "(assumed: 5 times the outer diameter of 20 mm): NOT KEPT" in ran.out
+    assert ran.err == ""
 
 
 def test_intervals_and_lengths_are_shown(run: Run, tmp_path: Path) -> None:
