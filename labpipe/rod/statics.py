@@ -38,6 +38,8 @@ _AT_REST = 1e-6
 """Of the line's length: what moves by less does not move."""
 _LET_DOWN = 400
 """Steps, at most, in which a line is let down."""
+_FADING = 1.0 / 32.0
+"""Of a step, at most, while what a grip carried fades: the memory follows the way of the line."""
 _KICKS = (0.0, 1e-3, 1e-2)
 """Of the line's length, or rad: how far a line that finds no way on is moved off."""
 
@@ -246,15 +248,15 @@ class _Walk:
         return True
 
     def _walk_to(self, goal: float) -> None:
-        part = 1.0
+        part = most = _FADING if self.fading else 1.0
         smallest = self.settings.smallest_part
         was_refused = False
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
             settled = self._settled(time)
-            is_lost = settled is not None and self._is_lost(settled, time, goal)
+            is_lost = settled is not None and not self._is_stable(settled)
             was_refused, before = settled is None or is_lost, was_refused
-            if was_refused and part > smallest and not (is_lost and self._leaves_at_once):
+            if was_refused and part > smallest and not (is_lost and self._is_doubtful):
                 part *= 0.5
                 continue
             if settled is None:
@@ -262,20 +264,17 @@ class _Walk:
                 continue
             self._commit(time, settled)
             if is_lost:
-                self._leave(time)
+                self._leave(goal if self.fading else time)
             elif not before:
-                part = min(1.0, 2.0 * part)
+                part = min(most, 2.0 * part)
 
-    def _is_lost(self, settled: Settled, time: float, goal: float) -> bool:
-        """Whether a line that gets to an equilibrium is not stable there."""
-        # what fades of a grip's moment has no energy: only the end of the step counts
-        may_check = self.is_checked and (time == goal or not self.fading)
-        return may_check and not self.check.is_stable(settled.balance, settled.shape)
+    def _is_stable(self, settled: Settled) -> bool:
+        return not self.is_checked or self.check.is_stable(settled.balance, settled.shape)
 
     @property
-    def _leaves_at_once(self) -> bool:
-        """Whether smaller parts of a step do not show better where a line gives way."""
-        return bool(self.fading) or self._is_said("unstable") or self._is_said("whirls")
+    def _is_doubtful(self) -> bool:
+        """Whether the walk goes on where it is not stable: smaller parts show nothing more."""
+        return self._is_said("unstable") or self._is_said("whirls")
 
     def _settled(self, time: float) -> Settled | None:
         """The equilibrium at a time; None where it is not found or is too far."""

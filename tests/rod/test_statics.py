@@ -221,6 +221,24 @@ def test_what_is_let_go_springs_back_in_part(node: int) -> None:
     assert path.lost[-1] > path.lost[-2] or path.snapped == ()
 
 
+def test_what_a_line_keeps_that_is_let_go_does_not_hang_on_the_steps() -> None:
+    """Bent over in a plane and in space; it is followed down in stable states only."""
+    for aside in (0.0, 0.3):
+        ends = []
+        for steps in (16, 64):
+            line = straight_line(LENGTH, 14, sliding_section())
+            angle = np.linspace(0.0, 1.9, steps + 1)[:, None]
+            size = (1.0 - 0.25 * angle) * LENGTH
+            turned = np.concatenate([np.cos(angle), np.sin(angle), aside * angle**2], axis=1)
+            way = size * turned / np.linalg.norm(turned, axis=1)[:, None]
+            grip = Held(-1, np.concatenate([way, way[-1:]]), release=steps + 1)
+            path = walked(line, [clamp(line), grip], steps + 1)
+            ends.append((path.lost[-1], path.last.positions))
+        (coarse, there), (fine, here) = ends
+        assert coarse == pytest.approx(fine, rel=0.01)
+        np.testing.assert_allclose(there, here, atol=0.01 * LENGTH)
+
+
 def test_a_clamp_that_lets_go_leaves_no_moment() -> None:
     line = straight_line(LENGTH, 10, sliding_section())
     frames = multiply(from_rotation_vectors(ramp((0.0, 0.0, 0.8), 5)), line.frames[-1:])
