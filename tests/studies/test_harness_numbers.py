@@ -153,13 +153,18 @@ def test_what_a_gripper_leaves(tmp_path: Path) -> None:
 
 
 def test_a_bend_that_is_let_go_is_kept_by_masings_rule(tmp_path: Path) -> None:
-    """Without weight the line comes back to what the law says while it was still held."""
+    """Without weight the line comes back to what the law says of where it was bent.
+
+    On its way down it may bend behind the gripper, too, and remember that.
+    """
     free = RELEASED + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n"
     _, ready, path = followed(tmp_path, free)
     law, held = ready.line.section.law, path.states[8]
     foretold = kept_curvature(held, law)
-    assert curvature_of(path.last, ready.line) == pytest.approx(foretold, abs=0.02 * foretold.max())
     bent = curvature_of(held, ready.line)
+    was_bent = bent > 1.0
+    left = curvature_of(path.last, ready.line)
+    assert left[was_bent] == pytest.approx(foretold[was_bent], abs=0.02 * foretold.max())
     node = int(np.argmax(bent))
     first = np.geomspace(1e-4, 1.0, 20_000) * bent[node]
     moment = slider_moment(law, first)
