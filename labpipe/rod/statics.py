@@ -265,7 +265,7 @@ class _Walk:
             self._commit(time, settled)
             if is_lost:
                 self._leave(goal if self.fading else time)
-            elif not before:
+            if self._is_doubtful if is_lost else not before:
                 part = min(most, 2.0 * part)
 
     def _is_stable(self, settled: Settled) -> bool:

@@ -198,6 +198,16 @@ def test_a_column_buckles_beyond_its_critical_load_only() -> None:
     assert np.linalg.norm(bent.last.positions[-1, 1:]) / LENGTH == pytest.approx(0.422, abs=3e-3)
 
 
+def test_what_stays_unstable_is_said_once_and_walked_on() -> None:
+    """Pinned taut it cannot leave its line; it is not looked at in ever smaller parts."""
+    line = straight_line(LENGTH, 10, linear_section())
+    moments = ramp((2.2 * np.pi * STIFFNESS / LENGTH, 0.0, 0.0), 10)
+    pins = [Held(node, line.positions[node]) for node in (0, -1)]
+    path = follow(line, [*pins, Moment(0, -moments), Moment(-1, moments)], steps=10)
+    assert (path.status, len(path.states), path.snapped) == ("doubtful", 11, (10,))
+    assert [(each.code, each.step) for each in path.reasons] == [("unstable", 10)]
+
+
 def test_an_equilibrium_that_is_not_checked_may_be_unstable() -> None:
     line = straight_line(LENGTH, 10, linear_section())
     load = Load(-1, ramp((-2.0 * np.pi**2 * STIFFNESS / (4.0 * LENGTH**2), 0.0, 0.0), 3))
