@@ -338,7 +338,13 @@ def reached(path: RodPath) -> RodPath:
 
 
 def laid(
-    hang: Hang, stiffness: float, torsion: float, natural: tuple[float, ...], elements: int
+    hang: Hang,
+    stiffness: float,
+    torsion: float,
+    natural: tuple[float, ...],
+    elements: int,
+    *,
+    curl: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Line, tuple[Held, Held]]:
     """A line along the points of a hang, without twist, and its clamps.
 
@@ -348,6 +354,7 @@ def laid(
     stiffness, torsion : of bending and torsion, N m^2
     natural : free curvature, as in `HangFit`
     elements : all alike
+    curl : 1/m, free curvature that is the same all along: in the plane of the hang, and across it
     """
     law = SliderLaw(stiffness, np.zeros(0), np.zeros(0), 0.0, _ANY_CURVATURE)
     section = Section(law, torsion, mass_per_length=hang.mass_per_length)
@@ -358,7 +365,8 @@ def laid(
     across = matrices(along.frames[:1])[0, :, 0]
     free = np.zeros((elements - 1, 3))
     place = 2 * shares[1:-1] - 1
-    free[:, 0] = np.polynomial.legendre.legval(place, (0.0, *natural)) * (across @ hang.normal)
+    free[:, 0] = np.polynomial.legendre.legval(place, (curl[0], *natural)) * (across @ hang.normal)
+    free[:, 1] = curl[1]
     lengths = np.full(elements, hang.length / elements)
     line = Line(lengths, section, along.positions, along.frames, free)
     ends = along.frames[[0, -1]]

@@ -37,6 +37,7 @@ def snap_turn(
     torsion: float,
     natural: tuple[float, ...] = (),
     *,
+    curl: tuple[float, float] = (0.0, 0.0),
     most: float = 50.0,
     elements: int = _TURNING_ELEMENTS,
 ) -> float:
@@ -47,6 +48,8 @@ def snap_turn(
     hang : clamps, length and weight
     stiffness, torsion : of bending and torsion, N m^2
     natural : free curvature, as in `HangFit`
+    curl : 1/m, free curvature that is the same all along: in the plane of the hang, where hangs do
+        not show it, and across it
     most : rad, to which it is turned
     elements : of the rod
 
@@ -59,7 +62,7 @@ def snap_turn(
     ArithmeticError
         If it does not snap, or cannot be followed for another reason; the message says why.
     """
-    line, (first, second) = laid(hang, stiffness, torsion, natural, elements)
+    line, (first, second) = laid(hang, stiffness, torsion, natural, elements, curl=curl)
     broad = _FirstSnap(line, first, second, _BROAD)
     at, state = broad.after(0.0, None, most)
     fine, _ = _FirstSnap(line, first, second, _FINE).after(at, state, at + 2 * _BROAD)

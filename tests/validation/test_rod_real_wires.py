@@ -203,6 +203,27 @@ def test_torsion(wire: RealWire, straight: float, curved: float, realdata: Path)
     assert fit_torsion(hang, turns, stiffness, [slope]).value == pytest.approx(curved, rel=0.01)
 
 
+@pytest.mark.slow
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("curl", "degrees"),
+    [
+        ((1.0, 0.0), 473.5),
+        ((-1.0, 0.0), 474.5),
+        ((0.0, 1.0), 470.5),
+        ((0.0, -1.0), 485.5),
+        ((2.0, 0.0), 388.5),
+    ],
+)
+def test_the_black_loop_turns_by_a_curl_that_its_hangs_do_not_show(
+    curl: tuple[float, float], degrees: float, realdata: Path
+) -> None:
+    """480.5 degrees without; by 2 1/m in its plane it snaps over in another way."""
+    hang = mean_hang(BLACK.hangs(realdata))
+    turn = snap_turn(hang, 0.827e-3, 1.42 * 0.827e-3, (4.5,), curl=curl)
+    assert np.degrees(turn) == pytest.approx(degrees, abs=2.0)
+
+
 @pytest.mark.realdata
 def test_poses_of_the_white_wire_in_space(realdata: Path) -> None:
     """With stiffnesses of other tests, nothing fitted; points are good to 5 % of 400 mm."""
