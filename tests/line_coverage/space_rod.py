@@ -3,7 +3,8 @@
 It knows nothing of the package. Places, turns and moments along the line are the solution of a
 boundary value problem (`scipy.integrate.solve_bvp`); where it stands, the curvature is the one that
 a spring and stops answer a moment with. What the stops remember is kept at stations and is taken as
-straight between them. A line that jumps is not followed.
+straight between them. A line that jumps is not followed, and one where many stops begin to slide
+may want more stations than there are: `RuntimeError`.
 
 Inside, lengths are in the line's length and moments in first bending stiffness over it. Frames are
 unit quaternions (w, x, y, z); their third axis points along the line.
@@ -96,7 +97,7 @@ class SpaceRod:
             tol=_TOLERANCE,
             max_nodes=_MOST,
         )
-        assert found.success, found.message
+        _require(found.success, found.message)
         self.force = np.asarray(found.p)
         self._keep(np.asarray(found.sol(self.along)))
         self.far_moment = self.state[7:, -1].copy()
@@ -134,7 +135,7 @@ class SpaceRod:
             return self._slopes(at, y, self.force)
 
         found = solve_bvp(slopes, ends, self.along, self.state, tol=_TOLERANCE, max_nodes=_MOST)
-        assert found.success, found.message
+        _require(found.success, found.message)
         self._keep(np.asarray(found.sol(self.along)))
 
     def _keep(self, state: Numbers) -> None:
@@ -205,6 +206,11 @@ class SpaceRod:
         tangent = (law.spring + (share * law.stiffness).sum(axis=1))[:, None, None] * np.eye(2)
         tangent = tangent - np.einsum("ns,nsx,nsy->nxy", weighted, unit, unit)
         return work, slope, tangent, bent[:, None, :] - held
+
+
+def _require(is_solved: bool, message: str) -> None:
+    if not is_solved:
+        raise RuntimeError(message)
 
 
 def turned(q: Numbers, vector: Numbers) -> Numbers:
