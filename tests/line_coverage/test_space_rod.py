@@ -87,5 +87,5 @@ def test_truths_are_put_beside_each_other_by_the_width_of_a_band() -> None:
 
 
 def test_a_line_that_it_cannot_follow_is_said() -> None:
-    with pytest.raises(RuntimeError, match="mesh nodes"):
+    with pytest.raises(RuntimeError, match=r"singular Jacobian|mesh nodes"):
         rod().hold(np.array([3.0 * LENGTH, 0.0, 0.0]), ALONG_X)
