@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ProcessingError, complaint
 from labpipe.protocol.harness_file import HarnessFile
+from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_bands import Followed, HarnessBands, harness_bands
+from labpipe.studies.harness_coarse import coarse_doubt, remembers, walked_otherwise
 from labpipe.studies.harness_line import Inputs, Laid, laid
 from labpipe.studies.harness_numbers import (
     Bend,
@@ -148,7 +150,7 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
     intervals = {} if bands is None else bands.intervals
     results = (
-        results_of(numbers_of(path, ready), reasons, intervals, _doubts(path, ready))
+        results_of(numbers_of(path, ready), reasons, intervals, _doubts(path, ready, intervals))
         if is_whole
         else ()
     )
@@ -159,8 +161,12 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
     )
 
 
-def _doubts(path: RodPath, ready: Laid) -> list[Doubt]:
-    return [each for each in (jump_doubt(path), unloading_doubt(path, ready)) if each is not None]
+def _doubts(path: RodPath, ready: Laid, intervals: Mapping[str, Interval]) -> list[Doubt]:
+    found = [jump_doubt(path), unloading_doubt(path, ready)]
+    if remembers(ready):
+        other = walked_otherwise(ready, len(path.states) - 1)
+        found.append(coarse_doubt(path, ready, other, intervals))
+    return [each for each in found if each is not None]
 
 
 _SAID_ALREADY = {"beyond_tested"}

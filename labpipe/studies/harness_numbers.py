@@ -273,9 +273,9 @@ def results_of(
 
 def _own(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
     """Why this number is doubtful, of the doubts that touch some."""
-    is_on_the_way = number.name == ON_THE_WAY
     for each in doubts:
-        if number.name.startswith(each.names) and not is_on_the_way:
+        is_meant = number.name != ON_THE_WAY or ON_THE_WAY in each.names
+        if number.name.startswith(each.names) and is_meant:
             yield each.reason
 
 

@@ -1,0 +1,191 @@
+"""Whether the steps of a harness are fine enough: the same line in half as many steps, or twice.
+
+Sliders and friction remember the way, and a step is a straight piece of it. The error of that falls
+at least as fast as the steps, so that what half as many steps change is what they may still be off.
+Steps that the corners of a path need are kept; where that is most of them, each is halved instead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
+from labpipe.rod import boundaries as rod
+from labpipe.rod.path import RodPath
+from labpipe.rod.rotations import conjugate, multiply, rotation_vectors, unit
+from labpipe.rod.statics import follow
+from labpipe.studies.harness_line import Laid
+from labpipe.studies.harness_numbers import Doubt, Number, numbers_of
+
+ALLOWED = 0.02
+"""Of a number, by which half as many steps may change it."""
+OF_BAND = 0.1
+"""Of the width of its band, by which they may, where that is more."""
+_HEIGHT = 0.05
+"""Of the line's length: a coordinate is off by a share of this at least."""
+_NOTHING = 1e-3
+"""Of the largest number of its unit: a smaller one is nothing."""
+_CORNER = 0.05
+"""Of the largest move of a step, by which the next one differs where a path has a corner."""
+_MOST_KEPT = 0.75
+"""Of the steps: where corners need more of them there is no walk in half as many."""
+_PATHS = ("position", "frame", "anchor", "force", "moment", "vector")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OtherWalk:
+    """A line in other steps.
+
+    Parameters
+    ----------
+    times : in steps of the first walk, of each of its steps
+    laid : the line with paths at these times
+    path : as followed
+    """
+
+    times: Floats
+    laid: Laid
+    path: RodPath
+
+    @property
+    def words(self) -> str:
+        """How many steps it has."""
+        return "twice as many" if np.any(self.times % 1.0 > 0.0) else "half as many"
+
+
+def remembers(laid: Laid) -> bool:
+    """Whether anything of a line hangs on its way: sliders, or friction of a plane.
+
+    Parameters
+    ----------
+    laid : line and boundaries
+    """
+    rough = (isinstance(each, rod.Plane) and each.friction > 0.0 for each in laid.boundaries)
+    return len(laid.line.section.law.stiffnesses) > 0 or any(rough)
+
+
+def kept_rows(boundaries: Sequence[rod.Boundary], steps: int) -> Ints:
+    """Every other step, and those in which a path has a corner or something lets go.
+
+    Parameters
+    ----------
+    boundaries : of the walk
+    steps : of it
+    """
+    wanted = {0, steps}
+    for each in boundaries:
+        release = getattr(each, "release", None)
+        wanted |= set() if release is None else {release - 1, release}
+        for name in _PATHS:
+            wanted |= set(_corners(getattr(each, name, None), is_frame=name == "frame"))
+    rows = [0]
+    for step in range(1, steps + 1):
+        if step in wanted or step - rows[-1] == 2:
+            rows.append(step)
+    return np.array(rows)
+
+
+def _corners(path: Floats | None, *, is_frame: bool) -> Iterator[int]:
+    if path is None or path.ndim != 2 or len(path) < 3:
+        return
+    moves = np.diff(path, axis=0)
+    if is_frame:
+        moves = rotation_vectors(multiply(conjugate(path[:-1]), path[1:]))
+    most = _CORNER * float(np.max(np.linalg.norm(moves, axis=1)))
+    yield from (np.flatnonzero(np.linalg.norm(np.diff(moves, axis=0), axis=1) > most) + 1).tolist()
+
+
+def walked_otherwise(laid: Laid, steps: int) -> OtherWalk:
+    """Follow a line in about half as many steps, or in twice as many where corners need them.
+
+    Parameters
+    ----------
+    laid : line and boundaries
+    steps : of its walk
+    """
+    times = kept_rows(laid.boundaries, steps).astype(np.float64)
+    if len(times) - 1 > _MOST_KEPT * steps:
+        times = 0.5 * np.arange(2 * steps + 1)
+    other = replace(laid, boundaries=tuple(_at_times(each, times) for each in laid.boundaries))
+    return OtherWalk(times, other, follow(other.line, other.boundaries, steps=len(times) - 1))
+
+
+def _at_times(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
+    changes: dict[str, object] = {}
+    low, high = np.floor(times).astype(int), np.ceil(times).astype(int)
+    for name in _PATHS:
+        path = getattr(boundary, name, None)
+        if path is not None and path.ndim == 2 and len(path) > 1:
+            between = 0.5 * (path[low] + path[high])
+            changes[name] = unit(between) if name == "frame" else between
+    if getattr(boundary, "release", None) is not None:
+        held = boundary.release - 1  # type: ignore[union-attr]
+        changes["release"] = int(np.searchsorted(times, held, side="right"))
+    return replace(boundary, **changes)  # type: ignore[arg-type]
+
+
+def coarse_doubt(
+    path: RodPath, laid: Laid, other: OtherWalk, intervals: Mapping[str, Interval]
+) -> Doubt | None:
+    """Why numbers are doubtful that other steps would change; None where there are none.
+
+    Parameters
+    ----------
+    path, laid : of the walk
+    other : the same line in other steps
+    intervals : by name, of those numbers that have one
+    """
+    numbers, steps = numbers_of(path, laid), len(path.states) - 1
+    if other.path.status == "failed":
+        message = (
+            f"in {other.words} steps the line cannot be followed ({other.path.reasons[0].code}), "
+            f"so that nothing says whether {steps} are enough: take {2 * steps}"
+        )
+        return Doubt(Reason("too_coarse", message), tuple(each.name for each in numbers))
+    others = {each.name: each.value for each in numbers_of(other.path, other.laid)}
+    off = {
+        each.name: abs(others[each.name] - each.value) / _allowed(each, numbers, laid, intervals)
+        for each in numbers
+        if math.isfinite(each.value) and math.isfinite(others[each.name])
+    }
+    too_far = {name: share for name, share in off.items() if share > 1.0}
+    if not too_far:
+        return None
+    wanted = steps * math.ceil(max(too_far.values()))
+    message = (
+        f"{other.words} steps change it by more than {100.0 * ALLOWED:g} % (or "
+        f"{100.0 * OF_BAND:g} % of its band), most at {_worst(path, laid, other)}: {steps} steps "
+        f"are too few; {wanted} should do"
+    )
+    return Doubt(Reason("too_coarse", message), tuple(too_far))
+
+
+def _allowed(
+    number: Number, numbers: Sequence[Number], laid: Laid, intervals: Mapping[str, Interval]
+) -> float:
+    """By how much a number may change; one that is nothing beside its like counts as that."""
+    like = (abs(each.value) for each in numbers if each.unit == number.unit)
+    size = max(abs(number.value), _NOTHING * max(value for value in like if math.isfinite(value)))
+    if number.is_signed:
+        size = max(size, _HEIGHT * laid.line.length)
+    band = intervals.get(number.name)
+    width = 0.0 if band is None else OF_BAND * (band.upper - band.lower)
+    return max(ALLOWED * size, width) or math.inf
+
+
+def _worst(path: RodPath, laid: Laid, other: OtherWalk) -> str:
+    """Step and place where the bending moments of both walks part most."""
+    at = np.flatnonzero(other.times % 1.0 == 0.0)
+    steps = other.times[at].astype(int)
+    first = np.array([path.states[step].moments for step in steps])
+    second = np.array([other.path.states[row].moments for row in at])
+    apart = np.linalg.norm(second - first, axis=3).max(axis=2)
+    row, node = divmod(int(np.argmax(np.diff(apart, axis=0, prepend=0.0))), apart.shape[1])
+    place = 1e3 * laid.line.stations[node]
+    return f"step {steps[row]}, {place:.4g} mm from the start"
