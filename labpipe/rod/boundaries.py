@@ -60,8 +60,8 @@ class Held:
     position : path, m, shape (steps + 1, 3)
     frame : path, unit quaternions, shape (steps + 1, 4): the frame of the line at the node (d3
         along it), both elements there grow out of it; None: the node is pinned and may turn
-    release : the first step in which it holds no more; None holds on. What it carried is taken
-        away gradually within that step, so that the line's memory follows
+    release : the first step in which it holds no more; None holds on. What it carried is gone at
+        once: each cell goes straight to its new curvature, or the line falls from where it was held
     name : for messages
 
     Raises

@@ -38,8 +38,6 @@ _AT_REST = 1e-6
 """Of the line's length: what moves by less does not move."""
 _LET_DOWN = 400
 """Steps, at most, in which a line is let down."""
-_FADING = 1.0 / 32.0
-"""Of a step, at most, while what a grip carried fades: the memory follows the way of the line."""
 _KICKS = (0.0, 1e-3, 1e-2)
 """Of the line's length, or rad: how far a line that finds no way on is moved off."""
 
@@ -248,8 +246,9 @@ class _Walk:
         return True
 
     def _walk_to(self, goal: float) -> None:
-        part = most = _FADING if self.fading else 1.0
-        smallest = self.settings.smallest_part
+        part = 1.0
+        # what is let go has no force of constant direction on its way: at once, or it falls
+        smallest = 1.0 if self.fading else self.settings.smallest_part
         was_refused = False
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
@@ -260,13 +259,13 @@ class _Walk:
                 part *= 0.5
                 continue
             if settled is None:
-                self._let_down(goal if self.fading else time, is_unstable=False)
+                self._let_down(time, is_unstable=False)
                 continue
             self._commit(time, settled)
             if is_lost:
-                self._leave(goal if self.fading else time)
+                self._leave(time)
             if self._is_doubtful if is_lost else not before:
-                part = min(most, 2.0 * part)
+                part = min(1.0, 2.0 * part)
 
     def _is_stable(self, settled: Settled) -> bool:
         return not self.is_checked or self.check.is_stable(settled.balance, settled.shape)
