@@ -132,7 +132,6 @@ CODES = {
     "no_equilibrium": "no equilibrium follows, however small the step",
     "left_ring": "an end of the line slid out of a ring",
     "folded": "the line turns at one node by more than an element can follow",
-    "too_coarse": "a step turns the line too far, and halving it did not help",
     "unstable": "the equilibrium found is not stable, and none that is was reached from it",
     "whirls": "moments of constant direction would set the line whirling where it is found",
     "beyond_law": "the curvature passed the range of the law",
