@@ -109,9 +109,9 @@ def walked_otherwise(laid: Laid, steps: int) -> OtherWalk:
     laid : line and boundaries
     steps : of its walk
     """
-    times = kept_rows(laid.boundaries, steps).astype(np.float64)
+    times = np.asarray(kept_rows(laid.boundaries, steps), dtype=np.float64)
     if len(times) - 1 > _MOST_KEPT * steps:
-        times = 0.5 * np.arange(2 * steps + 1)
+        times = np.linspace(0.0, steps, 2 * steps + 1, dtype=np.float64)
     other = replace(laid, boundaries=tuple(_at_times(each, times) for each in laid.boundaries))
     return OtherWalk(times, other, follow(other.line, other.boundaries, steps=len(times) - 1))
 
@@ -124,9 +124,9 @@ def _at_times(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
         if path is not None and path.ndim == 2 and len(path) > 1:
             between = 0.5 * (path[low] + path[high])
             changes[name] = unit(between) if name == "frame" else between
-    if getattr(boundary, "release", None) is not None:
-        held = boundary.release - 1  # type: ignore[union-attr]
-        changes["release"] = int(np.searchsorted(times, held, side="right"))
+    release = getattr(boundary, "release", None)
+    if release is not None:
+        changes["release"] = int(np.searchsorted(times, release - 1, side="right"))
     return replace(boundary, **changes)  # type: ignore[arg-type]
 
 
