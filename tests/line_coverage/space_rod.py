@@ -109,9 +109,13 @@ class SpaceRod:
         self._loaded()
 
     def let_go(self) -> None:
-        """Take away what holds the far end, force and moment in proportion."""
-        force, moment = self.force, self.far_moment
+        """Take away what holds the far end, at once: on its way the line remembers nothing.
+
+        The equilibrium is looked for with ever less of the force and the moment.
+        """
+        force, moment, rests = self.force, self.far_moment, self.rests
         for share in np.linspace(1.0, 0.0, _RELEASE + 1)[1:]:
+            self.rests = rests
             self.force, self.far_moment = share * force, share * moment
             self._loaded()
 
