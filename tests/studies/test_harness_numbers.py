@@ -160,16 +160,16 @@ def test_a_bend_that_is_let_go_is_kept_by_masings_rule(tmp_path: Path) -> None:
     free = RELEASED + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n"
     _, ready, path = followed(tmp_path, free)
     law, held = ready.line.section.law, path.states[8]
-    foretold = kept_curvature(held, law)
+    predicted = kept_curvature(held, law)
     bent = curvature_of(held, ready.line)
     was_bent = bent > 1.0
     left = curvature_of(path.last, ready.line)
-    assert left[was_bent] == pytest.approx(foretold[was_bent], abs=0.02 * foretold.max())
+    assert left[was_bent] == pytest.approx(predicted[was_bent], abs=0.02 * predicted.max())
     node = int(np.argmax(bent))
     first = np.geomspace(1e-4, 1.0, 20_000) * bent[node]
     moment = slider_moment(law, first)
     half = float(np.interp(0.5 * moment[-1], moment, first))
-    assert foretold[node] == pytest.approx(bent[node] - 2.0 * half, abs=0.01 * bent[node])
+    assert predicted[node] == pytest.approx(bent[node] - 2.0 * half, abs=0.01 * bent[node])
 
 
 def test_curvature_at_rest_counts_in_the_radius(tmp_path: Path) -> None:
