@@ -1,7 +1,8 @@
 """Count how often intervals hold the truth.
 
 ``run`` goes on where it stopped, for some minutes, and may be killed at any time; ``status`` says
-whether the page still holds; ``publish`` puts what was counted on the page. With
+whether the page still holds; ``publish`` puts what was counted on the page; ``keep`` puts the lines
+of a study that is not whole into the project, so that it goes on from them on any machine. With
 ``--calibrations`` it is the study of calibrations, whose kinds are chosen by words of their names,
 such as ``foreign A2``.
 """
@@ -14,13 +15,13 @@ from pathlib import Path
 
 from tests.coverage import wire_judgement, wire_study
 from tests.coverage.page import PAGE, publish, published_digest, tables
-from tests.coverage.study import FILE, KINDS, carry_on, missing, read, rests_on
+from tests.coverage.study import FILE, KINDS, carry_on, keep, missing, read, rests_on
 from tests.coverage.wire_campaigns import KINDS as WIRE_KINDS
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.coverage", description=__doc__)
-    parser.add_argument("task", choices=["run", "status", "show", "publish"])
+    parser.add_argument("task", choices=["run", "status", "show", "publish", "keep"])
     parser.add_argument(
         "kinds", nargs="*", metavar="KIND", help="such as lab/pet-tape; all if none"
     )
@@ -30,6 +31,8 @@ def main() -> int:
     parser.add_argument("--file", type=Path, help="of the lines")
     parser.add_argument("--calibrations", action="store_true", help="the study of calibrations")
     options = parser.parse_args()
+    if options.task == "keep" and not options.calibrations:
+        parser.error("only lines of calibrations are kept: the other study is made in one piece")
     options.file = options.file or (wire_study.FILE if options.calibrations else FILE)
     return (WIRE_TASKS if options.calibrations else TASKS)[options.task](options)
 
@@ -97,12 +100,18 @@ def _publish_wires(options: argparse.Namespace) -> int:
     return 0
 
 
+def _keep_wires(options: argparse.Namespace) -> int:
+    print(keep(options.file, wire_study.read(options.file)).name)
+    return 0
+
+
 TASKS = {"run": _run, "status": _status, "show": _show, "publish": _publish}
 WIRE_TASKS = {
     "run": _run_wires,
     "status": _status_of_wires,
     "show": _show_wires,
     "publish": _publish_wires,
+    "keep": _keep_wires,
 }
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ rests on; where that has changed since, the test is made again.
 from __future__ import annotations
 
 import json
+import lzma
 import os
 import shutil
 import subprocess
@@ -26,6 +27,8 @@ from tests.coverage import lab
 from tests.coverage.rests_on import ROOT, digest, together
 from tests.foreign import processed as foreign
 
+KEPT = ROOT / "tests" / "coverage" / "kept"
+"""Lines of studies that are not whole, compressed."""
 Each = TypeVar("Each")
 
 Line = dict[str, Any]
@@ -97,17 +100,50 @@ def read_lines(file: Path, kinds: Iterable[str], rests_on: str) -> list[Line]:
 
     Parameters
     ----------
-    file : of the lines; need not be there
+    file : of the lines; need not be there. Lines that were kept of it come before them, see `keep`
     kinds : names, in the order wanted; lines of others are left out
     rests_on : digest that a line must rest on
     """
     order = {name: number for number, name in enumerate(kinds)}
     found: dict[tuple[int, int], Line] = {}
-    for text in file.read_text(encoding="utf-8").split("\n") if file.is_file() else ():
+    for text in [*_kept(file), *_written(file)]:
         line = whole(text)
         if line and line["kind"] in order and line["rests_on"] == rests_on:
             found[order[line["kind"]], line["seed"]] = line
     return [line for _, line in sorted(found.items(), key=lambda each: each[0])]
+
+
+def keep(file: Path, lines: Iterable[Line]) -> Path:
+    """Keep the lines of a study that is not whole, for `read_lines` to begin with on any machine.
+
+    Parameters
+    ----------
+    file : of the lines, by whose name they are kept
+    lines : that still hold; without any, what was kept before goes
+
+    Returns
+    -------
+    Where they are kept.
+    """
+    kept, text = _kept_file(file), "".join(f"{json.dumps(line)}\n" for line in lines)
+    kept.unlink(missing_ok=True)
+    if text:
+        kept.parent.mkdir(exist_ok=True)
+        kept.write_bytes(lzma.compress(text.encode(), preset=9))
+    return kept
+
+
+def _kept_file(file: Path) -> Path:
+    return KEPT / f"{file.name}.xz"
+
+
+def _kept(file: Path) -> list[str]:
+    kept = _kept_file(file)
+    return lzma.decompress(kept.read_bytes()).decode().split("\n") if kept.is_file() else []
+
+
+def _written(file: Path) -> list[str]:
+    return file.read_text(encoding="utf-8").split("\n") if file.is_file() else []
 
 
 def line_of(kind: str, seed: int, rests_on: str, make: Callable[[], Line]) -> Line:

@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.wire.calibration.wire_parts import loading_table, take_apart
 from labpipe.wire.heavy_loading import heavy_states
-from tests.coverage import wire_campaigns
+from tests.coverage import study, wire_campaigns
 from tests.coverage.study import append
 from tests.coverage.wire_campaigns import (
     DEEPEST,
@@ -155,3 +155,21 @@ def test_the_page_says_what_was_counted(tmp_path: Path) -> None:
     assert "1 ended without a calibration" in text
     assert "3 hold significantly less often than in 95 %" in text
     assert "**160 of 200**" in tables(lines, "abc")
+
+
+def test_lines_that_are_kept_come_before_those_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study, "KEPT", tmp_path / "kept")
+    file = tmp_path / "lines.jsonl"
+    old = [line(FIRST, FIRST_SEED), line(FIRST, FIRST_SEED + 1)]
+    kept = study.keep(file, old)
+    assert read(file) == old, "without a file"
+    newer = line(FIRST, FIRST_SEED + 1, seconds=2.0)
+    append(file, newer)
+    append(file, line(FIRST, FIRST_SEED + 2))
+    assert [each["seconds"] for each in read(file)] == [1.0, 2.0, 1.0]
+    assert (FIRST, FIRST_SEED) not in missing(file)
+    study.keep(file, ())
+    assert not kept.exists()
+    assert len(read(file)) == 2
