@@ -8,7 +8,7 @@ bound, and a search goes down from each of its dips.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -122,11 +122,7 @@ def settle(problem: Problem, logs: Floats, free: Flags, *, scatter: float | None
         If the model cannot follow the curves at any start.
     """
     levels = Levels(1.0, 0.0, _FIRST_SCATTER if scatter is None else scatter)
-    tried = (_from(problem, levels, start, free) for start in _starts(problem, logs, free))
-    first = next((fit for fit in tried if fit is not None), None)
-    if first is None:
-        message = "the model cannot follow the curves at any of the starts"
-        raise ValueError(message)
+    first = _first(problem, levels, _starts(problem, logs, free), free)
     fit, levels = refine(problem, first, levels, free, scatter=scatter)
     line = line_of(problem, levels, fit, free)
     valleys = leasts(problem, levels, line, fit, free)
@@ -189,12 +185,16 @@ def refine(
     return fit, levels
 
 
-def _from(problem: Problem, levels: Levels, logs: Floats, free: Flags) -> Fit | None:
-    start = Point(logs, 0.0, np.zeros(problem.n_samples))
-    try:
-        return search(problem, levels, start, free)
-    except ValueError:
-        return None
+def _first(problem: Problem, levels: Levels, starts: Iterable[Floats], free: Flags) -> Fit:
+    """Fit from the first start that the model can follow."""
+    why = ""
+    for logs in starts:
+        try:
+            return search(problem, levels, Point(logs, 0.0, np.zeros(problem.n_samples)), free)
+        except ValueError as error:
+            why = why or str(error)
+    message = f"the model cannot follow the curves at any of the starts; at the first: {why}"
+    raise ValueError(message)
 
 
 def _within(point: Point, levels: Levels) -> Point:

@@ -43,7 +43,7 @@ _REFINED, _BEYOND = 24, 4.0  # friction: knots between the onsets, how far beyon
 _STRAIGHT = 1e-9  # of the first slope: a smaller change of slope is no corner
 _POINTS = 44  # of a loading curve
 _REACH, _CROWDED = 8.0, 1.5  # logarithm of last over first curvature; closer towards the last
-_SAME = 1e-6
+_SAME, _SAME_END = 1e-6, 1e-9
 _FINER, _BESIDE = 4, 1e-9  # of a table: knots in each panel, and how far beside a corner it is
 
 
@@ -81,6 +81,10 @@ class CopperPart:
     last: float
     table: CubicSpline
 
+    def stretch(self, scale: float) -> float:
+        """How much further a curvature is at a copper scale."""
+        return float(scale ** (1.0 / (1.0 - self.exponent))) if self.exponent > 0.0 else 1.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireParts:
@@ -107,6 +111,23 @@ class WireParts:
         """Whether each of `PARAMETERS` acts on the wire."""
         yields = any(part.exponent > 0.0 for part in self.copper)
         return self.friction is not None, self.inertia > 0.0, yields
+
+    def reach(self, values: Floats) -> tuple[float, str]:
+        """Largest curvature that all parts are known up to, 1/m, and the sentence on it.
+
+        Parameters
+        ----------
+        values : shape (3,), of `PARAMETERS`
+        """
+        ends = [(np.inf, "")]
+        if self.tube is not None:
+            last = float(np.exp(self.tube.x[-1]))
+            ends.append((last, f"the insulation is known up to {last:.6g} 1/m"))
+        for part in self.copper:
+            last = part.last * part.stretch(float(values[2]))
+            scaled = f" at a copper scale of {values[2]:.4g}" if part.exponent > 0.0 else ""
+            ends.append((last, f"the material is known up to {last:.6g} 1/m{scaled}"))
+        return min(ends)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,11 +201,6 @@ def _wall(parts: WireParts, modulus: float, curvature: Floats) -> tuple[Floats, 
     if parts.tube is None:
         return stiffness * curvature, np.full_like(curvature, stiffness), energy
     first, last = np.exp(parts.tube.x[[0, -1]])
-    if curvature.max() > last * (1.0 + 1e-9):
-        message = (
-            f"curvature={curvature.max():.6g} 1/m: the insulation is known up to {last:.6g} 1/m"
-        )
-        raise ValueError(message)
     level = np.log(np.clip(curvature, first, last))
     share, work = parts.tube(level).T
     bend = np.where(curvature > first, parts.tube(level, 1)[:, 0], 0.0)
@@ -232,8 +248,9 @@ def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> L
     Raises
     ------
     ValueError
-        If a strand is bent beyond the known part of its material's curve.
+        If a strand or the insulation is bent beyond the known part of its material's curve.
     """
+    _require_known(parts, values, largest_curvature)
     edges, points = _edges(parts, values, largest_curvature)
     places, weights = panel_rule(NODES)
     width = np.diff(edges)[:, None]
@@ -265,8 +282,9 @@ def loading_table(parts: WireParts, values: Floats, largest_curvature: float) ->
     Raises
     ------
     ValueError
-        If a strand is bent beyond the known part of its material's curve.
+        If a strand or the insulation is bent beyond the known part of its material's curve.
     """
+    _require_known(parts, values, largest_curvature)
     edges, _ = _edges(parts, values, largest_curvature)
     shares = np.arange(_FINER) / _FINER
     fine = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
@@ -277,6 +295,13 @@ def loading_table(parts: WireParts, values: Floats, largest_curvature: float) ->
         changes.append(-_moment_change(parts, values, side) * slopes[-1])
     moment = _bend(parts, values, curvature).moment
     return LoadingTable(moment, curvature, *slopes, *changes)
+
+
+def _require_known(parts: WireParts, values: Floats, curvature: float) -> None:
+    reach, known = parts.reach(values)
+    if curvature > reach * (1.0 + _SAME_END):
+        message = f"curvature={curvature:.6g} 1/m: {known}"
+        raise ValueError(message)
 
 
 def _moment_change(parts: WireParts, values: Floats, curvature: Floats) -> Floats:
@@ -348,13 +373,7 @@ def _rub(part: FrictionPart, force: float, curvature: Floats) -> tuple[Floats, F
 
 def _yield(part: CopperPart, scale: float, curvature: Floats) -> tuple[Floats, Floats, Floats]:
     """Own moment of strands, its slope and energy at a copper scale."""
-    stretch = scale ** (1.0 / (1.0 - part.exponent)) if part.exponent > 0.0 else 1.0
-    if curvature.max() > part.last * stretch:
-        message = (
-            f"curvature={curvature.max():.6g} 1/m: the material is known up to "
-            f"{part.last * stretch:.6g} 1/m at a copper scale of {scale:.4g}"
-        )
-        raise ValueError(message)
+    stretch = part.stretch(scale)
     level = np.log(np.maximum(curvature / stretch, part.first))
     secant, energy = part.table(level).T
     bend = part.table(level, 1)[:, 0]
@@ -399,16 +418,24 @@ def loading_curve(
     Raises
     ------
     ValueError
-        If first loading ends before the deflection.
+        If a material's curve ends before the wire is bent so far.
     """
     share = min(deflection / length, 0.9)
-    largest = _MARGIN * 3.0 * share / (1.0 - share**2) / length
+    reach, known = parts.reach(values)
+    largest = min(reach, _MARGIN * 3.0 * share / (1.0 - share**2) / length)
     if self_weight > 0.0:
-        table = loading_table(parts, values, _FARTHER * largest)
-        return load_heavy(table, length, rig, self_weight, deflection)
+        end = min(reach, _FARTHER * largest)
+        curve = load_heavy(loading_table(parts, values, end), length, rig, self_weight, deflection)
+        _require_known(parts, values, float(curve.clamp_curvature.max()))
+        return curve
     curve = load_cantilever(loading_law(parts, values, largest), length, rig)
     while curve.deflection[-1] < deflection and curve.clamp_curvature[-1] >= largest:
-        largest *= _WIDER
+        if largest >= reach:
+            left = deflection - curve.deflection[-1]
+            rise = np.gradient(curve.clamp_curvature, curve.deflection)[-1]
+            message = f"curvature={reach + rise * left:.6g} 1/m: {known}"
+            raise ValueError(message)
+        largest = min(reach, _WIDER * largest)
         curve = load_cantilever(loading_law(parts, values, largest), length, rig)
     return curve
 

@@ -1,13 +1,25 @@
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from labpipe.records.arrays import Floats
 from labpipe.wire.calibration.measured_curves import shared_errors
-from labpipe.wire.calibration.wire_parts import gram, loading_curve, model_forces, take_apart
-from tests.builders.loading_tests import TRUTH, exact_curve, measured, rig_of, wire_of
+from labpipe.wire.calibration.wire_parts import (
+    WireParts,
+    gram,
+    loading_curve,
+    model_forces,
+    take_apart,
+)
+from labpipe.wire.first_loading import force_at
+from labpipe.wire.materials import StressTable
+from tests.builders.loading_tests import TRUTH, exact_curve, measured, rig_of, section_of, wire_of
+from tests.builders.stranded_wires import tube
 
 WIRE = wire_of("A2")
 PARTS = take_apart(WIRE.section, WIRE.contacts)
@@ -33,6 +45,60 @@ def test_beyond_first_loading() -> None:
     curve = replace(measured(samples=1, n=10)[0], length=0.06, rig=None)
     with pytest.raises(ValueError, match=r"deflection=0.05 m: the curve ends at 0.04\d+ m"):
         model_forces(PARTS, TRUTH, (curve,))
+
+
+def soft_until(strain: float) -> WireParts:
+    """A2 with an insulation whose stress table ends at a strain of its rim."""
+    strains = np.array([0.01, 0.02, 0.03, 0.1, 0.3])
+    stresses = np.array([10e6, 14e6, 18e6, 24e6, 30e6])
+    inside = strains < strain
+    table = StressTable(
+        (*strains[inside], strain),
+        (*stresses[inside], float(np.interp(strain, strains, stresses))),
+    )
+    section = replace(section_of("A2"), insulation=replace(tube(1.6e-3), curve=table))
+    return take_apart(section, WIRE.contacts)
+
+
+def hard_until(strain: float) -> WireParts:
+    """A2 with strands of one ring and a stress table of the copper that ends at a strain."""
+    strains = np.array([1e-3, 0.01, 0.02])
+    stresses = np.array([110e6, 200e6, 230e6])
+    inside = strains < strain
+    table = StressTable(
+        (*strains[inside], strain),
+        (*stresses[inside], float(np.interp(strain, strains, stresses))),
+    )
+    section = section_of("A2")
+    layers = tuple(replace(layer, material=table) for layer in section.layers)
+    return take_apart(replace(section, layers=layers), WIRE.contacts)
+
+
+@pytest.mark.parametrize(("parts_until", "radius"), [(soft_until, 0.8e-3), (hard_until, None)])
+@pytest.mark.parametrize("weight", [0.0, 0.05])
+def test_a_stress_table_need_reach_no_further_than_the_tests(
+    parts_until: Callable[[float], WireParts], radius: float | None, weight: float
+) -> None:
+    """The curve of a table that ends just beyond is that of one that goes on."""
+    rim = radius or max(layer.diameter for layer in section_of("A2").layers) / 2.0
+
+    def curve(parts: WireParts) -> tuple[Floats, float]:
+        loading = loading_curve(parts, TRUTH, 0.085, rig_of(0.085), 0.05, self_weight=weight)
+        at = np.linspace(0.001, 0.05, 30)
+        bent = np.interp(0.05, loading.deflection, loading.clamp_curvature)
+        return force_at(loading, at)[0], float(bent)
+
+    far, bent = curve(parts_until(12.0 * rim * 10.0))
+    near, _ = curve(parts_until(1.1 * rim * bent))
+    assert near == pytest.approx(far, rel=2e-4)
+    known = 0.9 * rim * bent
+    match = r"curvature=([\d.]+) 1/m: the (insulation|material).* is known up to ([\d.]+)"
+    with pytest.raises(ValueError, match=match) as caught:
+        curve(parts_until(known))
+    found = re.search(match, str(caught.value))
+    assert found is not None
+    assert float(found[1]) == pytest.approx(bent, rel=0.02)
+    assert float(found[3]) == pytest.approx(known / rim, rel=1e-5)
 
 
 def test_gram_is_of_weighted_columns() -> None:
