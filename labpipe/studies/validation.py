@@ -25,6 +25,7 @@ from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
 from labpipe.wire.calibration.prediction import predict
+from labpipe.wire.calibration.wire_parts import take_apart
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -69,12 +70,14 @@ def bent_shapes(
         return ()
     lift = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
     rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
+    parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
+    known, _ = parts.reach(parts.given)
     found = []
     for wanted in deepest * np.arange(1, STEPS + 1) / STEPS:
         reached = np.flatnonzero(rise >= wanted)
         if len(reached):
             frame = int(reached[0])
-            model = _model_shape(wire, length, rig, float(rise[frame]))
+            model = _model_shape(wire, length, rig, float(rise[frame]), known)
             found.append(
                 BentShape(float(rise[frame]), _markers(shape, frame), _fit(shape, frame), model)
             )
@@ -91,13 +94,15 @@ def _fit(shape: Shape, frame: int) -> Floats:
     return np.asarray(powers @ shape.coefficients[frame, :2].T, dtype=np.float64)
 
 
-def _model_shape(wire: Wire, length: float, rig: StringRig | None, deflection: float) -> Floats:
+def _model_shape(
+    wire: Wire, length: float, rig: StringRig | None, deflection: float, known: float
+) -> Floats:
     """Axis of the model with its tip at a deflection, from rest."""
     share = min(deflection / length, 0.9)
     law = play_law(
         wire.section,
         wire.contacts,
-        largest_curvature=8.0 * share / (1.0 - share**2) / length,
+        largest_curvature=min(known, 8.0 * share / (1.0 - share**2) / length),
         orientation=wire.orientation,
     )
     weight = wire.self_weight

@@ -113,6 +113,13 @@ def test_tests_beyond_the_range_of_the_insulation_are_told(
     found, notes = told(",pvc.csv")
     assert not notes
     assert found["stress_tables"]["insulation_table"]["temperature"] == pytest.approx(296.15)
+    # a table need not go on beyond the tests
+    (tmp_path / "pvc.csv").write_text("strain,stress_mpa\n0.028,28\n")
+    short, notes = told(",pvc.csv")
+    assert not notes
+    assert 29.0 < short["tested_curvature"] < 0.028 / 0.8e-3
+    values = [[each["value"] for each in this["parameters"]] for this in (found, short)]
+    assert values[1] == pytest.approx(values[0], rel=0.01)
 
 
 def test_figures_are_drawn(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
