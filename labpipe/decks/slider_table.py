@@ -92,6 +92,7 @@ def sliders_json(table: WireTable) -> str:
     whole = {
         **about,
         "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
+        "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
         "meaning": _MEANING,
         "stiffness": law.stiffness,
         "stiffnesses": law.stiffnesses.tolist(),

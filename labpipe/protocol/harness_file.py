@@ -362,7 +362,16 @@ _HOLDING = (*_HELD_KINDS, "string")
 class Sweep(Block):
     """The same harness for several lengths of the line: slack against bend radius."""
 
-    length: tuple[Length, ...] = Field(min_length=2, max_length=50)
+    length: tuple[Length, ...] = Field(max_length=50, json_schema_extra={"minItems": 2})
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Ask for more than one length."""
+        lengths = data.get("length") if isinstance(data, Mapping) else None
+        if not isinstance(lengths, list) or len(lengths) > 1:
+            return []
+        remedy = "Add one, or take 'sweep' away."
+        return [Fault(("length",), "two lengths or more", str(len(lengths)), remedy)]
 
 
 class HarnessFile(Block):
@@ -371,7 +380,9 @@ class HarnessFile(Block):
     version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
     about: Remark = Field("", description="What it is, in one line")
     line: LineBlock
-    boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(min_length=1)
+    boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
+        json_schema_extra={"minItems": 1}
+    )
     steps: Annotated[int, Whole(1, MOST_STEPS)] = Field(
         40, description="Equilibria after the start; more where a path is hard to follow"
     )
@@ -390,7 +401,7 @@ class HarnessFile(Block):
         listed = [each if isinstance(each, Mapping) else {} for each in data["boundaries"]]
         kinds = [each.get("kind") for each in listed]
         faults = [*_late_steps(data, listed), *_same_names(listed), *_same_places(listed)]
-        if listed and not any(kind in (*_HOLDING, None) for kind in kinds):
+        if not any(kind in (*_HOLDING, None) for kind in kinds):
             expected = "a boundary that holds the line: clip, pin, grip or string"
             faults.append(Fault(("boundaries",), expected, "none", "Add one."))
         return faults

@@ -16,6 +16,7 @@ from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.harness_file import (
     HELD,
     START,
+    Boundary,
     Clip,
     Grip,
     HarnessFile,
@@ -29,6 +30,8 @@ from labpipe.protocol.harness_file import (
 
 _BARELY = 1.0 + 1e-9
 """Times the length: a line may be straight between two clips."""
+_MOST_TURN = 180.0
+"""deg in a step: paths are rows of frames, in which a turn and one less by 360 deg are the same."""
 _NEARLY = 1e-9
 """Of the length: a line may lie on a plane."""
 
@@ -124,9 +127,10 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     A fault for each two boundaries that are too far apart, with the step and the distance; those
     of a sweep for the shortest line of it that is too short. One for each that holds the line
     nearer to a plane than half the diameter that the file states; that of a wire sheet is not
-    known here.
+    known here. One for each turn of half a turn or more in a step, which is one the other way, too.
     """
     yield from _in_planes(harness)
+    yield from _turned_too_far(harness)
     lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
     swept = harness.sweep.length if harness.sweep else ()
     lengths += sorted((each, ("sweep", "length", i)) for i, each in enumerate(swept))
@@ -160,6 +164,29 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
                 found = f"{_mm(_height(plane, low.position))} at step {low.step}"
                 remedy = "Hold it higher, or begin higher ('line.start')."
                 yield Fault(_path(tie, numbers), expected, found, remedy)
+
+
+def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
+    for number, each in enumerate(harness.boundaries):
+        for key, start, end, turn in _turns_of(each, harness.steps):
+            per_step = math.degrees(abs(turn)) / (end - start)
+            if per_step >= _MOST_TURN:
+                expected = f"less than {_MOST_TURN:g} deg of turn in a step, which has one meaning"
+                found = f"{per_step:.6g} deg in each from step {start} to {end}"
+                remedy = "Take more steps for it: raise 'steps', and 'by' or 'step'."
+                yield Fault(("boundaries", number, *key), expected, found, remedy)
+
+
+def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
+    """Where each turn is written, the steps from and to which it goes, and by how much, rad."""
+    if isinstance(boundary, Clip):
+        yield ("turn",), 0, boundary.by or steps, boundary.turn
+    elif isinstance(boundary, Grip):
+        at, before = 0, 0.0
+        for number, point in enumerate(boundary.path):
+            turn = before if point.turn is None else point.turn
+            yield ("path", number, "turn"), at, point.step, turn - before
+            at, before = point.step, turn
 
 
 def _height(plane: Plane, position: Vector3) -> float:

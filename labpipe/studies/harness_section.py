@@ -39,6 +39,7 @@ FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
 """Inputs: logarithms of what moments, torsional stiffness and mass are multiplied by."""
 DEFAULT_SHEET = "wires.xlsx"
 _MOST_BYTES = 1 << 26
+_STRAIGHT_LINE = "the straight line of its insulation"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +181,7 @@ def _of_wire(block: SectionBlock, file: Path, wires: Path | None) -> Material:
         raise ProcessingError(message) from error
     limits = {
         "its table": float(table.curvature[-1]),
-        "the straight line of its insulation": table.doubtful_curvature,
+        _STRAIGHT_LINE: table.doubtful_curvature,
     }
     if calibrated is not None and np.isfinite(calibrated.tested_curvature):
         limits["the tests of its calibration"] = calibrated.tested_curvature
@@ -256,6 +257,7 @@ def _of_deck(block: SectionBlock, path: Path) -> Material:
     said = _read_deck(path)
     try:
         first, last = map(float, said["range"]["curvature"])
+        doubtful = float(said.get("doubtful_beyond") or np.inf)
         law = SliderLaw(
             float(said["stiffness"]),
             np.array(said["stiffnesses"], dtype=np.float64),
@@ -274,9 +276,11 @@ def _of_deck(block: SectionBlock, path: Path) -> Material:
     except (KeyError, TypeError, ValueError, IndexError) as error:
         found = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
         raise _no_deck(path, "the law of a wire with its range", found) from error
+    limits = {"the range of the deck": law.last, _STRAIGHT_LINE: doubtful}
+    words = min(limits, key=lambda each: limits[each])
     return Material(
         *(str(said.get("wire", path.stem)), (partial(_changed, section),)),
-        *(law.last, "the range of the deck"),
+        *(limits[words], words),
         files=(input_file("sliders", path),),
     )
 

@@ -33,6 +33,7 @@ def test_numbers_of_the_json() -> None:
     assert found["stiffnesses"] == law.stiffnesses.tolist()
     assert found["slip_curvatures"] == law.slip_curvatures.tolist()
     assert found["error"] == law.error < 0.003
+    assert found["doubtful_beyond"] == table.doubtful_curvature == pytest.approx(37.5)
     assert found["mass_per_length"] == table.mass_per_length
     assert found["loss_card"]["sliders"]["12"] == law.error
     dahl, bent = found["dahl"], table.curvature[1:]

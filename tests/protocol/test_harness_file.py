@@ -92,6 +92,7 @@ def test_the_schema_takes_and_refuses_as_labpipe_does() -> None:
         {"boundaries": [data["boundaries"][0] | {"kind": "clib"}]},
         {"boundaries": [data["boundaries"][0] | {"position": ["0 mm", "0 mm"]}]},
         {"gravity": "down"},
+        {"sweep": {"length": ["310 mm"]}},
         {"branches": []},
     )
     for wrong in changes:
@@ -138,7 +139,7 @@ def test_the_schema_takes_and_refuses_as_labpipe_does() -> None:
         ("at: 200 mm\n", "at: 200 mm\n    holds: position\n", "(boundaries.1.path.1.direction): "),
         ("friction: 0.3", "friction: -1", "(boundaries.6.friction): expected a pure number"),
         ("steps: 30", "stpes: 30", "expected one of the keys 'steps'"),
-        ("[310 mm, 320 mm]", "[310 mm]", "(sweep.length): expected "),
+        ("[310 mm, 320 mm]", "[310 mm]", "(sweep.length): expected two lengths or more, found 1. "),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(
@@ -156,6 +157,16 @@ def test_something_must_hold_the_line(tmp_path: Path) -> None:
     with pytest.raises(ProtocolError, match="expected a boundary that holds the line: clip, pin,"):
         load(tmp_path, head + plane + "steps: 30\n")
     assert rest
+
+
+def test_a_fault_of_the_only_boundary_is_the_only_fault(tmp_path: Path) -> None:
+    head, _, _ = WHOLE.partition("boundaries:\n")
+    clip = "boundaries:\n  - {kind: clip, name: left, at: 0 mm, position: [0 mm, 0 mm, 0 mm]}\n"
+    with pytest.raises(ProtocolError) as raised:
+        load(tmp_path, head + clip)
+    assert len(str(raised.value).splitlines()) == 1
+    with pytest.raises(ProtocolError, match="expected a boundary that holds the line"):
+        load(tmp_path, head + "boundaries: []\n")
 
 
 def test_neither_weight_nor_stiffness(tmp_path: Path) -> None:

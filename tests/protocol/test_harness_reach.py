@@ -93,6 +93,19 @@ def test_a_line_may_be_straight_between_its_clips(tmp_path: Path) -> None:
             "1 mm at step 0. Hold it higher, or begin higher ('line.start').",
         ),
         (
+            "position: [10 mm, 250 mm, 0 mm]}",
+            "position: [10 mm, 250 mm, 0 mm], turn: 540 deg, by: 3}",
+            "(boundaries.1.turn): expected less than 180 deg of turn in a step, which has one "
+            "meaning, found 180 deg in each from step 0 to 3. Take more steps for it: ",
+        ),
+        (
+            "  - {kind: clip, name: right, at: end, position: [10 mm, 250 mm, 0 mm]}",
+            "  - {kind: grip, name: right, at: end, path: [{step: 4, turn: 90 deg}, {step: 6, "
+            "position: [10 mm, 250 mm, 0 mm]}, {step: 7, turn: -100 deg}]}",
+            "(boundaries.1.path.2.turn): expected less than 180 deg of turn in a step, which has "
+            "one meaning, found 190 deg in each from step 6 to 7.",
+        ),
+        (
             "bending_stiffness: 150 N*mm^2",
             "sliders: none.sliders.json\n#",
             "(line.section.sliders): expected a file, found 'none.sliders.json'. There is none at ",
@@ -125,3 +138,7 @@ def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
 def test_a_line_may_be_held_on_a_table(tmp_path: Path) -> None:
     table = "  - {kind: plane, name: table, point: [0 mm, 0 mm, -1.1 mm]}\n"
     assert load(tmp_path, BETWEEN_CLIPS + table)
+
+
+def test_many_turns_may_be_made_in_enough_steps(tmp_path: Path) -> None:
+    assert load(tmp_path, BETWEEN_CLIPS.replace("250 mm, 0 mm]", "250 mm, 0 mm], turn: 1080 deg"))

@@ -47,7 +47,8 @@ def test_a_deck_has_the_same_law(tmp_path: Path) -> None:
     assert own.law.stiffnesses == pytest.approx(other.law.stiffnesses, rel=1e-6)
     assert own.mass_per_length == pytest.approx(other.mass_per_length)
     assert found.name == "A2"
-    assert found.limit == pytest.approx(own.law.last)
+    assert found.limit == pytest.approx(wire.limit)
+    assert found.limit_words == wire.limit_words
     stiffer = found.sections[0]({"law_factor": np.log(2.0), "mass_factor": np.log(3.0)})
     assert stiffer.law.stiffnesses == pytest.approx(2.0 * own.law.stiffnesses)
     assert stiffer.law.stiffness == pytest.approx(2.0 * own.law.stiffness)
