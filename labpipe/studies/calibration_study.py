@@ -40,7 +40,6 @@ from labpipe.store.replace import locked, replacing_together
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import (
     FirstLoading,
-    insulation_note,
     read_first_loadings,
     weight_note,
     with_weight,
@@ -50,6 +49,7 @@ from labpipe.studies.validation import (
     bent_shapes,
     built_wire,
     compare,
+    insulation_notes,
     require_known,
     usual_sheet,
     wire_to_calibrate,
@@ -379,10 +379,10 @@ def calibrate_tests(
     own = [each for each in loadings if each.curve.wire == name]
     say("calibration")
     calibration = _calibration(built[name], own, asked)
-    measured, values = [each.curve for each in own], calibration.solutions[0].values
-    reach = tested_curvature(built[name], values, measured)
-    told = [note for note in (weight, insulation_note(specs[name], reach)) if note is not None]
-    calibration = replace(calibration, notes=(*calibration.notes, *told))
+    measured = [each.curve for each in own]
+    reach = tested_curvature(built[name], calibration.solutions[0].values, measured)
+    told = (weight, *insulation_notes(calibration, built, specs, loadings))
+    calibration = replace(calibration, notes=(*calibration.notes, *filter(None, told)))
     groups = compare(calibration, built, loadings)
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,

@@ -374,22 +374,27 @@ def weight_note(loadings: Sequence[FirstLoading], self_weight: float) -> Quality
     return QualityNote("weight_of_sheet", Severity.INFO, loadings[0].curve.wire, message)
 
 
-def insulation_note(spec: WireSpec, tested: float) -> QualityNote | None:
+def insulation_note(spec: WireSpec, tested: float, *, of: str = "") -> QualityNote | None:
     """Say when tests bent a wire beyond what the straight line of its insulation is taken for.
 
     Parameters
     ----------
     spec : of the wire
     tested : 1/m, largest curvature of its tests
+    of : the wire whose calibration predicts them; empty for that wire itself
     """
     limit = straight_range(spec)
     if tested <= limit:
         return None
+    by = "parameters make up for an insulation that gives way"
+    remedy = "Give the sheet an insulation_table, or the plan a smaller up_to"
+    if of:
+        by = f"what the calibration of {of} predicts is doubtful beyond"
+        remedy = "Give the sheet an insulation_table"
     message = (
         f"the tests bend {spec.name} to {tested:.3g} 1/m; from {limit:.3g} 1/m on its insulation "
         f"is strained by more than {100.0 * spec.insulation_strain:.3g} %, where its straight line "
-        f"is not taken to hold: parameters make up for an insulation that gives way. Give the "
-        f"sheet an insulation_table, or the plan a smaller up_to"
+        f"is not taken to hold: {by}. {remedy}"
     )
     return QualityNote("insulation_doubtful", Severity.WARNING, spec.name, message)
 

@@ -13,13 +13,13 @@ from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.group import Band, SampleCurve
-from labpipe.records.quality import Reason
+from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import Calibration, CurveErrors, Prediction
 from labpipe.report.calibration_shown import BentShape, ValidationGroup
 from labpipe.statistics.mean_curves import block_means, common_curves, mean_band
 from labpipe.store.read import read_result
-from labpipe.studies.first_loadings import FirstLoading
+from labpipe.studies.first_loadings import FirstLoading, insulation_note
 from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
@@ -33,6 +33,7 @@ from labpipe.wire.cantilever import (
     held_level,
     straight,
 )
+from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import build, mass_per_length
 
 STEPS = 6
@@ -295,6 +296,37 @@ def compare(
         _compared(calibration, wires[wire], groups[other, wire, length])
         for other, wire, length in sorted(groups)
     )
+
+
+def insulation_notes(
+    calibration: Calibration,
+    wires: Mapping[str, Wire],
+    specs: Mapping[str, WireSpec],
+    loadings: Sequence[FirstLoading],
+) -> tuple[QualityNote, ...]:
+    """Say which wires the tests bend beyond the straight line of their insulation.
+
+    Parameters
+    ----------
+    calibration : what was found
+    wires, specs : by name
+    loadings : all tests
+
+    Returns
+    -------
+    A note for each of them. A predicted wire that the model cannot follow as far as its tests went
+    has none: its group says so.
+    """
+    found, values = [], calibration.solutions[0].values
+    for name in sorted({each.curve.wire for each in loadings}):
+        curves = [each.curve for each in loadings if each.curve.wire == name]
+        try:
+            reach = tested_curvature(wires[name], values, curves)
+        except ValueError:
+            continue
+        of = "" if name == calibration.wire else calibration.wire
+        found.append(insulation_note(specs[name], reach, of=of))
+    return tuple(each for each in found if each is not None)
 
 
 def _compared(

@@ -11,8 +11,10 @@ from labpipe.records.group import Band
 from labpipe.records.wire_calibration import Calibration
 from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.studies.first_loadings import FirstLoading
-from labpipe.studies.validation import compare
+from labpipe.studies.validation import compare, insulation_notes
+from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from tests.builders.harness_files import SHEET
 from tests.builders.loading_tests import exact_curve, measured, wire_of
 
 CURVES = measured("A2")
@@ -68,6 +70,21 @@ def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:
     assert group.errors is None
     assert group.reason is not None
     assert group.reason.code == "no_prediction"
+
+
+def test_predictions_beyond_the_line_of_the_insulation_are_said(calibration: Calibration) -> None:
+    """The tests bend both wires to nearly 30 1/m: 1 % of strain at 12.5 and at 14.3 1/m."""
+    wires = {"A2": wire_of("A2"), "A1": wire_of("A1")}
+    known = {each.name: each for each in read_wire_sheet(SHEET)}
+    weak = {name: replace(each, insulation_strain=0.01) for name, each in known.items()}
+    both = loadings("A1", "A2")
+    assert not insulation_notes(calibration, wires, known, both)
+    predicted, own = insulation_notes(calibration, wires, weak, both)
+    assert {predicted.code, own.code} == {"insulation_doubtful"}
+    assert (predicted.where, own.where) == ("A1", "A2")
+    assert "from 14.3 1/m on" in predicted.message
+    assert "what the calibration of A2 predicts is doubtful" in predicted.message
+    assert "parameters make up for an insulation that gives way" in own.message
 
 
 def test_the_band_is_one_of_means_and_not_of_noise(calibration: Calibration) -> None:
