@@ -168,8 +168,8 @@ def bent(state: RodState) -> Floats:
     at_rest = turned / (0.5 * both.sum(axis=1, keepdims=True)) - mean
     if len(at_rest):
         at_rest = np.concatenate([at_rest[:1], at_rest, at_rest[-1:]])
-        return np.asarray((state.curvatures + at_rest[:, None, :])[:, :, :2])
-    return np.asarray(state.curvatures[:, :, :2])
+        return np.asarray((state.node_curvatures + at_rest[:, None, :])[:, :, :2])
+    return np.asarray(state.node_curvatures[:, :, :2])
 
 
 def _sizes(vectors: Floats) -> Floats:

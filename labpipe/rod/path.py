@@ -27,7 +27,9 @@ class RodState(ArrayRecord):
         before and behind every node; both are the same but where a clamp holds the node; zero
         before the first and behind the last node
     curvatures : shape (n + 1, 2, 3), 1/m, less those at rest: two bendings and the twist, in the
-        mean frame; before and behind every node as the moments
+        mean frame; before and behind every node as the moments; beside a clamp the mean of half an
+        element
+    node_curvatures : shape (n + 1, 2, 3), 1/m, the same, but carried on to the clamps
     rests : shape (n + 1, 2, sliders, 2), 1/m, where the sliders rest: the memory
     reaction_forces : shape (boundaries, 3), N, what each boundary does to the line in all
     reaction_moments : shape (boundaries, 3), N m, of clamps, about their node
@@ -42,6 +44,7 @@ class RodState(ArrayRecord):
     forces: Annotated[Floats, "elements", 3]
     moments: Annotated[Floats, "nodes", 2, 3]
     curvatures: Annotated[Floats, "nodes", 2, 3]
+    node_curvatures: Annotated[Floats, "nodes", 2, 3]
     rests: Annotated[Floats, "nodes", 2, "sliders", 2]
     reaction_forces: Annotated[Floats, "boundaries", 3]
     reaction_moments: Annotated[Floats, "boundaries", 3]
@@ -55,7 +58,7 @@ class RodState(ArrayRecord):
 
         The larger one where a clamp parts both sides.
         """
-        across = self.curvatures[:, :, :2]
+        across = self.node_curvatures[:, :, :2]
         return np.asarray(np.max(np.linalg.norm(across, axis=2), axis=1))
 
 

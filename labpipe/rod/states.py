@@ -11,7 +11,7 @@ from labpipe.rod.assembly import Assembly, Balance, Demands, Shape
 from labpipe.rod.path import RodState
 from labpipe.rod.rotations import matrices
 from labpipe.rod.schedule import Schedule
-from labpipe.rod.supports import Supports
+from labpipe.rod.supports import END_SHARE, Supports
 
 
 class Reached(Protocol):
@@ -81,6 +81,7 @@ def state_of(
         forces=now.shape.forces,
         moments=moments,
         curvatures=_at_sides(supports, cells.curvatures),
+        node_curvatures=_at_sides(supports, _to_clamps(supports, cells.curvatures)),
         rests=_at_sides(supports, now.balance.memory.rests),
         reaction_forces=reaction_forces,
         reaction_moments=reaction_moments,
@@ -88,6 +89,22 @@ def state_of(
         contact_forces=touched,
         slid=slid,
     )
+
+
+def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
+    """Curvatures of the cells, shape (cells, 3); those beside a clamp carried on to it.
+
+    Along the straight line to the next cell: a half cell bends as the line does at a share
+    `END_SHARE` of its element.
+    """
+    found, lengths = curvatures.copy(), supports.lengths
+    for end, way in ((supports.behind, -1), (supports.before, 1)):
+        at = np.flatnonzero(end < 0)
+        at = at[(at + way >= 0) & (at + way < len(end))]
+        place = END_SHARE * 2.0 * lengths[at]
+        share = place / (lengths[at] + 0.5 * lengths[at + way] - place)
+        found[at] += share[:, None] * (curvatures[at] - curvatures[at + way])
+    return found
 
 
 def _moments_in_space(assembly: Assembly, now: Reached) -> Floats:

@@ -93,7 +93,7 @@ def curvature_of(state: RodState, line: Line) -> Floats:
     -----
     The larger one where a clip parts both sides of a node.
     """
-    whole = state.curvatures[:, :, :2] + line.natural_at_nodes[:, None, :2]
+    whole = state.node_curvatures[:, :, :2] + line.natural_at_nodes[:, None, :2]
     return np.asarray(np.linalg.norm(whole, axis=2).max(axis=1))
 
 

@@ -29,7 +29,7 @@ def test_a_walk_without_a_state_has_no_last_one() -> None:
 
 def test_bendings_are_the_larger_of_both_sides_without_the_twist() -> None:
     state = walked(*space_case(steps=2), 2).last
-    across = np.hypot(state.curvatures[..., 0], state.curvatures[..., 1])
+    across = np.hypot(state.node_curvatures[..., 0], state.node_curvatures[..., 1])
     np.testing.assert_allclose(state.bendings, across.max(axis=1))
     assert state.bendings.shape == (13,)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.rod.boundaries import Held, Load, Plane, Ring, String
+from labpipe.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
 from labpipe.rod.line import straight_line
 from labpipe.rod.states import merged_rests, parted_rests
 from labpipe.rod.supports import supports_of
@@ -59,3 +59,29 @@ def test_strings_rings_and_planes_have_their_reactions() -> None:
     assert state.slid[2] == pytest.approx(LENGTH / 2.0, abs=5e-3)
     assert state.contact_forces.shape == (1, 11, 3)
     assert state.positions[-1, 2] == pytest.approx(0.05, rel=0.1)
+
+
+def test_the_bend_at_a_clamp_is_of_second_order() -> None:
+    """Against the moment that the clamp must give, over the bending stiffness."""
+    section, errors = linear_section(mass=0.05), []
+    for elements in (10, 20, 40):
+        line = straight_line(LENGTH, elements, section)
+        state = walked(line, [clamp(line), Gravity()], 1).last
+        wanted = np.linalg.norm(state.reaction_moments[0]) / section.law.stiffness
+        assert int(np.argmax(state.bendings)) == 0
+        errors.append(abs(state.bendings[0] / wanted - 1.0))
+    assert errors[0] < 0.01
+    assert errors[0] > 4.0 * errors[1] > 16.0 * errors[2]
+
+
+def test_both_sides_of_a_clamp_are_carried_on_to_it() -> None:
+    """Straight moments: exact, and nothing else is changed."""
+    line = straight_line(LENGTH, 10, linear_section())
+    held = Held(5, line.positions[5], line.frames[5])
+    loads = [Load(node, ramp((0.0, 1e-5, 0.0), 1)) for node in (0, -1)]
+    state = walked(line, [held, *loads], 1).last
+    inner = state.node_curvatures[5, :, :2]
+    next_ones, after = state.curvatures[[4, 6], 0, :2], state.curvatures[[3, 7], 0, :2]
+    np.testing.assert_allclose(inner, 2.0 * next_ones - after, rtol=1e-6)
+    others = np.delete(np.arange(11), 5)
+    np.testing.assert_array_equal(state.node_curvatures[others], state.curvatures[others])
