@@ -102,6 +102,7 @@ def _line(result: Result) -> str:
 def _limit(found: FollowedHarness) -> Iterator[str]:
     limit, bend = found.limit, found.sharpest
     verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
+    verdict += " (doubtful)" if found.is_bend_doubtful else ""
     where = f"step {bend.step}, {1e3 * bend.place:.4g} mm from the start"
     words = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.words}): {verdict}"
     yield (
@@ -113,8 +114,9 @@ def _sweep(found: FollowedHarness) -> Iterator[str]:
     if found.sweep:
         yield "  length of the line    smallest bend radius    on the way"
     for each in found.sweep:
-        if each.path.status == "failed":
-            yield f"  {1e3 * each.length:>12.5g} mm        -  {each.path.reasons[0].sentence}"
+        if each.status == "failed":
+            yield f"  {1e3 * each.length:>12.5g} mm        -  {each.reasons[0].message}"
             continue
         radius, way = 1e3 * each.bend.radius, 1e3 * each.way.radius
-        yield f"  {1e3 * each.length:>12.5g} mm{radius:>19.4g} mm{way:>14.4g} mm"
+        doubt = f"  doubtful: {each.reasons[0].code}" if each.reasons else ""
+        yield f"  {1e3 * each.length:>12.5g} mm{radius:>19.4g} mm{way:>14.4g} mm{doubt}"

@@ -18,10 +18,12 @@ from labpipe.studies.harness_bands import Followed, HarnessBands, harness_bands
 from labpipe.studies.harness_coarse import coarse_doubt, remembers, walked_otherwise
 from labpipe.studies.harness_line import Inputs, Laid, laid
 from labpipe.studies.harness_numbers import (
+    ON_THE_WAY,
     Bend,
     BendLimit,
     Doubt,
     bend_limit,
+    element_doubt,
     jump_doubt,
     numbers_of,
     reasons_of,
@@ -43,13 +45,20 @@ class Swept:
     length : m
     path : as followed
     laid : that was followed
+    reasons : why its bend is doubtful, or was not found
     bands : of the last step; None without
     """
 
     length: float
     path: RodPath
     laid: Laid
+    reasons: tuple[Reason, ...] = ()
     bands: HarnessBands | None = None
+
+    @property
+    def status(self) -> str:
+        """`ok`, `doubtful` or `failed`."""
+        return self.path.status if self.path.status == FAILED or not self.reasons else "doubtful"
 
     @property
     def bend(self) -> Bend:
@@ -113,6 +122,12 @@ class FollowedHarness:
         """The sharpest bend on the whole way."""
         return sharpest(self.path, self.laid.line, range(len(self.path.states)))
 
+    @property
+    def is_bend_doubtful(self) -> bool:
+        """Whether the sharpest bend on the whole way is."""
+        way = [each for each in self.results if each.name == ON_THE_WAY]
+        return any(each.status is Status.DOUBTFUL for each in way)
+
 
 def shown_steps(harness: HarnessFile) -> tuple[int, ...]:
     """Steps that were asked for, and the last.
@@ -162,7 +177,7 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
 
 
 def _doubts(path: RodPath, ready: Laid, intervals: Mapping[str, Interval]) -> list[Doubt]:
-    found = [jump_doubt(path), unloading_doubt(path, ready)]
+    found = [element_doubt(path, ready.line), jump_doubt(path), unloading_doubt(path, ready)]
     if remembers(ready):
         other = walked_otherwise(ready, len(path.states) - 1)
         found.append(coarse_doubt(path, ready, other, intervals))
@@ -189,7 +204,8 @@ def swept(harness: HarnessFile, file: Path, material: Material, length: float) -
         As `followed`.
     """
     path, ready, bands = _with_bands(harness, file, material, (harness.steps,), length)
-    return Swept(length, path, ready, bands)
+    reasons, coarse = reasons_of(path, ready.line, material), element_doubt(path, ready.line)
+    return Swept(length, path, ready, reasons + ((coarse.reason,) if coarse else ()), bands)
 
 
 def _with_bands(

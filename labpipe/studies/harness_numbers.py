@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -31,6 +32,9 @@ MOST_UNBENT = 0.1
 """Of its sharpest bend, by which a line may have gone back before forces hang on how it unloads."""
 _LET_GO = "what the line would keep, let go (Masing)"
 _HOLDS = rod.Held | rod.Ring | rod.String | rod.Plane
+MOST_TURN, FAR_TOO_MUCH = float(np.radians(30.0)), float(np.radians(90.0))
+"""Of one element. The smallest bend radius of a heavy line is then off by 0.3 %, of a chain that is
+lifted by 1 %; with 90 degrees by up to 7 %, forces by 1 %, the shape by 0.3 % of the length."""
 _STRAIGHT = 1e-6
 """1/m: a line that is bent by less has no bend radius worth a number."""
 
@@ -95,6 +99,12 @@ def curvature_of(state: RodState, line: Line) -> Floats:
     """
     whole = state.node_curvatures[:, :, :2] + line.natural_at_nodes[:, None, :2]
     return np.asarray(np.linalg.norm(whole, axis=2).max(axis=1))
+
+
+def turns_of(state: RodState, line: Line) -> Floats:
+    """By how much the line turns at each node over the longer element beside it, rad, (n + 1,)."""
+    lengths = np.maximum(np.append(line.lengths, 0.0), np.append(0.0, line.lengths))
+    return np.asarray(lengths * curvature_of(state, line))
 
 
 def radius_of(curvature: Floats) -> Floats:
@@ -185,6 +195,32 @@ def jump_doubt(path: RodPath) -> Doubt | None:
         "not known"
     )
     return Doubt(Reason("jumped", message), (LOST, MOMENT))
+
+
+def element_doubt(path: RodPath, line: Line) -> Doubt | None:
+    """Why numbers are doubtful, if they are: elements are too long for the bend that they follow.
+
+    Parameters
+    ----------
+    path : as followed
+    line : that was followed
+    """
+    turns = np.array([turns_of(state, line) for state in path.states])
+    row, node = divmod(int(np.argmax(turns)), turns.shape[1])
+    turn, count = float(turns[row, node]), len(line.lengths)
+    if turn <= MOST_TURN:
+        return None
+    message = (
+        f"step {row}, {_mm(line.stations[node])} from the start: the line turns by "
+        f"{np.degrees(turn):.0f} deg over one of its {count} elements, and its bend is not "
+        f"followed within 1 %: take {math.ceil(count * turn / MOST_TURN)} elements or more"
+    )
+    names: tuple[str, ...] = (ON_THE_WAY, KEPT, LOST)
+    if turn > FAR_TOO_MUCH:
+        names = ("", ON_THE_WAY)
+    elif turns[-1].max() > MOST_TURN:
+        names = (RADIUS, MOMENT, *names)
+    return Doubt(Reason("coarse_elements", message), names)
 
 
 def unloading_doubt(path: RodPath, laid: Laid) -> Doubt | None:

@@ -154,7 +154,7 @@ def _sweep_csv(sweep: Sequence[Swept]) -> str:
     after = "smallest_bend_radius_on_the_way [m],step,lowest_point [m]"
     lines = [f"length [m],{ends},{after},status,code,reason"]
     for each in sweep:
-        reason = each.path.reasons[0] if each.path.reasons else None
+        reason = each.reasons[0] if each.reasons else None
         numbers = [""] * 7
         if each.path.status != FAILED:
             lowest = float(each.path.last.positions[:, 2].min())
@@ -162,8 +162,8 @@ def _sweep_csv(sweep: Sequence[Swept]) -> str:
             low, high = _ends(each).values()
             values = (bend.radius, low, high, bend.place, way.radius, way.step, lowest)
             numbers = ["" if value is None else f"{value:.9g}" for value in values]
-        why = ["", ""] if reason is None else [reason.code, f'"{reason.sentence}"']
-        lines.append(",".join([f"{each.length:.9g}", *numbers, each.path.status, *why]))
+        why = ["", ""] if reason is None else [reason.code, f'"{reason.message}"']
+        lines.append(",".join([f"{each.length:.9g}", *numbers, each.status, *why]))
     return "\n".join(lines) + "\n"
 
 
@@ -218,12 +218,13 @@ def as_json(found: FollowedHarness) -> dict[str, object]:
             "step": bend.step,
             "place": bend.place,
             "kept": bend.radius >= limit.radius,
+            "doubtful": found.is_bend_doubtful,
         },
         "results": [result_entry(each) for each in found.results],
         "sweep": [
             {
                 "length": each.length,
-                "status": each.path.status,
+                "status": each.status,
                 "smallest_bend_radius": _finite(each.bend.radius),
                 **_ends(each),
                 "smallest_bend_radius_on_the_way": _finite(each.way.radius),

@@ -23,6 +23,7 @@ from labpipe.studies.harness_numbers import (
     Number,
     bend_limit,
     curvature_of,
+    element_doubt,
     jump_doubt,
     numbers_of,
     radius_of,
@@ -66,12 +67,43 @@ def test_a_heavy_cantilever(tmp_path: Path) -> None:
     moment = weight * 0.1**2 / 2.0
     assert numbers["force.bench"].value == pytest.approx(weight * 0.1, rel=1e-6)
     assert numbers["moment.bench"].value == pytest.approx(moment, rel=0.01)
-    assert numbers["smallest_bend_radius"].value == pytest.approx(150e-6 / moment, rel=0.04)
+    assert numbers["smallest_bend_radius"].value == pytest.approx(150e-6 / moment, rel=2e-3)
     assert numbers["smallest_bend_radius"].remark == "0 mm from the start"
     assert numbers["lowest_point"].value == pytest.approx(-weight * 0.1**4 / 8 / 150e-6, rel=0.02)
     assert numbers["lowest_point"].remark == "100 mm from the start"
     assert numbers["kept_curvature"].value == 0.0
     assert not any(name.startswith("springback") for name in numbers)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "elements", "touched"), [(3, 12, ""), (3, 5, "bends"), (0.3, 5, "all")]
+)
+def test_elements_that_turn_far_are_too_long(
+    tmp_path: Path, stiffness: float, elements: int, touched: str
+) -> None:
+    """A limp cantilever: where nothing is doubtful its bend radius is that of 200 elements."""
+    text = ALONE.replace("bending_stiffness: 150", f"bending_stiffness: {stiffness}")
+
+    def at(count: int) -> tuple[Laid, RodPath, float]:
+        _, ready, path = followed(tmp_path, text.replace("elements: 12", f"elements: {count}"))
+        return ready, path, by_name(path, ready)["smallest_bend_radius"].value
+
+    ready, path, radius = at(elements)
+    fine = at(200)[2]
+    doubt = element_doubt(path, ready.line)
+    assert (doubt is not None) is bool(touched)
+    if doubt is None:
+        assert radius == pytest.approx(fine, rel=0.01)
+        return
+    assert doubt.reason.code == "coarse_elements"
+    assert doubtful_of(path, ready, doubt) >= {"smallest_bend_radius", "energy_lost"}
+    assert ("lowest_point" in doubtful_of(path, ready, doubt)) is (touched == "all")
+    while doubt is not None:
+        elements = int(doubt.reason.message.split(": take ")[1].split()[0]) + 1
+        ready, path, radius = at(elements)
+        doubt = element_doubt(path, ready.line)
+    assert elements < 60
+    assert radius == pytest.approx(fine, rel=0.01)
 
 
 def test_what_was_lost_in_a_jump_is_doubtful(tmp_path: Path) -> None:
