@@ -140,7 +140,7 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     ----------
     path : as followed
     line : that was followed
-    material : with the curvature up to which its law is backed
+    material : with the curvature and the stretch up to which its law is backed
     """
     found = [Reason(each.code, each.sentence) for each in path.reasons]
     if not path.states:
@@ -155,6 +155,15 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
             f"{material.limit_words}"
         )
         found.append(Reason("beyond_backed", message))
+    stretches = np.abs([state.stretches for state in path.states])
+    row, element = divmod(int(np.argmax(stretches)), stretches.shape[1])
+    if stretches[row, element] > material.stretch_limit:
+        message = (
+            f"step {row}, {_mm(line.stations[element])} from the start: the line is stretched by "
+            f"{100.0 * stretches[row, element]:.2g} %, its axial stiffness is backed up to "
+            f"{100.0 * material.stretch_limit:.2g} %, where copper yields"
+        )
+        found.append(Reason("beyond_stretch", message))
     return tuple(found)
 
 

@@ -40,6 +40,8 @@ FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
 DEFAULT_SHEET = "wires.xlsx"
 _MOST_BYTES = 1 << 26
 _STRAIGHT_LINE = "the straight line of its insulation"
+_SMALL_STRETCH = 1e-3
+"""Strain: the axial stiffness of a wire is that of copper that does not yield."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +55,7 @@ class Material:
         solution of a calibration, the best first: a law keeps the slips that were chosen for it
     limit : 1/m, up to which the law is backed
     limit_words : by what
+    stretch_limit : strain along the line, up to which its axial stiffness is backed
     files : that it was read from
     notes : what a careful person would want to know
     beliefs : what is known of the inputs, one for each solution of a calibration; empty where
@@ -66,6 +69,7 @@ class Material:
     files: tuple[InputFile, ...] = ()
     notes: tuple[QualityNote, ...] = ()
     beliefs: tuple[Belief, ...] = ()
+    stretch_limit: float = np.inf
 
     @property
     def diameter(self) -> float:
@@ -193,6 +197,7 @@ def _of_wire(block: SectionBlock, file: Path, wires: Path | None) -> Material:
         files=tuple(files),
         notes=table.notes,
         beliefs=() if calibrated is None else _beliefs(calibrated),
+        stretch_limit=_SMALL_STRETCH,
     )
 
 

@@ -248,6 +248,20 @@ def test_beyond_what_backs_the_law(tmp_path: Path) -> None:
     assert (reason.code, reason.message) == ("beyond_law", "step 3: too far"), "said once"
 
 
+def test_a_wire_that_is_pulled_beyond_its_copper(tmp_path: Path) -> None:
+    """0.1 % of A2 is some 60 N: of seven strands 0.32 mm thick of 110 GPa."""
+    loaded = ALONE.replace(
+        "steps: 2",
+        "  - {kind: load, name: pull, at: end, force: [100 N, 0 N, 0 N]}\nsteps: 2",
+    )
+    for text, codes in (
+        (loaded.replace(STIFFNESS, "{wire: A2}"), ["beyond_stretch"]),
+        (loaded.replace("100 N, ", "20 N, ").replace(STIFFNESS, "{wire: A2}"), []),
+    ):
+        material, ready, path = followed(tmp_path, text)
+        assert [each.code for each in reasons_of(path, ready.line, material)] == codes
+
+
 def test_nothing_was_reached(tmp_path: Path) -> None:
     material, ready, path = followed(tmp_path, ALONE)
     why = RodReason("no_equilibrium", "step 0: none", 0)
