@@ -160,7 +160,7 @@ def _holders(held: Sequence[rod.Held], strings: Sequence[rod.String]) -> Iterato
         )
     for string in strings:
         site = quoteattr(f"anchor_{_name(string)}")
-        yield f'    <site name={site} pos="{_numbers(string.anchor[0])}" />'
+        yield f'    <site name={site} pos="{_numbers(string.anchor[-1])}" />'
 
 
 def _equalities(held: Sequence[rod.Held], tight: str) -> Iterator[str]:

@@ -313,12 +313,13 @@ _OF_POSES = {"direction", "turn"}
 
 
 class Ring(Block):
-    """A clip that the line slides through without friction."""
+    """A clip that the line slides through without friction; it is brought there with the line."""
 
     kind: Literal["ring"]
     name: TextLine
     position: Position
     direction: Direction
+    by: Step | None = Field(None, description="Step at which it is there; else the last")
 
 
 class String(Block):
@@ -329,6 +330,9 @@ class String(Block):
     at: Place
     anchor: Position
     length: Length
+    by: Step | None = Field(
+        None, description="Step at which the anchor is there, if it is too far at the start"
+    )
 
 
 class Load(Block):

@@ -111,6 +111,22 @@ def legs_of(boundary: Held, start: Vector3, steps: int) -> tuple[Leg, ...]:
     return tuple(legs)
 
 
+def first_anchor(string: String, place: Vector3) -> Vector3:
+    """Where the anchor of a string is at the start, m: no farther than the string is long.
+
+    Parameters
+    ----------
+    string : of the harness
+    place : m, where the line is tied to it at the start
+    """
+    distance = math.dist(string.anchor, place)
+    share = min(1.0, string.length / distance) if distance > 0.0 else 1.0
+    if share == 1.0:
+        return string.anchor
+    x, y, z = (a + share * (b - a) for a, b in zip(place, string.anchor, strict=True))
+    return x, y, z
+
+
 def _held(harness: HarnessFile) -> list[Held]:
     return [each for each in harness.boundaries if isinstance(each, HELD)]
 
@@ -236,10 +252,11 @@ class _Tie:
 
 def _tie_of(harness: HarnessFile, boundary: Held | String, length: float) -> _Tie:
     along = min(boundary.at, length)
-    if isinstance(boundary, String):
-        return _Tie(boundary.name, along, (Leg(0, boundary.anchor),), harness.steps)
     start, direction = start_of(harness)
     x, y, z = (begin + along * each for begin, each in zip(start, direction, strict=True))
+    if isinstance(boundary, String):
+        first, by = Leg(0, first_anchor(boundary, (x, y, z))), boundary.by or harness.steps
+        return _Tie(boundary.name, along, (first, Leg(by, boundary.anchor)), harness.steps)
     legs = legs_of(boundary, (x, y, z), harness.steps)
     last = harness.steps if boundary.release is None else boundary.release - 1
     return _Tie(boundary.name, along, legs, last)

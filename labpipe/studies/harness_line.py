@@ -3,7 +3,8 @@
 Paths have a row per step and one before: the start, where all that holds the line is where the line
 at rest would be, and its weight bends it. Every place that the file names is a node. What holds the
 line goes straight from one pose to the next; its direction turns about the axis across both, and
-the line's own turn is added.
+the line's own turn is added. A ring comes from the place of the line that is nearest to its own,
+and so does the anchor of a string that is too short at the start, as far as the string lets it.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from labpipe.protocol.harness_file import (
     Vector3,
     Waypoint,
 )
-from labpipe.protocol.harness_reach import legs_of, start_of
+from labpipe.protocol.harness_reach import first_anchor, legs_of, start_of
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Line, Section, line_along
@@ -41,6 +42,7 @@ from labpipe.rod.rotations import (
     shortest_turns,
     unit,
 )
+from labpipe.rod.threaded import nearest_place, point_at
 
 LENGTH_FACTOR = "length_factor"
 """Logarithm of what the length of the line is multiplied by."""
@@ -50,6 +52,7 @@ Inputs = Mapping[str, float]
 
 _SHARE_OF_STEPS = 5
 """One in so many: steps in which the weight of a line comes on that begins taut."""
+_THERE = 1e-9  # m
 _UPWARD = 0.9  # share of a direction along z from which on x is taken for upward
 
 
@@ -169,10 +172,13 @@ def _boundaries(
             case Clip() | Pin() | Grip():
                 yield _held(each, line, nodes[each.name], steps)
             case Ring():
-                yield rod.Ring(np.array(each.position), np.array(each.direction), name=each.name)
+                path = _brought(_nearest(line, each), each.position, each.by or steps, steps)
+                yield rod.Ring(path, np.array(each.direction), name=each.name)
             case String():
-                anchor = np.array(each.anchor)
-                yield rod.String(nodes[each.name], anchor, each.length, name=each.name)
+                node = nodes[each.name]
+                first = first_anchor(each, _as_tuple(line.positions[node]))
+                path = _brought(np.array(first), each.anchor, each.by or steps, steps)
+                yield rod.String(node, path, each.length, name=each.name)
             case Load():
                 force = _ramp(each.by or steps, steps)[:, None] * np.array(each.force)
                 yield rod.Load(nodes[each.name], force, name=each.name)
@@ -181,6 +187,24 @@ def _boundaries(
                 yield rod.Plane(*table, each.friction, name=each.name)
     if any(harness.gravity) and line.section.mass_per_length > 0.0:
         yield rod.Gravity(_weight(harness), name="weight")
+
+
+def _nearest(line: Line, ring: Ring) -> Floats:
+    """Where a ring is at the start: on the line, at the place that is nearest to its own."""
+    goal = np.array(ring.position)
+    near = int(np.argmin(np.linalg.norm(line.positions - goal, axis=1)))
+    return point_at(line.positions, nearest_place(line.positions, goal, float(near)))
+
+
+def _brought(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
+    """From where something is at the start straight to its goal, shape (steps + 1, 3) or (3,).
+
+    What is there already stays to the last bit: a path that trembles would have corners.
+    """
+    way = np.array(goal) - begin
+    if np.linalg.norm(way) < _THERE:
+        return np.array(goal)
+    return np.asarray(begin + _ramp(by, steps)[:, None] * way)
 
 
 def _weight(harness: HarnessFile) -> Floats:

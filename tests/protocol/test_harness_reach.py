@@ -76,7 +76,7 @@ def test_a_line_may_be_straight_between_its_clips(tmp_path: Path) -> None:
             "boundaries:\n  - {kind: string, name: thread, at: 100 mm, length: 50 mm, "
             "anchor: [0 mm, 0 mm, 200 mm]}\n",
             "(boundaries.0): expected at most the 150 mm that lie between 'left' and 'thread', "
-            "found 200.25 mm between them at step 0.",
+            "found 200.25 mm between them at step 40.",
         ),
         (
             "boundaries:\n",

@@ -13,6 +13,7 @@ from labpipe.protocol.harness_loading import load_harness
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Section
 from labpipe.rod.rotations import matrices
+from labpipe.rod.statics import follow
 from labpipe.studies.harness_line import Laid, laid
 from tests.builders.harness_files import arch, pushed, written
 
@@ -129,6 +130,44 @@ def test_inputs_change_length_and_rest(tmp_path: Path) -> None:
     assert held(found, "right").position[-1] == pytest.approx([0.18, 0.0, 0.03])
     other = laid(harness(tmp_path, arch()), SECTION, {}, length=0.25)
     assert other.line.length == pytest.approx(0.25)
+
+
+def test_rings_and_strings_come_from_the_line(tmp_path: Path) -> None:
+    """At the start the line lies straight, from the origin along x, and nothing may pull it."""
+    text = arch().replace(
+        "steps:",
+        "  - {kind: string, name: tie, at: 5 cm, anchor: [5 cm, 0 mm, 60 mm], length: 3 cm}\n"
+        "  - {kind: ring, name: eye, position: [60 mm, 0 mm, 0 mm], direction: [1, 0, 0]}\n"
+        "  - {kind: string, name: tie, at: 50 mm, anchor: [50 mm, 0 mm, 60 mm], length: 3 cm}\n"
+        "  - {kind: string, name: long, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], length: 95 mm}\n"
+        "steps:",
+    )
+    found = {each.name: each for each in ready(tmp_path, text).boundaries}
+    guide, eye, short, long = (found[name] for name in ("guide", "eye", "tie", "long"))
+    assert isinstance(guide, rod.Ring)
+    assert isinstance(eye, rod.Ring)
+    assert isinstance(short, rod.String)
+    assert isinstance(long, rod.String)
+    assert guide.position[[0, 2, 4, -1]] == pytest.approx(
+        np.array([[0.052, 0.0, 0.0], [0.052, 0.0045, 0.0], [0.052, 0.009, 0.0], [0.052, 0.009, 0]])
+    )
+    assert eye.position.tolist() == [[0.06, 0.0, 0.0]]
+    assert short.anchor[[0, -1]] == pytest.approx(np.array([[0.05, 0, 0.03], [0.05, 0, 0.06]]))
+    assert long.anchor.tolist() == [[0.05, 0.0, 0.09]]
+
+
+def test_a_line_comes_to_a_ring_between_its_clips(tmp_path: Path) -> None:
+    """Of one that does not stretch: in its place from the start, the ring would tear it."""
+    text = arch(steps=4).replace(
+        "steps:",
+        "  - {kind: ring, name: eye, position: [80 mm, 12 mm, 0 mm], direction: [1, 0, 0]}\nsteps:",
+    )
+    found = ready(tmp_path, text)
+    path = follow(found.line, found.boundaries, steps=4)
+    assert path.status == "ok"
+    apart = np.linalg.norm(path.last.positions - [0.08, 0.012, 0.0], axis=1)
+    assert np.min(apart) < 0.2 / 16 / 2
+    assert max(np.max(np.abs(each.reaction_forces)) for each in path.states) < 2.0
 
 
 def test_all_kinds_of_boundaries(tmp_path: Path) -> None:
