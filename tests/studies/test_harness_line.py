@@ -136,7 +136,7 @@ def test_rings_and_strings_come_from_the_line(tmp_path: Path) -> None:
     """At the start the line lies straight, from the origin along x, and nothing may pull it."""
     text = arch().replace(
         "steps:",
-        "  - {kind: string, name: tie, at: 5 cm, anchor: [5 cm, 0 mm, 60 mm], length: 3 cm}\n"
+        "  - {kind: ring, name: guide, position: [52 mm, 9 mm, 0 m], direction: [1, 0, 0], by: 4}\n"
         "  - {kind: ring, name: eye, position: [60 mm, 0 mm, 0 mm], direction: [1, 0, 0]}\n"
         "  - {kind: string, name: tie, at: 50 mm, anchor: [50 mm, 0 mm, 60 mm], length: 3 cm}\n"
         "  - {kind: string, name: long, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], length: 95 mm}\n"
