@@ -32,6 +32,8 @@ _BARELY = 1.0 + 1e-9
 """Times the length: a line may be straight between two clips."""
 _MOST_TURN = 180.0
 """deg in a step: paths are rows of frames, in which a turn and one less by 360 deg are the same."""
+_MOST_CURL = 90.0
+"""deg: elements are straight, and one that turns by more than half a turn turns the other way."""
 _NEARLY = 1e-9
 """Of the length: a line may lie on a plane."""
 
@@ -143,10 +145,12 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     A fault for each two boundaries that are too far apart, with the step and the distance; those
     of a sweep for the shortest line of it that is too short. One for each that holds the line
     nearer to a plane than half the diameter that the file states; that of a wire sheet is not
-    known here. One for each turn of half a turn or more in a step, which is one the other way, too.
+    known here. One for each turn of half a turn or more in a step, which is one the other way, too,
+    and for a curl that elements are too long for.
     """
     yield from _in_planes(harness)
     yield from _turned_too_far(harness)
+    yield from _curled_too_far(harness)
     lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
     swept = harness.sweep.length if harness.sweep else ()
     lengths += sorted((each, ("sweep", "length", i)) for i, each in enumerate(swept))
@@ -191,6 +195,16 @@ def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
                 found = f"{per_step:.6g} deg in each from step {start} to {end}"
                 remedy = "Take more steps for it: raise 'steps', and 'by' or 'step'."
                 yield Fault(("boundaries", number, *key), expected, found, remedy)
+
+
+def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
+    line, swept = harness.line, harness.sweep.length if harness.sweep else ()
+    element = max([line.length, *swept]) / line.elements
+    curl = 0.0 if line.spool is None else math.degrees(line.spool.curvature * element)
+    if curl > _MOST_CURL:
+        expected = f"a curl of at most {_MOST_CURL:g} deg over an element of {_mm(element)}"
+        remedy = "Check the unit of the curvature, or take more elements."
+        yield Fault(("line", "spool", "curvature"), expected, f"{curl:.6g} deg", remedy)
 
 
 def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:

@@ -106,6 +106,12 @@ def test_a_line_may_be_straight_between_its_clips(tmp_path: Path) -> None:
             "one meaning, found 190 deg in each from step 6 to 7.",
         ),
         (
+            "  section:",
+            "  spool: {curvature: 500 1/m}\n  section:",
+            "(line.spool.curvature): expected a curl of at most 90 deg over an element of 7.5 mm, "
+            "found 214.859 deg. Check the unit of the curvature, or take more elements.",
+        ),
+        (
             "bending_stiffness: 150 N*mm^2",
             "sliders: none.sliders.json\n#",
             "(line.section.sliders): expected a file, found 'none.sliders.json'. There is none at ",
