@@ -46,6 +46,8 @@ _CLOSE = 1e-9
 """Of an element's length: how near to a plane a node touches it."""
 _LEAST_DRAG = 1e-10
 """In the tangent only: keeps it solvable where a line may move freely without a force."""
+_OF_MOVING = 1e-2
+"""Of a drag: what moving feels beside bending."""
 _LEAST_GIVE = 1e-10
 """Of an element's length under the force of the line, in the tangent only: keeps it solvable where
 a straight line between two places could carry any force."""
@@ -109,10 +111,22 @@ class Demands:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drag:
-    """Holds a line where it was: `size`, as a share of its own stiffness, and the `shape`."""
+    """Holds a line where it was.
+
+    Its cells resist bending and twist, in proportion to their stiffness, as a wire in itself does:
+    each springs back by what it carries, and none is bent by the way that others go. What moves
+    without bending is held by its movement, which bends the line a hundred times less.
+
+    Parameters
+    ----------
+    size : share of the line's own stiffness
+    shape : where it was
+    turns : shape (cells, 3), rad, of its cells there
+    """
 
     size: float
     shape: Shape
+    turns: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,12 +167,12 @@ class Assembly:
     planes : that it may touch
     strings : nodes and lengths, m, of strings
     n_rings : number of rings
-    force : N, of the size that acts on the line as a whole; a drag of 1 is this over its length
+    force : N, of the size that acts on the line as a whole
 
     Attributes
     ----------
     rounding : N, by which forces of planes, strings and rings may be off
-    drag : shape (unknowns,), N/m and N m, of a drag of 1
+    drag : shape (unknowns,), N/m and N m, of a drag against moving: `force` over the length
     """
 
     def __init__(
@@ -206,7 +220,7 @@ class Assembly:
         """
         line, p = self.line, self.places
         lengths = line.lengths * (1.0 + shape.stretches)
-        cells = self._cells(shape, demands, memory)
+        cells = self._cells(shape, demands, memory, drag)
         turned = matrices(shape.frames)
         pulls = lengths[:, None] * shape.forces
         way = directions_of(
@@ -226,11 +240,11 @@ class Assembly:
         residual[p.stretches] = stretch
         residual[_spread(p.turns)] = turns.ravel()
         residual[_spread(p.forces)] = gaps.ravel()
-        drags = _LEAST_DRAG if drag is None else drag.size
+        drags = _LEAST_DRAG if drag is None else _OF_MOVING * drag.size
         by_turn[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[_spread(p.turns)].reshape(-1, 3)
         by_place[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[_spread(p.positions)].reshape(-1, 3)
         if drag is not None:
-            residual += drag.size * self.drag * self.moved(drag.shape, shape)
+            residual += drags * self.drag * self.moved(drag.shape, shape)
         first = np.concatenate(
             [
                 self._constants,
@@ -336,19 +350,30 @@ class Assembly:
         stretches = np.sum(self._shares * shape.stretches[self._sides], axis=1)
         return float(stretches @ cells.curvatures[:, 2])
 
-    def _cells(self, shape: Shape, demands: Demands, memory: Memory) -> BentCells:
-        s = self.supports
+    def turns(self, shape: Shape, demands: Demands) -> Floats:
+        """Rotation vectors from the frames before the cells to those behind, rad, (cells, 3)."""
+        before, behind = self._frames(shape, demands)
+        return rotation_vectors(multiply(conjugate(before), behind))
+
+    def _frames(self, shape: Shape, demands: Demands) -> tuple[Floats, Floats]:
         frames = np.concatenate([shape.frames, demands.clamps[::-1]])
+        return frames[self.supports.before], frames[self.supports.behind]
+
+    def _cells(
+        self, shape: Shape, demands: Demands, memory: Memory, drag: Drag | None
+    ) -> BentCells:
+        s = self.supports
         torques = np.zeros(len(s.nodes))
         if self._is_coupled:
             torques = np.sum(self._shares * shape.stretches[self._sides], axis=1) / s.lengths
         return bend_cells(
             self.line.section,
-            (frames[s.before], frames[s.behind]),
+            self._frames(shape, demands),
             s.lengths,
             s.natural,
             rests=memory.rests,
             torques=torques,
+            drag=None if drag is None else (drag.size, drag.turns),
         )
 
     def _turns(

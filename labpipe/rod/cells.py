@@ -70,6 +70,7 @@ def bend_cells(
     *,
     rests: Floats,
     torques: Floats,
+    drag: tuple[float, Floats] | None = None,
 ) -> BentCells:
     """Work out moments and tangents of cells.
 
@@ -81,6 +82,7 @@ def bend_cells(
     natural : shape (cells, 3), 1/m, curvatures at rest
     rests : shape (cells, sliders, 2), 1/m, the memory before the step
     torques : shape (cells,), N m, from stretch
+    drag : share of the first stiffness with which cells resist to turn on from a psi, and that psi
     """
     psi = rotation_vectors(multiply(conjugate(frames[0]), frames[1]))
     curvatures = psi / lengths[:, None] - natural
@@ -92,6 +94,12 @@ def bend_cells(
     stiffness[:, :2, :2] = response.stiffness
     stiffness[:, 2, 2] = section.torsional_stiffness
     stiffness /= lengths[:, None, None]
+    if drag is not None:
+        bending = section.law.first_stiffness
+        three = np.array([bending, bending, section.torsional_stiffness])
+        resists = drag[0] * three / lengths[:, None]
+        moments += resists * (psi - drag[1])
+        stiffness += resists[:, :, None] * _EYE
     first, second = tangent_factors(np.sqrt(np.einsum("nk,nk->n", psi, psi)))
     tangents, bent = _tangents(psi, moments, first, second)
     turned = np.swapaxes(tangents, 1, 2)

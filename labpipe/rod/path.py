@@ -90,8 +90,8 @@ class RodPath(ArrayRecord):
     status : `failed` where a step has no equilibrium that can be reached; `doubtful` where all have
         but a number is not backed, as beyond the range of the law
     reasons : why, first things first; empty where all is well
-    snapped : steps in which the line jumped: the equilibrium is not the continuation of the one
-        before, and what the jump set free was lost
+    snapped : steps in which the line jumped: it snapped or something let go, so that the
+        equilibrium is not the continuation of the one before, and what the jump set free was lost
     work : shape (states,), J, of clamps, loads and weight on the line since before step 0, and what
         it stored then
     stored : shape (states,), J, elastic, of bending, twist and stretch

@@ -30,7 +30,7 @@ def out_of_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> Reaso
     grips : boundaries that hold it
     step : at which
     """
-    demands = schedule.demands(float(step), grips, ())
+    demands = schedule.demands(float(step), grips)
     nodes = np.array([schedule.held_nodes[k] for k in grips], dtype=np.int64)
     order = np.argsort(nodes)
     nodes = nodes[order]
@@ -62,7 +62,7 @@ def held_in_plane(schedule: Schedule, grips: tuple[int, ...], step: int) -> Reas
     ----------
     schedule, grips, step : as in `out_of_reach`
     """
-    held = schedule.demands(float(step), grips, ()).held
+    held = schedule.demands(float(step), grips).held
     line = schedule.line
     least = 0.5 * line.section.diameter
     for plane in (schedule.boundaries[k] for k in schedule.planes if grips):

@@ -6,7 +6,7 @@ go from where the line is to row 0 of their paths, and weight and loads grow to 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,21 +21,6 @@ from labpipe.rod.rotations import (
     rotation_vectors,
 )
 from labpipe.rod.threaded import nearest_place, point_at
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LetGo:
-    """What a grip carried that lets go: it fades within the step.
-
-    Parameters
-    ----------
-    node : that was held
-    force, moment : shape (3,), N and N m
-    """
-
-    node: int
-    force: Floats
-    moment: Floats
 
 
 class Schedule:
@@ -133,21 +118,16 @@ class Schedule:
                 size += _largest(each.moment) / line.length
         return size
 
-    def demands(self, time: float, grips: tuple[int, ...], fading: tuple[LetGo, ...]) -> Demands:
+    def demands(self, time: float, grips: tuple[int, ...]) -> Demands:
         """What is asked at a time.
 
         Parameters
         ----------
         time : in steps, from -1
         grips : boundaries that hold
-        fading : grips that let go in the step that ends at or behind this time
         """
         share = min(1.0, time + 1.0)
         forces, moments = self._loads(time, share)
-        left = np.ceil(time) - time
-        for gone in fading:
-            forces[gone.node] += left * gone.force
-            self._turn(moments, gone.node, left * gone.moment)
         held, clamps = self._places(time, share, grips)
         anchors = np.array([_at(self._string(k).anchor, time) for k in self.strings])
         rings = self._ring_places(time, share)

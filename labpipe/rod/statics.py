@@ -4,9 +4,11 @@ Every step is one of Newton's method, halved where it does not arrive, turns the
 ends where the line is not stable; the memory of sliders and friction moves on with every part of a
 step. So a line that buckles does it where it first can, and not after a whole step of pressing it
 straight. There, and where no equilibrium follows (a line that snaps or is let go), the line is let
-down: dragged through ever less of a resistance to its movement, always downhill in energy, as a
-line in honey would go. Such steps are `snapped`. An equilibrium that is not stable is left in the
-direction in which it gives way first.
+down: through ever less of a resistance to bending and twist, always downhill in energy, as a line
+that is damped in itself would go. So each piece springs back by what it carries; a resistance to
+movement would bend the free end as it falls, and sliders keep that. Such steps are `snapped`, and
+so are those in which something lets go. An equilibrium that is not stable is left in the direction
+in which it gives way first.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from labpipe.rod.line import Line
 from labpipe.rod.path import Reason, RodPath, RodState, Status
 from labpipe.rod.refusals import broken, held_in_plane, out_of_reach, slid_out
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
-from labpipe.rod.schedule import LetGo, Schedule
+from labpipe.rod.schedule import Schedule
 from labpipe.rod.settling import Settled, settle
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.states import merged_rests, parted_rests, state_of
@@ -144,7 +146,6 @@ class _Walk:
         self.is_checked = self.settings.checks_stability
         self._gather(
             self.schedule.grips(0),
-            (),
             time=-1.0,
             shape=shape,
             rests=rests,
@@ -158,7 +159,6 @@ class _Walk:
     def _gather(
         self,
         grips: tuple[int, ...],
-        fading: tuple[LetGo, ...],
         *,
         time: float,
         shape: Shape,
@@ -167,8 +167,7 @@ class _Walk:
         places: Floats,
     ) -> None:
         """Set the line up with the grips that hold from a time on."""
-        self.grips, self.fading = grips, fading
-        schedule = self.schedule
+        self.grips, schedule = grips, self.schedule
         held = []
         for k in grips:
             held.append(
@@ -191,37 +190,34 @@ class _Walk:
         is_turned = any(isinstance(each, Moment) for each in self.boundaries)
         self.check = StabilityCheck(self.assembly, is_turned=is_turned)
         memory = Memory(merged_rests(self.assembly.supports, rests), contacts, places)
-        demands = schedule.demands(time, grips, fading)
+        demands = schedule.demands(time, grips)
         balance = self.assembly.balance(shape, demands, memory)
         self.now = _Now(time, shape, balance, demands, memory, None)
 
     def _let_go(self, step: int) -> None:
-        """Take the grips away that hold no more in a step."""
-        grips = self.schedule.grips(step)
+        """Take the grips away that hold no more in a step: the line comes free where they held it.
+
+        It does so at once where that is near, else it falls.
+        """
+        grips, now = self.schedule.grips(step), self.now
         if grips == self.grips:
-            if self.fading:
-                self.fading = ()
             return
-        forces, moments = self.assembly.reactions(self.now.balance, self.now.demands)
-        clamp_of = {int(at): k for k, at in enumerate(self.assembly.supports.clamps)}
-        gone = []
-        for row, k in enumerate(self.grips):
-            if k not in grips:
-                moment = moments[clamp_of[row]] if row in clamp_of else np.zeros(3)
-                gone.append(LetGo(self.schedule.held_nodes[k], forces[row], moment))
-        now = self.now
-        before = self._stored()
-        rests = parted_rests(self.assembly.supports, now.memory.rests)
+        self.snapped.append(step)
+        free, lost = self._set_free(), self.lost
         self._gather(
             grips,
-            tuple(gone),
-            time=float(step - 1),
+            time=now.time,
             shape=now.shape,
-            rests=rests,
+            rests=parted_rests(self.assembly.supports, now.memory.rests),
             contacts=now.memory.contacts,
             places=now.memory.places,
         )
-        self.jumped += before - self._stored()
+        jumped, lost_in_jumps = self.jumped, self.lost_in_jumps
+        settled = self._settled(now.time)
+        is_lost = settled is not None and not self._is_stable(settled)
+        self._arrive(now.time, settled, is_lost=is_lost)
+        self.jumped = jumped + self._set_free() - free
+        self.lost_in_jumps = lost_in_jumps + self.lost - lost
 
     # ---- steps --------------------------------------------------------------------------------
 
@@ -247,8 +243,7 @@ class _Walk:
 
     def _walk_to(self, goal: float) -> None:
         part = 1.0
-        # what is let go has no force of constant direction on its way: at once, or it falls
-        smallest = 1.0 if self.fading else self.settings.smallest_part
+        smallest = self.settings.smallest_part
         was_refused = False
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
@@ -258,14 +253,18 @@ class _Walk:
             if was_refused and part > smallest and not (is_lost and self._is_doubtful):
                 part *= 0.5
                 continue
-            if settled is None:
-                self._let_down(time, is_unstable=False)
-                continue
-            self._commit(time, settled)
-            if is_lost:
-                self._leave(time)
-            if self._is_doubtful if is_lost else not before:
+            self._arrive(time, settled, is_lost=is_lost)
+            if settled is not None and (self._is_doubtful if is_lost else not before):
                 part = min(1.0, 2.0 * part)
+
+    def _arrive(self, time: float, settled: Settled | None, *, is_lost: bool) -> None:
+        """Move on to what was found, and from there or from here downhill if that is no place."""
+        if settled is None:
+            self._let_down(time, is_unstable=False)
+            return
+        self._commit(time, settled)
+        if is_lost:
+            self._leave(time)
 
     def _is_stable(self, settled: Settled) -> bool:
         return not self.is_checked or self.check.is_stable(settled.balance, settled.shape)
@@ -278,7 +277,7 @@ class _Walk:
     def _settled(self, time: float) -> Settled | None:
         """The equilibrium at a time; None where it is not found or is too far."""
         now = self.now
-        goal = self.schedule.demands(time, self.grips, self.fading)
+        goal = self.schedule.demands(time, self.grips)
         # what slid may slide on, or stick where the walk turns back
         for earlier in (now.earlier, None) if now.earlier is not None else (None,):
             settled = settle(
@@ -304,7 +303,7 @@ class _Walk:
     def _commit(self, time: float, settled: Settled) -> None:
         """Move on to an equilibrium, with memory and energies."""
         now = self.now
-        goal = self.schedule.demands(time, self.grips, self.fading)
+        goal = self.schedule.demands(time, self.grips)
         new = settled.balance
         self.work += work_done(
             self.assembly, (now.demands, goal), (now.shape, settled.shape), (now.balance, new)
@@ -321,6 +320,10 @@ class _Walk:
     def _stored(self) -> float:
         return stored_energy(self.assembly, self.now.balance, self.now.shape)
 
+    def _set_free(self) -> float:
+        """What is neither stored nor lost in sliders nor rubbed off, J."""
+        return self.work - self._stored() - self.lost - self.rubbed
+
     # ---- letting down -------------------------------------------------------------------------
 
     def _leave(self, time: float) -> None:
@@ -335,10 +338,10 @@ class _Walk:
         if self.step not in self.snapped:
             self.snapped.append(self.step)
         before = self.now, self.work, self.lost, self.rubbed
-        free = self.work - self._stored() - self.lost - self.rubbed
+        free = self._set_free()
         for kick in _KICKS[1:] if is_unstable else _KICKS:
             if self._comes_to_rest(time, kick):
-                self.jumped += self.work - self._stored() - self.lost - self.rubbed - free
+                self.jumped += self._set_free() - free
                 self.lost_in_jumps += self.lost - before[2]
                 return
             self.now, self.work, self.lost, self.rubbed = before
@@ -347,8 +350,8 @@ class _Walk:
         self._doubt_stability("unstable", "no stable one was reached from it")
 
     def _comes_to_rest(self, time: float, kick: float) -> bool:
-        """Drag the line through ever less of a resistance; false where it finds no rest."""
-        goal = self.schedule.demands(time, self.grips, self.fading)
+        """Let the line down through ever less of a resistance; false where it finds no rest."""
+        goal = self.schedule.demands(time, self.grips)
         shape = self._kicked(kick)
         size = _FIRST_DRAG
         rested: Floats | None = None
@@ -386,7 +389,7 @@ class _Walk:
 
     def _dragged(self, shape: Shape, goal: Demands, size: float) -> Settled | None:
         now = self.now
-        drag = Drag(size, shape)
+        drag = Drag(size, shape, self.assembly.turns(shape, now.demands))
         settled = settle(
             self.assembly, shape, now.memory, (now.demands, goal), force=self.force, drag=drag
         )
@@ -403,7 +406,7 @@ class _Walk:
             return now.shape
         p = self.assembly.places
         three = np.arange(3)
-        goal = self.schedule.demands(float(self.step), self.grips, self.fading)
+        goal = self.schedule.demands(float(self.step), self.grips)
         push = np.zeros(p.total)
         push[p.positions[:, None] + three] = goal.forces
         mode = self.check.lowest_mode(now.balance, now.shape, push)

@@ -177,7 +177,7 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
 
 
 def _doubts(path: RodPath, ready: Laid, intervals: Mapping[str, Interval]) -> list[Doubt]:
-    found = [element_doubt(path, ready.line), jump_doubt(path), unloading_doubt(path, ready)]
+    found = [element_doubt(path, ready.line), jump_doubt(path, ready), unloading_doubt(path, ready)]
     if remembers(ready):
         other = walked_otherwise(ready, len(path.states) - 1)
         found.append(coarse_doubt(path, ready, other, intervals))

@@ -18,6 +18,7 @@ from labpipe.rod.rotations import (
     rotation_vectors,
 )
 from labpipe.rod.statics import RodSettings, follow
+from labpipe.studies.harness_memory import kept_curvature
 from tests.builders.rods import (
     LENGTH,
     STIFFNESS,
@@ -229,6 +230,25 @@ def test_what_is_let_go_springs_back_in_part(node: int) -> None:
     np.testing.assert_allclose(behind.reaction_moments[0], 0.0, atol=1e-9)
     assert 0.02 * reach < behind.positions[node, 1] < 0.9 * before.positions[node, 1]
     assert path.lost[-1] > path.lost[-2] or path.snapped == ()
+
+
+@pytest.mark.parametrize("most_turn", [0.5, 0.02])
+def test_each_cell_of_what_falls_springs_back_by_what_it_carries(most_turn: float) -> None:
+    """Without weight: by its own law, however long the way, and nothing bends the free end."""
+    line = straight_line(LENGTH, 20, sliding_section())
+    angle = np.linspace(0.0, 0.8, 41)[:, None]
+    size = 0.6 * (1.0 - 0.2 * angle**2) * LENGTH
+    way = size * np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    grip = Held(12, np.concatenate([way, way[-1:]]), release=41)
+    settings = RodSettings(most_turn=most_turn)
+    path = follow(line, [clamp(line), grip], steps=41, settings=settings)
+    held, free = path.states[40:]
+    kept = kept_curvature(held, line.section.law)
+    assert np.max(held.bendings) > 8.0
+    np.testing.assert_allclose(free.bendings, kept, atol=1e-6)
+    assert not np.any(free.rests[13:])
+    set_free = path.stored[40] - path.stored[41] - (path.lost[41] - path.lost[40])
+    assert path.jumped[41] - path.jumped[40] == pytest.approx(set_free)
 
 
 def test_what_a_line_keeps_that_is_let_go_does_not_hang_on_the_steps() -> None:

@@ -107,20 +107,25 @@ def test_elements_that_turn_far_are_too_long(
 
 
 def test_what_was_lost_in_a_jump_is_doubtful(tmp_path: Path) -> None:
-    """1 of 4 J in a jump in step 2: what remembers is doubtful, not its shape."""
+    """1 of 4 J in a jump in step 2: what remembers is doubtful, and shape where it was let go."""
     _, ready, path = followed(tmp_path, ALONE)
     lost, fallen = np.array([1.0, 3.0, 4.0]), np.array([0.0, 0.0, 1.0])
     jumped = replace(path, snapped=(0, 2), lost=lost, lost_in_jumps=fallen)
-    doubt = jump_doubt(jumped)
+    doubt = jump_doubt(jumped, ready)
     assert doubt is not None
     assert doubt.reason.code == "jumped"
     assert doubt.reason.message.startswith("step 2: the line jumped")
     assert "25 % of the energy" in doubt.reason.message
-    assert doubtful_of(jumped, ready, doubt) == {"energy_lost", "moment.bench"}
-    assert jump_doubt(replace(jumped, lost_in_jumps=0.2 * fallen)) is None, "a twentieth"
-    assert jump_doubt(replace(jumped, lost=0.0 * lost, lost_in_jumps=0.0 * lost)) is None, (
+    memory = {"energy_lost", "kept_curvature", "moment.bench"}
+    assert doubtful_of(jumped, ready, doubt) == memory
+    assert jump_doubt(replace(jumped, lost_in_jumps=0.2 * fallen), ready) is None, "a twentieth"
+    assert jump_doubt(replace(jumped, lost=0.0 * lost, lost_in_jumps=0.0 * lost), ready) is None, (
         "a law without memory"
     )
+    _, ready, path = followed(tmp_path, RELEASED)
+    let_go = jump_doubt(path, ready)
+    shape = {"springback.gripper", "smallest_bend_radius", "lowest_point"}
+    assert doubtful_of(path, ready, let_go) == memory | shape
 
 
 def test_a_line_that_buckles_loses_no_more_in_coarse_steps() -> None:
@@ -134,7 +139,7 @@ def test_a_line_that_buckles_loses_no_more_in_coarse_steps() -> None:
         ready = laid(finer, material.sections[0](material.best), material.best)
         path = follow(ready.line, ready.boundaries, steps=steps)
         assert path.status == "ok"
-        assert jump_doubt(path) is None
+        assert jump_doubt(path, ready) is None
         numbers = by_name(path, ready)
         names = ("energy_lost", "moment.left", "moment.right", "kept_curvature")
         found.append([numbers[name].value for name in names])
