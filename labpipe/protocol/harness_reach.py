@@ -21,6 +21,7 @@ from labpipe.protocol.harness_file import (
     Grip,
     HarnessFile,
     Held,
+    Load,
     Pin,
     Plane,
     Ring,
@@ -146,11 +147,12 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     of a sweep for the shortest line of it that is too short. One for each that holds the line
     nearer to a plane than half the diameter that the file states; that of a wire sheet is not
     known here. One for each turn of half a turn or more in a step, which is one the other way, too,
-    and for a curl that elements are too long for.
+    for a curl that elements are too long for, and for a line that falls as all have let it go.
     """
     yield from _in_planes(harness)
     yield from _turned_too_far(harness)
     yield from _curled_too_far(harness)
+    yield from _falling(harness)
     lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
     swept = harness.sweep.length if harness.sweep else ()
     lengths += sorted((each, ("sweep", "length", i)) for i, each in enumerate(swept))
@@ -205,6 +207,23 @@ def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
         expected = f"a curl of at most {_MOST_CURL:g} deg over an element of {_mm(element)}"
         remedy = "Check the unit of the curvature, or take more elements."
         yield Fault(("line", "spool", "curvature"), expected, f"{curl:.6g} deg", remedy)
+
+
+def _falling(harness: HarnessFile) -> Iterator[Fault]:
+    releases = {
+        number: each.release
+        for number, each in enumerate(harness.boundaries)
+        if isinstance(each, HELD)
+    }
+    section = harness.line.section
+    has_weight = section.kind != "bending_stiffness" or section.mass_per_length is not None
+    others = any(not isinstance(each, (*HELD, Load)) for each in harness.boundaries)
+    if others or not has_weight or not any(harness.gravity) or None in releases.values():
+        return
+    number = max(releases, key=lambda each: releases[each] or 0)
+    expected = f"something that holds the line from step {releases[number]} on"
+    remedy = "Let one of them hold on, add a plane that it falls on, or take gravity away."
+    yield Fault(("boundaries", number, "release"), expected, "nothing: it falls", remedy)
 
 
 def _turns_of(boundary: Boundary, steps: int) -> Iterator[tuple[KeyPath, int, int, float]]:
