@@ -318,7 +318,7 @@ class Ring(Block):
     kind: Literal["ring"]
     name: TextLine
     position: Position
-    direction: Direction
+    direction: Direction = Field(description="Of its opening in the picture; the line turns in it")
     by: Step | None = Field(None, description="Step at which it is there; else the last")
 
 
