@@ -447,15 +447,19 @@ def _same_names(listed: list[Mapping[str, object]]) -> list[Fault]:
 
 def _same_places(listed: list[Mapping[str, object]]) -> list[Fault]:
     """Find two boundaries that hold one place of the line."""
-    first: dict[str, object] = {}
+    first: dict[float, object] = {}
     faults = []
     for number, each in enumerate(listed):
         if each.get("kind") not in _HELD_KINDS or each.get("at") is None:
             continue
-        place = str(each["at"])
+        try:
+            place = round(_place(each["at"]), 12)
+        except ValueError:  # which is a fault of its own
+            continue
         if place in first:
             path = ("boundaries", number, "at")
-            found, remedy = f"{place!r}, which {first[place]!r} holds", "Take one of them away."
-            faults.append(Fault(path, "a place that nothing else holds", found, remedy))
+            found = f"{each['at']!r}, which {first[place]!r} holds"
+            expected, remedy = "a place that nothing else holds", "Take one of them away."
+            faults.append(Fault(path, expected, found, remedy))
         first.setdefault(place, each.get("name"))
     return faults

@@ -131,6 +131,7 @@ def test_the_schema_takes_and_refuses_as_labpipe_does() -> None:
         ("kind: grip", "kind: gripp", "(boundaries.1.kind): expected one of 'grip',"),
         ("name: stud", "name: left", "expected a name of its own, found 'left', as boundary 1."),
         ("at: 200 mm", "at: start", "(boundaries.1.at): expected a place that nothing else holds"),
+        ("at: end", "at: 0.2 m", "expected a place that nothing else holds, found '0.2 m', which "),
         ("step: 20", "step: 10", "(boundaries.1.path.1.step): expected a step after 10, found 10"),
         ("step: 20", "step: 31", "expected a step from 1 to 30, the last, found '31'. Or raise"),
         ("release: 25", "release: 31", "(boundaries.1.release): expected a step from 1 to 30"),
