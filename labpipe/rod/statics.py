@@ -33,7 +33,8 @@ from labpipe.rod.states import merged_rests, parted_rests, state_of
 from labpipe.rod.supports import supports_of
 
 _FIRST_DRAG = 1.0
-_LAST_DRAG = 1e-4
+_LAST_DRAG = 1e-8
+"""A way of two turns is held (4 pi)^4 times as much: what is just not stable must get away."""
 _MOST_DRAG = 1e5
 _LESS, _MORE = 0.25, 8.0
 _AT_REST = 1e-6
