@@ -1,8 +1,9 @@
-"""Whether the steps of a harness are fine enough: the same line in half as many steps, or twice.
+"""Whether steps and elements of a harness are fine enough: the same line in half as many.
 
 Sliders and friction remember the way, and a step is a straight piece of it. The error of that falls
 at least as fast as the steps, so that what half as many steps change is what they may still be off.
 Steps that the corners of a path need are kept; where that is most of them, each is halved instead.
+The error of elements falls with the square of their length: a third of what half as many change.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ ALLOWED = 0.02
 """Of a number, by which half as many steps may change it."""
 OF_BAND = 0.1
 """Of the width of its band, by which they may, where that is more."""
+_OF_HALF = 1.0 / 3.0
+"""Of what half as many elements change: what an error of second order still is."""
 _HEIGHT = 0.05
 """Of the line's length: a coordinate is off by a share of this at least."""
 _NOTHING = 1e-3
@@ -143,27 +146,79 @@ def coarse_doubt(
     """
     numbers, steps = numbers_of(path, laid), len(path.states) - 1
     if other.path.status == "failed":
-        message = (
-            f"in {other.words} steps the line cannot be followed ({other.path.reasons[0].code}), "
-            f"so that nothing says whether {steps} are enough: take {2 * steps}"
-        )
-        return Doubt(Reason("too_coarse", message), tuple(each.name for each in numbers))
-    others = {each.name: each.value for each in numbers_of(other.path, other.laid)}
-    off = {
-        each.name: abs(others[each.name] - each.value) / _allowed(each, numbers, laid, intervals)
-        for each in numbers
-        if math.isfinite(each.value) and math.isfinite(others[each.name])
-    }
-    too_far = {name: share for name, share in off.items() if share > 1.0}
+        return _unknown("too_coarse", numbers, other.path, f"{other.words} steps", steps)
+    too_far = _too_far(numbers, numbers_of(other.path, other.laid), laid, intervals)
     if not too_far:
         return None
     wanted = steps * math.ceil(max(too_far.values()))
     message = (
-        f"{other.words} steps change it by more than {100.0 * ALLOWED:g} % (or "
-        f"{100.0 * OF_BAND:g} % of its band), most at {_worst(path, laid, other)}: {steps} steps "
-        f"are too few; {wanted} should do"
+        f"{_changed(f'{other.words} steps', 'it', 1.0)}, most at {_worst(path, laid, other)}: "
+        f"{steps} steps are too few; {wanted} should do"
     )
     return Doubt(Reason("too_coarse", message), tuple(too_far))
+
+
+def few_elements_doubt(
+    path: RodPath, laid: Laid, half: Laid, intervals: Mapping[str, Interval]
+) -> Doubt | None:
+    """Why numbers are doubtful that more elements would change; None where there are none.
+
+    Parameters
+    ----------
+    path, laid : of the walk
+    half : the same line, of half as many elements
+    intervals : by name, of those numbers that have one
+    """
+    numbers, steps = numbers_of(path, laid), len(path.states) - 1
+    count, other = len(laid.line.lengths), follow(half.line, half.boundaries, steps=steps)
+    if other.status == "failed":
+        return _unknown("coarse_elements", numbers, other, "half as many elements", count)
+    too_far = _too_far(numbers, numbers_of(other, half), laid, intervals, share=_OF_HALF)
+    if not too_far:
+        return None
+    wanted = max(2 * count, math.ceil(count * math.sqrt(max(too_far.values()))))
+    changed = _changed("half as many elements", "a number", 1.0 / _OF_HALF)
+    most = max(too_far, key=lambda each: too_far[each])
+    message = f"{changed}, most {most}: {count} elements are too few; {wanted} should do"
+    # where so few are not enough for one number, another may be the same by chance
+    return Doubt(Reason("coarse_elements", message), tuple(each.name for each in numbers))
+
+
+def _unknown(code: str, numbers: Sequence[Number], other: RodPath, words: str, count: int) -> Doubt:
+    message = (
+        f"in {words} the line cannot be followed ({other.reasons[0].code}), so that nothing says "
+        f"whether {count} are enough: take {2 * count}"
+    )
+    return Doubt(Reason(code, message), tuple(each.name for each in numbers))
+
+
+def _changed(words: str, what: str, times: float) -> str:
+    return (
+        f"{words} change {what} by more than {100.0 * ALLOWED * times:g} % (or "
+        f"{100.0 * OF_BAND * times:g} % of its band)"
+    )
+
+
+def _too_far(
+    numbers: Sequence[Number],
+    others: Sequence[Number],
+    laid: Laid,
+    intervals: Mapping[str, Interval],
+    share: float = 1.0,
+) -> dict[str, float]:
+    """Numbers that are off by more than is allowed, and by how many times that.
+
+    They are off by a share of the change.
+    """
+    known = {each.name: each.value for each in others}
+    off = {
+        each.name: share
+        * abs(known[each.name] - each.value)
+        / _allowed(each, numbers, laid, intervals)
+        for each in numbers
+        if math.isfinite(each.value) and math.isfinite(known[each.name])
+    }
+    return {name: times for name, times in off.items() if times > 1.0}
 
 
 def _allowed(

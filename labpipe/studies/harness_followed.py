@@ -15,7 +15,12 @@ from labpipe.records.result import Result, Status
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_bands import Followed, HarnessBands, harness_bands
-from labpipe.studies.harness_coarse import coarse_doubt, remembers, walked_otherwise
+from labpipe.studies.harness_coarse import (
+    coarse_doubt,
+    few_elements_doubt,
+    remembers,
+    walked_otherwise,
+)
 from labpipe.studies.harness_line import Inputs, Laid, laid
 from labpipe.studies.harness_numbers import (
     ON_THE_WAY,
@@ -164,8 +169,11 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
         reasons += tuple(each for each in notes if each.code not in known)
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
     intervals = {} if bands is None else bands.intervals
+    half = laid(_halved(harness), material.sections[0](material.best), material.best)
     results = (
-        results_of(numbers_of(path, ready), reasons, intervals, _doubts(path, ready, intervals))
+        results_of(
+            numbers_of(path, ready), reasons, intervals, _doubts(path, ready, half, intervals)
+        )
         if is_whole
         else ()
     )
@@ -176,8 +184,20 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
     )
 
 
-def _doubts(path: RodPath, ready: Laid, intervals: Mapping[str, Interval]) -> list[Doubt]:
-    found = [element_doubt(path, ready.line), jump_doubt(path, ready), unloading_doubt(path, ready)]
+def _halved(harness: HarnessFile) -> HarnessFile:
+    line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
+    return harness.model_copy(update={"line": line})
+
+
+def _doubts(
+    path: RodPath, ready: Laid, half: Laid, intervals: Mapping[str, Interval]
+) -> list[Doubt]:
+    found = [
+        element_doubt(path, ready.line),
+        few_elements_doubt(path, ready, half, intervals),
+        jump_doubt(path, ready),
+        unloading_doubt(path, ready),
+    ]
     if remembers(ready):
         other = walked_otherwise(ready, len(path.states) - 1)
         found.append(coarse_doubt(path, ready, other, intervals))

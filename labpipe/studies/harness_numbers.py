@@ -227,7 +227,8 @@ def element_doubt(path: RodPath, line: Line) -> Doubt | None:
         f"{np.degrees(turn):.0f} deg over one of its {count} elements, and its bend is not "
         f"followed within 1 %: take {math.ceil(count * turn / MOST_TURN)} elements or more"
     )
-    names: tuple[str, ...] = (ON_THE_WAY, KEPT, LOST)
+    has_memory = len(line.section.law.stiffnesses) > 0
+    names: tuple[str, ...] = (ON_THE_WAY, KEPT, LOST) if has_memory else (ON_THE_WAY,)
     if turn > FAR_TOO_MUCH:
         names = ("", ON_THE_WAY)
     elif turns[-1].max() > MOST_TURN:

@@ -16,6 +16,7 @@ from labpipe.rod.statics import follow
 from labpipe.studies.harness_coarse import (
     ALLOWED,
     coarse_doubt,
+    few_elements_doubt,
     kept_rows,
     remembers,
     walked_otherwise,
@@ -84,6 +85,40 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     assert ", most at step 10, 0 mm from the start: 10 steps are too few; " in doubt.reason.message
     wide = {name: Interval(-1e6, 1e6, 0.95) for name in doubt.names}
     assert coarse_doubt(followed(ready, 10), ready, walked_otherwise(ready, 10), wide) is None
+
+
+def _arched(elements: int) -> Laid:
+    """A line without memory between two clamps, one brought nearer and lifted."""
+    line = straight_line(LENGTH, elements, linear_section(mass=0.02))
+    share = np.linspace(0.2, 1.0, 9)[:, None]
+    way = line.positions[-1] + share * LENGTH * np.array([-0.35, 0.1, 0.2])
+    near = replace(clamp(line), name="near")
+    end = Held(-1, way, line.frames[-1:], name="far")
+    return Laid(line, (near, end, Gravity(name="weight")), {})
+
+
+def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
+    """Those of 160 elements are the truth: where one is off by more than 2 % that is said."""
+    truth = truths(_arched(160), 8)
+    for elements in (6, 10, 40):
+        ready = _arched(elements)
+        path = followed(ready, 8)
+        doubt = few_elements_doubt(path, ready, _arched(elements // 2), {})
+        named = set() if doubt is None else set(doubt.names)
+        off = {
+            each.name
+            for each in numbers_of(path, ready)
+            if not each.is_signed
+            and abs(each.value - truth[each.name]) > ALLOWED * truth[each.name]
+        }
+        assert off <= named
+        assert bool(named) is (elements < 40)
+        if doubt is not None and elements == 10:
+            assert doubt.reason.code == "coarse_elements"
+            wanted = int(doubt.reason.message.split("too few; ")[1].split()[0])
+            again = _arched(wanted)
+            enough = few_elements_doubt(followed(again, 8), again, _arched(wanted // 2), {})
+            assert enough is None
 
 
 def test_a_walk_of_corners_alone_is_halved() -> None:

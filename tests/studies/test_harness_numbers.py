@@ -96,7 +96,7 @@ def test_elements_that_turn_far_are_too_long(
         assert radius == pytest.approx(fine, rel=0.01)
         return
     assert doubt.reason.code == "coarse_elements"
-    assert doubtful_of(path, ready, doubt) >= {"smallest_bend_radius", "energy_lost"}
+    assert doubtful_of(path, ready, doubt) >= {"smallest_bend_radius", "moment.bench"}
     assert ("lowest_point" in doubtful_of(path, ready, doubt)) is (touched == "all")
     while doubt is not None:
         elements = int(doubt.reason.message.split(": take ")[1].split()[0]) + 1
