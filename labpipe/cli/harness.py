@@ -10,7 +10,7 @@ from pathlib import Path
 
 from labpipe.cli.terminal import from_here, reading
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import unit_words
+from labpipe.report.wording import count_of, unit_words
 from labpipe.studies.harness_followed import FollowedHarness
 from labpipe.studies.harness_study import as_json, follow_harness
 
@@ -73,7 +73,7 @@ def harness_table(found: FollowedHarness) -> str:
     line, steps = found.laid.line, found.harness.steps
     head = (
         f"{found.file.stem}: {found.status}; {1e3 * line.length:.6g} mm of {found.material.name}, "
-        f"{len(line.lengths)} elements, {steps} steps"
+        f"{count_of(len(line.lengths), 'element')}, {count_of(steps, 'step')}"
     )
     if found.status is Status.FAILED:
         reached = len(found.path.states) - 1

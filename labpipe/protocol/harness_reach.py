@@ -147,9 +147,11 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     of a sweep for the shortest line of it that is too short. One for each that holds the line
     nearer to a plane than half the diameter that the file states; that of a wire sheet is not
     known here. One for each turn of half a turn or more in a step, which is one the other way, too,
-    for a curl that elements are too long for, and for a line that falls as all have let it go.
+    for a curl that elements are too long for, for what lets go before it has come anywhere, and for
+    a line that falls as all have let it go.
     """
     yield from _in_planes(harness)
+    yield from _released_too_early(harness)
     yield from _turned_too_far(harness)
     yield from _curled_too_far(harness)
     yield from _falling(harness)
@@ -186,6 +188,18 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
                 found = f"{_mm(_height(plane, low.position))} at step {low.step}"
                 remedy = "Hold it higher, or begin higher ('line.start')."
                 yield Fault(_path(tie, numbers), expected, found, remedy)
+
+
+def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
+    """Find what lets go before it is there; a grip may go on without the line."""
+    for number, each in enumerate(harness.boundaries):
+        if not isinstance(each, HELD) or each.release is None:
+            continue
+        there = each.path[0].step if isinstance(each, Grip) else each.by
+        if there is not None and each.release <= there:
+            expected = f"a step after {there}, at which {each.name!r} is where it brings the line"
+            remedy = "Let it go later, or bring it there earlier."
+            yield Fault(("boundaries", number, "release"), expected, str(each.release), remedy)
 
 
 def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:

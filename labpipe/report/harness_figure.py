@@ -255,7 +255,7 @@ def _plot_plane(
     seen = normal[pair]
     if np.linalg.norm(seen) < 0.5:  # looked at from above
         return
-    reach = 2.0 * _extent(drawn) / np.linalg.norm(seen) * np.array([-seen[1], seen[0]])
+    reach = 10.0 * _extent(drawn) / np.linalg.norm(seen) * np.array([-seen[1], seen[0]])
     ends = np.array([point[pair] - reach, point[pair] + reach])
     _draw(axes, ends, color=GREY, linewidth=1.2, zorder=0)
 
@@ -283,6 +283,7 @@ def _set_view(drawn: DrawnHarness, pair: list[int], axes: Axes) -> None:
         [
             *(shape.positions for shape in drawn.shapes),
             *(mark.position[None] for mark in drawn.marks),
+            *(mark.way for mark in drawn.marks),
         ]
     )[:, pair]
     middle = 0.5 * (every.max(axis=0) + every.min(axis=0))

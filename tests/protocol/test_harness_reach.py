@@ -106,6 +106,19 @@ def test_a_line_may_be_straight_between_its_clips(tmp_path: Path) -> None:
             "one meaning, found 190 deg in each from step 6 to 7.",
         ),
         (
+            "  - {kind: clip, name: right, at: end, position: [10 mm, 250 mm, 0 mm]}",
+            "  - {kind: pin, name: right, at: end, position: [10 mm, 250 mm, 0 mm], by: 9, "
+            "release: 9}",
+            "(boundaries.1.release): expected a step after 9, at which 'right' is where it brings "
+            "the line, found 9. Let it go later, or bring it there earlier.",
+        ),
+        (
+            "  - {kind: clip, name: right, at: end, position: [10 mm, 250 mm, 0 mm]}",
+            "  - {kind: grip, name: right, at: end, release: 4, path: [{step: 6, position: "
+            "[10 mm, 250 mm, 0 mm]}, {step: 9, position: [10 mm, 240 mm, 0 mm]}]}",
+            "(boundaries.1.release): expected a step after 6, at which 'right' is where it ",
+        ),
+        (
             "  section:",
             "  spool: {curvature: 500 1/m}\n  section:",
             "(line.spool.curvature): expected a curl of at most 90 deg over an element of 7.5 mm, "

@@ -144,3 +144,13 @@ def test_files(tmp_path: Path) -> None:
         *("harness.svg", "harness.png", "harness-sweep.svg", "harness-sweep.png"),
     ]
     assert [path.name for path in save_harness_figure(HARNESS, None, tmp_path)] == ["harness.svg"]
+
+
+@pytest.mark.parametrize(("across", "up"), [(0, 2), (1, 2), (0, 1)])
+def test_the_way_of_a_gripper_is_seen_whole(across: int, up: int) -> None:
+    way = np.array([[0.1, 0.0, 0.1], [0.1, 0.09, 0.25], [0.1, 0.0, 0.1]])
+    hand = DrawnMark("hand", "grip", ARC[-1], way)
+    axes = Figure().subplots()
+    plot_view(replace(HARNESS, marks=(hand,)), across, up, axes)
+    for number, (low, high) in zip((across, up), (axes.get_xlim(), axes.get_ylim()), strict=True):
+        assert low < 1e3 * way[:, number].min() <= 1e3 * way[:, number].max() < high
