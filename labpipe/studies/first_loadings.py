@@ -307,6 +307,12 @@ def _noise(deflection: Floats, force: Floats) -> Floats:
     return np.hypot(noise_of(force), slope * noise_of(deflection))
 
 
+_HELD = (
+    "For the next test shorten the string until it holds the wire straight; if it did hold this "
+    "one, say so in the test sheet (rig.string.at_rest: taut) and process it again"
+)
+
+
 def _rest_notes(
     result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
 ) -> tuple[QualityNote, ...]:
@@ -320,7 +326,7 @@ def _rest_notes(
         return ()
     rest = at_rest(result.aligned, result.shape, curve, branch, weight, own=own)
     if rest.why_not_straight:
-        raise NotUsableError(rest.why_not_straight)
+        raise NotUsableError(f"{rest.why_not_straight}. {_HELD}")
     return tuple(notes_of(result.test, rest))
 
 
