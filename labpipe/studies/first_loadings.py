@@ -326,7 +326,8 @@ def _rest_notes(
         return ()
     rest = at_rest(result.aligned, result.shape, curve, branch, weight, own=own)
     if rest.why_not_straight:
-        raise NotUsableError(f"{rest.why_not_straight}. {_HELD}")
+        message = f"{rest.why_not_straight}. {_HELD}"
+        raise NotUsableError(message)
     return tuple(notes_of(result.test, rest))
 
 

@@ -198,7 +198,9 @@ def test_a_wire_that_hung_under_its_counterweight(protocol: Protocol) -> None:
     assert result.curve is not None
     travel = result.curve.displacement + 1.5e-3
     aligned = Aligned(result.curve.time, {"travel": Series(travel, "m")})
-    with pytest.raises(NotUsableError, match=r"slack at rest: .* 1.5 mm before .*shorten the string"):
+    with pytest.raises(
+        NotUsableError, match=r"slack at rest: .* 1.5 mm before .*shorten the string"
+    ):
         taken(protocol, replace(result, aligned=aligned))
     light = protocol.rig.string.model_copy(update={"counterweight": 0.0})  # type: ignore[union-attr]
     rig = protocol.rig.model_copy(update={"string": light})
