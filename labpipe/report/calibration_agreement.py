@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
 from labpipe.records.group import Band
 from labpipe.records.wire_calibration import CurveMatch, ExternalCurveComparison, Prediction
 from labpipe.report.calibration_shown import (
@@ -24,7 +24,7 @@ from labpipe.report.calibration_shown import (
     percent,
 )
 from labpipe.report.concerns import sentences
-from labpipe.report.drawn_points import extremes
+from labpipe.report.drawn_points import extremes, sure_and_doubtful
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
@@ -102,7 +102,7 @@ def plot_group(group: ValidationGroup, axes: Axes) -> None:
         axes.plot(across, FORCE.factor * sample.force[kept], **_SAMPLE)
     _draw_measured(group.band, axes)
     if group.prediction is not None:
-        _draw_prediction(group.prediction, axes)
+        _draw_prediction(group.prediction, group.is_sure, axes)
     axes.text(
         0.03, 0.98, agreement_words(group), transform=axes.transAxes, va="top", zorder=6,
         linespacing=1.25,
@@ -143,13 +143,16 @@ def _draw_measured(band: Band, axes: Axes) -> None:
     axes.plot(x, FORCE.factor * band.mean, **MEAN_LOOK)
 
 
-def _draw_prediction(prediction: Prediction, axes: Axes) -> None:
+def _draw_prediction(prediction: Prediction, is_sure: Flags, axes: Axes) -> None:
     x = DEFLECTION.factor * prediction.deflection
     lower, upper = FORCE.factor * prediction.lower, FORCE.factor * prediction.upper
-    axes.fill_between(x, lower, upper, **PREDICTED_LOOK)
-    for edge in (lower, upper):
-        axes.plot(x, edge, **_EDGE)
-    axes.plot(x, FORCE.factor * prediction.force, **MODEL_LOOK)
+    band_alpha = PREDICTED_LOOK["alpha"]
+    for use, fade in sure_and_doubtful(is_sure):
+        look = PREDICTED_LOOK | {"alpha": fade * band_alpha}
+        axes.fill_between(x[use], lower[use], upper[use], **look)
+        for edge in (lower, upper):
+            axes.plot(x[use], edge[use], **_EDGE, alpha=fade)
+        axes.plot(x[use], FORCE.factor * prediction.force[use], **MODEL_LOOK, alpha=fade)
 
 
 def _lowest(group: ValidationGroup) -> float:
@@ -157,6 +160,12 @@ def _lowest(group: ValidationGroup) -> float:
     forces: list[Floats] = [group.band.mean, *(each.force for each in group.samples.values())]
     known = [each[np.isfinite(each)] for each in forces]
     return FORCE.factor * min((float(each.min()) for each in known if len(each)), default=0.0)
+
+
+_LIGHTER = (
+    "The model is lighter where the rim of the insulation is strained beyond what its straight line"
+    " is taken to hold for: it is doubtful there."
+)
 
 
 def _note(groups: Sequence[ValidationGroup]) -> str:
@@ -171,6 +180,8 @@ def _note(groups: Sequence[ValidationGroup]) -> str:
         if len(counts) > 1:
             of = f" ({', '.join(_names(groups, number))})"
         said.append(f"Blue band: the model's for {what}{of}.")
+    if not all(group.is_sure.all() for group in groups):
+        said.append(_LIGHTER)
     notes = {
         note.message: None
         for group in groups

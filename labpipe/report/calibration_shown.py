@@ -8,7 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from labpipe.records.arrays import Floats, frozen
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats, frozen
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.wire_calibration import (
@@ -159,6 +161,8 @@ class ValidationGroup:
     mean_of : number of samples whose mean lies between `lower` and `upper` of the prediction
     errors : of the model against all points of the samples; None without a prediction
     reason : why there is no prediction; else None
+    doubtful_deflection : m, from which on the prediction is doubtful, as the rim of the insulation
+        leaves the range of its straight line; infinite where it does not
     """
 
     wire: str
@@ -170,6 +174,13 @@ class ValidationGroup:
     mean_of: int = 1
     errors: CurveErrors | None = None
     reason: Reason | None = None
+    doubtful_deflection: float = math.inf
+
+    @property
+    def is_sure(self) -> Flags:
+        """Whether each point of the prediction is none of the doubtful ones; empty without one."""
+        deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
+        return np.asarray(deflection <= self.doubtful_deflection)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

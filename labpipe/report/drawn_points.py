@@ -1,17 +1,19 @@
-"""Fewer points to draw, without hiding what the samples do."""
+"""Fewer points to draw, without hiding what the samples do; and which of them are drawn lighter."""
 
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterator
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Flags, Floats, Ints
 
 _Stretch: TypeAlias = tuple[float, int, int, int]
 """Less the distance of the furthest sample, first sample, the furthest, last sample."""
+_FADED = 0.35
 
 
 def extremes(values: Floats, *, bins: int) -> Ints:
@@ -127,3 +129,21 @@ def worst(flags: NDArray[np.uint8], rank: NDArray[np.uint8], *, bins: int) -> ND
     by_rank = np.argsort(rank).astype(np.uint8)
     found: NDArray[np.uint8] = by_rank[badness]
     return found
+
+
+def sure_and_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
+    """Cut a line in what is sure, and what is doubtful, from its last sure point on, lighter.
+
+    Parameters
+    ----------
+    sure : shape (n,), true up to some point, and at the first
+
+    Yields
+    ------
+    The points of a part, shape (n,), and how opaque it is drawn.
+    """
+    yield sure, 1.0
+    if not sure.all():
+        doubtful = ~sure
+        doubtful[int(sure.sum()) - 1] = True
+        yield doubtful, _FADED

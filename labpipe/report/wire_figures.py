@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
+from labpipe.report.drawn_points import sure_and_doubtful
 from labpipe.report.figure_page import (
     Words,
     area_key,
@@ -68,7 +69,6 @@ _ELASTIC: dict[str, Any] = {
 }  # fmt: skip
 _LIGHTER: dict[str, Any] = {"facecolor": "white", "alpha": 0.6, "linewidth": 0, "zorder": 6}
 """Laid over what is beyond the range of the insulation's straight line: doubtful."""
-_FADED = 0.35
 _HEADROOM, _TOO_CLOSE = 1.4, 1.35
 _MOST_ELASTIC = 2.0
 """How far a panel goes for the line without yielding, in largest moments."""
@@ -374,7 +374,7 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
         style: dict[str, Any] = {"color": look.colour, "linestyle": look.dash}
         secant, moment = unit.factor * table.secant_stiffness, MOMENT.factor * table.moment
         sure = table.curvature <= table.doubtful_curvature
-        for use, fade in _pieces(sure):
+        for use, fade in sure_and_doubtful(sure):
             shown = use & bent(table)
             left.plot(table.curvature[shown], secant[shown], **style, alpha=fade)
             right.plot(table.curvature[use], moment[use], **style, alpha=fade)
@@ -387,15 +387,6 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     panel_letter(left, "a", "secant stiffness")
     panel_letter(right, "b", "moment")
     return page
-
-
-def _pieces(sure: Flags) -> Iterator[tuple[Flags, float]]:
-    """What is sure of a law, and what is doubtful, from its last sure point on, drawn lighter."""
-    yield sure, 1.0
-    if not sure.all():
-        doubtful = ~sure
-        doubtful[int(sure.sum()) - 1] = True
-        yield doubtful, _FADED
 
 
 def _shared_range(tables: Sequence[WireTable]) -> Floats:

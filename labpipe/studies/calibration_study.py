@@ -53,6 +53,7 @@ from labpipe.studies.validation import (
     require_known,
     usual_sheet,
     wire_to_calibrate,
+    with_doubtful_parts,
     without_copies,
 )
 from labpipe.studies.wire_specs import read_wires
@@ -384,6 +385,7 @@ def calibrate_tests(
     told = (weight, *insulation_notes(calibration, built, specs, loadings))
     calibration = replace(calibration, notes=(*calibration.notes, *filter(None, told)))
     groups = compare(calibration, built, loadings)
+    groups = with_doubtful_parts(groups, calibration, built, specs, loadings)
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
         calibration=calibration,

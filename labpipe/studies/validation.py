@@ -25,7 +25,7 @@ from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
 from labpipe.wire.calibration.prediction import predict
-from labpipe.wire.calibration.wire_parts import take_apart
+from labpipe.wire.calibration.wire_parts import loading_curve, take_apart
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -34,7 +34,7 @@ from labpipe.wire.cantilever import (
     straight,
 )
 from labpipe.wire.tested_curvature import tested_curvature
-from labpipe.wire.wire_table import build, mass_per_length
+from labpipe.wire.wire_table import build, mass_per_length, straight_range
 
 STEPS = 6
 """Deflections that are shown."""
@@ -327,6 +327,50 @@ def insulation_notes(
         of = "" if name == calibration.wire else calibration.wire
         found.append(insulation_note(specs[name], reach, of=of))
     return tuple(each for each in found if each is not None)
+
+
+def with_doubtful_parts(
+    groups: Sequence[ValidationGroup],
+    calibration: Calibration,
+    wires: Mapping[str, Wire],
+    specs: Mapping[str, WireSpec],
+    loadings: Sequence[FirstLoading],
+) -> tuple[ValidationGroup, ...]:
+    """Say from which deflection on each prediction is beyond the straight line of the insulation.
+
+    Parameters
+    ----------
+    groups : of `compare`
+    calibration, wires, loadings : as they were compared
+    specs : by name
+    """
+    curves = {(each.curve.wire, round(each.curve.length, 6)): each.curve for each in loadings}
+    return tuple(
+        replace(each, doubtful_deflection=_straight_up_to(each, calibration, wires, specs, curve))
+        for each in groups
+        for curve in [curves[each.wire, round(each.length, 6)]]
+    )
+
+
+def _straight_up_to(
+    group: ValidationGroup,
+    calibration: Calibration,
+    wires: Mapping[str, Wire],
+    specs: Mapping[str, WireSpec],
+    curve: MeasuredCurve,
+) -> float:
+    """Deflection, m, at which the clamp, where a wire is bent most, reaches the curvature."""
+    if group.prediction is None:
+        return np.inf
+    wire, values = wires[group.wire], calibration.solutions[0].values
+    parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
+    known = np.where(np.isnan(values), parts.given, values)
+    deepest = float(group.prediction.deflection[-1])
+    bent = loading_curve(
+        *(parts, known, group.length, curve.rig, deepest), self_weight=curve.self_weight
+    )
+    limit = straight_range(specs[group.wire])
+    return float(np.interp(limit, bent.clamp_curvature, bent.deflection, right=np.inf))
 
 
 def _compared(

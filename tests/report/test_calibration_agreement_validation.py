@@ -50,6 +50,22 @@ def test_samples_mean_and_model_with_their_bands() -> None:
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Tip deflection (mm)", "Force (N)")
 
 
+def test_the_model_is_lighter_where_it_is_doubtful() -> None:
+    whole = predicted()
+    shown = replace(group(), doubtful_deflection=float(whole.deflection[3]))
+    axes = Figure().subplots()
+    plot_group(shown, axes)
+    sure, doubtful = axes.lines[5], axes.lines[8]
+    assert (sure.get_alpha() or 1.0) > 2.0 * (doubtful.get_alpha() or 1.0)
+    drawn = [np.asarray(line.get_ydata()) for line in (sure, doubtful)]
+    np.testing.assert_allclose(drawn[0], whole.force[:4])
+    np.testing.assert_allclose(drawn[1], whole.force[3:])
+    bands = [float(each.get_alpha() or 1.0) for each in axes.collections[1:]]
+    assert bands[0] > 2.0 * bands[1]
+    assert "The model is lighter where the rim" in note(validation_figure([group(), shown]))
+    assert "lighter" not in note(validation_figure([group()]))
+
+
 def test_agreement_in_words() -> None:
     errors = group().errors
     assert errors is not None

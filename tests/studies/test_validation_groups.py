@@ -11,9 +11,11 @@ from labpipe.records.group import Band
 from labpipe.records.wire_calibration import Calibration
 from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.studies.first_loadings import FirstLoading
-from labpipe.studies.validation import compare, insulation_notes
+from labpipe.studies.validation import compare, insulation_notes, with_doubtful_parts
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.tested_curvature import tested_curvature as reached
+from labpipe.wire.wire_table import straight_range
 from tests.builders.harness_files import SHEET
 from tests.builders.loading_tests import exact_curve, measured, wire_of
 
@@ -85,6 +87,28 @@ def test_predictions_beyond_the_line_of_the_insulation_are_said(calibration: Cal
     assert "from 14.3 1/m on" in predicted.message
     assert "what the calibration of A2 predicts is doubtful" in predicted.message
     assert "parameters make up for an insulation that gives way" in own.message
+
+
+def test_from_where_on_a_prediction_is_doubtful(calibration: Calibration) -> None:
+    """A wire that is bent to there and no farther has just the curvature of the limit."""
+    wires = {"A2": wire_of("A2"), "A1": wire_of("A1")}
+    known = {each.name: each for each in read_wire_sheet(SHEET)}
+    weak = {name: replace(each, insulation_strain=0.01) for name, each in known.items()}
+    both = loadings("A1", "A2")
+    groups = compare(calibration, wires, both)
+    sure = with_doubtful_parts(groups, calibration, wires, known, both)
+    assert [group.doubtful_deflection for group in sure] == [np.inf, np.inf]
+    for group in with_doubtful_parts(groups, calibration, wires, weak, both):
+        assert group.prediction is not None
+        assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
+        curve = next(each.curve for each in both if each.curve.wire == group.wire)
+        ends = np.linspace(0.0, group.doubtful_deflection, 9)
+        curvature = reached(
+            wires[group.wire],
+            calibration.solutions[0].values,
+            [replace(curve, deflection=ends, force=ends, noise=ends)],
+        )
+        assert curvature == pytest.approx(straight_range(weak[group.wire]), rel=2e-3)
 
 
 def test_the_band_is_one_of_means_and_not_of_noise(calibration: Calibration) -> None:
