@@ -37,6 +37,7 @@ _COLOURS = "viridis"
 _BELOW = "#d62728"
 _BAND: dict[str, Any] = {"color": "#9ecae1", "linewidth": 0.0}
 _EARLIER: dict[str, Any] = {"color": "#999999", "linewidth": 0.7}
+_WAY: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.5}
 _LIMIT: dict[str, Any] = {"color": _BELOW, "linewidth": 0.8, "linestyle": (0, (5, 2))}
 _SIGNS: dict[str, dict[str, Any]] = {
     "clip": {"marker": "s", "markersize": 4.5},
@@ -83,7 +84,7 @@ class DrawnMark:
     ----------
     name, kind : of the boundary
     position : shape (3,), m, at the last step
-    way : shape (steps + 1, 3), m, that it took; empty for one that stays
+    way : shape (steps + 1, 3), m, that a grip took, or a string has; empty for others
     direction : shape (3,), of the line in it, or of the force; None without
     holds : whether it still does
     """
@@ -178,6 +179,8 @@ def _keys(drawn: DrawnHarness) -> list[Artist]:
         if names:
             words = f"{kind} {', '.join(names)}"
             keys.append(line_key(words, color="black", linestyle="", **look))
+    if any(each.kind == "grip" and len(each.way) > 1 for each in drawn.marks):
+        keys.append(line_key("way of a grip", **_WAY))
     return [*keys, line_key("allowed bend radius", **_LIMIT)]
 
 
@@ -263,7 +266,7 @@ def _plot_plane(
 def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], axes: Axes) -> None:
     place = mark.position[pair]
     colour = "black" if mark.holds else "#bbbbbb"
-    _draw(axes, mark.way[:, pair], color="#bbbbbb", linewidth=0.5, zorder=0)
+    _draw(axes, mark.way[:, pair], **_WAY, zorder=0)
     _draw(axes, place[None], color=colour, linestyle="", zorder=4, **_SIGNS[mark.kind])
     if mark.direction is not None:
         reach = _ARROW * extent * mark.direction[pair]

@@ -73,8 +73,10 @@ def _marks(found: FollowedHarness) -> tuple[DrawnMark, ...]:
         match boundary:
             case rod.Held():
                 holds = boundary.release is None or boundary.release > steps
-                way = boundary.position[: boundary.release]
-                place: Floats = last.positions[boundary.node] if not holds else way[-1]
+                gone = boundary.position[: boundary.release]
+                place: Floats = last.positions[boundary.node] if not holds else gone[-1]
+                if each.kind == "grip":  # how a clip is brought to its place says nothing of it
+                    way = gone
                 if boundary.frame is not None and holds:
                     direction = matrices(boundary.frame[-1])[:, 2]
             case rod.Ring():

@@ -33,6 +33,7 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     assert marks["gripper"].position == pytest.approx(found.path.last.positions[node])
     assert (marks["gripper"].holds, marks["bench"].holds) == (False, True)
     assert marks["gripper"].way[-1] == pytest.approx([0.06, 0.0, 0.045])
+    assert not marks["bench"].way.size
     assert marks["bench"].direction == pytest.approx([1.0, 0.0, 0.0])
     assert marks["thread"].way[0] == pytest.approx(found.path.last.positions[-1])
     ((point, normal),) = drawn.planes
