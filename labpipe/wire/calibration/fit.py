@@ -501,16 +501,19 @@ def friction_jacobian(
     total = contacts.inner[-1] + contacts.outer[-1]
     force = values[0] / total
     columns = []
-    for number in range(3):
+    for number, part in enumerate((contacts.inner[-1], contacts.outer[-1], total)):
+        # Steps that change phi alike: forces have corners where strands begin to slip, and columns
+        # of numbers that act through phi alone stay proportional only if they cross the same ones.
+        step = _STEP * total / max(part, 2.0 * _STEP * total)
         forces = []
         for sign in (1.0, -1.0):
             grown = np.ones(3)
-            grown[number] += sign * _STEP
+            grown[number] += sign * step
             changed = _scaled(contacts, grown[0], grown[1])
             parts = take_apart(section, changed, orientation=orientation)
             phi = force * grown[2] * (changed.inner[-1] + changed.outer[-1])
             forces.append(_whitened(parts, np.array([phi, *values[1:]]), curves, correlation))
-        columns.append((forces[0] - forces[1]) / (2.0 * _STEP))
+        columns.append((forces[0] - forces[1]) / (2.0 * step))
     return np.column_stack(columns)
 
 

@@ -155,6 +155,17 @@ def test_friction_numbers_act_as_one(name: str) -> None:
         )
 
 
+def test_a_corner_of_the_curve_does_not_tell_friction_numbers_apart() -> None:
+    """With weight, curves have corners where strands begin to slip: all steps cross the same."""
+    wire, (curve,) = wire_of("A2"), measured("A2", (0.12,), samples=1, n=1000)
+    heavy, at_corner = replace(curve, self_weight=0.03), TRUTH * np.array([1.003, 1.0, 1.0])
+    jacobian = friction_jacobian(
+        wire.section, wire.contacts, at_corner, (heavy,), orientation=0.0, correlation=0.0
+    )
+    found = separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
+    assert found.singular_values[1] < 1e-3 * found.singular_values[0]
+
+
 def test_priors_are_weighed() -> None:
     far = PriorConflict(1.5, 1.1, 1.0, 3.0, 1e6, contradicts=False, message="")
     found = weigh_prior("copper_scale", far)
