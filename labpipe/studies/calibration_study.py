@@ -50,6 +50,7 @@ from labpipe.studies.validation import (
     built_wire,
     compare,
     insulation_notes,
+    misfit_notes,
     require_known,
     usual_sheet,
     wire_to_calibrate,
@@ -379,12 +380,14 @@ def calibrate_tests(
     loadings = [with_weight(each, built[each.curve.wire].self_weight) for each in loadings]
     own = [each for each in loadings if each.curve.wire == name]
     say("calibration")
-    calibration = _calibration(built[name], own, asked)
+    tables = [each.table for each in sheet.curves[name].values()]
+    calibration = _calibration(built[name], own, asked, tables)
     measured = [each.curve for each in own]
     reach = tested_curvature(built[name], calibration.solutions[0].values, measured)
     told = (weight, *insulation_notes(calibration, built, specs, loadings))
-    calibration = replace(calibration, notes=(*calibration.notes, *filter(None, told)))
     groups = compare(calibration, built, loadings)
+    told = (*told, *misfit_notes(groups))
+    calibration = replace(calibration, notes=(*calibration.notes, *filter(None, told)))
     groups = with_doubtful_parts(groups, calibration, built, specs, loadings)
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
@@ -419,7 +422,9 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
     return with_values(spec, {each.name: each.value for each in calibration.parameters})
 
 
-def _calibration(wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan) -> Calibration:
+def _calibration(
+    wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan, tables: Sequence[str]
+) -> Calibration:
     settings = Settings(
         choices=_choices(asked),
         gain=max(each.gain for each in own),
@@ -431,6 +436,11 @@ def _calibration(wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan
             f"the calibration of {own[0].curve.wire} failed ({found.code}): {found.message}. "
             f"{_REMEDY}"
         )
+        if tables and found.code == "model_cannot_follow":
+            message += (
+                f" If a stress table ends too early ({', '.join(tables)}), give it the points that "
+                f"are missing, or the plan a smaller up_to."
+            )
         raise ProcessingError(message)
     notes = (*found.notes, *(note for each in own for note in each.notes))
     return replace(found, notes=notes)

@@ -13,7 +13,7 @@ from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.group import Band, SampleCurve
-from labpipe.records.quality import QualityNote, Reason
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import Calibration, CurveErrors, Prediction
 from labpipe.report.calibration_shown import BentShape, ValidationGroup
@@ -269,6 +269,7 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
 _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
 """Deflections of a prediction, over the deepest: closer where the curve begins, and is bent."""
 _BLOCKS = 50
+_FOLLOWED = 0.8  # share of the points in a 95 % band
 """Means of each curve, at least, that the mean curve is made of: of single points its band would
 show how they scatter by their noise, and not how the samples do."""
 
@@ -327,6 +328,33 @@ def insulation_notes(
         of = "" if name == calibration.wire else calibration.wire
         found.append(insulation_note(specs[name], reach, of=of))
     return tuple(each for each in found if each is not None)
+
+
+def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
+    """Say which calibrating tests lie outside of the 95 % band of what was made of them.
+
+    Parameters
+    ----------
+    groups : of `compare`
+
+    Returns
+    -------
+    A note for each group of which less than `_FOLLOWED` of the points lie inside: of campaigns with
+    the right wire hardly any had less than 95 %.
+    """
+    return tuple(
+        QualityNote(
+            "model_misses_tests",
+            Severity.WARNING,
+            f"{each.wire}, {1e3 * each.length:.4g} mm",
+            f"{100.0 * each.errors.inside:.2g} % of the points of the calibrating tests lie in the "
+            f"95 % band that was made of them: the model does not follow these tests, and what it "
+            f"says is identified holds for another wire. Check the wire's row in the sheet "
+            f"(strands, diameters, lay, wall) and the tests' length and string",
+        )
+        for each in groups
+        if each.is_calibrated and each.errors is not None and each.errors.inside < _FOLLOWED
+    )
 
 
 def with_doubtful_parts(

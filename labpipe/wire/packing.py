@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.spatial import KDTree
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.cross_section import (
@@ -26,6 +27,7 @@ from labpipe.wire.cross_section import (
     place,
 )
 
+_NEAR = 1.5  # diameters: neighbours
 _NO_ENERGY = 1e-16  # of strands of radius 1: overlaps of 1e-8, which no other start betters
 
 Kind: TypeAlias = Literal["hexagonal", "concentric", "packed", "compressed"]
@@ -195,3 +197,39 @@ def lay_out(
     is_equal = len({layer.diameter for layer in layers}) == 1
     # of unequal strands, rings are asked for once more for their reason
     return packed(layers, insulation, seed=seed) if is_equal else concentric(layers, insulation)
+
+
+def helix_overlap(section: CrossSection) -> float:
+    """Deepest overlap of the helices of one layer, over their diameter; 0 when none overlap.
+
+    Circles that touch in the section are helices that overlap: across its own axis a strand has
+    cos(lay angle) of the room that it has around the wire.
+
+    Parameters
+    ----------
+    section : round strands in place
+
+    Notes
+    -----
+    Two helices at radii a and b, with the angle p between them and the pitch 2 pi / k, are apart by
+    the least of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z.
+    """
+    deepest = 0.0
+    for number, layer in enumerate(section.layers):
+        here = section.layer == number
+        centres = np.column_stack([section.x[here], section.y[here]])
+        first, second = KDTree(centres).query_pairs(_NEAR * layer.diameter, output_type="ndarray").T
+        if first.size and layer.lay_angle:
+            apart = _helices_apart(centres[first], centres[second], layer.lay_angle)
+            deepest = max(deepest, 1.0 - float(apart.min()) / layer.diameter)
+    return deepest
+
+
+def _helices_apart(first: Floats, second: Floats, lay_angle: float) -> Floats:
+    """Least distance of pairs of centre lines, shape (pairs,)."""
+    a, b = np.hypot(*first.T), np.hypot(*second.T)
+    turn = np.arctan2(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0], (first * second).sum(1))
+    ahead = np.abs(turn)[:, None] * np.linspace(0.0, 1.0, 401)
+    along = (np.abs(turn)[:, None] - ahead) * np.sqrt(a * b)[:, None] / np.tan(abs(lay_angle))
+    squared = (a**2 + b**2)[:, None] - 2.0 * (a * b)[:, None] * np.cos(ahead) + along**2
+    return np.sqrt(squared.min(axis=1))

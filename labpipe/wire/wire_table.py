@@ -23,7 +23,7 @@ from labpipe.wire.cross_section import TOLERANCE, CrossSection, Insulation, Laye
 from labpipe.wire.cross_section import hexagonal as as_hexagon
 from labpipe.wire.friction import Contacts, axial_strain, insulated, slip_onsets
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
-from labpipe.wire.packing import Kind, lay_out
+from labpipe.wire.packing import Kind, helix_overlap, lay_out
 from labpipe.wire.stretch_torsion import stretch_torsion
 
 GRID_POINTS = 200
@@ -225,6 +225,7 @@ def _slips_at_once(spec: WireSpec, onsets: Floats, curve: MomentCurve) -> tuple[
 
 
 _ROUNDING = 1e-9  # of the bore's radius: strands that touch
+_STEEP, _STEEPEST = 0.05, 0.1  # of the strands' diameter: overlap of helices; of area, too
 _ECCENTRIC = 0.02  # of the bore's radius: centroid of the strands off the axis
 _YIELDS = 1.2  # times the stress of the curve: pull of strands that are taken as elastic
 _HALF_TURN = np.linspace(0.0, np.pi, 180, endpoint=False)
@@ -262,17 +263,20 @@ def build(spec: WireSpec) -> BuiltWire:
     Returns
     -------
     The wire, with the notes ``layout_fallback`` (not the hexagon, and why), ``layout_eccentric``
-    (a packing to one side of the bore), ``overlap_tolerated`` and ``tension_yields``.
+    (a packing to one side of the bore), ``overlap_tolerated``, ``helices_overlap`` and
+    ``tension_yields``.
 
     Raises
     ------
     WireError
-        If the strands do not fit the bore or each other (with the overlap), the tension strains
-        them beyond their stress table, or a number is out of its range.
+        If the strands do not fit the bore or each other (with the overlap), as circles or as the
+        helices that they are, the tension strains them beyond their stress table, or a number is
+        out of its range.
     """
     try:
         _require_numbers(spec)
         section, notes = _section(spec)
+        notes = (*notes, *_helices(section, spec))
         rings = len(section.layers) - int(section.has_core)
         contacts = insulated(
             rings,
@@ -393,6 +397,34 @@ def _overlap(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
         f"{100.0 * TOLERANCE:.1f} % is let pass"
     )
     return (QualityNote("overlap_tolerated", Severity.INFO, spec.place, message),)
+
+
+def _helices(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
+    """Refuse a lay so steep that strands, as wide as it makes them, cannot be in the bore.
+
+    A strand takes 1 / cos(lay angle) of its area and of its width from the section. Circles are
+    the field's way of laying out, and for a usual lay (up to 20 deg) they are little off.
+    """
+    copper = sum(each.count * each.area / np.cos(each.lay_angle) for each in section.layers)
+    bore = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
+    if copper > (1.0 + _STEEPEST) * bore:
+        message = (
+            f"the strands do not fit the bore: with 1 / cos(lay angle) their areas in the section "
+            f"are {copper * 1e6:.4g} mm^2, and the bore has {bore * 1e6:.4g} mm^2"
+        )
+        raise ValueError(message)
+    overlap = 0.0 if section.kind == "compressed" else helix_overlap(section)
+    if overlap <= _STEEP:
+        return ()
+    said = (
+        f"by their lay angle, helices that touch in the section overlap by {100.0 * overlap:.2g} % "
+        f"of their diameter"
+    )
+    if overlap > _STEEPEST:
+        message = f"the strands do not fit each other: {said}; {_STEEPEST:.0%} is let pass"
+        raise ValueError(message)
+    message = f"{said}: lay angle, strands or layout may be another in the real wire"
+    return (QualityNote("helices_overlap", Severity.WARNING, spec.place, message),)
 
 
 def _yielding(spec: WireSpec, strain: float) -> tuple[QualityNote, ...]:

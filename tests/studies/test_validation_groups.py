@@ -11,7 +11,12 @@ from labpipe.records.group import Band
 from labpipe.records.wire_calibration import Calibration
 from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.studies.first_loadings import FirstLoading
-from labpipe.studies.validation import compare, insulation_notes, with_doubtful_parts
+from labpipe.studies.validation import (
+    compare,
+    insulation_notes,
+    misfit_notes,
+    with_doubtful_parts,
+)
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.wire.tested_curvature import tested_curvature as reached
@@ -58,6 +63,21 @@ def test_errors_are_of_all_points(calibration: Calibration) -> None:
         ]
     )
     assert group.errors.sse == pytest.approx(float(left @ left))
+
+
+def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration) -> None:
+    """A wave of 10 mN in the force, as no wire has, beside what the wire does."""
+    (right,) = compare(calibration, {"A2": wire_of("A2")}, loadings("A2"))
+    assert not misfit_notes([right])
+    waves = [replace(c, force=c.force + 0.01 * np.sin(c.deflection / 0.008)) for c in CURVES]
+    found = calibrate(wire_of("A2"), waves, Settings())
+    assert isinstance(found, Calibration)
+    tests = [FirstLoading(curve, 0.0, ()) for curve in waves]
+    (wrong,) = compare(found, {"A2": wire_of("A2")}, tests)
+    [note] = misfit_notes([wrong])
+    assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
+    assert note.message.startswith("70 % of the points of the calibrating tests lie in the 95 %")
+    assert not misfit_notes([replace(wrong, is_calibrated=False)])
 
 
 def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:

@@ -166,8 +166,10 @@ def test_strands_without_core(strands: int) -> None:
 @pytest.mark.parametrize("friction", [0.0, 0.3, 3.0])
 @pytest.mark.parametrize("angle", [1.0, 45.0, 80.0])
 def test_odd_wires_are_told_or_refused_in_words(angle: float, friction: float) -> None:
+    room = float(np.cos(np.radians(angle)))  # round the core, for a helix beside a helix
     spec = replace(
         A2,
+        strand_diameters=(0.32e-3, 0.6 * room * 0.32e-3),
         lay_angles=(float(np.radians(angle)),),
         friction_strand=friction,
         friction_insulation=friction,

@@ -107,6 +107,17 @@ def test_an_overlap_that_is_let_pass_is_noted() -> None:
     )
 
 
+def test_a_lay_that_leaves_no_room_is_noted_or_refused() -> None:
+    """Helices are nearer to each other than their circles in the section."""
+    [note] = build(replace(A2, lay_angles=(np.radians(25.0),))).notes
+    assert (note.code, note.severity) == ("helices_overlap", "warning")
+    assert "overlap by 7.6 % of their diameter" in note.message
+    with pytest.raises(WireError, match=r"do not fit each other: .* overlap by 26 % of their"):
+        build(replace(A2, lay_angles=(np.radians(45.0),)))
+    with pytest.raises(WireError, match=r"do not fit the bore: with 1 / cos\(lay angle\) their"):
+        build(replace(A2, lay_angles=(np.radians(70.0),)))
+
+
 def test_compressed_strands_at_given_radii() -> None:
     spec = replace(A2, layout="compressed", layer_radii=(0.0, 0.3e-3))
     assert build(spec).section.radius[1:] == pytest.approx(np.full(6, 0.3e-3))
