@@ -8,6 +8,8 @@ import math
 import sys
 from collections.abc import Sequence
 
+import numpy as np
+
 from labpipe.campaign.decisions import without_rejected
 from labpipe.campaign.queries import escaped
 from labpipe.cli.terminal import from_here, reading
@@ -64,7 +66,7 @@ def calibration_table(done: Calibrated) -> str:
     lines = [
         f"{found.wire}: {found.n_points} points of {found.n_samples} "
         f"sample{'s' * (found.n_samples != 1)}, rms "
-        f"{1e3 * found.rmse:.3g} mN ({100.0 * found.rmse_share:.2g} % of the largest force)"
+        f"{_rounded(1e3 * found.rmse, 3)} mN ({_percent(found.rmse_share)} of the largest force)"
     ]
     lines += [_parameter(each) for each in found.parameters]
     lines += [f"  {each.words}" for each in found.parameters if each.words]
@@ -87,6 +89,8 @@ def calibration_table(done: Calibrated) -> str:
 
 def _parameter(each: CalibratedParameter) -> str:
     factor, unit = DISPLAYED[each.name]
+    if math.isnan(each.value):
+        return f"  {each.name:<20}{'-':>10} {unit:<4} does not act"
     mark = "?" if each.verdict in _DOUBTED else " "
     line = f"{mark} {each.name:<20}{_written(factor * each.value):>10} {unit:<4}"
     if each.interval is None:
@@ -103,6 +107,20 @@ def _written(number: float) -> str:
     return f"{number:.5g}" if number < 99_999.0 else f"{number:.0f}"
 
 
+def _rounded(number: float, digits: int) -> str:
+    """Some digits, never as a power of ten."""
+    return np.format_float_positional(float(f"{number:.{digits}g}"), trim="-")
+
+
+def _percent(share: float, digits: int = 2) -> str:
+    return f"{_rounded(100.0 * share, digits)} %"
+
+
+def _cells(rmse: float, share: str, inside: str) -> str:
+    """Columns of errors, apart however wide they are."""
+    return f" {_rounded(1e3 * rmse, 3):>8} {share:>8} {inside:>8}"
+
+
 def _groups(done: Calibrated) -> list[str]:
     heading = (
         f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'tests are'}"
@@ -116,10 +134,8 @@ def _group(each: ValidationGroup) -> str:
     errors = each.errors
     if errors is None:
         return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {each.reason or ''}"
-    return (
-        f"{head}{1e3 * errors.rmse:>9.3g}{f'{100.0 * errors.rmse_share:.2g} %':>9}"
-        f"{f'{100.0 * errors.inside:.3g} %':>9}  {role}"
-    )
+    cells = _cells(errors.rmse, _percent(errors.rmse_share), _percent(errors.inside, 3))
+    return f"{head}{cells}  {role}"
 
 
 def _source(done: Calibrated) -> list[str]:
@@ -173,6 +189,5 @@ def _numbers(found: CurveMatch) -> str:
     errors = found.errors
     if errors is None:
         return f"{0:>8}{'-':>9}{'-':>9}{'-':>9}"
-    inside = f"{100.0 * errors.inside:.3g} %" if math.isfinite(errors.inside) else "-"
-    share = f"{100.0 * errors.rmse_share:.2g} %"
-    return f"{errors.n:>8}{1e3 * errors.rmse:>9.3g}{share:>9}{inside:>9}"
+    inside = _percent(errors.inside, 3) if math.isfinite(errors.inside) else "-"
+    return f"{errors.n:>8}{_cells(errors.rmse, _percent(errors.rmse_share), inside)}"

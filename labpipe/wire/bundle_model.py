@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.harness_bundle import Bundle, BundleLayout, BundleModel
+from labpipe.records.harness_bundle import Bundle, BundleLayout, BundleModel, BundleWire
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
 from labpipe.wire.bundle_layout import arrange
@@ -26,6 +26,8 @@ from labpipe.wire.wire_table import build
 
 _OTHER_DIAMETER = 0.05
 """Of a diameter: how far the test sheet may be from the wire sheet without a note."""
+_ANOTHER_WIRE = 2.0
+"""Factor from the wire sheet's diameter beyond which the two cannot be one wire."""
 _MOSTLY_STRETCHED = 2.0
 """Of the stiffness of wires that slip: above it, more than half is stretching."""
 _OBLIQUE = 0.01
@@ -49,8 +51,9 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     Raises
     ------
     ValueError
-        If a type of wire has no table, stated positions overlap or are not one for each wire, or
-        the wires as they lie do not fit the conduit.
+        If a type of wire has no table or a diameter more than a factor of two off that of its
+        table, stated positions overlap or are not one for each wire, or the wires as they lie do
+        not fit the conduit.
 
     Notes
     -----
@@ -63,10 +66,7 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     """
     kinds = [_table(wire.type, tables) for wire in bundle.wires]
     counts = [wire.number for wire in bundle.wires]
-    diameters = [
-        wire.diameter or 2.0 * table.layout.wire_radius
-        for wire, table in zip(bundle.wires, kinds, strict=True)
-    ]
+    diameters = [_diameter(wire, table) for wire, table in zip(bundle.wires, kinds, strict=True)]
     axial = np.array([table.axial_stiffness for table in kinds])
     layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
     own = np.array([table.stick_stiffness for table in kinds])
@@ -110,6 +110,21 @@ def _table(type_: str, tables: Mapping[str, WireTable]) -> WireTable:
         message = f"the wire type {type_!r} has no law: there are those of {known}"
         raise ValueError(message)
     return tables[type_]
+
+
+def _diameter(wire: BundleWire, table: WireTable) -> float:
+    """Over the insulation, m; refused where it smells of a wrong unit."""
+    known = 2.0 * table.layout.wire_radius
+    if wire.diameter is None:
+        return known
+    if not known / _ANOTHER_WIRE <= wire.diameter <= _ANOTHER_WIRE * known:
+        message = (
+            f"{wire.type}: the bundle says {1e3 * wire.diameter:.4g} mm over the insulation, the "
+            f"wire sheet {1e3 * known:.4g} mm; allowed is up to a factor of {_ANOTHER_WIRE:g} "
+            f"between them, so check the unit, or leave the diameter out"
+        )
+        raise ValueError(message)
+    return wire.diameter
 
 
 def _holding(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:

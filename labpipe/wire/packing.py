@@ -228,8 +228,10 @@ def helix_overlap(section: CrossSection) -> float:
 def _helices_apart(first: Floats, second: Floats, lay_angle: float) -> Floats:
     """Least distance of pairs of centre lines, shape (pairs,)."""
     a, b = np.hypot(*first.T), np.hypot(*second.T)
-    turn = np.arctan2(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0], (first * second).sum(1))
+    turn = np.arctan2(
+        first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0], (first * second).sum(1)
+    )
     ahead = np.abs(turn)[:, None] * np.linspace(0.0, 1.0, 401)
     along = (np.abs(turn)[:, None] - ahead) * np.sqrt(a * b)[:, None] / np.tan(abs(lay_angle))
     squared = (a**2 + b**2)[:, None] - 2.0 * (a * b)[:, None] * np.cos(ahead) + along**2
-    return np.sqrt(squared.min(axis=1))
+    return np.asarray(np.sqrt(squared.min(axis=1)))

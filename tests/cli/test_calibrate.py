@@ -74,6 +74,23 @@ def test_a_line_per_wire_and_length(done: Calibrated) -> None:
     assert line.endswith("calibrating; no_prediction: too deep")
 
 
+def test_columns_stay_apart_where_errors_are_large(done: Calibrated) -> None:
+    (group,) = done.groups
+    assert group.errors is not None
+    errors = replace(group.errors, rmse=1234.5, rmse_share=35.0, inside=0.125)
+    lines = calibration_table(replace(done, groups=(replace(group, errors=errors),))).splitlines()
+    (line,) = [line for line in lines if line.startswith("  A2, 85 mm")]
+    assert line.split()[3:] == ["3", "1230000", "3500", "%", "12.5", "%", "calibrating"]
+
+
+def test_a_parameter_that_does_not_act(done: Calibrated) -> None:
+    first, *others = done.calibration.parameters
+    none = replace(first, value=float("nan"), intervals=(), verdict=Identified.FIXED)
+    odd = replace(done.calibration, parameters=(none, *others))
+    line = calibration_table(replace(done, calibration=odd)).splitlines()[1]
+    assert line.split() == ["radial_friction", "-", "mN", "does", "not", "act"]
+
+
 def test_notes_and_the_folder(done: Calibrated) -> None:
     note = QualityNote("test_doubtful", Severity.WARNING, "T1", "taken as it is: gap")
     with_note = replace(done, calibration=replace(done.calibration, notes=(note,)))

@@ -138,6 +138,19 @@ def test_a_diameter_other_than_that_of_the_law() -> None:
     assert bundle_model(near, {"S": solid_wire()}).notes == ()
 
 
+@pytest.mark.parametrize(("diameter", "said"), [(10e-3, "10 mm"), (0.1e-3, "0.1 mm")])
+def test_a_diameter_in_a_wrong_unit(diameter: float, said: str) -> None:
+    wrong = Bundle((BundleWire("S", 7, diameter),))
+    with pytest.raises(
+        ValueError,
+        match=rf"^S: the bundle says {said} over the insulation, the wire sheet 1 mm; allowed is "
+        r"up to a factor of 2 between them, so check the unit",
+    ):
+        bundle_model(wrong, {"S": solid_wire()})
+    far = Bundle((BundleWire("S", 7, 1.9e-3),))
+    assert "diameter_differs" in codes(bundle_model(far, {"S": solid_wire()}))
+
+
 def test_oblique_axes_are_told() -> None:
     places = ((0.0, 0.0), (1e-3, 1e-3), (2e-3, 2e-3))
     model = bundle_model(bundle(("S", 3), positions=places), {"S": solid_wire()})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.records.arrays import Floats
 from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric, hexagonal
 from labpipe.wire.materials import Elastic
 from labpipe.wire.stretch_torsion import StretchTorsion, stretch_torsion
@@ -112,3 +113,69 @@ def test_strands_that_are_only_bent_and_twisted_are_far_softer(
     found = stretch_torsion(section)
     assert found.torsional / before == pytest.approx(fixed, rel=0.03)
     assert found.torsional_free / before == pytest.approx(free, rel=0.03)
+
+
+def of_helices(section: CrossSection) -> Floats:
+    """The pair [EA, C; C, GJ] if strands are bent and twisted as helices, whose lay angle follows.
+
+    Curvature and torsion of the stretched and twisted helix, per length of the strand before, by
+    differences (Love, *Mathematical Theory of Elasticity*, on thin rods).
+    """
+    found = stretch_torsion(section)
+    pair = np.array([[found.axial, found.coupling], [found.coupling, found.torsional]])
+    for number, layer in enumerate(section.layers):
+        rigid = flexural(layer) * np.cos(layer.lay_angle)
+        turned = np.cos(layer.lay_angle) ** 2 / (1.0 + layer.poisson)
+        pair[1, 1] -= layer.count * rigid * (turned + np.sin(layer.lay_angle) ** 2)
+        for radius in section.radius[section.layer == number]:
+            pair += helix(layer, float(radius))
+    return pair
+
+
+def flexural(layer: Layer) -> float:
+    return float(layer.material.modulus * np.pi * layer.diameter**4 / 64.0)
+
+
+def helix(layer: Layer, radius: float) -> Floats:
+    begin, length = np.tan(layer.lay_angle), 1.0 / np.cos(layer.lay_angle)
+
+    def turns(strain: float, twist: float) -> Floats:
+        if radius == 0.0:
+            return np.array([0.0, twist])
+        up, around = 1.0 + strain, begin + radius * twist
+        per_length = radius * np.hypot(up, around) * length
+        return np.asarray(np.array([around**2, around * up]) / per_length)
+
+    steps = ((1e-6, 0.0), (0.0, 1e-3))
+    changes = np.array([(turns(*each) - turns(*(-s for s in each))) / 2 for each in steps])
+    changes /= np.array([[1e-6], [1e-3]])
+    stiff = flexural(layer) * np.diag([1.0, 1.0 / (1.0 + layer.poisson)])
+    return np.asarray(changes @ stiff @ changes.T * length)
+
+
+def test_a_helix_by_differences_is_loves() -> None:
+    layer = Layer(6, DIAMETER, 0.3, Elastic(MODULUS))
+    s, c = np.sin(0.3), np.cos(0.3)
+    love = s**2 * c * (1.0 + c**2) ** 2 + c**7 / (1.0 + layer.poisson)
+    assert helix(layer, DIAMETER)[1, 1] == pytest.approx(MODULUS * SECOND * love, rel=1e-6)
+
+
+def bare(count: int, degrees: float) -> CrossSection:
+    ring = Layer(count, DIAMETER, np.radians(degrees), Elastic(MODULUS))
+    core = (Layer(1, DIAMETER, 0.0, Elastic(MODULUS)),) if count == 6 else ()
+    return concentric((*core, ring))
+
+
+@pytest.mark.parametrize(
+    ("section", "fixed", "free"),
+    [(wire("A2"), 0.029, 0.041), (bare(6, 25.0), 0.057, 0.194), (bare(3, 15.0), 0.083, 0.137)],
+)
+def test_what_strands_that_turn_rigidly_leave_out(
+    section: CrossSection, fixed: float, free: float
+) -> None:
+    """As docs/explanations/wire-model.md has it."""
+    (axial, coupling), (_, torsional) = of_helices(section)
+    found = stretch_torsion(section)
+    assert torsional / found.torsional - 1.0 == pytest.approx(fixed, abs=0.001)
+    loose = torsional - coupling**2 / axial
+    assert loose / found.torsional_free - 1.0 == pytest.approx(free, abs=0.001)
