@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
@@ -137,6 +139,9 @@ class BundleModel(ArrayRecord):
     moment_slip : N m, first loading, wires that slip on each other: the sum of the wires' laws
     moment_stick : N m, first loading, wires that stick to each other, bent along y; they yield as
         they are stretched, and the strands within them slip as in a wire alone
+    doubtful_curvature, doubtful_curvature_stick : 1/m, beyond which the rim of an insulation is
+        strained beyond what its straight line is taken to hold for, in wires that slip and, far
+        sooner, in wires that stick and are stretched; infinite for stress tables
     notes : limits met, defaults taken
     """
 
@@ -156,7 +161,19 @@ class BundleModel(ArrayRecord):
     curvature: Vector
     moment_slip: Vector
     moment_stick: Vector
+    doubtful_curvature: float
+    doubtful_curvature_stick: float
     notes: tuple[QualityNote, ...] = ()
+
+    @property
+    def is_doubtful(self) -> Flags:
+        """Whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
+        return np.asarray(self.curvature > self.doubtful_curvature)
+
+    @property
+    def is_doubtful_stick(self) -> Flags:
+        """Whether each curvature is beyond `doubtful_curvature_stick`, shape (n,)."""
+        return np.asarray(self.curvature > self.doubtful_curvature_stick)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ import numpy as np
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.harness_bundle import BundleModel
 from labpipe.report.concerns import sentences
+from labpipe.report.drawn_points import sure_and_doubtful
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
@@ -345,8 +346,12 @@ def plot_bounds(model: BundleModel, axes: Axes) -> None:
     axes.fill_between(across, slip, stick, **_BETWEEN)
     for limit in (model.low, model.high):
         axes.plot(across, MOMENT.factor * limit * model.curvature[use], **_ELASTIC)
-    axes.plot(across, slip, **_SLIP)
-    axes.plot(across, stick, **_STICK)
+    for moment, look, doubtful in (
+        (slip, _SLIP, model.is_doubtful[use]),
+        (stick, _STICK, model.is_doubtful_stick[use]),
+    ):
+        for part, fade in sure_and_doubtful(~doubtful):
+            axes.plot(across[part], moment[part], **look, alpha=fade)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(across[0], across[-1])
@@ -401,7 +406,7 @@ def _note(model: BundleModel) -> str:
     limits = [
         note.message.replace("N mm^2", "N\u00b7mm\u00b2")
         for note in model.notes
-        if note.code == "copper_yields"
+        if note.code in ("copper_yields", "insulation_doubtful")
     ]
     return " ".join([said, *(f"{limit[0].upper()}{limit[1:]}." for limit in limits)])
 

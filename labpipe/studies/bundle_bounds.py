@@ -15,6 +15,7 @@ from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError, complaint
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
+from labpipe.records.arrays import Flags
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Group, Sample
 from labpipe.records.harness_bundle import (
@@ -385,6 +386,11 @@ _NUMBERS = (
 )
 
 
+def _within(doubtful: Flags, limit: float) -> float | None:
+    """Where moments begin to be doubtful; None where none are."""
+    return limit if doubtful.any() else None
+
+
 def as_json(modelled: ModelledBundle) -> dict[str, object]:
     """What ``labpipe bundle --json`` prints: lists and plain numbers in SI units.
 
@@ -406,6 +412,12 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
         "curvature": model.curvature.tolist(),
         "moment_slip": model.moment_slip.tolist(),
         "moment_stick": model.moment_stick.tolist(),
+        "doubtful_curvature": _within(model.is_doubtful, model.doubtful_curvature),
+        "doubtful_curvature_stick": _within(
+            model.is_doubtful_stick, model.doubtful_curvature_stick
+        ),
+        "doubtful": model.is_doubtful.tolist(),
+        "doubtful_stick": model.is_doubtful_stick.tolist(),
         "layout": {
             "arrangement": layout.arrangement,
             "x": layout.x.tolist(),

@@ -46,7 +46,7 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     Returns
     -------
     The model. Notes: ``diameter_differs``, ``range_shortened``, ``oblique_axes``,
-    ``copper_yields``.
+    ``copper_yields``, ``insulation_doubtful``.
 
     Raises
     ------
@@ -76,6 +76,7 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     stick = slip + stretching_moment(curvature, layout.y, layout.kind, kinds)
     free = float(own[layout.kind].sum())
     high = float(stuck.tensor[1, 1])
+    sure = _straight_ranges(kinds, layout, stuck.neutral[1])
     middle, smallest = _holding(bundle, layout)
     bore = bundle.conduit_bore
     return BundleModel(
@@ -95,11 +96,14 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
         curvature=curvature,
         moment_slip=slip,
         moment_stick=stick,
+        doubtful_curvature=sure[0],
+        doubtful_curvature_stick=sure[1],
         notes=(
             *_other_diameters(bundle, kinds),
             *notes,
             *_oblique(stuck),
             *_yielding(high, free, curvature, stick),
+            *_doubtful(sure, curvature),
         ),
     )
 
@@ -174,6 +178,35 @@ def _curvature(
         f"goes to {longest.curvature[-1]:.4g} 1/m"
     )
     return curvature, (QualityNote("range_shortened", Severity.INFO, "bundle", message),)
+
+
+def _straight_ranges(
+    kinds: Sequence[WireTable], layout: BundleLayout, neutral: float
+) -> tuple[float, float]:
+    """Curvatures up to which all straight lines of insulations hold, wires slipping and sticking.
+
+    Wires that stick are strained at their rims by the curvature times the height above the neutral
+    axis of the whole bundle (of elastic wires: where copper yields it moves a little).
+    """
+    slip = np.array([table.doubtful_curvature for table in kinds])
+    radius = np.array([table.layout.wire_radius for table in kinds])
+    strain = (slip * radius)[layout.kind]
+    height = np.abs(layout.y - neutral) + radius[layout.kind]
+    return float(slip.min()), float(np.min(strain / height))
+
+
+def _doubtful(sure: tuple[float, float], curvature: Floats) -> Iterator[QualityNote]:
+    slip, stick = sure
+    if curvature[-1] <= stick:
+        return
+    which = " if wires stick" if slip > stick * (1.0 + _ROUND) else ""
+    also = f", and beyond {slip:.4g} 1/m if they slip" if which and curvature[-1] > slip else ""
+    message = (
+        f"where the rim of an insulation is strained beyond its straight line, that line is not "
+        f"taken to hold: moments are doubtful beyond {stick:.4g} 1/m{which}{also} "
+        f"(lighter in the figure)"
+    )
+    yield QualityNote("insulation_doubtful", Severity.WARNING, "bundle", message)
 
 
 def _oblique(stuck: Sticking) -> Iterator[QualityNote]:

@@ -404,7 +404,7 @@ def choose_bore(
     if not fitting:
         offered = ", ".join(f"{1e3 * bore:.4g}" for bore in bores)
         message = (
-            f"the wires need a bore of {1e3 * smallest:.4g} mm, "
+            f"the narrowest arrangement found needs a bore of {1e3 * smallest:.4g} mm, "
             f"and the conduits have {offered or 'none'} mm"
         )
         raise ValueError(message)

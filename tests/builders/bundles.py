@@ -34,6 +34,7 @@ def solid_wire(
         lay_angles=(),
         insulation_thickness=wall,
         insulation_modulus=1e3,
+        insulation_strain=1.0,
         stress_table=((0.5,), (0.5 * modulus,)),
         largest_curvature=50.0,
     )

@@ -53,9 +53,14 @@ def test_arms_lie_along_the_principal_axes() -> None:
 def test_bounds_in_n_mm() -> None:
     axes = Figure().subplots()
     plot_bounds(MIXED, axes)
-    low, high, slip, stick = axes.lines
-    assert slip.get_ydata() == pytest.approx(1e3 * MIXED.moment_slip[1:])
-    assert stick.get_ydata() == pytest.approx(1e3 * MIXED.moment_stick[1:])
+    low, high, slip, slip_lighter, stick, stick_lighter = axes.lines
+    for sure, lighter, moment, doubtful in (
+        (slip, slip_lighter, MIXED.moment_slip[1:], MIXED.is_doubtful[1:]),
+        (stick, stick_lighter, MIXED.moment_stick[1:], MIXED.is_doubtful_stick[1:]),
+    ):
+        assert sure.get_ydata() == pytest.approx(1e3 * moment[~doubtful])
+        assert np.asarray(lighter.get_ydata())[1:] == pytest.approx(1e3 * moment[doubtful])
+        assert (sure.get_alpha(), lighter.get_alpha()) == (1.0, 0.35)
     assert low.get_ydata() == pytest.approx(1e3 * MIXED.low * MIXED.curvature[1:])
     assert high.get_ydata() == pytest.approx(1e3 * MIXED.high * MIXED.curvature[1:])
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")

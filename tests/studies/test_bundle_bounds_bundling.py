@@ -41,12 +41,16 @@ def test_words_to_numbers_and_files(tmp_path: Path) -> None:
         *("bundle.json", "figures/bundle.svg"),
     ]
     said = json.loads((out / "bundle.json").read_text(encoding="utf-8"))
+    assert said["doubtful_curvature"] == plain.doubtful_curvature
+    assert said["doubtful_curvature_stick"] == plain.doubtful_curvature_stick
+    assert said["doubtful"] == plain.is_doubtful.tolist()
+    assert said["doubtful_stick"] == plain.is_doubtful_stick.tolist()
     assert said == json.loads(json.dumps(as_json(modelled)))
     assert said["high"] == plain.high
     assert said["moment_stick"] == plain.moment_stick.tolist()
     assert said["packing_fraction"] is None
     assert said["bundle"]["wires"] == [{"type": "B1", "number": 7, "diameter": None}]
-    assert [note["code"] for note in said["notes"]] == ["copper_yields"]
+    assert [note["code"] for note in said["notes"]] == ["copper_yields", "insulation_doubtful"]
 
 
 def test_folder_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +122,8 @@ def test_an_arrangement_that_there_is_not(tmp_path: Path) -> None:
 def test_no_conduit_is_wide_enough(tmp_path: Path) -> None:
     words = (
         r"^7 B1: expected a bundle whose wires lie beside each other, inside its conduit, found "
-        r"this: the wires need a bore of 3\.3 mm, and the conduits have 3 mm\. "
+        r"this: the narrowest arrangement found needs a bore of 3\.3 mm, and the conduits "
+        r"have 3 mm\. "
         r"Check the wires, their positions and the bore\.$"
     )
     with pytest.raises(ProcessingError, match=words):

@@ -31,7 +31,7 @@ def test_bounds_and_laws_of_a_mixed_bundle() -> None:
     first = model.moment_stick[1] / model.curvature[1]
     assert model.free < first < model.high
     assert model.packing_fraction is None
-    assert codes(model) == ["range_shortened", "copper_yields"]
+    assert codes(model) == ["range_shortened", "copper_yields", "insulation_doubtful"]
 
 
 @settings(max_examples=8, deadline=None)
@@ -78,7 +78,7 @@ def test_a_single_wire_is_itself() -> None:
     assert model.low == table.slip_stiffness
     assert model.moment_stick == pytest.approx(model.moment_slip)
     assert model.moment_slip == pytest.approx(table.moment)
-    assert codes(model) == []
+    assert codes(model) == ["insulation_doubtful"]
 
 
 def test_wires_of_one_kind_under_two_names() -> None:
@@ -164,7 +164,7 @@ def test_oblique_axes_are_told() -> None:
 
 def test_copper_yields_where_it_says() -> None:
     model = bundle_model(bundle(("B1", 19)), example_wires())
-    (note,) = model.notes
+    note = model.notes[0]
     assert note.code == "copper_yields"
     secant = model.moment_stick[1:] / model.curvature[1:]
     at = model.curvature[1:][secant < 0.5 * model.high][0]
@@ -178,7 +178,7 @@ def test_no_copper_is_stretched_in_wires_beside_each_other() -> None:
     """What two wires in a row lose, bent out of it, is their strands' friction."""
     model = bundle_model(bundle(("B1", 2)), example_wires())
     assert model.high == pytest.approx(model.free)
-    assert codes(model) == []
+    assert codes(model) == ["insulation_doubtful"]
 
 
 def test_moments_end_with_the_stress_table() -> None:
@@ -192,3 +192,33 @@ def test_moments_end_with_the_stress_table() -> None:
         "moments are given up to 2.5 1/m, where sticking wires 200 mm apart reach the last strain "
         "of a stress table; the law of S goes to 50 1/m"
     )
+
+
+def test_the_insulation_beyond_its_straight_line_is_doubtful() -> None:
+    """Rims at 3 %: of a wire alone at its radius, of one that sticks at its height above y0."""
+    table = example_wires()["B1"]
+    model = bundle_model(bundle(("B1", 7)), {"B1": table})
+    radius = table.layout.wire_radius
+    assert model.doubtful_curvature == pytest.approx(0.03 / radius)
+    highest = float(np.abs(model.layout.y).max()) + radius
+    assert model.doubtful_curvature_stick == pytest.approx(0.03 / highest)
+    assert np.array_equal(model.is_doubtful, model.curvature > 0.03 / radius)
+    assert model.is_doubtful_stick.sum() > model.is_doubtful.sum() > 0
+    note = model.notes[-1]
+    assert (note.code, note.severity) == ("insulation_doubtful", Severity.WARNING)
+    assert (
+        f"doubtful beyond {0.03 / highest:.4g} 1/m if wires stick, and beyond {0.03 / radius:.4g}"
+        in note.message
+    )
+
+
+def test_a_wire_alone_has_one_range() -> None:
+    model = bundle_model(bundle(("B1", 1)), example_wires())
+    assert f"doubtful beyond {model.doubtful_curvature:.4g} 1/m (lighter" in model.notes[-1].message
+
+
+def test_an_insulation_that_holds_is_not_doubted() -> None:
+    model = bundle_model(bundle(("S", 7)), {"S": solid_wire()})
+    assert not model.is_doubtful.any()
+    assert not model.is_doubtful_stick.any()
+    assert "insulation_doubtful" not in codes(model)

@@ -29,7 +29,9 @@ def test_the_bore_nearest_to_the_wanted_fraction() -> None:
 
 def test_no_bore_is_wide_enough() -> None:
     with pytest.raises(
-        ValueError, match=r"^the wires need a bore of 3 mm, and the conduits have 2\.5, 2\.9 mm$"
+        ValueError,
+        match=r"^the narrowest arrangement found needs a bore of 3 mm, and the conduits have 2\.5, "
+        r"2\.9 mm$",
     ):
         choose_bore(SEVEN, (2.5e-3, 2.9e-3), smallest=3e-3)
 
