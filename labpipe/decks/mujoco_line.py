@@ -130,7 +130,8 @@ def _numbers(values: Floats) -> str:
 
 
 def _name(boundary: rod.Boundary) -> str:
-    return on_one_line(boundary.name, _WIDEST)
+    """As in the file; XML has all of Unicode."""
+    return boundary.name
 
 
 def _poses(held: rod.Held) -> Floats:
@@ -199,7 +200,8 @@ def _chain_bodies(
     h, last = chain.spacing, chain.nodes
     frames = multiply(_frames_at(line, chain), _TO_BODY)
     sites = _sites(line, chain, tied)
-    name = "node_0" if base is None else _name(base)
+    own = _own_word([_name(each) for each in tied])
+    name = f"{own}_0" if base is None else _name(base)
     kind = "><freejoint />" if base is None else ' mocap="true">'
     place = f'pos="{_numbers(line.positions[0])}" quat="{_numbers(frames[0])}"'
     yield f"    <body name={quoteattr(name)} {place}{kind}"
@@ -207,7 +209,7 @@ def _chain_bodies(
     for node in range(1, last + 1):
         begin, reach = (0.5 * h if node == 1 else h), (0.5 * h if node == last else h)
         turn = multiply(conjugate(frames[node - 1]), frames[node])
-        yield (f'    <body name="node_{node}" pos="{begin:{_DIGITS}} 0 0" quat="{_numbers(turn)}">')
+        yield f'    <body name="{own}_{node}" pos="{begin:{_DIGITS}} 0 0" quat="{_numbers(turn)}">'
         for name, axis, stiffness in hinges.axes:
             yield (
                 f'      <joint name="{name}_{node}" axis="{axis}" '
@@ -215,6 +217,14 @@ def _chain_bodies(
             )
         yield from _piece(chain, reach, sites[node])
     yield "    " + "</body>" * (last + 1)
+
+
+def _own_word(names: Sequence[str]) -> str:
+    """How the names of the chain's own bodies begin: as none of the file's does."""
+    word = "node"
+    while any(each.startswith(f"{word}_") for each in names):
+        word = f"_{word}"
+    return word
 
 
 def _piece(chain: Chain, reach: float, sites: Sequence[tuple[str, float]]) -> Iterator[str]:

@@ -1,26 +1,48 @@
-"""Bands of a harness: what a calibration, or the file, does not know, in shape and numbers."""
+"""Bands of a harness: what a calibration, or the file, does not know, in shape and numbers.
+
+A line responds in vectors (`harness_fields`), and its numbers are taken of them in every draw. That
+the causes of a draw add up is checked by a few draws that are solved with all their causes at once.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
 from labpipe.rod.bands import LineBands, bands_of
+from labpipe.rod.beliefs import Belief
 from labpipe.rod.path import RodPath
-from labpipe.rod.response import Fields, field_band, respond
+from labpipe.rod.response import Band, Fields, Response, band_of, respond, sizes
+from labpipe.studies.harness_fields import (
+    ON_THE_WAY,
+    PLACES,
+    RADIUS,
+    fields_of,
+    measured,
+    names_of,
+)
 from labpipe.studies.harness_line import Inputs, Laid
-from labpipe.studies.harness_numbers import Number, numbers_of
+from labpipe.studies.harness_numbers import numbers_of, size_of
 from labpipe.studies.harness_section import Material
 
 Followed = tuple[RodPath, Laid]
 FollowLine = Callable[[int, Inputs], Followed]
 """Lay a line and follow it: number of the belief, and inputs."""
+MOST_OFF = 0.5
+"""Of the way from the middle of a band to its end, by which causes together may differ from their
+sum, root mean square of all draws that are solved."""
 _LEVEL = 0.95
-_RADIUS = "smallest_bend_radius"
+_RANKS = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
+"""Of the sizes of all draws, of those that are solved: the larger, the more causes have to say."""
+_ROUNDING = 1e-6
+"""Of a number, or of what a line gives its unit: less is what the solver leaves."""
+_SHAPE = "shape"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,10 +53,12 @@ class HarnessBands:
     ----------
     line : pointwise bands of the steps that are shown
     intervals : of the numbers of the last step, by name
+    doubt : why they are doubtful; None where the causes of a draw add up
     """
 
     line: LineBands
     intervals: Mapping[str, Interval]
+    doubt: Reason | None = None
 
 
 def harness_bands(
@@ -62,33 +86,24 @@ def harness_bands(
     if line is None:
         return None
     pairs = zip(solves, material.beliefs, strict=True)
-    responses = [respond(solve.numbers, belief) for solve, belief in pairs]
-    band = field_band([each for each in responses if each is not None], _NUMBERS)
-    path, laid = solves[0].first
-    intervals = {
-        each.name: _interval(each, lower, upper)
-        for each, lower, upper in zip(
-            numbers_of(path, laid), band.lower.tolist(), band.upper.tolist(), strict=True
-        )
-    }
-    radius = line.states[-1].smallest_bend_radius
-    own = {_RADIUS: Interval(float(radius.lower), float(radius.upper), _LEVEL)}
-    return HarnessBands(line, intervals | own)
+    found = [_Drawn(solve, respond(solve.fields, belief)) for solve, belief in pairs]
+    bands = {name: _band(found, name) for name in found[0].value}
+    intervals = {name: _interval(name, band) for name, band in bands.items() if name != _SHAPE}
+    return HarnessBands(line, intervals, _doubt(found, bands))
 
 
-def _interval(number: Number, lower: float, upper: float) -> Interval:
+def _band(found: Sequence[_Drawn], name: str) -> Band:
+    by = {each.response: each for each in found}
+    return band_of(list(by), lambda each: (by[each].value[name], by[each].drawn[name]))
+
+
+def _interval(name: str, band: Band) -> Interval:
     """Interval of a number; of a radius, from that of its curvature."""
-    if _is_radius(number):
+    lower, upper = float(band.lower), float(band.upper)
+    if name in (RADIUS, ON_THE_WAY):
         ends = [1.0 / end if end > 0.0 else math.inf for end in (upper, lower)]
         return Interval(ends[0], ends[1], _LEVEL)
-    return Interval(lower if number.is_signed else max(lower, 0.0), upper, _LEVEL)
-
-
-def _is_radius(number: Number) -> bool:
-    return number.name.startswith(_RADIUS)
-
-
-_NUMBERS = "numbers"
+    return Interval(lower, upper, _LEVEL)
 
 
 class _Solve:
@@ -114,11 +129,99 @@ class _Solve:
         """Path alone."""
         return self.both(inputs)[0]
 
-    def numbers(self, inputs: Inputs) -> Fields | None:
-        """All numbers as one array, radii as curvatures: those of a straight line are finite."""
+    def fields(self, inputs: Inputs) -> Fields | None:
+        """What all numbers are made of; None of a line that cannot be followed."""
         path, laid = self.both(inputs)
-        if path.status == "failed":
-            return None
-        numbers = numbers_of(path, laid)
-        values = [1.0 / each.value if _is_radius(each) else each.value for each in numbers]
-        return {_NUMBERS: np.array(values)}
+        return None if path.status == "failed" else fields_of(path, laid)
+
+
+class _Drawn:
+    """Numbers at the best inputs of a belief, and in its draws; radii as curvatures.
+
+    The shape counts as one more: where each node is, shape (n + 1, 3).
+    """
+
+    def __init__(self, solve: _Solve, response: Response | None) -> None:
+        assert response is not None, "the line was followed at the best inputs before"
+        self.solve, self.response = solve, response
+        self.names = names_of(response.value)
+        self.value = self.numbers(response.value.__getitem__)
+        self.drawn = self.numbers(response.drawn)
+
+    def numbers(self, field: Callable[[str], Floats]) -> dict[str, Floats]:
+        """All numbers of fields, and the shape."""
+        path, laid = self.solve.first
+        steps = len(path.states) - 1
+        found = {name: measured(name, field, laid, steps) for name in self.names}
+        return found | {_SHAPE: field(PLACES)}
+
+    def whole(self) -> Iterator[tuple[int, dict[str, Floats] | None]]:
+        """Draws that are solved with all their causes at once; None of one without equilibrium."""
+        belief = self.response.belief
+        for row in whole_draws(belief):
+            fields = self.solve.fields(belief.inputs(belief.amounts[row]))
+            yield row, None if fields is None else self.numbers(fields.__getitem__)
+
+
+def whole_draws(belief: Belief) -> tuple[int, ...]:
+    """Rows of draws that stand for all: of some sizes, in whatever direction they lie.
+
+    None where there is but one cause: then nothing is added.
+
+    Parameters
+    ----------
+    belief : that is drawn from
+    """
+    amounts = belief.amounts
+    if amounts.shape[1] < 2:
+        return ()
+    order = np.argsort(sizes(amounts / np.std(amounts, axis=0)), kind="stable")
+    return tuple(int(order[int(rank * len(order))]) for rank in _RANKS)
+
+
+def _doubt(found: Sequence[_Drawn], bands: Mapping[str, Band]) -> Reason | None:
+    """Why bands are doubtful: the causes do not add up. None where they do."""
+    path, laid = found[0].solve.first
+    scales = _scales(path, laid)
+    squares: dict[str, list[float]] = {}
+    count = lost = 0
+    for each in found:
+        for row, numbers in each.whole():
+            count += 1
+            lost += numbers is None
+            for name, number in (numbers or {}).items():
+                times = _off(number, each.drawn[name], row, bands[name], scales[name])
+                squares.setdefault(name, []).append(times**2)
+    off = {name: math.sqrt(sum(each) / len(each)) for name, each in squares.items()}
+    most = max(off, key=lambda each: off[each], default=_SHAPE)
+    if not lost and off.get(most, 0.0) <= MOST_OFF:
+        return None
+    said = [f"{lost} have no equilibrium"] if lost else []
+    if off.get(most, 0.0) > MOST_OFF:
+        said.append(
+            f"{most} is off by {off[most]:.2g} times the way from the middle of its band to the "
+            f"end, root mean square (allowed is {MOST_OFF:g})"
+        )
+    message = (
+        f"the causes of the bands do not add up: of {count} draws that were solved whole, "
+        f"{' and '.join(said)}; bands may be too narrow, or beside the truth"
+    )
+    return Reason("causes_do_not_add", message)
+
+
+def _scales(path: RodPath, laid: Laid) -> dict[str, float]:
+    """Of each number and the shape, how little of it is rounding."""
+    units = {each.name: each.unit for each in numbers_of(path, laid)} | {_SHAPE: "m"}
+    units |= dict.fromkeys((RADIUS, ON_THE_WAY), "1/m")
+    return {name: _ROUNDING * size_of(unit, laid.line) for name, unit in units.items()}
+
+
+def _off(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
+    """How far a draw is off, of the way from the middle of its band to the end on its side.
+
+    Of the shape, the largest of both along the line.
+    """
+    middle = np.median(drawn, axis=0)
+    ways = np.where(number > middle, band.upper - middle, middle - band.lower)
+    least = scale + _ROUNDING * float(np.max(np.abs(number)))
+    return float(np.max(np.abs(number - drawn[row])) / max(float(np.max(ways)), least))

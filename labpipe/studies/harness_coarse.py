@@ -22,7 +22,7 @@ from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors, unit
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_line import Laid
-from labpipe.studies.harness_numbers import Doubt, Number, numbers_of
+from labpipe.studies.harness_numbers import Doubt, Number, numbers_of, size_of
 
 ALLOWED = 0.02
 """Of a number, by which half as many steps may change it."""
@@ -33,7 +33,7 @@ _OF_HALF = 1.0 / 3.0
 _HEIGHT = 0.05
 """Of the line's length: a coordinate is off by a share of this at least."""
 _NOTHING = 1e-3
-"""Of the largest number of its unit: a smaller one is nothing."""
+"""Of the largest number of its unit, and of `size_of` it: a smaller one is nothing."""
 _CORNER = 0.05
 """Of the largest move of a step, by which the next one differs where a path has a corner."""
 _MOST_KEPT = 0.75
@@ -224,8 +224,12 @@ def _too_far(
 def _allowed(
     number: Number, numbers: Sequence[Number], laid: Laid, intervals: Mapping[str, Interval]
 ) -> float:
-    """By how much a number may change; one that is nothing beside its like counts as that."""
-    like = (abs(each.value) for each in numbers if each.unit == number.unit)
+    """By how much a number may change; one that is nothing beside its like counts as that.
+
+    So does one that is nothing beside what the line gives its unit: the rounding of all that is 0.
+    """
+    like = [abs(each.value) for each in numbers if each.unit == number.unit]
+    like.append(size_of(number.unit, laid.line))
     size = max(abs(number.value), _NOTHING * max(value for value in like if math.isfinite(value)))
     if number.is_signed:
         size = max(size, _HEIGHT * laid.line.length)

@@ -15,6 +15,7 @@ from labpipe.rod.bands import StateBands
 from labpipe.rod.line import Line
 from labpipe.rod.path import RodState
 from labpipe.rod.rotations import matrices
+from labpipe.studies.harness_fields import RADIUS
 from labpipe.studies.harness_followed import FAILED, FollowedHarness, Swept
 from labpipe.studies.harness_numbers import curvature_of, radius_of
 
@@ -117,10 +118,9 @@ def drawn_sweep(found: FollowedHarness) -> DrawnSweep | None:
 
 def _radius_band(sweep: Sequence[Swept]) -> tuple[Floats, Floats] | None:
     """Ends of the smallest bend radius, length by length; None where no length has any."""
-    found = [None if each.bands is None else each.bands.line.states[-1] for each in sweep]
+    found = [None if each.bands is None else each.bands.intervals[RADIUS] for each in sweep]
     if not any(found):
         return None
-    bands = [None if each is None else each.smallest_bend_radius for each in found]
-    lower = [math.nan if each is None else float(each.lower) for each in bands]
-    upper = [math.nan if each is None else float(each.upper) for each in bands]
+    lower = [math.nan if each is None else each.lower for each in found]
+    upper = [math.nan if each is None else each.upper for each in found]
     return np.array(lower), np.array(upper)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labpipe.errors import ProcessingError, complaint
@@ -12,6 +12,7 @@ from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+from labpipe.rod import boundaries as rod
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_bands import Followed, HarnessBands, harness_bands
@@ -21,9 +22,9 @@ from labpipe.studies.harness_coarse import (
     remembers,
     walked_otherwise,
 )
+from labpipe.studies.harness_fields import LOWEST, ON_THE_WAY, RADIUS
 from labpipe.studies.harness_line import Inputs, Laid, laid
 from labpipe.studies.harness_numbers import (
-    ON_THE_WAY,
     Bend,
     BendLimit,
     Doubt,
@@ -161,22 +162,10 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
     """
     steps = shown_steps(harness)
     path, ready, bands = _with_bands(harness, file, material, steps)
-    reasons = reasons_of(path, ready.line, material)
+    reasons = _all_reasons(path, ready, material, bands)
     is_whole = path.status != FAILED
-    if bands is not None:
-        known = {each.code for each in reasons} | _SAID_ALREADY
-        notes = [Reason(each.code, each.message) for each in bands.line.notes]
-        reasons += tuple(each for each in notes if each.code not in known)
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
-    intervals = {} if bands is None else bands.intervals
-    half = laid(_halved(harness), material.sections[0](material.best), material.best)
-    results = (
-        results_of(
-            numbers_of(path, ready), reasons, intervals, _doubts(path, ready, half, intervals)
-        )
-        if is_whole
-        else ()
-    )
+    results = _results(harness, material, (path, ready, bands)) if is_whole else ()
     limit = bend_limit(harness, material)
     return FollowedHarness(
         *(file, harness, material, ready, path, status, reasons, results, limit, folder),
@@ -184,14 +173,30 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
     )
 
 
-def _halved(harness: HarnessFile) -> HarnessFile:
+def _halved(harness: HarnessFile, material: Material, length: float | None) -> Laid:
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
-    return harness.model_copy(update={"line": line})
+    harness = harness.model_copy(update={"line": line})
+    return laid(harness, material.sections[0](material.best), material.best, length=length)
+
+
+def _results(
+    harness: HarnessFile,
+    material: Material,
+    found: tuple[RodPath, Laid, HarnessBands | None],
+    length: float | None = None,
+) -> tuple[Result, ...]:
+    """Numbers of a line that was followed to its end, each with all its doubts."""
+    path, ready, bands = found
+    intervals = {} if bands is None else bands.intervals
+    doubts = _doubts(path, ready, _halved(harness, material, length), intervals)
+    reasons = _all_reasons(path, ready, material, bands)
+    return results_of(numbers_of(path, ready), reasons, intervals, doubts)
 
 
 def _doubts(
     path: RodPath, ready: Laid, half: Laid, intervals: Mapping[str, Interval]
 ) -> list[Doubt]:
+    """Why some numbers of a line that was followed to its end are doubtful."""
     found = [
         element_doubt(path, ready.line),
         few_elements_doubt(path, ready, half, intervals),
@@ -204,8 +209,23 @@ def _doubts(
     return [each for each in found if each is not None]
 
 
+def _all_reasons(
+    path: RodPath, ready: Laid, material: Material, bands: HarnessBands | None
+) -> tuple[Reason, ...]:
+    """Why all numbers are doubtful, or why there are none; what the bands say included."""
+    reasons = reasons_of(path, ready.line, material)
+    if bands is None:
+        return reasons
+    known = {each.code for each in reasons} | _SAID_ALREADY
+    notes = [Reason(each.code, each.message) for each in bands.line.notes]
+    notes += [] if bands.doubt is None else [bands.doubt]
+    return reasons + tuple(each for each in notes if each.code not in known)
+
+
 _SAID_ALREADY = {"beyond_tested"}
 """Codes of notes of bands that `reasons_of` has a word for."""
+_OF_SWEEP = (RADIUS, ON_THE_WAY, LOWEST)
+"""Numbers that are told of a length of a sweep."""
 
 
 def swept(harness: HarnessFile, file: Path, material: Material, length: float) -> Swept:
@@ -224,8 +244,14 @@ def swept(harness: HarnessFile, file: Path, material: Material, length: float) -
         As `followed`.
     """
     path, ready, bands = _with_bands(harness, file, material, (harness.steps,), length)
-    reasons, coarse = reasons_of(path, ready.line, material), element_doubt(path, ready.line)
-    return Swept(length, path, ready, reasons + ((coarse.reason,) if coarse else ()), bands)
+    reasons = _all_reasons(path, ready, material, bands)
+    if path.status != FAILED:
+        results = _results(harness, material, (path, ready, bands), length)
+        told = [
+            each.reasons for each in results if each.name in _OF_SWEEP and each.value is not None
+        ]
+        reasons = tuple(dict.fromkeys(reason for each in told for reason in each))
+    return Swept(length, path, ready, reasons, bands)
 
 
 def _with_bands(
@@ -240,7 +266,8 @@ def _with_bands(
 
     def follow_line(number: int, inputs: Inputs) -> Followed:
         ready = laid(harness, material.sections[number](inputs), inputs, length=length)
-        found = follow(ready.line, ready.boundaries, steps=harness.steps), ready
+        path = follow(ready.line, ready.boundaries, steps=harness.steps)
+        found = _with_loads(path, ready), ready
         known.append(found)
         return found
 
@@ -256,3 +283,19 @@ def _with_bands(
         )
         raise ProcessingError(message) from error
     return path, ready, bands
+
+
+def _with_loads(path: RodPath, ready: Laid) -> RodPath:
+    """A path whose states tell the loads beside all else that acts on the line."""
+    loads = {
+        number: each.force
+        for number, each in enumerate(ready.boundaries)
+        if isinstance(each, rod.Load)
+    }
+    states = []
+    for step, state in enumerate(path.states):
+        forces = state.reaction_forces.copy()
+        for number, force in loads.items():
+            forces[number] = force[min(step, len(force) - 1)]
+        states.append(replace(state, reaction_forces=forces))
+    return replace(path, states=tuple(states)) if loads else path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,22 +16,33 @@ from labpipe.records.result import Result, Status
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
+from labpipe.studies.harness_fields import (
+    BACK,
+    FORCE,
+    HOLDS,
+    KEPT,
+    LOST,
+    LOWEST,
+    MOMENT,
+    ON_THE_WAY,
+    RADIUS,
+    along_of,
+    bent_of,
+    fields_of,
+    heights_of,
+    measured,
+)
 from labpipe.studies.harness_line import Laid
 from labpipe.studies.harness_memory import kept_curvature, unbent, unloading_reason
 from labpipe.studies.harness_section import Material
 
 DIAMETERS = 5.0
 """Outer diameters that the allowed bend radius is assumed to be where it is not stated."""
-LOWEST, RADIUS = "lowest_point", "smallest_bend_radius"
-ON_THE_WAY = f"{RADIUS}_on_the_way"
-LOST, KEPT = "energy_lost", "kept_curvature"
-FORCE, MOMENT, BACK = "force.", "moment.", "springback."
 MOST_IN_JUMPS = 0.1
 """Of the energy that is lost, above which what remembers the way is doubtful."""
 MOST_UNBENT = 0.1
 """Of its sharpest bend, by which a line may have gone back before forces hang on how it unloads."""
 _LET_GO = "what the line would keep, let go (Masing)"
-_HOLDS = rod.Held | rod.Ring | rod.String | rod.Plane
 MOST_TURN, FAR_TOO_MUCH = float(np.radians(30.0)), float(np.radians(90.0))
 """Of one element. The smallest bend radius of a heavy line is then off by 0.3 %, of a chain that is
 lifted by 1 %; with 90 degrees by up to 7 %, forces by 1 %, the shape by 0.3 % of the length."""
@@ -97,8 +108,7 @@ def curvature_of(state: RodState, line: Line) -> Floats:
     -----
     The larger one where a clip parts both sides of a node.
     """
-    whole = state.node_curvatures[:, :, :2] + line.natural_at_nodes[:, None, :2]
-    return np.asarray(np.linalg.norm(whole, axis=2).max(axis=1))
+    return along_of(bent_of(state, line))
 
 
 def turns_of(state: RodState, line: Line) -> Floats:
@@ -253,7 +263,7 @@ def unloading_doubt(path: RodPath, laid: Laid) -> Doubt | None:
     if reason is None:
         return None
     names = [LOST, KEPT, *_of_let_go(laid)]
-    left = [e for e in laid.boundaries if isinstance(e, _HOLDS) and not _lets_go(e)]
+    left = [e for e in laid.boundaries if isinstance(e, HOLDS) and not _lets_go(e)]
     if len(left) > 1 and unbent(path) > MOST_UNBENT:
         names += [FORCE, MOMENT]
     return Doubt(reason, tuple(names))
@@ -291,6 +301,21 @@ class Number:
         return self.name == LOWEST
 
 
+def size_of(unit: str, line: Line) -> float:
+    """What a line bent over its own length has of a unit; far less is nothing.
+
+    Parameters
+    ----------
+    unit : of a number: m, 1/m, N, N*m or J
+    line : its length, and the stiffness that it begins with
+    """
+    length, stiffness = line.length, line.section.law.first_stiffness
+    moment = stiffness / length
+    return {"m": length, "1/m": 1.0 / length, "N": moment / length, "N*m": moment, "J": moment}[
+        unit
+    ]
+
+
 def numbers_of(path: RodPath, laid: Laid) -> tuple[Number, ...]:
     """The numbers of a harness at its last step, and of the whole way.
 
@@ -299,7 +324,13 @@ def numbers_of(path: RodPath, laid: Laid) -> tuple[Number, ...]:
     path : as followed, to the last step
     laid : that was followed
     """
-    return (*_bends(path, laid.line), *_forces(path, laid), *_kept(path, laid))
+    fields, steps = fields_of(path, laid), len(path.states) - 1
+
+    def value(name: str) -> float:
+        return float(measured(name, fields.__getitem__, laid, steps))
+
+    bends = _bends(path, laid, value(LOWEST))
+    return (*bends, *_forces(path, laid, value), *_kept(path, laid, value))
 
 
 def results_of(
@@ -342,44 +373,38 @@ def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | No
 _STRAIGHT_REASON = Reason("straight", "the line is straight: it has no bend radius")
 
 
-def _bends(path: RodPath, line: Line) -> Iterator[Number]:
-    last = len(path.states) - 1
+def _bends(path: RodPath, laid: Laid, lowest: float) -> Iterator[Number]:
+    last, line = len(path.states) - 1, laid.line
     end, way = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
     yield Number(RADIUS, end.radius, "m", f"{_mm(end.place)} from the start")
     where = f"step {way.step}, {_mm(way.place)} from the start"
     yield Number(ON_THE_WAY, way.radius, "m", where)
-    heights = path.last.positions[:, 2]
-    node = int(np.argmin(heights))
-    where = f"{_mm(line.stations[node])} from the start"
-    yield Number(LOWEST, float(heights[node]), "m", where)
+    node = int(np.argmin(heights_of(path.last.positions, laid)))
+    yield Number(LOWEST, lowest, "m", f"{_mm(line.stations[node])} from the start")
 
 
-def _forces(path: RodPath, laid: Laid) -> Iterator[Number]:
+def _forces(path: RodPath, laid: Laid, value: Callable[[str], float]) -> Iterator[Number]:
     sizes = np.array([np.linalg.norm(each.reaction_forces, axis=1) for each in path.states])
-    moments = np.linalg.norm(path.last.reaction_moments, axis=1)
     for number, each in enumerate(laid.boundaries):
-        if not isinstance(each, _HOLDS):
+        if not isinstance(each, HOLDS):
             continue
         most = int(np.argmax(sizes[:, number]))
         way = f"largest on the way: {sizes[most, number]:.4g} N at step {most}"
-        yield Number(f"{FORCE}{each.name}", float(sizes[-1, number]), "N", way)
+        yield Number(f"{FORCE}{each.name}", value(f"{FORCE}{each.name}"), "N", way)
         if isinstance(each, rod.Held) and each.frame is not None:
-            yield Number(f"{MOMENT}{each.name}", float(moments[number]), "N*m", "")
+            yield Number(f"{MOMENT}{each.name}", value(f"{MOMENT}{each.name}"), "N*m", "")
 
 
-def _kept(path: RodPath, laid: Laid) -> Iterator[Number]:
+def _kept(path: RodPath, laid: Laid, value: Callable[[str], float]) -> Iterator[Number]:
     for each in laid.boundaries:
         if isinstance(each, rod.Held) and each.release is not None:
-            node = laid.nodes[each.name]
-            before = path.states[each.release - 1].positions[node]
-            moved = float(np.linalg.norm(path.last.positions[node] - before))
             way = f"of its place, from step {each.release - 1}, the last in which it was held"
-            yield Number(f"{BACK}{each.name}", moved, "m", way)
+            yield Number(f"{BACK}{each.name}", value(f"{BACK}{each.name}"), "m", way)
     kept = kept_curvature(path.last, laid.line.section.law)
     node = int(np.argmax(kept))
     where = f"{_mm(laid.line.stations[node])} from the start; {_LET_GO}"
-    yield Number(KEPT, float(kept[node]), "1/m", where if kept[node] else "")
-    yield Number(LOST, float(path.lost[-1]), "J", "in bending, since the start")
+    yield Number(KEPT, value(KEPT), "1/m", where if kept[node] else "")
+    yield Number(LOST, value(LOST), "J", "in bending, since the start")
 
 
 def _mm(length: float) -> str:

@@ -26,6 +26,7 @@ from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
 from labpipe.store.summaries import SUMMARY_FILE, result_entry
 from labpipe.studies.harness_drawn import drawn_harness, drawn_sweep
+from labpipe.studies.harness_fields import RADIUS, heights_of
 from labpipe.studies.harness_followed import FAILED, FollowedHarness, Swept, followed, swept
 from labpipe.studies.harness_section import input_file, material_of
 from labpipe.studies.harness_tables import Bands, forces_csv, shape_csv, shape_vtk
@@ -157,7 +158,7 @@ def _sweep_csv(sweep: Sequence[Swept]) -> str:
         reason = each.reasons[0] if each.reasons else None
         numbers = [""] * 7
         if each.path.status != FAILED:
-            lowest = float(each.path.last.positions[:, 2].min())
+            lowest = float(heights_of(each.path.last.positions, each.laid).min())
             bend, way = each.bend, each.way
             low, high = _ends(each).values()
             values = (bend.radius, low, high, bend.place, way.radius, way.step, lowest)
@@ -241,7 +242,7 @@ def _ends(swept: Swept) -> dict[str, float | None]:
     """Ends of the band of the smallest bend radius; None without one."""
     if swept.bands is None:
         return {"lower": None, "upper": None}
-    found = swept.bands.intervals["smallest_bend_radius"]
+    found = swept.bands.intervals[RADIUS]
     return {"lower": _finite(found.lower), "upper": _finite(found.upper)}
 
 

@@ -115,6 +115,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
     text = (
         arch()
         .replace("left", "'a \"b\" <c>'")
+        .replace("right", "'g,h é'")
         .replace(
             "steps:",
             "  - {kind: string, name: thread, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], "
@@ -129,13 +130,24 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
     root = ET.fromstring(deck)
     names = {each.get("name") for each in root.iter() if each.get("name")}
     assert names >= {
-        *('a "b" <c>', "right", 'path_a "b" <c>', "release_right", "hold_right"),
+        *('a "b" <c>', "g,h é", 'path_a "b" <c>', "release_g,h é", "hold_g,h é"),
         *("thread", "anchor_thread", "weight_x", "weight_z", "at_weight"),
     }
     assert "Left out, as this chain touches nothing: guide, table." in deck
     spatial = root.find(".//spatial")
     assert spatial is not None
     assert spatial.get("range") == "0 0.095"
+
+
+def test_a_clip_may_be_called_as_the_chain_calls_its_bodies(tmp_path: Path) -> None:
+    found = ready(tmp_path, arch().replace("right", "node_3"))
+    bodies = [each.get("name") for each in ET.fromstring(deck_of(found)).iter("body")]
+    assert "node_3" in bodies
+    assert len(set(bodies)) == len(bodies)
+
+
+def deck_of(found: Laid) -> str:
+    return line_deck(found.line, found.boundaries, title="a line")
 
 
 def test_a_line_that_may_fall_is_free_in_space(tmp_path: Path) -> None:

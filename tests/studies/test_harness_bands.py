@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from scipy.stats import rice
 
 from labpipe.protocol.harness_loading import load_harness
 from labpipe.rod.statics import follow
@@ -17,8 +18,10 @@ TEN_PERCENT = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
 NO_WEIGHT = "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n"
 
 
-def bands(folder: Path, section: str, more: str = "") -> tuple[HarnessBands | None, int]:
-    file = written(folder, arch(section, more=more))
+def bands(
+    folder: Path, section: str, more: str = "", *, text: str = ""
+) -> tuple[HarnessBands | None, int]:
+    file = written(folder, text or arch(section, more=more))
     harness = load_harness(file)
     material = material_of(harness, file)
     count = 0
@@ -61,6 +64,57 @@ def test_numbers_lie_in_their_own_intervals(tmp_path: Path) -> None:
     assert 0.0 < way.lower <= way.upper
     lowest = found.intervals["lowest_point"]
     assert lowest.lower < lowest.upper
+
+
+BARE = """\
+version: 1
+line:
+  length: 300 mm
+  elements: 12
+  section: {bending_stiffness: 12000 N*mm^2, torsional_stiffness: 8000 N*mm^2,
+    largest_curvature: 200 1/m, diameter: 5.8 mm, mass_per_length: 55 g/m}
+  spool: {curvature: 0.02 1/m, spread: 1 1/m}
+boundaries:
+  - {kind: clip, name: left, at: start, position: [0 mm, 0 mm, 0 mm], direction: [1, 0, 0]}
+"""
+"""A line that is nearly straight, as it comes from its spool."""
+SWUNG = """\
+  - kind: grip
+    name: right
+    at: end
+    holds: position
+    path:
+      - {step: 4, position: [285 mm, 0 mm, 60 mm]}
+      - {step: 8, position: [290 mm, 0 mm, 0 mm]}
+"""
+"""A grip that lets a bow swing out of its plane."""
+
+
+def test_a_curl_in_two_directions_has_the_band_of_its_size(tmp_path: Path) -> None:
+    """Without weight the curvature is |(k + a, b)|, a and b normal: Rice's distribution."""
+    found, _ = bands(tmp_path, "", text=f"{BARE}steps: 8\n{NO_WEIGHT}")
+    assert found is not None
+    low, high = (float(rice.ppf(share, 0.02)) for share in (0.025, 0.975))
+    for name in ("smallest_bend_radius", "smallest_bend_radius_on_the_way"):
+        interval = found.intervals[name]
+        assert 1.0 / interval.lower == pytest.approx(high, rel=0.03)
+        assert 1.0 / interval.upper == pytest.approx(min(low, 0.02), rel=0.05)
+    assert found.intervals["lowest_point"].upper <= 0.0, "its begin is held there"
+    assert found.doubt is None
+
+
+def test_causes_that_do_not_add_up_are_said(tmp_path: Path) -> None:
+    found, count = bands(tmp_path, "", text=f"{BARE}{SWUNG}steps: 8\n")
+    assert found is not None
+    assert count == 5 + 6, "six draws are solved whole"
+    assert found.doubt is not None
+    assert found.doubt.code == "causes_do_not_add"
+    last, way = (
+        found.intervals[name]
+        for name in ("smallest_bend_radius", "smallest_bend_radius_on_the_way")
+    )
+    assert way.lower <= last.lower
+    assert way.upper <= last.upper
 
 
 def test_nothing_believed_no_bands(tmp_path: Path) -> None:

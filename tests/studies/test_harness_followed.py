@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError
@@ -14,7 +15,7 @@ from labpipe.protocol.harness_loading import load_harness
 from labpipe.records.result import Status
 from labpipe.studies.harness_followed import FollowedHarness, followed, shown_steps, swept
 from labpipe.studies.harness_section import material_of
-from tests.builders.harness_files import STIFFNESS, arch, written
+from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 
 
 def run(folder: Path, text: str, limit: float | None = None) -> FollowedHarness:
@@ -61,6 +62,46 @@ def test_steps_and_lengths(tmp_path: Path) -> None:
     assert (longer.length, longer.bands) == (0.25, None)
     assert longer.way.radius <= longer.bend.radius
     assert longer.bend.step == 8
+
+
+def test_what_is_nothing_but_rounding_is_no_doubt(tmp_path: Path) -> None:
+    """A curl without weight, held at one end: its moment is what the solver leaves."""
+    text = pushed(STIFFNESS).partition("  - kind: grip")[0]
+    text = text.replace(f"{STIFFNESS}}}", f"{STIFFNESS}, spool: {{curvature: 1 1/m}}}}")
+    found = run(tmp_path, f"{text}steps: 2\ngravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")
+    (moment,) = (each for each in found.results if each.name == "moment.bench")
+    assert moment.value == pytest.approx(0.0, abs=1e-9)
+    assert moment.value != 0.0
+    assert {each.status for each in found.results} == {Status.OK}
+
+
+def test_a_length_of_a_sweep_has_all_doubts_of_its_numbers(tmp_path: Path) -> None:
+    """Six elements are too few for a line that is brought far round."""
+    text = arch().replace("elements: 16", "elements: 6").replace("180 mm, 0 mm", "90 mm, 30 mm")
+    file = written(tmp_path, text)
+    harness = load_harness(file)
+    material = material_of(harness, file)
+    radius = run(tmp_path, text).results[0]
+    one = swept(harness, file, material, harness.line.length)
+    assert radius.status is Status.DOUBTFUL
+    assert one.status == "doubtful"
+    assert {each.code for each in radius.reasons} <= {each.code for each in one.reasons}
+
+
+def test_loads_are_told_in_every_step(tmp_path: Path) -> None:
+    """All that acts on a line, its weight included, is in balance."""
+    push = "  - {kind: load, name: push, at: 55 mm, force: [0 N, 10 mN, -20 mN], by: 4}\nsteps:"
+    section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
+    found = run(tmp_path, arch(section).replace("steps:", push))
+    weight = 0.007 * 0.2 * 9.80665
+    for step, state in enumerate(found.path.states):
+        share = min(1.0, step / 4)
+        assert state.reaction_forces[2] == pytest.approx(share * np.array([0.0, 0.01, -0.02]))
+    assert found.path.last.reaction_forces.sum(axis=0) == pytest.approx((0, 0, weight), abs=1e-9)
+    assert found.bands is not None
+    band = found.bands.line.states[-1].reaction_forces
+    assert band.lower[2] == pytest.approx([0.0, 0.01, -0.02])
+    assert band.upper[2] == pytest.approx([0.0, 0.01, -0.02])
 
 
 def test_a_length_that_failed_has_no_numbers(tmp_path: Path) -> None:

@@ -75,6 +75,18 @@ def test_a_heavy_cantilever(tmp_path: Path) -> None:
     assert not any(name.startswith("springback") for name in numbers)
 
 
+def test_the_lowest_point_is_along_gravity(tmp_path: Path) -> None:
+    """The same cantilever, pulled to the side, and without weight."""
+    _, ready, path = followed(tmp_path, ALONE)
+    down = by_name(path, ready)["lowest_point"].value
+    aside = ALONE + "gravity: [0 m/s^2, 9.80665 m/s^2, 0 m/s^2]\n"
+    _, ready, path = followed(tmp_path, aside)
+    assert by_name(path, ready)["lowest_point"].value == pytest.approx(down, rel=1e-9)
+    assert path.last.positions[-1, 1] == pytest.approx(-down, rel=1e-9)
+    _, ready, path = followed(tmp_path, ALONE + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")
+    assert by_name(path, ready)["lowest_point"].value == pytest.approx(0.0, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("stiffness", "elements", "touched"), [(3, 12, ""), (3, 5, "bends"), (0.3, 5, "all")]
 )
