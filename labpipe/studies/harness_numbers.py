@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -152,7 +153,7 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     line : that was followed
     material : with the curvature and the stretch up to which its law is backed
     """
-    found = [Reason(each.code, each.sentence) for each in path.reasons]
+    found = [Reason(each.code, _in_places(each.sentence, line)) for each in path.reasons]
     if not path.states:
         return tuple(found)
     bent = np.array([state.bendings for state in path.states])
@@ -175,6 +176,27 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
         )
         found.append(Reason("beyond_stretch", message))
     return tuple(found)
+
+
+def _in_places(sentence: str, line: Line) -> str:
+    """A sentence of the rod, which counts nodes, in places along the line."""
+
+    def place(node: str) -> str:
+        return _mm(line.stations[int(node)])
+
+    said = re.sub(
+        r"between nodes (\d+) and (\d+)",
+        lambda each: f"between {place(each[1])} and {place(each[2])} from the start",
+        sentence,
+    )
+    said = re.sub(
+        r"with its node (\d+)",
+        lambda each: (
+            f"with its end {place(each[1])} from the start: put it further in, or move less"
+        ),
+        said,
+    )
+    return re.sub(r"\bnode (\d+)", lambda each: f"{place(each[1])} from the start", said)
 
 
 @dataclass(frozen=True, slots=True)

@@ -87,6 +87,21 @@ def test_the_lowest_point_is_along_gravity(tmp_path: Path) -> None:
     assert by_name(path, ready)["lowest_point"].value == pytest.approx(0.0, abs=1e-12)
 
 
+def test_reasons_say_places_and_not_nodes(tmp_path: Path) -> None:
+    material, ready, path = followed(tmp_path, ALONE)
+    said = [
+        "between nodes 0 and 6 the line is 0.05 m long",
+        "it gives way most at node 12",
+        "the line slid out of r with its node 0",
+    ]
+    path = replace(path, reasons=tuple(RodReason("taut", each, 1, 6) for each in said))
+    assert [each.message for each in reasons_of(path, ready.line, material)] == [
+        "between 0 mm and 50 mm from the start the line is 0.05 m long",
+        "it gives way most at 100 mm from the start",
+        "the line slid out of r with its end 0 mm from the start: put it further in, or move less",
+    ]
+
+
 @pytest.mark.parametrize(
     ("stiffness", "elements", "touched"), [(3, 12, ""), (3, 5, "bends"), (0.3, 5, "all")]
 )
