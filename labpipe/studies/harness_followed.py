@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
 from labpipe.protocol.harness_file import HarnessFile
@@ -217,9 +220,16 @@ def _all_reasons(
     if bands is None:
         return reasons
     known = {each.code for each in reasons} | _SAID_ALREADY
-    notes = [Reason(each.code, each.message) for each in bands.line.notes]
+    notes = [Reason(each.code, _steps_in_words(each.message)) for each in bands.line.notes]
     notes += [] if bands.doubt is None else [bands.doubt]
     return reasons + tuple(each for each in notes if each.code not in known)
+
+
+def _steps_in_words(message: str) -> str:
+    """A message with lists of steps as people write them."""
+    return re.sub(
+        r"in steps \[(.*?)\]", lambda each: f"in steps {each[1]}" if each[1] else "in none", message
+    )
 
 
 _SAID_ALREADY = {"beyond_tested"}
@@ -266,7 +276,8 @@ def _with_bands(
 
     def follow_line(number: int, inputs: Inputs) -> Followed:
         ready = laid(harness, material.sections[number](inputs), inputs, length=length)
-        path = follow(ready.line, ready.boundaries, steps=harness.steps)
+        with np.errstate(over="ignore", invalid="ignore"):  # it then fails, and says so
+            path = follow(ready.line, ready.boundaries, steps=harness.steps)
         found = _with_loads(path, ready), ready
         known.append(found)
         return found

@@ -118,3 +118,26 @@ def test_a_line_that_cannot_be_laid_is_bad_input(tmp_path: Path) -> None:
     message = "line: expected a line that can be laid as its boundaries say, found this: towards="
     with pytest.raises(ProcessingError, match=re.escape(message)):
         run(tmp_path, arch(line=curl))
+
+
+def test_a_line_limp_beyond_numbers_fails_without_a_warning(tmp_path: Path) -> None:
+    """Warnings are errors here."""
+    assert run(tmp_path, LIMP).status is Status.FAILED
+
+
+LIMP = """\
+version: 1
+about: limp
+line:
+  length: 300 mm
+  elements: 40
+  section: {bending_stiffness: 1e-300 N*mm^2, torsional_stiffness: 8000 N*mm^2,
+      largest_curvature: 200 1/m, diameter: 5.8 mm, mass_per_length: 55 g/m}
+boundaries:
+- kind: clip
+  name: left
+  at: start
+  position: [0 mm, 0 mm, 0 mm]
+  direction: [1, 0, 0]
+steps: 20
+"""
