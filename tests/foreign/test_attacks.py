@@ -32,7 +32,6 @@ JUMPS, PERIODIC = (
     "a zero that jumps by 0.6 % of the peak is not seen",
     "a wave slower than a window",
 )
-DROWNED = "a force of which nothing is to be seen, not even its sign"
 CLOCKS = "the corner of a force that stands on a step, or has no noise at all"
 NOT_YET = {
     "taped-bundle-jump-4000": JUMPS,
@@ -42,12 +41,8 @@ NOT_YET = {
     "twist-tube-jump-4156": JUMPS,
     "pet-tape-jump-4156": JUMPS,
     "twist-tube-periodic-4110": PERIODIC,
-    "twist-tube-periodic-4156": PERIODIC,
     "tensile-periodic-4156": PERIODIC,
     "conduit-bundle-periodic-4156": PERIODIC,
-    "tensile-drowned-4110": DROWNED,
-    "pet-tape-drowned-4110": DROWNED,
-    "corrugated-tube-drowned-4110": DROWNED,
     "conduit-bundle-coarse-4000": CLOCKS,
     "conduit-bundle-coarse-4110": CLOCKS,
     "taped-bundle-silent-4110": CLOCKS,
