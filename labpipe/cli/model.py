@@ -14,6 +14,7 @@ from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.studies.stress_tables import stated_words
 from labpipe.studies.wire_models import Modelled, as_json, model_wires
+from labpipe.wire.cantilever_curve import force_at
 
 _HEADING = (
     *("wire", "strands", "layout", "EI stick", "EI slip"),
@@ -78,10 +79,8 @@ def _cells(table: WireTable) -> tuple[str, ...]:
 
 def _force(table: WireTable) -> str:
     """End load at the deflection of the heading; a dash where the curve does not reach it."""
-    wanted = _DEFLECTION * table.spec.length
-    if not len(table.tip_deflection) or wanted > table.tip_deflection[-1]:
-        return "-"
-    return f"{np.interp(wanted, table.tip_deflection, table.tip_force):.4g}"
+    force = force_at(table, _DEFLECTION * table.spec.length)
+    return "-" if np.isnan(force) else f"{force:.4g}"
 
 
 def _line(row: Sequence[str], widths: Sequence[int]) -> str:

@@ -24,6 +24,7 @@ from labpipe.report.wire_sections import (
 from labpipe.report.wording import Scale
 from labpipe.report.workbook_cells import Row, Value
 from labpipe.report.workbook_file import About, Chart, Line, Sheet, save_book
+from labpipe.wire.cantilever_curve import force_at
 
 DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 """Tip deflections at which the end load is reported, m."""
@@ -104,23 +105,6 @@ def orientation_spread(table: WireTable) -> float | None:
     return 100.0 * float(np.max(apart))
 
 
-def force_at(table: WireTable, deflection: float) -> float | None:
-    """End load at a tip deflection, N, by straight lines between the points of the curve.
-
-    Parameters
-    ----------
-    table : of the wire
-    deflection : m
-
-    Returns
-    -------
-    None beyond the end of the curve, and where there is none.
-    """
-    if not len(table.tip_deflection) or deflection > table.tip_deflection[-1]:
-        return None
-    return FORCE.factor * float(np.interp(deflection, table.tip_deflection, table.tip_force))
-
-
 def shown_rows(table: WireTable, most: int) -> Ints:
     """Number the rows of the law that a sheet of limited length shows.
 
@@ -161,9 +145,15 @@ def row_error(table: WireTable, rows: Ints) -> float:
     return 100.0 * float(np.max(apart, initial=0.0))
 
 
+def _force_at(table: WireTable, deflection: float) -> float | None:
+    """End load at a tip deflection; None where the curve does not reach it."""
+    force = FORCE.factor * force_at(table, deflection)
+    return None if np.isnan(force) else force
+
+
 def _force_column(deflection: float) -> Column:
     heading = f"end load at {LENGTH.factor * deflection:g} {LENGTH.unit} ({FORCE.unit})"
-    return Column(heading, lambda table: force_at(table, deflection))
+    return Column(heading, lambda table: _force_at(table, deflection))
 
 
 SUMMARY = (

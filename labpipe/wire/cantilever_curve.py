@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from labpipe.law.play_fits import concave_law
 from labpipe.law.plays import PlayLaw
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.records.wire import WireAtRest, WireSpec
+from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 from labpipe.wire.bending_law import MomentCurve
 from labpipe.wire.cantilever import CantileverShape
 from labpipe.wire.end_load import deflection_at
@@ -18,6 +19,8 @@ from labpipe.wire.end_load_path import end_load_path
 
 DEFLECTIONS = 49
 """Points of the cantilever's curve, zero included."""
+_DENSE = 3
+"""Power by which they are spaced: the first lies at 1e-5 of the last, before strands slip."""
 FARTHEST = 0.8
 """Tip deflection at its end, as a share of the length."""
 _SHY = 0.97  # of the way to the end of the law, which is found by a straight line
@@ -48,7 +51,7 @@ class CantileverCurve:
         moment = float(np.interp(curvature, law.curvature, law.moment))
         if moment >= self.clamp_moment[-1]:
             return float("inf")
-        return float(np.interp(moment, self.clamp_moment, self.deflection))
+        return float(PchipInterpolator(self.clamp_moment, self.deflection)(moment))
 
 
 def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
@@ -94,20 +97,46 @@ def _bent(law: PlayLaw, length: float, end: float, self_weight: float) -> Cantil
     With weight the clamp reaches the end of the law at a slightly other deflection than without,
     for which `end` was found; a curve that is cut then goes that far.
     """
-    deflection = np.linspace(0.0, end, DEFLECTIONS)
+    deflection = _points(end)
     path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
     last = len(path.load)
     if last > 1 and end < FARTHEST * length and path.rest is not None:
         clamp = np.append(path.rest.moment[0], path.clamp_moment)
-        slope = (clamp[-1] - clamp[-2]) / deflection[1]
+        slope = (clamp[-1] - clamp[-2]) / (deflection[last] - deflection[last - 1])
         ahead = (law.largest_moment - clamp[-1]) / slope
-        deflection = np.linspace(0.0, deflection[last] + _SHY * ahead, DEFLECTIONS)
+        deflection = _points(deflection[last] + _SHY * ahead)
         path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
         last = len(path.load)
     force = np.append(0.0, path.load)
     rest = _at_rest(path.rest)
     clamp = np.append(0.0 if rest is None else rest.moment, path.clamp_moment)
     return CantileverCurve(deflection[: last + 1], force, clamp, rest, ())
+
+
+def _points(end: float) -> Floats:
+    """Deflections of the curve, m, dense near zero."""
+    return np.asarray(end * np.linspace(0.0, 1.0, DEFLECTIONS) ** _DENSE)
+
+
+def force_at(table: WireTable, deflection: float) -> float:
+    """End load at a tip deflection, N, on the smooth curve through the points of a table.
+
+    Parameters
+    ----------
+    table : of the wire
+    deflection : m
+
+    Returns
+    -------
+    NaN beyond the end of the curve, and where there is none.
+
+    Notes
+    -----
+    Cubics that rise as their points do (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+    """
+    if len(table.tip_deflection) < 2 or deflection > table.tip_deflection[-1]:
+        return float("nan")
+    return float(PchipInterpolator(table.tip_deflection, table.tip_force)(deflection))
 
 
 def _at_rest(shape: CantileverShape | None) -> WireAtRest | None:

@@ -15,6 +15,7 @@ from python_calamine import CalamineWorkbook
 from labpipe.errors import StoreError
 from labpipe.records.wire import WireTable
 from labpipe.report.wire_workbook import MOST_ROWS, save_wire_workbook
+from labpipe.wire.cantilever_curve import force_at
 from tests.builders.wire_tables import wire_table
 from tests.report.builders_wires import CUT, troubled
 
@@ -68,7 +69,7 @@ def test_summary_has_refused_wires_first_and_numbers_as_numbers(book: Workbook) 
     assert first["stick stiffness (N·mm²)"] == pytest.approx(1e6 * table.stick_stiffness)
     assert first["rows of the law"] == first["rows shown"] == len(table.curvature)
     assert first["error between the rows shown, largest (% of moment)"] == 0.0
-    force = np.interp(20e-3, table.tip_deflection, table.tip_force)
+    force = force_at(table, 20e-3)
     assert first["end load at 20 mm (N)"] == pytest.approx(force)
     assert (second["wire"], second["end load at 20 mm (N)"]) == ("A3", None)
     assert second["warnings"] == CUT.message

@@ -9,11 +9,11 @@ import pytest
 from labpipe.records.wire import WireTable
 from labpipe.report.wire_workbook import (
     SUMMARY,
-    force_at,
     orientation_spread,
     row_error,
     shown_rows,
 )
+from labpipe.wire.cantilever_curve import force_at
 from tests.builders.wire_tables import wire_table
 from tests.report.builders_wires import troubled
 
@@ -51,11 +51,16 @@ def test_onsets_outside_the_range_are_not_told() -> None:
 
 def test_force_on_the_curve_and_none_beyond_its_end() -> None:
     table = wire_table("A1")
+    columns = {column.heading: column.value for column in SUMMARY}
+    said = columns["end load at 5 mm (N)"]
     middle = (table.tip_deflection[3] + table.tip_deflection[4]) / 2.0
-    assert force_at(table, middle) == pytest.approx((table.tip_force[3] + table.tip_force[4]) / 2.0)
+    assert table.tip_force[3] < force_at(table, middle) < table.tip_force[4]
     assert force_at(table, table.tip_deflection[-1]) == table.tip_force[-1]
-    assert force_at(table, 1.001 * table.tip_deflection[-1]) is None
-    assert force_at(troubled(), 5e-3) is None
+    assert said(table) == force_at(table, 5e-3)
+    short = replace(table, tip_deflection=table.tip_deflection[:2], tip_force=table.tip_force[:2])
+    assert np.isnan(force_at(short, 5e-3))
+    assert said(short) is None
+    assert said(troubled()) is None
 
 
 def test_spread_over_orientations() -> None:

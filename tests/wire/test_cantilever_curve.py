@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from labpipe.law.play_fits import concave_law
 from labpipe.units import GRAVITY
 from labpipe.wire.cantilever import bend_to_deflection, held_level
+from labpipe.wire.cantilever_curve import force_at
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.wire_table import wire_table
 from tests.builders.wire_tables import codes, spec_of, told
 
@@ -50,3 +53,15 @@ def test_a_wire_too_limp_to_lie_level_is_bent_without_its_weight() -> None:
         "the curve of the cantilever of 3000 mm is without the wire's own weight, 201.7 mN: "
     )
     assert table.tip_deflection[-1] == pytest.approx(2.4, rel=1e-12)
+
+
+@pytest.mark.parametrize("length", [0.085, 0.3, 1.0])
+def test_loads_between_the_points_are_those_of_the_solver(length: float) -> None:
+    """From 0.2 % of the length on; with even points a wire of 1 m was 38 % off at 5 mm."""
+    table = wire_table(replace(A2, length=length))
+    asked = np.array([5e-3, 10e-3, 20e-3, 30e-3, 50e-3, 0.002 * length, 0.3 * length])
+    law = concave_law(table.curvature[1:], table.moment[1:])
+    weight = 0.0 if table.rest is None else GRAVITY * table.mass_per_length
+    for each in np.unique(asked):
+        exact = end_load_path(law, length, np.array([each]), self_weight=weight).load[0]
+        assert force_at(table, float(each)) == pytest.approx(exact, rel=1e-3)
