@@ -235,7 +235,7 @@ def _steps_in_words(message: str) -> str:
 _SAID_ALREADY = {"beyond_tested"}
 """Codes of notes of bands that `reasons_of` has a word for."""
 _OF_SWEEP = (RADIUS, ON_THE_WAY, LOWEST)
-"""Numbers that are told of a length of a sweep."""
+"""Numbers that a sweep lists for each length."""
 
 
 def swept(harness: HarnessFile, file: Path, material: Material, length: float) -> Swept:
@@ -257,10 +257,10 @@ def swept(harness: HarnessFile, file: Path, material: Material, length: float) -
     reasons = _all_reasons(path, ready, material, bands)
     if path.status != FAILED:
         results = _results(harness, material, (path, ready, bands), length)
-        told = [
+        listed = [
             each.reasons for each in results if each.name in _OF_SWEEP and each.value is not None
         ]
-        reasons = tuple(dict.fromkeys(reason for each in told for reason in each))
+        reasons = tuple(dict.fromkeys(reason for each in listed for reason in each))
     return Swept(length, path, ready, reasons, bands)
 
 
