@@ -1,10 +1,12 @@
 """Round wires drawn together until they touch, and how full a conduit around them is.
 
-Least is the sum of diameter^2 x squared distance from the middle, without any overlap: a bore, as
-in `wire.packing`, leaves wires loose in the gaps, a pull to the middle leaves none. The start is
-first let go in a soft energy, eqs. (3.1)-(3.4) of the source with the pull in place of the bore;
-then contacts harden until the overlaps that the pull left are gone (method of multipliers: Hestenes
-and Powell, 1969). Only wires near each other are looked at, so that cost grows with their number.
+The heap sought has the least sum of diameter^2 x squared distance from the middle without any
+overlap: a bore, as in `wire.packing`, leaves wires loose in the gaps, a pull to the middle leaves
+none. Wires first relax in a soft energy, eqs. (3.1)-(3.4) of the source with the pull in place of
+the bore; then contacts harden until the overlaps that the pull left are gone (method of
+multipliers: Hestenes and Powell, 1969), and Newton's method brings the heap to rest. Only wires near each other
+are looked at, so that cost grows with their number. The heap is the same on every processor, to
+1e-12 of a diameter.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import Bounds, minimize
+from scipy.linalg import lstsq
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from labpipe.law.plays import require_positive
@@ -27,25 +30,31 @@ _NEIGHBOURS = 1.5
 _TRAVEL = 0.17
 """Of the least diameter: how far a wire goes along x or y on one list of pairs, so that none that
 is not on the list can be met."""
-_LOOSE = {"maxiter": 20, "ftol": 1e-16, "gtol": 1e-3, "maxcor": 20}
-_FINE = {"maxiter": 60, "ftol": 1e-16, "gtol": 1e-8, "maxcor": 20}
-"""Of the search on one list of pairs, while wires find their places and when they have them."""
-_LISTS = 200
+_LOOSE, _FINE = 1e-3, 1e-7
+"""Force left on a wire, of the pull at a mean diameter from the middle: while wires find their
+places, and when they have them."""
+_STEPS, _STEERING, _PATIENCE = 20000, 0.1, 5
+"""Of a relaxation: at most; share of the force in the direction; steps before they grow."""
 _WIDEST = 1.5
 """Of the spread of wires without any gaps: a wider start is made as small, so that all arrive."""
-_HARDER, _HARDEST = 10.0, 1e5
+_HARDER, _HARDEST = 10.0, 1e3
 """Factor on the stiffness of a contact from one hardening to the next, and where it ends."""
 _HARDENINGS = (4, 8, 1500)
 """At least, at most, and in between so many over the number of wires."""
-_HARD = 1e-7
+_HARD = 1e-6
 """Of a mean diameter: overlap or gap of wires that push each other at which they count as hard."""
+_REST, _FAR = 1e-13, 1e-2
+"""Of a mean diameter: the last and the longest step of Newton's method."""
+_RANK, _NEWTON_STEPS = 1e-11, 20
+"""Share of the largest singular value below which a direction is free; steps at most."""
 _APART = 1e-3
 """Of a diameter: wires that lie on one another know no way apart, so that they get one."""
 _ALIKE = 1e-2
 """Of a radius: heaps that differ less in theirs are equally wide while wires are soft."""
 _SHAKES = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
 """Of a mean diameter: unequal wires can come to rest in a row or around a corner, where nothing
-pushes them aside; a heap so loose is shaken a little, then more."""
+pushes them aside; a heap that fills less than `_SHAKEN` is shaken a little, then more."""
+_SHAKEN = 0.55
 _PAIR = 2
 LEAST_FILLED = 0.5
 """Of the smallest circle around a heap: what two equal wires fill, the emptiest of all heaps that
@@ -118,7 +127,7 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     reach = diameters / scale
     found = _densest([(start - start.mean(axis=0)) / scale for start in starts], reach)
     for number, shake in enumerate(_SHAKES):
-        if _filled(found, reach) > LEAST_FILLED * (1.0 + _ALIKE) or len(reach) == _PAIR:
+        if _filled(found, reach) > _SHAKEN or len(reach) == _PAIR:
             break
         moves = shake * np.random.default_rng(number).normal(size=found.shape)
         found = _densest([found, found + moves], reach)
@@ -195,89 +204,142 @@ def _contacts(centres: Floats, diameters: Floats, before: Contacts | None = None
 
 def _soft(begin: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
     """Wires that overlap a little, and their contacts."""
-    found = _parted(begin)
-    wide = np.sqrt(np.sum(found**2) / len(found)) / (0.25 * np.sqrt(2.0 * np.sum(diameters**2)))
-    found = found / max(1.0, wide / _WIDEST)
-    contacts = _contacts(found, diameters)
+    centres = _parted(begin)
+    wide = np.sqrt(np.sum(centres**2) / len(centres))
+    wide /= 0.25 * np.sqrt(2.0 * np.sum(diameters**2))
+    centres = centres / max(1.0, wide / _WIDEST)
+    contacts = _contacts(centres, diameters)
     for stiffness in _STIFFNESSES:
-        found, contacts = _settled(found, diameters, contacts, stiffness, _LOOSE)
-    return found, contacts
+        centres, contacts = _settled(centres, diameters, contacts, stiffness, _LOOSE)
+    return centres, contacts
 
 
 def _settled(
-    begin: Floats,
-    diameters: Floats,
-    contacts: Contacts,
-    stiffness: float,
-    options: Any,
+    begin: Floats, diameters: Floats, contacts: Contacts, stiffness: float, tolerance: float
 ) -> tuple[Floats, Contacts]:
-    """Wires where their energy is least, and their contacts there."""
-    found, reach = begin, _TRAVEL * float(diameters.min())
-    for _ in range(_LISTS):
-        flat = found.ravel()
-        done = minimize(
-            energy_of_heap,
-            flat,
-            args=(diameters, contacts, stiffness),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=Bounds(flat - reach, flat + reach),
-            options=options,
-        )
-        found = np.asarray(done.x).reshape(-1, 2)
-        contacts = _contacts(found, diameters, contacts)
-        if np.max(np.abs(done.x - flat)) < 0.5 * reach:
+    """Wires where the force on each is small, and their contacts there.
+
+    Fast inertial relaxation (Bitzek et al., 2006, doi:10.1103/PhysRevLett.97.170201): wires move by
+    the force on them and stop when they move against it. Only sums, products and roots, so that
+    every processor takes the same way: which of many heaps comes out hangs on each rounding.
+    """
+    centres, listed, reach = begin, begin, _TRAVEL * float(diameters.min())
+    longest = 1.0 / np.sqrt(6.0 * stiffness)
+    step, steering, downhill, speed = longest, _STEERING, 0, np.zeros_like(begin)
+    for _ in range(_STEPS):
+        force = -gradient_of_heap(centres, diameters, contacts, stiffness)
+        if np.max(np.abs(force)) < tolerance / len(diameters):
             break
-    return found, contacts
+        if np.sum(force * speed) > 0.0:
+            downhill += 1
+            if downhill > _PATIENCE:
+                step, steering = min(1.1 * step, longest), 0.99 * steering
+        else:
+            downhill, step, steering = 0, max(0.5 * step, 0.02 * longest), _STEERING
+            speed = np.zeros_like(speed)
+        speed = speed + step * force
+        along = np.sqrt(np.sum(speed * speed) / np.sum(force * force))
+        speed = (1.0 - steering) * speed + steering * along * force
+        centres = centres + step * speed
+        if np.max(np.abs(centres - listed)) > reach:
+            listed, contacts = centres, _contacts(centres, diameters, contacts)
+    return centres, _contacts(centres, diameters, contacts)
 
 
 def _hardened(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     """Nearest least sum of diameter^2 x squared distance in which neighbours do not overlap."""
-    found, stiffness = begin, _STIFFNESSES[-1]
+    centres, stiffness = begin, _STIFFNESSES[-1]
     least, most, shared = _HARDENINGS
     for _ in range(max(least, min(most, shared // len(diameters)))):
-        force = np.maximum(contacts.force + stiffness * _depths(found, contacts)[0], 0.0)
-        if np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * _HARD:
+        force = np.maximum(contacts.force + stiffness * _depths(centres, contacts)[0], 0.0)
+        is_hard = np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * _HARD
+        contacts = replace(contacts, force=force)
+        if is_hard:
             break
-        contacts, stiffness = replace(contacts, force=force), min(_HARDER * stiffness, _HARDEST)
-        found, contacts = _settled(found, diameters, contacts, stiffness, _FINE)
-    return found
+        stiffness = min(_HARDER * stiffness, _HARDEST)
+        centres, contacts = _settled(centres, diameters, contacts, stiffness, _FINE)
+    return _turned_back(_at_rest(centres, diameters, contacts), begin, diameters)
 
 
-def energy_of_heap(
-    flat: Floats, diameters: Floats, contacts: Contacts, stiffness: float
-) -> tuple[float, Floats]:
-    """Energy of wires that push each other apart and are pulled to the origin, and its gradient.
+def _at_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+    """Solve for the rest of hard wires to rounding, by Newton's method on forces and places.
+
+    Wires that push each other touch; pull and pushes balance. Redundant contacts (of equal wires)
+    and the turn of the whole heap leave the system singular: the smallest step is taken. Where the
+    steps do not shrink, the begin is returned.
+    """
+    centres, force, pull = begin, contacts.force, np.repeat(diameters**2 / len(diameters), 2)
+    step, number = np.inf, len(diameters)
+    for _ in range(_NEWTON_STEPS):
+        depth, along = _depths(centres, contacts)
+        on = (force > 0.0) | (depth > _REST)
+        first, second, u, f = contacts.first[on], contacts.second[on], along[on], force[on]
+        pushes, row = np.zeros((len(f), number, 2)), np.arange(len(f))
+        pushes[row, first], pushes[row, second] = -u, u
+        push = pushes.reshape(len(f), -1)
+        across = np.eye(2) - u[:, :, None] * u[:, None, :]
+        turn = -(f / (contacts.touching - depth)[on])[:, None, None] * across
+        bend = np.zeros((number, number, 2, 2))
+        for one, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1)):
+            np.add.at(bend, (one, other), sign * turn)
+        np.add.at(bend, (second, first), -turn)
+        stiff = bend.transpose(0, 2, 1, 3).reshape(2 * number, -1) + np.diag(pull)
+        system = np.block([[stiff, push.T], [push, np.zeros((len(f), len(f)))]])
+        unbalanced = np.concatenate([pull * centres.ravel() + push.T @ f, depth[on]])
+        change = lstsq(system, -unbalanced, cond=_RANK, lapack_driver="gelsy")[0]
+        last, step = step, float(np.max(np.abs(change[: 2 * number])))
+        if step > max(0.5 * last, _REST) or step > _FAR:
+            return begin
+        centres = centres + change[: 2 * number].reshape(-1, 2)
+        force = force.copy()
+        force[on] = np.maximum(f + change[2 * number :], 0.0)
+        if step < _REST:
+            return centres
+    return begin
+
+
+def _turned_back(centres: Floats, begin: Floats, diameters: Floats) -> Floats:
+    """The heap turned as a whole to where it began: its energy does not depend on the turn."""
+    x, y = centres.T
+    weight = diameters**2
+    angle = np.arctan2(
+        weight @ (x * begin[:, 1] - y * begin[:, 0]), weight @ (x * begin[:, 0] + y * begin[:, 1])
+    )
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return np.asarray(centres @ turn)
+
+
+def gradient_of_heap(
+    centres: Floats, diameters: Floats, contacts: Contacts, stiffness: float
+) -> Floats:
+    """Gradient of the energy of wires that push each other apart and are pulled to the origin.
 
     Parameters
     ----------
-    flat : shape (2 n,), x and y of one wire after the other
+    centres : shape (n, 2)
     diameters : shape (n,), in the same unit
     contacts : pairs that are looked at, and their forces f
     stiffness : k of a contact
 
     Returns
     -------
-    Sum of diameter^2 x squared distance from the origin / 2 + sum over pairs of
-    max(f + k overlap, 0)^2 / 2 k; gradient, shape (2 n,).
+    Shape (n, 2), of (sum of diameter^2 x squared distance from the origin) / 2 n + sum over pairs
+    of max(f + k overlap, 0)^2 / 2 k.
     """
-    centres = flat.reshape(-1, 2)
     depth, along = _depths(centres, contacts)
     force = np.maximum(contacts.force + stiffness * depth, 0.0)
-    pulled = diameters[:, None] ** 2 / len(centres) * centres
-    gradient = np.empty_like(centres)
+    gradient: Floats = diameters[:, None] ** 2 / len(centres) * centres
     for axis in range(2):
         push = force * along[:, axis]
-        gradient[:, axis] = np.bincount(contacts.second, push, len(centres))
+        gradient[:, axis] += np.bincount(contacts.second, push, len(centres))
         gradient[:, axis] -= np.bincount(contacts.first, push, len(centres))
-    energy = 0.5 * (np.sum(pulled * centres) + np.sum(force**2) / stiffness)
-    return float(energy), (gradient + pulled).ravel()
+    return gradient
 
 
 def _depths(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
     """Overlap of each pair, negative for a gap, and the direction from second to first."""
     apart = centres[contacts.first] - centres[contacts.second]
-    distance = np.hypot(apart[:, 0], apart[:, 1])
+    distance = np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2)
     return contacts.touching - distance, apart / np.where(distance == 0.0, 1.0, distance)[:, None]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import approx_fprime
+from scipy.optimize import approx_fprime, nnls
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.bundle_packing import (
@@ -14,7 +14,7 @@ from labpipe.wire.bundle_packing import (
     Contacts,
     densest_heap,
     drawn_together,
-    energy_of_heap,
+    gradient_of_heap,
     holding_circle,
     packing_fraction,
     require_dense,
@@ -27,22 +27,35 @@ def test_gradient_of_the_energy() -> None:
     centres, diameters = rng.normal(size=(7, 2)), rng.uniform(0.5, 1.5, 7)
     first, second = np.triu_indices(7, 1)
     touching = 0.5 * (diameters[first] + diameters[second])
-    contacts = Contacts(first, second, touching, rng.uniform(0.0, 0.2, len(first)))
-    energy, gradient = energy_of_heap(centres.ravel(), diameters, contacts, 10.0)
+    force = rng.uniform(0.0, 0.2, len(first))
 
-    def value(at: Floats) -> float:
-        return energy_of_heap(at, diameters, contacts, 10.0)[0]
+    def energy(flat: Floats) -> float:
+        at = flat.reshape(-1, 2)
+        overlap = touching - np.hypot(*(at[first] - at[second]).T)
+        pushed = np.sum(np.maximum(force + 10.0 * overlap, 0.0) ** 2) / 20.0
+        return float(np.sum(diameters**2 @ at**2) / 14.0 + pushed)
 
-    assert gradient == pytest.approx(approx_fprime(centres.ravel(), value, 1e-7), abs=1e-4)
-    assert energy > 0.0
+    contacts = Contacts(first, second, touching, force)
+    gradient = gradient_of_heap(centres, diameters, contacts, 10.0)
+    assert gradient.ravel() == pytest.approx(approx_fprime(centres.ravel(), energy), abs=1e-4)
 
 
-def test_energy_of_two_wires_by_hand() -> None:
-    """1 m and 3 m wide, 1.5 m apart: they touch at 2 m. The larger one is 1.5 m off the origin."""
-    flat, diameters = np.array([0.0, 0.0, 1.5, 0.0]), np.array([1.0, 3.0])
-    pair = Contacts(np.array([0]), np.array([1]), np.array([2.0]), np.array([0.25]))
-    energy, _ = energy_of_heap(flat, diameters, pair, 10.0)
-    assert energy == pytest.approx(3.0**2 * 1.5**2 / 2.0 / 2 + (0.25 + 10.0 * 0.5) ** 2 / 20.0)
+@pytest.mark.parametrize("number", [7, 19, 40])
+def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
+    """The pull on each wire is balanced by wires that touch it to 1e-12 of a diameter."""
+    rng = np.random.default_rng(number)
+    diameters = rng.uniform(0.8, 1.2, number)
+    centres = drawn_together(rng.normal(size=(number, 2)), diameters)
+    first, second = np.triu_indices(number, 1)
+    apart = centres[first] - centres[second]
+    distance = np.hypot(*apart.T)
+    touch = distance < 0.5 * (diameters[first] + diameters[second]) + 1e-12
+    pushes = np.zeros((int(touch.sum()), number, 2))
+    row, along = np.arange(len(pushes)), (apart / distance[:, None])[touch]
+    pushes[row, first[touch]], pushes[row, second[touch]] = along, -along
+    pull = (diameters[:, None] ** 2 * centres).ravel()
+    _, left = nnls(pushes.reshape(len(pushes), -1).T, pull)
+    assert left < 1e-9 * np.linalg.norm(pull)
 
 
 def test_three_unequal_wires_touch_each_other() -> None:
