@@ -4,9 +4,9 @@ The heap sought has the least sum of diameter^2 x squared distance from the midd
 overlap: a bore, as in `wire.packing`, leaves wires loose in the gaps, a pull to the middle leaves
 none. Wires first relax in a soft energy, eqs. (3.1)-(3.4) of the source with the pull in place of
 the bore; then contacts harden until the overlaps that the pull left are gone (method of
-multipliers: Hestenes and Powell, 1969), and Newton's method brings the heap to rest. Only wires near each other
-are looked at, so that cost grows with their number. The heap is the same on every processor, to
-1e-12 of a diameter.
+multipliers: Hestenes and Powell, 1969), and Newton's method brings the heap to rest. Only wires
+near each other are looked at, so that cost grows with their number. The heap is the same on every
+processor, to 1e-12 of a diameter.
 """
 
 from __future__ import annotations
@@ -294,7 +294,7 @@ def _at_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
         force = force.copy()
         force[on] = np.maximum(f + change[2 * number :], 0.0)
         if step < _REST:
-            return centres
+            return np.asarray(centres)
     return begin
 
 
