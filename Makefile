@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-full docs notebooks golden test test-slow coverage coverage-status coverage-page check bench reference clean
+.PHONY: demo demo-full docs notebooks golden test test-slow coverage coverage-status coverage-page check test-machines bench reference clean
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -53,6 +53,9 @@ check: .venv/.ready  ## style, types, layers
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+test-machines: .venv/.ready  ## the same numbers under three settings of processor and threads
+	$(BIN)/python -m benchmarks.machines
 
 bench: .venv/.ready  ## speed and memory as ratios, in one run
 	$(BIN)/python -m benchmarks

@@ -20,6 +20,7 @@ from labpipe.records.signals import Clocks, Filter, Signal
 from labpipe.results.evidence import Evidence
 from labpipe.signal.filters import in_pieces
 from labpipe.uncertainty.readings import Trace
+from labpipe.uncertainty.replicates import stream
 
 _FASTER = 2.0
 """Samples of the force for each one of the curve, from which on its own are looked at."""
@@ -57,6 +58,7 @@ class ForceSamples:
     filters : of the force
     cuts : at which a new piece begins
     reach : samples on either side that the filters need
+    seed : of draws
     """
 
     time: Floats
@@ -66,6 +68,7 @@ class ForceSamples:
     filters: tuple[Filter, ...]
     cuts: tuple[int, ...]
     reach: int
+    seed: bytes
 
     @classmethod
     def of(cls, test: Evidence, trace: Trace) -> ForceSamples | None:
@@ -93,7 +96,7 @@ class ForceSamples:
         smooth = _between_frames(trace, time, cuts, reach)
         left = _beside_frames(signal.values - smooth, frames)
         np.nan_to_num(left, copy=False)
-        return cls(time, smooth, left, frames, filters, tuple(cuts), reach)
+        return cls(time, smooth, left, frames, filters, tuple(cuts), reach, test.seed)
 
     def of_cycle(self, trace: Trace, stretch: slice, sense: float) -> Top | None:
         """The samples of a cycle.
@@ -157,8 +160,8 @@ class Top:
         near = np.flatnonzero(self.over >= self.top - _REACH * size) + self.start
         if len(near) > _MOST:
             return None
-        # Which stretch of the record goes with a replicate is chance, and the same every time.
-        chance = np.random.default_rng(noise[:, :8].astype(np.float32).view(np.uint32).ravel())
+        # Which stretch of the record goes with a replicate is drawn alike every time.
+        chance = stream(self.samples.seed, "samples of the force")
         largest, apart = np.full(len(noise), -np.inf), 2 * self.samples.reach
         for run in np.split(near, np.flatnonzero(np.diff(near) > apart) + 1):
             made = self._filtered(noise, int(run[0]), int(run[-1]) + 1, chance)
