@@ -11,7 +11,7 @@ mishaps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,7 @@ BODY_MARKERS = np.array(
 )
 """The clamp's markers relative to its pivot, m, shape (4, 3)."""
 UNLABELLED = "Unlabeled 1234"
+_DECIMALS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,14 +91,22 @@ class Take:
         return self.bodies[0]
 
     def recording(self) -> Recording:
-        """The take as a reader of the export would give it."""
+        """The take as a reader of an export in metres would give it, to its six decimals."""
         tracks = MarkerTracks(
             time=self.time,
             frames=np.arange(len(self.time), dtype=np.float64),
             rate=self.rate,
             names=self.names,
-            positions=self.positions,
-            bodies=self.bodies,
+            positions=self.positions.round(_DECIMALS),
+            bodies=tuple(
+                replace(
+                    body,
+                    position=body.position.round(_DECIMALS),
+                    rotation=body.rotation.round(_DECIMALS),
+                    error=body.error.round(_DECIMALS),
+                )
+                for body in self.bodies
+            ),
         )
         return Recording(reader="motive-csv", markers=tracks)
 

@@ -219,11 +219,22 @@ class FrameRecord:
 
     def recording(self) -> Recording:
         """The record as a reader of the export would give it, in SI."""
+        travel, force = single(self.displacement), single(self.force)
         channels = (
-            Channel("Crosshead", "Crosshead", self.displacement, unit="m", unit_in_file="mm"),
-            Channel("Load", "Load", self.force, unit="N", unit_in_file="N"),
+            Channel("Crosshead", "Crosshead", travel, unit="m", unit_in_file="mm"),
+            Channel("Load", "Load", force, unit="N", unit_in_file="N"),
         )
         return Recording("load-frame", clocks=(Clock("time", self.time),), channels=channels)
+
+
+def single(values: Floats) -> Floats:
+    """Values as a controller keeps them, in 32 bits: equal on every processor. No negative zeros.
+
+    Parameters
+    ----------
+    values : any shape, in SI
+    """
+    return values.astype(np.float32).astype(np.float64) + 0.0
 
 
 def record_crosshead(

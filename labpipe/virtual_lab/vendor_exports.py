@@ -38,7 +38,7 @@ from scipy.io import savemat
 
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.cameras import BODY_MARKERS, Take
-from labpipe.virtual_lab.recorders import PORT, ForceRecord, FrameRecord
+from labpipe.virtual_lab.recorders import PORT, ForceRecord, FrameRecord, single
 from labpipe.virtual_lab.tensile_scenarios import ExportLayout
 
 CONTROL_DESK_VERSION = "7.4"
@@ -356,17 +356,12 @@ def _preamble(file: str, force_unit: str, run: Run, kind: str) -> str:
 
 def _rows(record: FrameRecord, force_unit: str) -> str:
     columns = (
-        1e3 * _single(record.displacement),
-        _single(record.force) / NEWTONS[force_unit],
-        _single(record.time),
+        1e3 * single(record.displacement),
+        single(record.force) / NEWTONS[force_unit],
+        single(record.time),
     )
     rows = np.column_stack(columns).tolist()
     return "".join("\t".join(f"{value:.15G}" for value in row) + "\r\n" for row in rows)
-
-
-def _single(values: Floats) -> Floats:
-    """As the controller keeps them, in 32 bits; no negative zeros."""
-    return values.astype(np.float32).astype(np.float64) + 0.0
 
 
 def write_r_controller(path: Path, record: FrameRecord, run: Run) -> None:

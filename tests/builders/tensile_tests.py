@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,6 @@ from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result
 from labpipe.virtual_lab import TensileObservation, TensileScenario, observe
 from labpipe.virtual_lab.observations import simulate_test
@@ -69,13 +68,9 @@ def shipped(repository: Path, name: str) -> Protocol:
 
 def reduced_in_memory(test: TensileObservation, protocol: Protocol) -> tuple[Result, ...]:
     """Results of an observation, without files in between."""
-    record = test.record
-    channels = (
-        Channel("force", "Load", record.force, unit="N"),
-        Channel("displacement", "Crosshead", record.displacement, unit="m"),
-    )
-    frame = Recording("load-frame", clocks=(Clock("time", record.time),), channels=channels)
-    return reduce_recordings({"frame": frame}, protocol).results
+    frame, names = test.record.recording(), {"Load": "force", "Crosshead": "displacement"}
+    channels = tuple(replace(each, name=names[each.name]) for each in frame.channels)
+    return reduce_recordings({"frame": replace(frame, channels=channels)}, protocol).results
 
 
 def true_results(scenario: TensileScenario, seed: int) -> dict[str, float]:

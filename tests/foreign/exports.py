@@ -59,7 +59,7 @@ def write_tra(path: Path, columns: Columns) -> Path:
 
 
 def write_mat(path: Path, time: Array, signals: Mapping[str, Array]) -> Path:
-    """ControlDesk MAT v5, revision 2.1; signals by `path/name`, units empty as in real files."""
+    """ControlDesk MAT v5, revision 2.1; signals of 32 bits by `path/name`, units empty."""
     from scipy.io import savemat
 
     y = [_struct(full, values) for full, values in signals.items()]
@@ -93,7 +93,7 @@ def _struct(full: str, values: Array) -> dict[str, Any]:
     return {
         "Name": name,
         "Type": np.int32(4),
-        "Data": values[None, :],
+        "Data": values.astype(np.float32).astype(np.float64)[None, :],
         "Unit": "",
         "Raster": "HostService",
         "Device": "Platform",
