@@ -8,6 +8,7 @@ of their JSON with those of the first setting. It ends with 1 where one differs 
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -69,8 +70,7 @@ def _numbers(setting: dict[str, str]) -> Iterator[tuple[str, Any]]:
 
 
 def _chosen_by_processor() -> list[str]:
-    from numpy._core import _multiarray_umath as loops
-
+    loops = importlib.import_module("numpy._core._multiarray_umath")
     features: dict[str, bool] = loops.__cpu_features__
     return [name for name in loops.__cpu_dispatch__ if features.get(name)]
 
