@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from labpipe.cli.terminal import from_here, reading
+from labpipe.cli.terminal import from_here, statuses_of
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import count_of, unit_words
 from labpipe.studies.harness_followed import FollowedHarness
-from labpipe.studies.harness_study import as_json, follow_harness
+from labpipe.studies.harness_study import Watcher, as_json, follow_harness
 
 _SHOWN = {
     "m": (1e3, "mm"),
@@ -29,14 +31,14 @@ def run(options: argparse.Namespace) -> int:
     statuses = []
     for file in options.files:
         out = options.out if options.out is None or len(options.files) == 1 else None
-        with reading(1) as say:
+        with following() as watcher:
             found = follow_harness(
                 file,
                 wires=options.wire,
                 out=out or _own_folder(options.out, file),
                 figures=not options.no_figures,
                 png=options.png,
-                say=say,
+                watcher=watcher,
             )
         print(json.dumps(as_json(found)) if options.json else harness_table(found))
         faults = list(_faults(found))
@@ -44,6 +46,26 @@ def run(options: argparse.Namespace) -> int:
             print(f"labpipe harness: {file}: {fault}", file=sys.stderr)
         statuses.append(1 if faults else 0)
     return max(statuses)
+
+
+@contextmanager
+def following() -> Iterator[Watcher]:
+    """Show lines and steps as they are followed: a bar on a terminal, a line for each in a pipe."""
+    if not sys.stderr.isatty():
+        names, total = itertools.count(1), [0]
+
+        def say(words: str) -> None:
+            if total[0] > 1:
+                print(f"{next(names)}/{total[0]} {words}", file=sys.stderr)
+
+        yield Watcher(lambda lines, _: total.__setitem__(0, lines), say)
+        return
+    from tqdm import tqdm
+
+    with tqdm(unit="step", leave=False) as bar:
+        yield Watcher(
+            lambda lines, steps: bar.reset(lines * steps), bar.set_description, bar.update
+        )
 
 
 def _faults(found: FollowedHarness) -> Iterator[str]:
@@ -71,8 +93,9 @@ def harness_table(found: FollowedHarness) -> str:
     Its status, its numbers, its allowed bend radius, doubts, and where the files are.
     """
     line, steps = found.laid.line, found.harness.steps
+    became = found.status if found.status is Status.FAILED else statuses_of(found.results)
     head = (
-        f"{found.file.stem}: {found.status}; {1e3 * line.length:.6g} mm of {found.material.name}, "
+        f"{found.file.stem}: {became}; {1e3 * line.length:.6g} mm of {found.material.name}, "
         f"{count_of(len(line.lengths), 'element')}, {count_of(steps, 'step')}"
     )
     if found.status is Status.FAILED:

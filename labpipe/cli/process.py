@@ -5,18 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from labpipe.campaign.machine import default_jobs
 from labpipe.campaign.runs import process_tests
-from labpipe.cli.terminal import from_here, name_width, progress, result_line
+from labpipe.cli.terminal import from_here, name_width, progress, result_line, statuses_of
 from labpipe.process.attempts import Refused
 from labpipe.process.run import Processed
 from labpipe.process.targets import find_tests
 from labpipe.records.quality import QualityNote
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Result
 from labpipe.report.wording import shown_in
 from labpipe.store.summaries import summary
 
@@ -129,8 +128,7 @@ def headline(processed: Processed) -> str:
     processed : the test
     """
     result = processed.result
-    counts = Counter(each.status for each in result.results)
-    became = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
+    became = statuses_of(result.results)
     return f"{result.test}  ({result.protocol}): {became}  ->  {from_here(processed.folder)}"
 
 

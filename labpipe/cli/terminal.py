@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -126,6 +127,17 @@ def from_here(path: Path) -> Path:
 def name_width(names: Iterable[str]) -> int:
     """Room for the names of a table."""
     return max(_LEAST_WIDTH, *(len(name) for name in names), 0)
+
+
+def statuses_of(results: Iterable[Result]) -> str:
+    """Count results by status, such as ``20 ok, 1 doubtful``.
+
+    Parameters
+    ----------
+    results : of a test or a harness
+    """
+    counts = Counter(result.status for result in results)
+    return ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
 
 
 def result_line(result: Result, display: Mapping[str, str], width: int) -> str:

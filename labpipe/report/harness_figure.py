@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
@@ -37,6 +37,8 @@ _COLOURS = "viridis"
 _BELOW = "#d62728"
 _BAND: dict[str, Any] = {"color": "#9ecae1", "linewidth": 0.0}
 _EARLIER: dict[str, Any] = {"color": "#999999", "linewidth": 0.7}
+_OPEN: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.0}
+"""Dots of what is doubtful."""
 _WAY: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.5}
 _LIMIT: dict[str, Any] = {"color": _BELOW, "linewidth": 0.8, "linestyle": (0, (5, 2))}
 _SIGNS: dict[str, dict[str, Any]] = {
@@ -341,8 +343,9 @@ class DrawnSweep:
     radius : shape (k,), m, smallest bend radius at the last step; NaN where there is none
     way : shape (k,), m, the smallest on the way
     radius_band : lower and upper ends, shape (k,) each; None without
-    shapes : shape (n + 1, 3), m, of each length at the last step
+    shapes : shape (n + 1, 3), m, of each length at the last step; empty of one that failed
     allowed : bend radius, m
+    is_doubtful : shape (k,)
     """
 
     name: str
@@ -353,6 +356,7 @@ class DrawnSweep:
     radius_band: tuple[Floats, Floats] | None
     shapes: tuple[Floats, ...]
     allowed: float
+    is_doubtful: Flags
 
 
 def sweep_figure(sweep: DrawnSweep) -> Figure:
@@ -363,20 +367,47 @@ def sweep_figure(sweep: DrawnSweep) -> Figure:
     sweep : the lengths
     """
     keys = [
+        *_keys_of_lengths(sweep),
         line_key("when laid", color="black", marker="o", markersize=3.0, linewidth=1.0),
         line_key("on the way", **_EARLIER, marker="o", markersize=2.0),
         line_key("allowed bend radius", **_LIMIT),
     ]
     if sweep.radius_band is not None:
         keys.append(area_key("95 % band, length by length", **_BAND))
+    if sweep.is_doubtful.any():
+        keys.append(line_key("doubtful", color="black", **_OPEN, linestyle="", marker="o"))
     words = Words(f"{sweep.name}  ·  length against bend radius", sweep.note, keys)
     page = keyed_page(words, height_mm=_SWEEP_HEIGHT, width_mm=DOUBLE_COLUMN)
     shapes, radii = page.subplots(1, 2, width_ratios=(1.2, 1.0))
     plot_lengths(sweep, shapes)
     plot_sweep(sweep, radii)
-    panel_letter(shapes, "a", "From the side, by length")
+    panel_letter(shapes, "a", f"From the {_view_of(sweep)[0]}, by length")
     panel_letter(radii, "b", "Smallest bend radius")
     return page
+
+
+def _keys_of_lengths(sweep: DrawnSweep) -> list[Artist]:
+    """A sample of each line with its length; of a doubtful one, dashed."""
+    return [
+        line_key(f"{LENGTH.factor * length:.6g} {LENGTH.unit}", **_look_of_line(sweep, number))
+        for number, length in enumerate(sweep.length)
+        if len(sweep.shapes[number])
+    ]
+
+
+def _look_of_line(sweep: DrawnSweep, number: int) -> dict[str, Any]:
+    import matplotlib as mpl
+
+    colours = mpl.colormaps[_COLOURS](np.linspace(0.05, 0.9, len(sweep.shapes)))
+    dashes = (0, (4, 1.5)) if sweep.is_doubtful[number] else "solid"
+    return {"color": colours[number], "linewidth": 1.1, "linestyle": dashes}
+
+
+def _view_of(sweep: DrawnSweep) -> tuple[str, int, int]:
+    """The view, of those of the other figure that show x, that shows most of the lines."""
+    every = np.vstack(sweep.shapes)
+    side, _, top = _VIEWS
+    return top if np.ptp(every[:, 1]) > np.ptp(every[:, 2]) else side
 
 
 def plot_lengths(sweep: DrawnSweep, axes: Axes) -> None:
@@ -387,15 +418,12 @@ def plot_lengths(sweep: DrawnSweep, axes: Axes) -> None:
     sweep : the lengths
     axes : to draw on
     """
-    import matplotlib as mpl
-
-    every = np.vstack(sweep.shapes)
-    up = 1 if np.ptp(every[:, 1]) > np.ptp(every[:, 2]) else 2
-    colours = mpl.colormaps[_COLOURS](np.linspace(0.1, 0.9, len(sweep.shapes)))
-    for positions, colour in zip(sweep.shapes, colours, strict=True):
-        axes.plot(*(LENGTH.factor * positions[:, [0, up]].T), color=colour, linewidth=1.1)
+    _, across, up = _view_of(sweep)
+    for number, positions in enumerate(sweep.shapes):
+        points = LENGTH.factor * positions[:, [across, up]]
+        axes.plot(*points.T, **_look_of_line(sweep, number))
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(LENGTH.label("x"))
+    axes.set_xlabel(LENGTH.label(_AXES[across]))
     axes.set_ylabel(LENGTH.label(_AXES[up]))
 
 
@@ -415,6 +443,9 @@ def plot_sweep(sweep: DrawnSweep, axes: Axes) -> None:
     axes.plot(
         length, _shown(sweep.radius), color="black", marker="o", markersize=3.0, linewidth=1.0
     )
+    for radius, look in ((sweep.way, _EARLIER), (sweep.radius, {"color": "black"})):
+        open_dots = {**_OPEN, "color": look["color"], "marker": "o", "linestyle": ""}
+        axes.plot(length[sweep.is_doubtful], _shown(radius)[sweep.is_doubtful], **open_dots)
     axes.axhline(LENGTH.factor * sweep.allowed, **_LIMIT)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel(LENGTH.label("Length of the line"))

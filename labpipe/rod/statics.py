@@ -13,7 +13,7 @@ in which it gives way first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,6 +71,7 @@ def follow(
     steps: int,
     settings: RodSettings | None = None,
     start: RodState | None = None,
+    on_step: Callable[[], object] = lambda: None,
 ) -> RodPath:
     """Follow a line through the steps of its boundaries.
 
@@ -81,6 +82,7 @@ def follow(
     steps : of their paths
     settings : how; the usual where not given
     start : state of the same line to start from, with its memory, in place of the line's own shape
+    on_step : called after each step
 
     Returns
     -------
@@ -97,6 +99,7 @@ def follow(
     for step in range(steps + 1):
         if not walk.go_to(step):
             break
+        on_step()
     return walk.path()
 
 

@@ -103,7 +103,6 @@ def drawn_sweep(found: FollowedHarness) -> DrawnSweep | None:
     if not found.sweep:
         return None
     sweep = sorted(found.sweep, key=lambda each: each.length)
-    whole = [each for each in sweep if each.path.status != FAILED]
     return DrawnSweep(
         name=found.file.stem,
         note=_words(found),
@@ -111,8 +110,12 @@ def drawn_sweep(found: FollowedHarness) -> DrawnSweep | None:
         radius=np.array([each.bend.radius for each in sweep]),
         way=np.array([each.way.radius for each in sweep]),
         radius_band=_radius_band(sweep),
-        shapes=tuple(each.path.last.positions for each in whole),
+        shapes=tuple(
+            np.empty((0, 3)) if each.path.status == FAILED else each.path.last.positions
+            for each in sweep
+        ),
         allowed=found.limit.radius,
+        is_doubtful=np.array([each.status == "doubtful" for each in sweep]),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -148,7 +148,13 @@ def shown_steps(harness: HarnessFile) -> tuple[int, ...]:
     return tuple(sorted({*harness.show, harness.steps}))
 
 
-def followed(harness: HarnessFile, file: Path, material: Material, folder: Path) -> FollowedHarness:
+def followed(
+    harness: HarnessFile,
+    file: Path,
+    material: Material,
+    folder: Path,
+    on_step: Callable[[], object] = lambda: None,
+) -> FollowedHarness:
     """Follow a harness, without its sweep.
 
     Parameters
@@ -157,6 +163,7 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
     file : its YAML
     material : of its line
     folder : of the results, which is not touched
+    on_step : called after each step of the line
 
     Raises
     ------
@@ -164,7 +171,7 @@ def followed(harness: HarnessFile, file: Path, material: Material, folder: Path)
         If the line cannot be laid as its boundaries say.
     """
     steps = shown_steps(harness)
-    path, ready, bands = _with_bands(harness, file, material, steps)
+    path, ready, bands = _with_bands(harness, file, material, steps, on_step=on_step)
     reasons = _all_reasons(path, ready, material, bands)
     is_whole = path.status != FAILED
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
@@ -238,7 +245,13 @@ _OF_SWEEP = (RADIUS, ON_THE_WAY, LOWEST)
 """Numbers that a sweep lists for each length."""
 
 
-def swept(harness: HarnessFile, file: Path, material: Material, length: float) -> Swept:
+def swept(
+    harness: HarnessFile,
+    file: Path,
+    material: Material,
+    length: float,
+    on_step: Callable[[], object] = lambda: None,
+) -> Swept:
     """Follow a harness with another length of its line.
 
     Parameters
@@ -247,13 +260,16 @@ def swept(harness: HarnessFile, file: Path, material: Material, length: float) -
     file : its YAML
     material : of its line
     length : m
+    on_step : called after each step of the line
 
     Raises
     ------
     ProcessingError
         As `followed`.
     """
-    path, ready, bands = _with_bands(harness, file, material, (harness.steps,), length)
+    path, ready, bands = _with_bands(
+        harness, file, material, (harness.steps,), length, on_step=on_step
+    )
     reasons = _all_reasons(path, ready, material, bands)
     if path.status != FAILED:
         results = _results(harness, material, (path, ready, bands), length)
@@ -270,6 +286,8 @@ def _with_bands(
     material: Material,
     steps: Sequence[int],
     length: float | None = None,
+    *,
+    on_step: Callable[[], object],
 ) -> tuple[RodPath, Laid, HarnessBands | None]:
     """Follow a line at its best inputs, and beside them where something is believed of them."""
     known: list[Followed] = []
@@ -277,7 +295,7 @@ def _with_bands(
     def follow_line(number: int, inputs: Inputs) -> Followed:
         ready = laid(harness, material.sections[number](inputs), inputs, length=length)
         with np.errstate(over="ignore", invalid="ignore"):  # it then fails, and says so
-            path = follow(ready.line, ready.boundaries, steps=harness.steps)
+            path = follow(ready.line, ready.boundaries, steps=harness.steps, on_step=on_step)
         found = _with_loads(path, ready), ready
         known.append(found)
         return found

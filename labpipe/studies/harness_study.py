@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +37,22 @@ FIGURES_FOLDER = "figures"
 SCHEMA = 1
 
 
+@dataclass(frozen=True, slots=True)
+class Watcher:
+    """Who is told how far a harness is.
+
+    Parameters
+    ----------
+    begin : called with the number of lines and of the steps of each
+    line : called with the words for each line that begins
+    step : called after each step
+    """
+
+    begin: Callable[[int, int], object] = lambda _lines, _steps: None
+    line: Callable[[str], object] = lambda _: None
+    step: Callable[[], object] = lambda: None
+
+
 def follow_harness(
     file: Path,
     *,
@@ -44,7 +60,7 @@ def follow_harness(
     out: Path | None = None,
     figures: bool = True,
     png: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    watcher: Watcher | None = None,
 ) -> FollowedHarness:
     """Follow the line of a harness, and write what was found.
 
@@ -56,7 +72,7 @@ def follow_harness(
         folder
     figures : whether to draw
     png : figures as PNG, too; without it those of an earlier run are taken away
-    say : is given each stage as it begins
+    watcher : is given what begins and ends
 
     Returns
     -------
@@ -71,16 +87,18 @@ def follow_harness(
     harness = load_harness(file)
     material = material_of(harness, file, wires)
     folder = Path("processed/harness") / file.stem if out is None else out
-    say("equilibria")
-    found = followed(harness, file, material, folder)
+    lengths = harness.sweep.length if harness.sweep else ()
+    watcher = watcher or Watcher()
+    watcher.begin(len(lengths) + 1, harness.steps + 1)
+    watcher.line("as stated")
+    found = followed(harness, file, material, folder, watcher.step)
     if found.status is Status.FAILED:
         _write_failure(found)
         return found
-    lengths = harness.sweep.length if harness.sweep else ()
     sweep = []
     for length in lengths:
-        say(f"length {1e3 * length:.6g} mm")
-        sweep.append(swept(harness, file, material, length))
+        watcher.line(f"length {1e3 * length:.6g} mm")
+        sweep.append(swept(harness, file, material, length, watcher.step))
     return _write(replace(found, sweep=tuple(sweep)), figures=figures, png=png)
 
 

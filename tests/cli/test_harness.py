@@ -28,7 +28,7 @@ def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
     ran = run("harness", file, "--out", out, "--no-figures")
     assert ran.status == DONE, ran
     lines = ran.out.splitlines()
-    assert lines[0] == "line: ok; 100 mm of A2, 12 elements, 10 steps"
+    assert lines[0] == "line: 3 ok, 6 doubtful; 100 mm of A2, 12 elements, 10 steps"
     assert lines[1].startswith("  smallest_bend_radius ")
     assert any(line.startswith("  springback.gripper ") for line in lines)
     assert (

@@ -50,8 +50,9 @@ SWEEP = DrawnSweep(
     radius=np.array([0.03, np.nan]),
     way=np.array([0.02, np.nan]),
     radius_band=(np.array([0.025, np.nan]), np.array([0.04, np.nan])),
-    shapes=(ARC,),
+    shapes=(ARC, ARC[:0]),
     allowed=0.05,
+    is_doubtful=np.array([False, True]),
 )
 
 
@@ -126,14 +127,16 @@ def test_a_band_without_width_is_no_area() -> None:
 def test_a_sweep_leaves_a_gap_where_a_length_failed() -> None:
     axes = Figure().subplots()
     plot_sweep(SWEEP, axes)
-    way, laid, limit = axes.lines
+    way, laid, *_, limit = axes.lines
     assert np.asarray(laid.get_xdata()).tolist() == [150.0, 200.0]
     assert np.asarray(laid.get_ydata(), dtype=float)[0] == pytest.approx(30.0)
     assert np.isnan(np.asarray(laid.get_ydata(), dtype=float)[1])
     assert np.asarray(way.get_ydata(), dtype=float)[0] == pytest.approx(20.0)
     assert np.asarray(limit.get_ydata()).tolist() == [50.0, 50.0]
     with style():
-        assert "95 % band, length by length" in texts(sweep_figure(SWEEP))
+        shown = texts(sweep_figure(SWEEP))
+        for words in ("95 % band, length by length", "150 mm", "doubtful", "From the side"):
+            assert words in shown
         without = texts(sweep_figure(replace(SWEEP, radius_band=None)))
     assert "band" not in without
 
