@@ -9,6 +9,8 @@ from collections.abc import Iterator
 
 from labpipe.cli.terminal import from_here
 from labpipe.errors import UsageError, complaint
+from labpipe.records.curve import Interval
+from labpipe.report.wording import plain_numbers
 from labpipe.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
 from labpipe.units import parse_quantity
 from labpipe.wire.bundle_packing import WANTED
@@ -94,16 +96,21 @@ def _friction(modelled: ModelledBundle) -> Iterator[str]:
     fit = modelled.friction
     if fit is None:
         return
-    ends = f", 95 %: {100.0 * fit.held_lower:.2g} to {100.0 * fit.held_upper:.2g} %"
-    for words, share, more in (
-        ("share of the wires' axial stiffness that takes part", fit.composite_share, ""),
-        ("share of it still held once they slip (fitted)", fit.held, ends),
-        ("error where it was fitted, of the peak force", fit.error_fitted, ""),
-        ("error of what was left out, of the peak force", fit.error_held_out, ""),
+    written = plain_numbers(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
+    held = f"{written(fit.held):>6} %, 95 %: {written(fit.held_lower)} to {written(fit.held_upper)}"
+    for words, shown in (
+        ("share of the wires' axial stiffness that takes part", _share(fit.composite_share)),
+        ("share of it still held once they slip (fitted)", held),
+        ("error where it was fitted, of the peak force", _share(fit.error_fitted)),
+        ("error of what was left out, of the peak force", _share(fit.error_held_out)),
     ):
-        yield f"  {words:<{_WIDE}}{100.0 * share:>6.2g} %{more}"
+        yield f"  {words:<{_WIDE}}{shown} %"
     loss = f"{1e3 * fit.loss:.3g} mJ measured, {1e3 * fit.predicted_loss:.3g} mJ predicted"
     yield f"  {'work lost over the cycles left out':<{_WIDE}}{loss}"
+
+
+def _share(share: float) -> str:
+    return f"{100.0 * share:>6.2g}"
 
 
 def _direction(modelled: ModelledBundle) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.campaign.decisions import without_rejected
 from labpipe.campaign.queries import escaped
-from labpipe.cli.terminal import from_here, reading
+from labpipe.cli.terminal import DIGITS, from_here, reading
 from labpipe.process.targets import find_results
 from labpipe.records.wire_calibration import (
     DISPLAYED,
@@ -23,6 +23,7 @@ from labpipe.records.wire_calibration import (
     Identified,
 )
 from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.report.wording import plain_numbers
 from labpipe.studies.calibration_study import Calibrated, as_json, calibrate_tests
 
 _DOUBTED = {Identified.NOT, Identified.TWO, Identified.AT_BOUND, Identified.AGAINST_PRIOR}
@@ -92,19 +93,19 @@ def _parameter(each: CalibratedParameter) -> str:
     if math.isnan(each.value):
         return f"  {each.name:<20}{'-':>10} {unit:<4} does not act"
     mark = "?" if each.verdict in _DOUBTED else " "
-    line = f"{mark} {each.name:<20}{_written(factor * each.value):>10} {unit:<4}"
+    own = next((part for part in each.intervals if part.lower <= each.value <= part.upper), None)
+    written = plain_numbers(each.value, own or each.interval, factor, DIGITS)
+    line = f"{mark} {each.name:<20}{written(each.value):>10} {unit:<4}"
     if each.interval is None:
         return f"{line} {each.verdict}"
-    ends = [[_written(factor * end) for end in (part.lower, part.upper)] for part in each.intervals]
+    ends = [
+        [*map(plain_numbers(part.lower, part, factor), (part.lower, part.upper))]
+        for part in each.intervals
+    ]
     ends[0][0] = "?" if each.is_open_below else ends[0][0]
     ends[-1][1] = "?" if each.is_open_above else ends[-1][1]
     parts = " or ".join(f"{low} to {high}" for low, high in ends)
     return f"{line} 95 %: {parts}  {each.verdict}"
-
-
-def _written(number: float) -> str:
-    """Five digits, or more where a large number would else be a power of ten."""
-    return f"{number:.5g}" if number < 99_999.0 else f"{number:.0f}"
 
 
 def _rounded(number: float, digits: int) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from labpipe.cli.terminal import from_here, statuses_of
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import count_of, unit_words
+from labpipe.report.wording import count_of, plain_numbers, unit_words
 from labpipe.studies.harness_followed import FollowedHarness
 from labpipe.studies.harness_study import Watcher, as_json, follow_harness
 
@@ -114,10 +114,10 @@ def _line(result: Result) -> str:
     factor, unit = _SHOWN[result.unit]
     if result.value is None:
         return f"  {result.name:<{_WIDTH}}{'-':>11}  {result.why}"
-    shown = f"  {result.name:<{_WIDTH}}{factor * result.value:>11.4g} {unit_words(unit):<5}"
+    written = plain_numbers(result.value, result.interval, factor)
+    shown = f"  {result.name:<{_WIDTH}}{written(result.value):>11} {unit_words(unit):<5}"
     if result.interval is not None:
-        low, high = factor * result.interval.lower, factor * result.interval.upper
-        shown += f"  95 %: {low:.4g} to {high:.4g}"
+        shown += f"  95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
     doubts = [result.status] if result.status is Status.DOUBTFUL else []
     return "  ".join([shown, *doubts, result.remark]).rstrip()
 

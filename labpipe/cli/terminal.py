@@ -11,12 +11,14 @@ from functools import partial
 from pathlib import Path
 
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import shown_in
+from labpipe.report.wording import plain_numbers, shown_in
 
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 _LEAST_WIDTH = 26
 _INTERVAL_WIDTH = 26
+DIGITS = 5
+"""Of a number without an interval."""
 
 
 @contextmanager
@@ -153,13 +155,13 @@ def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
     mark = _MARK[result.status]
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
-    shown = f"{mark} {result.name:<{width}}{factor * result.value:>12.5g} {unit:<6}"
+    written = plain_numbers(result.value, result.interval, factor, DIGITS)
+    shown = f"{mark} {result.name:<{width}}{written(result.value):>12} {unit:<6}"
     if result.interval is None:
         return shown
-    low, high = factor * result.interval.lower, factor * result.interval.upper
-    interval = f"95 %: {low:.5g} to {high:.5g}"
+    interval = f"95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
     if result.apart is not None:
-        interval = f"estimate {factor * result.apart:.5g}, {interval}"
+        interval = f"estimate {written(result.apart)}, {interval}"
     if result.largest_share is None:
         return f"{shown} {interval}"
     cause, share = result.largest_share

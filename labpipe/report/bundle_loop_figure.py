@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.records.arrays import Flags
+from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import FrictionFit
 from labpipe.report.figure_page import DOUBLE_COLUMN, Words, keyed_page, line_key, panel_letter
 from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_sections import LENGTH
+from labpipe.report.wording import write_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,11 +94,12 @@ def plot_loop(fit: FrictionFit, chosen: Flags, look: dict[str, Any], axes: Axes)
 def _note(fit: FrictionFit) -> str:
     slide = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
     tape = f", the tape slides from {slide:.3g} mm on" if np.isfinite(slide) else ""
+    held = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return (
         f"Read off the first loading: {_percent(fit.composite_share)} of the wires' axial "
         f"stiffness takes part up to the kink at {LENGTH.factor * fit.loop.kink[0]:.3g} mm{tape}. "
-        f"Fitted to panel a alone: {_percent(fit.held)} of that is still held after the kink "
-        f"(95 %: {_percent(fit.held_lower)} to {_percent(fit.held_upper)}). "
+        f"Fitted to panel a alone: {held.value} % of that is still held after the kink "
+        f"(95 %: {held.lower} % to {held.upper} %). "
         f"Work over the cycles of panel b: {1e3 * fit.loss:.3g} mJ measured, "
         f"{1e3 * fit.predicted_loss:.3g} mJ predicted. Error: root of the mean square."
     )

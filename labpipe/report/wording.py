@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -371,8 +371,27 @@ def place_of(
     shown = [factor * number for number in (value, *_ends(interval))]
     half = (max(shown[1:]) - min(shown[1:])) / 2.0 if shown[1:] else 0.0
     if not all(map(math.isfinite, shown)) or not half > 0.0:
-        return _last_place(max(map(abs, shown)), digits)
+        return _last_place(max(map(abs, filter(math.isfinite, shown)), default=0.0), digits)
     return _last_place(half, _DIGITS_OF_INTERVAL)
+
+
+def plain_numbers(
+    value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DIGITS_ALONE
+) -> Callable[[float], str]:
+    """Make what writes a number and the ends of its interval alike, never as a power of ten.
+
+    Parameters
+    ----------
+    value, interval, factor, digits : as of `place_of`
+
+    Examples
+    --------
+    >>> shown = plain_numbers(0.052284, Interval(0.046271, 0.058296), 1e3)
+    >>> shown(0.052284), shown(0.046271)
+    ('52.3', '46.3')
+    """
+    place = place_of(value, interval, factor, digits)
+    return lambda number: rounded(factor * number, place)
 
 
 def _ends(interval: Interval | None) -> tuple[float, ...]:

@@ -161,4 +161,4 @@ def test_parts_of_an_interval(done: Calibrated) -> None:
     odd = replace(done.calibration, parameters=(first, second, two))
     line = calibration_table(replace(done, calibration=odd)).splitlines()[3]
     assert line.startswith("?")
-    assert line.endswith("95 %: 0.6 to 1.8 or 4 to 9  two solutions")
+    assert line.endswith("95 %: 0.60 to 1.80 or 4.0 to 9.0  two solutions")

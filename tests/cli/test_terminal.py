@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -48,9 +49,9 @@ def test_values_in_the_display_unit() -> None:
         Result("peak_force.1", 1.5, "N"),
     )
     assert heading == "A2-1  (wire): 3 ok  ->  out"
-    assert line.split() == ["peak_displacement.1", "50", "mm", "95", "%:", "49", "to", "51"]
-    assert drift.split() == ["clock_drift", "40", "ppm", "95", "%:", "30", "to", "50"]
-    assert plain.split() == ["peak_force.1", "1.5", "N"]
+    assert line.split() == "peak_displacement.1 50.0 mm 95 %: 49.0 to 51.0".split()
+    assert drift.split() == "clock_drift 40 ppm 95 %: 30 to 50".split()
+    assert plain.split() == ["peak_force.1", "1.5000", "N"]
 
 
 def test_marks_and_reasons_told_once() -> None:
@@ -91,8 +92,35 @@ def test_the_largest_share_stands_beside_the_interval() -> None:
     apart = replace(found, estimate=53.1, interval=Interval(53.0, 53.2))
     _, near, far, bare = told(found, apart, replace(found, budget=()))
     assert " ".join(near.split()) == "a 53.43 mm 95 %: 53.32 to 53.54 pull offset 64 %"
-    assert " ".join(far.split()) == "a 53.43 mm estimate 53.1, 95 %: 53 to 53.2 pull offset 64 %"
+    said = "a 53.43 mm estimate 53.10, 95 %: 53.00 to 53.20 pull offset 64 %"
+    assert " ".join(far.split()) == said
     assert bare.endswith("95 %: 53.32 to 53.54")
+
+
+@pytest.mark.parametrize(
+    ("value", "ends", "shown"),
+    [
+        (1.0927371, (1.0875435, 1.0968408), "1.0927 N 95 %: 1.0875 to 1.0968"),
+        (52.264857, (-34.244437, 138.774152), "52 N 95 %: -34 to 139"),
+        (32290.4, (31641.2, 32963.4), "32290 N 95 %: 31640 to 32960"),
+        (1234567.8, (1034567.8, 1434567.8), "1230000 N 95 %: 1030000 to 1430000"),
+        (-4e-7, (-6.04e-7, -1.96e-7), "-0.00000040 N 95 %: -0.00000060 to -0.00000020"),
+        (8.0, (8.0003, 8.0097), "8.0000 N 95 %: 8.0003 to 8.0097"),
+        (26.0, (26.0, 26.0), "26.000 N 95 %: 26.000 to 26.000"),
+        (0.0, (0.0, 0.0), "0.00000 N 95 %: 0.00000 to 0.00000"),
+        (801.25, (757.031, math.inf), "801.25 N 95 %: 757.03 to inf"),
+        (53.43, None, "53.430 N"),
+    ],
+)
+def test_digits_are_those_of_the_interval(
+    value: float, ends: tuple[float, float] | None, shown: str
+) -> None:
+    """Two of half its width; a last bit, as processors differ in, changes nothing."""
+    for by in (1.0, 1.0 + 2e-16, 1.0 - 1e-9):
+        interval = None if ends is None else Interval(by * ends[0], by * ends[1])
+        doubts = (Reason("c", "doubted"),)
+        line = told(Result("a", by * value, "N", interval, Status.DOUBTFUL, doubts))[1]
+        assert " ".join(line.split()) == f"? a {shown}"
 
 
 def test_many_cycles_are_summed_up() -> None:
@@ -162,7 +190,7 @@ def test_a_mean_apart_from_its_estimate() -> None:
     assert mean is not None
     low = replace(mean.chosen, interval=Interval(4e3, 4.2e3), estimate=4.1e3)
     _, line, *_ = of_group(replace(number, mean=replace(mean, chosen=low)))
-    assert " ".join(line.split()[3:]) == "estimate 4.1, 95 %: 4 to 4.2"
+    assert " ".join(line.split()[3:]) == "estimate 4.10, 95 %: 4.00 to 4.20"
 
 
 def test_means_of_some_samples_and_of_none() -> None:

@@ -47,5 +47,5 @@ def test_the_errors_are_said() -> None:
     assert "Left out, error 7 % of the peak" in said + titles
     words = " ".join(str(text.get_text()).replace("\n", " ") for text in page.texts)
     assert "the tape slides from 15 mm on" in words
-    assert "20 % of that is still held after the kink (95 %: 15 % to 26 %)" in words
+    assert "20.0 % of that is still held after the kink (95 %: 15.0 % to 26.0 %)" in words
     assert "2 mJ measured, 2.2 mJ predicted" in words
