@@ -49,8 +49,8 @@ def test_values_in_the_display_unit() -> None:
         Result("peak_force.1", 1.5, "N"),
     )
     assert heading == "A2-1  (wire): 3 ok  ->  out"
-    assert line.split() == "peak_displacement.1 50.0 mm 95 %: 49.0 to 51.0".split()
-    assert drift.split() == "clock_drift 40 ppm 95 %: 30 to 50".split()
+    assert line.split() == ["peak_displacement.1", "50.0", "mm", "95", "%:", "49.0", "to", "51.0"]
+    assert drift.split() == ["clock_drift", "40", "ppm", "95", "%:", "30", "to", "50"]
     assert plain.split() == ["peak_force.1", "1.5000", "N"]
 
 
