@@ -35,10 +35,10 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, nearest
-from labpipe.readers.number_rows import PLAIN
 from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content, unreadable
 from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
 from labpipe.readers.text_cells import (
+    PLAIN,
     are_units,
     is_grouped,
     is_number,

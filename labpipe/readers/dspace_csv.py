@@ -27,8 +27,9 @@ from pathlib import Path
 
 from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export, written_date
-from labpipe.readers.number_rows import Body, read_columns
+from labpipe.readers.number_rows import read_columns
 from labpipe.readers.raw_files import read_head, reading, unreadable
+from labpipe.readers.table_body import Body
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording

@@ -35,8 +35,9 @@ from labpipe.readers.motive_table import (
     needed_columns,
     parse_header,
 )
-from labpipe.readers.number_rows import Body, read_columns, rows_note
+from labpipe.readers.number_rows import read_columns, rows_note
 from labpipe.readers.raw_files import BROKEN, read_head, reading, unreadable
+from labpipe.readers.table_body import Body
 from labpipe.readers.time_axes import clock_notes
 from labpipe.readers.tracking import track_notes
 from labpipe.readers.workbooks import is_workbook, opened_workbook
@@ -125,8 +126,8 @@ def _read_workbook(path: Path) -> Recording:
     name, rows = _sheet(path)
     header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
     wanted = {column: header.names[column] for column in needed_columns(header)}
-    columns = sheet_columns(rows, header.rows, wanted, (path, f"sheet '{name}'"))
-    notes = rows_note(header.stated_rows, len(columns[0]))
+    columns, notes = sheet_columns(rows, header.rows, wanted, (path, f"sheet '{name}'"))
+    notes += rows_note(header.stated_rows, len(columns[0]))
     return _recording("motive-xlsx", header, columns, notes, path)
 
 

@@ -4,129 +4,57 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.raw_files import is_blank
+from labpipe.readers.table_body import (
+    Body,
+    Shape,
+    chosen_cells,
+    whole_lines,
+    without_closing,
+    words_shown,
+)
 from labpipe.readers.text_cells import (
+    AGAIN,
+    INFINITE,
     LOST,
+    PLAIN,
+    SIGNS,
+    describe_cell,
     is_grouped,
-    is_number,
+    is_missing,
     lost_signs,
+    quoted,
     regrouped_at,
     split_line,
 )
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 
-SIGNS = {".": "a decimal point", ",": "a decimal comma"}
-PLAIN = {sign: re.compile(rf"[+-]?(\d+(\{sign}\d*)?|\{sign}\d+)([eE][+-]?\d+)?") for sign in SIGNS}
-"""A number by its decimal sign."""
+if TYPE_CHECKING:
+    import pandas as pd
+
 _HEAD = 20000
 """Bytes in which the decimal sign is looked for."""
 _NAN_WORDS = ("NAN", "NaN", "nan")
 _WORTH = 4_000_000
 """Bytes from which on pandas reads faster from the file than from memory."""
-_COMPARED = 200
-"""Lines above the last one in which a number as short as its last one is looked for."""
-_AGAIN = "Export the test again; the file may have been cut off or edited."
+_COMMAS = (
+    "If commas stand in the numbers, too, export the test again with decimal points, or with"
+    " semicolons or tabs between the cells; if not, the file may have been edited."
+)
 _SHOWN = 40
-_WORDS_FOR_NUMBERS = frozenset({"nan", "inf", "infinity"})
-
-
-@dataclass(frozen=True, slots=True)
-class Body:
-    """The rows of samples of a text export.
-
-    Parameters
-    ----------
-    data : bytes of the export, below 128 as in ASCII
-    names : of the columns, for messages
-    columns : numbers of the columns that hold numbers, ascending
-    first_line : line number of the first row
-    start : where in `data` the first row begins
-    as_in_file : whether the file holds just these bytes (but for a byte order mark)
-    some_only : whether the other columns hold numbers too, but are not asked for
-    separator : between cells, a blank for any number of blanks
-    decimal : decimal sign, or ``auto``
-    stated_rows : number of rows that the header promises, None if it does not
-    as_exported : whether it is as a program writes it that records, not saved from a spreadsheet:
-        NAN and Infinity are numbers, columns may hold any code, no number lacks its last zeros
-    """
-
-    data: bytes
-    names: Sequence[str]
-    columns: Sequence[int]
-    first_line: int
-    separator: str
-    decimal: str = "auto"
-    start: int = 0
-    as_in_file: bool = False
-    some_only: bool = False
-    stated_rows: int | None = None
-    as_exported: bool = False
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A body whose extent is known.
-
-    Parameters
-    ----------
-    body : the rows
-    end : where in the data of the body the last whole row ends
-    decimal : decimal sign
-    width : number of cells of a row, at least as many as names
-    """
-
-    body: Body
-    end: int
-    decimal: str
-    width: int
-
-    @property
-    def data(self) -> memoryview:
-        """The bytes of the whole rows, not copied."""
-        return memoryview(self.body.data)[self.body.start : self.end]
-
-    def rows(self) -> Iterator[list[str]]:
-        """Give the cells of each row."""
-        lines = str(self.data, "utf-8", errors="replace").split("\n")
-        return (split_line(line, self.body.separator) for line in lines)
-
-    @cached_property
-    def separators(self) -> tuple[Ints, Ints]:
-        """Where lines start, and how many separators they have.
-
-        Returns
-        -------
-        starts : where each line starts, and the last one ends, shape (lines + 1,)
-        counts : how many separators each line has, shape (lines,)
-        """
-        data = self.data
-        letters = np.frombuffer(data, dtype=np.uint8)
-        ends = np.append(np.flatnonzero(letters == ord("\n")) + 1, len(letters)).astype(np.int64)
-        starts = np.concatenate(([0], ends))
-        if self.body.separator == " ":
-            lines = (bytes(data[a:b]) for a, b in pairwise(starts.tolist()))
-            return starts, np.array([len(line.split()) - 1 for line in lines])
-        before = np.searchsorted(np.flatnonzero(letters == ord(self.body.separator)), ends)
-        return starts, np.diff(before, prepend=0)
-
-
-def chosen_cells(row: Sequence[str], columns: Sequence[int]) -> Iterator[str]:
-    """Give the cells of some columns, as far as the row has them."""
-    return (row[column].strip() for column in columns if column < len(row))
 
 
 def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:
-    """Read columns of numbers; a blank cell is NaN.
+    """Read columns of numbers; a blank cell is NaN, as is a word for a missing value.
 
     Parameters
     ----------
@@ -136,8 +64,10 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     Returns
     -------
     columns : by their number, all of shape (rows,)
-    notes : ``truncated`` (an incomplete last line was left out), ``lines_short`` (what a line
-        lacks counts as blank), ``rows_differ`` (from the number that the header states)
+    notes : ``summary_rows_left_out`` (rows at the end that begin with words), ``truncated`` (an
+        incomplete last line was left out), ``missing_words`` (words that count as missing, by
+        column), ``lines_short`` (what a line lacks counts as blank), ``rows_differ`` (from the
+        number that the header states)
 
     Raises
     ------
@@ -145,7 +75,9 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
         If a cell is no number with the decimal sign of the others or too large a one, a line has
         more cells than there are names, or a column lost its decimal signs.
     """
+    body, closing = without_closing(body)
     end, notes = whole_lines(body)
+    notes = [*closing, *notes]
     head = body.data[body.start : min(end, body.start + _HEAD)]
     if not head.strip() and is_blank(body.data[body.start : end]):
         return {column: np.empty(0) for column in body.columns}, notes + rows_note(
@@ -154,7 +86,8 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     decimal = _decimal_sign(body, head) if body.decimal == "auto" else body.decimal
     first = split_line(head[: head.find(b"\n") + 1 or None].decode("latin-1"), body.separator)
     shape = Shape(body, end, decimal, max(len(body.names), len(first)))
-    parsed = _parsed(shape, path)
+    parsed, words = _parsed(shape, path)
+    notes += words
     columns = {column: parsed[column] for column in body.columns}
     rows = filled_rows(columns)
     if not all(np.isfinite(values).all() for values in columns.values()):
@@ -184,28 +117,38 @@ def _refuse_lost_signs(shape: Shape, columns: Mapping[int, Floats], path: Path) 
             raise ReadError(message)
 
 
-def _parsed(shape: Shape, path: Path) -> dict[int, Floats]:
+def words_note(column: str, words: Mapping[str, int], place: str) -> QualityNote:
+    """Note the words in a column of numbers that count as missing.
+
+    Parameters
+    ----------
+    column : its name
+    words : how many cells hold which word
+    place : of the first one
+    """
+    count = sum(words.values())
+    held = words_shown(list(words))
+    message = f"{count} cells hold {held}, the first in {place}: they count as missing"
+    return QualityNote("missing_words", Severity.INFO, column, message)
+
+
+def _parsed(shape: Shape, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:
     body = shape.body
     extra = range(len(body.names), shape.width)  # blank cells behind the last separator
     wanted = [*body.columns, *extra]
+    if _can_read_straight(shape):
+        with suppress(ValueError, OverflowError):  # perhaps in a column that is not asked for
+            return _numbers(_table(shape, path, body.first_line - 1, None)), []
     try:
-        table = (
-            _table(shape, path, shape.body.first_line - 1, None)
-            if _can_read_straight(shape)
-            else None
-        )
-    except (ValueError, OverflowError):  # perhaps in a column that is not asked for
-        table = None
-    try:
-        columns = _from_memory(shape, wanted) if table is None else table
+        columns, notes = _from_memory(shape, wanted)
     except (ValueError, OverflowError) as error:
         raise ReadError(first_fault(shape, path)) from error
     if any(not np.isnan(columns[column]).all() for column in extra):
         raise ReadError(first_fault(shape, path))
-    return columns
+    return columns, notes
 
 
-def _from_memory(shape: Shape, wanted: list[int]) -> dict[int, Floats]:
+def _from_memory(shape: Shape, wanted: list[int]) -> tuple[dict[int, Floats], list[QualityNote]]:
     """Read the rows, and refuse those with more cells: pandas leaves out the others."""
     data = shape.data
     starts, counts = shape.separators
@@ -214,15 +157,45 @@ def _from_memory(shape: Shape, wanted: list[int]) -> dict[int, Floats]:
         if any(cell.strip() for cell in split_line(line, shape.body.separator)[shape.width :]):
             message = "a line has more cells than the first one"
             raise ValueError(message)
-    return _table(shape, io.BytesIO(data), 0, wanted)
+    try:
+        return _numbers(_table(shape, io.BytesIO(data), 0, wanted)), []
+    except (ValueError, OverflowError):
+        words, notes = _missing_words(shape)
+        if not words:
+            raise
+        return _numbers(_table(shape, io.BytesIO(data), 0, wanted, words)), notes
+
+
+def _missing_words(shape: Shape) -> tuple[list[str], list[QualityNote]]:
+    """Find the words for missing values in the columns, as they are written there."""
+    body = shape.body
+    texts = _table(shape, io.BytesIO(shape.data), 0, list(body.columns), None)
+    found, notes = list[str](), []
+    for column in body.columns:
+        counts = texts[column].value_counts()
+        words = {str(word): int(counts[word]) for word in counts.index if is_missing(str(word))}
+        if words:
+            first = body.first_line + int(np.flatnonzero(texts[column].isin(list(words)))[0])
+            found += words
+            notes.append(words_note(body.names[column], words, f"line {first}"))
+    return found, notes
+
+
+def _numbers(table: pd.DataFrame) -> dict[int, Floats]:
+    return {int(column): table[column].to_numpy() for column in table.columns}
 
 
 def _table(
-    shape: Shape, source: Path | io.BytesIO, skip: int, wanted: list[int] | None
-) -> dict[int, Floats]:
+    shape: Shape,
+    source: Path | io.BytesIO,
+    skip: int,
+    wanted: list[int] | None,
+    words: Sequence[str] | None = (),
+) -> pd.DataFrame:
+    """Read cells as numbers, with these words for missing values; as text if they are None."""
     import pandas as pd
 
-    table = pd.read_csv(
+    return pd.read_csv(
         source,
         skiprows=skip,
         sep=r"\s+" if shape.body.separator == " " else shape.body.separator,
@@ -230,15 +203,13 @@ def _table(
         header=None,
         names=list(range(shape.width)),
         usecols=wanted,
-        dtype=np.float64,
-        na_values=["", *_NAN_WORDS] if shape.body.as_exported else [""],
+        dtype=str if words is None else np.float64,
+        na_values=["", *(words or ()), *(_NAN_WORDS if shape.body.as_exported else ())],
         keep_default_na=False,
         skip_blank_lines=False,
         skipinitialspace=not shape.body.as_exported,
         encoding_errors="replace",
     )
-    read = range(shape.width) if wanted is None else wanted
-    return {column: table[column].to_numpy() for column in read}
 
 
 def _can_read_straight(shape: Shape) -> bool:
@@ -290,74 +261,6 @@ def _short_lines(shape: Shape, rows: int) -> list[QualityNote]:
     return [QualityNote("lines_short", Severity.WARNING, "file", message)]
 
 
-def whole_lines(body: Body) -> tuple[int, list[QualityNote]]:
-    """Find where the last whole line ends: one that stops in the middle is left out.
-
-    A last line without line end is whole if it has all its cells, and its last number has as many
-    decimals, or as many digits in all, as the one above it, and as long an exponent. Where zeros at
-    the end of numbers are not written, it is whole if some line above has a last number with no
-    more of all three. None is whole where the header promises more rows.
-
-    Parameters
-    ----------
-    body : the rows
-
-    Returns
-    -------
-    end : where in the data of the body
-    notes : ``truncated`` if a line was left out
-    """
-    data, start = body.data, body.start
-    end = max(data.rfind(b"\n", start) + 1, start)
-    last = data[end:].decode("latin-1")
-    if not last.strip("\r\0\x1a "):
-        return end, []
-    cells, rows = split_line(last, body.separator), data.count(b"\n", start)
-    is_promised = rows + 1 >= (body.stated_rows or 0)
-    if is_promised and _is_whole(cells, _last_numbers(body, end), body):
-        return len(data), []
-    line = body.first_line + rows
-    message = f"the last line ({line}) is incomplete and was left out"
-    return end, [QualityNote("truncated", Severity.WARNING, "file", message)]
-
-
-def _last_numbers(body: Body, end: int) -> list[str]:
-    """The last cells of the lines above the last one, the nearest first."""
-    lines = body.data[body.start : end].rsplit(b"\n", _COMPARED + 1)
-    near = lines[max(len(lines) - 1 - _COMPARED, 0) : -1]
-    rows = (split_line(line.decode("latin-1"), body.separator) for line in reversed(near))
-    return [row[-1].strip() for row in rows if row]
-
-
-def _is_whole(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
-    if len(last) < len(body.names) or not any(cell.strip() for cell in last):
-        return False
-    if len(last) > len(body.names) or not above:  # it ends behind its last separator
-        return True
-    if not all(is_number(cell) for cell in chosen_cells(last, body.columns) if cell):
-        return False
-    cut = last[-1].strip()
-    decimals, digits, exponent = _lengths(cut)
-    its_decimals, its_digits, its_exponent = _lengths(above[0])
-    by_digits = digits >= its_digits and not body.as_exported
-    is_as_long = exponent >= its_exponent and (decimals >= its_decimals or by_digits)
-    if is_as_long or body.as_exported:
-        return is_as_long
-    return cut[-1:].isdigit() and any(_is_as_short(cell, cut) for cell in above if cell)
-
-
-def _is_as_short(cell: str, cut: str) -> bool:
-    return all(a <= b for a, b in zip(_lengths(cell), _lengths(cut), strict=True))
-
-
-def _lengths(cell: str) -> tuple[int, int, int]:
-    """Number of decimals, of digits but for zeros in front, and of digits of the exponent."""
-    number, _, exponent = cell.casefold().partition("e")
-    parts = re.split(r"[.,]", number)
-    decimals = len(parts[-1]) if len(parts) > 1 else 0
-    return decimals, len(re.sub(r"\D", "", number).lstrip("0")), len(exponent.lstrip("+-"))
-
-
 def first_fault(shape: Shape, path: Path) -> str:
     """Word the error for the first cell that is no number, or line with too many cells.
 
@@ -373,16 +276,23 @@ def first_fault(shape: Shape, path: Path) -> str:
     body = shape.body
     for number, row in enumerate(shape.rows(), start=body.first_line):
         if any(cell.strip() for cell in row[len(body.names) :]):
-            expected = f"{len(body.names)} cells as in the header"
-            return complaint(
-                path, f"line {number}", expected=expected, found=f"{len(row)}", remedy=_AGAIN
-            )
+            return _too_many(row, body, number, path)
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
             if cell and not _is_finite(cell, shape):
                 return _bad_cell(shape, cell, column, number, path)
     place = f"from line {body.first_line} on"
-    return complaint(path, place, expected="rows of numbers", found="others", remedy=_AGAIN)
+    return complaint(path, place, expected="rows of numbers", found="others", remedy=AGAIN)
+
+
+def _too_many(row: Sequence[str], body: Body, line: int, path: Path) -> str:
+    """Word the error for a line with more cells than names: decimal commas may have cut it."""
+    found, remedy = f"{len(row)}", AGAIN
+    if body.separator == "," and all(cell.strip("+-").isdigit() for cell in row if cell):
+        found += f" in '{','.join(row)[:_SHOWN]}'"
+        remedy = _COMMAS
+    expected = f"{len(body.names)} cells as in the header"
+    return complaint(path, f"line {line}", expected=expected, found=found, remedy=remedy)
 
 
 def jump_fault(shape: Shape, column: int, rows: tuple[int, int], path: Path) -> str | None:
@@ -408,23 +318,18 @@ def jump_fault(shape: Shape, column: int, rows: tuple[int, int], path: Path) -> 
 
 def _is_finite(cell: str, shape: Shape) -> bool:
     if PLAIN[shape.decimal].fullmatch(cell) is None:
-        return shape.body.as_exported and cell.strip("+-").casefold() in _WORDS_FOR_NUMBERS
+        is_infinite = cell.strip("+-").casefold() in INFINITE
+        return is_missing(cell) or (shape.body.as_exported and is_infinite)
     return bool(np.isfinite(float(cell.replace(shape.decimal, "."))))
 
 
 def _bad_cell(shape: Shape, cell: str, column: int, line: int, path: Path) -> str:
-    other = "," if shape.decimal == "." else "."
-    expected, found = f"a number with {SIGNS[shape.decimal]}", f"'{cell[:_SHOWN]}'"
-    remedy = _AGAIN
+    expected, found, remedy = describe_cell(cell, shape.decimal)
     grouped = _regrouped(shape, column)
     if grouped is not None and not re.search("[^-+0-9.,]", cell):
+        found = quoted([cell])
         found += f" (and '{grouped[1]}' in line {grouped[0]})" if grouped[1] != cell else ""
         remedy = LOST
-    elif PLAIN[shape.decimal].fullmatch(cell):
-        expected, found = "a number below 1.8e308", f"'{cell[:_SHOWN]}', which is too large"
-    elif PLAIN[other].fullmatch(cell):
-        found += f", with {SIGNS[other]}"
-        remedy = "Both signs stand in this file: export the test again with one of them."
     place = f"line {line}, column '{shape.body.names[column]}'"
     return complaint(path, place, expected=expected, found=found, remedy=remedy)
 

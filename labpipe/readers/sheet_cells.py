@@ -11,6 +11,7 @@ import io
 import re
 import warnings
 import zipfile
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, time, timedelta
@@ -22,11 +23,20 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.number_rows import PLAIN, filled_rows
+from labpipe.readers.number_rows import filled_rows, words_note
 from labpipe.readers.raw_files import reading, unreadable
-from labpipe.readers.text_cells import LOST, is_grouped, lost_signs, regrouped_at
+from labpipe.readers.table_body import closing_note
+from labpipe.readers.text_cells import (
+    PLAIN,
+    describe_cell,
+    is_closing,
+    is_missing,
+    lost_signs,
+    regrouped_at,
+)
 from labpipe.readers.workbooks import column_letters, is_workbook, opened_workbook
 from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote
 
 _XLSX = "an xlsx workbook"
 _MOST = 1_000_000
@@ -273,8 +283,8 @@ def as_text(cell: object) -> str:
 
 def sheet_columns(
     rows: Sequence[Sequence[object]], first: int, names: Mapping[int, str], where: tuple[Path, str]
-) -> dict[int, Floats]:
-    """Read columns of numbers of a sheet; a blank cell is NaN.
+) -> tuple[dict[int, Floats], list[QualityNote]]:
+    """Read columns of numbers of a sheet; a blank cell is NaN, as is a word for a missing value.
 
     Parameters
     ----------
@@ -285,39 +295,66 @@ def sheet_columns(
 
     Returns
     -------
-    The columns by their number, up to the last row in which one of them is filled.
+    columns : by their number, up to the last row in which one of them is filled
+    notes : ``summary_rows_left_out`` and ``missing_words``, as in
+        `labpipe.readers.number_rows.read_columns`
 
     Raises
     ------
     ReadError
         If a cell is no number or too large a one, or a column lost its decimal signs.
     """
-    body, width = rows[first:], max(names, default=-1) + 1
+    last, notes = _closing(rows, first, list(names), where[1])
+    body, width = rows[first:last], max(names, default=-1) + 1
     if min(map(len, body), default=width) < width:  # what a row lacks is blank
         body = [[*row, *[""] * (width - len(row))] for row in body]
-    columns = {
-        at: _column(list(map(itemgetter(at), body)), f"column '{name}'", first, where)
-        for at, name in names.items()
-    }
+    columns = {}
+    for at, name in names.items():
+        cells = list(map(itemgetter(at), body))
+        columns[at], words = _column(cells, name, first, where)
+        notes += words
     filled = filled_rows(columns)
-    return {at: values[:filled] for at, values in columns.items()}
+    return {at: values[:filled] for at, values in columns.items()}, notes
 
 
-def _column(cells: Sequence[object], column: str, first: int, where: tuple[Path, str]) -> Floats:
+def _closing(
+    rows: Sequence[Sequence[object]], first: int, columns: Sequence[int], sheet: str
+) -> tuple[int, list[QualityNote]]:
+    """Number of the row behind the last sample; rows below it begin with words."""
+    last, firsts = len(rows), list[str]()
+    for at in range(len(rows) - 1, first, -1):
+        cells = [as_text(rows[at][column]) for column in columns if column < len(rows[at])]
+        if not any(cells):
+            continue
+        if not is_closing(cells):
+            break
+        firsts.insert(0, next(filter(None, cells)))
+        last = at
+    return last, [closing_note(firsts, f"{sheet}, row {last + 1}")] if firsts else []
+
+
+def _column(
+    cells: Sequence[object], name: str, first: int, where: tuple[Path, str]
+) -> tuple[Floats, list[QualityNote]]:
     path, sheet = where
+    words = Counter[str]()
     if {float, int}.issuperset(map(type, cells)):
         values = np.fromiter(cells, dtype=np.float64, count=len(cells))
     else:
+        words.update(each for each in cells if isinstance(each, str) and is_missing(each))
         numbers = (
-            _number(cell, f"{sheet}, row {first + 1 + i}, {column}", path)
+            _number(cell, f"{sheet}, row {first + 1 + i}, column '{name}'", path)
             for i, cell in enumerate(cells)
         )
         values = np.fromiter(numbers, dtype=np.float64, count=len(cells))
     rows = regrouped_at(values)
     if rows is not None:
-        jump = f"{sheet}, row {first + 1 + rows[1]}, {column}"
+        jump = f"{sheet}, row {first + 1 + rows[1]}, column '{name}'"
         raise ReadError(lost_signs(path, jump, *(as_text(cells[row]) for row in rows)))
-    return values
+    if not words:
+        return values, []
+    row = first + 1 + next(i for i, cell in enumerate(cells) if cell in words)
+    return values, [words_note(name, words, f"{sheet}, row {row}")]
 
 
 def _number(cell: object, place: str, path: Path) -> float:
@@ -326,11 +363,8 @@ def _number(cell: object, place: str, path: Path) -> float:
     if isinstance(cell, timedelta):
         return cell.total_seconds()
     text = as_text(cell)
-    if not text:
+    if not text or is_missing(text):
         return float("nan")
-    is_plain = PLAIN["."].fullmatch(text) is not None
-    if is_plain and isfinite(float(text)):
+    if PLAIN["."].fullmatch(text) and isfinite(float(text)):
         return float(text)
-    expected = "a number below 1.8e308" if is_plain else "a number"
-    remedy = LOST if is_grouped(text) else "Export it again; the cell may have been edited."
-    raise unreadable(path, place, expected, f"'{text[:40]}'", remedy)
+    raise unreadable(path, place, *describe_cell(text, "."))

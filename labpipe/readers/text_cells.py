@@ -19,6 +19,21 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.units import si_factor
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}([.,]\d{3})+)([eE][+-]?\d+)?")
+MISSING = frozenset(
+    (
+        *("nan", "na", "n/a", "n.a.", "null", "none", "nil", "-", "--", "---"),
+        *("#n/a", "#na", "#nv", "#div/0!", "#value!", "#num!", "#ref!", "#null!"),
+        *("-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind"),
+    )
+)
+"""Words for a missing value in small letters: of people, spreadsheets and programs."""
+_STAMP = re.compile(
+    r"(?=\d)(\d{1,4}([-./ ])(\d{1,2}|[a-z]{3})\2\d{1,4}[T ,]*)?"  # day
+    r"(\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?)?(\s*[ap]\.?\s?m\.?)?(Z|[+-]\d{2}:?\d{2})?",
+    re.IGNORECASE,
+)
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([,.' \u2019\u00a0\u202f])\d{3})(?:\1\d{3})*([.,]\d+)?")
+_WORD = re.compile(r"\W*[^\W\d_]{2}")
 _BRACKETED = {
     "()": re.compile(r"(.*?)\s*\(([^()]*(?:\([^()]*\))?[^()]*)\)"),
     "[]": re.compile(r"(.*?)\s*\[([^\[\]]*)\]"),
@@ -34,11 +49,27 @@ _COMMON = frozenset(
     )
 )
 """Told at once; whatever else could be a unit is looked up with pint, which is slow to load."""
-_SHOWN = 60
+_SHOWN, _SHOWN_CELL = 60, 40
+SIGNS = {".": "a decimal point", ",": "a decimal comma"}
+PLAIN = {sign: re.compile(rf"[+-]?(\d+(\{sign}\d*)?|\{sign}\d+)([eE][+-]?\d+)?") for sign in SIGNS}
+"""A number by its decimal sign."""
 LOST = (
     "A spreadsheet took the decimal sign for a sign between thousands and the digits are lost:"
     " export the test again and do not save it from a spreadsheet."
 )
+AGAIN = "Export the test again; the file may have been cut off or edited."
+_ONE_SIGN = (
+    "Export the test again with one decimal sign in the whole file and no sign between thousands."
+)
+_NO_STAMP = (
+    "Export the time in seconds since the start of the test, or name the column under `words` in a"
+    " card of your own; see docs/how-to/new-dialect.md."
+)
+_NO_WORD = (
+    "Export the test again with a blank cell where a value is missing, and without rows of words"
+    " between the samples."
+)
+INFINITE = frozenset({"inf", "infinity"})
 _GROUPED = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
 _FACTORS = (1e3, 1e6)
 _NEAR = 1.5
@@ -55,6 +86,64 @@ _LOOK = 1000
 def is_number(cell: str) -> bool:
     """Check whether a cell holds a number, whatever its decimal sign."""
     return _NUMBER.fullmatch(cell.strip()) is not None
+
+
+def is_missing(cell: str) -> bool:
+    """Check whether a cell holds a word for a missing value, such as ``nan``, ``N/A`` or ``-``."""
+    return cell.strip().casefold() in MISSING
+
+
+def is_sample(row: Sequence[str]) -> bool:
+    """Check whether a row holds samples: numbers, and beside them only what stands in their place.
+
+    Words for missing values, time stamps and numbers with signs between thousands do not hide the
+    row; which of them can be read is said where it is read.
+    """
+    filled = [cell.strip() for cell in row if cell.strip()]
+    numbers = [cell for cell in filled if is_number(cell)]
+    others = (cell for cell in filled if cell not in numbers)
+    return bool(numbers) and all(
+        is_missing(cell) or _STAMP.fullmatch(cell) or _THOUSANDS.fullmatch(cell) for cell in others
+    )
+
+
+def is_closing(row: Sequence[str]) -> bool:
+    """Check whether a row begins with a word: below samples a statistic or a remark."""
+    first = next((cell.strip() for cell in row if cell.strip()), "")
+    is_infinite = first.strip("+-").casefold() in INFINITE
+    return bool(_WORD.match(first)) and not is_infinite and not is_missing(first)
+
+
+def describe_cell(cell: str, decimal: str) -> tuple[str, str, str]:
+    """Describe a cell that cannot be read as a number.
+
+    Parameters
+    ----------
+    cell : without blanks around it
+    decimal : sign of the numbers in the file
+
+    Returns
+    -------
+    What was expected, what was found, and what to do, as `labpipe.errors.complaint` takes them.
+
+    Examples
+    --------
+    >>> describe_cell("10:00:00.5", ".")[1], describe_cell("1.020,5", ",")[1]
+    ("'10:00:00.5', a time stamp", "'1.020,5', with a sign between thousands")
+    """
+    expected, shown = f"a number with {SIGNS[decimal]}", quoted([cell[:_SHOWN_CELL]])
+    if PLAIN[decimal].fullmatch(cell):
+        return "a number below 1.8e308", f"{shown}, which is too large", AGAIN
+    if is_grouped(cell):
+        return expected, shown, LOST
+    if _STAMP.fullmatch(cell):
+        return expected, f"{shown}, a time stamp", _NO_STAMP
+    other = "," if decimal == "." else "."
+    signs = [SIGNS[other]] if PLAIN[other].fullmatch(cell) else []
+    signs += ["a sign between thousands"] if _THOUSANDS.fullmatch(cell) else []
+    if signs:
+        return expected, f"{shown}, with {' or '.join(signs)}", _ONE_SIGN
+    return expected, shown, _NO_WORD if is_closing([cell]) else AGAIN
 
 
 def split_line(line: str, separator: str) -> list[str]:

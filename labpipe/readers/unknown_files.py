@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from labpipe.readers.raw_files import as_content, lines_of, read_head
-from labpipe.readers.text_cells import is_number, split_line
+from labpipe.readers.text_cells import is_number, is_sample, split_line
+from labpipe.readers.workbooks import is_locked
 
 _ANOTHER = "Export the recording in one of these formats."
 _UNPACK = "Unpack it, and name the export in it."
@@ -71,6 +72,8 @@ def describe_unknown(path: Path) -> UnknownFile:
         return UnknownFile(
             "a C3D file (motion capture), which is recognised but not read", _ANOTHER
         )
+    if is_locked(path):
+        return UnknownFile("a workbook with a password", "Save a copy of it without a password.")
     for first, what, remedy in _BY_FIRST_BYTES:
         if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(first):
             return UnknownFile(what, remedy)
@@ -100,9 +103,8 @@ def _table(lines: Sequence[str]) -> UnknownFile | None:
 
 
 def _are_samples(rows: Sequence[Sequence[str]]) -> bool:
-    numbers = [[cell for cell in row if cell] for row in rows]
-    filled = len(rows) == _ROWS and all(len(row) > 1 for row in numbers)
-    return filled and all(is_number(cell) for row in numbers for cell in row)
+    filled = len(rows) == _ROWS and all(sum(map(bool, row)) > 1 for row in rows)
+    return filled and all(map(is_sample, rows))
 
 
 def _called(names: Sequence[str]) -> str:

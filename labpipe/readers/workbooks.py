@@ -57,6 +57,8 @@ _CELL = re.compile(rb'<c(?: r="([A-Z]{1,3})(\d{1,7})"|[^a-zA-Z])')
 _PREFIXED = (b":c ", b":c>", b":c/", b":c\t", b":c\n", b":c\r")
 _PLACE = re.compile(r"([A-Za-z]+)(\d+)")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_LOCKED = "EncryptedPackage".encode("utf-16-le")
+"""Name of the part that holds a workbook with a password, in an old binary document."""
 _OTHERS = {
     "content.xml": "an OpenDocument spreadsheet (ods)",
     "xl/workbook.bin": "a binary workbook (xlsb)",
@@ -66,6 +68,16 @@ _OTHERS = {
 def is_workbook(path: Path) -> bool:
     """Check whether a file is a zip archive or an old binary document, by its first bytes."""
     return read_head(path, 8).startswith((_XLSX, _XLS))
+
+
+def is_locked(path: Path) -> bool:
+    """Check whether a file is a workbook with a password, in the format of today."""
+    return read_head(path, 8).startswith(_XLS) and _LOCKED in path.read_bytes()
+
+
+def _locked(path: Path) -> ReadError:
+    remedy = "Open it in the spreadsheet program and save a copy without a password."
+    return unreadable(path, "", "a workbook that opens", "one with a password", remedy)
 
 
 def begin_sheets(path: Path) -> None:
@@ -149,6 +161,8 @@ def opened_workbook(path: Path, what: str, *, most: int = MOST) -> Iterator[Cala
     from python_calamine import CalamineError, CalamineWorkbook
 
     with reading(path, what, also=(CalamineError,)):
+        if is_locked(path):
+            raise _locked(path)
         check_extent(path, most=most)
         with CalamineWorkbook.from_path(path) as book:
             yield book
@@ -217,6 +231,8 @@ def _in_a_child(path: Path) -> Sheets:
     if child.returncode:
         said = child.stderr.decode(errors="replace").strip().splitlines() or ["no reason"]
         message = said[-1 if child.returncode == 1 else 0]  # its error, or its last words
+        if message.startswith("python_calamine.PasswordError"):
+            raise _locked(path)
         if message.startswith(_REFUSED):
             raise ReadError(message.removeprefix(_REFUSED))
         raise _ChildError(message, is_refusal=message.startswith("python_calamine."))

@@ -282,6 +282,48 @@ def test_parts_of_one_test_sort_by_time(realdata: Path, tmp_path: Path) -> None:
     assert any("no sample" in note.message for note in whole.notes)
 
 
+STEEL = """\
+version: 1
+name: steel
+sources:
+  frame:
+    reader: load-frame
+    dialect: [table, bluehill]
+    channels:
+      force: {channel: [Force, Load]}
+      displacement: {channel: [Machine Displacement, Crosshead separation]}
+curve: {force: force, displacement: displacement}
+branches: {channel: displacement, min_stroke: 1 mm}
+results: [{result: peak-force}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("folder", "head", "force", "separator"),
+    [("iso6892/46*.csv", 25, 2, "\t"), ("bam_s355/Z*.csv", 2, 2, ";")],
+)
+def test_public_steel_is_read_by_a_protocol(
+    realdata: Path, tmp_path: Path, folder: str, head: int, force: int, separator: str
+) -> None:
+    """Where an export holds `nan`, other columns are read as they stand there."""
+    (tmp_path / "steel.yaml").write_text(STEEL, encoding="utf-8")
+    exports = sorted(realdata.glob(folder))
+    assert exports
+    for export in exports:
+        rows = export.read_text(encoding="utf-8-sig").splitlines()[head:]
+        loads = [float(row.split(separator)[force].replace(",", ".")) for row in rows]
+        assert inspect_export(export).recording.reader == "load-frame"
+        copy = shutil.copyfile(export, tmp_path / "a.csv")
+        sheet_path = tmp_path / "test.yaml"
+        text = PARTED.format(copy.name).replace("tensile", "./steel.yaml")
+        sheet_path.write_text(text, encoding="utf-8")
+        sheet = load_test_sheet(sheet_path)
+        recordings, _ = read_inputs(tmp_path, sheet, resolve(sheet, sheet_path))
+        measured = next(c for c in recordings["frame"].channels if c.name == "force")
+        assert (measured.unit, len(measured.values)) == ("N", len(loads))
+        assert measured.values.max() == pytest.approx(1e3 * max(loads), rel=1e-12)
+
+
 def test_cycles_are_a_column(inspect: Inspect) -> None:
     (stream,) = inspect(CABLE_CYCLES)["streams"]
     cycle = stream["channels"][0]

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.errors import ReadError
-from labpipe.readers.number_rows import Body, read_columns
+from labpipe.readers.number_rows import read_columns
+from labpipe.readers.table_body import Body
 
 NAMES = ("Time", "Load")
 FILE = Path("a.csv")
@@ -88,9 +89,74 @@ def test_signs_lost_between_thousands() -> None:
     assert len(read_columns(body(text.replace("\n", ".0\n")), FILE)[0][1]) == 4
 
 
-def test_nan_is_no_number() -> None:
-    with pytest.raises(ReadError, match=r"line 4, column 'Load': expected a number .* found 'nan'"):
-        read_columns(body("1,2\n2,nan\n"), FILE)
+@pytest.mark.parametrize(
+    ("cells", "said"),
+    [
+        (["nan", "2", "NaN"], "2 cells hold 'nan', 'NaN', the first in line 3"),
+        (["1", "NA", " n/a "], "2 cells hold 'NA', 'n/a', the first in line 4"),
+        (["1", "-", ""], "1 cells hold '-', the first in line 4"),
+        (["#N/A", "--", "#DIV/0!"], "3 cells hold '#N/A', '--', '#DIV/0!', the first in line 3"),
+        (["-1.#IND", "null", "-5"], "2 cells hold '-1.#IND', 'null', the first in line 3"),
+    ],
+)
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_words_for_missing_values(cells: list[str], said: str, separator: str) -> None:
+    text = "".join(f"{i}.5{separator}{cell}\n" for i, cell in enumerate(cells))
+    columns, notes = read_columns(body(text, separator), FILE)
+    assert np.isnan(columns[1]).tolist() == [not cell.strip("-").isdigit() for cell in cells]
+    assert columns[0].tolist() == [0.5, 1.5, 2.5]
+    assert [(note.code, note.where) for note in notes] == [("missing_words", "Load")]
+    assert notes[0].message.startswith(said)
+
+
+def test_a_word_for_missing_hides_no_bad_cell() -> None:
+    with pytest.raises(ReadError, match=r"line 4, column 'Load': .* found 'OVERFLOW'"):
+        read_columns(body("1,nan\n2,OVERFLOW\n3,4\n"), FILE)
+
+
+def test_words_in_blank_separated_rows() -> None:
+    columns, notes = read_columns(body("1 nan\n2 3\n", " "), FILE)
+    np.testing.assert_array_equal(columns[1], [np.nan, 3.0])
+    assert [note.code for note in notes] == ["missing_words"]
+
+
+@pytest.mark.parametrize(
+    ("below", "rows", "line"),
+    [
+        ("Mean,1.5\nSD,0.5\n", 2, 6),
+        ("\nMean:,1.5\n\n[Maximum],3\n\n", 2, 7),
+        (",,\nEnd of test", 1, 7),
+        ("Results\nFmax (N),1e3\n", 2, 6),
+        (",Mean\n", 1, 6),
+        ("-- end --", 1, 6),
+    ],
+)
+def test_rows_of_words_below_the_samples(below: str, rows: int, line: int) -> None:
+    columns, notes = read_columns(body("1,2\n2,\n3,4\n" + below), FILE)
+    np.testing.assert_array_equal(columns[1], [2, np.nan, 4])
+    assert [note.code for note in notes] == ["summary_rows_left_out"]
+    assert notes[0].message.startswith(f"{rows} rows from line {line} on")
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("1,2\nMean,3\n4,5\n", "line 4, column 'Time': .* found 'Mean'.* between the samples"),
+        ("1,2\n2,Mean\n", "line 4, column 'Load': .* found 'Mean'"),
+        ("1,2\n2,3\nx,4\n", "line 5, column 'Time': .* found 'x'"),
+        ("1,2\n2,3\nInf,4\n", "line 5, column 'Time': .* found 'Inf'"),
+        ("Mean,3\nSD,3\n", "line 3, column 'Time': .* found 'Mean'"),
+    ],
+)
+def test_other_words_are_refused(text: str, found: str) -> None:
+    with pytest.raises(ReadError, match=found):
+        read_columns(body(text), FILE)
+
+
+def test_a_word_below_a_column_that_nobody_asked_for() -> None:
+    text = "1,2\n2,3\nMean,2.5\n"
+    rows = Body(text.encode(), NAMES, (1,), 3, ",", some_only=True)
+    assert read_columns(rows, FILE)[0][1].tolist() == [2.0, 3.0]
 
 
 @pytest.mark.parametrize(
@@ -99,6 +165,7 @@ def test_nan_is_no_number() -> None:
         ("1,2.5\nO.2,3\n", r"a\.csv, line 4, column 'Time': expected a number with a decimal poin"),
         ("1,2.5\n2,3.5,4\n", r"a\.csv, line 4: expected 2 cells as in the header, found 3"),
         ("1,2.5,7\n2,3.5,8\n", r"a\.csv, line 3: expected 2 cells as in the header, found 3"),
+        ("0,5,2,25\n", r"line 3: expected 2 cells .* found 4 in '0,5,2,25'\. .* semicolons"),
         ('1,2.5\n2,"3,5"\n', r"line 4, column 'Load': expected a number with a decimal point, fou"),
     ],
 )  # fmt: skip

@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import ReadError
+from labpipe.readers import read_export
+from labpipe.readers.sheet_cells import read_campaign_sheet
+from labpipe.readers.unknown_files import describe_unknown
 from labpipe.readers.workbooks import (
     begin_sheets,
     cells_of,
@@ -16,7 +19,14 @@ from labpipe.readers.workbooks import (
     is_workbook,
     open_sheets,
 )
-from tests.readers.load_frame.exports import ROWS, changed, specimen_sheet, stray, workbook
+from tests.readers.load_frame.exports import (
+    ROWS,
+    changed,
+    locked_workbook,
+    specimen_sheet,
+    stray,
+    workbook,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -53,6 +63,14 @@ def test_a_damaged_one_is_told_when_it_is_opened(tmp_path: Path) -> None:
     for _ in range(2):
         with pytest.raises(ReadError, match=r"a\.xlsx: expected a whole workbook, found a damaged"):
             open_sheets(file)
+
+
+def test_a_workbook_with_a_password(tmp_path: Path) -> None:
+    file = locked_workbook(tmp_path / "a.xlsx")
+    for read in (open_sheets, read_campaign_sheet, read_export):
+        with pytest.raises(ReadError, match=r"a\.xlsx: .* one with a password\. .* a copy without"):
+            read(file)
+    assert describe_unknown(file).what == "a workbook with a password"
 
 
 def test_openpyxl_steps_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

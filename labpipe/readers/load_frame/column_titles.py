@@ -14,6 +14,7 @@ from labpipe.readers.text_cells import (
     bare_unit,
     hold_units,
     is_number,
+    is_sample,
     name_and_unit,
     quoted,
     split_line,
@@ -66,7 +67,7 @@ def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]
     for line in lines:
         is_plain = separator not in line and '"' not in line  # quick for hundreds of lines
         rows.append([line] if is_plain else split_line(line, separator))
-        if card.names != "alone" and _is_sample(rows[-1]):
+        if card.names != "alone" and len(rows[-1]) > 1 and is_sample(rows[-1]):
             break
     return rows
 
@@ -116,12 +117,7 @@ def _first(rows: Rows, card: Card) -> int | None:
             if tuple(cell.strip() for cell in row[: len(card.header_words)]) == card.header_words:
                 return i + 1
         return None
-    return next((i for i, row in enumerate(rows) if _is_sample(row)), None)
-
-
-def _is_sample(row: Sequence[str]) -> bool:
-    filled = [cell for cell in row if cell.strip()]
-    return len(row) > 1 and bool(filled) and all(is_number(cell) for cell in filled)
+    return next((i for i, row in enumerate(rows) if len(row) > 1 and is_sample(row)), None)
 
 
 def _listed(lines: Sequence[str], card: Card, path: object) -> Header:

@@ -176,10 +176,10 @@ def _channel_notes(channels: Sequence[Channel], card: Card) -> list[QualityNote]
 
 
 def _missing_note(channel: Channel, count: int, card: Card) -> QualityNote:
-    codes = "".join(f" or {code:.0f}" for code in card.missing)
+    codes = " or ".join(f"{code:.0f}" for code in card.missing)
     first = int(np.flatnonzero(np.isnan(channel.values))[0]) + 1
-    message = f"{count} of {len(channel.values)} values are missing (blank{codes}),"
-    message += f" the first in row {first}"
+    message = f"{count} of {len(channel.values)} values are missing"
+    message += f" (blank or {codes})" * bool(codes) + f", the first in row {first}"
     return QualityNote("missing_values", Severity.WARNING, channel.path, message)
 
 

@@ -138,6 +138,7 @@ def _table(
     wanted = [i for i in range(len(header.names)) if i not in words]
     place = f"sheet '{sheet}'"
     names = unique_names(header.names)
-    columns = sheet_columns(rows, header.first, {i: names[i] for i in wanted}, (path, place))
+    called = {i: names[i] for i in wanted}
+    columns, notes = sheet_columns(rows, header.first, called, (path, place))
     specimen = next((cell for cell in header.specimens if cell), "")
-    return Table(specimen or sheet, header.names, header.units, columns, also=sheet)
+    return Table(specimen or sheet, header.names, header.units, columns, sheet, tuple(notes))

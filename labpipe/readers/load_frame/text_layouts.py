@@ -20,7 +20,7 @@ from labpipe.readers.load_frame.frame_recording import (
     wanted_columns,
     word_columns,
 )
-from labpipe.readers.number_rows import Body, read_columns
+from labpipe.readers.number_rows import read_columns
 from labpipe.readers.raw_files import (
     HEAD,
     Content,
@@ -30,7 +30,8 @@ from labpipe.readers.raw_files import (
     lines_of,
     unreadable,
 )
-from labpipe.readers.text_cells import is_number, split_line
+from labpipe.readers.table_body import Body
+from labpipe.readers.text_cells import is_sample, split_line
 from labpipe.records.quality import QualityNote, Severity
 
 _BLANK_LINE = re.compile(r"\n(?:[ \t\r]*\n)+")
@@ -253,7 +254,7 @@ def _header_of_block(block: str, first_line: int, place: Place) -> Header | None
     head = lines_of(block[:HEAD])
     for separator in place.card.separators:
         rows = [[cell for cell in split_line(line, separator) if cell] for line in head]
-        if any(len(row) > 1 and all(is_number(cell) for cell in row) for row in rows):
+        if any(len(row) > 1 and is_sample(row) for row in rows):
             return find_header(head, place.card, place.path, first_line)
     return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -51,6 +52,24 @@ def workbook(path: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> Pa
         for row in rows:
             sheet.append(list(row))
     book.save(path)
+    return path
+
+
+def locked_workbook(path: Path) -> Path:
+    """A synthetic workbook with a password: the outer document, its encrypted part all zeros."""
+    none, end = 0xFFFFFFFF, 0xFFFFFFFE
+
+    def entry(name: str, kind: int, child: int = none, start: int = end, size: int = 0) -> bytes:
+        text = f"{name}\0".encode("utf-16-le")
+        links = (len(text), kind, 1, none, none, child)
+        return struct.pack("<64sHBBIII36xIQ", text, *links, start, size)
+
+    begin = (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", 0x3E, 3, 0xFFFE, 9, 6)
+    head = struct.pack("<8s16x5H6x", *begin) + struct.pack("<9I", 0, 1, 1, 0, 4096, end, 0, end, 0)
+    sectors = struct.pack("<109I", 0, *[none] * 108)
+    chain = struct.pack("<128I", end - 1, end, *range(3, 10), end, *[none] * 118)
+    folder = entry("Root Entry", 5, child=1) + entry("EncryptedPackage", 2, start=2, size=4096)
+    path.write_bytes(head + sectors + chain + folder + 2 * entry("", 0) + bytes(4096))
     return path
 
 

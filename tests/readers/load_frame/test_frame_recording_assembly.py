@@ -27,7 +27,7 @@ def test_notes_on_channels() -> None:
     table = Table("", names, units, {0: COUNT, 1: COUNT, 2: gone, 3: 0.0 * COUNT})
     recording = assemble(Export((table,)), shipped_cards()["nexygen"], "a")
     assert [(note.code, note.where, note.message) for note in recording.notes] == [
-        ("missing_values", "F [2]", "1 of 12 values are missing (blank), the first in row 4"),
+        ("missing_values", "F [2]", "1 of 12 values are missing, the first in row 4"),
         ("constant_channel", "channels", "1 of 3 channels never change: 'still'"),
         ("units_not_stated", "channels", "no unit is stated for 1 of 3 channels: 'F [2]'"),
         ("names_not_unique", "channels", "of 3 channels 2 are called 'F': tell them apart by path"),

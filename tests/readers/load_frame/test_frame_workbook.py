@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import datetime, time
 from pathlib import Path
 
 import numpy as np
@@ -96,14 +97,16 @@ def test_faults(tmp_path: Path, rows: list[list[object]], said: str) -> None:
 @pytest.mark.parametrize(
     ("cell", "said"),
     [
-        ("inf", r"row 5, column 'Strain': expected a number, found 'inf'\. Export it again"),
-        ("nan", r"row 5, column 'Strain': expected a number, found 'nan'\. Export"),
-        ("1_000", r"expected a number, found '1_000'\. Export"),
-        (True, r"expected a number, found 'True'\. Export"),
-        ("1e999", r"expected a number below 1\.8e308, found '1e999'\. Export"),
+        (
+            "inf",
+            r"row 5, column 'Strain': expected a number with .*, found 'inf'\. Export",
+        ),
+        ("1_000", r"expected a number with .*, found '1_000'\. Export"),
+        (True, r"expected a number with .*, found 'True'\. Export"),
+        ("1e999", r"expected a number below 1\.8e308, found '1e999', which is too large\. Export"),
         (
             "1,110,797",
-            r"expected a number, found '1,110,797'\. A spreadsheet took the decimal sign",
+            r"expected a number with .*, found '1,110,797'\. A spreadsheet took the decimal sign",
         ),
     ],
 )
@@ -183,3 +186,28 @@ def test_an_aborted_specimen_beside_others_is_kept(tmp_path: Path) -> None:
     sheets = {"A": specimen_sheet("A", LONG), "B": specimen_sheet("B", LONG[:3])}
     recording = load_frame.read(workbook(tmp_path / "a.xlsx", sheets))
     assert [len(clock.time) for clock in recording.clocks] == [20, 3]
+
+
+def test_words_and_statistics_of_a_sheet(tmp_path: Path) -> None:
+    rows: list[tuple[object, ...]] = list(LONG)
+    rows[2], rows[5] = (0.3, "nan", 4.5), (0.6, "N/A", 9.0)
+    below: Sheet = [[], ["Mean", 1.5, 2.5], ["SD", 0.5]]
+    sheet = [*specimen_sheet("A", rows), *below]
+    recording = load_frame.read(workbook(tmp_path / "a.xlsx", {"v": sheet}))
+    strain = recording.channels[0]
+    assert np.flatnonzero(np.isnan(strain.values)).tolist() == [2, 5]
+    assert len(strain.values) == len(rows)
+    noted = {note.code: note.message for note in recording.notes}
+    assert noted["missing_words"].startswith("2 cells hold 'nan', 'N/A', the first in sheet 'v', r")
+    assert noted["summary_rows_left_out"].startswith("2 rows from sheet 'v', row 25 on")
+
+
+@pytest.mark.parametrize(
+    ("stamp", "place"),
+    [(datetime(2026, 3, 4, 10), "2026-03-04T10:00:00"), (time(10, 0, 0), "10:00:00")],
+)
+def test_time_stamps_of_a_sheet(tmp_path: Path, stamp: object, place: str) -> None:
+    rows = [(stamp, 1.5, 2.5), (stamp, 1.5, 2.5)]
+    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", rows)})
+    with pytest.raises(ReadError, match=rf"row 4, column '.*': .*'{place}', a time stamp"):
+        load_frame.read(file)

@@ -172,7 +172,7 @@ def test_nexygen(tmp_path: Path, mark: str) -> None:
         ("Machine Extension", "mm", [np.nan, np.nan, 0.5]),
     )
     missing = [note.message for note in recording.notes if note.code == "missing_values"]
-    assert missing[0] == "1 of 3 values are missing (blank), the first in row 1"
+    assert missing[0] == "1 of 3 values are missing, the first in row 1"
 
 
 def test_without_time_rows_are_counted(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.readers.number_rows import PLAIN, Body, Shape, chosen_cells
+from labpipe.readers.table_body import Body, Shape, chosen_cells
+from labpipe.readers.text_cells import PLAIN
 
 
 def shape(text: str, separator: str = ",") -> Shape:

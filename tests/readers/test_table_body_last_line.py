@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.readers.number_rows import Body, whole_lines
+from labpipe.readers.table_body import Body, whole_lines
 
 
 def is_whole(text: str) -> bool:
