@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -95,6 +97,78 @@ class Beside:
 NOTHING_BESIDE = Beside()
 
 
+RECIPE_FILE = "report.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """How a report was made, kept beside it, so that it can be made again.
+
+    Parameters
+    ----------
+    title : of the report
+    wanted : groups and comparisons
+    beside : letterhead, figures as files, pages of tests
+    """
+
+    title: str = ""
+    wanted: Wanted = AS_SHEETS_DIFFER
+    beside: Beside = NOTHING_BESIDE
+
+    @classmethod
+    def read(cls, folder: Path) -> Recipe:
+        """Read the recipe of the report in a folder; an empty one where there is none."""
+        try:
+            kept = json.loads((folder / RECIPE_FILE).read_text(encoding="utf-8"))
+            wires = None if kept["wires"] is None else folder / kept["wires"]
+            letterhead = Letterhead(
+                tuple((name, said) for name, said in kept["letterhead"]), kept["logo"]
+            )
+            beside = Beside(letterhead, tuple(kept["figures"]), kept["pages"])
+            return cls(kept["title"], Wanted(tuple(kept["by"]), kept["compare"], wires), beside)
+        except (OSError, ValueError, KeyError, TypeError):  # of an earlier labpipe, or changed
+            return cls()
+
+    def text(self, folder: Path) -> str:
+        """JSON; the wire sheet as seen from the folder of the report."""
+        wires, letterhead = self.wanted.wires, self.beside.letterhead
+        kept = {
+            "title": self.title,
+            "by": self.wanted.by,
+            "compare": self.wanted.alone,
+            "wires": None if wires is None else os.path.relpath(wires, folder),
+            "letterhead": letterhead.facts,
+            "logo": letterhead.logo,
+            "figures": self.beside.formats,
+            "pages": self.beside.has_test_pages,
+        }
+        return json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
+
+    def or_earlier(self, earlier: Recipe) -> Recipe:
+        """What this one says, and where it says nothing, what an earlier one said.
+
+        Parameters
+        ----------
+        earlier : recipe
+        """
+        own, then = self.beside, earlier.beside
+        facts = dict(then.letterhead.facts) | dict(own.letterhead.facts)
+        logo = own.letterhead.logo or then.letterhead.logo
+        return Recipe(
+            self.title or earlier.title,
+            Wanted(
+                self.wanted.by or earlier.wanted.by,
+                self.wanted.alone or earlier.wanted.alone,
+                self.wanted.wires or earlier.wanted.wires,
+            ),
+            Beside(
+                Letterhead(tuple(facts.items()), logo),
+                own.formats or then.formats,
+                own.has_test_pages or then.has_test_pages,
+            ),
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reported:
     """A report and where it was written.
@@ -151,6 +225,8 @@ def report_tests(
         pages = pages_of(campaign) if beside.has_test_pages else {}
         extras = Extras(beside.letterhead, beside.formats, pages)
         written = write_report(campaign, stage, extras)
+        recipe = Recipe(title, wanted, beside).text(folder)
+        (stage / RECIPE_FILE).write_text(recipe, encoding="utf-8", newline="\n")
     return Reported(folder, campaign, tuple(folder / path.relative_to(stage) for path in written))
 
 

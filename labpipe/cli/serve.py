@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import webbrowser
+from pathlib import Path
 
 from labpipe.campaign.campaign_folders import name_of_campaign
-from labpipe.campaign.reporting import Beside, report_tests
+from labpipe.campaign.reporting import Beside, Recipe, report_tests
 from labpipe.campaign.serving import REPORT, ReportServer, Site
 from labpipe.campaign.test_pages import page_of_test
 from labpipe.cli.report import letterhead_of, wanted_by
@@ -19,10 +20,12 @@ def run(options: argparse.Namespace) -> int:
     """Serve a report until it is interrupted; makes it where there is none yet."""
     folder = shared_folder(find_results(options.paths))
     report = folder / REPORT if options.out is None else options.out
-    site = Site(folder, name_of_campaign(folder), report, lambda: _make(options), page_of_test)
+    site = Site(
+        folder, name_of_campaign(folder), report, lambda: _make(options, report), page_of_test
+    )
     with ReportServer(site, options.port) as server:
         if not (report / PAGE_FILE).is_file():
-            _make(options)
+            _make(options, report)
         print(f"{options.title or site.campaign or folder.name}: {server.address}")
         print("Only this machine can open it. Ctrl+C ends it.", flush=True)
         if not options.no_browser:
@@ -34,14 +37,16 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _make(options: argparse.Namespace) -> None:
+def _make(options: argparse.Namespace, folder: Path) -> None:
     files = find_results(options.paths)
+    typed = Recipe(options.title, wanted_by(options), Beside(letterhead_of(options)))
+    recipe = typed.or_earlier(Recipe.read(folder))
     with reading(len(files)) as say:
         report_tests(
             files,
             out=options.out,
-            title=options.title,
+            title=recipe.title,
             say=say,
-            wanted=wanted_by(options),
-            beside=Beside(letterhead_of(options)),
+            wanted=recipe.wanted,
+            beside=recipe.beside,
         )

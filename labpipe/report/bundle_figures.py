@@ -67,8 +67,7 @@ def place_table(campaign: Campaign) -> Table | None:
         return None
     scales = place_scales(campaign)
     rows = tuple(_row(each, scales[each.group]) for each in campaign.places)
-    units = dict.fromkeys(unit_words(scale.unit) for scale in scales.values())
-    unit = next(iter(units)) if len(units) == 1 else "unit of the group"
+    unit = unit_words(next(iter(scales.values())).unit)
     heads = (
         "Test", f"Bending stiffness ({unit})", f"All slips ({unit})", f"Wires slip ({unit})",
         f"Nothing slips ({unit})", "Share of the way",
@@ -77,8 +76,11 @@ def place_table(campaign: Campaign) -> Table | None:
 
 
 def place_scales(campaign: Campaign) -> dict[str, Scale]:
-    """Unit of bending stiffness by group."""
-    return {group.name: shown_in("", UNIT, display_of(group)) for group in campaign.groups}
+    """Unit of bending stiffness by group: one for all where their protocols differ in it."""
+    scales = {group.name: shown_in("", UNIT, display_of(group)) for group in campaign.groups}
+    first = next(iter(scales.values()))
+    is_one = all(scale.unit == first.unit for scale in scales.values())
+    return scales if is_one else dict.fromkeys(scales, shown_in("", UNIT, {}))
 
 
 def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
+from labpipe.records.result import Result
 from labpipe.report.concerns import Kind
 from labpipe.report.drawn_points import bends
 from labpipe.report.group_plots import first_loading
@@ -184,7 +185,8 @@ def _key_row(group: Group, stem: str, names: Sequence[str], ends: tuple[float, f
     first = _number(group, names[:1])
     drawn = None
     if first is not None and first.mean is not None:
-        drawn = strip(ends, first.mean.chosen.interval, first.mean.chosen.mean)
+        shown, _ = _shown(first.mean.chosen, first)
+        drawn = strip(ends, shown.interval, first.mean.chosen.mean)
     numbers = tuple(_key_cell(group, name) for name in names)
     return KeyRow(group.name, stem, len(group.samples), drawn, numbers, _spark(group))
 
@@ -195,8 +197,16 @@ def _key_cell(group: Group, name: str) -> Cell:
         return Cell(DASH, tip="no sample has it")
     factor = shown_in(name, number.unit, display_of(group)).factor
     chosen = number.mean.chosen
-    tip = "" if chosen.apart is None else f"interval of the {_estimate(chosen, factor)}"
-    return Cell(with_interval(chosen.mean, chosen.interval, factor), tip=tip)
+    shown, whose = _shown(chosen, number)
+    tip = whose if shown.apart is None else f"interval of the {_estimate(chosen, factor)}"
+    return Cell(with_interval(chosen.mean, shown.interval, factor), tip=tip)
+
+
+def _shown(mean: MeanInterval, number: GroupNumber) -> tuple[MeanInterval | Result, str]:
+    """What has the interval of a number: the mean, or the only test of a group, and whose it is."""
+    if mean.interval is None and len(number.values) == 1:
+        return next(iter(number.values.values())), "one test: how well it was measured"
+    return mean, ""
 
 
 def _estimate(mean: MeanInterval, factor: float) -> str:

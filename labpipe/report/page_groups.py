@@ -252,8 +252,12 @@ def budget_drawing(group: Group) -> Markup | None:
     if not bars:
         return None
     named = named_causes([shares for _, _, shares in bars])
+    left, right = (
+        max(room, _LETTER * max(len(bar[which]) for bar in bars) + 6) for which, room in _ROOMS
+    )
+    whole = f"{_BAR_LEFT - left:.0f} 0 {left + _BAR_WIDTH + right:.0f} {len(bars) * _BAR + 4}"
     parts = [
-        f'<svg class="budget" role="img" viewBox="0 0 724 {len(bars) * _BAR + 4}"'
+        f'<svg class="budget" role="img" viewBox="{whole}"'
         f' aria-label="Shares of the causes of the intervals of {escape(group.name)}.">'
     ]
     for row, (name, half, shares) in enumerate(bars):
@@ -266,6 +270,8 @@ def budget_drawing(group: Group) -> Markup | None:
 
 _BAR = 20
 _BAR_LEFT, _BAR_WIDTH = 202, 404
+_ROOMS, _LETTER = ((0, 202), (1, 118)), 6.6
+"""Least room for name and half width beside a bar; for a letter."""
 _LEAST_WRITTEN, _LEAST_DRAWN = 0.08, 0.004
 
 

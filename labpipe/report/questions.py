@@ -198,18 +198,23 @@ def context_words(groups: Sequence[Group], field: str) -> str:
     ]
     if "composition" not in _said(groups[0]):
         return ", ".join(filter(None, [alike.get("type", ""), *own]))
-    return ", ".join(filter(None, [*_made_of(alike), _taped(alike), _in_conduit(alike), *own]))
+    spread = {group.fields.get("arrangement", "") for group in groups if _is_mixed(group)}
+    parts = [*_made_of(alike), *sorted(spread), _taped(alike), _in_conduit(alike), *own]
+    return ", ".join(filter(None, parts))
+
+
+def _is_mixed(group: Group) -> bool:
+    return "&" in group.fields.get("wire", "")
 
 
 def _made_of(alike: Mapping[str, str]) -> list[str]:
-    """Wires, and of several kinds how they are spread."""
+    """Wires, or how many there are."""
     wires = [alike["composition"]] if "composition" in alike else []
     if not wires and "wire" in alike:
         wires = [alike["wire"]]
     if not wires and "number" in alike:
         wires = [f"{alike['number']} wires"]
-    is_mixed = "&" in alike.get("wire", "")
-    return [*wires, alike.get("arrangement", "") if is_mixed else ""]
+    return wires
 
 
 def _taped(alike: Mapping[str, str]) -> str:

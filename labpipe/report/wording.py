@@ -244,10 +244,13 @@ def unit_words(unit: str) -> str:
     --------
     >>> unit_words("N*mm^2")
     'N·mm²'
+    >>> unit_words("um/N")
+    'µm/N'
     >>> unit_words("1")
     ''
     """
     raised = re.sub(r"\^(-?\d+)", lambda found: found[1].translate(SUPERSCRIPTS), unit)
+    raised = re.sub(r"\bu(?=[a-zA-Z])", "\u00b5", raised)
     return "" if unit == "1" else raised.replace("*", "·")
 
 

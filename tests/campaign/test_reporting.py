@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
-from labpipe.campaign.reporting import Wanted, make_campaign, report_tests
+from labpipe.campaign.reporting import (
+    RECIPE_FILE,
+    Beside,
+    Recipe,
+    Wanted,
+    make_campaign,
+    report_tests,
+)
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.process.run import process_test
 from labpipe.process.targets import find_results
+from labpipe.report.lab_report import Letterhead
 from tests.builders.bundles import EXAMPLES
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -182,6 +190,22 @@ def labelled(results: Path, labels: dict[str, str]) -> None:
             for name, said in (("labels", "cured"), ("label_words", word)):
                 data = np.array([said], dtype=object)
                 opened["specimen"].attrs.create(name, data, dtype=h5py.string_dtype())
+
+
+def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None:
+    letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
+    beside, wanted = Beside(letterhead, ("png",), True), Wanted(("spool",), "", tmp_path / "w.xlsx")
+    made = Recipe("Tubes", wanted, beside)
+    (tmp_path / RECIPE_FILE).write_text(made.text(tmp_path), encoding="utf-8")
+    assert Recipe.read(tmp_path) == made
+    typed = Recipe("Other", beside=Beside(Letterhead((("Order", "4712"),))))
+    again = typed.or_earlier(Recipe.read(tmp_path))
+    assert (again.title, again.wanted) == ("Other", wanted)
+    assert again.beside.letterhead.facts == (("Customer", "a"), ("Order", "4712"))
+    assert again.beside.letterhead.logo == "data:x"
+    assert Recipe.read(results) == Recipe()
+    report = report_tests([results], title="Tubes", beside=Beside(letterhead))
+    assert Recipe.read(report.folder).beside.letterhead == letterhead
 
 
 def test_groups_by_a_field_of_the_sheets(results: Path) -> None:

@@ -43,7 +43,8 @@ def test_key_numbers_of_each_protocol() -> None:
     ]  # fmt: skip
     first, lone, empty = block.rows
     assert "\u00b1" in first.numbers[0].text
-    assert "\u00b1" not in lone.numbers[0].text
+    assert "\u00b1" in lone.numbers[0].text  # how well the one test was measured
+    assert "one test" in lone.numbers[0].tip
     assert [cell.text for cell in empty.numbers] == ["\u2013"] * 3
     assert first.spark is not None
     assert (empty.spark, empty.strip) == (None, None)

@@ -52,11 +52,36 @@ def test_page_one_is_one_screen(browser: Browser, tmp_path: Path) -> None:
         assert seen.page.locator("details.answer").count() == 4
 
 
-def test_no_words_of_page_one_lie_upon_each_other(browser: Browser, tmp_path: Path) -> None:
-    widest = """[...document.querySelectorAll('.keys td, .keys th')].filter(
-        (each) => each.offsetParent && each.scrollWidth > each.clientWidth + 1).length"""
-    with shown(browser, written(crowded(), tmp_path)) as seen:
-        assert seen.page.evaluate(widest) == 0
+FAULTS = """() => {
+  const found = [], wide = document.documentElement.clientWidth;
+  if (document.documentElement.scrollWidth > wide) found.push("the page scrolls sideways");
+  for (const node of document.querySelectorAll("#first *")) {
+    const box = node.getBoundingClientRect();
+    if (!box.width || !box.height || node.closest("svg, #said")) continue;
+    const words = `${node.tagName}.${node.className}: ${node.textContent.trim().slice(0, 30)}`;
+    if (!node.closest(".wide") && box.right > wide + 1) found.push(`beyond the page: ${words}`);
+    if (node.matches("td, th, span, b, dd") && node.textContent.trim().length > 12)
+      if (box.width < 40) found.push(`a letter a line: ${words}`);
+    if (node.matches("td, th") && node.scrollWidth > node.clientWidth + 1)
+      found.push(`over its neighbour: ${words}`);
+  }
+  const table = document.querySelector("details.answer[open] table");
+  if (table && table.getBoundingClientRect().width < 0.9 * table.closest("#first").clientWidth)
+    found.push("an opened question does not take the width of the page");
+  return found;
+}"""
+
+
+@pytest.mark.parametrize("width", [360, 768, 800, 834, 960, 1280, 1920, 2560])
+def test_page_one_at_every_width(browser: Browser, tmp_path: Path, width: int) -> None:
+    """Nothing is wider than the page, a letter a line, or over its neighbour, opened or not."""
+    viewport = {"width": width, "height": 900}
+    with shown(browser, written(crowded(), tmp_path), viewport=viewport) as seen:
+        assert seen.page.evaluate(FAULTS) == []
+        for details in seen.page.locator("#first details").all():
+            details.evaluate("(each) => { each.open = true; }")
+        assert seen.page.locator("details.answer table").first.is_visible()
+        assert seen.page.evaluate(FAULTS) == []
 
 
 def test_on_paper_figures_are_160_mm_wide(browser: Browser, tmp_path: Path) -> None:

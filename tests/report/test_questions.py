@@ -95,6 +95,12 @@ def test_labels_and_mixes_in_words() -> None:
     assert context_words(groups, "tape") == (
         "10 B1 + 9 B2, symmetric, half-lap, cured 24 h, length 114.3 mm"
     )
+    wires = bundle_of("19 B1")
+    one, other = (
+        [*grouped([bundle_sample(wires, 1)]), *grouped([bundle_sample(how, 1)])]
+        for how in (mixed, bundle_of("10 B1 + 9 B2", arrangement="asymmetric"))
+    )
+    assert context_words(one, "wire") != context_words(other, "wire")
     assert context_words(grouped([bundle_sample(None, 1)]), "x") == "tube, length 114.3 mm"
     assert field_words("conduit_bore") == "Conduit bore"
 
