@@ -1,9 +1,10 @@
 """Whether labpipe gives the same numbers on other processors.
 
-``python -m benchmarks.machines`` runs the demo, the model of wires, bundles and a harness under
-several settings of numpy and OpenBLAS, each as on a processor of its own, and compares every number
-of their JSON with those of the first setting. It ends with 1 where one differs by more than
-`RELATIVE` of itself, or of the half width of its interval.
+``python -m benchmarks.machines`` runs the demo, a calibration by its wire, and the model of wires,
+bundles and a harness under several settings of numpy, OpenBLAS and the C library, each as on a
+processor of its own, and compares every number of their JSON with those of the first setting. It
+ends with 1 where one differs by more than `RELATIVE` of the half width of its interval, or of
+itself where it has none.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +27,17 @@ from benchmarks.timing import REPOSITORY, labpipe
 SETTINGS = (
     {"OPENBLAS_NUM_THREADS": "1"},
     {"OPENBLAS_NUM_THREADS": "2", "OPENBLAS_CORETYPE": "Haswell"},
-    {"OPENBLAS_NUM_THREADS": "1", "OPENBLAS_CORETYPE": "Nehalem", "NPY_DISABLE_CPU_FEATURES": ""},
+    {
+        "OPENBLAS_NUM_THREADS": "1",
+        "OPENBLAS_CORETYPE": "Nehalem",
+        "NPY_DISABLE_CPU_FEATURES": "",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA",
+    },
 )
-"""As it is here, with two threads, and without the instructions that numpy chooses by processor."""
+"""As it is here, with two threads, and without the instructions that numpy, OpenBLAS and the C
+library choose by processor."""
 RELATIVE = 1e-6
-"""Iterations end at tolerances of 1e-8 and less; a printed number has five digits at most."""
+"""Iterations end at 1e-8 of their scale and less; of an interval two digits are printed."""
 WIRES = str(REPOSITORY / "examples" / "wires.xlsx")
 COMMANDS: dict[str, list[str | Path]] = {
     "model.json": ["model", WIRES],
@@ -38,11 +46,18 @@ COMMANDS: dict[str, list[str | Path]] = {
     "harness.json": ["harness", REPOSITORY / "examples" / "harness-chain.yaml"],
 }
 """What is run beside the demo, by the name of what it prints."""
+CALIBRATE: list[str | Path] = [
+    *("calibrate", "processed/demo/one-of-each/A2-085-1"),
+    *("--wire", "raw/demo/one-of-each/wires.csv"),
+]
+"""With what the demo has made."""
+AS_JSON: list[str | Path] = ["--json", "--no-figures", "--out", "out"]
 CHANCE = ("sha256", "run", "labpipe")
 
 
 def main() -> int:
-    numbers = [dict(_numbers(setting)) for setting in SETTINGS]
+    with ThreadPoolExecutor(2) as pool:
+        numbers = list(pool.map(_numbers, SETTINGS))
     worst = [_differences(numbers[0], other) for other in numbers[1:]]
     for setting, differences in zip(SETTINGS[1:], worst, strict=True):
         largest = max(differences.values(), default=0.0)
@@ -53,20 +68,23 @@ def main() -> int:
     return int(any(value > RELATIVE for found in worst for value in found.values()))
 
 
-def _numbers(setting: dict[str, str]) -> Iterator[tuple[str, Any]]:
-    """Names and numbers of all that the commands print or write under a setting."""
+def _numbers(setting: dict[str, str]) -> dict[str, Any]:
+    """Numbers of all that the commands print or write under a setting, by name."""
     chosen = {**setting}
     if "NPY_DISABLE_CPU_FEATURES" in chosen:
         chosen["NPY_DISABLE_CPU_FEATURES"] = " ".join(_chosen_by_processor())
+    found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
         for name, command in COMMANDS.items():
-            text = _run([*command, "--json", "--no-figures", "--out", here / "out"], here, chosen)
-            yield from _leaves(name, json.loads(text))
+            found |= _leaves(name, json.loads(_run([*command, *AS_JSON], here, chosen)))
         _run(["demo", here, "--no-figures"], here, chosen)
         for file in sorted(here.rglob("summary.json")):
             for result in json.loads(file.read_text(encoding="utf-8"))["results"]:
-                yield f"{file.parent.name} {result['name']}", result
+                found[f"{file.parent.name} {result['name']}"] = result
+        calibrated = json.loads(_run([*CALIBRATE, *AS_JSON], here, chosen))
+        found |= {each["name"]: each for each in calibrated["parameters"]}
+    return found
 
 
 def _chosen_by_processor() -> list[str]:
@@ -109,18 +127,17 @@ def _differences(one: dict[str, Any], other: dict[str, Any]) -> dict[str, float]
 
 
 def _difference(one: Any, other: Any) -> float:
-    if isinstance(one, dict):  # a result: value and ends to its half width
-        if (one["status"], one["code"]) != (other["status"], other["code"]):
+    width = 0.0
+    if isinstance(one, dict):  # a result, or a parameter
+        if any(one.get(key) != other.get(key) for key in ("status", "code", "verdict")):
             return np.inf
-        one, other = (
-            [result[key] for key in ("value", "lower", "upper") if result[key] is not None]
-            for result in (one, other)
-        )
+        one, other = ([each[key] for key in ("value", "lower", "upper")] for each in (one, other))
+        width = 0.0 if None in one else one[2] - one[1]
     first, second = (np.asarray(values, dtype=np.float64) for values in (one, other))
-    if first.shape != second.shape:
+    if first.shape != second.shape or np.any(np.isnan(first) != np.isnan(second)):
         return np.inf
-    scale = np.max(np.abs(first), initial=np.finfo(float).tiny)
-    return float(np.max(np.abs(np.nan_to_num(first - second)), initial=0.0) / scale)
+    scale = 0.5 * width or np.nanmax(np.abs(first), initial=np.finfo(float).tiny)
+    return float(np.nanmax(np.abs(first - second), initial=0.0) / scale)
 
 
 if __name__ == "__main__":
