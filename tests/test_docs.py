@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import re
+import shlex
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any, get_args
 
 import pytest
 
+from labpipe.cli import _parser as parser_of
 from labpipe.cli import main
 from labpipe.errors import CODES
 from labpipe.protocol.harness_loading import load_harness
@@ -115,6 +117,46 @@ def test_commands_in_pages_exist(path: Path, capsys: pytest.CaptureFixture[str])
     for command, arguments in calls(path.read_text(encoding="utf-8")):
         assert command in known, command
         assert options(arguments) <= options(help_of(capsys, command)), arguments
+
+
+def typed_lines(text: str) -> list[list[str]]:
+    """Words of each ``labpipe ...`` that a page or the first help gives to type."""
+    joined = text.replace("\\\n", " ")
+    shown = re.findall(r"^\$ (labpipe .*)$", joined, flags=re.MULTILINE)
+    if text.startswith("usage: labpipe [-h] [--version]"):
+        shown += re.findall(r"^  (labpipe (?:(?!  ).)+)(?:$|  )", text, flags=re.MULTILINE)
+    return [shlex.split(line, comments=True)[1:] for line in shown]
+
+
+def texts_to_type(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    every = [said(capsys, "--help"), *(help_of(capsys, name) for name in commands(capsys))]
+    return every + [path.read_text(encoding="utf-8") for path in PAGES]
+
+
+def test_what_is_to_be_typed_can_be(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [words for text in texts_to_type(capsys) for words in typed_lines(text)]
+    assert len(lines) > 60
+    for words in lines:
+        parser_of(words).parse_args(words)
+
+
+NAMED_FILES = r"(?<![\w/.-])(?:examples|protocols|labpipe|tests|docs|benchmarks)/[\w/.-]+\.\w+"
+
+
+TO_BE_WRITTEN = {
+    "protocols/bundle-bending.yaml",
+    "labpipe/readers/acme_txt.py",
+    "tests/readers/test_acme_txt.py",
+}
+"""Files that a reader of a how-to writes."""
+
+
+def test_files_that_are_named_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    """In help, README and docs, but the history."""
+    for text in texts_to_type(capsys):
+        if not text.startswith("# Changelog"):
+            for name in re.findall(NAMED_FILES, text):
+                assert (ROOT / name).exists() or name in TO_BE_WRITTEN, name
 
 
 def prose(text: str) -> str:

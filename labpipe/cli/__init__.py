@@ -40,10 +40,11 @@ first steps:
   labpipe report processed/A2       means, bands and tables of many tests
   labpipe serve processed/A2        the report in the browser, to decide on its tests
   labpipe examples                  get a wire sheet and the protocols, to start from
-  labpipe model examples/wires.xlsx stiffness of wires from their dimensions
+  labpipe model examples/wires.xlsx
+                                    stiffness of wires from their dimensions
   labpipe bundle "19 B1" --wire examples/wires.xlsx
                                     bounds of a bundle's stiffness
-  labpipe harness examples/harness-clips.yaml
+  labpipe harness examples/harness-slack.yaml
                                     shape, forces and bend radii of a line between clips
 """
 

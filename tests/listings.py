@@ -1,0 +1,365 @@
+"""Printed listings of the documentation, run and compared, or filled in.
+
+A listing is a fenced block that begins with ``$ labpipe``. ``python -m tests.listings`` runs those
+of all pages and prints what differs; with ``--update`` it puts what was printed into the pages;
+pages may be named. A line ``...`` stands for lines that are left out, and stays; lines that are
+broken may be broken anywhere. `MAKERS` says what lies in the folder in which a page's commands run;
+`NOT_RUN` says which listings are not run, and why.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import difflib
+import io
+import json
+import os
+import re
+import shlex
+import shutil
+import sys
+import tempfile
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.cli import main as labpipe
+from labpipe.cli.demo import CAMPAIGNS, PLAN
+from labpipe.records.curve import Interval
+from labpipe.report.wording import plain_numbers
+from labpipe.units import si_factor
+from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
+
+ROOT = Path(__file__).resolve().parents[1]
+LEFT_OUT = "..."
+WIDTH = 120
+ALIKE = 0.6
+"""Of its characters, digits apart, that a printed line shares with the line that it replaces."""
+NOT_RUN = {
+    "labpipe campaign watch": "waits for recordings, and prints times of the day",
+    "labpipe serve": "serves until it is interrupted, at an address made by chance",
+    "labpipe campaign run raw/tensile --executor": "asks for a cluster on other machines",
+    "labpipe campaign decide processed/tubes --from": "takes decisions that a person made",
+    "labpipe campaign run raw/tubes": "files are damaged and changed by hand between the commands",
+    "labpipe campaign status raw/tubes": "as above",
+    "labpipe campaign query raw/tubes": "as above",
+    "labpipe campaign decide raw/tubes": "as above",
+    "labpipe demo --full": "takes minutes, and prints what its campaigns print",
+}
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of a page, and what the page prints below it.
+
+    `first` and `last` are the lines of the page that hold what is printed.
+    """
+
+    words: str
+    first: int
+    last: int
+    printed: tuple[str, ...]
+
+
+def commands_of(text: str) -> list[Command]:
+    """Commands in the fenced blocks of a page that begin with one."""
+    lines, found, inside = text.splitlines(), [], False
+    at = 0
+    while at < len(lines):
+        line = lines[at]
+        inside = not inside if line.startswith("```") else inside
+        at += 1
+        if not (inside and line.startswith("$ labpipe ")):
+            continue
+        words = line[2:]
+        while words.endswith("\\"):
+            words, at = f"{words[:-1]} {lines[at].strip()}", at + 1
+        first = at
+        while not lines[at].startswith(("$ ", "```")):
+            at += 1
+        found.append(Command(words, first, at, tuple(lines[first:at])))
+    return found
+
+
+def run(words: str) -> str:
+    """What a command prints in the working folder."""
+    out, stdin = io.StringIO(), sys.stdin
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+            labpipe(shlex.split(words)[1:])
+    finally:
+        sys.stdin = stdin
+    return out.getvalue()
+
+
+def whole_lines(lines: tuple[str, ...]) -> list[str]:
+    """Lines as they were printed: one that was broken goes on where a line stands further in."""
+    found: list[str] = []
+    for line in lines:
+        indent = len(line) - len(line.lstrip())
+        goes_on = found and found[-1].strip() != LEFT_OUT and found[-1] and indent >= 6
+        if goes_on and len(found[-1]) > 60 and not re.match(r"\s+[\d.]+ mm  ", line):
+            found[-1] = f"{found[-1]} {line.strip()}"
+        else:
+            found.append(line)
+    return found
+
+
+def differences(command: Command, printed: str) -> list[str]:
+    """Lines of a page that are not printed, in order and at one place; empty where all are."""
+    actual, missing = iter(map(_folded, printed.splitlines())), []
+    for line in whole_lines(command.printed):
+        if line.strip() != LEFT_OUT and not any(_is_alike(line, other) for other in actual):
+            missing.append(line)
+            actual = iter(map(_folded, printed.splitlines()))
+    return missing
+
+
+def _folded(line: str) -> str:
+    return " ".join(line.split())
+
+
+def _is_alike(line: str, printed: str) -> bool:
+    """Whether a line says the same; `` ...`` at its end stands for the rest of it."""
+    folded = _folded(line)
+    if folded.endswith(f" {LEFT_OUT}"):
+        return printed.startswith(folded.removesuffix(f" {LEFT_OUT}"))
+    return folded == printed
+
+
+def filled_in(command: Command, printed: str) -> list[str]:
+    """The lines of a page with what was printed now; lines that are left out stay so."""
+    actual, found, at = printed.splitlines(), [], 0
+    if not any(line.strip() == LEFT_OUT for line in command.printed):
+        return [part for line in actual for part in _broken(line)]
+    for line in whole_lines(command.printed):
+        if line.strip() == LEFT_OUT:
+            found.append(line)
+            continue
+        nearest = max(range(at, len(actual)), key=lambda i: _likeness(line, actual[i]), default=-1)
+        if nearest < 0 or _likeness(line, actual[nearest]) < ALIKE:
+            continue
+        if nearest > at and found and found[-1].strip() != LEFT_OUT:
+            found.append(f"  {LEFT_OUT}")
+        now = line if _is_alike(line, _folded(actual[nearest])) else actual[nearest]
+        found += _broken(now)
+        at = nearest + 1
+    return found
+
+
+def _broken(line: str) -> list[str]:
+    if len(line) <= WIDTH:
+        return [line.rstrip()]
+    indent = " " * (len(line) - len(line.lstrip()))
+    return textwrap.wrap(
+        line.strip(), WIDTH, initial_indent=indent, subsequent_indent=f"{indent}    "
+    )
+
+
+def _likeness(one: str, other: str) -> float:
+    plain = (re.sub(r"[\d.]+", "0", _folded(line)) for line in (one, other))
+    return difflib.SequenceMatcher(None, next(plain), next(plain), autojunk=False).ratio()
+
+
+def is_run(words: str) -> bool:
+    """Whether a command is run."""
+    return not any(words.startswith(prefix) for prefix in NOT_RUN)
+
+
+@contextlib.contextmanager
+def folder_of(page: str) -> Iterator[None]:
+    """A working folder in which the commands of a page find what they need."""
+    before, width = Path.cwd(), os.environ.get("COLUMNS")
+    with tempfile.TemporaryDirectory() as name:
+        os.chdir(name)
+        os.environ["COLUMNS"] = "400"
+        try:
+            for prefix, make in MAKERS.items():
+                if page.startswith(prefix):
+                    make(Path(name))
+            yield
+        finally:
+            os.chdir(before)
+            os.environ.pop("COLUMNS")
+            os.environ |= {} if width is None else {"COLUMNS": width}
+
+
+def _one_wire(folder: Path) -> None:
+    run('labpipe simulate --out raw/A2 --name A2-085-1 --rate "1 kHz"')
+    (folder / "raw/A2/A2-085-1/test.yaml").unlink()
+
+
+def _examples(_: Path) -> None:
+    run("labpipe examples")
+
+
+def _exports(folder: Path, of: Sequence[Campaign], names: Mapping[str, str]) -> None:
+    """Exports of tests of the full demo, in folders with the short names that a tutorial gives."""
+    for campaign in of:
+        for scenario, seed in campaign.scenarios():
+            if scenario.name not in names:
+                continue
+            test = simulate_test(scenario, folder / "all" / scenario.name, seed=seed)
+            target = folder / names[scenario.name]
+            target.mkdir(parents=True)
+            texts = sorted(test.glob("*.txt"))
+            for number, text in enumerate(texts, start=1):
+                name = "frame.txt" if len(texts) == 1 else f"part_{number}.txt"
+                shutil.copy(text, target / name)
+            for export in (*test.glob("force.*"), *test.glob("take.*")):
+                shutil.copy(export, target / export.name)
+
+
+def _block(page: str, start: str) -> str:
+    """The fenced block of a page that begins with some words."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return text[text.index(f"```\n{start}") + 4 :].partition("```")[0]
+
+
+def _tubes(folder: Path) -> None:
+    tests = [f"{spool}{sample}" for spool in "12" for sample in "abc"]
+    names = {f"twist-tube-{test}": f"raw/TT/TT-{test}" for test in tests}
+    _exports(folder, CAMPAIGNS["tensile"], names)
+    (folder / "campaign.csv").write_text(_block(TENSILE, "test;protocol"), encoding="utf-8")
+
+
+def _bundles(folder: Path) -> None:
+    tests = [f"CWB-2{kind}-{sample}" for kind in "abc" for sample in "123"]
+    _exports(folder, CAMPAIGNS["harness"], {test: f"raw/taping/{test}" for test in tests})
+    (folder / "taping.csv").write_text(_block(BUNDLE, "test,protocol"), encoding="utf-8")
+    write_wire_sheet(folder)
+
+
+def _taped(folder: Path) -> None:
+    _examples(folder)
+    for campaign in CAMPAIGNS["harness"]:
+        for scenario, seed in campaign.scenarios():
+            if scenario.name == "TWB-B1-19-PVC-1":
+                simulate_test(scenario, folder / "raw/demo/harness" / scenario.name, seed=seed)
+    run("labpipe process raw/demo/harness --no-figures")
+
+
+def _tour(folder: Path) -> None:
+    _examples(folder)
+    _tubes(folder)
+    simulate_campaigns(CAMPAIGNS["wires"], folder / "raw/demo/wires")
+    write_wire_sheet(folder / "raw/demo/wires")
+    (folder / "raw/demo/wires/plan.yaml").write_text(PLAN, encoding="utf-8")
+    run("labpipe process raw/demo/wires --no-figures")
+
+
+TENSILE, BUNDLE = "docs/tutorials/first-tensile-test.md", "docs/tutorials/first-bundle.md"
+
+
+RESULTS_PAGE = "docs/reference/results.md"
+EXAMPLE = re.compile(r"([-\d.]+)( [^\s,]+(?: mm\^2)?|), 95 %: ([-\d.]+) to ([-\d.]+)")
+NEAR = 0.01
+"""Of a value: how far the number of an example may have moved and still be known again."""
+
+
+def _checked_examples(path: Path, *, update: bool) -> list[str]:
+    """Examples of the page of results, each the number of a test of the demo as it is printed."""
+    with folder_of(RESULTS_PAGE):
+        summaries = [
+            json.loads(file.read_text(encoding="utf-8")) for file in Path().rglob("summary.json")
+        ]
+    results = [entry for summary in summaries for entry in summary["results"] if entry["lower"]]
+    stale: list[str] = []
+
+    def fresh(example: re.Match[str]) -> str:
+        words, unit = example[0], example[2].strip().replace("N mm", "N*mm") or "1"
+        factor = si_factor(unit, SI[unit]) if unit in SI else 1.0
+        number = factor * float(example[1])
+        own = [
+            entry
+            for entry in results
+            if entry["unit"] == SI.get(unit, unit)
+            and abs(entry["value"] - number) <= NEAR * abs(number)
+        ]
+        if not own:
+            stale.append(f"{path.name}: no test of the demo has {words}")
+            return words
+        nearest = min(own, key=lambda entry: abs(entry["value"] - number))
+        ends = Interval(nearest["lower"], nearest["upper"])
+        write = plain_numbers(nearest["value"], ends, 1.0 / factor, 5)
+        low, high = write(ends.lower), write(ends.upper)
+        now = f"{write(nearest['value'])}{example[2]}, 95 %: {low} to {high}"
+        if now != words:
+            stale.append(f"{path.name}: {words}: now {now}")
+        return now
+
+    text = path.read_text(encoding="utf-8")
+    new = re.sub(
+        r"\*\*Example\*\*: .*?\n\n", lambda part: EXAMPLE.sub(fresh, part[0]), text, flags=re.S
+    )
+    if update:
+        path.write_text(new, encoding="utf-8")
+    return stale
+
+
+SI = {
+    **{"ppm": "1", "mm": "m", "N/mm": "N/m", "mJ": "J", "um/N": "m/N", "MPa": "Pa", "deg": "rad"},
+    "N*mm^2": "N*m^2",
+}
+
+
+def _tests_of_the_demo(folder: Path) -> None:
+    run("labpipe demo . --no-figures")
+    _one_wire(folder)
+    run("labpipe new raw/A2/A2-085-1 --spool A2-s1")
+    run("labpipe process raw/A2/A2-085-1 --no-figures")
+
+
+MAKERS: dict[str, Callable[[Path], None]] = {
+    "README.md": _one_wire,
+    RESULTS_PAGE: _tests_of_the_demo,
+    "docs/tutorials/first-real-test.md": _one_wire,
+    "docs/how-to/harness.md": lambda _: None,
+    "docs/explanations/bundle-model.md": _taped,
+    TENSILE: _tubes,
+    BUNDLE: _bundles,
+    "docs/tutorials/tour.md": _tour,
+    "docs/how-to/new-deck.md": _examples,
+}
+
+
+def checked(page: str, *, update: bool = False) -> list[str]:
+    """What is stale on a page; with `update`, it is filled in."""
+    path = ROOT / page
+    if page == RESULTS_PAGE:
+        return _checked_examples(path, update=update)
+    text = path.read_text(encoding="utf-8")
+    lines, stale = text.splitlines(), []
+    with folder_of(page):
+        changes = []
+        for command in commands_of(text):
+            if not is_run(command.words):
+                continue
+            printed = run(command.words)
+            missing = differences(command, printed) if command.printed else []
+            stale += [f"{page}: {command.words}: {line.strip()}" for line in missing]
+            if missing:
+                changes.append((command, filled_in(command, printed)))
+    for command, now in reversed(changes if update else []):
+        lines[command.first : command.last] = now
+    if update:
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return stale
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.listings", description=__doc__)
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help="such as README.md; all if none")
+    parser.add_argument("--update", action="store_true", help="fill in what was printed")
+    options = parser.parse_args()
+    stale = [
+        line for page in options.pages or MAKERS for line in checked(page, update=options.update)
+    ]
+    print("\n".join(stale) or "all listings are fresh")
+    return int(bool(stale) and not options.update)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
