@@ -100,7 +100,7 @@ def whole_lines(lines: tuple[str, ...]) -> list[str]:
     for line in lines:
         indent = len(line) - len(line.lstrip())
         goes_on = found and found[-1].strip() != LEFT_OUT and found[-1] and indent >= 6
-        if goes_on and len(found[-1]) > 60 and not re.match(r"\s+[\d.]+ mm  ", line):
+        if goes_on and len(found[-1]) > 60 and not re.search(r"\S {2,}\S", line):
             found[-1] = f"{found[-1]} {line.strip()}"
         else:
             found.append(line)
@@ -187,8 +187,8 @@ def folder_of(page: str) -> Iterator[None]:
 
 
 def _one_wire(folder: Path) -> None:
-    run('labpipe simulate --out raw/A2 --name A2-085-1 --rate "1 kHz"')
-    (folder / "raw/A2/A2-085-1/test.yaml").unlink()
+    run('labpipe simulate --out raw/W1 --name W1-085-1 --rate "1 kHz"')
+    (folder / "raw/W1/W1-085-1/test.yaml").unlink()
 
 
 def _examples(_: Path) -> None:
@@ -308,8 +308,8 @@ SI = {
 def _tests_of_the_demo(folder: Path) -> None:
     run("labpipe demo . --no-figures")
     _one_wire(folder)
-    run("labpipe new raw/A2/A2-085-1 --spool A2-s1")
-    run("labpipe process raw/A2/A2-085-1 --no-figures")
+    run("labpipe new raw/W1/W1-085-1 --spool W1-s1")
+    run("labpipe process raw/W1/W1-085-1 --no-figures")
 
 
 MAKERS: dict[str, Callable[[Path], None]] = {

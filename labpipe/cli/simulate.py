@@ -21,6 +21,8 @@ from labpipe.virtual_lab import (
 
 _USUAL = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
 _CYCLES = 3
+_WIRE = "W1"
+"""A wire that no wire sheet has: its law is given by numbers, not by strands."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,7 +65,7 @@ def _cantilever(options: argparse.Namespace) -> CantileverScenario:
         if options.type is not None:
             message = f"type={options.type} of a wire"
             raise ValueError(message)
-        return CantileverScenario()
+        return CantileverScenario(specimen_type=_WIRE, spool=f"{_WIRE}-s1")
     return taped_scenario(_type(options, TAPED_TYPES))
 
 
