@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labpipe.errors import LabpipeError, ProtocolError, StoreError, complaint
+from labpipe.process.fitting_protocols import all_protocols, majority
 from labpipe.process.new_sheets import write_seen
-from labpipe.process.seen_tests import SeenTest, safe_name, see_test
+from labpipe.process.seen_tests import SeenTest, neighbours_in, safe_name, see_test
 from labpipe.protocol.campaign_plan import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.load import (
     find_protocol,
@@ -20,6 +21,7 @@ from labpipe.protocol.load import (
     load_test_sheet,
 )
 from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.source import Role, Source
 from labpipe.protocol.values import has_control_characters
 from labpipe.store.replace import replacing, storing
 
@@ -265,8 +267,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     if early:
         return Written(None, missing=early)
     copies = _bring_together(candidate)
-    seen = see_test(candidate.folder, given_by(plan, candidate))
-    missing = _missing(seen, plan, waited)
+    around = neighbours_in(candidate.folder.resolve().parent)
+    seen = see_test(candidate.folder, given_by(plan, candidate), neighbours=around)
+    missing = _missing(seen, plan, around.beside(candidate.folder), waited)
     if seen.unread or missing:
         _take_back(copies, candidate.folder)
         return Written(None, missing=missing, unread=seen.unread)
@@ -324,28 +327,57 @@ def _needed(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
     return list(plan.pair.exports) if isinstance(plan.pair, ByName) else list(candidate.files)
 
 
-def _missing(seen: SeenTest, plan: CampaignPlan, waited: float) -> tuple[str, ...]:
-    """Roles that are waited for, by what was seen in the folder."""
+def _missing(
+    seen: SeenTest, plan: CampaignPlan, others: Mapping[str, int], waited: float
+) -> tuple[str, ...]:
+    """Roles that are waited for, by what was seen in the folder and what other tests are."""
     if plan.wait_for is not None:
         return tuple(role for role in plan.wait_for if role not in seen.files)
-    needed, optional = _roles(seen, plan)
+    needed, optional = _roles(seen, plan, others)
     missing = [role for role in needed if role not in seen.files]
     late = [role for role in optional if role not in seen.files]
     return tuple(missing or (late if waited < plan.patience else []))
 
 
-def _roles(seen: SeenTest, plan: CampaignPlan) -> tuple[list[str], list[str]]:
-    """Roles that a test needs, and those that it may lack, by its protocol."""
-    name = plan.protocol or seen.values.get("protocol", "")
-    found = find_protocol(name, beside=seen.folder) if name else None
-    if not isinstance(found, Path):
-        return [], []
-    try:
-        sources = load_protocol(found).sources
-    except LabpipeError:
-        return [], []
-    needed = [str(role) for role, source in sources.items() if not source.optional]
-    return needed, [str(role) for role in sources if role not in needed]
+def _roles(
+    seen: SeenTest, plan: CampaignPlan, others: Mapping[str, int]
+) -> tuple[list[str], list[str]]:
+    """Roles that a test needs, and those that it may lack and that are waited for a while.
+
+    Where the plan names no protocol, the test is taken for one like most others as long as its
+    exports may be of such a one; and an export that it may lack is waited for only if another
+    protocol that takes those exports needs it: one of the other tests, or, if none takes them, any.
+    """
+    if plan.protocol:
+        own = _sources(plan.protocol, seen.folder)
+        needed = _needed_of(own)
+        return needed, [role for role in own if role not in needed]
+    of_others = [_sources(name, seen.folder) for name in others if name]
+    of_any = (each.sources for each in all_protocols())
+    may_be = _that_take(seen, of_others) or _that_take(seen, of_any)
+    usual = _sources(majority(others), seen.folder)
+    own = usual if usual in may_be else _sources(seen.values.get("protocol", ""), seen.folder)
+    needed = _needed_of(own)
+    wanted = {role for sources in may_be for role in _needed_of(sources)}
+    return needed, [role for role in own if role in wanted and role not in needed]
+
+
+def _that_take(
+    seen: SeenTest, several: Iterable[Mapping[Role, Source]]
+) -> list[Mapping[Role, Source]]:
+    return [sources for sources in several if sources.keys() >= seen.files.keys()]
+
+
+def _sources(name: str, folder: Path) -> Mapping[Role, Source]:
+    """Exports of a protocol by role; none where it is not known, or wrong."""
+    found = find_protocol(name, beside=folder) if name else None
+    with suppress(LabpipeError):
+        return load_protocol(found).sources if isinstance(found, Path) else {}
+    return {}
+
+
+def _needed_of(sources: Mapping[Role, Source]) -> list[str]:
+    return [role for role, source in sources.items() if not source.optional]
 
 
 def _bring_together(candidate: Candidate) -> list[Path]:

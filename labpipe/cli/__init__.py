@@ -11,6 +11,7 @@ import gc
 import io
 import os
 import sys
+import warnings
 from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -67,6 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(arguments)
     if arguments is not None:
         return _run(options)
+    if not sys.warnoptions:  # numpy's are for those who change labpipe: `python -W default` shows
+        warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
         return _run(options, once_imported=_spare_the_collector)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 
 from labpipe.errors import UsageError, complaint
 from labpipe.process.new_sheets import SeenSheet, new_from_sheet, new_seen
@@ -44,15 +45,19 @@ def run(options: argparse.Namespace) -> int:
             )
             raise UsageError(message)
         values[key.strip()] = value.strip()
+    told: set[str] = set()
     for sheet in new_seen(options.folder, values, overwrite=options.overwrite):
-        print(_about(sheet))
+        print(_about(sheet, told))
+        told.update(sheet.said)
     return 0
 
 
-def _about(sheet: SeenSheet) -> str:
+def _about(sheet: SeenSheet, told: Collection[str]) -> str:
+    """What became of a sheet; of what takes several lines and was told before, the first one."""
     if sheet.kept:
         return f"kept  {sheet.path}: it was there already; --overwrite replaces it"
-    lines = [f"wrote {sheet.path}", *(f"  {each}" for each in sheet.said)]
+    said = (each.partition("\n")[0] if each in told else each for each in sheet.said)
+    lines = [f"wrote {sheet.path}", *(f"  {each}" for each in said)]
     if sheet.open:
         lines.append(f"  to be filled in: {', '.join(sheet.open)}")
     return "\n".join(lines)

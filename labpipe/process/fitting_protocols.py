@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isclose
 from pathlib import Path
 
@@ -75,16 +76,17 @@ class Known:
 
     Parameters
     ----------
-    names : of the folder and of the specimen's type
+    names : of the folder, of its exports and of the specimen's type
     length : m, free length as the name of the folder says; None if it does not
-    of_type, of_campaign : protocols of the other tests of this type, and of all others here
+    of_type, of_campaign : how many of the other tests of this type, and of all others here, have
+        which protocol; those without one yet are counted under an empty name
     roles : files by role that a person named
     """
 
     names: tuple[str, ...] = ()
     length: float | None = None
-    of_type: frozenset[str] = frozenset()
-    of_campaign: frozenset[str] = frozenset()
+    of_type: Mapping[str, int] = field(default_factory=dict)
+    of_campaign: Mapping[str, int] = field(default_factory=dict)
     roles: Mapping[str, tuple[str, ...]] | None = None
 
 
@@ -117,34 +119,49 @@ def fitting(
     -------
     One, where it fits better than every other; several that fit alike, by name; none where every
     protocol needs an export that is not there.
+
+    Notes
+    -----
+    What the exports and their names show counts first. Where that leaves several, the one that
+    most of the other tests of the type have is taken, or else most of all others here.
     """
     fits = [fit for each in protocols if (fit := _fit(exports, each, known)) is not None]
     if not fits:
         return []
     best = max(_rank(fit) for fit in fits)
     alike = [fit for fit in fits if _rank(fit) == best]
-    for among in (known.of_type, known.of_campaign):
-        same = [fit for fit in alike if fit.protocol.name in among]
-        if len(same) == 1:
-            return [_with_sign(same[0], "other tests here have it")]
-    weighed = sorted(alike, key=lambda fit: -fit.weight)
-    first = weighed[0]
-    if len(alike) == 1:
-        return alike
-    is_ahead = first.weight >= _STRONG and first.weight > weighed[1].weight
-    if is_ahead:
-        return [first]
     likely = [fit for fit in alike if fit.weight >= 0] or alike
+    if len(likely) == 1:
+        return likely
+    first, second, *_ = sorted(likely, key=lambda fit: -fit.weight)
+    if first.weight >= _STRONG and first.weight > second.weight:
+        return [first]
+    for among in (known.of_type, known.of_campaign):
+        name = majority(among)
+        for fit in likely:
+            if fit.protocol.name == name:
+                share = f"{among[name]} of {sum(among.values())} other tests here have it"
+                return [replace(fit, signs=(*fit.signs, Sign(share, _STRONG)))]
     return sorted(likely, key=lambda fit: fit.protocol.name)
+
+
+def majority(among: Mapping[str, int]) -> str:
+    """Find the protocol that more than half of some tests have; empty if none has.
+
+    Parameters
+    ----------
+    among : number of tests by protocol; under an empty name those that have none yet
+
+    Examples
+    --------
+    >>> majority({"tensile": 3, "pet-tape": 1, "": 1}), majority({"tensile": 6, "": 15})
+    ('tensile', '')
+    """
+    return next((name for name in among if 2 * among[name] > sum(among.values())), "")
 
 
 def _rank(fit: Fit) -> tuple[bool, int]:
     return not fit.faults, fit.uses
-
-
-def _with_sign(fit: Fit, text: str) -> Fit:
-    signs = (*fit.signs, Sign(text, _STRONG))
-    return replace(fit, signs=signs)
 
 
 def _fit(exports: Sequence[SeenExport], protocol: Protocol, known: Known) -> Fit | None:
@@ -233,8 +250,10 @@ def _named(export: SeenExport, source: Source) -> tuple[Recording | None, str]:
 
 def _signs(protocol: Protocol, seen: Mapping[str, Recording], known: Known) -> Iterator[Sign]:
     """What speaks for a protocol, and against it, beyond that the exports are of its kind."""
-    if any(_is_called(name, protocol.name) for name in known.names):
-        yield Sign("the folder or the type is called like it", _STRONG)
+    for name in known.names:
+        if _is_called(name, protocol.name):
+            yield Sign(f"'{name}' is called like it", _STRONG)
+            break
     length = protocol.specimen.length
     if length and known.length and isclose(length, known.length, rel_tol=1e-6):
         yield Sign(f"length {_mm(length)} (it states the same)", 1)
@@ -246,27 +265,29 @@ def _signs(protocol: Protocol, seen: Mapping[str, Recording], known: Known) -> I
 
 
 def _is_called(name: str, protocol: str) -> bool:
-    return f"{name.casefold()}-".startswith(f"{protocol.casefold()}-")
+    """Check whether the words of a protocol's name follow each other in another name."""
+    words = "-".join(re.findall(r"[^\W_]+", name.casefold()))
+    return f"-{protocol.casefold()}-" in f"-{words}-"
 
 
 def _motion_signs(protocol: Protocol, recording: Recording) -> Iterator[Sign]:
     for channel in recording.channels:
-        if channel.unit != "m" or len(channel.values) < 2:
+        seen = np.isfinite(channel.values)
+        if channel.unit != "m" or np.count_nonzero(seen) < 2:
             continue
-        time = recording.clock(channel.clock)
-        travel = float(np.nanmax(channel.values) - np.nanmin(channel.values))
-        yield from _compared("travel", travel, protocol.rig.stroke, _mm)
+        time, places = recording.clock(channel.clock), channel.values[seen]
+        yield from _compared("travel", float(np.ptp(places)), protocol.rig.stroke, _mm)
         if time.unit == "s":
-            speed = _speed(time.time, channel.values, travel)
+            speed = _speed(time.time[seen], places)
             yield from _compared("speed", speed, protocol.rig.crosshead_speed, _mm_s)
 
 
-def _speed(time: Floats, travelled: Floats, travel: float) -> float:
+def _speed(time: Floats, places: Floats) -> float:
     """Typical speed while it moves, m/s: the time that the middle half of the travel takes."""
-    way = np.abs(travelled - travelled[0])
-    passed = [int(np.argmax(way >= share * np.nanmax(way))) for share in (0.25, 0.75)]
+    way = np.abs(places - places[0])
+    passed = [int(np.argmax(way >= share * way.max())) for share in (0.25, 0.75)]
     taken = float(time[passed[1]] - time[passed[0]])
-    return float(way[passed[1]] - way[passed[0]]) / taken if taken > 0.0 and travel > 0.0 else 0.0
+    return float(way[passed[1]] - way[passed[0]]) / taken if taken > 0.0 else 0.0
 
 
 def _marker_signs(protocol: Protocol, tracks: MarkerTracks) -> Iterator[Sign]:
@@ -274,7 +295,7 @@ def _marker_signs(protocol: Protocol, tracks: MarkerTracks) -> Iterator[Sign]:
     body = None if words is None or words.clamp is None else tracks.body(words.clamp)
     if words is None or body is None:
         return
-    travel = float(np.nanmax(np.linalg.norm(body.position - _start(body.position), axis=1)))
+    travel = _largest(np.linalg.norm(body.position - _start(body.position), axis=1))
     yield from _compared("travel of the clamp", travel, protocol.rig.stroke, _mm)
     reach = seen_length(protocol, tracks)
     if reach is not None and protocol.specimen.length:
@@ -311,14 +332,20 @@ def _start(positions: Floats) -> Floats:
     return np.asarray(seen[0] if len(seen) else np.full(3, np.nan))
 
 
+def _largest(values: Floats) -> float:
+    """The largest number; NaN where there is none."""
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if len(finite) else float("nan")
+
+
 def _peak_signs(protocol: Protocol, recording: Recording) -> Iterator[Sign]:
     for channel in recording.channels:
         source = protocol.channels.get(channel.name)
-        if source is None or source.peak_range is None or not len(channel.values):
+        if source is None or source.peak_range is None:
             continue
         least, most = source.peak_range
-        peak = float(np.nanmax(np.abs(channel.values)))
-        if not least <= peak <= most:
+        peak = _largest(np.abs(channel.values))
+        if peak < least or peak > most:
             text = f"{channel.name} goes to {peak:.3g} {channel.unit}, plausible is {least:.3g} to"
             yield Sign(f"{text} {most:.3g}", -1)
 

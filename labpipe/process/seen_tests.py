@@ -13,7 +13,12 @@ from pathlib import Path
 from labpipe.errors import Fault, LabpipeError
 from labpipe.process.checking import needs_span
 from labpipe.process.fitting_protocols import Fit, Known, all_protocols, fitting, seen_length
-from labpipe.process.folder_contents import FolderContents, SeenExport, look_into
+from labpipe.process.folder_contents import (
+    FolderContents,
+    SeenExport,
+    folders_of_tests,
+    look_into,
+)
 from labpipe.process.recorded_facts import (
     FOLDER,
     Agreed,
@@ -36,6 +41,10 @@ _NEEDED = ("type", "spool", "sample")
 _AGREE = 0.05
 """Lengths that differ by more than this ratio are not the same."""
 _SAID = ("date", "operator", "type", "sample", "length", "width", "thickness")
+_DECIDES = (
+    "what would decide: a folder, export or type called like one of them, or a protocol that most"
+    " tests beside it have"
+)
 _MOST = 3
 """Faults of one export that are listed."""
 
@@ -66,43 +75,47 @@ class SeenTest:
 
 @dataclass(slots=True)
 class Neighbours:
-    """Protocols of the other tests of a campaign, by type of specimen.
+    """Protocols of the tests of a campaign, by their folders; empty where a test has none yet.
 
     Parameters
     ----------
-    by_type : of each type, how many tests have which protocol
+    tests : type of the specimen and protocol of each test
     """
 
-    by_type: dict[str, Counter[str]] = field(default_factory=dict)
+    tests: dict[Path, tuple[str, str]] = field(default_factory=dict)
 
-    def add(self, kind: str, protocol: str) -> None:
-        """Count a test."""
-        self.by_type.setdefault(kind, Counter())[protocol] += 1
+    def beside(self, folder: Path, kind: str | None = None) -> Counter[str]:
+        """Count the protocols of the other tests, of all or of one type of specimen.
 
-    def of_type(self, kind: str) -> frozenset[str]:
-        """Protocols of the tests of one type."""
-        return frozenset(self.by_type.get(kind, ()))
-
-    @property
-    def all(self) -> frozenset[str]:
-        """Protocols of all tests."""
-        return frozenset(name for several in self.by_type.values() for name in several)
+        Parameters
+        ----------
+        folder : of the test itself
+        kind : type of the specimen; None for all
+        """
+        others = (each for where, each in self.tests.items() if where != folder.resolve())
+        return Counter(name for known, name in others if kind is None or known == kind)
 
 
-def neighbours_of(folder: Path) -> Neighbours:
-    """Read which protocols the tests beside a folder have.
+def neighbours_in(campaign: Path) -> Neighbours:
+    """Read which protocols the tests of a campaign have.
 
     Parameters
     ----------
-    folder : of a test
+    campaign : folder with the folders of the tests
     """
     found = Neighbours()
-    for sheet_path in sorted(folder.parent.glob(f"*/{SHEET_NAME}")):
-        if sheet_path.parent != folder:
+    for folder in folders_of_tests(campaign):
+        found.tests[folder] = (_type_of(folder), "")
+        if (folder / SHEET_NAME).exists():
             with suppress(LabpipeError, OSError):
-                sheet = load_test_sheet(sheet_path)
-                found.add(sheet.specimen.type, sheet.protocol)
+                sheet = load_test_sheet(folder / SHEET_NAME)
+                found.tests[folder] = (sheet.specimen.type, sheet.protocol)
     return found
+
+
+def _type_of(folder: Path) -> str:
+    """Type of the specimen as the name of a folder says it."""
+    return next((fact.value for fact in facts_of_folder(folder.name) if fact.key == "type"), "")
 
 
 def see_test(
@@ -119,7 +132,7 @@ def see_test(
     folder : of the test
     given : values by column, which count before what is seen
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
-    neighbours : the other tests of the campaign; those beside the folder if None
+    neighbours : the tests of the campaign; those beside the folder if None
 
     Returns
     -------
@@ -127,7 +140,7 @@ def see_test(
     """
     contents = look_into(folder)
     known = _protocols(given, folder, protocols)
-    around = neighbours_of(folder) if neighbours is None else neighbours
+    around = neighbours_in(folder.resolve().parent) if neighbours is None else neighbours
     return _Sight(contents, dict(given), known, around).seen()
 
 
@@ -149,7 +162,7 @@ def see_tests(
     if not folders:
         return
     known = _protocols(given, folders[0], protocols)
-    around = neighbours_of(folders[0].parent / ".")
+    around = neighbours_in(folders[0].resolve().parent)
     waiting = []
     for folder in folders:
         sight = _Sight(look_into(folder), dict(given), known, around)
@@ -157,7 +170,7 @@ def see_tests(
             waiting.append(folder)
             continue
         if sight.fit is not None:
-            around.add(sight.kind, sight.fit.protocol.name)
+            around.tests[folder.resolve()] = (sight.kind, sight.fit.protocol.name)
         yield sight.seen()
     for folder in waiting:
         yield _Sight(look_into(folder), dict(given), known, around).seen()
@@ -215,8 +228,7 @@ class _Sight:
     @property
     def kind(self) -> str:
         """Type of the specimen, as far as it is known."""
-        named = {fact.key: fact.value for fact in facts_of_folder(self.contents.folder.name)}
-        return self.given.get("type") or named.get("type", "")
+        return self.given.get("type") or _type_of(self.contents.folder)
 
     def _fact(self, key: str) -> str:
         return self.facts.facts[key].value if key in self.facts.facts else ""
@@ -226,16 +238,15 @@ class _Sight:
         roles = {role: _parts(self.given[role]) for role in ROLES if role in self.given}
         named = {fact.key: fact.value for fact in facts_of_folder(self.contents.folder.name)}
         length = self.given.get("length") or named.get("length", "")
+        folder, exports = self.contents.folder, self.contents.exports
         known = Known(
-            names=(self.contents.folder.name, self.kind),
+            names=(folder.name, self.kind, *(export.path.stem for export in exports)),
             length=_metres(length),
-            of_type=self.around.of_type(self.kind),
-            of_campaign=self.around.all,
+            of_type=self.around.beside(folder, self.kind) if self.kind else {},
+            of_campaign=self.around.beside(folder),
             roles=roles,
         )
-        return (
-            fitting(self.contents.exports, self._protocols, known) if self.contents.exports else []
-        )
+        return fitting(exports, self._protocols, known) if exports else []
 
     @property
     def fit(self) -> Fit | None:
@@ -334,8 +345,11 @@ class _Sight:
             yield f"protocol: {self.fit.protocol.name}" + (f", as {why}" if why else "")
             yield from _faults([self.fit])
         elif self.fits:
-            names = ", ".join(fit.protocol.name for fit in self.fits)
-            yield f"protocol: {names} fit alike; choose one with --protocol NAME, or in the sheet"
+            first = (
+                f"protocol: {len(self.fits)} fit alike; name one with --protocol, or in the sheet"
+            )
+            which = (_described(fit.protocol) for fit in self.fits)
+            yield "\n    ".join((first, *which, _DECIDES))
         elif self.contents.exports:
             yield "protocol: none of those here takes these exports; name one, or write one"
         elif self.contents.others or self.contents.unread:
@@ -371,6 +385,15 @@ class _Sight:
         for name in sorted(used):
             if not (self.contents.folder / name).exists():
                 yield f"not there yet: {_shown(name)}"
+
+
+def _described(protocol: Protocol) -> str:
+    """What a protocol is for, and the sizes that it states."""
+    length, rig = protocol.specimen.length, protocol.rig
+    sizes = [f"length {length * 1e3:g} mm"] if length else []
+    sizes += [f"stroke {rig.stroke * 1e3:g} mm"] if rig.stroke else []
+    sizes += [f"speed {rig.crosshead_speed * 1e3:g} mm/s"] if rig.crosshead_speed else []
+    return f"{protocol.name}: {'; '.join(filter(None, (protocol.about, ', '.join(sizes))))}"
 
 
 def _faults(fits: Iterable[Fit]) -> Iterator[str]:

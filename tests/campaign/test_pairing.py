@@ -221,6 +221,47 @@ def test_optional_exports_are_waited_for_a_while(lab: Lab) -> None:
     assert pair_test(only(folder), plan_of(folder), waited=30.0).sheet is not None
 
 
+SIBLING = """\
+test: {0}
+protocol: {1}
+specimen: {{type: x, spool: "1", sample: "1"}}
+files: {{frame: x.csv}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("others", "waited", "missing"),
+    [
+        ([], 0.0, ("markers",)),
+        ([], 1e6, ()),
+        (["wire-cantilever"], 1e6, ("markers",)),
+        (["wire-cantilever", "wire-cantilever", "conduit-bundle"], 1e6, ("markers",)),
+        (["conduit-bundle"], 0.0, ()),
+        (["tensile"], 0.0, ("markers",)),
+        (["tensile"], 1e6, ()),
+        (["wire-cantilever", "conduit-bundle"], 0.0, ("markers",)),
+        (["wire-cantilever", "conduit-bundle"], 1e6, ()),
+    ],
+)
+def test_a_force_alone_waits_for_what_the_other_tests_need(
+    lab: Lab, others: list[str], waited: float, missing: tuple[str, ...]
+) -> None:
+    """Of a bench with wires the take is yet to come; nobody waits for a load frame's export."""
+    lab.sheet.unlink()
+    (lab.raw / "take.csv").unlink()
+    for number, protocol in enumerate(others):
+        folder = lab.raw.with_name(f"other-{number}")
+        folder.mkdir()
+        (folder / "x.csv").write_text("x", encoding="utf-8")
+        text = SIBLING.format(folder.name, protocol)
+        (folder / "test.yaml").write_text(text, encoding="utf-8")
+    candidates = list_candidates(lab.raw.parent, plan_of(lab.raw.parent)).candidates
+    own = next(each for each in candidates if each.folder == lab.raw)
+    written = pair_test(own, plan_of(lab.raw.parent), waited=waited)
+    assert written.missing == missing
+    assert (written.sheet is None) is bool(missing)
+
+
 def test_roles_that_are_waited_for(lab: Lab) -> None:
     folder = lab.raw.parent
     lab.sheet.unlink()

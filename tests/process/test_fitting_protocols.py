@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,13 +82,62 @@ def test_what_fits_alike_is_not_chosen_from(protocols: list[Protocol]) -> None:
         "taped-bundle",
         "wire-cantilever",
     ]
-    other = Known(of_campaign=frozenset({"wire-cantilever"}))
-    assert names(fitting(exports, protocols, other)) == ["wire-cantilever"]
-    own = Known(
-        of_type=frozenset({"taped-bundle"}),
-        of_campaign=frozenset({"wire-cantilever", "taped-bundle"}),
+
+
+@pytest.mark.parametrize(
+    ("of_type", "of_campaign", "expected"),
+    [
+        ({}, {"wire-cantilever": 1}, "wire-cantilever"),
+        ({}, {"wire-cantilever": 3, "taped-bundle": 2}, "wire-cantilever"),
+        ({}, {"wire-cantilever": 2, "taped-bundle": 2}, ""),
+        ({}, {"wire-cantilever": 2, "corrugated-tube": 3}, ""),
+        ({}, {"wire-cantilever": 6, "": 15}, ""),
+        ({}, {"corrugated-tube": 9}, ""),
+        ({"taped-bundle": 1}, {"wire-cantilever": 9, "taped-bundle": 1}, "taped-bundle"),
+        ({"taped-bundle": 1, "": 1}, {"wire-cantilever": 9, "taped-bundle": 1}, "wire-cantilever"),
+    ],
+)
+def test_what_fits_alike_is_settled_by_most_of_the_others(
+    protocols: list[Protocol],
+    of_type: dict[str, int],
+    of_campaign: dict[str, int],
+    expected: str,
+) -> None:
+    known = Known(of_type=of_type, of_campaign=of_campaign)
+    found = fitting([cell(), take(length=0.1)], protocols, known)
+    assert names(found) == ([expected] if expected else ["taped-bundle", "wire-cantilever"])
+    if expected:
+        share = f"{(of_type or of_campaign)[expected]} of " if not of_type.get("") else "9 of 10"
+        assert share in found[0].signs[-1].text
+
+
+@pytest.mark.parametrize("called", ["22AWG tensile_3", "tensile-1", "A Tensile (2)"])
+def test_facts_of_the_export_count_before_the_others(
+    protocols: list[Protocol], called: str
+) -> None:
+    """A short pull among tubes that are stretched by 50 mm is none of them."""
+    pull = frame(0.012, 0.1e-3)
+    among = {"corrugated-tube": 20}
+    undecided = names(fitting([pull], protocols, Known(of_campaign=among)))
+    assert "tensile" in undecided
+    assert "corrugated-tube" not in undecided
+    assert names(fitting([pull], protocols, Known((called,), of_campaign=among))) == ["tensile"]
+
+
+@pytest.mark.parametrize("missing", [1, 5, 399, 400])
+def test_channels_that_begin_without_values(protocols: list[Protocol], missing: int) -> None:
+    """As Lloyd Nexygen exports them; a warning of numpy would be an error here."""
+    whole = frame(0.05, 0.423e-3)
+    values = (
+        np.where(np.arange(400) < missing, np.nan, x.values) for x in whole.recording.channels
     )
-    assert names(fitting(exports, protocols, own)) == ["taped-bundle"]
+    channels = tuple(
+        replace(x, values=v) for x, v in zip(whole.recording.channels, values, strict=True)
+    )
+    begun = SeenExport(whole.path, replace(whole.recording, channels=channels))
+    found = names(fitting([begun], protocols, Known()))
+    assert (found == ["corrugated-tube"]) is (missing <= 5)
+    assert found
 
 
 def test_tubes_and_tapes_by_stroke_speed_and_name(protocols: list[Protocol]) -> None:

@@ -70,7 +70,13 @@ def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     (tmp_path / "pull" / "x.txt").write_bytes(mts_suite())
     seen = see_test(tmp_path / "pull", {})
     assert seen.open == ("protocol", "type", "spool", "sample")
-    assert has(seen, "protocol: ", "tensile, three-point-bend", "fit alike; choose one with")
+    (first,) = (each for each in seen.said if each.startswith("protocol: "))
+    asked, *named, decides = first.splitlines()
+    assert "fit alike; name one with --protocol" in asked
+    assert {"stiff-bar", "tensile", "three-point-bend"} <= {
+        line.split(":")[0].strip() for line in named
+    }
+    assert "what would decide: a folder" in decides
     assert seen.files == {"frame": ("x.txt",)}
     assert see_test(tmp_path / "pull", {"protocol": "three-point-bend"}).open[-1] == "span"
 
