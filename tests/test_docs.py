@@ -111,6 +111,7 @@ def calls(text: str) -> Iterator[tuple[str, str]]:
     yield from spans + lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", PAGES, ids=name_of)
 def test_commands_in_pages_exist(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     known = commands(capsys)
@@ -343,12 +344,14 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
             yield text_of(given[1]), "info"
 
 
+@pytest.mark.slow
 def test_codes_behind_a_constant_are_seen() -> None:
     path = ROOT / "labpipe" / "statistics" / "group_notes.py"
     assert constants_of(path)["PROTOCOLS_DIFFER"] == "protocols_differ"
     assert ("protocols_differ", "warning") in {pair for n in trees("campaign") for pair in noted(n)}
 
 
+@pytest.mark.slow
 def test_every_quality_note_has_a_record_and_no_other() -> None:
     records = {(each.code, str(one)) for each in kinds_of_notes() for one in each.severities}
     in_code = {pair for node in trees() for pair in noted(node)}
@@ -359,6 +362,7 @@ def test_every_quality_note_has_a_record_and_no_other() -> None:
     assert records == {pair for pair in in_code if None not in pair}
 
 
+@pytest.mark.slow
 def test_every_reason_of_a_failure_is_documented_and_no_other() -> None:
     reasons = page("docs/reference/results.md").partition("## Reason codes")[2]
     table = re.findall(r"^\| `(\w+)` \|", reasons, flags=re.MULTILINE)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 SCRIPTS = sorted((Path(__file__).resolve().parents[1] / "docs" / "gallery").glob("*.py"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_the_example_runs_and_draws(
     script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

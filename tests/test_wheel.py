@@ -48,6 +48,7 @@ def test_it_says_what_it_is(wheel: Path) -> None:
     assert not said.get_all("Project-URL", []), "none is real"
 
 
+@pytest.mark.slow
 def test_it_works_away_from_the_checkout(wheel: Path, tmp_path: Path) -> None:
     place, here = tmp_path / "installed", tmp_path / "here"
     here.mkdir()

@@ -40,6 +40,7 @@ def test_points_lie_on_the_law() -> None:
     assert at.tangent == pytest.approx(1.0 / (BASIS.slopes(moment) @ LAW), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_other_laws() -> None:
     curvature, rng = np.array([1.0, 4.0, 9.0]), np.random.default_rng(3)
     at = law_points(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.01)

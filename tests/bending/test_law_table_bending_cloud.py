@@ -37,6 +37,7 @@ def test_at_rest_the_counterweight_bends_it_down() -> None:
     assert at_rest[-1] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_noise_of_curvatures_is_as_stated() -> None:
     exact = bending_cloud(TEST)
     clouds = [bending_cloud(bending_test(SHAPES, noise=2e-5, seed=seed)) for seed in range(12)]

@@ -38,6 +38,7 @@ def found(law: MomentLaw) -> MeasuredLaw:
     return bending.law
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "share"), LAWS.values(), ids=LAWS)
 def test_an_exact_loading_gives_its_law(law: MomentLaw, share: float) -> None:
     measured = found(law)

@@ -26,6 +26,7 @@ def batch(tmp_path: Path) -> Batch:
     return Batch(("run", "1"), tuple(tasks), tmp_path, None, versions())
 
 
+@pytest.mark.slow
 def test_tests_of_a_batch_in_their_order(batch: Batch) -> None:
     first, second, third = do_here(batch)
     assert isinstance(first, Outcome)
@@ -39,6 +40,7 @@ def test_a_folder_that_is_not_there(batch: Batch) -> None:
     assert do_here(replace(batch, home=batch.home / "none")) == [Unseen()] * 3
 
 
+@pytest.mark.slow
 def test_the_process_is_kept_for_a_while(batch: Batch, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batches, "_IDLE", 1.0)
     made: list[Crew[tuple[Path, Task], Outcome]] = []

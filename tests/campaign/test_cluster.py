@@ -59,6 +59,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
+@pytest.mark.slow
 def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
     machines: Cluster, tmp_path: Path
 ) -> None:
@@ -83,6 +84,7 @@ def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
     assert contents(tmp_path / "dask") == files
 
 
+@pytest.mark.slow
 def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_path: Path) -> None:
     labs = small_pulls(tmp_path, 6)
     spoil(labs[2].sheet, "kill the worker")
@@ -113,6 +115,7 @@ def test_what_cannot_be_processed_fails_as_on_one_machine(
     }
 
 
+@pytest.mark.slow
 def test_a_hanging_test_is_given_up(machines: Cluster, tmp_path: Path) -> None:
     labs = small_pulls(tmp_path, 2)
     spoil(labs[1].sheet, "hang")
@@ -132,6 +135,7 @@ def test_relative_paths_mean_the_folder_here(
     assert (lab.home / "out" / "result.h5").is_file()
 
 
+@pytest.mark.slow
 def test_workers_with_another_labpipe(
     machines: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,6 +181,7 @@ def own_tasks(labs: list[TensileLab]) -> list[Task]:
     return [Task(sheet, here / "out" / sheet.parent.name, figures=False) for sheet in sheets]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
 def test_tests_go_to_workers_that_see_them(alone: Cluster, own: list[TensileLab]) -> None:
     alone.add_worker()
@@ -192,6 +197,7 @@ def test_tests_go_to_workers_that_see_them(alone: Cluster, own: list[TensileLab]
     assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
 def test_a_test_that_no_worker_sees_fails_alone(alone: Cluster, own: list[TensileLab]) -> None:
     alone.add_worker(folder=own[0].home)
@@ -213,6 +219,7 @@ def test_a_test_that_no_worker_sees_fails_alone(alone: Cluster, own: list[Tensil
     assert said["code"] == "worker_without_data"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
 def test_no_worker_sees_the_tests(alone: Cluster, own: list[TensileLab]) -> None:
     alone.add_worker()
@@ -234,6 +241,7 @@ def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (str(raised.value), raised.value.code) == (said, "no_cluster")
 
 
+@pytest.mark.slow
 def test_no_worker(alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT", 2.0)
     said = (
@@ -243,6 +251,7 @@ def test_no_worker(alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPat
         list(dask(alone.address)(tasks_of(small_pulls(tmp_path, 1), tmp_path / "out")))
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
     alone.add_worker()
     labs = small_pulls(tmp_path, 12)

@@ -30,6 +30,7 @@ def outcomes_of(labs: list[TensileLab], *, jobs: int, limit: float | None = None
     return [found[lab.sheet] for lab in labs]
 
 
+@pytest.mark.slow
 def test_each_test_has_an_outcome(labs: list[TensileLab]) -> None:
     labs[1].export.unlink()
     first, second, third, _ = outcomes_of(labs, jobs=2)
@@ -43,6 +44,7 @@ def test_each_test_has_an_outcome(labs: list[TensileLab]) -> None:
     assert "expected a file, found none of that name" in second.reason
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
 @pytest.mark.parametrize(
     ("end", "how"),
@@ -64,6 +66,7 @@ def test_a_crash_costs_that_test(labs: list[TensileLab], end: str, how: str) -> 
     assert (said["code"], said["reason"], said["run"]) == ("process_died", found[2].reason, "0a")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
 def test_a_test_that_takes_too_long_is_given_up(labs: list[TensileLab]) -> None:
     spoil(labs[1].sheet, "hang")
@@ -73,6 +76,7 @@ def test_a_test_that_takes_too_long_is_given_up(labs: list[TensileLab]) -> None:
     assert "expected an end within 0.166667 minutes, found none" in found[0].reason
 
 
+@pytest.mark.slow
 def test_tasks_are_taken_as_processes_become_free(labs: list[TensileLab]) -> None:
     taken: list[str] = []
 
@@ -97,6 +101,7 @@ def test_no_executor_of_that_name(text: str) -> None:
         executor_of(text)
 
 
+@pytest.mark.slow
 def test_executors_by_name(labs: list[TensileLab]) -> None:
     (done,) = executor_of("local")([Task(labs[0].sheet, labs[0].processed, figures=False)])
     assert done.state != "failed"

@@ -325,6 +325,7 @@ def killed_after(kept: KeptCampaign, seconds: float, tree: Path) -> None:
     process.stdout.close()
 
 
+@pytest.mark.slow
 def test_two_processes_at_a_time_share_the_tests(kept: KeptCampaign, repository: Path) -> None:
     for number in range(20):
         kept.add(f"K{number:02d}")
@@ -357,6 +358,7 @@ def kill_again_and_again(kept: KeptCampaign, times: list[float], tree: Path) -> 
     assert kept.stand_in.processed == []
 
 
+@pytest.mark.slow
 def test_killed_now_and_then(kept: KeptCampaign, repository: Path) -> None:
     kill_again_and_again(kept, [0.01, 0.2, 0.35], repository)
 

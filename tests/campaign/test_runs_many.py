@@ -30,6 +30,7 @@ def tests(tmp_path: Path) -> list[Path]:
     return [lab.sheet for lab in labs]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_in_order_and_a_bad_one_does_not_stop_the_others(tests: list[Path], jobs: int) -> None:
     told: list[tuple[str, str]] = []
@@ -54,6 +55,7 @@ def test_in_order_and_a_bad_one_does_not_stop_the_others(tests: list[Path], jobs
     assert (first.folder / "result.h5").is_file()
 
 
+@pytest.mark.slow
 def test_several_at_a_time_give_the_same(tests: list[Path], tmp_path: Path) -> None:
     told: list[str] = []
     said = {}
@@ -65,6 +67,7 @@ def test_several_at_a_time_give_the_same(tests: list[Path], tmp_path: Path) -> N
     assert told == ["read", "process", "write", "wait", "wait", "wait"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_jobs_are_run_and_their_errors_raised(tmp_path: Path, jobs: int) -> None:
     run_jobs([partial(write_wire_sheet, tmp_path / name) for name in "ab"], jobs=jobs)
@@ -74,6 +77,7 @@ def test_jobs_are_run_and_their_errors_raised(tmp_path: Path, jobs: int) -> None
         run_jobs([partial(write_wire_sheet, tmp_path / "c")], jobs=jobs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_two_tests_that_would_go_to_one_folder(
     tests: list[Path], tmp_path: Path, jobs: int
@@ -100,6 +104,7 @@ def test_a_test_and_its_own_result(tests: list[Path]) -> None:
         list(process_tests([tests[0], done.folder / "result.h5"]))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_process_that_is_killed_costs_one_test(

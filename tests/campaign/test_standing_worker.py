@@ -28,6 +28,7 @@ def refuse() -> None:
     raise UsageError(message)
 
 
+@pytest.mark.slow
 def test_calls_are_done_in_one_process_that_stays(worker: StandingWorker) -> None:
     first, second = (worker.call(os.getpid, about="x") for _ in range(2))
     assert first == second != os.getpid()
@@ -42,6 +43,7 @@ def test_a_process_that_dies_costs_one_call(worker: StandingWorker) -> None:
     assert worker.call(os.getpid, about="x") != os.getpid()
 
 
+@pytest.mark.slow
 def test_numbers_first_and_figures_behind(worker: StandingWorker, lab: Lab) -> None:
     (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
     assert outcome.folder == lab.processed

@@ -103,6 +103,7 @@ def put_in_pieces(source: Path, goal: Path, names: tuple[str, ...], *, pieces: i
     return time.monotonic()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
 def test_from_the_end_of_a_recording_to_figures(lab: Lab, begun: list[Watch]) -> None:
     campaign = lab.raw.parent
@@ -176,6 +177,7 @@ def test_a_verdict_within_five_seconds(tmp_path: Path, begun: list[Watch]) -> No
     assert taken - delayed <= LONGEST, f"{taken:.2f} s, {delayed:.2f} s of it without a processor"
 
 
+@pytest.mark.slow
 def test_a_test_that_another_labpipe_processes_is_tried_again(lab: Lab) -> None:
     folders = find_campaign(lab.raw.parent)
     watched = WatchedCampaign(folders, local(1))

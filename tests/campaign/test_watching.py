@@ -157,6 +157,7 @@ def test_a_role_that_is_missing_is_said_and_does_not_delay(
     assert bench.now - began <= 3.0
 
 
+@pytest.mark.slow
 def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_can_be(
     bench: Bench, exports: dict[str, bytes]
 ) -> None:

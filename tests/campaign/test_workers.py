@@ -111,6 +111,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of processes")
 def test_processes_go_with_the_one_that_started_them() -> None:
     command = [sys.executable, "-c", ORPHANS]

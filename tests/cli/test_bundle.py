@@ -20,6 +20,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     return runner(capsys)
 
 
+@pytest.mark.slow
 def test_numbers_figure_and_json(run: Run, tmp_path: Path) -> None:
     ran = run("bundle", "7 B1", "--wire", EXAMPLES, "--bore", "3.5 mm", "--out", tmp_path, "--json")
     assert ran.status == DONE, ran

@@ -38,6 +38,7 @@ def test_a_folder_that_is_not_there(run: Run, action: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     """Two pulls, of which one lacks its export: processed once, and again when it is there."""
     labs = [TensileLab(tmp_path, name) for name in ("P-1", "P-2")]
@@ -123,6 +124,7 @@ def test_decide_and_a_decision_that_does_not_count(run: Run, kept: KeptCampaign)
     assert "it was made on another key" in out
 
 
+@pytest.mark.slow
 def test_replay_clears_failures_and_runs(run: Run, kept: KeptCampaign) -> None:
     ran = run("campaign", "replay", kept.raw, "--failed", "disk_full", "--no-figures")
     assert ran.status == BAD_INPUT

@@ -143,6 +143,7 @@ def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     assert ran.out.count("kept ") == 2
 
 
+@pytest.mark.slow
 def test_several_tests_as_json(run: Run, lab: Lab) -> None:
     one = lab.raw / "test.yaml"
     out = lab.home / "out"
@@ -190,6 +191,7 @@ def test_memory_that_is_used_up(run: Run, tmp_path: Path, monkeypatch: pytest.Mo
     assert ran.err.startswith("labpipe inspect: expected data that go into the memory, found that")
 
 
+@pytest.mark.slow
 def test_a_name_that_the_terminal_cannot_show(lab: Lab) -> None:
     text = lab.sheet.read_text(encoding="utf-8").replace("test: T1", "test: T\u529b1")
     lab.sheet.write_text(text, encoding="utf-8")

@@ -61,6 +61,7 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("labpipe.cli.demo.shipped_folder", {"examples": examples}.__getitem__)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick_campaign")
 def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Path) -> None:
     ran = run("demo", tmp_path, "--full", "--no-figures", "--jobs", 1)
@@ -86,6 +87,7 @@ def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Pat
     assert "figures to look at" not in ran.out
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick_campaign")
 def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def card(report: object, folder: Path, **more: object) -> list[Path]:
@@ -108,6 +110,7 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert str(Path(name) / "figures" / "force-displacement.svg") in told
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick_campaign")
 def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
     ran = run("demo", tmp_path, "--png", "--jobs", 1)

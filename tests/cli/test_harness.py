@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from labpipe.cli import BAD_INPUT, DONE, SOME_FAILED
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 from tests.builders.small_tests import Run
@@ -23,6 +25,7 @@ steps: 4
 """A grip that turns a millimetre of a line right round."""
 
 
+@pytest.mark.slow
 def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
     file, out = written(tmp_path, pushed()), tmp_path / "out"
     ran = run("harness", file, "--out", out, "--no-figures")
@@ -40,6 +43,7 @@ def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
     assert json.loads(ran.out) == json.loads((out / "summary.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_what_is_not_kept_and_doubtful_is_said(run: Run, tmp_path: Path) -> None:
     text = arch(STIFFNESS.replace("80 1/m", "5 1/m"), more="allowed_bend_radius: 200 mm\n")
     ran = run("harness", written(tmp_path, text), "--out", tmp_path / "out", "--no-figures")
@@ -49,6 +53,7 @@ def test_what_is_not_kept_and_doubtful_is_said(run: Run, tmp_path: Path) -> None
     assert (tmp_path / "out" / "summary.json").exists()
 
 
+@pytest.mark.slow
 def test_a_radius_that_is_assumed_is_said_but_no_failure(run: Run, tmp_path: Path) -> None:
     text = arch(STIFFNESS.replace("2 mm", "20 mm"))
     ran = run("harness", written(tmp_path, text), "--out", tmp_path / "out", "--no-figures")
@@ -57,6 +62,7 @@ def test_a_radius_that_is_assumed_is_said_but_no_failure(run: Run, tmp_path: Pat
     assert ran.err == ""
 
 
+@pytest.mark.slow
 def test_intervals_and_lengths_are_shown(run: Run, tmp_path: Path) -> None:
     section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
     text = arch(section, more="sweep: {length: [190 mm, 240 mm]}\n")
@@ -68,6 +74,7 @@ def test_intervals_and_lengths_are_shown(run: Run, tmp_path: Path) -> None:
     assert ran.out.count(" mm of stiffness 150 N mm^2") == 1
 
 
+@pytest.mark.slow
 def test_several_files_have_folders_of_their_own(run: Run, tmp_path: Path) -> None:
     files = [written(tmp_path, arch(), name=f"{name}.yaml") for name in ("one", "other")]
     ran = run("harness", *files, "--out", tmp_path / "out", "--no-figures")
@@ -75,6 +82,7 @@ def test_several_files_have_folders_of_their_own(run: Run, tmp_path: Path) -> No
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"one", "other"}
 
 
+@pytest.mark.slow
 def test_a_line_that_cannot_follow_is_a_failure(run: Run, tmp_path: Path) -> None:
     file, out = written(tmp_path, NO_WAY % STIFFNESS), tmp_path / "out"
     ran = run("harness", file, "--out", out)

@@ -46,6 +46,7 @@ def processed(tmp_path: Path, run: Run) -> Path:
     return tmp_path / "out"
 
 
+@pytest.mark.slow
 def test_options_and_what_is_said(run: Run, processed: Path, tmp_path: Path) -> None:
     goal = tmp_path / "told"
     ran = run("report", processed / "P-1", processed, "--out", goal, "--title", "Two pulls")
@@ -59,6 +60,7 @@ def test_options_and_what_is_said(run: Run, processed: Path, tmp_path: Path) -> 
     assert "<title>Two pulls" in (goal / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_file_where_the_folder_should_be(run: Run, processed: Path, tmp_path: Path) -> None:
     (tmp_path / "told").write_text("mine")
     ran = run("report", processed, "--out", tmp_path / "told")
@@ -76,6 +78,7 @@ def test_no_path(run: Run) -> None:
     assert "PATH" in ran.err
 
 
+@pytest.mark.slow
 def test_groups_by_a_field(run: Run, processed: Path, tmp_path: Path) -> None:
     goal = tmp_path / "told"
     ran = run("report", processed, "--out", goal, "--by", "spool, length")
@@ -83,6 +86,7 @@ def test_groups_by_a_field(run: Run, processed: Path, tmp_path: Path) -> None:
     assert ran.out.splitlines()[0].startswith("spool 1, length 75 mm  (tensile): 2 samples")
 
 
+@pytest.mark.slow
 def test_a_field_that_no_sheet_has(run: Run, processed: Path) -> None:
     ran = run("report", processed, "--by", "lenth")
     assert (ran.status, ran.out) == (2, "")
@@ -92,6 +96,7 @@ def test_a_field_that_no_sheet_has(run: Run, processed: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_letterhead_figures_and_pages_as_they_are_asked_for(
     run: Run, processed: Path, tmp_path: Path
 ) -> None:
@@ -106,6 +111,7 @@ def test_letterhead_figures_and_pages_as_they_are_asked_for(
     assert {each.suffix for each in (goal / "figures").iterdir()} == {".svg", ".pdf"}
 
 
+@pytest.mark.slow
 def test_a_logo_that_is_no_picture_is_one_message(run: Run, processed: Path) -> None:
     sheet = next(processed.rglob("summary.json"))
     ran = run("report", processed, "--logo", sheet)
@@ -114,6 +120,7 @@ def test_a_logo_that_is_no_picture_is_one_message(run: Run, processed: Path) -> 
     assert not (processed / "report").exists()
 
 
+@pytest.mark.slow
 def test_a_format_that_figures_do_not_have(run: Run, processed: Path) -> None:
     ran = run("report", processed, "--figures", "svg,jpg")
     assert ran.status == 2

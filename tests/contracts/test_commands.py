@@ -228,6 +228,7 @@ def test_json_of_inspect(run: Run, lab: Lab, name: str) -> None:
         assert said["markers"]["frames"] == 851
 
 
+@pytest.mark.slow
 def test_nothing_is_written_but_where_it_is_asked(
     run: Run,
     tmp_path: Path,

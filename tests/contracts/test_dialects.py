@@ -83,6 +83,7 @@ def test_the_suffix_says_nothing(exports: dict[str, Path], tmp_path: Path, diale
     assert chosen_card(odd, None).name == dialect
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", EXAMPLES)
 @pytest.mark.parametrize("dialect", sorted(EXAMPLES))
 def test_no_vendor_s_card_reads_another_s_export(

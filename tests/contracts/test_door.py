@@ -42,6 +42,7 @@ def test_names_are_found_when_they_are_asked_for() -> None:
         labpipe.opne  # type: ignore[attr-defined]  # noqa: B018
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["import labpipe.process.run", "import labpipe.door", "pass"])
 def test_process_is_a_function_and_a_package(first: str) -> None:
     code = (
@@ -51,6 +52,7 @@ def test_process_is_a_function_and_a_package(first: str) -> None:
     assert python(code).split() == ["True", "figures"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [Path, str])
 def test_a_test_opens_by_its_folder_and_by_its_file(given: type, processed: Lab) -> None:
     by_folder, by_file = labpipe.open(given(processed.processed)), labpipe.open(processed.result)
@@ -61,6 +63,7 @@ def test_a_test_opens_by_its_folder_and_by_its_file(given: type, processed: Lab)
     assert len(by_folder.shape) == len(by_folder.raw["markers"])
 
 
+@pytest.mark.slow
 def test_processing_in_memory_gives_the_same_and_writes_nothing(processed: Lab) -> None:
     before = {path: path.stat().st_mtime_ns for path in processed.home.rglob("*")}
     wanted = labpipe.open(processed.processed)

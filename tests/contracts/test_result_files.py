@@ -83,6 +83,7 @@ with xarray.open_datatree(path, engine=engine) as tree:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
 def test_xarray_opens_every_group_with_its_axes(engine: str, path: Path) -> None:
     """In a process of its own: a file that the netCDF library does not take kills it."""
@@ -172,6 +173,7 @@ def snippets(repository: Path, language: str) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_the_python_of_the_page_runs(path: Path, repository: Path) -> None:
     for code in snippets(repository, "python"):
         command = [sys.executable, "-W", "error", "-c", f"{code}\nprint('done')"]

@@ -17,6 +17,7 @@ MOST = 4.5 / 1.96
 """Half widths beyond which chance is no explanation in some hundred intervals."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_few_of_each(kind: str, tmp_path: Path) -> None:
     """All that a protocol asks for has a truth, and nothing is off by more than chance can do."""
@@ -42,6 +43,7 @@ def test_slips_that_are_not_there_count_as_failed() -> None:
     assert found == {"peak_force.1": "ok", "slip_drop.1": "failed", "slip_drop.2": "failed"}
 
 
+@pytest.mark.slow
 def test_the_largest_force_may_come_before_the_turn(tmp_path: Path) -> None:
     """A tape that lets go: the force at the turn is 1.4 % lower, seven standard errors."""
     seed = list(TAPED_TYPES).index("TWB-MX-sym-PVC")

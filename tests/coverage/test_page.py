@@ -42,6 +42,7 @@ def lines(held: int, tests: int) -> list[dict[str, Any]]:
     return [line(1.01 if i < held else 1.2) for i in range(tests)]
 
 
+@pytest.mark.slow
 def test_what_the_page_says() -> None:
     text = tables([*lines(17, 29), line(1.5, fault="cut")])
     assert "30 tests, 30 of 200 seeds of each kind, measured at `abc1234`" in text

@@ -58,6 +58,7 @@ def test_a_torn_line_is_left_out_and_not_written_on(tmp_path: Path) -> None:
     assert [seed for _, seed in read(file)] == [26000, 26002]
 
 
+@pytest.mark.slow
 def test_going_on(tmp_path: Path) -> None:
     """Two tests in two parts, by a process of their own."""
     file = tmp_path / "study.jsonl"

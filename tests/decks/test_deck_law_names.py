@@ -12,6 +12,7 @@ names = st.text(min_size=1, max_size=200)
 HARD = ['say "A2"', "0.35", "a/b\\c", "..", "Käbel 0,35 mm²", "x" * 300, "two\nlines", "*M1", "--"]
 
 
+@pytest.mark.slow
 @given(names)
 @example('say "A2"')
 @example("*M1, ELSET=x")

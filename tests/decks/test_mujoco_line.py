@@ -65,6 +65,7 @@ def along_rod(found: Laid, steps: int, places: int) -> Floats:
     return np.column_stack([np.interp(at, found.line.stations, x) for x in path.last.positions.T])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", [STIFFNESS, "{wire: A2}"])
 def test_mujoco_has_the_shape_of_the_rod(tmp_path: Path, section: str) -> None:
     """An arch in its plane: within 1.5 % of the length."""
@@ -73,6 +74,7 @@ def test_mujoco_has_the_shape_of_the_rod(tmp_path: Path, section: str) -> None:
     assert moved(deck, 8, 7) == pytest.approx(along_rod(found, 8, 7), abs=3e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("weight", "place"),
     [

@@ -50,6 +50,7 @@ def wanted(name: str) -> tuple[Floats, float]:
     return end_load_path(law, LENGTH, DEFLECTIONS).load, left
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_example_wire_bends_and_keeps_what_it_does(name: str) -> None:
     """From 3 to 50 mm of 85 mm within 1.5 %, what is left within 2 %."""
@@ -111,6 +112,7 @@ def test_a_load_that_jumps_leaves_more() -> None:
     assert 1.05 * DEFLECTIONS[0] < jumped < 1.25 * DEFLECTIONS[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["A2", "C4"])
 def test_in_space_against_the_plane(name: str) -> None:
     """From 3 to 50 mm of 85 mm within 2.5 %, and less than 0.2 mm out of the plane of the load."""

@@ -170,6 +170,7 @@ def test_infinite_and_absent_numbers_are_nan(tmp_path: Path) -> None:
     assert np.isnan(table(tmp_path)["value"][0])
 
 
+@pytest.mark.slow
 def test_groups_are_those_of_a_report(pristine: Lab, run: Run, tmp_path: Path) -> None:
     sheet = pristine.sheet.read_text(encoding="utf-8")
     home = pristine.copy(tmp_path / "lab")

@@ -112,6 +112,7 @@ def cut(name: str, share: float) -> Change:
 # Exports that cannot be read
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.6, 0.999])
 def test_truncated_mat(refused: Refused, share: float) -> None:
     message = refused(cut("force.mat", share))
@@ -433,6 +434,7 @@ def test_nothing_moves_at_all(refused: Refused) -> None:
     assert "expected a clamp that moves, found one that stands still. Look at the" in message
 
 
+@pytest.mark.slow
 def test_two_parts_of_one_recording(lab: Lab, run: Run) -> None:
     assert run("process", lab.raw, "--no-figures").status == 0
     whole = lab.results
@@ -445,6 +447,7 @@ def test_two_parts_of_one_recording(lab: Lab, run: Run) -> None:
     assert lab.results == whole
 
 
+@pytest.mark.slow
 def test_a_bad_test_does_not_stop_the_others(lab: Lab, run: Run) -> None:
     shutil.copytree(lab.raw, lab.raw.parent / "T0")
     (lab.raw.parent / "T0" / "force.mat").write_bytes(b"")

@@ -59,6 +59,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
+@pytest.mark.slow
 def test_all_is_there(quick: Processed) -> None:
     assert quick.status == 0
     found = {path.relative_to(quick.lab.processed).as_posix() for path in files(quick.lab)}
@@ -143,6 +144,7 @@ def test_shapes(quick: Processed) -> None:
         assert rms(np.hypot(x - np.array(true["x"]), y - np.array(true["y"]))) < 2.5e-4
 
 
+@pytest.mark.slow
 def test_processing_the_result_again_gives_the_same(
     quick: Processed, tmp_path: Path, run: Run
 ) -> None:

@@ -48,6 +48,7 @@ def by_speed(tmp_path_factory: pytest.TempPathFactory) -> Done:
     return Done(tmp_path_factory.mktemp("lab"), "CWB-2a", 1, has_frame=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["measured", "by_speed"])
 def test_every_number_against_its_truth(which: str, request: pytest.FixtureRequest) -> None:
     done: Done = request.getfixturevalue(which)

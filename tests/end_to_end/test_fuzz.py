@@ -110,6 +110,7 @@ def survives(lab: Lab, run: Run, names: list[str], seed: int) -> None:
     assert state(lab.home / "raw") == raw
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["force.mat", "take.csv", "test.yaml"])
 @pytest.mark.parametrize("seed", range(10))
 def test_synthetic(lab: Lab, run: Run, name: str, seed: int) -> None:

@@ -125,6 +125,7 @@ def killed_and_looked_at(home: Path, *, tests: int, kills: int) -> None:
         assert names == {"result.h5", "summary.json", "figures"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of children")
 def test_killed_at_random_moments(tmp_path: Path) -> None:
     killed_and_looked_at(tmp_path, tests=3, kills=4)

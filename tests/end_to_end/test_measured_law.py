@@ -59,6 +59,7 @@ def scenario(*, cycles: int) -> CantileverScenario:
     )
 
 
+@pytest.mark.slow
 def test_from_exports_to_the_law(tmp_path: Path, run: Run) -> None:
     virtual = scenario(cycles=3)
     lab = make_lab(tmp_path, virtual)
@@ -141,6 +142,7 @@ def _study(repository: Path, runs: int) -> Counter[float]:
     return hits
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_law_in_a_few_tests(repository: Path) -> None:
     hits = _study(repository, FEW)
     assert sum(hits.values()) >= 0.7 * FEW * len(CURVATURES), dict(hits)

@@ -37,6 +37,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_the_example_of_the_project(repository: Path, tmp_path: Path, run: Run) -> None:
     out = tmp_path / "out"
     done = run(
@@ -116,6 +117,7 @@ def test_table_is_what_the_json_says(tmp_path: Path, run: Run) -> None:
     assert np.allclose([float(row[1]) for row in rows[1:]], model["moment"], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_and_stay_without_them(tmp_path: Path, run: Run) -> None:
     path = sheet(tmp_path, A1)
     assert run("model", str(path), "--out", str(tmp_path), "--png").status == 0
@@ -204,6 +206,7 @@ def test_a_folder_in_the_way_of_results(tmp_path: Path, run: Run) -> None:
     assert taken.read_text("utf-8") == "a file"
 
 
+@pytest.mark.slow
 def test_many_wires_in_two_processes_are_what_one_says(tmp_path: Path, run: Run) -> None:
     rows = [A1.replace("A1,", f"W{number},") for number in range(26)]
     assert (

@@ -48,6 +48,7 @@ STAGES = (
 PLACES = ("result.h5", "summary.json", "wire-shapes.svg", "timeline.svg")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES)
 def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     """Wherever room runs out, no file of the earlier results is replaced."""
@@ -77,6 +78,7 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_interrupt(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
     def interrupted(*arguments: object, **more: object) -> None:
@@ -91,6 +93,7 @@ def test_interrupt(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, stage: s
     assert state(lab.processed) == earlier
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
 def test_real_interrupt(lab: Lab) -> None:
     raw, earlier = state(lab.home / "raw"), state(lab.processed)
@@ -144,6 +147,7 @@ def killed_after(moves: int, *arguments: object) -> None:
     assert done.returncode == 9, done.stderr
 
 
+@pytest.mark.slow
 def test_all_files_of_a_test_have_the_key_of_its_run(lab: Lab, run: Run) -> None:
     (first,) = runs(lab.processed)
     assert re.fullmatch("[0-9a-f]{64}", first)
@@ -155,6 +159,7 @@ def test_all_files_of_a_test_have_the_key_of_its_run(lab: Lab, run: Run) -> None
     assert second != first
 
 
+@pytest.mark.slow
 def test_a_png_is_drawn_on_request_and_none_of_an_earlier_run_stays(lab: Lab, run: Run) -> None:
     def endings() -> set[str]:
         return {path.suffix for path in (lab.processed / "figures").iterdir()}
@@ -167,6 +172,7 @@ def test_a_png_is_drawn_on_request_and_none_of_an_earlier_run_stays(lab: Lab, ru
     assert endings() == {".svg"}
 
 
+@pytest.mark.slow
 def test_figures_of_other_numbers_do_not_stay(lab: Lab, run: Run) -> None:
     own = lab.processed / "figures" / "own.png"
     own.write_bytes(b"a photograph")
@@ -178,6 +184,7 @@ def test_figures_of_other_numbers_do_not_stay(lab: Lab, run: Run) -> None:
     assert list((lab.processed / "figures").iterdir()) == [own]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moves", [1, 4, 6])
 def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None:
     (first,) = runs(lab.processed)
@@ -209,6 +216,7 @@ def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None
     }
 
 
+@pytest.mark.slow
 def test_killed_while_the_first_result_is_put_in_place(
     pristine: Lab, tmp_path: Path, run: Run
 ) -> None:
@@ -221,6 +229,7 @@ def test_killed_while_the_first_result_is_put_in_place(
     assert run("report", lab.home / "processed").status == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="no pipes among files on Windows")
 @pytest.mark.parametrize(
     ("name", "said"),

@@ -123,6 +123,7 @@ def test_takes(take: Any, name: str) -> None:
     assert len(markers["names"]) == n_markers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recordings(recording: Any, name: str) -> None:
     reader, version, clocks, n_channels = RECORDINGS[name]

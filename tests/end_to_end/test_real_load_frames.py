@@ -170,6 +170,7 @@ def test_no_real_export_is_forgotten(realdata: Path) -> None:
     assert {str(p.relative_to(realdata)) for p in files if p.is_file()} == set(FACTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FACTS)
 def test_recognised_as_a_load_frame_and_nothing_else(realdata: Path, name: str) -> None:
     assert [r.name for r in READERS.values() if r.recognise(realdata / name)] == ["load-frame"]
@@ -209,6 +210,7 @@ def test_numbers_and_units(inspect: Inspect, name: str) -> None:
             assert channel["missing"] == signal.missing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [CABLE_100, COPPER, YARNS])
 def test_the_command_says_the_same(realdata: Path, run: Run, name: str) -> None:
     ran = run("inspect", realdata / name, "--json")

@@ -78,6 +78,7 @@ def pulled(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> Lab:
     return lab
 
 
+@pytest.mark.slow
 def test_force_against_displacement(pulled: Lab) -> None:
     result = read_result(pulled.result)
     time, signals = channels(pulled.raw / "0103_3_3.mat")
@@ -192,6 +193,7 @@ def ring_centres(labels: list[str], positions: np.ndarray) -> list[np.ndarray]:
     return centres
 
 
+@pytest.mark.slow
 def test_shapes_of_the_soft_arm(soft_arm: Lab) -> None:
     """Distances between rings, which no choice of frame changes, in all 8708 frames."""
     shape = read_result(soft_arm.result).shape

@@ -94,6 +94,7 @@ def done(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     return labs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TESTS)
 def test_results(done: dict[str, TensileLab], name: str) -> None:
     results, test = done[name].results, TESTS[name]

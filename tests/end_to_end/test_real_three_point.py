@@ -63,6 +63,7 @@ def done(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     return labs
 
 
+@pytest.mark.slow
 def test_all_are_there(done: dict[str, TensileLab]) -> None:
     assert len(done) == 14
 

@@ -92,6 +92,7 @@ def change_sheet(test: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_campaign(reported: Reported) -> None:
     assert (reported.status, reported.err) == (0, "")
     assert "twist-tube-10  (twist-tube): 6 samples from 2 spools\n" in reported.out
@@ -201,6 +202,7 @@ def test_one_sample_has_no_band(tests: Path, run: Run) -> None:
     assert re.search(r"one sample|single sample", words(tests / "one"), re.IGNORECASE)
 
 
+@pytest.mark.slow
 def test_samples_whose_ranges_do_not_overlap(run: Run, tmp_path: Path) -> None:
     """One tube was stopped after 3 s, the record of the other one begins after 6 s."""
     simulated(tmp_path / "raw", *(corrugated_tube(f"CT-10-{n}") for n in (1, 2)))
@@ -243,6 +245,7 @@ def keep_rows(file: Path, wanted: Callable[[list[float]], bool]) -> None:
     book.save(file)
 
 
+@pytest.mark.slow
 def test_two_protocols_for_one_type(run: Run, tmp_path: Path) -> None:
     simulated(tmp_path / "raw", twist_tube("1a"), twist_tube("1b"))
     change_sheet(tmp_path / "raw" / "twist-tube-1b", "protocol: twist-tube", "protocol: tensile")
@@ -275,6 +278,7 @@ def test_a_second_report_over_the_first(tests: Path, run: Run) -> None:
     assert "Another &lt;title&gt; &amp; more" in page(tests / "report")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["=1+1", "<script>alert(1)</script>", 'ß & "quoted"'])
 def test_names_are_text_everywhere(run: Run, tmp_path: Path, name: str) -> None:
     simulated(tmp_path / "raw", twist_tube("1a"))

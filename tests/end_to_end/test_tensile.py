@@ -62,6 +62,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Done]:
     return {kind: Done(tmp_path_factory.mktemp("lab"), KINDS[kind]) for kind in KINDS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_all_is_there_and_raw_files_are_untouched(done: dict[str, Done], kind: str) -> None:
     test = done[kind]
@@ -273,6 +274,7 @@ def test_a_card_of_the_lab(
     assert lab.summary == changed
 
 
+@pytest.mark.slow
 def test_table_2_3_comes_back(tmp_path: Path, run: Run) -> None:
     """Stiffness over peak force of all six twist tubes; a gain error cancels."""
     for number, (sample, (first, second)) in enumerate(TABLE_2_3.items(), start=1):

@@ -26,6 +26,7 @@ def pull(begin: float, length: float, drop: float, extra: Floats) -> PullCurve:
     return PullCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, most=10, blurred=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [0.01, 1.0, 2.5])
 @pytest.mark.parametrize("memory", [0.0, 6.0])
 def test_the_drop_covers(length: float, memory: float) -> None:

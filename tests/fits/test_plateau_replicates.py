@@ -192,6 +192,7 @@ def test_replicates_scatter_as_curves_do() -> None:
     )
 
 
+@pytest.mark.slow
 def test_intervals_from_replicates_cover() -> None:
     """Curves of noise, replicates about the curve without it; deltas as the engine takes them."""
     seeds, hits = 200, np.zeros(3, dtype=int)

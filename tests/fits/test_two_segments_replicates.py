@@ -304,6 +304,7 @@ def test_replicates_scatter_as_curves_do() -> None:
         assert chi2.ppf(0.001, seeds) < ratio < chi2.ppf(0.999, seeds), name
 
 
+@pytest.mark.slow
 def test_intervals_from_replicates_cover() -> None:
     """Replicates of the lines that each curve shows, as in the bootstrap of residuals."""
     truth, seeds = (0.0093, 5000.0, 2700.0, 45.0), 200

@@ -107,6 +107,7 @@ def assert_sound(chance: Chance, home: Path) -> None:
     assert [row for row in said.rows if is_far(row)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_an_attack(name: str, tmp_path: Path) -> None:
     assert_sound(QUICK[name], tmp_path / "test")

@@ -97,6 +97,7 @@ def ask(tmp_path_factory: pytest.TempPathFactory) -> Ask:
     return said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seed", "fault"), [*CLEAN, *FAULTY])
 def test_nothing_ok_is_far_off(ask: Ask, kind: str, seed: int, fault: str) -> None:
     """An entry of `WRONG` that is right now is taken out of the list."""

@@ -175,6 +175,7 @@ def try_seeds(content: bytes, file: Path, seeds: range) -> None:
             raise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dialect", EXAMPLES)
 def test_damaged(tmp_path: Path, dialect: str) -> None:
     name, content = EXAMPLES[dialect]

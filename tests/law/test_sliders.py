@@ -142,6 +142,7 @@ def test_errors_of_a_smooth_law(number: int) -> None:
     assert off.max() == pytest.approx(-off.min(), rel=1e-3)  # as much above as below
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "most"), [(4, 0.03), (8, 0.008), (12, 0.004)])
 @pytest.mark.parametrize("name", ["A2", "A3", "C5"])
 def test_example_wires_against_least_squares_on_a_grid(name: str, number: int, most: float) -> None:

@@ -86,6 +86,7 @@ def test_truths_are_put_beside_each_other_by_the_width_of_a_band() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_line_that_it_cannot_follow_is_said() -> None:
     with pytest.raises(RuntimeError, match=r"singular Jacobian|mesh nodes"):
         rod().hold(np.array([3.0 * LENGTH, 0.0, 0.0]), ALONG_X)

@@ -53,6 +53,7 @@ def test_the_stated_noise_is_that_of_the_points() -> None:
     assert bent.noise == pytest.approx(2e-5, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("facing", ["side", "load"])
 def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     """The elastica by another method: curvature at full stroke is moment over EI."""

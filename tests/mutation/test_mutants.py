@@ -72,6 +72,7 @@ def test_faults_that_read_the_same_are_counted() -> None:
     assert len({each.key for each in found}) == len(found)
 
 
+@pytest.mark.slow
 def test_the_sample_is_the_same_each_time_and_each_mutant_has_tests(repository: Path) -> None:
     drawn = sampled(repository / "labpipe")
     assert [each.key for each in drawn] == [each.key for each in sampled(repository / "labpipe")]
@@ -79,6 +80,7 @@ def test_the_sample_is_the_same_each_time_and_each_mutant_has_tests(repository: 
     assert all(stages(each, "")[0] for each in drawn)
 
 
+@pytest.mark.slow
 def test_a_trial_tells_the_test_that_fails(tmp_path: Path, repository: Path) -> None:
     module, beside = "fits/straight_lines.py", "tests/fits/test_straight_lines_areas.py"
     source = (repository / "labpipe" / module).read_text(encoding="utf-8")

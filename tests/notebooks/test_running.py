@@ -50,6 +50,7 @@ def test_there_are_notebooks() -> None:
     assert NOTEBOOKS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_says_what_it_keeps(path: Path, repository: Path) -> None:
     """In a process of its own: what a kernel warns of is no fault of labpipe."""

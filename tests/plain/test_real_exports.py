@@ -110,6 +110,7 @@ def judged(name: str, root: Path, home: Path) -> list[str]:
     return complaints(process(home, case.sheet(), case.files(root)), case.expected(root))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marked(name)) for name in CASES])
 def test_real_export(name: str, realdata: Path, tmp_path: Path) -> None:
     found = judged(name, realdata, tmp_path)

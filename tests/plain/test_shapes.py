@@ -69,6 +69,7 @@ def expected(case: Case) -> Expected:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marked(name)) for name in CASES])
 def test_shape(name: str, tmp_path: Path) -> None:
     case = CASES[name]

@@ -103,6 +103,7 @@ def test_forces_of_a_late_test_are_doubtful_and_displacements_are_not() -> None:
         assert "calibration_overdue" not in found["peak_displacement.1"].why
 
 
+@pytest.mark.slow
 def test_bends_that_cameras_saw_too_late_are_doubtful() -> None:
     change = (("reader: [motive-csv", f"{CERTIFICATE}\n    reader: [motive-csv"),)
     _, found = reduced(BendingRecord(), change=change, tested=AFTER)

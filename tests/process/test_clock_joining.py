@@ -197,6 +197,7 @@ def dwelling(dwell: float, relaxes: float, seed: int) -> Dwelling:
     return Dwelling(dwell, relaxes=relaxes, offset=offset, drift=drift, seed=seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relaxes", [0.0, 0.04])
 @pytest.mark.parametrize("dwell", [0.0, 0.2, 0.5, 1.0, 2.0, 5.0])
 def test_a_machine_that_waits_at_its_turns(dwell: float, relaxes: float) -> None:

@@ -110,6 +110,7 @@ def test_not_started_together(offset: float, word: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_interval_covers_over_many_tests() -> None:
     """Offsets drawn from what the trigger allows; the exact binomial test at 1 %."""
     random = np.random.default_rng(5)

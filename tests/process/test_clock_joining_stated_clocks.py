@@ -105,6 +105,7 @@ OVERRIDE = """\
 """
 
 
+@pytest.mark.slow
 def test_for_one_test_by_its_sheet(tmp_path: Path, run: Run) -> None:
     """One override, whose reason is that of the offset; a single peak is enough."""
     lab = make_lab(tmp_path, replace(small_scenario(cycles=1), rest=3.0))

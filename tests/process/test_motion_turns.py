@@ -44,6 +44,7 @@ def test_turns_in_corners() -> None:
     assert not found.doubts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dwell", [0.1, 0.2, 0.5, 1.0, 2.0, 5.0])
 def test_waits_have_two_corners(dwell: float) -> None:
     """Also those that no stroke shows; arrival and departure hold within their errors."""

@@ -31,6 +31,7 @@ def doubtful(record: PlainRecord, more: str = RESULTS) -> dict[str, str]:
     return {name: each.why for name, each in results.items() if each.status is not Status.OK}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [10.0, 50.0, 120.0, 200.0])
 @pytest.mark.parametrize("is_round", [False, True])
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 5e-3])
@@ -51,6 +52,7 @@ def test_a_record_cut_while_loading(rate: float, noise: float) -> None:
     assert found["energy.2"] == "partial_cycle: the cycle has no unloading branch"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [10.0, 50.0, 200.0])
 @pytest.mark.parametrize("end", [22.0, 22.5, 30.0])
 @pytest.mark.parametrize("noise", [1e-4, 5e-3])
@@ -238,6 +240,7 @@ def test_a_hold_at_the_end_and_one_in_mid_branch() -> None:
     assert "; first at 5 mm, from 5" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_round", [False, True])
 @pytest.mark.parametrize("rate", [10.0, 50.0, 500.0])
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])

@@ -28,6 +28,7 @@ def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
     assert stored.specimen.dimensions == {"length": 0.085}
 
 
+@pytest.mark.slow
 def test_the_words_on_a_bundle_reach_the_result_and_stay_when_it_is_processed_again(
     lab: Lab,
 ) -> None:
@@ -103,6 +104,7 @@ def test_a_sheet_that_is_none(tmp_path: Path) -> None:
         process_test(path, figures=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["../../x", "/tmp/x", "..", "a/b", "", "nul"])
 def test_a_name_that_leads_elsewhere(lab: Lab, tmp_path: Path, name: str) -> None:
     import h5py

@@ -26,6 +26,7 @@ def holds(result: Result, truth: float) -> bool:
     return interval is not None and interval.lower <= truth <= interval.upper
 
 
+@pytest.mark.slow
 def test_every_number_holds_its_truth(done: tuple[Evidence, dict[str, Result]]) -> None:
     _, results = done
     record = BendingRecord()
@@ -84,6 +85,7 @@ def test_no_span() -> None:
     assert results["peak_force.1"].status is Status.OK
 
 
+@pytest.mark.slow
 def test_a_span_of_another_rig_is_doubted_by_the_cameras() -> None:
     wrong = ((SPAN, "span: 120 mm"),)
     _, results = reduced(BendingRecord(), change=wrong)
@@ -99,6 +101,7 @@ def test_a_span_of_another_rig_is_doubted_by_the_cameras() -> None:
     assert results["peak_force.1"].status is Status.OK
 
 
+@pytest.mark.slow
 def test_cameras_that_began_under_load() -> None:
     _, results = reduced(BendingRecord(cameras_early=-2.0))
 
@@ -111,6 +114,7 @@ def test_cameras_that_began_under_load() -> None:
     assert results["bending_stiffness"].status is Status.OK
 
 
+@pytest.mark.slow
 def test_a_speed_and_a_stroke_that_are_both_wrong_are_doubted_by_the_cameras() -> None:
     twice = (
         ("crosshead_speed: 0.5 mm/s", "crosshead_speed: 1 mm/s"),
@@ -134,6 +138,7 @@ def test_supports_closer_than_the_markers() -> None:
     )
 
 
+@pytest.mark.slow
 def test_too_few_markers_for_a_twist() -> None:
     _, results = reduced(BendingRecord(angles=(float(np.radians(90.0)),)))
 
@@ -144,6 +149,7 @@ def test_too_few_markers_for_a_twist() -> None:
     assert holds(results["mid_span_curvature"], curvature_at(STROKE))
 
 
+@pytest.mark.slow
 def test_a_window_that_is_not_reached() -> None:
     old = "mid-span, from: 1 mm, to: 10 mm"
     _, results = reduced(BendingRecord(), change=((old, "mid-span, from: 1 mm, to: 40 mm"),))
@@ -155,6 +161,7 @@ def test_a_window_that_is_not_reached() -> None:
     assert results["mid_span_curvature"].status is Status.OK
 
 
+@pytest.mark.slow
 def test_cameras_that_did_not_see_the_turn() -> None:
     """They ran on a clock that began when the frame was on its way back."""
     _, results = reduced(BendingRecord(cameras_early=-70.0))

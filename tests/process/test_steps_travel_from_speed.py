@@ -60,6 +60,7 @@ def test_a_measured_displacement_goes_before_it() -> None:
     assert test.signals.raw["displacement"].clock == "frame"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("without", [("markers",), ALONE])
 def test_a_speed_that_contradicts(without: tuple[str, ...]) -> None:
     record = BendingRecord(force_late=0.0 if "frame" not in without else -3.0)

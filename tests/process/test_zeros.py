@@ -118,6 +118,7 @@ def reduced(
     return done.evidence, {each.name: each for each in done.results}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rest", "offset", "where"),
     [(0.8, 1.37, ["markers"]), (0.6, -1.9, ["force"]), (0.6, 0.0, ["markers", "force"])],
@@ -148,6 +149,7 @@ def test_a_rest_too_short_for_a_zero_is_doubted(repository: Path) -> None:
     assert results["peak_force.1"].status is Status.DOUBTFUL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 @pytest.mark.parametrize("count", [3, 5])
 def test_zeros_of_few_samples_hold(memory: float, count: int) -> None:

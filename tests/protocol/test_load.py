@@ -37,6 +37,7 @@ def _blocks(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 BLOCKS = [(text, path) for text in (WIRE, TUBE) for path in _blocks(yaml.safe_load(text))]
 
 
+@pytest.mark.slow
 @given(place=st.sampled_from(BLOCKS), key=st.from_regex(r"[a-z]{1,12}x{3}", fullmatch=True))
 def test_an_unknown_key_anywhere_is_refused_by_name(
     place: tuple[str, tuple[Any, ...]], key: str

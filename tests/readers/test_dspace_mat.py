@@ -26,6 +26,7 @@ def by_path(recording: Recording) -> dict[str, Any]:
     return {channel.path: channel for channel in recording.channels}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", WRITERS)
 @given(
     data=hnp.arrays(

@@ -219,6 +219,7 @@ def test_a_cut_anywhere_loses_only_the_last_line(cut: int) -> None:
     np.testing.assert_array_equal(values, np.arange(lines) + 0.25)
 
 
+@pytest.mark.slow
 def test_a_large_file_is_read_straight(tmp_path: Path) -> None:
     """A bad cell in a column that nobody asked for does no harm there either."""
     text = "".join(f"{i}.25,{i}.5\n" for i in range(300_000)) + "1,O\n"

@@ -142,6 +142,7 @@ def test_an_old_workbook_that_ends_the_process_that_reads_it(
         open_sheets(path)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.parametrize(
     ("place", "said"),

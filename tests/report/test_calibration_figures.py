@@ -22,6 +22,7 @@ def test_names_of_figures() -> None:
     assert [each.name for each in calibration_drawings(CalibrationReport(usual()))] == names[:1]
 
 
+@pytest.mark.slow
 def test_all_figures(tmp_path: Path) -> None:
     told: list[str] = []
     calibration = replace(usual(), wire="$A_2$ <&>")

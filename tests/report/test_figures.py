@@ -21,6 +21,7 @@ def result() -> TestResult:
     return build_result(half_cycle=1.0)
 
 
+@pytest.mark.slow
 def test_all_figures_in_both_formats_with_the_same_bytes(
     result: TestResult, tmp_path: Path
 ) -> None:
@@ -69,6 +70,7 @@ def test_drawing_program_is_loaded_only_when_a_figure_is_drawn() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["$\\frac{$", "A\x07\n\ud8002", "x" * 300, "<b>&\U0001f600"])
 def test_any_name_is_drawn(result: TestResult, tmp_path: Path, name: str) -> None:
     specimen = replace(result.specimen, type=name, spool=name, sample=name)

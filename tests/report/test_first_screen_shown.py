@@ -42,6 +42,7 @@ def crowded() -> Campaign:
     return replace(bundles, groups=(*bundles.groups, *more, odd))
 
 
+@pytest.mark.slow
 def test_page_one_is_one_screen(browser: Browser, tmp_path: Path) -> None:
     with shown(browser, written(crowded(), tmp_path)) as seen:
         end = seen.page.evaluate("document.getElementById('first').getBoundingClientRect().bottom")
@@ -72,7 +73,14 @@ FAULTS = """() => {
 }"""
 
 
-@pytest.mark.parametrize("width", [360, 768, 800, 834, 960, 1280, 1920, 2560])
+@pytest.mark.parametrize(
+    "width",
+    [
+        360,
+        800,
+        *(pytest.param(w, marks=pytest.mark.slow) for w in (768, 834, 960, 1280, 1920, 2560)),
+    ],
+)
 def test_page_one_at_every_width(browser: Browser, tmp_path: Path, width: int) -> None:
     """Nothing is wider than the page, a letter a line, or over its neighbour, opened or not."""
     viewport = {"width": width, "height": 900}
@@ -84,6 +92,7 @@ def test_page_one_at_every_width(browser: Browser, tmp_path: Path, width: int) -
         assert seen.page.evaluate(FAULTS) == []
 
 
+@pytest.mark.slow
 def test_on_paper_figures_are_160_mm_wide(browser: Browser, tmp_path: Path) -> None:
     with shown(browser, written(crowded(), tmp_path)) as seen:
         seen.page.emulate_media(media="print")

@@ -141,6 +141,7 @@ def test_a_sweep_leaves_a_gap_where_a_length_failed() -> None:
     assert "band" not in without
 
 
+@pytest.mark.slow
 def test_files(tmp_path: Path) -> None:
     files = save_harness_figure(HARNESS, SWEEP, tmp_path, png=True)
     assert [path.name for path in files] == [

@@ -29,6 +29,7 @@ def test_files(written: tuple[Path, list[Path]]) -> None:
     assert {path for path in folder.rglob("*") if path.is_file()} == set(files)
 
 
+@pytest.mark.slow
 def test_figures_are_files_on_request(tmp_path: Path) -> None:
     files = write_report(build_campaign(), tmp_path, Extras(formats=("svg",)))
     assert files[2].relative_to(tmp_path).as_posix() == "figures/twist-tube-10-curves.svg"
@@ -67,6 +68,7 @@ def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
         write_report(Campaign("Synthetic", ()), tmp_path / "x")
 
 
+@pytest.mark.slow
 def test_figures_over_groups_are_saved(tmp_path: Path) -> None:
     bundles = [bundle_of("7 B1"), bundle_of("7 B2")]
     campaign = bundle_campaign([each for bundle in bundles for each in three_of(bundle)])
@@ -81,6 +83,7 @@ def test_figures_over_groups_are_saved(tmp_path: Path) -> None:
     assert len({name.rpartition(".")[0] for name in names if name.endswith(".svg")}) == 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["$x_1$ <b> & 'q'", "\\frac{$", "A\x07\x1b\x002\n\ud800\ufffe", "x" * 300, "\U0001f600"]
 )

@@ -62,6 +62,7 @@ def bar(seen: Shown) -> str:
     return seen.page.locator("#tools .count").text_content() or ""
 
 
+@pytest.mark.slow
 def test_a_decision_by_mouse_is_saved_behind_those_there_are(
     browser: Browser, twelve: Path
 ) -> None:
@@ -88,6 +89,7 @@ def test_a_decision_by_mouse_is_saved_behind_those_there_are(
     assert accepted["because"] == "accepted on the page of the report, without a remark"
 
 
+@pytest.mark.slow
 def test_the_keyboard_alone(browser: Browser, twelve: Path) -> None:
     """From the top of the page to a saved file, without a mouse."""
     with shown(browser, twelve) as seen:
@@ -140,6 +142,7 @@ def test_after_a_filter_the_keyboard_finds_the_first_row(browser: Browser, twelv
         assert seen.focused() == "accept T-7"  # there is no other
 
 
+@pytest.mark.slow
 def test_decisions_outlive_the_page_and_end_when_a_report_knows_them(
     browser: Browser, tmp_path: Path
 ) -> None:
@@ -229,6 +232,7 @@ def processed(tmp_path: Path) -> Path:
     return make_pulls(tmp_path, ("T-1", "T-2", "T-3"))
 
 
+@pytest.mark.slow
 def test_a_served_page_shows_single_tests_on_a_click(browser: Browser, served: str) -> None:
     with shown(browser, served) as seen:
         row(seen, "T-2").get_by_role("link", name="page").click()
@@ -238,6 +242,7 @@ def test_a_served_page_shows_single_tests_on_a_click(browser: Browser, served: s
         assert seen.page.evaluate("document.querySelectorAll('script').length") == 0
 
 
+@pytest.mark.slow
 def test_round_trip_offline(browser: Browser, processed: Path, tmp_path: Path) -> None:
     """Page, decisions.json, next report: the rejected is out of it and named."""
     report = report_tests([processed]).files[0]
@@ -280,6 +285,7 @@ def make_again(processed: Path) -> None:
     report_tests([processed])
 
 
+@pytest.mark.slow
 def test_a_served_page_saves_without_a_download(
     browser: Browser, processed: Path, served: str
 ) -> None:

@@ -73,6 +73,7 @@ def drawn(seen: Shown) -> Drawn:
 WHOLE = [0.0, 0.0, 65535.0, 65535.0]
 
 
+@pytest.mark.slow
 def test_a_curve_says_its_values_under_the_mouse(browser: Browser, six: Path) -> None:
     with shown(browser, six) as seen:
         plot = drawn(seen)
@@ -89,6 +90,7 @@ def test_a_curve_says_its_values_under_the_mouse(browser: Browser, six: Path) ->
         assert plot.figure.locator(".tip").is_hidden()
 
 
+@pytest.mark.slow
 def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, six: Path) -> None:
     """Along the curve of one sample, by keyboard, against the samples it was drawn of."""
     (sample,) = (each for each in campaign_of(NAMES).groups[0].samples if each.test == "T-3")
@@ -156,6 +158,7 @@ def test_the_wheel_scrolls_the_page_and_with_ctrl_zooms(browser: Browser, six: P
         assert plot.view()[2] == pytest.approx(0.8 * 65535)
 
 
+@pytest.mark.slow
 def test_zoom_by_keyboard_and_what_it_cannot_show(browser: Browser, six: Path) -> None:
     with shown(browser, six) as seen:
         plot = drawn(seen)

@@ -45,6 +45,7 @@ def rows(page: Page) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_a_table_sorts_by_name_as_people_count(browser: Browser, twelve: Path) -> None:
     with shown(browser, twelve) as seen:
         head = seen.page.locator("#tests thead th").first
@@ -116,6 +117,7 @@ def test_a_link_leads_to_a_row_that_was_filtered_out(browser: Browser, twelve: P
         assert rows(seen.page) == NAMES
 
 
+@pytest.mark.slow
 def test_a_thousand_tests(browser: Browser, tmp_path: Path) -> None:
     names = [f"tube-{number:04d}" for number in range(1000)]
     page = page_of(tmp_path, campaign_of(names, most=50))
@@ -129,6 +131,7 @@ def test_a_thousand_tests(browser: Browser, tmp_path: Path) -> None:
         assert "tube-0777: rejected" in seen.said()
 
 
+@pytest.mark.slow
 def test_hostile_names_are_shown_as_text(browser: Browser, tmp_path: Path) -> None:
     page = page_of(tmp_path, campaign_of([*HOSTILE, "T-1"]))
     with shown(browser, page) as seen:

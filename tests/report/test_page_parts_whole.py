@@ -29,6 +29,7 @@ def twelve(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return page_of(tmp_path_factory.mktemp("twelve"), campaign_of(NAMES))
 
 
+@pytest.mark.slow
 def test_it_needs_no_network_and_no_other_file(browser: Browser, twelve: Path) -> None:
     with shown(browser, twelve) as seen:
         assert seen.asked == [twelve.as_uri()]
@@ -66,6 +67,7 @@ def test_without_its_script_it_is_a_page_all_the_same(browser: Browser, twelve: 
         assert seen.page.locator("#tools").is_hidden()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("viewport", [PHONE, {"width": 320, "height": 700}], ids=["390", "320"])
 def test_a_phone_scrolls_down_alone(
     browser: Browser, twelve: Path, viewport: dict[str, int]
@@ -118,6 +120,7 @@ def test_on_paper_there_are_no_buttons(browser: Browser, twelve: Path) -> None:
         assert "the numbers of this report do not know" in told  # who signs must see it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("look", ["light", "dark", "phone"])
 def test_rules_of_accessibility(browser: Browser, tmp_path: Path, look: str) -> None:
     """Those of axe-core: contrast, names of controls, order of headings, tables, ids."""

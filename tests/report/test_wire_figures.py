@@ -40,6 +40,7 @@ def test_names_of_wires_stay_inside_the_folder() -> None:
     assert list(wire_drawings([table]))[-1].name == "..-a-b.cantilever"
 
 
+@pytest.mark.slow
 def test_all_figures(tmp_path: Path) -> None:
     table = replace(wire_table("A1"), name="$A_1$ <&>")
     told: list[str] = []

@@ -166,6 +166,7 @@ def test_text_stays_text(name: str, tmp_path: Path) -> None:
             assert b"<f>" not in parts.read(part)
 
 
+@pytest.mark.slow
 def test_hundreds_of_wires_share_the_rows(tmp_path: Path) -> None:
     table = wire_table("A1")
     count = 100

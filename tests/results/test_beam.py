@@ -116,6 +116,7 @@ def test_what_is_left_of_a_corner_when_noise_is_taken_off() -> None:
     assert nothing.size == pytest.approx([0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_noise_in_a_corner_is_in_the_interval() -> None:
     """Tangents of half the length have three times the noise, and half of it is in the estimate."""
     off, stated = list[float](), list[float]()
@@ -196,6 +197,7 @@ def test_no_share_of_a_slope_that_falls() -> None:
     assert "no_stiffness: the slope at the start is -5" in found.why
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shaken", [0.0, 5e-5])
 def test_width_of_an_onset_as_the_scatter_over_records(shaken: float) -> None:
     """50 um of noise of the displacement count for 40 mN at the onset, 20 mN are in the force."""
@@ -303,6 +305,7 @@ def test_a_reversed_bridge_is_doubted_in_every_result() -> None:
     assert results["kink_displacement"].status is Status.FAILED
 
 
+@pytest.mark.slow
 def test_another_shape_widens_places() -> None:
     """The same deflection by a shape with a term more, 1 % longer."""
     test, before = asked(cycles(noise=NOISE))

@@ -26,6 +26,7 @@ def test_the_largest_sample_of_each_cycle_in_the_sense_of_loading() -> None:
             assert found[f"{name}.1"].value == pytest.approx(sense * first, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_largest_of_many_noisy_samples_is_held_by_its_interval() -> None:
     held = 0
     for seed in range(40):

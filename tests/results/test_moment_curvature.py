@@ -121,6 +121,7 @@ SOFT = replace(
 STROKE = ("stroke: 53 mm", "stroke: 30 mm")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("slack", "counterweight", "said"),
     [

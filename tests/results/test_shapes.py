@@ -77,6 +77,7 @@ def wandering(seed: int) -> Floats:
     return np.asarray(found / found.std(), dtype=np.float64)
 
 
+@pytest.mark.slow
 def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     """The standard error of six that wander is never below the scatter of 60 values by a tenth.
 

@@ -114,6 +114,7 @@ def test_no_hardening_without_a_first_cycle() -> None:
     assert results["hardening.2"].why.startswith("no_stiffness: ")
 
 
+@pytest.mark.slow
 def test_the_estimate_knows_what_noise_hides_of_the_foot() -> None:
     """The first samples lie within the noise; 800 N/m up to 2 mm miss them, 300 N/m do not."""
     path = np.linspace(0.0, 0.005, 251)

@@ -66,6 +66,7 @@ def test_budget() -> None:
     assert max(scale, default=0.0) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shaken", [0.0, 1e-5])
 def test_width_of_the_break_as_the_scatter_over_records(shaken: float) -> None:
     """10 um of noise of the displacement count for 50 mN: twice the noise of the force."""

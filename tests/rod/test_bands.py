@@ -46,6 +46,7 @@ def solved(belief: Belief, count: int) -> list[RodPath]:
     return [pushed(belief.inputs(amounts)) for amounts in belief.amounts[:count]]
 
 
+@pytest.mark.slow
 def test_bands_hold_as_many_draws_as_they_say() -> None:
     bands = bands_of(pushed, [BELIEF], at=(4, -1))
     assert bands is not None

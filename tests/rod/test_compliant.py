@@ -33,6 +33,7 @@ def loaded(elements: int) -> CompliantPath:
     return compliant_path(line, [clamp, load], steps=40, settings=SLOW)
 
 
+@pytest.mark.slow
 def test_a_cantilever_comes_to_rest_as_the_elastica() -> None:
     """PHYSICS 5, alpha = 2; second order in the length of the elements."""
     wanted = np.array([0.493457, 0.160642])
@@ -81,6 +82,7 @@ def test_a_curled_line_grows_out_of_a_clamp_as_the_circle_it_is() -> None:
     assert errors[1] == pytest.approx(errors[0] / 8.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_turned_clamp_twists_the_rod_evenly() -> None:
     """Half a turn about the line: each joint takes its share, and the line stays straight."""
     line = straight_line(1.0, 8, ELASTIC)
@@ -107,6 +109,7 @@ def lifted(friction: float, damping: float = 5.0) -> tuple[LiftedChain, Complian
     )
 
 
+@pytest.mark.slow
 def test_a_chain_lifted_from_a_table_keeps_its_length() -> None:
     """The source's figure B.3 (b)."""
     _, path = lifted(0.5)
@@ -129,6 +132,7 @@ def test_a_chain_lifted_from_a_table_with_friction() -> None:
     assert path.positions[:, :, 2].min() > -1e-9
 
 
+@pytest.mark.slow
 def test_a_chain_lifted_from_a_table_without_friction_hangs_straight() -> None:
     chain, path = lifted(0.0, 12.0)
     half = ELEMENTS // 2

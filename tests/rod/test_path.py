@@ -18,6 +18,7 @@ def test_a_path_ends_with_its_last_state() -> None:
     assert len(path.work) == len(path.states) == 3
 
 
+@pytest.mark.slow
 def test_a_walk_without_a_state_has_no_last_one() -> None:
     """A line that nothing holds falls."""
     line = straight_line(LENGTH, 5, linear_section(mass=0.1))

@@ -186,6 +186,7 @@ def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
     np.testing.assert_allclose(again.last.rests, whole.last.rests, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_column_buckles_beyond_its_critical_load_only() -> None:
     line = straight_line(LENGTH, 30, linear_section())
     critical = np.pi**2 * STIFFNESS / (4.0 * LENGTH**2)
@@ -199,6 +200,7 @@ def test_a_column_buckles_beyond_its_critical_load_only() -> None:
     assert np.linalg.norm(bent.last.positions[-1, 1:]) / LENGTH == pytest.approx(0.422, abs=3e-3)
 
 
+@pytest.mark.slow
 def test_what_stays_unstable_is_said_once_and_walked_on() -> None:
     """Pinned taut it cannot leave its line; it is not looked at in ever smaller parts."""
     line = straight_line(LENGTH, 10, linear_section())
@@ -232,6 +234,7 @@ def test_what_is_let_go_springs_back_in_part(node: int) -> None:
     assert path.lost[-1] > path.lost[-2] or path.snapped == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most_turn", [0.5, 0.02])
 def test_each_cell_of_what_falls_springs_back_by_what_it_carries(most_turn: float) -> None:
     """Without weight: by its own law, however long the way, and nothing bends the free end."""
@@ -252,6 +255,7 @@ def test_each_cell_of_what_falls_springs_back_by_what_it_carries(most_turn: floa
     assert path.jumped[41] - path.jumped[40] == pytest.approx(set_free)
 
 
+@pytest.mark.slow
 def test_what_a_line_keeps_that_is_let_go_does_not_hang_on_the_steps() -> None:
     """Bent over in a plane and in space; it is followed down in stable states only."""
     for aside in (0.0, 0.3):

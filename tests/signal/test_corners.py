@@ -31,6 +31,7 @@ def test_exact_without_noise() -> None:
     assert corner.value == pytest.approx(HEIGHT, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlated", [1, 20])
 def test_errors_hold_for_white_and_for_correlated_noise(correlated: int) -> None:
     pulls = []

@@ -28,6 +28,7 @@ def found(seed: int, *, sticks: float, noise: float = 5e-4) -> Reversal:
     return reversal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sticks", [0.1, 0.3, 9.0])
 def test_errors_hold_wherever_the_fall_bends(sticks: float) -> None:
     pulls = []
@@ -86,6 +87,7 @@ def waited(
     return time, force + np.random.default_rng(seed).normal(0.0, noise, len(time))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relaxes", [0.0, 0.004])
 @pytest.mark.parametrize("dwell", [0.2, 1.0])
 def test_a_wait_between_rise_and_fall(dwell: float, relaxes: float) -> None:

@@ -85,6 +85,7 @@ def test_a_value_that_is_not_positive_keeps_the_scale_linear() -> None:
     assert not can_be_on_a_log_scale([replace(base, estimate=-0.1)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "scatter"), [(2, 0.2), (3, 0.3), (6, 0.2)])
 def test_how_often_it_holds_the_arithmetic_mean(n: int, scatter: float) -> None:
     """3000 groups know 0.4 %; log-normal values whose arithmetic mean is 1."""

@@ -150,6 +150,7 @@ def test_what_the_rig_sets_is_not_tested() -> None:
     assert marks(with_outliers([group]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("groups", "numbers", "count"), [(10, 8, 3), (3, 12, 20)])
 def test_campaigns_of_normal_data_with_any_mark(groups: int, numbers: int, count: int) -> None:
     """At most 5 % of campaigns have a mark; numbers of a test hang together."""

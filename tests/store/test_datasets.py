@@ -103,6 +103,7 @@ print(different)
 """
 
 
+@pytest.mark.slow
 def test_threads_pack_the_same_bytes_alike() -> None:
     """The first time counts: at level 1 one process in twelve packed them otherwise."""
     for _ in range(20):

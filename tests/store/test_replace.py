@@ -224,6 +224,7 @@ def seen(folder: Path) -> dict[str, str]:
     return {name: text for name, text in contents(folder).items() if not name.startswith(".")}
 
 
+@pytest.mark.slow
 def test_a_process_killed_at_any_step_leaves_all_old_or_all_new(tmp_path: Path) -> None:
     old = {"a": "old", "figures/b": "old", "figures/c": "old", "figures/own": "old", "r.h5": "old"}
     new = NEW | {"figures/own": "old"}

@@ -55,6 +55,7 @@ bundles = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(bundles | st.none(), st.dictionaries(words, words, max_size=3))
 def test_any_specimen_comes_back(

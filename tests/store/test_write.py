@@ -248,6 +248,7 @@ _RESULT_NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,80}(\.[1-9])?", fullmatch=True)
 _LINES = st.builds(FittedLine, _RESULT_NAMES, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(slips=st.lists(_SLIPS, max_size=4), lines=st.lists(_LINES, max_size=4))
 def test_any_slips_and_lines_come_back(

@@ -126,6 +126,7 @@ def test_units_mistaken_leave_nothing_to_compare(calibration: Calibration) -> No
     assert "0 of 16 points, from 2000 to 4.6e+04 mm, lie within" in found.notes[0].message
 
 
+@pytest.mark.slow
 def test_as_plain_numbers(calibration: Calibration) -> None:
     found = json.loads(json.dumps(comparison_json(held(calibration, third())), allow_nan=False))
     assert (found["name"], found["load"], found["source"]) == ("fe", "as tested", "synthetic")

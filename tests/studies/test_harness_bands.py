@@ -35,6 +35,7 @@ def bands(
     return harness_bands(follow_line, material, (4, 8)), count
 
 
+@pytest.mark.slow
 def test_without_weight_forces_go_with_the_stiffness_and_shapes_do_not(tmp_path: Path) -> None:
     """A line of one stiffness between clips: forces are 10 % off, the shape next to nothing.
 
@@ -53,6 +54,7 @@ def test_without_weight_forces_go_with_the_stiffness_and_shapes_do_not(tmp_path:
     assert places.upper == pytest.approx(places.lower, abs=5e-4)
 
 
+@pytest.mark.slow
 def test_numbers_lie_in_their_own_intervals(tmp_path: Path) -> None:
     found, _ = bands(tmp_path, TEN_PERCENT)
     assert found is not None
@@ -103,6 +105,7 @@ def test_a_curl_in_two_directions_has_the_band_of_its_size(tmp_path: Path) -> No
     assert found.doubt is None
 
 
+@pytest.mark.slow
 def test_causes_that_do_not_add_up_are_said(tmp_path: Path) -> None:
     found, count = bands(tmp_path, "", text=f"{BARE}{SWUNG}steps: 8\n")
     assert found is not None

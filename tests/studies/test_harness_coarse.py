@@ -46,6 +46,7 @@ def truths(ready: Laid, steps: int) -> dict[str, float]:
     return {each.name: each.value for each in numbers_of(followed(ready, steps), ready)}
 
 
+@pytest.mark.slow
 def test_it_speaks_of_all_numbers_that_are_off() -> None:
     truth = truths(led_round(32), 160)
     for steps in (1, 2, 4, 16):
@@ -59,6 +60,7 @@ def test_it_speaks_of_all_numbers_that_are_off() -> None:
         assert {name for name, share in off.items() if share > 1.2} <= said, (steps, off)
 
 
+@pytest.mark.slow
 def test_it_is_silent_where_few_steps_do() -> None:
     """An end that goes straight and does not turn back, in space: eight steps are enough."""
     truth = truths(_bent_over(64), 64)
@@ -76,6 +78,7 @@ def _bent_over(steps: int) -> Laid:
     return Laid(line, (replace(clamp(line), name="foot"), Held(-1, way, name="end")), {})
 
 
+@pytest.mark.slow
 def test_it_says_where_and_how_many_steps_should_do() -> None:
     ready = led_round(2)
     doubt = coarse_doubt(followed(ready, 10), ready, walked_otherwise(ready, 10), {})
@@ -97,6 +100,7 @@ def _arched(elements: int) -> Laid:
     return Laid(line, (near, end, Gravity(name="weight")), {})
 
 
+@pytest.mark.slow
 def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
     """Those of 160 elements are the truth: where one is off by more than 2 % that is said."""
     truth = truths(_arched(160), 8)
@@ -161,6 +165,7 @@ def test_a_release_stays_where_it_was() -> None:
     assert grip.release == 6
 
 
+@pytest.mark.slow
 def test_a_line_that_cannot_be_followed_otherwise_is_doubtful_throughout() -> None:
     ready = led_round(2)
     other = walked_otherwise(ready, 10)

@@ -17,6 +17,7 @@ def done(folder: Path, text: str) -> FollowedHarness:
     return follow_harness(written(folder, text), out=folder / "out", figures=False)
 
 
+@pytest.mark.slow
 def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     text = pushed(STIFFNESS).replace(
         "steps: 10",
@@ -43,6 +44,7 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     assert "Allowed bend radius 10 mm, assumed: 5 times the outer diameter of 2 mm." in drawn.note
 
 
+@pytest.mark.slow
 def test_bands_and_sweeps(tmp_path: Path) -> None:
     section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
     found = done(tmp_path, arch(section, more="sweep: {length: [240 mm, 190 mm]}\n"))

@@ -26,6 +26,7 @@ def run(folder: Path, text: str, limit: float | None = None) -> FollowedHarness:
     return followed(harness, file, material, folder / "out")
 
 
+@pytest.mark.slow
 def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     found = run(tmp_path, arch())
     assert (found.status, found.reasons, found.bands) == (Status.OK, (), None)
@@ -35,6 +36,7 @@ def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists(), "nothing is written here"
 
 
+@pytest.mark.slow
 def test_one_beyond_it_is_doubtful_with_all_its_numbers(tmp_path: Path) -> None:
     section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
     for text in (arch(), arch(section)):
@@ -45,6 +47,7 @@ def test_one_beyond_it_is_doubtful_with_all_its_numbers(tmp_path: Path) -> None:
     assert found.bands is not None
 
 
+@pytest.mark.slow
 def test_one_beyond_the_range_of_its_law_says_so(tmp_path: Path) -> None:
     found = run(tmp_path, arch(STIFFNESS.replace("80 1/m", "5 1/m")))
     assert found.status is Status.DOUBTFUL
@@ -52,6 +55,7 @@ def test_one_beyond_the_range_of_its_law_says_so(tmp_path: Path) -> None:
     assert "step" in found.reasons[0].message
 
 
+@pytest.mark.slow
 def test_steps_and_lengths(tmp_path: Path) -> None:
     file = written(tmp_path, arch(more="show: [6, 2, 8]\n"))
     harness = load_harness(file)
@@ -75,6 +79,7 @@ def test_what_is_nothing_but_rounding_is_no_doubt(tmp_path: Path) -> None:
     assert {each.status for each in found.results} == {Status.OK}
 
 
+@pytest.mark.slow
 def test_a_length_of_a_sweep_has_all_doubts_of_its_numbers(tmp_path: Path) -> None:
     """Six elements are too few for a line that is brought far round."""
     text = arch().replace("elements: 16", "elements: 6").replace("180 mm, 0 mm", "90 mm, 30 mm")
@@ -88,6 +93,7 @@ def test_a_length_of_a_sweep_has_all_doubts_of_its_numbers(tmp_path: Path) -> No
     assert {each.code for each in radius.reasons} <= {each.code for each in one.reasons}
 
 
+@pytest.mark.slow
 def test_loads_are_told_in_every_step(tmp_path: Path) -> None:
     """All that acts on a line, its weight included, is in balance."""
     push = "  - {kind: load, name: push, at: 55 mm, force: [0 N, 10 mN, -20 mN], by: 4}\nsteps:"
@@ -104,6 +110,7 @@ def test_loads_are_told_in_every_step(tmp_path: Path) -> None:
     assert band.upper[2] == pytest.approx([0.0, 0.01, -0.02])
 
 
+@pytest.mark.slow
 def test_a_length_that_failed_has_no_numbers(tmp_path: Path) -> None:
     file = written(tmp_path, arch())
     harness = load_harness(file)

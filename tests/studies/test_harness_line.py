@@ -156,6 +156,7 @@ def test_rings_and_strings_come_from_the_line(tmp_path: Path) -> None:
     assert long.anchor.tolist() == [[0.05, 0.0, 0.09]]
 
 
+@pytest.mark.slow
 def test_a_line_comes_to_a_ring_between_its_clips(tmp_path: Path) -> None:
     """Of one that does not stretch: in its place from the start, the ring would tear it."""
     text = arch(steps=4).replace(

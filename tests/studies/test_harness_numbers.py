@@ -155,6 +155,7 @@ def test_what_was_lost_in_a_jump_is_doubtful(tmp_path: Path) -> None:
     assert doubtful_of(path, ready, let_go) == memory | shape
 
 
+@pytest.mark.slow
 def test_a_line_that_buckles_loses_no_more_in_coarse_steps() -> None:
     """The example of slack: the end is pressed towards the start, so that it buckles at once."""
     file = EXAMPLES / "harness-slack.yaml"

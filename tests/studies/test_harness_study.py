@@ -29,6 +29,7 @@ def names(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in files}
 
 
+@pytest.mark.slow
 def test_all_files_are_written_and_say_the_same(tmp_path: Path) -> None:
     out = tmp_path / "out"
     file = written(tmp_path, pushed())
@@ -49,6 +50,7 @@ def test_all_files_are_written_and_say_the_same(tmp_path: Path) -> None:
     assert ET.fromstring((out / "line.mujoco.xml").read_text(encoding="utf-8")).tag == "mujoco"
 
 
+@pytest.mark.slow
 def test_the_same_file_gives_the_same_bytes(tmp_path: Path) -> None:
     file = written(tmp_path, arch())
     for name in ("one", "other"):
@@ -60,6 +62,7 @@ def test_the_same_file_gives_the_same_bytes(tmp_path: Path) -> None:
     assert one == other
 
 
+@pytest.mark.slow
 def test_a_sweep_shows_each_length(tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = follow_harness(written(tmp_path, arch(more=SWEEP)), out=out, png=True)
@@ -74,6 +77,7 @@ def test_a_sweep_shows_each_length(tmp_path: Path) -> None:
     assert names(out) == FILES | {"figures/harness.svg"}, "what would speak for another run is gone"
 
 
+@pytest.mark.slow
 def test_bands_go_to_the_files(tmp_path: Path) -> None:
     section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
     done = follow_harness(written(tmp_path, arch(section, more=SWEEP)), out=tmp_path / "out")
@@ -92,6 +96,7 @@ def test_bands_go_to_the_files(tmp_path: Path) -> None:
     assert all(each["upper"] > each["lower"] for each in said["sweep"])
 
 
+@pytest.mark.slow
 def test_a_failed_run_leaves_earlier_results(tmp_path: Path) -> None:
     """Two clips at the line's whole length, and a grip that pulls it aside: nothing gives."""
     out = tmp_path / "out"
@@ -116,6 +121,7 @@ def test_a_failed_run_leaves_earlier_results(tmp_path: Path) -> None:
     assert "failure.json" not in names(out)
 
 
+@pytest.mark.slow
 def test_a_faulty_file_leaves_earlier_results(tmp_path: Path) -> None:
     out = tmp_path / "out"
     follow_harness(written(tmp_path, arch()), out=out)
@@ -140,6 +146,7 @@ def test_results_go_beside_other_results_unless_told(
     assert names(tmp_path / done.folder) == FILES
 
 
+@pytest.mark.slow
 def test_too_sharp_is_said(tmp_path: Path) -> None:
     done = follow_harness(
         written(tmp_path, arch(more="allowed_bend_radius: 200 mm\n")), out=tmp_path / "out"

@@ -55,6 +55,7 @@ def test_turned_the_other_way_round_it_is_the_same_line() -> None:
     assert found.natural == pytest.approx((-4.0,), abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_mean_of_noisy_hangs_holds_the_truth() -> None:
     fits = [fit_hang(seen((4.0,), 3e-3, seed)) for seed in range(3)]
     found = mean_stiffness(fits)
@@ -100,6 +101,7 @@ def test_one_hang_has_no_scatter() -> None:
         mean_stiffness([bare, bare])
 
 
+@pytest.mark.slow
 def test_a_line_with_two_shapes_is_not_fitted() -> None:
     """The search saw one shape, and in the end there is another one."""
     hang = seen()

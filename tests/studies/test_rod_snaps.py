@@ -22,11 +22,13 @@ def hang() -> Hang:
     return hang_of(loop.at(np.linspace(0, 1, 31)), MASS)
 
 
+@pytest.mark.slow
 def test_it_snaps_as_the_loop_of_directions(hang: Hang) -> None:
     by_rod = snap_turn(hang, STIFFNESS, 1.2 * STIFFNESS)
     assert by_rod == pytest.approx(snap_by_loop(hang, STIFFNESS, 1.2), rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_ratio_is_found_again(hang: Hang) -> None:
     turn = snap_turn(hang, STIFFNESS, 1.2 * STIFFNESS, elements=ELEMENTS)
     stiffness = Estimate(STIFFNESS, (("scatter", 0.05 * STIFFNESS, 4.0), ("scale", 1.0, np.inf)))

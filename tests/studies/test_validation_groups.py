@@ -65,6 +65,7 @@ def test_errors_are_of_all_points(calibration: Calibration) -> None:
     assert group.errors.sse == pytest.approx(float(left @ left))
 
 
+@pytest.mark.slow
 def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration) -> None:
     """A wave of 10 mN in the force, as no wire has, beside what the wire does."""
     (right,) = compare(calibration, {"A2": wire_of("A2")}, loadings("A2"))

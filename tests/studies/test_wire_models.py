@@ -125,6 +125,7 @@ def test_a_bug_in_a_process_shows_itself(many: Path, monkeypatch: pytest.MonkeyP
         model_wires(many, out=many.parent / "out", figures=False)
 
 
+@pytest.mark.slow
 def test_a_disk_that_refuses_is_told(many: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> list[Path]:
         raise OSError(28, "No space left on device")

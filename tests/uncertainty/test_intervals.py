@@ -55,6 +55,7 @@ def held(found: list[Measured], truth: float) -> float:
     return float(np.mean([x.interval.lower <= truth <= x.interval.upper for x in found]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [8, 20, 50])
 def test_mean_of_few_samples_against_students_t(count: int) -> None:
     """The process has to be guessed, too: no narrower, and at most a quarter wider on average."""
@@ -69,6 +70,7 @@ def test_mean_of_few_samples_against_students_t(count: int) -> None:
     assert np.mean([bool(x.doubts) for x in found]) < 0.1
 
 
+@pytest.mark.slow
 def test_slope_of_a_line_against_the_textbook() -> None:
     """Of 300 samples in white noise of 2 N the slope is known to 2 / sqrt(sum of squares)."""
     way = 1e-3 * 0.01 * np.arange(300.0)

@@ -170,6 +170,7 @@ def test_replicates_scatter_about_the_smooth_curve() -> None:
     assert np.array_equal(found.measured.force, force)
 
 
+@pytest.mark.slow
 def test_the_replicates_are_read_some_at_a_time() -> None:
     found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000)))
     traces = list(found.traces())
@@ -232,6 +233,7 @@ def test_noise_of_a_specimen_that_broke_at_once(cuts: list[int]) -> None:
     assert np.std(found.force - found.smooth.force) == pytest.approx(1.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_compliance_is_taken_off_with_the_noise_of_the_force() -> None:
     """10 um/N and noise of 1 N: 10 um of the displacement, against that of the force."""
     force = 10.0 * TIME + RNG(0).normal(size=1000)

@@ -85,6 +85,7 @@ def assert_near(table: WireTable, folder: Path) -> None:
     assert load[held] == pytest.approx(expected, rel=CLOSE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["A2", "A3"])
 def test_wires_of_one_and_of_two_layers(name: str, tmp_path: Path) -> None:
     assert_near(wire_table(name), tmp_path)

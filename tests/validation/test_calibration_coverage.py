@@ -76,6 +76,7 @@ def assert_covers(hits: np.ndarray, runs: int) -> None:
         assert chance > 0.01 / hits.size, f"{count} of {runs}: {hits.tolist()}"
 
 
+@pytest.mark.slow
 def test_quick() -> None:
     hits = study((0.085,), QUICK)
     for part in (hits.parameters, hits.mean, hits.sample):

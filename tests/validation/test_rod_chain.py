@@ -31,6 +31,7 @@ def test_with_friction_it_pulls_by_what_still_lies(friction: float) -> None:
     assert lengths == pytest.approx(0.5 * chain.length / 40, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_without_friction_it_hangs_straight() -> None:
     """But for a bend of the length (EI / w)^(1/3), 5 mm, where it leaves the table."""
     chain = LiftedChain(friction=0.0)

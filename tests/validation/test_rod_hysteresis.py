@@ -68,6 +68,7 @@ def test_the_loop_of_a_cantilever_is_that_of_wire() -> None:
     assert off[1] < 0.5 * off[0]
 
 
+@pytest.mark.slow
 def test_what_a_closed_path_loses_is_the_sum_over_its_nodes() -> None:
     """The area of every cell's own loop, times its length."""
     line = straight_line(LENGTH, 10, sliding_section())

@@ -41,6 +41,7 @@ def rod_tips(
     return np.array([state.positions[-1] for state in path.states])[parts::parts]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "most"), [("A2", 0.9), ("C4", 0.5)])
 def test_there_and_back_and_there_again(name: str, most: float) -> None:
     """Two cycles: deflections, and what is left without load, within 0.5 %; 2.5 % was asked for."""

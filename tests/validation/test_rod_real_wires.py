@@ -131,6 +131,7 @@ def black(realdata: Path) -> Seen:
     return seen(BLACK, realdata)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_stiffness_of_the_white_wire(white: Seen) -> None:
     found = WHITE.stiffness_of(*white)
@@ -139,6 +140,7 @@ def test_stiffness_of_the_white_wire(white: Seen) -> None:
     assert max(float(each.distances.mean()) for each in white[1]) < 4.1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_stiffness_of_the_black_wire(black: Seen) -> None:
     found = BLACK.stiffness_of(*black)
@@ -155,6 +157,7 @@ def test_the_elastica_fits_the_same(white: Seen, black: Seen) -> None:
         assert fits[0].natural == pytest.approx(by_other.natural, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_black_is_asymmetric_by_its_free_curvature(black: Seen) -> None:
     """One slope of free curvature fits four of five hangs, and takes more than half the misfit."""
@@ -177,6 +180,7 @@ def test_points_are_not_independent(white: Seen, black: Seen) -> None:
         assert scatter.half_width < 0.98 * found.half_width
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_the_white_loop_snaps_over_as_measured(realdata: Path) -> None:
     """Rod and loop of directions, at the stiffnesses that are published."""
@@ -224,6 +228,7 @@ def test_the_black_loop_turns_by_a_curl_that_its_hangs_do_not_show(
     assert np.degrees(turn) == pytest.approx(degrees, abs=2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_poses_of_the_white_wire_in_space(realdata: Path) -> None:
     """With stiffnesses of other tests, nothing fitted; points are good to 5 % of 400 mm."""
@@ -239,6 +244,7 @@ def test_poses_of_the_white_wire_in_space(realdata: Path) -> None:
     assert float(distances(seen_poses(WHITE, realdata)[1], other_way).mean()) > 3 * 7e-3
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_poses_of_the_black_wire_in_space(realdata: Path) -> None:
     """The last one snapped over: the wire lies on itself in the picture."""

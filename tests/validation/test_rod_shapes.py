@@ -41,6 +41,7 @@ def test_cantilever_under_its_weight(weight: float, bound: float) -> None:
     assert fine < 0.32 * coarse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [20.0, 60.0, 120.0, 176.0])
 def test_column_after_buckling(degrees: float) -> None:
     """Found from the straight column, which stands on its own up to the critical load."""
@@ -78,6 +79,7 @@ def test_column_with_sliders_pressed_along_itself() -> None:
     assert force[:2] == pytest.approx(force[2:] * 2, rel=3e-3)
 
 
+@pytest.mark.slow
 def test_an_arch_snaps_through_at_its_largest_load() -> None:
     """However small the steps; what is set free is the area above the curve of a held arch."""
     ways = np.linspace(0.0, 0.14, 281)
@@ -119,6 +121,7 @@ def test_catenary() -> None:
     assert fine == pytest.approx(0.25 * coarse, rel=0.05)
 
 
+@pytest.mark.slow
 def test_rod_posed_in_space() -> None:
     """Clamped at both ends, twisted and under its weight: shape and the far clamp's force."""
     (coarse, pulls), (fine, pull) = posed_rod_error(20), posed_rod_error(40)

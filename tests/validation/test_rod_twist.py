@@ -22,6 +22,7 @@ def test_torque_that_buckles_a_clamped_rod() -> None:
     assert torque_that_buckles(20) == pytest.approx(1.0, abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torsion", [0.3, 1.0, 3.0])
 def test_torque_that_buckles_does_not_ask_for_torsional_stiffness(torsion: float) -> None:
     """Of second order in its difference to B; it is looked for in steps of a thousandth."""
@@ -67,6 +68,7 @@ def test_a_rod_on_universal_joints_leaves_its_line_to_a_turn_of_a_helix() -> Non
     assert np.linalg.norm(path.last.positions[20, 1:]) == pytest.approx(aside, rel=0.02)
 
 
+@pytest.mark.slow
 def test_twist_that_buckles_a_ring() -> None:
     """2 pi sqrt(3) B / C: with B = C the ring jumps, within steps of a thousandth."""
     assert twist_that_buckles_a_ring(40) == pytest.approx(1.0, abs=4e-3)
@@ -79,6 +81,7 @@ def test_twist_that_buckles_a_ring_is_of_second_order() -> None:
     assert errors[2] == pytest.approx(0.25 * errors[1], rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_ring_that_twists_harder_leaves_its_plane_gently() -> None:
     """With C = 2 B there is no jump: what it is off its plane grows as a root, from Michell's."""
     shares = shares_near_one(4e-3)

@@ -121,6 +121,7 @@ def assert_no_shorter(hits: int, runs: int) -> None:
     assert binomtest(hits, runs, 0.95, alternative="less").pvalue > level, f"{hits} of {runs}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "widest"), [(0.0, 1.6), (0.01, 2.5)])
 def test_two_segments_quick(share: float, widest: float) -> None:
     """White noise, and noise with a memory of a hundredth of the window."""

@@ -41,6 +41,7 @@ def test_pwlf(seed: int) -> None:
     assert [float(found.first), float(found.second)] == pytest.approx(model.slopes, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_piecewise_regression(seed: int) -> None:
     found, squares = ours(seed)

@@ -63,6 +63,7 @@ def test_other_wires_and_no_mishaps() -> None:
     assert GROUPS[2] == WireGroup(WIRES["A3"], 0.085)
 
 
+@pytest.mark.slow
 def test_on_disk_and_in_memory(tmp_path: Path) -> None:
     campaign = WireCampaign(samples=1, rate=50.0, fps=10.0, cycles=1)
     folders = simulate_campaigns([campaign], tmp_path, seed=4)

@@ -41,6 +41,7 @@ def test_stepping_finer_changes_little() -> None:
     assert np.quantile(off, 0.95) < 3e-3
 
 
+@pytest.mark.slow
 def test_looking_up_between_crowded_positions_is_exact_enough() -> None:
     """Far below the noise of the load cell, 0.5 mN, and of the markers, 30 um."""
     test = wire_scenario(WIRES["A3"], 0.085, cycles=1).mechanics

@@ -62,6 +62,7 @@ def test_an_elastic_bar_gives_everything_back() -> None:
     assert path.force(progress) == pytest.approx(path.force(0.0588 - progress), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_steps_and_stations_are_fine_enough() -> None:
     path = solve_three_point(ROUGH)
     finer = solve_three_point(replace(ROUGH, steps_per_branch=180, n_stations=193))

@@ -64,6 +64,7 @@ def test_no_wire() -> None:
         sites(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [10, 22, 23, 38, 43, 45, 47, 48, 59, 61, 127, 300])
 @pytest.mark.parametrize("middle", [(0.0, 0.0), (0.5, 0.0), (0.5, 3.0**-0.5 / 2.0)])
 def test_a_heap_is_no_wider_than_the_lattice_around(

@@ -34,6 +34,7 @@ def test_bounds_and_laws_of_a_mixed_bundle() -> None:
     assert codes(model) == ["range_shortened", "copper_yields", "insulation_doubtful"]
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(number=st.integers(1, 5), core=st.floats(0.3e-3, 2e-3), arrangement=st.integers(0, 2))
 def test_bounds_are_in_order(number: int, core: float, arrangement: int) -> None:

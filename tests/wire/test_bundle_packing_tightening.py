@@ -127,6 +127,7 @@ def test_circle_around_three_wires() -> None:
     assert middle == pytest.approx(corners.mean(axis=0), abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [60, 200])
 @pytest.mark.parametrize("kinds", [(1.1, 1.25), (1.0, 2.0, 1.5, 3.0)])
 def test_many_unequal_wires_come_together(number: int, kinds: tuple[float, ...]) -> None:

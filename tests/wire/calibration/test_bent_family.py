@@ -44,6 +44,7 @@ def test_the_tube_of_a_cone_in_white_noise() -> None:
     assert np.mean(bent > 4.0) < np.mean(rise > 4.0)
 
 
+@pytest.mark.slow
 def test_two_valleys_widen_and_a_prior_does_not() -> None:
     curves = measured("A3", (0.12,), seed=1)
     found = calibrate(wire_of("A3"), curves, Settings(gain=0.005))

@@ -39,6 +39,7 @@ def codes(calibration: Calibration) -> list[str]:
     return [note.code for note in calibration.notes]
 
 
+@pytest.mark.slow
 def test_a_parameter_at_its_bound() -> None:
     choice = ParameterChoice(1.3e9, lower=1.2e9)
     found = calibrated(THREE, Settings({"insulation_modulus": choice}, gain=0.005))
@@ -75,6 +76,7 @@ def test_one_sample_speaks_of_itself() -> None:
     assert wider > narrow
 
 
+@pytest.mark.slow
 def test_noise_that_was_misstated() -> None:
     understated = tuple(replace(curve, noise=0.0005) for curve in THREE)
     found = calibrated(understated, Settings(gain=0.005))

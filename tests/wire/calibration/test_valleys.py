@@ -30,6 +30,7 @@ def problem_of(n: int = 60, **more: float) -> Problem:
     return posed[0]
 
 
+@pytest.mark.slow
 def test_the_same_answer_from_any_start() -> None:
     """Twenty starts, two decades wide in each parameter."""
     problem = problem_of()
