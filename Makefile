@@ -48,11 +48,12 @@ coverage-status: .venv/.ready  ## whether the page of the coverage study still h
 coverage-page: .venv/.ready  ## put what was counted on docs/explanations/coverage.md
 	$(BIN)/python -m tests.coverage publish
 
-check: .venv/.ready  ## style, types, layers
+check: .venv/.ready  ## style, types, layers, sizes
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/python -m benchmarks.house --check
 
 test-machines: .venv/.ready  ## the same numbers under three settings of processor and threads
 	$(BIN)/python -m benchmarks.machines

@@ -1,6 +1,9 @@
 """How large the house is, and how much of it one test walks through.
 
-``python -m benchmarks.house [TREE]``. Lines of code are those that hold a token and are no
+``python -m benchmarks.house [TREE]`` prints it; ``--check`` compares it with the table in
+``benchmarks/house.toml`` and fails where anything has grown; ``--lower`` writes what has shrunk
+into the table. A line of the table is raised by hand, with its reason (``because``), which the
+changelog must hold, too. Lines of code are those that hold a token and are no
 docstring, no comment and not blank. The share of docstrings is that of their lines in lines of code
 and docstrings together; a string under a constant is its docstring.
 
@@ -24,13 +27,16 @@ import subprocess
 import sys
 import tempfile
 import tokenize
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from benchmarks import load_frames
 from benchmarks.jobs import simulated
 from benchmarks.timing import REPOSITORY
 
+TABLE = Path(__file__).with_name("house.toml")
 CALLS = Path(__file__).with_name("calls.py")
 LAYOUT = {
     *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
@@ -149,13 +155,83 @@ def show_walks(tree: Path) -> None:
             print(f"{protocol:<16}{told}", flush=True)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.house")
+def measured(tree: Path) -> dict[str, int]:
+    """Files and lines of code of each room of package and tests, words of docs, and walks."""
+    found: dict[str, int] = {}
+    for top in ("labpipe", "tests"):
+        rooms = sizes(tree / top)
+        for room, size in {**rooms, "all": sum(rooms.values(), Size())}.items():
+            found |= {f"{top}/{room} files": size.files, f"{top}/{room} lines": size.code}
+    pages = [tree / "README.md", tree / "CONTRIBUTING.md", *(tree / "docs").rglob("*.md")]
+    found["docs pages"] = len(pages)
+    found["docs words"] = sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
+    with tempfile.TemporaryDirectory() as folder:
+        for protocol, test in write_tests(Path(folder)).items():
+            run = walk(tree, test, Path(folder))
+            found[f"{protocol} functions and classes"] = run.functions_and_classes
+            found[f"{protocol} files"] = run.files
+    return found
+
+
+def faults(found: dict[str, int], table: dict[str, Any], changelog: str) -> list[str]:
+    """Lines of the table that are exceeded or missing, or raised without a reason in the changelog.
+
+    Parameters
+    ----------
+    found : as `measured`
+    table : number by name, or ``{most, because}`` where it was raised
+    changelog : text
+    """
+    said = []
+    for name, number in found.items():
+        line = table.get(name, 0)
+        most = line["most"] if isinstance(line, dict) else line
+        if number > most:
+            said.append(
+                f"{TABLE.name}, {name}: expected at most {most}, found {number}. Take away as much"
+                " as came in, or raise the line with its reason in the changelog."
+            )
+        if isinstance(line, dict) and " ".join(line["because"].split()) not in changelog:
+            said.append(
+                f"{TABLE.name}, {name}: its reason is not in the changelog. Write it there."
+            )
+    return said
+
+
+def lowered(found: dict[str, int], table: dict[str, Any]) -> str:
+    """The table with what has shrunk, as text; lines that are not measured any more are left out."""
+    text = ["# Written by: python -m benchmarks.house --lower\n"]
+    for name, number in found.items():
+        line = table.get(name, number)
+        if isinstance(line, dict) and line["most"] <= number:
+            text.append(f'"{name}" = {{ most = {line["most"]}, because = "{line["because"]}" }}\n')
+        else:
+            most = line["most"] if isinstance(line, dict) else line
+            text.append(f'"{name}" = {min(most, number)}\n')
+    return "".join(text)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.house", description=__doc__)
     parser.add_argument("tree", type=Path, nargs="?", default=REPOSITORY, help="another checkout")
-    tree = parser.parse_args(arguments).tree.resolve()
-    show_sizes(tree)
-    show_walks(tree)
+    parser.add_argument("--check", action="store_true", help="fail where anything has grown")
+    parser.add_argument("--lower", action="store_true", help="write what has shrunk")
+    options = parser.parse_args(arguments)
+    tree = options.tree.resolve()
+    if not options.check and not options.lower:
+        show_sizes(tree)
+        show_walks(tree)
+        return 0
+    found, place = measured(tree), tree / "benchmarks" / TABLE.name
+    table = tomllib.loads(place.read_text(encoding="utf-8")) if place.is_file() else {}
+    if options.lower:
+        place.write_text(lowered(found, table), encoding="utf-8")
+        return 0
+    changelog = " ".join((tree / "CHANGELOG.md").read_text(encoding="utf-8").split())
+    said = faults(found, table, changelog)
+    print("\n".join(said) or "nothing has grown")
+    return int(bool(said))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.studies.rod_fits import Estimate, HangFit, mean_of
+from tests.judges.rod_fits import Estimate, HangFit, mean_of
 from tests.real_wires.pictures import draw_hangs, draw_twist
 from tests.real_wires.poses import PoseStudy, draw_poses, told
 from tests.real_wires.studied import Study

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.studies.rod_fits import Estimate, Hang, HangFit, fit_hang, mean_of
-from labpipe.studies.rod_snaps import fit_torsion
 from tests.builders.real_wires import RealWire, by_elastica, elastica_of, mean_hang
 from tests.builders.twisted_loops import TwistedLoop
+from tests.judges.rod_fits import Estimate, Hang, HangFit, fit_hang, mean_of
+from tests.judges.rod_snaps import fit_torsion
 
 _PIECES = 90
 """Of the loop that is drawn."""

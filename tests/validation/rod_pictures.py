@@ -20,7 +20,6 @@ from labpipe.decks.mujoco_sliders import mujoco_plane_deck
 from labpipe.law.sliders import as_plays
 from labpipe.law.table_sliders import sliders_of
 from labpipe.records.arrays import Floats
-from labpipe.rod.compliant import CompliantSettings, compliant_path
 from labpipe.wire.end_load_path import end_load_path
 from tests.builders.judged_rods import (
     bend_error,
@@ -41,6 +40,7 @@ from tests.builders.lifted_chains import LiftedChain, lifted_half
 from tests.builders.mujoco_chains import tips
 from tests.builders.rod_references import bend_of_45_degrees
 from tests.builders.wire_tables import LENGTH, wire_table
+from tests.judges.compliant import CompliantSettings, compliant_path
 from tests.validation.test_rod_mujoco import rod_tips
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,14 +15,6 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 
 from labpipe.records.arrays import Floats
-from labpipe.studies.rod_fits import (
-    Estimate,
-    Hang,
-    HangFit,
-    fit_hang,
-    mean_of,
-)
-from labpipe.studies.rod_snaps import fit_torsion, snap_turn
 from tests.builders.arm_poses import POSES, distances, posed
 from tests.builders.arm_poses import seen as seen_poses
 from tests.builders.hung_wires import HungElastica
@@ -35,6 +27,14 @@ from tests.builders.real_wires import (
     snap_by_loop,
 )
 from tests.builders.twisted_loops import TwistedLoop
+from tests.judges.rod_fits import (
+    Estimate,
+    Hang,
+    HangFit,
+    fit_hang,
+    mean_of,
+)
+from tests.judges.rod_snaps import fit_torsion, snap_turn
 
 LOOP = HungElastica(1.5, 0.17, 0.8e-4, (-0.123, 0.002))
 

@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Held, Plane
-from labpipe.rod.compliant_rows import (
+from tests.judges.compliant_rows import (
     Body,
     Contact,
     Rod,

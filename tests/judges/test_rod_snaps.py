@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.studies.rod_fits import Estimate, Hang
-from labpipe.studies.rod_snaps import fit_torsion, snap_turn
 from tests.builders.hung_wires import GRAVITY, HungElastica
 from tests.builders.real_wires import hang_of, snap_by_loop
+from tests.judges.rod_fits import Estimate, Hang
+from tests.judges.rod_snaps import fit_torsion, snap_turn
 
 MASS = 0.02
 STIFFNESS = 6e-4

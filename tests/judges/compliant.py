@@ -42,7 +42,8 @@ from scipy.sparse.linalg import splu
 
 from labpipe.records.arrays import ArrayRecord, Floats
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Plane
-from labpipe.rod.compliant_rows import (
+from labpipe.rod.line import Line
+from tests.judges.compliant_rows import (
     Body,
     Contact,
     Rod,
@@ -57,7 +58,6 @@ from labpipe.rod.compliant_rows import (
     turn_between,
     turned,
 )
-from labpipe.rod.line import Line
 
 _APART = 1e-9
 """Of a node's mobility: keeps rows apart that say the same, as along a straight line that is held

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.studies.rod_fits import Estimate, Hang, HangFit, fit_hang, hung, mean_stiffness
 from tests.builders.hung_wires import GRAVITY, HungElastica
 from tests.builders.real_wires import hang_of
+from tests.judges.rod_fits import Estimate, Hang, HangFit, fit_hang, hung, mean_stiffness
 
 MASS = 0.02
 STIFFNESS = 3e-4

@@ -19,7 +19,7 @@ from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
 from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
 from labpipe.rod.statics import follow
-from labpipe.studies.rod_fits import Estimate, Hang, laid, mean_of, reached
+from tests.judges.rod_fits import Estimate, Hang, laid, mean_of, reached
 
 _APART = 1.1
 """Ratio of what is tried to find a slope."""
