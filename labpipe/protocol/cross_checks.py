@@ -17,6 +17,7 @@ from labpipe.protocol.outline import (
     result_names,
     source_faults,
 )
+from labpipe.protocol.plausible import plausible_faults
 from labpipe.protocol.uncertainties import length_faults, size_faults
 from labpipe.protocol.values import SI_UNITS
 from labpipe.records.declarations import STEPS, Needs, defaults_of, existing_in
@@ -43,6 +44,7 @@ def cross_faults(data: Values) -> list[Fault]:
     checks: tuple[Callable[[Outline], Faults], ...] = (
         source_faults,
         _size_faults,
+        _dimension_faults,
         _step_faults,
         _align_faults,
         _curve_faults,
@@ -62,6 +64,10 @@ def _size_faults(outline: Outline) -> Faults:
     for entry in outline.results:
         if entry.tag == "bending-stiffness":
             yield from length_faults(specimen, entry.values, ("results", entry.number))
+
+
+def _dimension_faults(outline: Outline) -> Faults:
+    yield from plausible_faults(outline.data, ("specimen", "rig", "markers", "results"))
 
 
 def _step_faults(outline: Outline) -> Faults:

@@ -18,6 +18,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator, Wi
 from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
+from labpipe.protocol.plausible import Plausible, plausible_faults
 from labpipe.protocol.schema import known_version
 from labpipe.protocol.values import Line as TextLine
 from labpipe.protocol.values import QuantityText, Remark, Text
@@ -396,15 +397,19 @@ class HarnessFile(Block):
     )
     show: tuple[Step, ...] = Field((), description="Steps in shape.csv and figure beside the last")
     sweep: Sweep | None = Field(None, description="Lengths that are computed beside the line's own")
+    plausible: Plausible = Field({}, description="Range of each kind of dimension; else shipped")
 
     @classmethod
     def between(cls, data: object) -> list[Fault]:
         """Check steps, names and places against the whole, and that something holds the line."""
-        if not isinstance(data, Mapping) or not isinstance(data.get("boundaries"), list):
+        if not isinstance(data, Mapping):
             return []
+        faults = [*plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)]
+        if not isinstance(data.get("boundaries"), list):
+            return faults
         listed = [each if isinstance(each, Mapping) else {} for each in data["boundaries"]]
         kinds = [each.get("kind") for each in listed]
-        faults = [*_late_steps(data, listed), *_same_names(listed), *_same_places(listed)]
+        faults += [*_late_steps(data, listed), *_same_names(listed), *_same_places(listed)]
         if not any(kind in (*_HOLDING, None) for kind in kinds):
             expected = "a boundary that holds the line: clip, pin, grip or string"
             faults.append(Fault(("boundaries",), expected, "none", "Add one."))

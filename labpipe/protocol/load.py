@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 from pydantic import ValidationError
@@ -21,8 +21,9 @@ from labpipe.protocol.overrides import (
     with_overrides,
     without_absent,
 )
+from labpipe.protocol.plausible import implausible, ranges_in
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.protocol.sheet_grammar import TestSheet, wires_in_words
 from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import Document, PlacedFault, parse_yaml, read_text
 
@@ -265,7 +266,8 @@ def resolve(
     merged = with_overrides(plain, said)
     followed = follow_links or are_followed(plain)
     links = link_faults(sheet, sheet_path.parent, followed=followed)
-    placed = [*merged.faults, *map(said.place, (*_role_faults(sheet, merged), *links))]
+    own = (*_role_faults(sheet, merged), *links, *_implausible_sizes(sheet, said, merged))
+    placed = [*merged.faults, *map(said.place, own)]
     try:
         protocol = Protocol.model_validate(merged.data)
     except ValidationError as error:
@@ -338,6 +340,16 @@ def _is_sound(document: Document) -> bool:
     except ValidationError:
         return False
     return True
+
+
+def _implausible_sizes(sheet: TestSheet, said: Document, merged: Document) -> Iterator[Fault]:
+    """Find sizes of the specimen that are outside the ranges of protocol and overrides."""
+    specimen: Any = said.at(("specimen",))
+    if isinstance(bundle := specimen.get("bundle"), dict):
+        wires = wires_in_words(bundle.get("wires"))
+        specimen = {**specimen, "bundle": {**bundle, "wires": wires}}
+    ranges = ranges_in(merged.data if isinstance(merged.data, Mapping) else {})
+    yield from implausible(specimen, ("specimen",), ranges, others=sheet.specimen.dimensions)
 
 
 def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:

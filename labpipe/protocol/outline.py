@@ -12,6 +12,7 @@ from typing import Any, Final, TypeAlias
 
 from labpipe.errors import Fault, KeyPath, nearest
 from labpipe.protocol.faults import did_you_mean, one_of
+from labpipe.protocol.plausible import range_faults
 from labpipe.protocol.source import MARKER_READERS, READERS, ROLES, si_unit_like
 from labpipe.protocol.uncertainties import certificate_faults
 from labpipe.protocol.values import SI_UNITS
@@ -303,7 +304,8 @@ def _unit_faults(channel: ChannelOutline) -> Iterator[Fault]:
     if target is None:
         yield _unknown_quantity(channel)
         return
-    yield from _peak_faults(channel, target)
+    peak = channel.values.get("plausible_peak")
+    yield from range_faults(peak, (*channel.path, "plausible_peak"), target)
     yield from _drift_faults(channel)
     calibration, unit = channel.values.get("calibration"), channel.values.get("unit")
     if unit is None and channel.values.get("wrong_unit_in_file") is not None:
@@ -336,27 +338,6 @@ def _drift_faults(channel: ChannelOutline) -> Iterator[Fault]:
     if channel.quantity != "force" and "zero_drift" in channel.values:
         found = f"the key 'zero_drift' of a {channel.quantity}"
         yield Fault((*channel.path, "zero_drift"), "this key for a force alone", found, _OUT, "key")
-
-
-def _peak_faults(channel: ChannelOutline, target: str) -> Iterator[Fault]:
-    """Find a plausible peak without unit, or with its ends the wrong way round."""
-    said = channel.values.get("plausible_peak")
-    path = (*channel.path, "plausible_peak")
-    ends: list[float] = []
-    for key in ("from", "to"):
-        text = said.get(key) if isinstance(said, dict) else None
-        if not isinstance(text, str):
-            continue
-        try:
-            ends.append(parse_quantity(text, target))
-        except ValueError:
-            remedy = f"Write it with its unit, such as '20 {target}'."
-            yield Fault(
-                (*path, key), f"a quantity with a unit such as {target}", repr(text), remedy
-            )
-    if len(ends) == 2 and not 0.0 <= ends[0] < ends[1]:
-        expected = "'from' of at least zero, and 'to' above it"
-        yield Fault(path, expected, f"{ends[0]:g} to {ends[1]:g} {target}", "Correct them.")
 
 
 def _unknown_quantity(channel: ChannelOutline) -> Fault:

@@ -21,6 +21,7 @@ from typing import Any
 from labpipe.protocol.campaign_plan import CampaignPlan
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.harness_file import HarnessFile
+from labpipe.protocol.plausible import KEYS, PLAUSIBLE
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.records.declarations import Needs, existing_in
@@ -34,7 +35,7 @@ SCHEMAS: dict[str, type[Block]] = {
     "campaign.schema.json": CampaignPlan,
     "harness.schema.json": HarnessFile,
 }
-PAGES = ("quality-notes.md", "results.md")
+PAGES = ("protocol.md", "quality-notes.md", "results.md")
 """Pages that hold tables which derive from the code."""
 
 
@@ -91,14 +92,14 @@ def _severities(said: dict[str, str | list[str]]) -> tuple[Severity, ...]:
 
 
 def tables() -> dict[str, str]:
-    """Write every derived table in Markdown, by name: one for each origin of notes, `results`."""
+    """Write every derived table in Markdown, by name: one for each origin of notes, and others."""
     notes = kinds_of_notes()
     origins = dict.fromkeys(each.origin for each in notes)
     written = {
         origin: table_of_notes([each for each in notes if each.origin == origin])
         for origin in origins
     }
-    return written | {"results": table_of_results(KINDS)}
+    return written | {"results": table_of_results(KINDS), "plausible": table_of_ranges()}
 
 
 def table_of_notes(notes: Sequence[KindOfNote]) -> str:
@@ -113,6 +114,15 @@ def table_of_notes(notes: Sequence[KindOfNote]) -> str:
         (f"`{each.code}`", ", ".join(each.severities), each.meaning, each.doubts) for each in notes
     ]
     return _table([row[:columns] for row in [("code", "severity", "meaning", "doubtful"), *rows]])
+
+
+def table_of_ranges() -> str:
+    """Write the table of the plausible ranges: kind of dimension, keys that are one, ends."""
+    rows = [("kind", "keys that are, or end with", "from", "to")]
+    for kind, (_, least, most) in PLAUSIBLE.items():
+        keys = ", ".join(f"`{key}`" for key, of in KEYS.items() if of == kind)
+        rows.append((f"`{kind}`", keys or "other lengths of a specimen", least, most))
+    return _table(rows)
 
 
 def table_of_results(kinds: Iterable[type[Kind]]) -> str:

@@ -18,6 +18,7 @@ from labpipe.errors import Fault
 from labpipe.protocol.cross_checks import cross_faults
 from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
+from labpipe.protocol.plausible import Plausible
 from labpipe.protocol.source import ChannelSource, Role, Source
 from labpipe.protocol.uncertainties import SizeUncertainties
 from labpipe.protocol.values import FileStem, Remark, Text
@@ -337,6 +338,7 @@ class Protocol(Block):
     results: tuple[ResultEntry, ...] = Field((), description="In the order of the summary")
     report: Report = Report()
     groups: Groups = Groups()
+    plausible: Plausible = Field({}, description="Range of each kind of dimension; else shipped")
 
     @property
     def channels(self) -> dict[str, ChannelSource]:

@@ -91,12 +91,22 @@ def _number_alone(value: object) -> object:
     return value if isinstance(value, Mapping | SheetWires) else {"number": value}
 
 
-def _in_words(value: object) -> object:
-    """Read ``10 B1 + 9 B2 (1.6 mm)`` as the block it stands for."""
+def wires_in_words(value: object) -> object:
+    """Read ``10 B1 + 9 B2 (1.6 mm)`` as the block it stands for.
+
+    Parameters
+    ----------
+    value : the words; anything else is given back as it is
+
+    Raises
+    ------
+    PydanticCustomError
+        If the words are not those of a bundle.
+    """
     if not isinstance(value, str):
         return value
     wires: dict[str, object] = {}
-    for part in re.split(r"\s+\+\s+", value.strip()):
+    for part in re.split(r"(?<!\s)\s+\+\s+", value.strip()):
         words = _WORDS.fullmatch(part)
         if words is None:
             raise error_of(expected=_SAID, found=value)
@@ -111,7 +121,7 @@ def _in_words(value: object) -> object:
 Wires = Annotated[
     dict[Line, Annotated[SheetWires, _OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
     Field(min_length=1),
-    _OrShort(_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
+    _OrShort(wires_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
 ]
 
 

@@ -13,6 +13,7 @@ from pydantic import (
 )
 
 from labpipe.protocol.grammar import Block
+from labpipe.protocol.plausible import PlausibleRange
 from labpipe.protocol.uncertainties import Certificate, standard_uncertainty
 from labpipe.protocol.values import SI_UNITS, Text, one_or_several
 from labpipe.records.declarations import Snake, Uncertainty
@@ -55,13 +56,6 @@ Names = Annotated[
 """One name, or several of which the first that the export has counts."""
 
 
-class PlausiblePeak(Block):
-    """Between what the largest absolute value of a channel lies; doubtful outside."""
-
-    start: Text = Field(alias="from", description="Such as 20 N")
-    stop: Text = Field(alias="to", description="Such as 2 kN")
-
-
 class Calibration(Block):
     """A straight line from what the instrument wrote to what it stands for."""
 
@@ -84,7 +78,9 @@ class ChannelSource(Block):
     )
     calibration: Calibration | None = None
     quantity: Snake | None = Field(None, description="Needed where the name does not say it")
-    plausible_peak: PlausiblePeak | None = None
+    plausible_peak: PlausibleRange | None = Field(
+        None, description="Of the largest absolute value; doubtful outside"
+    )
     scale_uncertainty: Uncertainty = Field(
         0.0, description="Standard uncertainty of the scale, as the class of a load cell says"
     )
@@ -172,7 +168,7 @@ class Source(Block):
     wrong_unit_in_file: Text | None = None
     calibration: Calibration | None = None
     quantity: Snake | None = None
-    plausible_peak: PlausiblePeak | None = None
+    plausible_peak: PlausibleRange | None = None
     scale_uncertainty: Uncertainty | None = Field(
         None, description="Of one channel named like the role, or of the cameras"
     )

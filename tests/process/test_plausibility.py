@@ -184,7 +184,7 @@ def test_rows_without_time_have_no_speed() -> None:
     made = made.with_new("travel", replace(made.raw["travel"], time_unit="1"))
     text = (
         "version: 1\nname: p\nsources: {frame: {reader: dspace-csv, channels:"
-        " {travel: {channel: a}, force: {channel: b}}}}\nrig: {crosshead_speed: 9 m/s}\n"
+        " {travel: {channel: a}, force: {channel: b}}}}\nrig: {crosshead_speed: 0.9 m/s}\n"
         "curve: {force: force, displacement: travel}\n"
         "branches: {channel: travel, min_stroke: 1 mm}\n"
     )

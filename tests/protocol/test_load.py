@@ -112,8 +112,8 @@ def test_a_file_that_is_no_block_of_keys(text: str) -> None:
         parse_protocol(text, "p.yaml")
 
 
-def _length(unit: str = "mm") -> st.SearchStrategy[str]:
-    return st.floats(1e-6, 1e6, allow_subnormal=False).map(lambda number: f"{number!r} {unit}")
+def _length(unit: str = "mm", least: float = 1e-6, most: float = 1e6) -> st.SearchStrategy[str]:
+    return st.floats(least, most, allow_subnormal=False).map(lambda number: f"{number!r} {unit}")
 
 
 @st.composite
@@ -121,14 +121,20 @@ def _protocols(draw: st.DrawFn) -> dict[str, Any]:
     data: dict[str, Any] = yaml.safe_load(WIRE)
     data["about"] = draw(st.text(max_size=30))
     data["specimen"] = {
-        "length": draw(_length()),
-        "section": {"wall": draw(_length("m")), "area": draw(_length("mm^2"))},
+        "length": draw(_length("m", 1e-3, 10.0)),
+        "section": {
+            "wall": draw(_length("m", 1e-6, 0.05)),
+            "area": draw(_length("mm^2", 1e-4, 1e5)),
+        },
     }
-    data["rig"] = {"string": {"length": draw(_length("m"))}, "cycles": draw(st.integers(1, 99))}
+    data["rig"] = {
+        "string": {"length": draw(_length("m", 1e-3, 10.0))},
+        "cycles": draw(st.integers(1, 99)),
+    }
     data["markers"] |= {
         "clamp": draw(st.text(min_size=1, max_size=9)),
         "along": draw(st.one_of(st.just("all"), st.lists(st.text(min_size=1), min_size=1))),
-        "centre_offset": draw(st.floats(-1e6, 1e6).map(lambda number: f"{number!r} mm")),
+        "centre_offset": draw(st.floats(-1e3, 1e3).map(lambda number: f"{number!r} mm")),
     }
     data["align"]["max_drift"] = draw(st.floats(0, 1e6).map(lambda number: f"{number!r} ppm"))
     span = st.one_of(

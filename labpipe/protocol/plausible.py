@@ -1,0 +1,202 @@
+"""Plausible ranges of dimensions: a value outside is refused unless its range is widened."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
+
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+from labpipe.errors import Fault, KeyPath, in_test_sheet
+from labpipe.protocol.grammar import Block
+from labpipe.protocol.values import Text
+from labpipe.units import parse_quantity
+
+PLAUSIBLE: Final = MappingProxyType(
+    {
+        "length": ("m", "1 mm", "10 m"),
+        "span": ("m", "1 mm", "10 m"),
+        "diameter": ("m", "0.01 mm", "200 mm"),
+        "wall": ("m", "1 um", "50 mm"),
+        "width": ("m", "0.01 mm", "1 m"),
+        "area": ("m^2", "0.0001 mm^2", "0.1 m^2"),
+        "offset": ("m", "0 mm", "1 m"),
+        "other": ("m", "1 um", "10 m"),
+        "travel": ("m", "1 um", "5 m"),
+        "speed": ("m/s", "0.1 um/s", "1 m/s"),
+        "mass": ("kg", "0 g", "20 kg"),
+        "mass_per_length": ("kg/m", "0.01 g/m", "20 kg/m"),
+    }
+)
+"""SI unit, least and largest plausible value of each kind of dimension."""
+KEYS: Final = MappingProxyType(
+    {
+        **{kind: kind for kind in ("length", "span", "diameter", "wall", "width", "area")},
+        **{kind: kind for kind in ("offset", "speed", "mass_per_length")},
+        "bore": "diameter",
+        "thickness": "wall",
+        "stroke": "travel",
+        "counterweight": "mass",
+    }
+)
+"""Kind of dimension by its key, or by the last word of its key (``outer_diameter``)."""
+_NO_DIMENSIONS = frozenset({"uncertainty", "labels", "positions"})
+"""Blocks in which the keys mean something else."""
+Ranges: TypeAlias = Mapping[str, Mapping[str, str]]
+"""Ends of the range of each kind of dimension, ``from`` and ``to``, as written."""
+
+
+class PlausibleRange(Block):
+    """Least and largest plausible value."""
+
+    start: Text = Field(alias="from", description="Such as 20 N")
+    stop: Text = Field(alias="to", description="Such as 2 kN")
+
+
+def range_faults(said: object, path: KeyPath, unit: str) -> Iterator[Fault]:
+    """Find a plausible range without a unit, or with its ends the wrong way round.
+
+    Parameters
+    ----------
+    said : the range as written
+    path : way to it
+    unit : SI unit of its ends
+    """
+    ends: list[float] = []
+    for key in ("from", "to"):
+        text = said.get(key) if isinstance(said, Mapping) else None
+        if not isinstance(text, str):
+            continue
+        try:
+            ends.append(parse_quantity(text, unit))
+        except ValueError:
+            remedy = f"Write it with its unit, such as '20 {unit}'."
+            yield Fault((*path, key), f"a quantity with a unit such as {unit}", repr(text), remedy)
+    if len(ends) == 2 and not 0.0 <= ends[0] < ends[1]:
+        expected = "'from' of at least zero, and 'to' above it"
+        yield Fault(path, expected, f"{ends[0]:g} to {ends[1]:g} {unit}", "Correct them.")
+
+
+if TYPE_CHECKING:
+    _Kind = str
+else:
+    _Kind = Literal[tuple(PLAUSIBLE)]
+
+
+def _filled(said: object) -> object:
+    """Put the shipped ranges, and ends of ranges, where some are left out."""
+    if not isinstance(said, Mapping):
+        return said
+    shipped = {kind: {"from": least, "to": most} for kind, (_, least, most) in PLAUSIBLE.items()}
+    own = {
+        kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
+        for kind, ends in said.items()
+    }
+    return shipped | own
+
+
+def _schema_of(least: str, most: str) -> dict[str, object]:
+    ends = {"from": {"type": "string", "default": least}, "to": {"type": "string", "default": most}}
+    return {"type": "object", "properties": ends, "additionalProperties": False}
+
+
+Plausible: TypeAlias = Annotated[
+    dict[_Kind, PlausibleRange],
+    BeforeValidator(_filled),
+    Field(validate_default=True),
+    WithJsonSchema(
+        {
+            "type": "object",
+            "properties": {kind: _schema_of(*ends) for kind, (_, *ends) in PLAUSIBLE.items()},
+            "additionalProperties": False,
+        }
+    ),
+]
+
+
+def ranges_in(data: Mapping[str, object]) -> Ranges:
+    """Read the ranges of a protocol or a harness as written.
+
+    Parameters
+    ----------
+    data : with or without the key ``plausible``
+
+    Returns
+    -------
+    The range of each kind of dimension that has one; its ends may be wrong, a fault of its own.
+    """
+    ranges: Any = _filled(data.get("plausible") or {})
+    known = PLAUSIBLE.items() if isinstance(ranges, Mapping) else ()
+    return {kind: ranges[kind] for kind, _ in known if isinstance(ranges[kind], Mapping)}
+
+
+def plausible_faults(
+    data: Mapping[str, object], blocks: Collection[str], *, in_file: bool = False
+) -> Iterator[Fault]:
+    """Find wrong ranges in a file, and dimensions in some of its blocks that are outside theirs.
+
+    Parameters
+    ----------
+    data : the file as written
+    blocks : keys of the blocks
+    in_file : whether a range is widened in the file itself, which no test sheet can override
+    """
+    said = data.get("plausible")
+    for kind, ends in said.items() if isinstance(said, Mapping) else ():
+        if kind in PLAUSIBLE:
+            yield from range_faults(ends, ("plausible", kind), PLAUSIBLE[kind][0])
+    for block in blocks:
+        yield from implausible(data.get(block), (block,), ranges_in(data), in_file=in_file)
+
+
+def implausible(
+    node: object,
+    path: KeyPath,
+    ranges: Ranges,
+    *,
+    others: Collection[str] = (),
+    in_file: bool = False,
+) -> Iterator[Fault]:
+    """Find dimensions that are outside the plausible range of their kind.
+
+    Parameters
+    ----------
+    node : block, list or value as written; what is no quantity is a fault of its own
+    path : way to it
+    ranges : by kind of dimension
+    others : keys of further lengths, whose names say no kind
+    in_file : as for `plausible_faults`
+    """
+    if isinstance(node, Mapping):
+        for key in node.keys() - _NO_DIMENSIONS:
+            yield from implausible(node[key], (*path, key), ranges, others=others, in_file=in_file)
+    elif isinstance(node, list):
+        for number, item in enumerate(node):
+            yield from implausible(item, (*path, number), ranges, others=others, in_file=in_file)
+    elif isinstance(node, str):
+        key = next(str(part) for part in reversed(path) if isinstance(part, str))
+        kind = KEYS.get(key) or KEYS.get(key.rpartition("_")[2]) or ("other" * (key in others))
+        if kind in ranges:
+            yield from _outside(kind, node, path, ranges[kind], in_file=in_file)
+
+
+def _outside(
+    kind: str, text: str, path: KeyPath, ends: Mapping[str, str], *, in_file: bool
+) -> Iterator[Fault]:
+    unit = PLAUSIBLE[kind][0]
+    try:
+        size = abs(parse_quantity(text, unit))
+        least, most = (parse_quantity(ends[end], unit) for end in ("from", "to"))
+    except ValueError:
+        return
+    if least <= size <= most or least >= most:
+        return
+    end = "from" if size < least else "to"
+    widened = in_test_sheet(f"plausible.{kind}.{end}", text)
+    if in_file:
+        widened = f"'plausible: {{{kind}: {{{end}: {text}}}}}'"
+    name = kind.replace("_", " ") if kind != "other" else "dimension"
+    expected = f"a plausible {name}, {ends['from']} to {ends['to']}"
+    remedy = f"Correct number or unit; if both are right, write {widened}."
+    yield Fault(path, expected, repr(text), remedy)
