@@ -51,6 +51,15 @@ psi = 6894.757293168361 * pascal
 frame = [] = frame
 """
 
+
+class DimensionError(ValueError):
+    """A unit is one, of another dimension."""
+
+
+class NotFiniteError(ValueError):
+    """A number is too large to be one."""
+
+
 # What nearly every file, protocol and figure asks for: known without loading pint, which costs more
 # than reading the file. A test holds this table against pint.
 _PLAIN = {
@@ -122,8 +131,10 @@ _COHERENT = {
 
 _TOWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{3,}")
 """A power of a power, or to the hundredth or more: no unit is written so."""
+_NO_UNIT = re.compile(r"[^\w%°(]|(?!1\s*/)\d|.{100}|.*,", re.DOTALL)
+"""How no unit begins, one that is too long, and a comma, which pint would pass over."""
 _MOST_DIGITS = 18
-_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+_QUANTITY = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*+(.*)")
 
 
 @cache
@@ -153,7 +164,7 @@ def si_factor(unit: str, si_unit: str) -> float:
     Raises
     ------
     ValueError
-        If the unit is unknown, or its dimension is not that of `si_unit`.
+        If the unit is unknown; a `DimensionError` if its dimension is not that of `si_unit`.
 
     Examples
     --------
@@ -168,8 +179,8 @@ def si_factor(unit: str, si_unit: str) -> float:
         quick, coherent = _COHERENT.get(unit, (1.0, unit))
         if coherent != unit and (coherent == si_unit or (coherent, si_unit) in _PLAIN):
             return quick * si_factor(coherent, si_unit)
-        raise ValueError(_other_dimension(unit, si_unit))
-    if _TOWER.search(unit):  # pint would work it out: 9**9**9 has 369 693 100 digits
+        raise DimensionError(_other_dimension(unit, si_unit))
+    if _NO_UNIT.match(unit) or _TOWER.search(unit):  # 9**9**9 has 369 693 100 digits
         message = f"expected a unit such as {si_unit}, found {unit!r}"
         raise ValueError(message)
     import pint
@@ -179,7 +190,7 @@ def si_factor(unit: str, si_unit: str) -> float:
         factor = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
         return float(factor.to(registry.parse_units(_spelt(si_unit))).magnitude)
     except pint.DimensionalityError as error:
-        raise ValueError(_other_dimension(unit, si_unit)) from error
+        raise DimensionError(_other_dimension(unit, si_unit)) from error
     except Exception as error:  # pint's parser raises a dozen kinds of error for bad text
         message = f"expected a unit such as {si_unit}, found {unit!r}"
         raise ValueError(message) from error
@@ -213,10 +224,6 @@ def whole_number(text: str) -> int | None:
     return int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else None
 
 
-class NotFiniteError(ValueError):
-    """A number is too large to be one."""
-
-
 def parse_quantity(text: object, si_unit: str) -> float:
     """Read a quantity written with its unit, such as ``53 mm``, into SI.
 
@@ -242,7 +249,7 @@ def parse_quantity(text: object, si_unit: str) -> float:
     >>> parse_quantity("-0.21082 N/V", "N/V")
     -0.21082
     """
-    match = _QUANTITY.fullmatch(str(text))
+    match = _QUANTITY.fullmatch(str(text).strip())
     if match is None or isinstance(text, bool):
         message = f'expected a number with a unit such as "1 {si_unit}", found {text!r}'
         raise ValueError(message)

@@ -51,6 +51,13 @@ def test_quantities(text: object, unit: str, value: float) -> None:
         ("1 m^999999", "m", "expected a unit such as m, found 'm^999999'"),
         ("nan m", "m", "expected a number with a unit such as \"1 m\", found 'nan m'"),
         ("1 m)", "m", "expected a unit such as m"),
+        ("2,1 mm", "m", "expected a unit such as m, found ',1 mm'"),
+        ("0,1 s", "s", "expected a unit such as s, found ',1 s'"),
+        ("3 1 mm", "m", "expected a unit such as m, found '1 mm'"),
+        ("5 s,", "s", "expected a unit such as s, found 's,'"),
+        ("1" + 200_000 * " " + "x", "m", "expected a unit such as m, found 'x'"),
+        (200_000 * "1" + "\nx\n", "m", "expected a unit such as m, found 'x'"),
+        ("1 " + 100_000 * "m*", "m", "expected a unit such as m, found 'm*m*m*"),
     ],
 )
 def test_refusals(text: object, unit: str, said: str) -> None:

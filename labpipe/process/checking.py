@@ -13,10 +13,12 @@ from labpipe.process.reading import is_empty, joined, name_channels, unit_fault,
 from labpipe.process.steps import step_or_refusal
 from labpipe.process.targets import files_below
 from labpipe.protocol.load import (
+    is_there,
     load_calibration_plan,
     load_campaign_plan,
     load_protocol,
     load_test_sheet,
+    missing_exports,
     resolve,
 )
 from labpipe.protocol.schema import Markers, Protocol
@@ -173,14 +175,14 @@ def _test_faults(path: Path, protocols: Path | None, follow_links: bool) -> Iter
         protocol = None
     if protocol is not None:
         yield from _span_faults(path, protocol)
+    missing = missing_exports(sheet, path)
+    faults = str(missing).splitlines() if missing else []
     read: dict[str, list[Recording]] = {role: [] for role in sheet.files}
-    faults = 0
     for role, names in sheet.files.items():
         source = protocol.sources[role] if protocol else None
-        for name in names:
-            for fault in _export_faults(path.parent / name, source, protocol, read[role]):
-                faults += 1
-                yield fault
+        for export in filter(is_there, (path.parent / name for name in names)):
+            faults += _export_faults(export, source, protocol, read[role])
+    yield from faults
     if protocol is not None and not faults:
         yield from _refusals(path, sheet, protocol, read)
 

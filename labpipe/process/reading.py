@@ -21,11 +21,11 @@ from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_as_written, select_channel
 from labpipe.readers.load_frame.cards import lab_card_files
-from labpipe.readers.text_cells import is_unit
+from labpipe.readers.text_cells import is_like, is_unit
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
-from labpipe.units import si_factor
+from labpipe.units import GRAVITY, si_factor
 
 _WORDS = (("newton", "N"), ("kilonewton", "kN"), ("lb", "lbf"), ("pound", "lbf"), ("inch", "in"))
 _SILENT = frozenset({"", "-", "1", "count"})
@@ -102,6 +102,10 @@ def _stated_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
         expected, found = "a unit", "none in the file and none in the protocol"
         unit = in_test_sheet(f"{source.key}.unit", target)
         remedy = f"Write the unit of its numbers, such as {unit}."
+    elif is_like(stated, "kg") and target == "N":
+        unit = in_test_sheet(f"{source.key}.unit", stated)
+        weight = in_test_sheet(f"{source.key}.calibration", f"{{gain: {GRAVITY} N/kg}}")
+        remedy = f"{stated} is a unit of mass. To take its weight, write {unit} and {weight}."
     elif stated not in _SILENT and is_unit(stated):
         remedy = f"{_another_channel(source)}, or give '{source.key}.calibration'."
     place = f"channel {channel.path!r}"

@@ -19,7 +19,13 @@ from labpipe.process.certificates import day_of_test, instruments_of, operator_o
 from labpipe.process.reading import read_inputs
 from labpipe.process.story import reduce_recordings
 from labpipe.process.targets import RESULT_FILE
-from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.load import (
+    dump_protocol,
+    load_test_sheet,
+    missing_exports,
+    parse_protocol,
+    resolve,
+)
 from labpipe.protocol.schema import FigureName, Protocol
 from labpipe.protocol.values import is_name_of_a_test
 from labpipe.records.curve import Bending
@@ -275,6 +281,8 @@ def _exported(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
     """A test from its sheet and exports."""
     sheet = load_test_sheet(sheet_path)
     protocol = resolve(sheet, sheet_path, follow_links=follow_links)
+    if missing := missing_exports(sheet, sheet_path):
+        raise missing
     recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
     raw = RawTest(
         test=sheet.test,

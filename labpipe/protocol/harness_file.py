@@ -21,7 +21,7 @@ from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import Plausible, plausible_faults
 from labpipe.protocol.schema import known_version
 from labpipe.protocol.values import Line as TextLine
-from labpipe.protocol.values import QuantityText, Remark, Text
+from labpipe.protocol.values import QuantityText, Remark, Text, quantity_remedy
 from labpipe.records.declarations import (
     Curvature,
     Length,
@@ -104,7 +104,8 @@ def _place(value: object) -> float:
         return _ALONG.parse(value)
     except ValueError as error:
         expected = "'start', 'end', or a length from the start such as 120 mm"
-        raise error_of(expected=expected, found=value) from error
+        remedy = quantity_remedy(value, "m", "120 mm")
+        raise error_of(expected=expected, found=value, remedy=remedy) from error
 
 
 def written_place(place: float) -> str:

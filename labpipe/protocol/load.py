@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 from pydantic import ValidationError
 
-from labpipe.errors import Fault, ProtocolError
+from labpipe.errors import Fault, ProtocolError, nearest
 from labpipe.protocol.faults import did_you_mean, faults_of, one_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.outline import outline_of
@@ -23,7 +23,7 @@ from labpipe.protocol.overrides import (
 )
 from labpipe.protocol.plausible import implausible, ranges_in
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import TestSheet, wires_in_words
+from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet, wires_in_words
 from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import Document, PlacedFault, parse_yaml, read_text
 
@@ -99,7 +99,7 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     """
     if wanted.endswith(_SUFFIXES) or "/" in wanted or "\\" in wanted:
         places = [beside / wanted, Path(wanted)]
-        files = [place for place in places if _is_file(place)]
+        files = [place for place in places if is_there(place)]
         remedy = f"There is none at {' or '.join(map(str, places))}."
         return files[0] if files else Fault(("protocol",), "a protocol", repr(wanted), remedy)
     known = known_protocols(protocols)
@@ -110,9 +110,10 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     return Fault(("protocol",), expected, repr(wanted), remedy)
 
 
-def _is_file(path: Path) -> bool:
+def is_there(path: Path) -> bool:
+    """Check whether there is a file or a folder of a name, which may be one that no system takes."""
     try:
-        return path.is_file()
+        return path.exists()
     except OSError:  # a name that is too long
         return False
 
@@ -289,6 +290,36 @@ def resolve(
     return kept
 
 
+def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
+    """Find exports that a test sheet names and that are not there.
+
+    Parameters
+    ----------
+    sheet : the test sheet
+    sheet_path : the file that it was loaded from
+
+    Returns
+    -------
+    The error, with a line per export; None if all are there.
+    """
+    folder = sheet_path.parent
+    faults = [
+        Fault(("files", role), "a file", f"none of that name ({name!r})", _nearest_in(folder, name))
+        for role, names in sheet.files.items()
+        for name in names
+        if not is_there(folder / name)
+    ]
+    said = parse_yaml(read_text(sheet_path), str(sheet_path)) if faults else None
+    placed = [] if said is None else [said.place(fault) for fault in faults]
+    return complaint_of(placed, code="missing_export") if placed else None
+
+
+def _nearest_in(folder: Path, name: str) -> str:
+    there = [each.name for each in folder.iterdir() if each.name != SHEET_NAME]
+    listed = ", ".join(map(repr, nearest(name, there, most=3)))
+    return f"Correct the name, or copy the export there; nearest are {listed or 'no files'}."
+
+
 def dump_protocol(protocol: Protocol) -> str:
     """Write a protocol as YAML with units, defaults filled in.
 
@@ -328,10 +359,10 @@ def checked(model: type[_B], document: Document) -> _B:
     return block
 
 
-def complaint_of(placed: list[PlacedFault]) -> ProtocolError:
+def complaint_of(placed: list[PlacedFault], *, code: str = "") -> ProtocolError:
     """Make one error of all faults of a file, a line each, in the order of the file."""
     lines = sorted({(each.file, each.mark, each.text) for each in placed})
-    return ProtocolError("\n".join(text for _, _, text in lines))
+    return ProtocolError("\n".join(text for _, _, text in lines), code=code)
 
 
 def _is_sound(document: Document) -> bool:

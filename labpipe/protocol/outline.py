@@ -13,9 +13,9 @@ from typing import Any, Final, TypeAlias
 from labpipe.errors import Fault, KeyPath, nearest
 from labpipe.protocol.faults import did_you_mean, one_of
 from labpipe.protocol.plausible import range_faults
-from labpipe.protocol.source import MARKER_READERS, READERS, ROLES, si_unit_like
+from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
 from labpipe.protocol.uncertainties import certificate_faults
-from labpipe.protocol.values import SI_UNITS
+from labpipe.protocol.values import SI_UNITS, quantity_remedy, si_unit_like, unit_remedy
 from labpipe.records.declarations import STEPS
 from labpipe.results import KINDS
 from labpipe.units import parse_quantity, si_factor
@@ -327,7 +327,8 @@ def _unit_faults(channel: ChannelOutline) -> Iterator[Fault]:
         si_factor(str(unit), before)
     except ValueError:
         expected = f"a unit of {channel.quantity} such as {before}"
-        yield Fault(path, expected, repr(unit), "Correct it, or add a 'calibration'.")
+        remedy = f"{unit_remedy(str(unit), before)} Correct it, or add a 'calibration'.".lstrip()
+        yield Fault(path, expected, repr(unit), remedy)
         return
     if isinstance(calibration, dict):
         yield from _calibration_faults(channel, calibration, f"{target}/({before})")
@@ -365,7 +366,7 @@ def _calibration_faults(
         try:
             value = parse_quantity(text, unit)
         except ValueError:
-            remedy = f"Write it with its unit, such as '0.5 {such}'."
+            remedy = quantity_remedy(text, unit, f"0.5 {such}")
             yield Fault((*path, key), f"a quantity with a unit such as {such}", repr(text), remedy)
             continue
         if key == "gain" and value == 0.0:

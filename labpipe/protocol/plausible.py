@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from labpipe.errors import Fault, KeyPath, in_test_sheet
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.values import Text
+from labpipe.protocol.values import Text, quantity_remedy
 from labpipe.units import parse_quantity
 
 PLAUSIBLE: Final = MappingProxyType(
@@ -71,7 +71,7 @@ def range_faults(said: object, path: KeyPath, unit: str) -> Iterator[Fault]:
         try:
             ends.append(parse_quantity(text, unit))
         except ValueError:
-            remedy = f"Write it with its unit, such as '20 {unit}'."
+            remedy = quantity_remedy(text, unit, f"20 {unit}")
             yield Fault((*path, key), f"a quantity with a unit such as {unit}", repr(text), remedy)
     if len(ends) == 2 and not 0.0 <= ends[0] < ends[1]:
         expected = "'from' of at least zero, and 'to' above it"

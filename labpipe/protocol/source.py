@@ -15,10 +15,10 @@ from pydantic import (
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.plausible import PlausibleRange
 from labpipe.protocol.uncertainties import Certificate, standard_uncertainty
-from labpipe.protocol.values import SI_UNITS, Text, one_or_several
+from labpipe.protocol.values import SI_UNITS, Text, one_or_several, si_unit_like
 from labpipe.records.declarations import Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
-from labpipe.units import parse_quantity, si_factor
+from labpipe.units import parse_quantity
 
 Role = Literal["force", "markers", "frame"]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
@@ -215,19 +215,3 @@ class Source(Block):
         source = self.model_copy()
         source._role = role
         return source
-
-
-def si_unit_like(unit: str) -> str | None:
-    """Find the SI unit of the dimension of a unit; None if no quantity has it.
-
-    Parameters
-    ----------
-    unit : as written, such as ``mV``
-    """
-    for si_unit in SI_UNITS.values():
-        try:
-            si_factor(unit, si_unit)
-        except ValueError:
-            continue
-        return si_unit
-    return None

@@ -15,7 +15,7 @@ from pydantic.json_schema import JsonSchemaValue
 
 from labpipe.protocol.faults import error_of
 from labpipe.records.declarations import Quantity, Span, Whole, Word
-from labpipe.units import NotFiniteError, parse_quantity, si_factor
+from labpipe.units import DimensionError, NotFiniteError, parse_quantity, si_factor
 
 SI_UNITS: Final = MappingProxyType(
     {
@@ -43,8 +43,99 @@ SI_UNITS: Final = MappingProxyType(
 )
 """The quantities that protocols speak of, and the SI unit of each."""
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+_DIMENSIONS = MappingProxyType(
+    {si_unit: quantity for quantity, si_unit in SI_UNITS.items()}
+    | {"m": "length", "rad": "an angle or a ratio", "J": "energy or moment"}
+)
+"""Words for what a unit is of."""
+_PARTS = re.compile(r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)")
+"""A number, perhaps with signs between thousands or a decimal comma, and what follows it."""
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+_GROUPED = re.compile(
+    r"[-+]?[1-9]\d{0,2}([.,' \u2019\u00a0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)[.,]\d+)?"
+)
+_CORRECT = "Correct the number; is its unit right?"
 _PURE = re.compile(rf"\s*{_NUMBER}\s*(1|%|percent|ppm)?\s*")
+
+
+def number_remedy(number: str, unit: str = "") -> str:
+    """Say how to write a number that has signs between thousands or a decimal comma.
+
+    Parameters
+    ----------
+    number : as written, without its unit
+    unit : of the number
+
+    Returns
+    -------
+    What to do; empty for a number that has neither.
+    """
+    behind = f" {unit}".rstrip()
+    point = number.replace(",", ".")
+    is_decimal = _DECIMAL_COMMA.fullmatch(number) is not None
+    if re.fullmatch(_NUMBER, number) is None and (grouped := _GROUPED.fullmatch(number)):
+        whole = number.replace(grouped[1], "").replace(",", ".")
+        if is_decimal:
+            return f"Write {whole}{behind} or {point}{behind}, as meant."
+        return f"Write it without signs between thousands: {whole}{behind}."
+    return f"Write it with a decimal point: {point}{behind}." if is_decimal else ""
+
+
+def unit_remedy(unit: str, si_unit: str) -> str:
+    """Say what is wrong with a unit.
+
+    Parameters
+    ----------
+    unit : as written
+    si_unit : of the dimension that is wanted
+
+    Returns
+    -------
+    Its own dimension, or that it is unknown; empty for a unit of the dimension, and for none.
+    """
+    try:
+        si_factor(unit or si_unit, si_unit)
+    except DimensionError:
+        own = si_unit_like(unit)
+        if (own, si_unit) == ("kg", "N"):
+            return f"{unit} is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."
+        return f"{unit} is a unit of {_DIMENSIONS[own]}." if own else ""
+    except ValueError:
+        return f"labpipe knows no unit {unit!r}."
+    return ""
+
+
+def quantity_remedy(text: object, si_unit: str, example: str) -> str:
+    """Say how to write a quantity that `parse_quantity` refuses.
+
+    Parameters
+    ----------
+    text : as written
+    si_unit : of the dimension that is wanted
+    example : how a person writes one
+    """
+    parts = _PARTS.fullmatch(str(text).strip())
+    number, unit = parts.groups() if parts else ("", "")
+    if remedy := number_remedy(number, unit):
+        return remedy
+    return f"{unit_remedy(unit, si_unit)} Write it with its unit, such as {example!r}.".lstrip()
+
+
+def si_unit_like(unit: str) -> str | None:
+    """Find the SI unit of the dimension of a unit; None if no quantity has it.
+
+    Parameters
+    ----------
+    unit : as written, such as ``mV``
+    """
+    for si_unit in SI_UNITS.values():
+        try:
+            si_factor(unit, si_unit)
+        except ValueError:
+            continue
+        return si_unit
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +164,18 @@ class QuantityText:
         try:
             value = parse_quantity(text, self.of.unit)
         except NotFiniteError as error:
-            raise error_of(expected=f"a {self._meaning} {self._range}", found=text) from error
+            raise error_of(
+                expected=f"a {self._meaning} {self._range}", found=text, remedy=_CORRECT
+            ) from error
         except ValueError as error:
-            remedy = f"Write it with its unit, such as {self.of.example!r}."
+            remedy = quantity_remedy(text, self.of.unit, self.of.example)
             raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy) from error
         if self.of.unit == "1" and _PURE.fullmatch(str(text)) is None:  # an angle is no ratio
             remedy = f"Write it such as {self.of.example!r}."
             raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy)
         above = -math.inf if self.of.above is None else self.of.above
         if not (above < value and self.of.least <= value <= self.of.most):
-            raise error_of(expected=f"a {self._meaning} {self._range}", found=text)
+            raise error_of(expected=f"a {self._meaning} {self._range}", found=text, remedy=_CORRECT)
         return value
 
     def written(self, value: float) -> str:
@@ -188,7 +281,7 @@ def parse_span(text: object) -> Span:
         except ValueError:
             continue
         return Span("time" if kind == "time" else "travel", _SPANS[kind].parse(text))
-    raise error_of(expected=_SPAN_WORDS, found=text, remedy="Write it with its unit.")
+    raise error_of(expected=_SPAN_WORDS, found=text, remedy=quantity_remedy(text, "s", "0.1 s"))
 
 
 def written_span(span: Span) -> str:

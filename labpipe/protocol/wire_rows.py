@@ -16,6 +16,7 @@ from pydantic_core import CoreSchema, core_schema
 from labpipe.errors import Fault, nearest
 from labpipe.protocol.faults import error_of, faults_of, raised
 from labpipe.protocol.grammar import Block
+from labpipe.protocol.values import number_remedy
 from labpipe.records.wire import WireSpec
 
 Numbers = tuple[float, ...]
@@ -41,8 +42,7 @@ _UNITS = {
     "": ("", 1.0),
 }
 """How the name of a column ends, and the factor to SI, by the unit."""
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _NOT_IN_NAMES = re.compile(r'[\\/:*?"<>|\x00-\x1f]|^[. ]|[. ]$')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", flags=re.IGNORECASE)
@@ -100,8 +100,8 @@ class Column:
     def _number(self, part: str, cell: str) -> float:
         fits = _NUMBER.fullmatch(part) and self.least <= float(part) <= self.most
         if not fits or (self.whole and float(part) % 1.0):
-            remedy = _comma_remedy(part, alone=self.several and ";" not in cell)
-            remedy = remedy or "Correct the cell; is the unit right?"
+            remedy = _list_remedy(part) if self.several and ";" not in cell else ""
+            remedy = remedy or number_remedy(part) or "Correct the cell; is the unit right?"
             raise error_of(expected=self.allowed, found=cell, remedy=remedy)
         value = math.fmod(float(part), self.period)
         return int(value) if self.whole else value
@@ -114,17 +114,12 @@ class Column:
         return core_schema.no_info_plain_validator_function(self.parse)
 
 
-def _comma_remedy(part: str, *, alone: bool) -> str:
-    """What to do about a comma in a number; it may part numbers where no semicolon does."""
-    point, listed = part.replace(",", "."), ";".join(each.strip() for each in part.split(","))
-    if alone and _DECIMAL_COMMA.fullmatch(part):
-        return f"Separate numbers by ';': write {listed} for two, {point} for one."
-    if alone and "," in part:
-        return f"Separate them by ';': {listed}."
-    if _THOUSANDS.fullmatch(part):
-        whole = part.replace(",", "")
-        return f"Write {whole} or {point}, as meant." if part.count(",") == 1 else f"Write {whole}."
-    return f"Write it with a decimal point: {point}." if _DECIMAL_COMMA.fullmatch(part) else ""
+def _list_remedy(part: str) -> str:
+    """What to do about commas in a cell that may hold several numbers; empty for none."""
+    listed = ";".join(number.strip() for number in part.split(","))
+    if _DECIMAL_COMMA.fullmatch(part):
+        return f"Separate numbers by ';': write {listed} for two, {part.replace(',', '.')} for one."
+    return f"Separate them by ';': {listed}." if "," in part else ""
 
 
 def _name(value: object) -> str:

@@ -316,7 +316,11 @@ def test_a_file_that_is_not_there(lab: Path, say: Say) -> None:
 
     (message,) = say()
 
-    assert message.startswith(f"{FOLDER / 'take.csv'}: expected a file, found none of that name")
+    place, _, rest = message.partition(": expected ")
+    assert place.startswith(f"{FOLDER / 'test.yaml'}, line ")
+    assert place.endswith("(files.markers)")
+    assert rest.startswith("a file, found none of that name ('take.csv')")
+    assert "'force.mat'" in rest
 
 
 def test_a_file_of_another_format_than_the_protocol_says(lab: Path, say: Say) -> None:

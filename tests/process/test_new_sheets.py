@@ -275,7 +275,7 @@ def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path)
             "8 cm",
             "8 kg",
             "line 3, column 6 (length): expected a quantity with a unit such as mm, found '8 kg'."
-            " Write it with its unit, such as '53 mm'.",
+            " kg is a unit of mass. Write it with its unit, such as '53 mm'.",
         ),
         (
             "A2-2;wire-cantilever",

@@ -127,6 +127,12 @@ UNSAID = {
         " {value: ..., because: ...}' under 'overrides' in test.yaml, or give"
         f" '{KEY}.calibration'."
     ),
+    "kg": (
+        "a unit of the dimension of N, found 'kg'. kg is a unit of mass. To take its weight, write"
+        f" '{KEY}.unit: {{value: kg, because: ...}}' under 'overrides' in test.yaml and"
+        f" '{KEY}.calibration: {{value: {{gain: 9.80665 N/kg}}, because: ...}}' under 'overrides'"
+        " in test.yaml."
+    ),
 }
 
 

@@ -25,7 +25,7 @@ CASES = {
     "offset in another unit": (
         ("offset: 0 N", "offset: 0 V"),
         "p.yaml, line 8, column 42 (sources.force.calibration.offset): expected a quantity with a"
-        " unit such as N, found '0 V'. Write it with its unit, such as '0.5 N'.",
+        " unit such as N, found '0 V'. V is a unit of voltage. Write it with its unit, such as '0.5 N'.",
     ),
     "no unit of the channel": (
         ("    unit: V\n", ""),
@@ -48,7 +48,7 @@ CASES = {
     "unit of another dimension": (
         ("    calibration: {gain: 0.5 N/V, offset: 0 N, gain_uncertainty: 0.2 %}\n", ""),
         "p.yaml, line 7, column 11 (sources.force.unit): expected a unit of force such as N, found"
-        " 'V'. Correct it, or add a 'calibration'.",
+        " 'V'. V is a unit of voltage. Correct it, or add a 'calibration'.",
     ),
     "two ways at once": (
         ("    unit: V\n", "    unit: V\n    channels: {load: {channel: x, quantity: force}}\n"),
@@ -101,7 +101,7 @@ OF_TUBE = {
     "peak of another dimension": (
         (PEAK, "plausible_peak: {from: 20 N, to: 2 mm}"),
         "p.yaml, line 9, column 72 (sources.frame.channels.force.plausible_peak.to): expected a"
-        " quantity with a unit such as N, found '2 mm'. Write it with its unit, such as '20 N'.",
+        " quantity with a unit such as N, found '2 mm'. mm is a unit of length. Write it with its unit, such as '20 N'.",
     ),
     "peak the wrong way round": (
         (PEAK, "plausible_peak: {from: 2 kN, to: 20 N}"),

@@ -82,4 +82,4 @@ def test_a_newer_version_is_refused(tmp_path: Path) -> None:
 
 def test_a_scatter_that_forgot_its_percent(tmp_path: Path) -> None:
     said = told(tmp_path, "version: 1\nscatter: 3\n")
-    assert said.endswith("(also in % or ppm) from 0 % up, at most 50 %, found '3'.")
+    assert "(also in % or ppm) from 0 % up, at most 50 %, found '3'." in said

@@ -90,7 +90,7 @@ def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: f
             Length,
             "53 s",
             "expected a quantity with a unit such as mm, found '53 s'."
-            " Write it with its unit, such as '53 mm'.",
+            " s is a unit of time. Write it with its unit, such as '53 mm'.",
         ),
         (
             Length,
@@ -123,13 +123,13 @@ def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: f
             Compliance,
             "0.2 mm",
             "expected a quantity with a unit such as um/N, found '0.2 mm'."
-            " Write it with its unit, such as '0.2 um/N'.",
+            " mm is a unit of length. Write it with its unit, such as '0.2 um/N'.",
         ),
         (
             Span,
             "51",
             "expected a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or"
-            " '51 samples', found '51'. Write it with its unit.",
+            " '51 samples', found '51'. Write it with its unit, such as '0.1 s'.",
         ),
         (Span, "0 samples", "expected a span of at least 1 sample, found '0 samples'."),
         (
@@ -142,7 +142,39 @@ def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: f
     ],
 )
 def test_what_is_refused_is_told(kind: object, text: object, message: str) -> None:
-    assert _fault(kind, text) == message
+    assert _fault(kind, text).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "remedy"),
+    [
+        (Length, "12,5 mm", "Write it with a decimal point: 12.5 mm."),
+        (Length, "2,1 mm", "Write it with a decimal point: 2.1 mm."),
+        (Length, "-0,125 mm", "Write it with a decimal point: -0.125 mm."),
+        (Length, "1,000 mm", "Write 1000 mm or 1.000 mm, as meant."),
+        (Length, "1 000 mm", "without signs between thousands: 1000 mm."),
+        (Length, "1'000 mm", "without signs between thousands: 1000 mm."),
+        (Length, "1.000,5 mm", "without signs between thousands: 1000.5 mm."),
+        (Length, "1,000.5 mm", "without signs between thousands: 1000.5 mm."),
+        (Length, "1 000 000,25 mm", "without signs between thousands: 1000000.25 mm."),
+        (Length, "85", "Write it with its unit, such as '53 mm'."),
+        (Length, "85 kg", "kg is a unit of mass. Write it with its unit, such as '53 mm'."),
+        (Length, "85 MM", "labpipe knows no unit 'MM'."),
+        (Length, "20 1/m", "1/m is a unit of curvature."),
+        (Length, "0 mm", "Correct the number; is its unit right?"),
+        (Length, "-5 mm", "Correct the number; is its unit right?"),
+        (Force, "5 kg", "kg is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."),
+        (Force, "500 g", "g is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."),
+        (Mass, "5 N", "N is a unit of force."),
+        (Ratio, "0,5", "Write it with a decimal point: 0.5."),
+        (Ratio, "0,5 %", "Write it with a decimal point: 0.5 %."),
+        (Span, "0,1 s", "Write it with a decimal point: 0.1 s."),
+        (Span, "0,1 mm", "Write it with a decimal point: 0.1 mm."),
+        (Span, "1 kg", "kg is a unit of mass."),
+    ],
+)
+def test_a_remedy_of_what_was_written(kind: object, text: str, remedy: str) -> None:
+    assert remedy in _fault(kind, text)
 
 
 @pytest.mark.parametrize("text", ["three", "2.5", "1", "13", "", True, None, "0x3"])

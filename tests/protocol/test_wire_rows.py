@@ -138,7 +138,7 @@ def test_numbers_keep_their_unit_until_they_become_si() -> None:
         ("lay_angles_deg", "12;-15,5", "numbers from -80", "decimal point: -15.5."),
         ("length_mm", "1,6", "a number from 1", "decimal point: 1.6."),
         ("length_mm", "1,000", "a number from 1", "Write 1000 or 1.000, as meant."),
-        ("length_mm", "1,000,000", "a number from 1", "Write 1000000."),
+        ("length_mm", "1,000,000", "a number from 1", ": 1000000."),
         ("layer_counts", "1,6,12", "whole numbers from 1", "Separate them by ';': 1;6;12."),
         ("lay_angles_deg", "12,15", "numbers", "write 12;15 for two, 12.15 for one."),
     ],
