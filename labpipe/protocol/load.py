@@ -111,7 +111,7 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
 
 
 def is_there(path: Path) -> bool:
-    """Check whether there is a file or a folder of a name, which may be one that no system takes."""
+    """Check whether there is a file or a folder of a name, which the system may refuse."""
     try:
         return path.exists()
     except OSError:  # a name that is too long

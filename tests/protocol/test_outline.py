@@ -25,7 +25,8 @@ CASES = {
     "offset in another unit": (
         ("offset: 0 N", "offset: 0 V"),
         "p.yaml, line 8, column 42 (sources.force.calibration.offset): expected a quantity with a"
-        " unit such as N, found '0 V'. V is a unit of voltage. Write it with its unit, such as '0.5 N'.",
+        " unit such as N, found '0 V'. V is a unit of voltage."
+        " Write it with its unit, such as '0.5 N'.",
     ),
     "no unit of the channel": (
         ("    unit: V\n", ""),
@@ -101,7 +102,8 @@ OF_TUBE = {
     "peak of another dimension": (
         (PEAK, "plausible_peak: {from: 20 N, to: 2 mm}"),
         "p.yaml, line 9, column 72 (sources.frame.channels.force.plausible_peak.to): expected a"
-        " quantity with a unit such as N, found '2 mm'. mm is a unit of length. Write it with its unit, such as '20 N'.",
+        " quantity with a unit such as N, found '2 mm'. mm is a unit of length."
+        " Write it with its unit, such as '20 N'.",
     ),
     "peak the wrong way round": (
         (PEAK, "plausible_peak: {from: 2 kN, to: 20 N}"),

@@ -217,7 +217,8 @@ OVERRIDES = {
     "wrong unit": (
         "sources.force.calibration.gain: {value: 0.0411 N, because: x}",
         "test/test.yaml, line 7, column 43 (sources.force.calibration.gain): expected a quantity"
-        " with a unit such as N/V, found '0.0411 N'. N is a unit of force. Write it with its unit, such as '0.5 N/V'.",
+        " with a unit such as N/V, found '0.0411 N'. N is a unit of force."
+        " Write it with its unit, such as '0.5 N/V'.",
     ),
     "unknown key": (
         "rig.strok: {value: 3 mm, because: x}",

@@ -161,7 +161,8 @@ OF_TUBE = {
     "compliance": (
         ("value: 0.2 um/N", "value: 0.2 um"),
         "p.yaml, line 18, column 23 (curve.compliance.value): expected a quantity with a unit such"
-        " as um/N, found '0.2 um'. um is a unit of length. Write it with its unit, such as '0.2 um/N'.",
+        " as um/N, found '0.2 um'. um is a unit of length."
+        " Write it with its unit, such as '0.2 um/N'.",
     ),
     "area": (
         ("area: rectangle", "area: rectangel"),

@@ -4,7 +4,8 @@ import pytest
 
 from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.source import MARKER_READERS, READERS, si_unit_like
+from labpipe.protocol.source import MARKER_READERS, READERS
+from labpipe.protocol.values import si_unit_like
 
 
 def _protocol(sources: str) -> Protocol:
