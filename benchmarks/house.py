@@ -199,7 +199,7 @@ def faults(found: dict[str, int], table: dict[str, Any], changelog: str) -> list
 
 
 def lowered(found: dict[str, int], table: dict[str, Any]) -> str:
-    """The table with what has shrunk, as text; lines that are not measured any more are left out."""
+    """The table with what has shrunk, as text; what is not measured any more is left out."""
     text = ["# Written by: python -m benchmarks.house --lower\n"]
     for name, number in found.items():
         line = table.get(name, number)
