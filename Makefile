@@ -27,16 +27,18 @@ docs: .venv/.docs-ready  ## the documentation as a site, in build/site: its exam
 notebooks: .venv/.ready  ## run the notebooks of the documentation and keep their output
 	$(BIN)/python -m tests.notebooks
 
-golden: .venv/.ready  ## numbers of the full demo and of real exports against those kept (PROCESSED=processed/demo: made just now)
-	$(BIN)/python -m tests.golden $(if $(PROCESSED),--processed $(PROCESSED))
+golden: .venv/.ready  ## numbers of the full demo and of real exports against those kept (PROCESSED=processed/demo: made just now; NAMES=real: of these alone)
+	$(BIN)/python -m tests.golden $(if $(PROCESSED),--processed $(PROCESSED)) $(NAMES)
 
 # The matrices are small: more than one thread of BLAS only waits for the others.
 golden test test-slow coverage: export OPENBLAS_NUM_THREADS = 1
 
-test: .venv/.ready  ## everything but the slow studies
+test: .venv/.ready  ## all but what takes long: four minutes on two cores
 	$(BIN)/python -m pytest -n 2
 
-test-slow: .venv/.ready  ## coverage of the intervals over many seeded runs, long fuzzing
+test-slow: .venv/.ready  ## all that takes long: before anything is called done
+	$(BIN)/labpipe demo --full
+	$(BIN)/python -m tests.golden --processed processed/demo
 	$(BIN)/python -m pytest -n 2 -m slow
 
 coverage: .venv/.ready  ## how often intervals hold: goes on where it stopped, for 50 minutes (MINUTES=10: less)
