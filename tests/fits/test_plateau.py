@@ -42,6 +42,20 @@ def test_smooth_curve_without_noise() -> None:
     assert len(tangents.last) == np.count_nonzero(start <= D)
 
 
+def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
+    """Speed by time at even rates: every 25 th sample lies on an end, within its last bits."""
+    even = np.arange(1001) * 5e-5
+    signs = np.random.default_rng(2).choice([-1.0, 1.0], len(even))
+    force = 10.0 * (1.0 - np.exp(-even / SCALE))
+    found = []
+    for each in (even, even * (1.0 + 2e-16 * signs), even * (1.0 - 2e-16 * signs)):
+        tangents = Tangents.of(each, force, over=OVER)
+        assert isinstance(tangents, Tangents)
+        place, level = tangents.onset(force, np.array(INITIAL), slope_below=0.1)
+        found.append([float(tangents.slope_at_end(force)), float(place), float(level)])
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-10)
+
+
 def test_a_kink_is_near_and_late() -> None:
     force = np.where(D < 0.03, 400.0 * D - 5000.0 * D**2, 7.5 + 8.0 * (D - 0.03))
     place, _ = onset(force, 400.0)

@@ -30,8 +30,9 @@ def noise(seed: int, *shape: int, deviation: float = 0.02) -> Floats:
 
 def parabola(d: Floats, f: Floats, at: float, over: float) -> tuple[float, float]:
     """Slope and level at a place of the parabola over a stretch around it."""
-    inside = np.abs(d - at) <= 0.5 * over * (1.0 + 1e-9)
-    inside[np.argmax(d > at + 0.5 * over)] |= at + 0.5 * over < d[-1]  # the sample that is beyond
+    half = 0.5 * over * (1.0 + 1e-9)
+    inside = np.abs(d - at) <= half
+    inside[np.argmax(d > at + half)] |= at + half < d[-1]  # the sample that is beyond
     fit = np.polyfit(d[inside] - at, f[inside], 2)
     return float(fit[1]), float(fit[2])
 

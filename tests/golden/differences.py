@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import inf
@@ -22,14 +21,6 @@ best instrument of the lab resolves (1 um, 1 mN, 10 us) and what follows from it
 """
 FLOOR = 1e-11
 """Of pure numbers, and of every unit that is not named above."""
-ON_EDGE = re.compile(r"CWB-\w+-3 (end_slope|plateau_displacement|plateau_force)")
-"""Tests and results that a rounding moves by a sample.
-
-The displacement of these tests is speed by time: windows end on a sample, which the vector
-instructions of another processor, or another order of a sum, put in or leave out.
-"""
-EDGE = 2.5e-3
-"""Relative: one of 500 samples, and what it does to a slope."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +72,4 @@ def same(old: str, new: str, row: Row) -> bool:
         return False
     before, after = float(old), float(new)
     relative = RELATIVE if row.kind == "result" else OF_FITS
-    if ON_EDGE.fullmatch(f"{row.test} {row.name}"):
-        relative = EDGE
     return abs(after - before) <= relative * abs(before) + FLOORS.get(row.unit, FLOOR)
