@@ -1,8 +1,7 @@
 """What is kept of reports, of a calibration and of wire models: one row for each number or array.
 
 An array is kept as its mean, least and largest number, and their count. Words are left out, but for
-verdicts. So are numbers that hang on a rounding: in groups of harnesses those of `ON_EDGE`, which
-the rows of the tests guard, and singular values of friction factors that cannot be told apart.
+verdicts. So are singular values of friction factors that cannot be told apart: those are rounding.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from labpipe.cli import main
 from tests.golden.rows import Row
 
 Entry = Mapping[str, Any]
-ON_EDGE = ("end_slope", "plateau_displacement", "plateau_force")
 LEFT_OUT = {"schema", "friction_separability"}
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"
 
@@ -54,7 +52,7 @@ def _curve(name: str, entries: Sequence[Entry]) -> Iterator[Row]:
 
 
 def _group(campaign: str, entry: Entry) -> Iterator[Row]:
-    if entry["over"] != "all" or _is_on_edge(campaign, entry):
+    if entry["over"] != "all":
         return
     where = (f"{campaign} {entry['group']}", "group", entry["result"])
     yield _number(*where, entry, "mean", n=entry["n"])
@@ -62,16 +60,10 @@ def _group(campaign: str, entry: Entry) -> Iterator[Row]:
 
 
 def _difference(campaign: str, entry: Entry) -> Iterator[Row]:
-    if _is_on_edge(campaign, entry):
-        return
     pair = f"{campaign} {entry['first']} {entry['second']}"
     where = (pair, "difference", entry["result"])
     yield _number(*where, entry, "second minus first", status=str(entry["verdict"]))
     yield from _more(*where, entry, {"equivalent, p": "p"})
-
-
-def _is_on_edge(campaign: str, entry: Entry) -> bool:
-    return campaign == "harness" and entry["result"] in ON_EDGE
 
 
 def _bundle(campaign: str, entry: Entry) -> Iterator[Row]:

@@ -43,14 +43,6 @@ def test_a_bound_at_zero_has_a_floor() -> None:
     assert differences([replace(ROW, lower="0.0")], [replace(ROW, lower="1e-9")])
 
 
-def test_a_sample_more_or_less_on_an_edge() -> None:
-    edge = replace(ROW, test="CWB-2a-3", name="end_slope", n="500")
-    assert not differences([edge], [replace(edge, n="501", value="3.501")])
-    other = replace(edge, test="CWB-2a-2")
-    assert len(differences([other], [replace(other, n="501", value="3.501")])) == 2
-    assert differences([edge], [replace(edge, value="3.52")])
-
-
 def test_results_that_are_gone_and_new() -> None:
     other = replace(ROW, name="peak_force.2")
     gone, new = differences([ROW], [other])
