@@ -148,16 +148,16 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     K_j 1. As exact as the path is straight: a path that turns wants steps.
     """
     bent = curvature[:, None, :] - rests
-    size = np.linalg.norm(bent, axis=2)
+    size = np.sqrt(np.vecdot(bent, bent))
     is_sliding = size > law.slip_curvatures
     size = np.where(is_sliding, size, 1.0)
     shrunk = np.where(is_sliding, law.slip_curvatures / size, 1.0)
     held = bent * shrunk[..., None]
-    moment = law.stiffness * curvature + np.einsum("j,njx->nx", law.stiffnesses, held)
+    moment = law.stiffness * curvature + law.stiffnesses @ held
     along = np.where(is_sliding, 1.0 / size, 0.0)[..., None] * bent
-    across = np.eye(2) - along[..., :, None] * along[..., None, :]
-    stiffness = np.einsum("j,nj,njxy->nxy", law.stiffnesses, shrunk, across)
-    stiffness += law.stiffness * np.eye(2)
+    weights = law.stiffnesses * shrunk
+    stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
+    stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
     return SliderResponse(moment, stiffness, curvature[:, None, :] - held)
 
 

@@ -203,6 +203,10 @@ class Assembly:
         self.drag = self._drag_of(force)
         self.pattern = self._pattern()
         self.band = Band(*self.pattern, self._scale(), self._fixed())
+        p = self.places
+        self._at_positions, self._at_turns, self._at_forces = map(
+            _spread, (p.positions, p.turns, p.forces)
+        )
         ones = np.ones(3 * self.n)
         give = np.repeat(-_LEAST_GIVE / force * line.lengths, 3)
         self._constants = np.concatenate([-ones, ones, -ones, ones, give])
@@ -236,13 +240,13 @@ class Assembly:
         gaps = np.diff(shape.positions, axis=0) - lengths[:, None] * way.along
         stretch, by_stretch = self._stretching(shape, way, cells)
         residual = np.empty(p.total)
-        residual[_spread(p.positions)] = places.ravel()
+        residual[self._at_positions] = places.ravel()
         residual[p.stretches] = stretch
-        residual[_spread(p.turns)] = turns.ravel()
-        residual[_spread(p.forces)] = gaps.ravel()
+        residual[self._at_turns] = turns.ravel()
+        residual[self._at_forces] = gaps.ravel()
         drags = _LEAST_DRAG if drag is None else _OF_MOVING * drag.size
-        by_turn[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[_spread(p.turns)].reshape(-1, 3)
-        by_place[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[_spread(p.positions)].reshape(-1, 3)
+        by_turn[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[self._at_turns].reshape(-1, 3)
+        by_place[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[self._at_positions].reshape(-1, 3)
         if drag is not None:
             residual += drags * self.drag * self.moved(drag.shape, shape)
         first = np.concatenate(
@@ -280,20 +284,20 @@ class Assembly:
         """Changes of the unknowns from one shape to another, forces left out."""
         p = self.places
         out = np.zeros(p.total)
-        out[_spread(p.positions)] = (behind.positions - before.positions).ravel()
+        out[self._at_positions] = (behind.positions - before.positions).ravel()
         turned = rotation_vectors(multiply(conjugate(before.frames), behind.frames))
-        out[_spread(p.turns)] = turned.ravel()
+        out[self._at_turns] = turned.ravel()
         return out
 
     def changed(self, shape: Shape, change: Floats) -> Shape:
         """Add a change of the unknowns to a shape."""
         p = self.places
-        turns = change[_spread(p.turns)].reshape(-1, 3)
+        turns = change[self._at_turns].reshape(-1, 3)
         return Shape(
-            shape.positions + change[_spread(p.positions)].reshape(-1, 3),
+            shape.positions + change[self._at_positions].reshape(-1, 3),
             unit(multiply(shape.frames, from_rotation_vectors(turns))),
             shape.stretches + change[p.stretches],
-            shape.forces + change[_spread(p.forces)].reshape(-1, 3),
+            shape.forces + change[self._at_forces].reshape(-1, 3),
         )
 
     def right_side(
@@ -317,10 +321,10 @@ class Assembly:
             self._push(right, s.behind, s.before, across, clamps)
             self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamps)
             row, clamp = s.lent.T
-            turns = np.einsum("nxy,ny->nx", matrices(demands.clamps), clamps)
+            turns = np.matvec(matrices(demands.clamps), clamps)
             tilted = np.zeros((len(s.ends), 3))
             np.add.at(tilted, row, cross(turns[clamp], lent_directions(s, demands.clamps)))
-            change = np.einsum("nxy,ny->nx", balance.directions.by_clamp, tilted)
+            change = np.matvec(balance.directions.by_clamp, tilted)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
             right[_spread(p.forces[s.ends])] += (lengths[:, None] * change).ravel()
         return right
@@ -330,7 +334,7 @@ class Assembly:
     ) -> None:
         """Take off what turning clamps do to the elements that their cells join them to."""
         at = np.flatnonzero(others < 0)
-        push = np.einsum("nxy,ny->nx", across[at], clamps[-1 - others[at]])
+        push = np.matvec(across[at], clamps[-1 - others[at]])
         np.subtract.at(right, _spread(self.places.turns[elements[at]]), push.ravel())
 
     def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
@@ -342,7 +346,7 @@ class Assembly:
         for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
             at = np.flatnonzero(elements < 0)
             clamp = -1 - elements[at]
-            np.add.at(moments, clamp, np.einsum("nxy,ny->nx", turned[clamp], feel[at]))
+            np.add.at(moments, clamp, np.matvec(turned[clamp], feel[at]))
         return balance.residual[at_places].reshape(-1, 3), moments
 
     def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
@@ -381,7 +385,7 @@ class Assembly:
     ) -> tuple[Floats, Floats]:
         """Residuals of the turns, and the tangents of each by itself."""
         s, (free_a, free_b) = self.supports, self._free
-        pushed = np.einsum("nkx,nk->nx", turned, demands.moments)
+        pushed = np.vecmat(demands.moments, turned)
         residual = way.pull - pushed
         tangent = way.stiff - 0.5 * skew(pushed)
         # no element stands twice on the same side of a cell, so that plain indices do
@@ -444,7 +448,7 @@ class Assembly:
             return np.zeros(self.n), (np.zeros(self.n), none, none)
         stiffness = self.line.section.axial_stiffness * lengths
         residual = stiffness * shape.stretches
-        residual -= lengths * np.einsum("nk,nk->n", shape.forces, way.along)
+        residual -= lengths * np.vecdot(shape.forces, way.along)
         if self._is_coupled:
             for side, free in enumerate(self._free):
                 at = self._sides[free, side]

@@ -100,7 +100,7 @@ def bend_cells(
         resists = drag[0] * three / lengths[:, None]
         moments += resists * (psi - drag[1])
         stiffness += resists[:, :, None] * _EYE
-    first, second = tangent_factors(np.sqrt(np.einsum("nk,nk->n", psi, psi)))
+    first, second = tangent_factors(np.sqrt(np.vecdot(psi, psi)))
     tangents, bent = _tangents(psi, moments, first, second)
     turned = np.swapaxes(tangents, 1, 2)
     half = 0.5 * skew(moments)
@@ -132,9 +132,9 @@ def _tangents(psi: Floats, moments: Floats, first: Floats, second: Floats) -> tu
     """A, and the derivative by psi of c psi x (psi x m)."""
     c = first[:, None, None]
     outer = psi[:, :, None] * psi[:, None, :]
-    square = np.einsum("nk,nk->n", psi, psi)[:, None, None]
+    square = np.vecdot(psi, psi)[:, None, None]
     tangents = _EYE + 0.5 * skew(psi) + c * (outer - square * _EYE)
-    along = np.einsum("nk,nk->n", psi, moments)[:, None, None]
+    along = np.vecdot(psi, moments)[:, None, None]
     mixed = psi[:, :, None] * moments[:, None, :]
     twice = cross(psi, cross(psi, moments))
     bent = c * (along * _EYE + mixed - 2.0 * np.swapaxes(mixed, 1, 2))

@@ -54,7 +54,7 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
     along = frames[:, :, 2].copy()
     by_turn = np.zeros_like(frames)
     by_turn[:, :, 0], by_turn[:, :, 1] = -frames[:, :, 1], frames[:, :, 0]
-    stiff = _bend(np.einsum("nkx,nk->nx", frames, pulls))
+    stiff = _bend(np.vecmat(pulls, frames))
     by_clamp = np.zeros((len(supports.ends), 3, 3))
     lent_moments = np.zeros_like(lent)
     if len(supports.ends):
@@ -66,18 +66,18 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
         along[at] = mixed / size
         flat = (_EYE - along[at, :, None] * along[at, None, :]) / size[:, :, None]
         g = pulls[at]
-        p = np.einsum("nxy,ny->nx", flat, g)
+        p = np.matvec(flat, g)
         second = along[at, :, None] * p[:, None, :]
         second = second + np.swapaxes(second, 1, 2)
-        second += np.einsum("nk,nk->n", g, along[at])[:, None, None] * flat
+        second += np.vecdot(g, along[at])[:, None, None] * flat
         second /= size[:, :, None]
         turn = own * by_turn[at]
-        stiff[at] = own * _bend(np.einsum("nkx,nk->nx", frames[at], p))
+        stiff[at] = own * _bend(np.vecmat(p, frames[at]))
         stiff[at] += np.swapaxes(turn, 1, 2) @ second @ turn
         by_turn[at] = flat @ turn
         by_clamp = flat
         lent_moments = -cross(lent, p[row])
-    pull = -np.einsum("nkx,nk->nx", by_turn, pulls)
+    pull = -np.vecmat(pulls, by_turn)
     return Directions(along, by_turn, pull, stiff, by_clamp, lent_moments)
 
 

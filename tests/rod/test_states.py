@@ -82,6 +82,6 @@ def test_both_sides_of_a_clamp_are_carried_on_to_it() -> None:
     state = walked(line, [held, *loads], 1).last
     inner = state.node_curvatures[5, :, :2]
     next_ones, after = state.curvatures[[4, 6], 0, :2], state.curvatures[[3, 7], 0, :2]
-    np.testing.assert_allclose(inner, 2.0 * next_ones - after, rtol=1e-6)
+    np.testing.assert_allclose(inner, 2.0 * next_ones - after, rtol=1e-6, atol=1e-12)
     others = np.delete(np.arange(11), 5)
     np.testing.assert_array_equal(state.node_curvatures[others], state.curvatures[others])
