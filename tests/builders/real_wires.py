@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from tests.builders.hung_wires import GRAVITY, HungElastica
-from tests.builders.twisted_loops import TwistedLoop
+from tests.judges.hung_wires import GRAVITY, HungElastica
 from tests.judges.rod_fits import Estimate, Hang, HangFit, mean_stiffness
+from tests.judges.twisted_loops import TwistedLoop
 
 LENGTH = 1.5
 """m, between the clamps."""

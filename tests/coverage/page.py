@@ -12,7 +12,7 @@ import numpy as np
 from tests.coverage.judgement import Count, Verdict, counted, holds, is_empty, judged, pooled
 from tests.coverage.rests_on import ROOT
 from tests.coverage.study import KINDS, SEEDS, Kind, Line, rests_on
-from tests.foreign.noise import KINDS as NOISES
+from tests.judges.foreign.noise import KINDS as NOISES
 
 PAGE = ROOT / "docs" / "explanations" / "coverage.md"
 BEGIN, END = "<!-- counted: begin -->", "<!-- counted: end -->"

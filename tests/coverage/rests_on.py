@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("labpipe", "tests")
 PIPELINE = ("labpipe.process.reading", "labpipe.process.story", "labpipe.protocol.load")
 SIMULATORS = {
-    "foreign": ("tests.foreign.cameras", "tests.foreign.frames"),
+    "foreign": ("tests.judges.foreign.cameras", "tests.judges.foreign.frames"),
     "lab": ("tests.coverage.lab",),
 }
 LENGTH = 12

@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 
 from tests.coverage import lab
 from tests.coverage.rests_on import ROOT, digest, together
-from tests.foreign import processed as foreign
+from tests.judges.foreign import processed as foreign
 
 KEPT = ROOT / "tests" / "coverage" / "kept"
 """Lines of studies that are not whole, compressed."""

@@ -39,7 +39,11 @@ def test_modules_on_the_way_to_results() -> None:
 
 def test_modules_of_the_simulators() -> None:
     foreign, lab = (modules(*starts) for starts in SIMULATORS.values())
-    assert {"tests.foreign.bends", "tests.foreign.noise", "tests.foreign.definitions"} <= foreign
+    assert {
+        "tests.judges.foreign.bends",
+        "tests.judges.foreign.noise",
+        "tests.judges.foreign.definitions",
+    } <= foreign
     assert not [name for name in foreign if name.startswith("labpipe")]
     assert {"labpipe.virtual_lab.recorders", "tests.coverage.lab_bending"} <= lab
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.coverage import lab, study
 from tests.coverage.study import KINDS, Kind, append, carry_on, missing, one, read
-from tests.foreign.processed import chance_of
+from tests.judges.foreign.processed import chance_of
 
 BAR = Kind("foreign", "stiff-bar")
 

@@ -2,8 +2,8 @@
 
 Three samples of one wire on one length, 272 points to 50 mm, each with its own factor on the force
 and white noise, read by one load cell. The wire has weight and is bent either by the second
-simulator (`tests.foreign.wire_section`, which shares no code with the package) or by the package's
-own path station by station, which shares the law of the wire with the calibration.
+simulator (`tests.judges.foreign.wire_section`, which shares no code with the package) or by the
+package's own path station by station, which shares the law of the wire with the calibration.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from labpipe.wire.cantilever import StringRig, bend_to_travel, straight
 from labpipe.wire.cross_section import Insulation, compressed, hexagonal, lay_up
 from labpipe.wire.friction import insulated
 from labpipe.wire.materials import ANNEALED_COPPER
-from tests.foreign import wire_section as foreign
+from tests.judges.foreign import wire_section as foreign
 
 SAMPLES, POINTS, DEEPEST = 3, 272, 0.05
 SCATTER, GAIN = 0.03, 0.005

@@ -16,8 +16,8 @@ from labpipe.law.plays import PlayLaw
 from labpipe.law.sliders import fit_sliders, slider_moment
 from labpipe.records.arrays import Floats
 from labpipe.wire.end_load_path import end_load_path
-from tests.builders.mujoco_chains import tips
 from tests.decks.test_mujoco_sliders import LENGTH, example
+from tests.judges.mujoco_chains import tips
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"

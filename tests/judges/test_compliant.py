@@ -12,8 +12,8 @@ from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
 from labpipe.rod.line import Line, Section, line_along, straight_line
-from tests.builders.lifted_chains import LiftedChain
 from tests.judges.compliant import CompliantPath, CompliantSettings, compliant_path
+from tests.judges.lifted_chains import LiftedChain
 
 ELEMENTS = 20
 ELASTIC = Section(linear_moment_law(1.0, 100.0), 0.8, mass_per_length=1.0)

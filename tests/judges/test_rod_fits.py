@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from tests.builders.hung_wires import GRAVITY, HungElastica
 from tests.builders.real_wires import hang_of
+from tests.judges.hung_wires import GRAVITY, HungElastica
 from tests.judges.rod_fits import Estimate, Hang, HangFit, fit_hang, hung, mean_stiffness
 
 MASS = 0.02

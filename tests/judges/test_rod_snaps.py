@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.builders.hung_wires import GRAVITY, HungElastica
 from tests.builders.real_wires import hang_of, snap_by_loop
+from tests.judges.hung_wires import GRAVITY, HungElastica
 from tests.judges.rod_fits import Estimate, Hang
 from tests.judges.rod_snaps import fit_torsion, snap_turn
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.foreign import wire_section as foreign
+from tests.judges.foreign import wire_section as foreign
 
 Numbers = NDArray[np.float64]
 

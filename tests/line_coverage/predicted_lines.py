@@ -30,7 +30,7 @@ from labpipe.wire.law_family import (
 )
 from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import build, mass_per_length
-from tests.foreign import wire_section as foreign
+from tests.judges.foreign import wire_section as foreign
 from tests.line_coverage.drawn_lines import (
     FREEDOM,
     SPREAD,

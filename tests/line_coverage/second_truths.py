@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.rod.boundaries import EARTH
 from labpipe.rod.rotations import frame_from_axes, matrices
-from tests.foreign import wire_section as foreign
+from tests.judges.foreign import wire_section as foreign
 from tests.line_coverage.drawn_lines import (
     FIRST_SEED,
     KINDS,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_bvp
 
-from tests.foreign.planar_rod import Stops
+from tests.judges.foreign.planar_rod import Stops
 
 Numbers = NDArray[np.float64]
 _STATIONS, _MOST = 121, 20_000

@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from labpipe.law.sliders import SliderLaw
 from tests.coverage.study import append
-from tests.foreign import wire_section as foreign
+from tests.judges.foreign import wire_section as foreign
 from tests.line_coverage import predicted_lines
 from tests.line_coverage.drawn_bands import compared, drawing, table
 from tests.line_coverage.drawn_lines import FIRST_SEED, KINDS, NODES, WIRES, Way, draw, wire_drawn

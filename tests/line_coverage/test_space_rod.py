@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.foreign.planar_rod import PlanarRod, Stops
+from tests.judges.foreign.planar_rod import PlanarRod, Stops
 from tests.line_coverage.drawn_lines import FIRST_SEED, KINDS, draw
 from tests.line_coverage.predicted_lines import nominal_torsion
 from tests.line_coverage.second_truths import second_truth, table

@@ -18,8 +18,8 @@ from labpipe.rod.line import Line, Section, straight_line
 from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
 from labpipe.rod.statics import follow
-from tests.foreign import wire_section as foreign
-from tests.foreign.planar_rod import PlanarRod, Stops, stops_through
+from tests.judges.foreign import wire_section as foreign
+from tests.judges.foreign.planar_rod import PlanarRod, Stops, stops_through
 from tests.line_coverage.drawn_lines import (
     LAYING,
     LOADING,

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from labpipe.markers.specimen_shape import EXACT, Offsets, ShapeFit, deflection, fit_shape
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
-from tests.builders.bent_wires import (
+from tests.judges.bent_wires import (
     CENTRE_OFFSET,
     LAWS,
     LENGTH,

@@ -9,9 +9,9 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from tests.builders.real_wires import RealWire, by_elastica, elastica_of, mean_hang
-from tests.builders.twisted_loops import TwistedLoop
 from tests.judges.rod_fits import Estimate, Hang, HangFit, fit_hang, mean_of
 from tests.judges.rod_snaps import fit_torsion
+from tests.judges.twisted_loops import TwistedLoop
 
 _PIECES = 90
 """Of the loop that is drawn."""

@@ -21,7 +21,9 @@ from labpipe.law.sliders import as_plays
 from labpipe.law.table_sliders import sliders_of
 from labpipe.records.arrays import Floats
 from labpipe.wire.end_load_path import end_load_path
-from tests.builders.judged_rods import (
+from tests.builders.wire_tables import LENGTH, wire_table
+from tests.judges.compliant import CompliantSettings, compliant_path
+from tests.judges.judged_rods import (
     bend_error,
     bend_path,
     buckled_column_error,
@@ -36,11 +38,9 @@ from tests.builders.judged_rods import (
     twisted_ring,
     twisted_rod,
 )
-from tests.builders.lifted_chains import LiftedChain, lifted_half
-from tests.builders.mujoco_chains import tips
-from tests.builders.rod_references import bend_of_45_degrees
-from tests.builders.wire_tables import LENGTH, wire_table
-from tests.judges.compliant import CompliantSettings, compliant_path
+from tests.judges.lifted_chains import LiftedChain, lifted_half
+from tests.judges.mujoco_chains import tips
+from tests.judges.rod_references import bend_of_45_degrees
 from tests.validation.test_rod_mujoco import rod_tips
 
 ROOT = Path(__file__).resolve().parents[2]

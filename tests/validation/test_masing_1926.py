@@ -22,9 +22,9 @@ from labpipe.wire.cross_section import CrossSection, Layer, concentric
 from labpipe.wire.friction import Contacts
 from labpipe.wire.materials import ElasticPerfectlyPlastic
 from labpipe.wire.strand_bending import LAMINAE
-from tests.builders.bending_history import bend_along
 from tests.builders.stranded_wires import contacts_of as usual_contacts
 from tests.builders.stranded_wires import wire
+from tests.judges.bending_history import bend_along
 
 NAMES = st.sampled_from(["A1", "A2", "A3", "C4"])
 TURNS = st.lists(st.floats(-30.0, 30.0), min_size=1, max_size=5)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.builders.judged_rods import bend_tip
+from tests.judges.judged_rods import bend_tip
 
 LOAD = 600.0
 TORSION = 0.140577

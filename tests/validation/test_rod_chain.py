@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from tests.builders.lifted_chains import LiftedChain, lifted_half
+from tests.judges.lifted_chains import LiftedChain, lifted_half
 
 
 def shape_of(chain: LiftedChain, elements: int) -> Floats:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from benchmarks.cosserat_suite import STEPS, LabpipeRod
-from tests.builders.rod_references import critical_torque
+from tests.judges.rod_references import critical_torque
 
 pytest.importorskip("cosseratbench", reason="cosseratbench is not installed")
 

@@ -15,9 +15,9 @@ from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Load
 from labpipe.rod.line import Section, straight_line
 from labpipe.rod.statics import follow
-from tests.builders.judged_rods import clamped
-from tests.builders.mujoco_chains import tips
 from tests.builders.wire_tables import LENGTH, wire_table
+from tests.judges.judged_rods import clamped
+from tests.judges.mujoco_chains import tips
 
 ELEMENTS = 60
 PARTS = 5

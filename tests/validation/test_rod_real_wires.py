@@ -17,7 +17,6 @@ from scipy.optimize import brentq
 from labpipe.records.arrays import Floats
 from tests.builders.arm_poses import POSES, distances, posed
 from tests.builders.arm_poses import seen as seen_poses
-from tests.builders.hung_wires import HungElastica
 from tests.builders.real_wires import (
     BLACK,
     WHITE,
@@ -26,7 +25,7 @@ from tests.builders.real_wires import (
     mean_hang,
     snap_by_loop,
 )
-from tests.builders.twisted_loops import TwistedLoop
+from tests.judges.hung_wires import HungElastica
 from tests.judges.rod_fits import (
     Estimate,
     Hang,
@@ -35,6 +34,7 @@ from tests.judges.rod_fits import (
     mean_of,
 )
 from tests.judges.rod_snaps import fit_torsion, snap_turn
+from tests.judges.twisted_loops import TwistedLoop
 
 LOOP = HungElastica(1.5, 0.17, 0.8e-4, (-0.123, 0.002))
 

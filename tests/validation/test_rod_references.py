@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.builders.rod_references import (
+from tests.judges.rod_references import (
     Kirchhoff,
     bend_of_45_degrees,
     buckled_column,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.law.sliders import SliderLaw
-from tests.builders.judged_rods import (
+from tests.judges.judged_rods import (
     arch_path,
     bend_error,
     buckled_column_error,
@@ -19,7 +19,7 @@ from tests.builders.judged_rods import (
     posed_rod_error,
     pressed_column_path,
 )
-from tests.builders.rod_references import pressed_column
+from tests.judges.rod_references import pressed_column
 
 
 def quarter(error: float) -> object:

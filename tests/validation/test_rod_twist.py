@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.builders.judged_rods import (
+from tests.judges.judged_rods import (
     STRETCH,
     moment_that_buckles,
     off_plane,

@@ -12,7 +12,7 @@ from labpipe.records.wire_calibration import PARAMETERS
 from labpipe.virtual_lab.specimens import WIRES, StrandedWire
 from labpipe.wire.bending_law import moment_curvature, stick_stiffness
 from labpipe.wire.materials import ANNEALED_COPPER
-from tests.builders.bending_history import bend_along
+from tests.judges.bending_history import bend_along
 
 EVERY = pytest.mark.parametrize("wire", WIRES.values(), ids=WIRES)
 

@@ -19,8 +19,8 @@ from labpipe.wire.materials import (
     RambergOsgood,
     StressTable,
 )
-from tests.builders.bending_history import bend_along
 from tests.builders.stranded_wires import contacts_of, wire
+from tests.judges.bending_history import bend_along
 
 
 @pytest.mark.parametrize("name", ["A2", "A3", "C4"])

@@ -1,0 +1,227 @@
+"""The machines: chance, load frames, a clamp on its way, clocks that differ, what goes wrong."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.judges.foreign.noise import drifted, noisy, wander
+from tests.judges.foreign.pulls import Specimen
+from tests.judges.foreign.stated import scale, stated, zero_drift
+
+Array = NDArray[np.float64]
+
+FRAME_FAULTS = ("counts-down", "begins-under-load", "cut")
+PULL_FAULTS = (*FRAME_FAULTS, "slip")
+RECORDER_FAULTS = ("begins-under-load", "cut")
+CAMERA_FAULTS = ("begins-under-load", "cut", "short-rest")
+
+
+@dataclass(frozen=True)
+class Made:
+    """A test on disk and what is true of it, by the names of results, SI."""
+
+    folder: Path
+    truth: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Chance:
+    """All that differs from test to test.
+
+    Parameters
+    ----------
+    kind, seed : which test
+    noise : word of `noise.MAKERS`
+    fault : what goes wrong at the rig, or nothing
+    exact : load cell, offsets and lengths are as stated, and noise is a fifth
+    loud : times the usual noise; 0 for none at all
+    samples : of a load frame while it pulls; as many as its rate makes if 0
+    rest : s, that a cantilever stands still first and last
+    """
+
+    kind: str
+    seed: int
+    noise: str = "white"
+    fault: str = ""
+    exact: bool = False
+    loud: float = 1.0
+    samples: int = 0
+    rest: float = 4.0
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """Chance of this test."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.kind.encode())])
+
+    def error(self, size: float) -> float:
+        """What a stated quantity is off by; none where all is exact."""
+        drawn = float(self.rng.normal(0.0, size))
+        return 0.0 if self.exact else drawn
+
+    def off(self, name: str, size: float) -> float:
+        """What something else is off by, in chance of its own."""
+        return 0.0 if self.exact else size * float(self.own(name).standard_normal())
+
+    def own(self, name: str) -> np.random.Generator:
+        """Chance of something of this test alone, that moves no other."""
+        return np.random.default_rng(
+            [self.seed, *(zlib.crc32(x.encode()) for x in (self.kind, name))]
+        )
+
+    def length(self, name: str) -> float:
+        """What a length or a measure of the section is off by in truth, m."""
+        return self.off(name, stated(self.kind, "specimen", "uncertainty", name))
+
+    def size(self, peak: float) -> float:
+        """Noise of a force, N."""
+        return self.loud * (0.0003 if self.exact else 0.0015) * peak
+
+    @property
+    def variety(self) -> int:
+        """Which of three specimens."""
+        return self.seed // 18 % 3
+
+    @property
+    def dwell(self) -> float:
+        """How long the machine stands at a turn, s."""
+        return (0.0, 1.0, 5.0)[self.seed // 6 % 3]
+
+    def rate(self, usual: float) -> float:
+        """Of a load frame, Hz: many write ten samples a second, which they average."""
+        return 10.0 if self.seed // 108 % 2 else usual
+
+    def rate_over(self, lasts: float, usual: float) -> float:
+        """The same, of a pull that lasts so many seconds; a few samples may be all there are."""
+        if not self.samples:
+            return self.rate(usual)
+        return (self.samples + (0.618 * self.seed) % 1.0) / lasts
+
+    def noisy(self, force: Array, dt: float) -> Array:
+        """The force as the instrument gives it."""
+        peak = float(np.abs(force).max())
+        kind = "white" if self.noise == "hum" and dt > 0.05 else self.noise
+        far = 0.0 if self.exact else min(self.loud, 1.0) * zero_drift(self.kind) * peak
+        force = force + far * wander(len(force), dt, self.own("zero"))
+        return noisy(force, kind, self.size(peak), dt, self.rng)
+
+    @property
+    def drifts(self) -> float:
+        """How far a zero moves that drifts more than the protocol states, a share of the peak."""
+        return float(np.hypot(zero_drift(self.kind), self.size(1.0) * drifted()))
+
+    def seen(self, places: Array) -> Array:
+        """Places as cameras see them: white noise of 15 um, or pink of 6."""
+        kind, size = ("white", 15e-6) if self.seed // 54 % 2 == 0 else ("pink", 6e-6)
+        size *= min(self.loud, 1.0) * (0.3 if self.exact else 1.0)
+        places = places * (1.0 + self.off("cameras", scale(self.kind, "markers")))
+        flat = places.reshape(len(places), -1).T
+        made = [noisy(row, kind, size, 0.02, self.rng) for row in flat]
+        return np.asarray(np.array(made).T.reshape(places.shape), dtype=np.float64)
+
+
+def pulled(
+    chance: Chance, specimen: Specimen, *, speed: float, rate: float, tare: float
+) -> tuple[Array, Array, Array]:
+    """Time, travel and force of a load frame that moves from its first sample on.
+
+    A specimen that breaks is followed for half a second; at the end of its stroke the frame stands.
+    """
+    lasts = specimen.ends / speed
+    rate = chance.rate_over(lasts, rate)
+    after = 0.5 if specimen.breaks else 0.3 + chance.dwell
+    after = max(after, 2.0 / rate if chance.samples else 0.0)
+    time = np.arange(int((lasts + after) * rate)) / rate
+    travel = speed * time if specimen.breaks else np.minimum(speed * time, specimen.ends)
+    force = specimen.force(travel)
+    off = chance.error(scale(chance.kind, "frame", "force"))
+    force = chance.noisy(force, 1.0 / rate) * (1.0 + off)
+    force = force + tare * float(chance.rng.uniform(-0.02, 0.02) * np.abs(force).max())
+    travel = noisy(travel, "white", min(chance.loud, 1.0) * 1e-4 * speed, 1.0 / rate, chance.rng)
+    travel = travel * (1.0 + chance.off("travel", scale(chance.kind, "frame", "displacement")))
+    first, last = _kept(chance.fault, int(lasts * rate), len(time))
+    if chance.fault == "counts-down":
+        travel = -travel
+    return (time + 0.1)[first:last], travel[first:last], force[first:last]
+
+
+def _kept(fault: str, loading: int, count: int) -> tuple[int, int]:
+    """Samples that are left of a record."""
+    if fault == "begins-under-load":
+        return loading // 8, count
+    return 0, (6 * loading // 10 if fault == "cut" else count)
+
+
+@dataclass(frozen=True)
+class Way:
+    """A machine that goes to and fro at constant speed, and stands at each turn.
+
+    Parameters
+    ----------
+    stroke, speed : m, m/s
+    cycles : how many
+    rest, dwell : s, before the first stroke and after the last, and at each turn
+    """
+
+    stroke: float
+    speed: float
+    cycles: int
+    rest: float
+    dwell: float
+
+    @cached_property
+    def corners(self) -> tuple[Array, Array]:
+        """Times and places at which the speed changes."""
+        times, places = [0.0, self.rest], [0.0, 0.0]
+        for number in range(2 * self.cycles):
+            place = self.stroke * ((number + 1) % 2)
+            times += [times[-1] + self.stroke / self.speed]
+            times += [times[-1] + self.dwell]
+            places += [place, place]
+        times[-1] += self.rest
+        return np.array(times), np.array(places)
+
+    @property
+    def lasts(self) -> float:
+        """s."""
+        return float(self.corners[0][-1])
+
+    def travel(self, time: Array) -> Array:
+        """Place at some times, m."""
+        return np.asarray(np.interp(time, *self.corners), dtype=np.float64)
+
+    def stroke_at(self, time: Array) -> NDArray[np.int64]:
+        """Which stroke, from 0; a dwell still belongs to the stroke before."""
+        ends = self.corners[0][3::2][:-1]
+        return np.searchsorted(ends, time).astype(np.int64)
+
+    def kept(self, fault: str) -> tuple[float, float]:
+        """From when to when it is recorded: all, or without the first or the last part."""
+        stroke = self.stroke / self.speed
+        if fault == "begins-under-load":
+            return self.rest + 0.15 * stroke, self.lasts
+        if fault == "cut":
+            return 0.0, self.lasts - self.rest - self.dwell - 0.6 * stroke
+        return (self.rest - 0.7 if fault == "short-rest" else 0.0), self.lasts
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """Force time = offset + (1 + drift) x camera time; the force begins at 0 of its own."""
+
+    offset: float
+    drift: float
+
+    def cameras(self, force_time: Array) -> Array:
+        """Camera time of the force's samples."""
+        return np.asarray((force_time - self.offset) / (1.0 + self.drift), dtype=np.float64)
+
+    def samples(self, rate: float, lasts: float) -> Array:
+        """Times of the force's samples, until shortly before the cameras stop."""
+        until = self.offset + (1.0 + self.drift) * lasts
+        return np.asarray(np.arange(0.0, until, 1.0 / rate), dtype=np.float64)

@@ -1,0 +1,333 @@
+"""Rods bent by `labpipe.rod.statics` in cases whose answers are known, with any number of elements.
+
+Each case gives its error: found less wanted, the wanted numbers from `rod_references` or formulas.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from labpipe.law.sliders import SliderLaw, linear_moment_law
+from labpipe.records.arrays import Flags, Floats
+from labpipe.rod.assembly import Assembly, Demands, Memory, Shape
+from labpipe.rod.boundaries import Gravity, Held, Load, Moment
+from labpipe.rod.line import Line, Section, line_along, straight_line
+from labpipe.rod.path import RodPath
+from labpipe.rod.rotations import frame_from_axes, from_rotation_vectors, multiply
+from labpipe.rod.stability import StabilityCheck
+from labpipe.rod.statics import RodSettings, follow
+from labpipe.rod.supports import supports_of
+from tests.judges.rod_references import (
+    Kirchhoff,
+    bend_of_45_degrees,
+    buckled_column,
+    critical_moment_of_joints,
+    critical_torque,
+    heavy_cantilever,
+)
+
+FAR = 1e6
+"""1/m, end of the laws' range: no case gets there."""
+GRAVITY = 9.81
+STRETCH = 1e5
+"""N, of rods whose both ends are held."""
+
+
+def section(
+    bending: float = 1.0, torsion: float = 0.8, *, weight: float = 0.0, stretch: float = np.inf
+) -> Section:
+    """An elastic section; stiffnesses in N m^2 and N, weight in N/m."""
+    law = linear_moment_law(bending, FAR)
+    return Section(law, torsion, axial_stiffness=stretch, mass_per_length=weight / GRAVITY)
+
+
+def grown(vector: tuple[float, float, float], steps: int) -> Floats:
+    """A path from zero to a vector in equal steps."""
+    return np.asarray(np.linspace(0.0, 1.0, steps + 1)[:, None] * np.array(vector))
+
+
+def tip(path: RodPath) -> Floats:
+    """Last node of the last state, m, of a path that is all right."""
+    assert path.status == "ok", path.reasons
+    return np.asarray(path.last.positions[-1])
+
+
+def clamped(line: Line) -> Held:
+    """The first node, in the frame of the first element."""
+    return Held(0, line.positions[0], line.frames[0])
+
+
+def elastica_error(elements: int) -> Floats:
+    """Of deflection and shortening under P L^2 / EI = 10, of the length (PHYSICS 5)."""
+    line = straight_line(1.0, elements, section())
+    x, _, z = tip(follow(line, [clamped(line), Load(-1, grown((0.0, 0.0, -10.0), 3))], steps=3))
+    return np.array([-z - 0.810609, 1.0 - x - 0.554996])
+
+
+def heavy_cantilever_error(elements: int, weight: float) -> Floats:
+    """Of drop and shortening of the tip, of the length; weight is w L^3 / EI."""
+    line = straight_line(1.0, elements, section(weight=weight))
+    steps = 1 + int(weight**0.5)
+    x, _, z = tip(
+        follow(line, [clamped(line), Gravity(grown((0, 0, -GRAVITY), steps))], steps=steps)
+    )
+    drop, shortening, _ = heavy_cantilever(weight)
+    return np.array([-z - drop, 1.0 - x - shortening])
+
+
+def buckled_column_error(elements: int, degrees: float, *, steps: int = 8) -> Floats:
+    """Of height and offset of the top of a column clamped at its foot, of the length."""
+    line = straight_line(1.0, elements, section(), direction=(0, 0, 1), up=(1, 0, 0))
+    load, height, offset = buckled_column(np.radians(degrees))
+    force = grown((0.0, 0.0, -load * np.pi**2 / 4.0), steps)
+    x, y, z = tip(follow(line, [clamped(line), Load(-1, force)], steps=steps))
+    return np.array([z - height, np.hypot(x, y) - offset])
+
+
+def turning(frame: Floats, angles: Floats) -> Floats:
+    """A frame turned about x by angles, rad, as a path."""
+    about = Rotation.from_rotvec(angles[:, None] * np.array([1.0, 0.0, 0.0]))
+    whole = about * Rotation.from_quat(frame, scalar_first=True)
+    return np.asarray(whole.as_quat(scalar_first=True))
+
+
+def shares_near_one(step: float, *, first: float = 0.9, last: float = 1.06) -> Floats:
+    """From 0 to the first share in 18 steps, then finely to the last."""
+    fine = np.arange(first, last + 0.5 * step, step)
+    return np.concatenate([np.linspace(0.0, first, 18, endpoint=False), fine])
+
+
+def twisted_rod(elements: int, shares: Floats, *, torsion: float) -> RodPath:
+    """A straight rod, one clamp turned by shares of the twist that buckles it in theory."""
+    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
+    frames = turning(line.frames[-1], shares * critical_torque() / torsion)
+    grips = [clamped(line), Held(-1, line.positions[-1], frames)]
+    return follow(line, grips, steps=len(shares) - 1)
+
+
+def torque_that_buckles(elements: int, *, torsion: float = 0.8, step: float = 1e-3) -> float:
+    """M L / B at which a clamped straight rod leaves its line, over the least that theory has."""
+    shares = shares_near_one(step)
+    path = twisted_rod(elements, shares, torsion=torsion)
+    aside = [float(np.max(np.abs(state.positions[:, 1:]))) for state in path.states]
+    return _left_at(shares, np.array(aside) > 1e-6)
+
+
+def rate_on_joints(
+    elements: int, moment: float, *, torsion: float = 0.8, tension: float = 0.0
+) -> float:
+    """How fast the slowest change of a straight twisted rod on universal joints dies out.
+
+    Parameters
+    ----------
+    elements : of a rod of length and bending stiffness 1
+    moment : of constant direction along it, at both ends
+    torsion : its torsional stiffness
+    tension : it is pulled with
+
+    Returns
+    -------
+    Real part, 1 for a rod of its own stiffness against a drag of 1; negative where it diverges, and
+    not below zero else, as the rod may spin.
+    """
+    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
+    supports = supports_of(line, ((0, False), (elements, False)))
+    none = (np.zeros(0, dtype=np.int64), np.zeros(0))
+    assembly = Assembly(line, supports, (), none, n_rings=0, force=1.0 + moment)
+    middles = (np.arange(elements) + 0.5) / elements
+    twist = np.outer(middles * moment / torsion, [0.0, 0.0, 1.0])
+    along = np.array([1.0, 0.0, 0.0])
+    shape = Shape(
+        line.positions * (1.0 + tension / STRETCH),
+        multiply(line.frames, from_rotation_vectors(twist)),
+        np.full(elements, tension / STRETCH),
+        np.tile(tension * along, (elements, 1)),
+    )
+    moments = np.zeros((elements, 3))
+    moments[0] -= moment * along
+    moments[-1] += moment * along
+    nothing = np.zeros((0, 3))
+    asked = Demands(
+        *(shape.positions[supports.held], np.zeros((0, 4)), np.zeros((elements + 1, 3))),
+        *(moments, nothing, nothing),
+    )
+    memory = Memory(
+        np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, elements + 1, 3)), np.zeros(0)
+    )
+    balance = assembly.balance(shape, asked, memory)
+    left = np.where(assembly.band.fixed, 0.0, balance.residual)
+    assert np.max(np.abs(left)) < 1e-10
+    return StabilityCheck(assembly, is_turned=True).slowest_return(balance)[0].real
+
+
+def moment_that_buckles(elements: int, *, torsion: float = 0.8, tension: float = 0.0) -> float:
+    """Least M at which a rod on universal joints diverges, over that of theory."""
+    critical = critical_moment_of_joints(tension)
+    low, high = 0.8 * critical, 1.2 * critical
+    while high - low > 1e-7 * critical:
+        middle = 0.5 * (low + high)
+        diverges = rate_on_joints(elements, middle, torsion=torsion, tension=tension) < -1e-6
+        low, high = (low, middle) if diverges else (middle, high)
+    return high / critical
+
+
+def turned_on_joints(elements: int, shares: Floats, *, torsion: float = 0.8) -> RodPath:
+    """A straight rod on universal joints under shares of the moment that buckles it in theory."""
+    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
+    moments = shares[:, None] * critical_moment_of_joints() * np.array([1.0, 0.0, 0.0])
+    ends = [Held(0, line.positions[0]), Held(-1, line.positions[-1])]
+    return follow(line, [*ends, Moment(0, -moments), Moment(-1, moments)], steps=len(shares) - 1)
+
+
+def _left_at(shares: Floats, has_left: Flags) -> float:
+    """Middle of the step in which something begins."""
+    at = int(np.argmax(has_left))
+    assert at > 0
+    return float(0.5 * (shares[at - 1] + shares[at]))
+
+
+def twisted_ring(elements: int, shares: Floats, *, torsion: float = 1.0) -> RodPath:
+    """A straight rod closed to a ring, one end turned by shares of Michell's critical twist."""
+    angle = np.linspace(0.0, 2.0 * np.pi, elements + 1)
+    points = np.stack([np.sin(angle), 1.0 - np.cos(angle), np.zeros_like(angle)], axis=1)
+    line = line_along(points / (2.0 * np.pi), section(torsion=torsion))
+    frame = frame_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    frames = turning(frame, shares * 2.0 * np.pi * np.sqrt(3.0) / torsion)
+    ends = [Held(0, np.zeros(3), frame), Held(-1, np.zeros(3), frames)]
+    return follow(line, ends, steps=len(shares) - 1)
+
+
+def off_plane(path: RodPath) -> Floats:
+    """How far each state is from a plane, rms over the nodes, m.
+
+    A ring that is held at one place turns about its tangent there at no cost, so no plane is fixed.
+    """
+    found = []
+    for state in path.states:
+        centred = state.positions - np.mean(state.positions, axis=0)
+        found.append(np.linalg.svd(centred, compute_uv=False)[2] / np.sqrt(len(centred)))
+    return np.array(found)
+
+
+def twist_that_buckles_a_ring(elements: int, *, step: float = 1e-3) -> float:
+    """Twist at which a ring of B = C jumps out of its plane, over Michell's."""
+    shares = shares_near_one(step)
+    path = twisted_ring(elements, shares)
+    jumps = np.array([number in path.snapped for number in range(len(path.states))])
+    jumps[0] = False
+    return _left_at(shares, jumps)
+
+
+def pressed_column_path(
+    elements: int, steps: int, law: SliderLaw | None = None, *, stretch: float = 1e6
+) -> RodPath:
+    """A column of length 1, both ends clamped, pressed along itself by a fifth of its length.
+
+    Parameters
+    ----------
+    elements, steps : of the line and of its walk
+    law : of its bending; None for a stiffness of 1
+    stretch : axial stiffness, of the bending stiffness over the square of the length
+    """
+    own = Section(law, 1.0, axial_stiffness=stretch) if law else section(stretch=stretch)
+    line = straight_line(1.0, elements, own)
+    way = line.positions[-1] - grown((0.2, 0.0, 0.0), steps)
+    return follow(line, [clamped(line), Held(-1, way, line.frame_at(-1))], steps=steps)
+
+
+def arch_path(loads: Floats | None = None, ways: Floats | None = None) -> RodPath:
+    """A flat arch, both ends clamped, pushed down in its middle; it stays in its plane.
+
+    Parameters
+    ----------
+    loads : N, step by step, of a force; or
+    ways : m, step by step, by which the node is brought down
+
+    Notes
+    -----
+    Length and stiffness are 1, and it leans so little that it snaps through as a whole. Sideways it
+    would buckle first, so that stability is not checked.
+    """
+    angle = np.linspace(-0.3, 0.3, 17)
+    points = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1) / 0.6
+    own = section(stretch=1.2e4)
+    line = line_along(points, own, up=(0.0, 1.0, 0.0), is_formed=True)
+    ends = [Held(node, line.positions[node], line.frame_at(node)) for node in (0, -1)]
+    down, rows = np.array([0.0, 0.0, -1.0]), loads if ways is None else ways
+    assert rows is not None
+    push = rows[:, None] * down
+    drive = Load(8, push) if ways is None else Held(8, line.positions[8] + push)
+    settings = RodSettings(checks_stability=False)
+    return follow(line, [*ends, drive], steps=len(rows) - 1, settings=settings)
+
+
+def bend_path(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0) -> RodPath:
+    """The bend of 45 degrees, as `bend_of_45_degrees` puts it, its load grown in six steps."""
+    angle = np.linspace(0.0, 0.25 * np.pi, elements + 1)
+    points = 100.0 * np.stack([np.sin(angle), 1.0 - np.cos(angle), np.zeros_like(angle)], axis=1)
+    line = line_along(points, section(1e7 / 12.0, 5e6 * torsion), is_formed=True)
+    frame = frame_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    force = Load(-1, grown((0.0, 0.0, load), 6))
+    return follow(line, [Held(0, np.zeros(3), frame), force], steps=6)
+
+
+def bend_tip(elements: int, *, load: float = 600.0, torsion: float = 1.0 / 6.0) -> Floats:
+    """Tip of the bend of 45 degrees, m."""
+    return tip(bend_path(elements, load=load, torsion=torsion))
+
+
+def bend_error(elements: int, *, load: float = 600.0) -> Floats:
+    """Of the tip of the bend of 45 degrees, m."""
+    return bend_tip(elements, load=load) - bend_of_45_degrees(load)
+
+
+POSED = Kirchhoff((1.0, 1.0, 0.7), 1.0, frame=(0.0, 0.5**0.5, 0.0, 0.5**0.5))
+"""Of the rod posed in space; its weight is 3 N/m."""
+
+
+def posed_rod() -> tuple[Floats, Floats, Floats, Floats]:
+    """Both ends clamped in space: places, frames, moments, and the far clamp's force."""
+    weight = np.array([0.0, 0.0, -3.0])
+    start = POSED.under(np.array([1.0, 4.0, 5.0]), weight)
+    return POSED.to(start[0][-1] * 0.85, start[1][-1], weight, start=start, stations=81)
+
+
+def posed_rod_error(elements: int) -> tuple[float, float]:
+    """Largest distance of a node, of the length, and error of the far clamp's force, of the force.
+
+    The walk: level and straight, then by a path of the far clamp that nobody else takes.
+    """
+    places, frames, _, force = posed_rod()
+    line = straight_line(1.0, elements, section(torsion=0.7, weight=3.0))
+    first = Rotation.from_quat(line.frames[0], scalar_first=True)
+    to_own = Rotation.from_quat(np.array(POSED.frame), scalar_first=True).inv() * first
+    end = (Rotation.from_quat(frames[-1], scalar_first=True) * to_own).as_rotvec()
+    share = np.linspace(0.0, 1.0, 21)
+    turn = Rotation.from_rotvec(
+        share[:, None] * (Rotation.from_rotvec(end) * first.inv()).as_rotvec()
+    )
+    grip = (turn * first).as_quat(scalar_first=True)
+    way = line.positions[-1] + share[:, None] * (places[-1] - line.positions[-1])
+    weight = Gravity(grown((0.0, 0.0, -GRAVITY), 20))
+    path = follow(line, [clamped(line), Held(-1, way, grip), weight], steps=20)
+    tip(path)
+    stations = np.linspace(0, len(places) - 1, elements + 1).astype(int)
+    off = np.linalg.norm(path.last.positions - places[stations], axis=1)
+    pull = path.last.reaction_forces[1] - force
+    return float(np.max(off)), float(np.linalg.norm(pull) / np.linalg.norm(force))
+
+
+def catenary_error(elements: int, *, span: float = 0.8) -> float:
+    """Of the sag of a chain between two pins, of its length."""
+    soft = section(1e-7, 1e-7, weight=1.0)
+    line = straight_line(1.0, elements, soft)
+    way = np.zeros((11, 3))
+    way[:, 0] = np.linspace(1.0, span, 11)
+    weight = Gravity(grown((0.0, 0.0, -GRAVITY), 10))
+    path = follow(line, [Held(0, np.zeros(3)), Held(-1, way), weight], steps=10)
+    tip(path)
+    half = 0.5 * span
+    a = float(brentq(lambda a: 2.0 * a * np.sinh(half / a) - 1.0, 0.05, 50.0))
+    return float(-np.min(path.last.positions[:, 2]) - a * (np.cosh(half / a) - 1.0))
