@@ -30,7 +30,7 @@ _NEIGHBOURS = 1.5
 _TRAVEL = 0.17
 """Of the least diameter: how far a wire goes along x or y on one list of pairs, so that none that
 is not on the list can be met."""
-_LOOSE, _FINE = 1e-3, 1e-7
+_LOOSE, _FINE = 1e-3, 1e-5
 """Force left on a wire, of the pull at a mean diameter from the middle: while wires find their
 places, and when they have them."""
 _STEPS, _STEERING, _PATIENCE = 20000, 0.1, 5
