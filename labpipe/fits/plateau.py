@@ -16,7 +16,7 @@ _LEAST = 8
 _TRAVEL = 0.5
 """Of a stretch, how much its samples must cover."""
 _EDGE = 1e-9
-"""Of a stretch: samples so near its ends are in it, however a processor has rounded them."""
+"""Of a stretch: a sample so near an end is at it, however a processor has rounded the two."""
 _FLAT = 1e-9
 """Determinant of the products of 1, x, x^2 per sample, that of samples at two places but rounding;
 that of evenly spaced ones is 5e-4."""
@@ -252,9 +252,9 @@ class _Stretches:
     @classmethod
     def of(cls, d: Floats, at: Floats, over: float) -> _Stretches:
         reached = np.maximum.accumulate(d)
-        half = (0.5 + _EDGE) * over
-        start = np.searchsorted(reached, at - half)
-        stop = np.minimum(np.searchsorted(reached, at + half) + 1, len(d))
+        begin, end = at - (0.5 + _EDGE) * over, at + (0.5 - _EDGE) * over
+        start = np.searchsorted(reached, begin)
+        stop = np.minimum(np.searchsorted(reached, end) + 1, len(d))
         samples = start[:, None] + np.arange(int((stop - start).max()))
         is_inside = samples < stop[:, None]
         samples = np.where(is_inside, samples, len(d))

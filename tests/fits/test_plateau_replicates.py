@@ -30,9 +30,8 @@ def noise(seed: int, *shape: int, deviation: float = 0.02) -> Floats:
 
 def parabola(d: Floats, f: Floats, at: float, over: float) -> tuple[float, float]:
     """Slope and level at a place of the parabola over a stretch around it."""
-    half = 0.5 * over * (1.0 + 1e-9)
-    inside = np.abs(d - at) <= half
-    inside[np.argmax(d > at + half)] |= at + half < d[-1]  # the sample that is beyond
+    begin, end = (d > each - 1e-9 * over for each in (at - 0.5 * over, at + 0.5 * over))
+    inside = slice(int(np.argmax(begin)), int(np.argmax(end)) + 1)
     fit = np.polyfit(d[inside] - at, f[inside], 2)
     return float(fit[1]), float(fit[2])
 
