@@ -183,17 +183,19 @@ def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
     return sorted(known, key=likeness, reverse=True)[:most]
 
 
-def in_test_sheet(key: str, value: str) -> str:
-    """Word an override as a test sheet writes it, for messages.
+def in_test_sheet(key: str, value: str, **more: str) -> str:
+    """Word overrides as a test sheet writes them, for messages.
 
     Parameters
     ----------
     key : dotted, of the protocol
     value : what to write; ``...`` where only the person at the bench knows it
+    more : other keys and what to write there
 
     Examples
     --------
     >>> in_test_sheet("rig.cycles", "1")
     "'rig.cycles: {value: 1, because: ...}' under 'overrides' in test.yaml"
     """
-    return f"'{key}: {{value: {value}, because: ...}}' under 'overrides' in test.yaml"
+    lines = (f"'{k}: {{value: {v}, because: ...}}'" for k, v in {key: value, **more}.items())
+    return f"{' and '.join(lines)} under 'overrides' in test.yaml"

@@ -108,7 +108,9 @@ def correct_curve(test: Evidence, block: CurveBlock) -> Corrected:
     if block.failure is not None:
         failure = block.failure
         rule = LossOfForce(failure.force_below, failure.loss, failure.within)
-    lost = _final_loss(test, rule)  # seen on the unfiltered force, which no filter has blurred
+    lost = (
+        None if rule is None else final_loss_of(test, rule)
+    )  # seen on the unfiltered force, which no filter has blurred
     test, found = _filtered_in_pieces(test, lost), list[Finding]()
     if block.compliance is not None:
         test, found = _without_compliance(test, block.compliance)
@@ -194,10 +196,20 @@ def _refuse_backwards(test: Evidence, curve: Curve, corrected: Floats, value: fl
     raise ProcessingError(message)
 
 
-def _final_loss(test: Evidence, rule: LossOfForce | None) -> int | Failure | None:
-    """Sample of the curve at which the force begins to be lost; None where not asked for."""
+def final_loss_of(test: Evidence, rule: LossOfForce) -> int | Failure | None:
+    """Find the sample of the curve at which the force begins to be lost.
+
+    Parameters
+    ----------
+    test : with a curve
+    rule : by which it is lost
+
+    Returns
+    -------
+    Its number, or why it is lost nowhere; None without a loading.
+    """
     curve, branch = test.curve, test.first_loading
-    if curve is None or branch is None or rule is None:
+    if curve is None or branch is None:
         return None
     after = slice(branch.start, None)
     is_back = np.zeros(len(curve.time), dtype=np.bool_)
@@ -310,7 +322,7 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
     if curve is None:
         return test, []
     decide = partial(slack_of, start_share=block.start, stop_share=block.stop)
-    slack = _slack(test, decide)
+    slack = slack_by(test, decide)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
         if slack.code == "no_toe":
@@ -327,8 +339,18 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
     return made, [worth_knowing("slack_removed", where, message)]
 
 
-def _slack(test: Evidence, decide: Decide) -> Measured | Failure:
-    """Slack, where the force surely rises and the curve has a toe."""
+def slack_by(test: Evidence, decide: Decide) -> Measured | Failure:
+    """Measure the slack, where the force surely rises and the curve has a toe.
+
+    Parameters
+    ----------
+    test : with a curve
+    decide : on the linear region
+
+    Returns
+    -------
+    The slack (m), or a failure ``not_rising``, ``no_toe`` or one of `decide`.
+    """
     found = test.measure(decide)
     if isinstance(found, Failure):
         return found

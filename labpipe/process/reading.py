@@ -16,7 +16,7 @@ import numpy as np
 
 from labpipe.errors import ReadError, complaint, in_test_sheet
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_as_written, select_channel
@@ -139,6 +139,10 @@ def _same(one: str, other: str, si_unit: str) -> bool:
 
 _LISTED = 8
 """Specimens that a message lists."""
+_TWO_TESTS = (
+    "If these are two tests, give each a folder of its own; else name only one of the files under"
+    f" 'files' in {SHEET_NAME}."
+)
 DIALECT = "dialect"
 """Role of a lab's dialect card among the inputs of a test."""
 
@@ -243,7 +247,7 @@ def joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Re
         raise ReadError(message)
     whole = parts[filled[0]]
     if len(filled) > 1:
-        whole = join_parts([parts[i] for i in filled], [names[i] for i in filled])
+        whole = join_parts([parts[i] for i in filled], [str(folder / names[i]) for i in filled])
     notes = [note for part in parts if is_empty(part) for note in part.notes]
     return replace(whole, notes=(*whole.notes, *notes))
 
@@ -380,7 +384,7 @@ def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
                 "",
                 expected="a part of a recording with times, by which parts are put in order",
                 found="rows without time",
-                remedy="Export the test in one piece, or with its time.",
+                remedy=f"Export the test in one piece, or with its time. {_TWO_TESTS}",
             )
             raise ReadError(message)
     order = sorted(range(len(parts)), key=lambda index: float(parts[index].clocks[0].time[0]))
@@ -408,9 +412,9 @@ def _refuse_overlap(first: Recording, second: Recording, one: str, other: str) -
     message = complaint(
         other,
         "time",
-        expected=f"a start after {ends:.6f} s, where {one} ends",
+        expected=f"a start after {ends:.6f} s, where {Path(one).name} ends",
         found=f"{begins:.6f} s",
-        remedy="Parts of one recording share one clock: name only one of these files.",
+        remedy=f"Parts of one recording share one clock. {_TWO_TESTS}",
     )
     raise ReadError(message)
 

@@ -43,7 +43,7 @@ from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
-from labpipe.records.result import Result
+from labpipe.records.result import Result, Status
 from labpipe.records.signals import Clocks
 from labpipe.results.beam import BendingStiffness
 from labpipe.results.evidence import Evidence, LoadString, Setup
@@ -264,7 +264,12 @@ def with_results(test: Evidence, protocol: Protocol) -> Reduced:
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:
         computed = entry.compute(test)
-        results += [to_result(test, number) for number in computed.numbers]
+        made = [to_result(test, number) for number in computed.numbers]
+        if any(each.status is Status.FAILED for each in made):
+            from labpipe.process.remedies import with_remedy  # most tests do without
+
+            made = [with_remedy(each, entry, test, protocol) for each in made]
+        results += made
         lines += computed.lines
         test = replace(
             test,

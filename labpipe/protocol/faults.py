@@ -131,7 +131,8 @@ def _worded(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
             return _not_one_of(path, line["input"], known, at)
         case other:
             expected = _EXPECTED.get(other, line["msg"])
-            return Fault(path, expected, shown(line["input"]))
+            remedy = "Fill it in." if line["input"] is None else ""
+            return Fault(path, expected, shown(line["input"]), remedy)
 
 
 def _not_one_of(path: KeyPath, found: object, known: list[str], at: At = "value") -> Fault:

@@ -415,6 +415,9 @@ COPY_IT = "Copy the export into the folder of the test and name it from there."
 
 
 def _listed(value: object) -> object:
+    if value is None:
+        expected = "the name of an export, or a list of the parts of one recording"
+        raise error_of(expected=expected, found=value, remedy="Fill it in.")
     return [value] if isinstance(value, str) else value
 
 

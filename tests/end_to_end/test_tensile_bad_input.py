@@ -86,7 +86,7 @@ def test_mixed_decimal_signs(refused: Refused) -> None:
 
     message = refused(change_lines(mixed))
     assert "line 61, column 'Crosshead': expected a number with a decimal point, found '" in message
-    assert "with a decimal comma. Both signs stand in this file" in message
+    assert "with a decimal comma. Export the test again with one decimal sign" in message
 
 
 def test_missing_row_of_units(refused: Refused) -> None:
@@ -128,12 +128,12 @@ def test_a_part_given_twice(refused: Refused) -> None:
 
     message = refused(twice)
     assert "time: expected a start after " in message
-    assert "Parts of one recording share one clock" in message
+    assert "Parts of one recording share one clock. If these are two tests, give each" in message
 
 
 def test_a_part_that_is_missing(refused: Refused) -> None:
     message = refused(lambda lab: lab.export.unlink())
-    assert "(Timed).txt: expected " in message
+    assert "(files.frame): expected a file, found none of that name" in message
 
 
 # Doubtful
@@ -197,7 +197,7 @@ def test_a_test_that_never_failed(told: Told) -> None:
         assert lab.results[name]["value"] is None
         assert re.fullmatch(
             r"no_break: the force ends at 400\.\d N, 100% of its peak 400\.\d N; below 50% "
-            r"counts as lost",
+            r"counts as lost; if this test cannot give it, write 'results\.failure: .*",
             why(lab.results[name]),
         )
     for name in ("peak_force.1", "stiffness_first_per_peak_force"):
@@ -210,7 +210,8 @@ def test_a_window_beyond_the_travel(told: Told) -> None:
     lab = told(lambda lab: lab.override("results.stiffness_second.to", "80 mm"), 1)
     found = lab.results["stiffness_second"]
     assert (found["value"], found["status"]) == (None, "failed")
-    assert why(found) == "not_reached: the branch reaches 24.9 mm, 80 mm is asked"
+    assert why(found).startswith("not_reached: the branch reaches 24.9 mm, 80 mm is asked; ")
+    assert "'results.stiffness_second.to: {value: 24.9 mm, because: ...}'" in why(found)
     found = lab.results["stiffness_second_per_peak_force"]
     assert why(found) == "no_stiffness: stiffness_second is not available"
     assert lab.results["stiffness_first"]["status"] == "ok"

@@ -177,7 +177,8 @@ def test_parts_that_overlap_are_told(lab: Path, say: Say) -> None:
     shutil.copy(lab / FOLDER / "force.mat", lab / FOLDER / "again.mat")
 
     (message,) = say((TEST, "force: force.mat", "force: [force.mat, again.mat]"))
-    assert message.startswith("again.mat, time: expected a start after 0.049000 s, where force.mat")
+    place = f"{FOLDER / 'again.mat'}, time"
+    assert message.startswith(f"{place}: expected a start after 0.049000 s, where force.mat")
 
 
 ZERO = "steps:\n  - {step: zero, channel: force, over: 2 ms}\n"

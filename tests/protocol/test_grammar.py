@@ -60,7 +60,7 @@ def test_a_fault_between_parts_is_not_told_where_the_part_itself_is_wrong() -> N
 
 
 def test_a_block_that_is_no_block() -> None:
-    assert _faults(None) == [((), "a block of keys with values", "nothing", "", "value")]
+    assert _faults(None) == [((), "a block of keys with values", "nothing", "Fill it in.", "value")]
     assert _faults(["a"])[0][2] == "a list"
 
 

@@ -1,0 +1,132 @@
+"""What to write in a test sheet where a number is not available: keys, with values tried before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from math import ceil, floor, log10
+
+import numpy as np
+
+from labpipe.errors import in_test_sheet
+from labpipe.fits.failure_point import LossOfForce
+from labpipe.process.curve_corrections import final_loss_of, slack_by
+from labpipe.protocol.schema import CurveBlock, Protocol
+from labpipe.records.estimates import Failure
+from labpipe.records.result import Result, Status
+from labpipe.results.evidence import Evidence
+from labpipe.results.kinds import Kind
+from labpipe.results.likely_curves import loading_of, traced
+from labpipe.results.stiffness import Window
+from labpipe.results.taut_curves import slack_of
+
+_ENOUGH = (10, 8, 20, 40)
+"""Samples that a window is tried with: two more than a line needs, just that, and for two lines."""
+_PERCENT = range(5, 100, 5)
+_TIMES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
+"""s, in which a force may be lost."""
+
+Values = Mapping[str, str]
+"""By dotted key, as a test sheet writes them."""
+
+
+def with_remedy(result: Result, entry: Kind, test: Evidence, protocol: Protocol) -> Result:
+    """Add to a result that is not available what would make it so.
+
+    Parameters
+    ----------
+    result : of an entry of the protocol
+    entry : the entry
+    test : with all that was found
+    protocol : of the test
+
+    Returns
+    -------
+    The result. Where its window, the slack or the failure is why it is not available, its reason
+    names the keys to change, with values that give the number of this test.
+    """
+    block = protocol.curve
+    if result.status is not Status.FAILED or block is None or not test.cycles:
+        return result
+    needed = entry.needs.correction
+    key = partial(_key, protocol=protocol)
+
+    def remedy(why: Failure) -> str:
+        if isinstance(entry, Window) and why.code in {"not_reached", "too_few_samples"}:
+            condition, tried = "if that stretch will do", _windows(entry, test, key(entry))
+        elif needed == "slack" and why == test.slack:
+            condition, tried = "if the curve is straight up to there", _regions(test, block)
+        elif needed == "failure" and why.code == "no_break":
+            condition, tried = "if it broke there", _losses(test, block)
+        else:
+            return ""
+        found = next(tried, None)
+        if found is None:
+            alike = [
+                x for x in protocol.results if x is entry or x.needs.correction == needed != ""
+            ]
+            blocks = ["curve.slack"] if needed == "slack" else []
+            found = dict.fromkeys([*blocks, *map(key, alike)], "null")
+            condition = "if this test cannot give it"
+        (first, value), *more = found.items()
+        return f"; {condition}, write {in_test_sheet(first, value, **dict(more))}"
+
+    reasons = [replace(each, message=each.message + remedy(each)) for each in result.reasons]
+    return replace(result, reasons=tuple(reasons))
+
+
+def _key(entry: Kind, protocol: Protocol) -> str:
+    """Dotted key of an entry: by its name or word where no other has it, else by its number."""
+    called = [getattr(each, "name", each.result) for each in protocol.results]
+    number = protocol.results.index(entry)
+    return f"results.{called[number] if called.count(called[number]) == 1 else number}"
+
+
+def _windows(entry: Window, test: Evidence, key: str) -> Iterator[Values]:
+    """Windows near the one asked for that hold enough samples, and give the number."""
+    trace = traced(test)
+    places = trace.displacement[loading_of(trace)]
+    places = places[np.isfinite(places)]
+    low = max(entry.start, _rounded(float(places[0]), ceil)) if len(places) else np.inf
+    above = np.sort(places[places >= low])
+    for count in (each for each in _ENOUGH if each <= len(above)):
+        high = min(entry.stop, _rounded(float(above[-1]), floor))
+        high = max(high, _rounded(float(above[count - 1]), ceil))
+        numbers = replace(entry, start=low, stop=high).compute(test).numbers if low < high else ()
+        if any(not isinstance(number.outcome, Failure) for number in numbers):
+            ends = (("from", entry.start, low), ("to", entry.stop, high))
+            yield {f"{key}.{end}": f"{1e3 * new:g} mm" for end, old, new in ends if new != old}
+
+
+def _rounded(length: float, way: Callable[[float], int]) -> float:
+    """A length (m) to three digits."""
+    step = 10.0 ** (floor(log10(abs(length))) - 2) if length else 1.0
+    return float(f"{way(length / step) * step:.6g}")
+
+
+def _regions(test: Evidence, block: CurveBlock) -> Iterator[Values]:
+    """Ends of the linear region up to which it holds enough samples."""
+    slack = block.slack
+    if slack is None or not isinstance(test.slack, Failure) or test.slack.code != "too_few_samples":
+        return
+    for stop in (each for each in _PERCENT if each > 100.0 * slack.stop):
+        decide = partial(slack_of, start_share=slack.start, stop_share=stop / 100.0)
+        if not isinstance(slack_by(test, decide), Failure):
+            yield {"curve.slack.to": f"{stop} %"}
+
+
+def _losses(test: Evidence, block: CurveBlock) -> Iterator[Values]:
+    """Rules by which the force is lost for good in this record."""
+    rule = block.failure
+    if rule is None:
+        return
+    shares = [each for each in _PERCENT if each > 100.0 * rule.force_below]
+    tried = {f"force_below: {each} %": (each / 100.0, rule.within) for each in shares}
+    tried |= {
+        f"within: {each:g} s": (rule.force_below, each) for each in _TIMES if each > rule.within
+    }
+    for said, (share, within) in tried.items():
+        if isinstance(final_loss_of(test, LossOfForce(share, rule.loss, within)), int):
+            name, _, value = said.partition(": ")
+            yield {f"curve.failure.{name}": value}
