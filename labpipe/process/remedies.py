@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from math import ceil, floor, log10
 
 import numpy as np
@@ -121,12 +122,10 @@ def _losses(test: Evidence, block: CurveBlock) -> Iterator[Values]:
     rule = block.failure
     if rule is None:
         return
-    shares = [each for each in _PERCENT if each > 100.0 * rule.force_below]
-    tried = {f"force_below: {each} %": (each / 100.0, rule.within) for each in shares}
-    tried |= {
-        f"within: {each:g} s": (rule.force_below, each) for each in _TIMES if each > rule.within
-    }
-    for said, (share, within) in tried.items():
+    shares = (each / 100.0 for each in _PERCENT if each > 100.0 * rule.force_below)
+    times = (each for each in _TIMES if each > rule.within)
+    for within, share in product((rule.within, *times), (rule.force_below, *shares)):
         if isinstance(final_loss_of(test, LossOfForce(share, rule.loss, within)), int):
-            name, _, value = said.partition(": ")
-            yield {f"curve.failure.{name}": value}
+            found = {"force_below": f"{100.0 * share:.0f} %"} if share != rule.force_below else {}
+            found |= {"within": f"{within:g} s"} if within != rule.within else {}
+            yield {f"curve.failure.{name}": value for name, value in found.items()}

@@ -56,6 +56,12 @@ PULLS = {
         BREAK,
         {"curve.failure.force_below"},
     ),
+    "stops while it necks": (
+        FINE,
+        ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), *np.linspace(1.0, 0.7, 40)),
+        BREAK,
+        {"curve.failure.force_below", "curve.failure.within"},
+    ),
     "breaks slowly": (
         FINE,
         ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), *SLOW),

@@ -127,7 +127,9 @@ def test_numbers_of_a_stiffness_that_failed() -> None:
         "modulus, of: stiffness, area: stated",
     ]
     _, results = pulled(*pull(), results=asked, specimen=SECTION)
-    assert results["stiffness"].why == ("not_reached: the branch reaches 19.98 mm, 30 mm is asked")
+    why = results["stiffness"].why
+    assert why.startswith("not_reached: the branch reaches 19.98 mm, 30 mm is asked; ")
+    assert "'results.stiffness.to: {value: 19.9 mm" in why
     for name in ("stiffness_per_peak_force", "modulus"):
         assert results[name].why.startswith("no_stiffness: stiffness ")
 
@@ -135,7 +137,9 @@ def test_numbers_of_a_stiffness_that_failed() -> None:
 def test_a_window_before_the_first_sample() -> None:
     travel, force = pull()
     _, results = pulled(travel + 0.004, force, results=[LINE])
-    assert results["stiffness"].why == ("not_reached: the branch begins at 4 mm, 2 mm is asked")
+    why = results["stiffness"].why
+    assert why.startswith("not_reached: the branch begins at 4 mm, 2 mm is asked; ")
+    assert "'results.stiffness.from: {value: 4 mm" in why
 
 
 def test_marked_slip_in_a_window() -> None:
