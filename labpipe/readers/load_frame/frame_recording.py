@@ -234,9 +234,11 @@ def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int |
     -------
     Its number: the first pattern that is the whole name of a column, or of what is left of one
     without the number of a channel or an underscore before it (``_Time``); else the one column in
-    a unit of time whose name speaks of time. None where there is no such column, or several.
+    a unit of time whose name speaks of time. None where there is no such column, or several;
+    columns of words are none.
     """
-    for called in (list(names), [plain_name(name) for name in names]):
+    names = ["" if name in card.words else name for name in names]
+    for called in (names, [plain_name(name) for name in names]):
         for pattern in card.time:
             for i, name in enumerate(called):
                 if pattern.fullmatch(name):

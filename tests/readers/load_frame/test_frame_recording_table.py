@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,9 @@ def test_the_most_wanted_time_counts() -> None:
     card = shipped_cards()["mts-testsuite"]
     assert time_column(["Video Time", "Running Time", "Time"], ["sec"] * 3, card) == 2
     assert time_column(["Video Time", "Load"], ["", "N"], card) is None
+    dated = replace(card, words=("Time",))
+    assert time_column(["Time", "Running Time"], ["", "sec"], dated) == 1
+    assert time_column(["Time", "Load"], ["sec", "N"], dated) is None
 
 
 @pytest.mark.parametrize(
