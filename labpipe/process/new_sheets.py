@@ -36,7 +36,7 @@ COLUMNS = (*_PLAIN, *_SPECIMEN, *DIMENSIONS, *BUNDLE, *ROLES, "because")
 """The columns of a campaign's table; besides them, every dotted key of a protocol is one, and every
 label."""
 _NEEDED = ("test", "protocol", *_SPECIMEN)
-_UNIT_IN_HEADING = re.compile(r"(.+?)\s*[(\[](.+)[)\]]")
+_UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +282,7 @@ def new_from_sheet(
 def _column(cell: Cell) -> tuple[str, str]:
     """Part a heading into the name of the column and the unit of its numbers."""
     match = _UNIT_IN_HEADING.fullmatch(cell.text)
-    name, unit = (match[1], match[2]) if match else (cell.text, "")
+    name, unit = (match[1].strip(), match[2]) if match else (cell.text, "")
     return (name if "." in name else name.casefold()), unit
 
 

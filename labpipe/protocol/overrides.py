@@ -142,14 +142,26 @@ def _put(
             node = node[key]
     if isinstance(path[-1], int) and sheet.at(source) is None:
         gone[path] = merged.at(path)
+    _forget_spots(merged, path)
     node[path[-1]] = copy.deepcopy(sheet.at(source))
-    merged.spots = {known: at for known, at in merged.spots.items() if known[: len(path)] != path}
-    merged.spots |= {
-        (*path, *inner[len(source) :]): at
-        for inner, at in sheet.spots.items()
-        if inner[: len(source)] == source
-    }
+    for inner in _paths_in(sheet.at(source)):
+        merged.spots[*path, *inner] = sheet.spots[*source, *inner]
     merged.spots[path] = spot
+
+
+def _forget_spots(merged: Document, path: KeyPath) -> None:
+    before = merged.at(path) if path in merged.spots else None
+    for inner in _paths_in(before):
+        merged.spots.pop((*path, *inner), None)
+
+
+def _paths_in(value: object) -> Iterator[KeyPath]:
+    """Ways from a value to all that is in it, the value itself included."""
+    yield ()
+    items: Any = enumerate(value) if isinstance(value, list) else ()
+    items = value.items() if isinstance(value, dict) else items
+    for key, inner in items:
+        yield from ((key, *path) for path in _paths_in(inner))
 
 
 def _key_in(node: object, part: str) -> str | int | None:

@@ -11,6 +11,8 @@ different lengths side by side. One blank cell is refused.
 File structure: cells separated by tabulator, semicolon, comma or blanks, whichever splits the first
 rows into numbers; decimal point or comma, one of them in a file. Rows above the names are passed
 over. A file without names is read where its columns are numbered. Of a workbook, the first sheet.
+A last line without line end that stops in the middle (`table_body.whole_lines`) is refused: a
+curve carries no notes, and its last point is often its largest force.
 
 A file that CalculiX CrunchiX (``ccx``, ending ``.dat``, known version 2.20) printed is read as it
 is: deflection and force of a tip that is pushed, at each increment. It was asked for ``*NODE
@@ -35,8 +37,16 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, nearest
-from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content, unreadable
+from labpipe.readers.raw_files import (
+    decode,
+    is_binary,
+    line_start,
+    lines_of,
+    read_content,
+    unreadable,
+)
 from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
+from labpipe.readers.table_body import Body, whole_lines
 from labpipe.readers.text_cells import (
     PLAIN,
     are_units,
@@ -67,8 +77,10 @@ _USUAL = {
 """Usual names of the columns."""
 HALF = "HALF"
 """What the name of a set ends with whose force is of a half model."""
-_HEADING = re.compile(r"\s*(\S.*?)\s*\((\w+,\w+,\w+)\) for set (\S+) and time\s+(\S+)\s*")
+_HEADING = re.compile(r"\s*+([^\s(][^(]*)\((\w+,\w+,\w+)\) for set (\S+) and time\s++(\S+)\s*+")
 _DEFLECTION, _FORCE = "displacements", "total force"
+_WHOLE = "a last line that does not stop in the middle, as numbers above it are longer"
+_END = "Export the curve again; if the line is whole, put a line end behind it."
 _AGAIN = "Run ccx again; the file may have been cut off."
 _NEEDED = "Print U, and RF with TOTALS=ONLY, of one set of nodes, as the deck of labpipe does."
 
@@ -147,7 +159,13 @@ def _text_cells(path: Path) -> list[list[Cell]]:
     for separator in _SEPARATORS:
         rows = (_placed(split_line(line, separator), i) for i, line in enumerate(lines, start=1))
         head = list(islice(rows, _HEAD))
-        if any(_is_sample(row) for row in head):
+        first = next((i for i, row in enumerate(head) if _is_sample(row)), None)
+        if first is not None:
+            names, start = [cell.text for cell in head[first]], line_start(content.data, first)
+            columns = range(len(names))
+            body = Body(content.data, names, columns, first + 1, separator, start=start)
+            if whole_lines(body)[1]:
+                raise unreadable(path, f"line {len(lines)}", _WHOLE, repr(lines[-1][-60:]), _END)
             return [*head, *rows]
     return []
 
@@ -439,7 +457,7 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
     headings = [(i, match) for i, line in enumerate(lines) if (match := _HEADING.fullmatch(line))]
     ends = [*(i for i, _ in headings[1:]), len(lines)]
     for (start, match), end in zip(headings, ends, strict=True):
-        quantity, _, set_name, time = match.groups()
+        quantity, _, set_name, time = (group.strip() for group in match.groups())
         at_second = 2 if quantity != _FORCE else 1
         filled = [i for i in range(start + 1, end) if lines[i].strip()]
         values = tuple(

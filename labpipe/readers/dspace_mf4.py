@@ -20,9 +20,10 @@ from __future__ import annotations
 import logging
 import re
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager, redirect_stdout, suppress
 from html import unescape
+from io import StringIO
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, BinaryIO
@@ -33,10 +34,13 @@ from labpipe.errors import ReadError, complaint
 from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export
 from labpipe.readers.raw_files import BROKEN, read_head, reading
+from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 
 _PROPERTY = re.compile(r'<e name="([^"]*)"[^>]*>(.*?)</e>', re.DOTALL)
 _WHAT = "a whole MDF 4 file"
+_LARGEST = 1 << 24
+"""Bytes of a record, which is a sample of each channel of a group."""
 
 
 def recognise(path: Path) -> bool:
@@ -64,10 +68,7 @@ def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
     """
     read_head(path)
     with _opened(path) as file:
-        with reading(path, _WHAT):
-            export = _parse(file)
-        with reading(path, _WHAT):
-            return load_export(export, reader="dspace-mf4", path=path, channels=channels)
+        return load_export(_parse(file), reader="dspace-mf4", path=path, channels=channels)
 
 
 @contextmanager
@@ -81,14 +82,13 @@ def _opened(path: Path) -> Iterator[Any]:
             raise ReadError(_not_installed(path)) from error
         logging.getLogger("asammdf").disabled = True  # it prints what we raise
         # Of a damaged file asammdf (8.8) forgets some of the streams it opens itself.
-        with reading(path, _WHAT), path.open("rb") as stream:
-            with reading(path, _WHAT, also=(MdfException,)):
-                file = _open(MDF, stream, (*BROKEN, MdfException))
-            try:
-                yield file
-            finally:
-                with reading(path, _WHAT):
-                    file.close()
+        with (
+            reading(path, _WHAT, also=(MdfException,)),
+            path.open("rb") as stream,
+            redirect_stdout(StringIO()),  # it prints the groups of a damaged file
+            closing(_open(MDF, stream, (*BROKEN, MdfException))) as file,
+        ):
+            yield file
 
 
 def _open(mdf: Any, stream: BinaryIO, broken: tuple[type[Exception], ...]) -> Any:
@@ -159,8 +159,17 @@ def _trace(file: Any, group: int, index: int, clock: int) -> Trace:
     )
 
 
-def _loader(file: Any, group: int, index: int) -> Any:
-    return lambda: np.asarray(file.get(group=group, index=index).samples, dtype=np.float64)
+def _loader(file: Any, group: int, index: int) -> Callable[[], Floats]:
+    def load() -> Floats:
+        channel = file.groups[group].channels[index]
+        size = file.groups[group].channel_group.samples_byte_nr
+        bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
+        if bits > 8 * size or size > _LARGEST:  # asammdf (8.8) reads on, from any memory
+            message = f"channel {index} in {bits} bits of a record of {size} bytes"
+            raise ValueError(message)
+        return np.asarray(file.get(group=group, index=index).samples, dtype=np.float64)
+
+    return load
 
 
 def _stated(text: str) -> float | None:

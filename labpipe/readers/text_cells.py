@@ -35,8 +35,8 @@ _STAMP = re.compile(
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([,.' \u2019\u00a0\u202f])\d{3})(?:\1\d{3})*([.,]\d+)?")
 _WORD = re.compile(r"\W*[^\W\d_]{2}")
 _BRACKETED = {
-    "()": re.compile(r"(.*?)\s*\(([^()]*(?:\([^()]*\))?[^()]*)\)"),
-    "[]": re.compile(r"(.*?)\s*\[([^\[\]]*)\]"),
+    "()": re.compile(r"(.*?)\(([^()]*(?:\([^()]*\)[^()]*)?)\)"),
+    "[]": re.compile(r"(.*?)\[([^\[\]]*)\]"),
 }
 _MARKED = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)([^\W\d]\S*|%|°\S*)")
 """A unit behind a comma, ``Force, N``, or as ISO 80000 writes it, ``Force / N``."""

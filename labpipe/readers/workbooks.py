@@ -56,6 +56,8 @@ _CELL = re.compile(rb'<c(?: r="([A-Z]{1,3})(\d{1,7})"|[^a-zA-Z])')
 """A cell as nearly every program writes it, or in another way."""
 _PREFIXED = (b":c ", b":c>", b":c/", b":c\t", b":c\n", b":c\r")
 _PLACE = re.compile(r"([A-Za-z]+)(\d+)")
+_TEXTS = ("str", "inlineStr")
+"""Kinds of cells that are text, even with nothing in them."""
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _LOCKED = "EncryptedPackage".encode("utf-16-le")
 """Name of the part that holds a workbook with a password, in an old binary document."""
@@ -422,23 +424,23 @@ def _quick_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
 
 
 def _exact_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
-    """Reach of the cells that hold anything."""
+    """Reach of the cells that hold anything, were it blank text: the libraries lay these out."""
     reach, at = _Reach(), [0, 0]
-    is_filled = False
+    is_filled, kind = False, ""
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal is_filled
+        nonlocal is_filled, kind
         kind, place = tag.rpartition(":")[2], attributes.get("r", "")
         if kind == "row":
             at[:] = [0, int(place) if place else at[1] + 1]
         elif kind == "c":
             match = _PLACE.fullmatch(place)
             at[:] = [_number(match[1].upper()), int(match[2])] if match else [at[0] + 1, at[1]]
-            is_filled = False
+            is_filled = attributes.get("t") in _TEXTS
 
     def inside(text: str) -> None:
         nonlocal is_filled
-        is_filled = is_filled or bool(text.strip())
+        is_filled = is_filled or kind == "v" or bool(text.strip())
 
     def end(tag: str) -> None:
         if tag.rpartition(":")[2] == "c" and is_filled:

@@ -278,6 +278,35 @@ def test_a_wrong_override_is_told_where_the_test_sheet_has_it(
     )
 
 
+def test_thousands_of_overrides_are_placed_each(tell: Tell) -> None:
+    """In time that grows with their number: each once went through all places of the sheet."""
+    keys = [f"report.display.x{number}" for number in range(5000)]
+    lines = "".join(f"  {key}: {{value: mm, because: x}}\n" for key in keys)
+
+    messages = tell(f"{SHEET}overrides:\n{lines}")
+
+    places = [message.partition(": expected")[0] for message in messages]
+    file = Path("test", "test.yaml")
+    assert places == [f"{file}, line {n}, column 3 ({key})" for n, key in enumerate(keys, 7)]
+
+
+def test_an_override_of_a_block_and_of_a_key_in_it(
+    lab: Path, write: Callable[[str], Path], tell: Tell
+) -> None:
+    block = "  rig.string: {value: {length: 5 mm, counterweight: 1 g}, because: x}\n"
+    key = "  rig.string.length: {value: 6 mm, because: x}\n"
+    path = write(f"{SHEET}overrides:\n{block}{key}")
+    string = resolve(load_test_sheet(path), path, lab / "protocols").rig.string
+    assert string is not None
+    assert (string.length, string.counterweight) == (0.006, 0.001)
+
+    wrong = (block + key).replace("1 g", "1 s").replace("6 mm", "6 s")
+    assert [message.partition(": ")[0] for message in tell(f"{SHEET}overrides:\n{wrong}")] == [
+        f"{Path('test', 'test.yaml')}, line 7, column 53 (rig.string.counterweight)",
+        f"{Path('test', 'test.yaml')}, line 8, column 30 (rig.string.length)",
+    ]
+
+
 def test_a_step_that_is_there_twice_needs_its_number(lab: Path, tell: Tell, wire: str) -> None:
     step = "  - {step: zero, channel: force, over: 2 s}\n"
     (lab / "protocols" / "wire.yaml").write_text(wire.replace(step, step * 2), encoding="utf-8")

@@ -68,6 +68,41 @@ def test_numbered_columns_need_no_names(tmp_path: Path, text: str) -> None:
     np.testing.assert_allclose(up, FORCE, rtol=1e-12)
 
 
+FIXED = "deflection / mm;force / N\n0.000;0.000\n6.000;10.250\n12.000;20.500"
+
+
+@pytest.mark.parametrize("cut", range(1, len("12.000;20.500")))
+def test_a_file_that_is_cut_off_in_its_last_line_is_refused(tmp_path: Path, cut: int) -> None:
+    message = refusal(saved(tmp_path, FIXED[:-cut]))
+    assert message.startswith("curve.csv, line 4: expected a last line that does not stop")
+    assert repr(FIXED[:-cut].rpartition("\n")[2]) in message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        FIXED,
+        f"{FIXED}\n",
+        "deflection / mm,force / N\n0,0\n6,10.25\n12,20.5",  # last zeros are not written
+        "deflection / mm,force / N\n0,0,\n6,10.25,\n12,20.5,",
+        "0 0\n6 10.25\n12 20.5",
+    ],
+)
+def test_a_last_line_without_a_line_end(tmp_path: Path, text: str) -> None:
+    asked = (ACROSS, UP) if "/" in text else (MM, NEWTON)
+    across, up = read_curve(saved(tmp_path, text), *asked)
+    np.testing.assert_allclose(across, [0.0, 0.006, 0.012])
+    np.testing.assert_allclose(up, [0.0, 10.25, 20.5])
+
+
+def test_a_page_of_blanks_is_read_in_no_time(tmp_path: Path) -> None:
+    """By backtracking over pairs of blanks it took minutes."""
+    blanks = 200_000 * " "
+    for line in (f"x{blanks}", f"x{blanks}(", f"x({blanks}", f"x{blanks}; y{blanks}z"):
+        across, _ = read_curve(saved(tmp_path, f"{line}\n{FIXED}\n"), ACROSS, UP)
+        np.testing.assert_allclose(across, [0.0, 0.006, 0.012])
+
+
 def test_named_columns_with_signs(tmp_path: Path) -> None:
     path = saved(tmp_path, "X,U2,RF2\n0,0,-0\n1,-10,-0.02\n2,-20,-0.035\n3,-30.5,-0.05\n")
     across, up = read_curve(

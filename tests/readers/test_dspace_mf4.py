@@ -50,6 +50,30 @@ def test_a_truncated_file(file: Path, part: float) -> None:
         dspace_mf4.read(file)
 
 
+def damage(file: Path, old: bytes, new: bytes, *, behind: bytes) -> None:
+    """Put other bytes in the first place behind a mark where the old ones stand."""
+    content = file.read_bytes()
+    at = content.index(old, content.index(behind))
+    file.write_bytes(content[:at] + new + content[at + len(old) :])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "behind"),
+    [
+        (b"\x18\0\0\0", b"\x18\0\0\x7f", b"##CG"),  # a record of 24 bytes, or of 2 GB
+        (b"\x08\0\0\0\x40\0\0\0", b"\x08\0\0\x0f\x40\0\0\0", b"##CN"),  # a byte offset
+        (b"Model Root/Laser", 16 * b"\0", b"MDF"),  # a channel without a name
+    ],
+)
+def test_what_no_file_says(
+    file: Path, capfd: pytest.CaptureFixture[str], old: bytes, new: bytes, behind: bytes
+) -> None:
+    damage(file, old, new, behind=behind)
+    with pytest.raises(ReadError, match="found a damaged one"):
+        dspace_mf4.read(file)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_without_the_library_the_error_says_what_to_install(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

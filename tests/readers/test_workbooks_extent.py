@@ -87,6 +87,17 @@ OTHERWISE: dict[str, Change] = {
         .replace("<x:?", "<?")
     ),
     "no places of cells": lambda text: re.sub(r'<c r="[A-Z]+\d+"', "<c", stray("A99999999")(text)),
+    **{
+        f"blank text in {cell}": lambda text, cell=cell: text.replace(  # type: ignore[misc]
+            "</sheetData>", f'<row r="1048576"><c r="{LAST}"{cell}</c></row></sheetData>'
+        )
+        for cell in (
+            ' t="inlineStr"><is><t> </t></is>',
+            ' t="inlineStr"><is><t></t></is>',
+            ' t="str"><v></v>',
+            "><v> </v>",
+        )
+    },
     "one long line": lambda text: stray()(text.replace("<v>", "<v>" + " " * 3_000_000, 1)),
 }
 
