@@ -17,7 +17,6 @@ from labpipe.process.targets import find_results
 from labpipe.records.wire_calibration import (
     DISPLAYED,
     CalibratedParameter,
-    CalibrationFailure,
     CurveMatch,
     ExternalCurveComparison,
     Identified,
@@ -77,7 +76,6 @@ def calibration_table(done: Calibrated) -> str:
         lines.append(f"  {found.friction_separability.words}")
     lines += ["", *_groups(done)]
     lines += comparison_lines(done.comparisons)
-    lines += _source(done)
     shown = {*(each.words for each in found.parameters), *priors}
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
@@ -137,21 +135,6 @@ def _group(each: ValidationGroup) -> str:
         return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {each.reason or ''}"
     cells = _cells(errors.rmse, _percent(errors.rmse_share), _percent(errors.inside, 3))
     return f"{head}{cells}  {role}"
-
-
-def _source(done: Calibrated) -> list[str]:
-    source = done.source
-    if source is None:
-        return []
-    if isinstance(source, CalibrationFailure):
-        return [f"  method of the source: failed, {source.code}: {source.message}"]
-    unsettled = "" if source.converged else "; its search did not converge"
-    return [
-        f"  method of the source, to compare: mu_s {source.strand_friction:.3g}, mu_p "
-        f"{source.insulation_friction:.3g}, F_rad {1e3 * source.radial_force:.4g} mN, "
-        f"together {1e3 * source.radial_friction:.4g} mN, rms {1e3 * source.rmse:.3g} mN; where it "
-        f"ends depends on where it begins{unsettled}"
-    ]
 
 
 def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str]:

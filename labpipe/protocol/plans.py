@@ -175,10 +175,6 @@ class CalibrationPlan(Block):
     wire: Text | None = Field(
         None, description="Specimen type whose tests calibrate; the others are predicted"
     )
-    method: Literal["likelihood", "source"] = Field(
-        "likelihood",
-        description="source: beside it, the source's three friction numbers and one stiffness",
-    )
     parameters: Parameters = Parameters()
     scatter: Scatter | None = Field(
         None, description="Standard deviation between samples, where it is known"

@@ -454,35 +454,3 @@ class CalibrationFailure:
 
     code: str
     message: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SourceCalibration(ArrayRecord):
-    """The source's procedure: three friction numbers and one stiffness for the whole wire.
-
-    Parameters
-    ----------
-    strand_friction, insulation_friction, radial_force : mu_s, mu_p, N, where the search ended
-    radial_friction : phi = F_rad (mu_s + mu_p), N: all that the tests could say
-    start : where the search began
-    converged : whether the search says that it did
-    iterations : of the search
-    singular_values : shape (3,), of the forces' derivatives by the logarithms, over the RMSE
-    sse, rmse, rmse_share : N^2, N, 1
-    deflection, force, model : shape (n,), m, N, N
-    """
-
-    strand_friction: float
-    insulation_friction: float
-    radial_force: float
-    radial_friction: float
-    start: tuple[float, float, float]
-    converged: bool
-    iterations: int
-    singular_values: Annotated[Floats, 3]
-    sse: float
-    rmse: float
-    rmse_share: float
-    deflection: Vector
-    force: Vector
-    model: Vector

@@ -16,7 +16,6 @@ from labpipe.records.wire_calibration import (
     Identified,
     Prediction,
     Profile,
-    SourceCalibration,
 )
 from labpipe.report.calibration_shown import (
     BAND,
@@ -26,7 +25,6 @@ from labpipe.report.calibration_shown import (
     MODEL,
     SHOWN,
     SMALL_FORCE,
-    SOURCE,
     length_looks,
     length_words,
     parameter_row,
@@ -76,7 +74,6 @@ def plot_loadings(
     axes: Axes,
     *,
     predictions: Mapping[float, Prediction] | None = None,
-    source: SourceCalibration | None = None,
 ) -> None:
     """Draw the first loadings of all samples, and the model once for each length.
 
@@ -85,7 +82,6 @@ def plot_loadings(
     calibration : its curves are drawn
     axes : to draw on
     predictions : by length, m: what the model says with its band; no band without one
-    source : drawn where it is of the same curves
     """
     looks = looks_of(calibration)
     for curve in calibration.curves:
@@ -103,8 +99,6 @@ def plot_loadings(
         )  # fmt: skip
         if predictions and length in predictions:
             _draw_band(axes, predictions[length], deepest)
-        if source is not None:
-            _draw_source(axes, calibration, source, length)
     axes.set_xlim(left=0.0)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
@@ -138,36 +132,6 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
     axes.set_xlim(left=0.0)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(SMALL_FORCE.label("Measured \u2212 model"))
-
-
-def source_curves(
-    calibration: Calibration, source: SourceCalibration
-) -> tuple[tuple[float, Floats, Floats], ...]:
-    """Cut what `method: source` makes of the tests into curves.
-
-    Returns
-    -------
-    Length, deflection and force (m, m, N) of each; nothing where the points are not those of the
-    calibration's curves, one after the other.
-    """
-    ends = np.cumsum([len(curve.deflection) for curve in calibration.curves])
-    joined = np.concatenate([curve.deflection for curve in calibration.curves])
-    if not np.array_equal(joined, source.deflection):
-        return ()
-    return tuple(
-        (curve.length, curve.deflection, source.model[end - len(curve.deflection) : end])
-        for curve, end in zip(calibration.curves, ends.tolist(), strict=True)
-    )
-
-
-def _draw_source(
-    axes: Axes, calibration: Calibration, source: SourceCalibration, length: float
-) -> None:
-    own = [each for each in source_curves(calibration, source) if each[0] == length]
-    for _, deflection, force in own[:1]:
-        order = np.argsort(deflection)
-        across = DEFLECTION.factor * deflection[order]
-        axes.plot(across, FORCE.factor * force[order], zorder=5, **SOURCE)
 
 
 def _draw_band(axes: Axes, prediction: Prediction, curve: CurveAgreement) -> None:
@@ -211,9 +175,7 @@ _NARROW, _WIDE = 6.0, 500.0
 many."""
 
 
-def plot_profile(
-    parameter: CalibratedParameter, axes: Axes, *, elsewhere: float | None = None
-) -> None:
+def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
     """Draw the deviance of a parameter on a logarithmic axis.
 
     Parameters
@@ -223,13 +185,12 @@ def plot_profile(
         interval in grey, up to the end of the panel where it is open, the value as a triangle,
         open ones for other solutions, and the deviance of the prior from its own centre where
         there is one
-    elsewhere : SI, a value that another method found
     """
     if not parameter.profiles:
         _say(axes, typeset(parameter.words))
         return
     shown = SHOWN[parameter.name]
-    low, high = seen(parameter, elsewhere)
+    low, high = seen(parameter)
     axes.set_xscale("log")
     _draw_interval(parameter, axes, (low, high))
     leasts = sorted(_least(profile)[0] for profile in parameter.profiles)
@@ -238,8 +199,6 @@ def plot_profile(
         side = leasts.index(_least(profile)[0])
         _draw_solution(profile, axes, shown.scale.factor, (borders[side], borders[side + 1]))
     axes.plot(shown.scale.factor * parameter.value, 0.0, **_VALUE)
-    if elsewhere is not None:
-        axes.axvline(shown.scale.factor * elsewhere, **SOURCE)
     _draw_prior(parameter, axes, (low, high))
     axes.set_xlim(shown.scale.factor * low, shown.scale.factor * high)
     axes.set_ylim(0.0, _highest(parameter))
@@ -279,13 +238,12 @@ def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[floa
         axes.plot(factor * least, height, **_VALUE, markerfacecolor="white")
 
 
-def seen(parameter: CalibratedParameter, elsewhere: float | None = None) -> tuple[float, float]:
+def seen(parameter: CalibratedParameter) -> tuple[float, float]:
     """Find the values that the panel of a parameter shows, SI.
 
     Parameters
     ----------
     parameter : with a profile; its interval, or up to where its profile was followed, is seen
-    elsewhere : is seen as well
     """
     if not parameter.profiles:
         return parameter.value, parameter.value
@@ -300,8 +258,6 @@ def seen(parameter: CalibratedParameter, elsewhere: float | None = None) -> tupl
     )
     ends = [end for part in parameter.intervals for end in (part.lower, part.upper)]
     wanted += [end for end in ends if first <= end <= last]
-    if elsewhere is not None and elsewhere > 0.0:
-        wanted.append(elsewhere)
     if parameter.conflict is not None:
         wanted.append(parameter.conflict.centre)
     low, high = float(np.log(min(wanted))), float(np.log(max(wanted)))
@@ -385,7 +341,6 @@ _RESIDUALS = "Residuals: every point faint, means over neighbouring points as li
 
 def calibration_card(
     calibration: Calibration,
-    source: SourceCalibration | None = None,
     *,
     predictions: Mapping[float, Prediction] | None = None,
 ) -> Figure:
@@ -394,7 +349,6 @@ def calibration_card(
     Parameters
     ----------
     calibration : of one wire
-    source : what `method: source` makes of the same tests; left away if None
     predictions : what the model says at each length (m) of the tests, for its band
 
     Returns
@@ -406,21 +360,21 @@ def calibration_card(
     rows = [HEADS, *(parameter_row(parameter) for parameter in calibration.parameters)]
     lines = [
         line
-        for each in sentences(calibration, source)
+        for each in sentences(calibration)
         for line in textwrap.wrap(each, _LETTERS, subsequent_indent="   ")
     ]
     heights = _heights(len(rows) + len(lines) + 1.3)
     note = _RESIDUALS if predictions else f"{_RESIDUALS} {_NO_BAND}"
     page = keyed_page(
-        Words(_title(calibration), note, _keys(calibration, source, predictions)),
+        Words(_title(calibration), note, _keys(calibration, predictions)),
         height_mm=sum(heights) + _AROUND * len(_HEIGHTS),
         width_mm=DOUBLE_COLUMN,
     )
     panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff;wwwwww", height_ratios=heights)
-    plot_loadings(calibration, panels["a"], predictions=predictions, source=source)
+    plot_loadings(calibration, panels["a"], predictions=predictions)
     plot_residuals(calibration, panels["b"])
     plot_residuals(calibration, panels["c"], has_own_factor=True)
-    _draw_profiles(calibration, source, [panels[letter] for letter in "def"])
+    _draw_profiles(calibration, [panels[letter] for letter in "def"])
     _write(panels["w"], rows, lines)
     for letter, heading in zip("abc", _HEADINGS, strict=True):
         panel_letter(panels[letter], letter, heading)
@@ -448,12 +402,9 @@ def _heights(lines: float) -> tuple[float, ...]:
     return *(share * height for height in _HEIGHTS), words
 
 
-def _draw_profiles(
-    calibration: Calibration, source: SourceCalibration | None, panels: Sequence[Axes]
-) -> None:
-    elsewhere = None if source is None else source.radial_friction
+def _draw_profiles(calibration: Calibration, panels: Sequence[Axes]) -> None:
     for number, (parameter, axes) in enumerate(zip(calibration.parameters, panels, strict=True)):
-        plot_profile(parameter, axes, elsewhere=None if number else elsewhere)
+        plot_profile(parameter, axes)
         panel_letter(axes, "def"[number], _OF_PARAMETERS[number])
     panels[0].set_ylabel("Deviance")
 
@@ -479,7 +430,6 @@ def _put(axes: Axes, text: str, at: float, line: float, **look: Any) -> None:
 
 def _keys(
     calibration: Calibration,
-    source: SourceCalibration | None,
     predictions: Mapping[float, Prediction] | None,
 ) -> list[Artist]:
     keys: list[Artist] = [
@@ -489,8 +439,6 @@ def _keys(
     keys.append(line_key("model", **MODEL_LINE))
     if predictions:
         keys.append(area_key("its 95 % band, mean sample", **MODEL_BAND))
-    if source is not None:
-        keys.append(line_key("method: source", **SOURCE))
     if any(parameter.profiles for parameter in calibration.parameters):
         keys.append(line_key("95 % threshold", **THRESHOLD))
         keys.append(area_key("95 % interval", **INTERVAL))

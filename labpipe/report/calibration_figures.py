@@ -143,9 +143,7 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
     each; ``external-curves``, ``external-curves-2`` ... if curves from elsewhere are compared;
     ``shapes-1`` ... for each sample whose shapes are there.
     """
-    card = partial(
-        calibration_card, report.calibration, report.source, predictions=report.predictions
-    )
+    card = partial(calibration_card, report.calibration, predictions=report.predictions)
     yield FigureToSave("calibration", card)
     for number, groups in enumerate(in_pages(report.groups, MOST_PANELS), start=1):
         yield FigureToSave(f"validation-{number}", partial(validation_figure, groups))

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     Prediction,
     Separability,
-    SourceCalibration,
 )
 from labpipe.report.figure_page import Look, dash_of
 from labpipe.report.wording import SUPERSCRIPTS, Scale, count_of, write_number
@@ -34,12 +33,6 @@ FORCE = Scale(1.0, "N")
 SMALL_FORCE = Scale(1e3, "mN")
 MODEL, BAND = "#0072B2", "#a6cbe3"
 """The model and its band; measured samples are black and grey beside it."""
-SOURCE: Mapping[str, Any] = {
-    "color": "#D55E00",
-    "linewidth": 0.9,
-    "linestyle": (0, (4, 1.4, 1, 1.4)),
-}
-"""What `method: source` makes of the same tests."""
 
 _COLOURS = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
 _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
@@ -214,14 +207,12 @@ class CalibrationReport:
     calibration : of one wire
     groups : wires and lengths that it is compared with, its own among them
     shapes : by what they are of, such as ``A2, 85 mm``
-    source : what `method: source` makes of the same tests; None where it was not run
     comparisons : curves from elsewhere, compared with tests and model
     """
 
     calibration: Calibration
     groups: tuple[ValidationGroup, ...] = ()
     shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
-    source: SourceCalibration | None = None
     comparisons: tuple[ExternalCurveComparison, ...] = ()
 
     @property
@@ -286,18 +277,17 @@ def _parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
         yield ends[is_open]
 
 
-def sentences(calibration: Calibration, source: SourceCalibration | None = None) -> list[str]:
+def sentences(calibration: Calibration) -> list[str]:
     """Say what a calibration found, and what it does not know.
 
     Parameters
     ----------
     calibration : all of it
-    source : said where it was run
 
     Returns
     -------
     Sentences on: each parameter, its prior, agreement with the tests, what cannot be told apart,
-    notes, `method: source`.
+    notes.
     """
     return [
         *_parameters(calibration),
@@ -305,7 +295,6 @@ def sentences(calibration: Calibration, source: SourceCalibration | None = None)
         _levels(calibration),
         *_separabilities(calibration),
         *_notes(calibration),
-        *([_source(source)] if source is not None else []),
     ]
 
 
@@ -356,19 +345,3 @@ def _notes(calibration: Calibration) -> Iterator[str]:
     for note in calibration.notes:
         if note.code not in _TOLD and note.severity is not Severity.INFO:
             yield f"Note: {typeset(note.message)}"
-
-
-def _source(source: SourceCalibration) -> str:
-    milli, unit = SMALL_FORCE
-    numbers = (
-        f"mu_s {source.strand_friction:.3g}, mu_p {source.insulation_friction:.3g}, F_rad "
-        f"{milli * source.radial_force:.4g} {unit}"
-    )
-    start = ", ".join(f"{value:g}" for value in source.start)
-    ending = "" if source.converged else "; its search did not converge"
-    return typeset(
-        f"Method: source, three friction numbers and one stiffness for the whole wire: phi = "
-        f"{milli * source.radial_friction:.4g} {unit} ({numbers}, search begun at {start}); RMSE "
-        f"{milli * source.rmse:.3g} {unit}, "
-        f"{percent(source.rmse_share)} of the largest force{ending}."
-    )

@@ -17,7 +17,6 @@ from labpipe.records.wire_calibration import (
     CurveMatch,
     ExternalCurveComparison,
     Separability,
-    SourceCalibration,
 )
 from labpipe.report.calibration_shown import (
     DEFLECTION,
@@ -127,8 +126,8 @@ def tables_of(report: CalibrationReport) -> list[Sheet]:
     return [
         _summary(calibration),
         _solutions(calibration),
-        _fit(calibration, report.source),
-        _identified(calibration, report.source),
+        _fit(calibration),
+        _identified(calibration),
         _agreement(report.groups),
         *comparison_tables(report.comparisons),
         _curves(calibration),
@@ -196,7 +195,7 @@ def _scaled(shown: Shown, value: float) -> float | None:
     return shown.scale.factor * value if math.isfinite(value) else None
 
 
-def _fit(calibration: Calibration, source: SourceCalibration | None) -> Sheet:
+def _fit(calibration: Calibration) -> Sheet:
     levels = calibration.levels
     rows: list[tuple[Value, ...]] = [
         ("wire", calibration.wire, ""),
@@ -215,27 +214,11 @@ def _fit(calibration: Calibration, source: SourceCalibration | None) -> Sheet:
         ("intervals wider, for the family of curves is bent", calibration.widening, "1"),
         ("method", calibration.method, ""),
     ]
-    asks = "What does the calibration rest on, and what does 'method: source' make of the tests?"
-    return Sheet(FIT, ("number", "value", "unit"), [*rows, *_source(source)], 1, asks=asks)
+    asks = "What does the calibration rest on?"
+    return Sheet(FIT, ("number", "value", "unit"), rows, 1, asks=asks)
 
 
-def _source(source: SourceCalibration | None) -> Iterator[tuple[Value, ...]]:
-    if source is None:
-        return
-    head = "method: source, "
-    yield (f"{head}F_rad (mu_s + mu_p)", source.radial_friction, "N")
-    yield (f"{head}mu_s", source.strand_friction, "1")
-    yield (f"{head}mu_p", source.insulation_friction, "1")
-    yield (f"{head}F_rad", source.radial_force, "N")
-    yield (f"{head}start", ", ".join(f"{value:g}" for value in source.start), "")
-    yield (f"{head}converged", yes(source.converged), "")
-    yield (f"{head}iterations", source.iterations, "1")
-    yield (f"{head}SSE", source.sse, "N²")
-    yield (f"{head}RMSE", source.rmse, "N")
-    yield (f"{head}RMSE over the largest force", source.rmse_share, "1")
-
-
-def _identified(calibration: Calibration, source: SourceCalibration | None) -> Sheet:
+def _identified(calibration: Calibration) -> Sheet:
     """Correlations, and singular values with the weights of what they belong to."""
     rows: list[tuple[Value, ...]] = [
         (
@@ -248,9 +231,6 @@ def _identified(calibration: Calibration, source: SourceCalibration | None) -> S
     rows += _singular("singular value of the parameters", calibration.separability)
     if calibration.friction_separability is not None:
         rows += _singular("singular value of friction", calibration.friction_separability)
-    if source is not None:
-        values = source.singular_values.tolist()
-        rows += [("singular value, method: source", value, *_by_name({})) for value in values]
     heads = (
         "what",
         "of",

@@ -30,7 +30,6 @@ from labpipe.records.wire_calibration import (
     ParameterChoice,
     Separability,
     Solution,
-    SourceCalibration,
 )
 from labpipe.report.calibration_figures import calibration_drawings, save_calibration_figures
 from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
@@ -59,7 +58,6 @@ from labpipe.studies.validation import (
 )
 from labpipe.studies.wire_specs import read_wires
 from labpipe.wire.calibration.calibrate_wire import Settings, Wire, calibrate
-from labpipe.wire.calibration.source_method import calibrate_as_source
 from labpipe.wire.law_family import with_values
 from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import wire_table
@@ -121,7 +119,6 @@ SCHEMA = 2
 def calibration_json(
     calibration: Calibration,
     groups: Sequence[ValidationGroup],
-    source: SourceCalibration | CalibrationFailure | None,
     left_out: Mapping[str, str],
     tested: float = math.nan,
 ) -> dict[str, object]:
@@ -131,7 +128,6 @@ def calibration_json(
     ----------
     calibration : of one wire
     groups : what it was compared with
-    source : the source's procedure, if it was asked for
     left_out : by file, why a test was not taken
     tested : 1/m, largest curvature that the tests reached
     """
@@ -159,7 +155,6 @@ def calibration_json(
         "rmse_share": calibration.rmse_share,
         "curves": [_curve(each) for each in calibration.curves],
         "groups": [_group(each) for each in groups],
-        "source_method": _source(source),
         "left_out": dict(left_out),
         "quality": [asdict(note) for note in calibration.notes],
     }
@@ -270,23 +265,6 @@ def _group(each: ValidationGroup) -> dict[str, object]:
     }
 
 
-def _source(source: SourceCalibration | CalibrationFailure | None) -> dict[str, object] | None:
-    if source is None:
-        return None
-    if isinstance(source, CalibrationFailure):
-        return {"failed": source.code, "reason": source.message}
-    names = (
-        *("strand_friction", "insulation_friction", "radial_force", "radial_friction"),
-        *("sse", "rmse", "rmse_share"),
-    )
-    return {
-        **{name: _number(getattr(source, name)) for name in names},
-        "start": list(source.start),
-        "converged": source.converged,
-        "singular_values": _numbers(source.singular_values),
-    }
-
-
 MODEL_FILE = "calibration.json"
 WORKBOOK_FILE = "calibration.xlsx"
 FIGURES_FOLDER = "figures"
@@ -304,7 +282,6 @@ class Calibrated:
     ----------
     folder : of the results
     calibration : of the wire that was calibrated
-    source : the source's procedure on the same tests, if the plan asks for it
     groups : samples of one wire and length each, those of the calibrated wire first
     left_out : by file, why a test was not taken
     files : all that were written
@@ -316,7 +293,6 @@ class Calibrated:
 
     folder: Path
     calibration: Calibration
-    source: SourceCalibration | CalibrationFailure | None
     groups: tuple[ValidationGroup, ...]
     left_out: Mapping[str, str]
     files: tuple[Path, ...]
@@ -392,7 +368,6 @@ def calibrate_tests(
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
         calibration=calibration,
-        source=calibrate_as_source(built[name], measured) if asked.method == "source" else None,
         groups=groups,
         left_out=left_out | copies,
         files=(),
@@ -482,8 +457,7 @@ def _write(
 ) -> tuple[Path, ...]:
     """Write the files of a calibration together."""
     folder = done.folder
-    source = None if isinstance(done.source, CalibrationFailure) else done.source
-    shown = CalibrationReport(done.calibration, done.groups, done.shapes, source, done.comparisons)
+    shown = CalibrationReport(done.calibration, done.groups, done.shapes, done.comparisons)
     owned = pngs_of(calibration_drawings(shown), FIGURES_FOLDER) if figures else []
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("tables and decks")
@@ -504,9 +478,7 @@ def as_json(done: Calibrated) -> dict[str, object]:
     ----------
     done : the calibration
     """
-    found = calibration_json(
-        *(done.calibration, done.groups, done.source, done.left_out), done.tested_curvature
-    )
+    found = calibration_json(*(done.calibration, done.groups, done.left_out), done.tested_curvature)
     stated = {column: curve.as_json() for column, curve in done.stress_tables.items()}
     compared = [comparison_json(each) for each in done.comparisons]
     return found | {"comparisons": compared, "stress_tables": stated}

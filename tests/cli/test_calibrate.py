@@ -13,7 +13,6 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire_calibration import (
     Calibration,
-    CalibrationFailure,
     Identified,
     ParameterChoice,
 )
@@ -31,7 +30,7 @@ def done() -> Calibrated:
     assert isinstance(found, Calibration)
     loadings = [FirstLoading(curve, 0.0, ()) for curve in curves]
     groups = compare(found, {"A2": wire_of("A2")}, loadings)
-    return Calibrated(Path("processed/calibration"), found, None, groups, {}, ())
+    return Calibrated(Path("processed/calibration"), found, groups, {}, ())
 
 
 def test_parameters_with_intervals_and_units(done: Calibrated) -> None:
@@ -113,12 +112,6 @@ def test_one_sample_and_a_value_at_a_far_bound(done: Calibrated) -> None:
     lines = calibration_table(replace(done, calibration=one)).splitlines()
     assert " points of 1 sample, rms" in lines[0]
     assert " 100000 mN" in lines[1]
-
-
-def test_a_failed_comparison_says_why(done: Calibrated) -> None:
-    failed = CalibrationFailure("parameter_without_effect", "a single strand has no friction")
-    said = calibration_table(replace(done, source=failed))
-    assert "method of the source: failed, parameter_without_effect: a single strand" in said
 
 
 def test_rejected_tests_are_not_handed_over(

@@ -44,7 +44,7 @@ def test_truth_is_found_and_another_wire_predicted(
     campaign: Path, sheet: str, tmp_path: Path, run: Run
 ) -> None:
     out = tmp_path / "out"
-    asked = ("--plan", plan(tmp_path, "wire: A2\nmethod: source\n"), "--out", str(out))
+    asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(out))
     done = run("calibrate", str(campaign), "--wire", sheet, *asked, "--no-figures")
     assert done.status == 0, done.err
     found: dict[str, Any] = json.loads((out / "calibration.json").read_text("utf-8"))
@@ -59,9 +59,6 @@ def test_truth_is_found_and_another_wire_predicted(
     assert (second["wire"], second["calibrating"]) == ("B1", False)
     assert second["rmse_share"] < 0.08
     assert second["inside_band"] > 0.9
-    assert found["source_method"]["start"] == [0.2, 0.2, 0.2]
-    assert found["source_method"]["rmse"] > found["rmse"]
-    assert "where it ends depends on where it begins" in done.out
     assert "cannot be told apart" in done.out
     assert "predicted" in done.out
     assert (out / "calibration.xlsx").is_file()

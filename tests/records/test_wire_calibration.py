@@ -8,7 +8,6 @@ from labpipe.records.wire_calibration import (
     UNITS,
     Profile,
     Separability,
-    SourceCalibration,
 )
 
 TWO = np.zeros(2)
@@ -26,17 +25,3 @@ def test_arrays_are_frozen_and_of_one_length() -> None:
         Profile(np.zeros(3), TWO, 3.84, 20.0)
     with pytest.raises(ValueError, match=r"expected \w+ of shape \(2, 2\), found \(2,\)"):
         Separability(("a", "b"), TWO, TWO, {}, "")
-    with pytest.raises(ValueError, match=r"expected \w+ of shape \(3,\), found \(2,\)"):
-        SourceCalibration(
-            *(0.2, 0.2, 0.2, 0.08),
-            start=(0.2, 0.2, 0.2),
-            converged=True,
-            iterations=1,
-            singular_values=TWO,
-            sse=0.0,
-            rmse=0.0,
-            rmse_share=0.0,
-            deflection=TWO,
-            force=TWO,
-            model=TWO,
-        )

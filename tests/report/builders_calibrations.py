@@ -12,14 +12,12 @@ from labpipe.records.wire_calibration import (
     Calibration,
     ParameterChoice,
     Prediction,
-    SourceCalibration,
 )
 from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
 from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.wire.calibration.calibrate_wire import MeasuredCurve, Settings, calibrate
 from labpipe.wire.calibration.measured_curves import curve_errors
 from labpipe.wire.calibration.prediction import predict
-from labpipe.wire.calibration.source_method import calibrate_as_source
 from tests.builders.loading_tests import measured, rig_of, wire_of
 
 LENGTHS = (0.085, 0.12)
@@ -53,13 +51,6 @@ def one_sample() -> Calibration:
     """Friction alone, from one sample."""
     choices = {"copper_scale": _FIXED, "insulation_modulus": _FIXED}
     return _calibrated(TESTS[:1], Settings(choices))
-
-
-@cache
-def source() -> SourceCalibration:
-    found = calibrate_as_source(wire_of("A2"), TESTS[:2])
-    assert isinstance(found, SourceCalibration)
-    return found
 
 
 @cache
@@ -106,7 +97,7 @@ def shapes() -> Mapping[str, tuple[BentShape, ...]]:
 def report() -> CalibrationReport:
     """All of it: two lengths of the wire itself, and two other wires."""
     others = (group("A1"), group("A3", 0.12, samples=1))
-    return CalibrationReport(usual(), (group(), group("A2", 0.12), *others), shapes(), source())
+    return CalibrationReport(usual(), (group(), group("A2", 0.12), *others), shapes())
 
 
 @cache

@@ -10,7 +10,7 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import Calibration
 from labpipe.report.calibration_card import calibration_card
 from labpipe.report.figure_page import finish_layout, style
-from tests.report.builders_calibrations import predicted, source, troubled, usual
+from tests.report.builders_calibrations import predicted, troubled, usual
 
 A4_MM = 270.0
 """Height of a page between its margins."""
@@ -27,7 +27,7 @@ def keys(page: Figure) -> list[str]:
 
 
 def test_panels_keys_and_words() -> None:
-    page = calibration_card(usual(), source(), predictions={0.085: predicted()})
+    page = calibration_card(usual(), predictions={0.085: predicted()})
     headings = [axes.get_title(loc="left") for axes in page.axes[:6]]
     assert headings == [
         "(a) first loadings",
@@ -43,13 +43,11 @@ def test_panels_keys_and_words() -> None:
         "measured, 120 mm (2)",
         "model",
         "its 95 % band, mean sample",
-        "method: source",
         "95 % threshold",
         "95 % interval",
     ]
     said = "\n".join(text.get_text() for text in page.axes[6].texts)
     assert "Friction \u03c6" in said
-    assert "Method: source" in said
 
 
 def test_without_band_and_with_prior() -> None:
@@ -76,7 +74,7 @@ def test_the_page_is_one_page_and_its_words_stay_on_it(which: str) -> None:
     makers: dict[str, Callable[[], Calibration]] = {
         "usual": usual, "troubled": troubled, "wordy": _wordy,
     }  # fmt: skip
-    page = calibration_card(makers[which](), source())
+    page = calibration_card(makers[which]())
     assert 25.4 * page.get_figheight() < A4_MM
     finish_layout(page)
     page.canvas.draw()

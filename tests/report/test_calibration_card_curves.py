@@ -7,9 +7,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labpipe.report.calibration_card import plot_loadings, plot_residuals, source_curves
+from labpipe.report.calibration_card import plot_loadings, plot_residuals
 from labpipe.report.figure_page import style
-from tests.report.builders_calibrations import one_sample, predicted, source, usual
+from tests.report.builders_calibrations import predicted, usual
 
 
 @pytest.fixture(autouse=True)
@@ -50,25 +50,3 @@ def test_residuals_with_and_without_the_factors_of_samples() -> None:
     scaled = 1e3 * (curve.force - curve.sample_factor * curve.model)
     np.testing.assert_allclose(np.asarray(own.lines[1].get_ydata()), scaled)
     assert plain.get_ylabel() == "Measured \u2212 model (mN)"
-
-
-def test_source_is_drawn_where_it_is_of_the_same_tests() -> None:
-    assert source_curves(usual(), source()) == ()
-    axes = panel()
-    plot_loadings(usual(), axes, source=source())
-    assert len(axes.lines) == 4 + 2
-    alone = one_sample()
-    assert source_curves(alone, source()) == ()
-
-
-def test_source_is_cut_into_curves() -> None:
-    from dataclasses import replace
-
-    calibration = replace(usual(), curves=usual().curves[:2])
-    first, second = source_curves(calibration, source())
-    assert first[0] == second[0] == 0.085
-    np.testing.assert_array_equal(np.concatenate([first[2], second[2]]), source().model)
-    axes = panel()
-    plot_loadings(calibration, axes, source=source())
-    assert len(axes.lines) == 2 + 2
-    np.testing.assert_allclose(np.asarray(axes.lines[-1].get_ydata()), first[2])

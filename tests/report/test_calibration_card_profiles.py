@@ -62,13 +62,6 @@ def test_prior_from_its_own_centre() -> None:
     assert np.interp(1.6 / 1.05, x, y) == pytest.approx(1.96**2, rel=0.01)
 
 
-def test_value_of_another_method_is_in_the_panel() -> None:
-    parameter, axes = usual().parameter("radial_friction"), panel()
-    plot_profile(parameter, axes, elsewhere=0.4)
-    assert axes.get_xlim()[1] > 400.0
-    assert 400.0 in [float(np.asarray(line.get_xdata())[0]) for line in axes.lines]
-
-
 def test_held_parameter_is_said() -> None:
     parameter, axes = troubled().parameter("insulation_modulus"), panel()
     plot_profile(parameter, axes)

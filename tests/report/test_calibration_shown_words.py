@@ -5,7 +5,6 @@ from dataclasses import replace
 from labpipe.report.calibration_shown import HEADS, parameter_row, sentences
 from tests.report.builders_calibrations import (
     one_sample,
-    source,
     troubled,
     two_solutions,
     usual,
@@ -48,7 +47,6 @@ def test_what_is_said_of_a_usual_calibration() -> None:
         "\n\u03bc_s, \u03bc_p and F_rad are not identified, they cannot be told apart: 1 of 3 "
         "combinations is known" in said
     )
-    assert "Method: source" not in said
 
 
 def test_conflict_of_a_prior_is_said_once() -> None:
@@ -57,14 +55,10 @@ def test_conflict_of_a_prior_is_said_once() -> None:
     assert "The modulus of the insulation was held at 1000 MPa." in said
 
 
-def test_notes_and_source() -> None:
-    said = sentences(one_sample(), source())
+def test_notes() -> None:
+    said = sentences(one_sample())
     assert "How samples scatter is not known" in "\n".join(said)
     assert any(line.startswith("Note: One sample: how samples scatter") for line in said)
-    assert said[-1].startswith("Method: source, three friction numbers and one stiffness")
-    assert f"\u03c6 = {1e3 * source().radial_friction:.4g} mN (\u03bc_s" in said[-1]
-    lost = sentences(usual(), replace(source(), converged=False))[-1]
-    assert lost.endswith("; its search did not converge.")
 
 
 def test_two_solutions_are_said_with_both() -> None:

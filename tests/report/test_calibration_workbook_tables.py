@@ -14,7 +14,6 @@ from tests.report.builders_calibrations import (
     group,
     predicted,
     report,
-    source,
     troubled,
     two_solutions,
     usual,
@@ -63,14 +62,10 @@ def test_summary() -> None:
     assert copper["verdict"] == "contradicts its prior"
 
 
-def test_numbers_of_the_fit_and_of_the_source() -> None:
+def test_numbers_of_the_fit() -> None:
     numbers = {row["number"]: row["value"] for row in rows(report(), "fit")}
     assert numbers["points"] == 360
     assert numbers["RMSE"] == usual().rmse
-    assert numbers["method: source, F_rad (mu_s + mu_p)"] == source().radial_friction
-    assert numbers["method: source, start"] == "0.2, 0.2, 0.2"
-    alone = rows(CalibrationReport(usual()), "fit")
-    assert not any("source" in str(row["number"]) for row in alone)
 
 
 def test_correlations_and_singular_values() -> None:
@@ -85,7 +80,6 @@ def test_correlations_and_singular_values() -> None:
     assert own[0]["weight or correlation, copper_scale"] is None
     apart = {row["of"]: row for row in found if row["what"] == "told apart"}
     assert apart["strand_friction"]["weight or correlation, strand_friction"] == "no"
-    assert sum(row["what"] == "singular value, method: source" for row in found) == 3
 
 
 def test_agreement_of_each_wire_and_length() -> None:

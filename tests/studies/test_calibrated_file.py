@@ -25,7 +25,7 @@ def made() -> Calibration:
 
 @pytest.fixture
 def file(made: Calibration, tmp_path: Path) -> Path:
-    done = Calibrated(Path("out"), made, None, (), {}, (), tested_curvature=21.5)
+    done = Calibrated(Path("out"), made, (), {}, (), tested_curvature=21.5)
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(as_json(done), allow_nan=False), encoding="utf-8")
     return path

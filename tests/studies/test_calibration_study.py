@@ -17,7 +17,6 @@ from labpipe.studies.calibration_study import (
 from labpipe.studies.first_loadings import FirstLoading
 from labpipe.studies.validation import compare
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.calibration.source_method import calibrate_as_source
 from tests.builders.loading_tests import measured, wire_of
 from tests.builders.wire_tables import wire_table
 
@@ -56,8 +55,7 @@ def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> No
 
 def test_json_is_plain_and_says_what_is_not_identified(calibration: Calibration) -> None:
     groups = compare(calibration, {"A2": wire_of("A2")}, loadings("A2"))
-    source = calibrate_as_source(wire_of("A2"), CURVES)
-    done = Calibrated(Path("out"), calibration, source, groups, {"T9": "why"}, ())
+    done = Calibrated(Path("out"), calibration, groups, {"T9": "why"}, ())
     found = json.loads(json.dumps(as_json(done), allow_nan=False))
     assert found["wire"] == "A2"
     assert [each["name"] for each in found["parameters"]] == [
@@ -67,13 +65,12 @@ def test_json_is_plain_and_says_what_is_not_identified(calibration: Calibration)
     assert len(found["friction_separability"]["singular_values"]) == 3
     assert found["groups"][0]["prediction"]["force"][0] == pytest.approx(0.0)
     assert found["left_out"] == {"T9": "why"}
-    assert found["source_method"]["radial_friction"] > 0.0
 
 
 def test_json_has_solutions_and_parts() -> None:
     made = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(gain=0.005))
     assert isinstance(made, Calibration)
-    found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, None, (), {}, ()))))
+    found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
     assert len(found["solutions"]) == 2
     assert all(each["in_95_percent_set"] for each in found["solutions"])
     assert found["widening"] == made.widening > 1.0
@@ -89,7 +86,7 @@ def test_json_names_priors_and_what_was_held() -> None:
     choices = {"insulation_modulus": prior, "radial_friction": held}
     made = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(choices, gain=0.005))
     assert isinstance(made, Calibration)
-    found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, None, (), {}, ()))))
+    found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
     friction, modulus, _ = found["parameters"]
     assert (friction["source"], friction["intervals"]) == ("a calibration of A2", [])
     said = modulus["prior"]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.records.wire_calibration import Calibration, ParameterChoice, SourceCalibration
+from labpipe.records.wire_calibration import Calibration, ParameterChoice
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.calibration.source_method import calibrate_as_source
 from tests.builders.loading_tests import PHI, measured, wire_of
+from tests.judges.source_method import SourceCalibration, calibrate_as_source
 
 WIRE = wire_of("A2")
 FIXED = ParameterChoice(is_fixed=True)

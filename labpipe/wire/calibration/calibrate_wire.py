@@ -4,7 +4,7 @@ Of one wire, several samples and lengths determine phi = F_rad (mu_s + mu_p), th
 insulation and the strength of the copper, as far as they do: intervals come from the profile
 likelihood with t quantiles, and what the tests do not say is said in words. The objective is that
 of `parameter_search`, the law that of `wire_parts`, the loading curve the exact one of
-`first_loading`. The source's own procedure is in `source_method`.
+`first_loading`.
 """
 
 from __future__ import annotations

@@ -7,11 +7,11 @@ import pytest
 
 from labpipe.records.wire_calibration import CalibrationFailure
 from labpipe.wire.calibration.fit import Wire
-from labpipe.wire.calibration.source_method import calibrate_as_source, source_forces
 from labpipe.wire.cross_section import Layer, concentric
 from labpipe.wire.friction import Contacts
 from labpipe.wire.materials import Elastic
 from tests.builders.loading_tests import measured, wire_of
+from tests.judges.source_method import calibrate_as_source, source_forces
 
 WIRE = wire_of("A2")
 CURVES = measured(samples=1, scatter=0.0, gain=0.0, noise=1e-4, n=60, has_string=False)

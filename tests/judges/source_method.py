@@ -17,7 +17,9 @@ does.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,8 +27,8 @@ from scipy.optimize import minimize
 
 from labpipe.law.loading_panels import law_of_plays, panel_rule
 from labpipe.law.plays import LinearLaw
-from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import CalibrationFailure, SourceCalibration
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
+from labpipe.records.wire_calibration import CalibrationFailure
 from labpipe.wire.bending_law import moment_curvature
 from labpipe.wire.calibration.fit import Wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors, usable
@@ -39,6 +41,38 @@ _NODES, _STEEPEST_SINE = 40, 0.999
 _PULL = 8.0  # moment over EI / L at the clamp up to which the elastica is tabulated
 _STEEPNESS = 1e-6  # largest slope at rest of the sum of squares over that of the forces
 _STEP = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceCalibration(ArrayRecord):
+    """The source's procedure: three friction numbers and one stiffness for the whole wire.
+
+    Parameters
+    ----------
+    strand_friction, insulation_friction, radial_force : mu_s, mu_p, N, where the search ended
+    radial_friction : phi = F_rad (mu_s + mu_p), N: all that the tests could say
+    start : where the search began
+    converged : whether the search says that it did
+    iterations : of the search
+    singular_values : shape (3,), of the forces' derivatives by the logarithms, over the RMSE
+    sse, rmse, rmse_share : N^2, N, 1
+    deflection, force, model : shape (n,), m, N, N
+    """
+
+    strand_friction: float
+    insulation_friction: float
+    radial_force: float
+    radial_friction: float
+    start: tuple[float, float, float]
+    converged: bool
+    iterations: int
+    singular_values: Annotated[Floats, 3]
+    sse: float
+    rmse: float
+    rmse_share: float
+    deflection: Vector
+    force: Vector
+    model: Vector
 
 
 def calibrate_as_source(
