@@ -19,9 +19,10 @@ from scipy.integrate import solve_bvp
 from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Held, Load
-from labpipe.rod.line import Line, Section, straight_line
+from labpipe.rod.line import Line, Section
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
+from tests.builders.rods import straight_line
 
 SLIDERS = 8
 NODES, STEPS, MOST = 100, 200, 2.0

@@ -71,14 +71,6 @@ class _Scan:
         first, last = float(self.d[0]), float(self.d[-1])
         return 0.5 * (first + last) + 0.5 * (last - first) * x
 
-    def design(self, at: float) -> Floats:
-        """Columns: level at the break, slope before, slope behind, jump at the break."""
-        ahead = self.d - self.d_of(at)
-        jump = (ahead >= 0.0).astype(np.float64)
-        return np.column_stack(
-            [np.ones_like(ahead), np.minimum(ahead, 0.0), np.maximum(ahead, 0.0), jump]
-        )
-
     def squares_at(self, at: Floats) -> Floats:
         """Least sum of squares with the break held, shape of `at`."""
         _, _, _, sr, sxr = self._above(at)

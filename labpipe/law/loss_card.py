@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.law.slider_directions import in_directions, turned
-from labpipe.law.sliders import SliderLaw, fit_sliders, within_range
+from labpipe.law.sliders import SliderLaw, within_range
 from labpipe.records.arrays import Floats, Ints
 
 COUNTS = (4, 6, 8, 12)
@@ -72,30 +72,6 @@ class LossCard:
     dahl: DahlLaw
     sliders: tuple[tuple[int, float], ...]
     directions: tuple[tuple[int, float], ...]
-
-
-def loss_card(
-    curvature: Floats,
-    moment: Floats,
-    *,
-    first: float = 0.0,
-    last: float = np.inf,
-    counts: Sequence[int] = COUNTS,
-) -> LossCard:
-    """Work out what a law loses.
-
-    Parameters
-    ----------
-    curvature, moment, first, last : as for `fit_sliders`
-    counts : numbers of sliders
-
-    Raises
-    ------
-    ValueError
-        As `fit_sliders`.
-    """
-    laws = [fit_sliders(curvature, moment, count, first=first, last=last) for count in counts]
-    return card_of(curvature, moment, laws)
 
 
 def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> LossCard:

@@ -219,23 +219,6 @@ def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
     raise ValueError(message)
 
 
-def complementary_energy(law: MomentLaw, moment: Floats) -> Floats:
-    """Complementary energy W*(M) = integral of kappa dM on first loading, per length, N.
-
-    Parameters
-    ----------
-    law : the law
-    moment : any shape, N m
-
-    Returns
-    -------
-    W* of the same shape, N (J/m).
-    """
-    beyond = np.maximum(np.abs(moment)[..., None] - law.half_widths, 0.0)
-    slipped: Floats = 0.5 * beyond**2 @ law.compliances
-    return 0.5 * moment**2 / law.stiffness + slipped
-
-
 def require_positive(name: str, value: float) -> None:
     """Refuse a number that is not finite and positive.
 

@@ -87,46 +87,6 @@ class SeenSheet:
     open: tuple[str, ...] = ()
 
 
-def new_test(
-    folder: Path,
-    values: Mapping[str, str],
-    *,
-    overwrite: bool = False,
-    protocols: Path | None = None,
-) -> Path:
-    """Write the test sheet of one test.
-
-    Parameters
-    ----------
-    folder : of the test; made if it is not there
-    values : text by column of `COLUMNS` (``test`` is the folder's name if left out), by label
-        (``labels.cured``), or by dotted key of the protocol; several parts of one recording are
-        parted by ``;``
-    overwrite : whether a test sheet that is there already may go
-    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
-
-    Returns
-    -------
-    The file.
-
-    Raises
-    ------
-    UsageError
-        If values are missing or wrong (all of them in one message), or the file is there already.
-    StoreError
-        If the file cannot be written.
-    """
-    path = folder / SHEET_NAME
-    test = NewTest({"test": folder.name} | dict(values))
-    faults = [_unknown(column, path, column) for column in values if not _is_column(column)]
-    faults += _faults(test, _sheet_data(test.values), path, folder, protocols=protocols)
-    if faults:
-        raise UsageError("\n".join(faults))
-    _refuse_existing(path, overwrite=overwrite)
-    _write(path, write_test_sheet(_sheet_data(test.values)))
-    return path
-
-
 def new_seen(
     folder: Path,
     given: Mapping[str, str],
@@ -139,7 +99,8 @@ def new_seen(
     Parameters
     ----------
     folder : of a test, or of a campaign
-    given : values by column, see `new_test`; they count before what is seen
+    given : text by column of `COLUMNS`, by label (``labels.cured``), or by dotted key of the
+        protocol; they count before what is seen
     overwrite : whether test sheets that are there already may go; in a campaign they are kept else
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
 

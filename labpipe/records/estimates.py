@@ -63,29 +63,3 @@ def _within(value: float, interval: Interval) -> float:
     """
     is_inside = interval.lower <= value <= interval.upper
     return value if is_inside else 0.5 * (interval.lower + interval.upper)
-
-
-def scaled(estimate: Estimate, factor: float = 1.0, *, more: float = 0.0) -> Estimate:
-    """Multiply an estimate by a number, and add an independent standard error in proportion.
-
-    Parameters
-    ----------
-    estimate : with or without an interval of its own
-    factor : may be negative
-    more : standard error in the unit of `estimate`
-
-    Returns
-    -------
-    The estimate; both sides of an interval of its own grow as the error does, so that it keeps the
-    quantile it was made with. An interval around an estimate without an error has no quantile and
-    is left out: that of the new error is the normal one then.
-    """
-    error, value = hypot(estimate.error, more), factor * estimate.value
-    interval = None
-    if estimate.interval is not None and estimate.error > 0.0:
-        wider = abs(factor) * error / estimate.error
-        middle = _within(estimate.value, estimate.interval)
-        below = wider * (middle - estimate.interval.lower)
-        above = wider * (estimate.interval.upper - middle)
-        interval = Interval(factor * middle - below, factor * middle + above)
-    return Estimate(value, abs(factor) * error, estimate.n, interval)

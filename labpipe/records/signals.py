@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from math import sqrt
 from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET, COMPLIANCE, SHAPE, SPEED, TURN
+from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET
 from labpipe.records.curve import ClockFit
 
 
@@ -28,10 +27,6 @@ Filter: TypeAlias = tuple[Act, int]
 """What a filter does to evenly spaced samples, and every how many-th of them it keeps."""
 Stretch: TypeAlias = tuple[float, float]
 """Begin and end, s."""
-
-
-TOGETHER = frozenset({SHAPE, COMPLIANCE, TURN, SPEED})
-"""Causes that are taken together, as one displacement under another assumption."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,12 +61,6 @@ class Signal:
     def has_time(self) -> bool:
         """Whether the samples have times, not just numbers."""
         return self.time_unit == "s"
-
-    @property
-    def alternative(self) -> Floats | None:
-        """The signal at the ends of rectangles of what is in `TOGETHER`; None without it."""
-        steps = [each - self.values for cause, each in self.moved.items() if cause in TOGETHER]
-        return self.values + sqrt(3.0) * sum(steps, np.zeros(1)) if steps else None
 
     def changed(self, change: Callable[[Floats], Floats]) -> Signal:
         """Do the same to the values and to all that they may have been.

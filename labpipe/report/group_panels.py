@@ -322,7 +322,7 @@ def _shapes(drawn: _Drawn) -> Plot | None:
     caption = f"Markers at {steps} {unit} of the first loading, both axes at one scale."
     title = f"Shapes of {count_of(len(lines), 'sample')} of {drawn.group.name}."
     size = (width, height)
-    return Plot("shapes", drawn.stem, title, caption, x_axis, y_axis, lines, (), size, is_even=True)
+    return Plot("shapes", drawn.stem, title, caption, x_axis, y_axis, lines, (), size)
 
 
 def _steps(samples: Sequence[Sample]) -> Floats:

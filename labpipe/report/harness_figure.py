@@ -111,7 +111,6 @@ class DrawnHarness:
     marks : clips, grips and others
     planes : point and normal of each, m
     allowed : bend radius, m
-    allowed_words : where that comes from
     """
 
     name: str
@@ -121,7 +120,6 @@ class DrawnHarness:
     marks: tuple[DrawnMark, ...]
     planes: tuple[tuple[Floats, Floats], ...]
     allowed: float
-    allowed_words: str
 
 
 def save_harness_figure(

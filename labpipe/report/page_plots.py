@@ -101,7 +101,6 @@ class Plot:
     lines : later ones lie upon earlier ones
     keys : signs that are explained below it
     size : width and height in points of the drawing, without its frame
-    is_even : both axes have one scale
     """
 
     kind: str
@@ -113,7 +112,6 @@ class Plot:
     lines: Sequence[Line]
     keys: Sequence[Key] = field(default=())
     size: tuple[int, int] = (640, 280)
-    is_even: bool = False
 
 
 LEFT, TOP, RIGHT, BELOW = 52, 8, 12, 38

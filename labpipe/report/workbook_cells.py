@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple, TypeAlias
 
 from labpipe.records.curve import Interval
-from labpipe.report.wording import place_of, printable
+from labpipe.report.wording import place_of
 
-_SHEET_NAME = 31
-_NOT_IN_A_NAME = re.compile(r"[\\/*?:\[\]\x00-\x1f']")
-_RESERVED = "history"
 """Excel's own sheet of tracked changes, in any case of letters."""
 _DIGITS, _DIGITS_OF_SMALL = 5, 3
 """Digits of the largest number of a column, and of one that would have few of these."""
@@ -109,36 +105,6 @@ def number_form(value: float, place: int) -> str:
 @cache
 def _decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
-
-
-def sheet_name(wanted: str, taken: Sequence[str]) -> str:
-    """Turn any text into a name that a sheet may have and that no other sheet has.
-
-    Parameters
-    ----------
-    wanted : text
-    taken : names of the other sheets
-
-    Returns
-    -------
-    At most 31 characters, none of which is forbidden, and not ``History``, which Excel keeps for
-    itself.
-
-    Examples
-    --------
-    >>> sheet_name("curve a/b", ["read me"])
-    'curve a-b'
-    >>> sheet_name("read me", ["Read me"])
-    'read me 2'
-    """
-    plain = begin_of(_NOT_IN_A_NAME.sub("-", printable(wanted)), _SHEET_NAME).strip() or "sheet"
-    known = {_RESERVED, *(name.casefold() for name in taken)}
-    name, number = plain, 1
-    while name.casefold() in known:
-        number += 1
-        tail = f" {number}"
-        name = begin_of(plain, _SHEET_NAME - len(tail)) + tail
-    return name
 
 
 def begin_of(text: str, most: int) -> str:

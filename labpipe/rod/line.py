@@ -161,42 +161,6 @@ class Line(ArrayRecord):
         return np.concatenate([[0.0], np.cumsum(self.lengths)])
 
 
-def straight_line(
-    length: float,
-    n: int,
-    section: Section,
-    *,
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
-) -> Line:
-    """Make a straight line of equal elements that is straight at rest.
-
-    Parameters
-    ----------
-    length : m
-    n : number of elements
-    section : what it is made of
-    start : m, of the first node
-    direction : of any length
-    up : d1 of every frame is as near to it as can be; not along the direction
-
-    Raises
-    ------
-    ValueError
-        As `Line`; if length or direction are zero, or `up` is along the direction.
-    """
-    if not (np.isfinite(length) and length > 0.0 and n >= 1):
-        message = f"length={length!r}, n={n!r}: allowed are a length > 0 and at least one element"
-        raise ValueError(message)
-    frame = frame_from_axes(np.asarray(direction), np.asarray(up))
-    along = unit(np.asarray(direction, dtype=np.float64))
-    positions = np.asarray(start) + np.linspace(0.0, length, n + 1)[:, None] * along
-    return Line(
-        np.full(n, length / n), section, positions, np.tile(frame, (n, 1)), np.zeros((n - 1, 3))
-    )
-
-
 def line_along(
     positions: Floats,
     section: Section,

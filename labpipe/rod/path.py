@@ -68,7 +68,7 @@ class Reason:
 
     Parameters
     ----------
-    code : one word, of `CODES`
+    code : one word
     sentence : for people, with the step and the place
     step : in which
     node : where; None where no place stands out
@@ -125,18 +125,3 @@ class RodPath(ArrayRecord):
             message = f"no state was reached: {self.reasons[0].sentence}"
             raise ValueError(message)
         return self.states[-1]
-
-
-CODES = {
-    "too_short": "the line is shorter than the distance between two places that hold it",
-    "taut": "a line that keeps its length is pulled aside between places just as far apart",
-    "in_plane": "the line is held in a plane, or nearer to it than half its diameter",
-    "torn": "the line is stretched by more than it may",
-    "no_equilibrium": "no equilibrium follows, however small the step",
-    "left_ring": "an end of the line slid out of a ring",
-    "folded": "the line turns at one node by more than an element can follow",
-    "unstable": "the equilibrium found is not stable, and none that is was reached from it",
-    "whirls": "moments of constant direction would set the line whirling where it is found",
-    "beyond_law": "the curvature passed the range of the law",
-}
-"""Of reasons, in one word each."""

@@ -191,30 +191,6 @@ def in_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) ->
     return values
 
 
-def unthinned(filters: Sequence[Filter], ratio: float = 1.0) -> tuple[Filter, ...]:
-    """Make the same filters for samples further apart; none of them thins.
-
-    Parameters
-    ----------
-    filters : one after the other, as for `in_pieces`
-    ratio : how many times as far apart the samples are as those that `filters` were made for
-
-    Returns
-    -------
-    As many filters, each of the same span in time, which keep every sample.
-
-    Examples
-    --------
-    >>> unthinned([(Smoothing(31), 3), (Smoothing(5), 1)], ratio=3)
-    ((Smoothing(window=11), 1), (Smoothing(window=5), 1))
-    """
-    made, apart = list[Filter](), 1.0
-    for act, stride in filters:
-        made.append((act.coarser(ratio / apart), 1))
-        apart *= stride
-    return tuple(made)
-
-
 @dataclass(frozen=True, slots=True)
 class Butterworth:
     """Zero-phase Butterworth low-pass, run forwards and backwards.

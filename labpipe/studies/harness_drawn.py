@@ -39,7 +39,6 @@ def drawn_harness(found: FollowedHarness) -> DrawnHarness:
         marks=_marks(found),
         planes=tuple((each.point, each.normal) for each in planes),
         allowed=found.limit.radius,
-        allowed_words=found.limit.words,
     )
 
 

@@ -78,27 +78,6 @@ class Contacts:
     force: Floats
 
 
-def drawn_together(centres: Floats, diameters: Floats) -> Floats:
-    """Draw wires together until they touch, from where they are.
-
-    Parameters
-    ----------
-    centres : shape (wires, 2), m, where to start; wires may overlap
-    diameters : shape (wires,), m
-
-    Returns
-    -------
-    Shape (wires, 2), m: no two overlap; centroid of their areas at the origin. A dense heap near
-    the start, not the densest of all.
-
-    Raises
-    ------
-    ValueError
-        As `densest_heap`.
-    """
-    return densest_heap([centres], diameters)
-
-
 def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """Draw wires together from several starts, and keep the heap in the smallest circle.
 

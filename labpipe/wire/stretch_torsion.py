@@ -41,11 +41,6 @@ class StretchTorsion:
         """Torsional stiffness of a wire that may lengthen, N m^2: GJ - C^2 / EA."""
         return self.torsional - self.coupling**2 / self.axial
 
-    @property
-    def axial_free(self) -> float:
-        """Axial stiffness of a wire that may turn, N: EA - C^2 / GJ."""
-        return self.axial - self.coupling**2 / self.torsional
-
 
 def stretch_torsion(section: CrossSection) -> StretchTorsion:
     """Work out the pair of elastic strands in their tube.

@@ -17,11 +17,12 @@ import numpy as np
 from labpipe.law.sliders import SliderLaw
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Boundary, Gravity, Held
-from labpipe.rod.line import Section, straight_line
+from labpipe.rod.line import Section
 from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
 from labpipe.rod.statics import follow
 from tests.builders.real_wires import RealWire
+from tests.builders.rods import straight_line
 
 LENGTH = 0.40
 """m, between clamp and hand."""

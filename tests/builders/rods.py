@@ -9,7 +9,13 @@ from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load
 from labpipe.rod.line import Line, Section, line_along
 from labpipe.rod.path import RodPath, RodState
-from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
+from labpipe.rod.rotations import (
+    frame_from_axes,
+    from_rotation_vectors,
+    matrices,
+    multiply,
+    unit,
+)
 from labpipe.rod.statics import follow
 
 STIFFNESS = 1e-3
@@ -25,6 +31,24 @@ def linear_section(
 ) -> Section:
     """A section without sliders."""
     return Section(linear_moment_law(stiffness, 1e6), torsion, mass_per_length=mass)
+
+
+def straight_line(
+    length: float,
+    n: int,
+    section: Section,
+    *,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+) -> Line:
+    """A line of equal elements that is straight at rest, d1 as near to `up` as can be."""
+    frame = frame_from_axes(np.asarray(direction), np.asarray(up))
+    along = unit(np.asarray(direction, dtype=np.float64))
+    positions = np.asarray(start) + np.linspace(0.0, length, n + 1)[:, None] * along
+    return Line(
+        np.full(n, length / n), section, positions, np.tile(frame, (n, 1)), np.zeros((n - 1, 3))
+    )
 
 
 def sliding_section(*, mass: float = 0.0) -> Section:

@@ -6,6 +6,9 @@ from functools import cache
 
 import numpy as np
 
+from labpipe.law.loss_card import COUNTS, LossCard, card_of
+from labpipe.law.sliders import fit_sliders
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.wire.wire_table import wire_table as table_of
@@ -32,6 +35,19 @@ def spec_of(name: str, called: str) -> WireSpec:
 @cache
 def wire_table(name: str = "A2", called: str | None = None) -> WireTable:
     return table_of(spec_of(name, called or name))
+
+
+def loss_card(
+    curvature: Floats,
+    moment: Floats,
+    *,
+    first: float = 0.0,
+    last: float = np.inf,
+    counts: tuple[int, ...] = COUNTS,
+) -> LossCard:
+    """What a law loses between two curvatures."""
+    laws = [fit_sliders(curvature, moment, count, first=first, last=last) for count in counts]
+    return card_of(curvature, moment, laws)
 
 
 def told(table: WireTable) -> list[QualityNote]:

@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labpipe.decks.mujoco_sliders import mujoco_plane_deck
-from labpipe.law.loss_card import loss_card
 from labpipe.law.play_fits import concave_law
 from labpipe.law.plays import PlayLaw
 from labpipe.law.sliders import fit_sliders, slider_moment
 from labpipe.records.arrays import Floats
 from labpipe.wire.end_load_path import end_load_path
+from tests.builders.wire_tables import loss_card
 from tests.decks.test_mujoco_sliders import LENGTH, example
 from tests.judges.mujoco_chains import tips
 

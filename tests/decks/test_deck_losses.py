@@ -10,8 +10,8 @@ import pytest
 
 from labpipe.decks.deck_files import DECKS
 from labpipe.decks.deck_losses import percent
-from labpipe.law.loss_card import loss_card, turn_loss
-from tests.builders.wire_tables import wire_table
+from labpipe.law.loss_card import turn_loss
+from tests.builders.wire_tables import loss_card, wire_table
 
 OTHERS = "constant stiffness 83 %, Dahl 18 %, 4 sliders 1.8 %, 6 sliders 0.86 %, 8 sliders 0.52 %"
 

@@ -13,12 +13,13 @@ from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Flags, Floats
 from labpipe.rod.assembly import Assembly, Demands, Memory, Shape
 from labpipe.rod.boundaries import Gravity, Held, Load, Moment
-from labpipe.rod.line import Line, Section, line_along, straight_line
+from labpipe.rod.line import Line, Section, line_along
 from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import frame_from_axes, from_rotation_vectors, multiply
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.statics import RodSettings, follow
 from labpipe.rod.supports import supports_of
+from tests.builders.rods import straight_line
 from tests.judges.rod_references import (
     Kirchhoff,
     bend_of_45_degrees,

@@ -9,9 +9,10 @@ import numpy as np
 from labpipe.law.sliders import linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Plane
-from labpipe.rod.line import Line, Section, straight_line
+from labpipe.rod.line import Line, Section
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
+from tests.builders.rods import straight_line
 from tests.judges.judged_rods import section
 
 

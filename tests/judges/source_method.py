@@ -25,7 +25,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize
 
-from labpipe.law.loading_panels import law_of_plays, panel_rule
+from labpipe.law.loading_panels import panel_rule
 from labpipe.law.plays import LinearLaw
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.wire_calibration import CalibrationFailure
@@ -34,6 +34,7 @@ from labpipe.wire.calibration.fit import Wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors, usable
 from labpipe.wire.first_loading import load_cantilever
 from labpipe.wire.friction import insulated
+from tests.builders.bilinear_laws import law_of_plays
 
 START = (0.2, 0.2, 0.2)
 """mu_s, mu_p, F_rad (N) that the source begins with."""

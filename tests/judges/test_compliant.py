@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
-from labpipe.rod.line import Line, Section, line_along, straight_line
+from labpipe.rod.line import Line, Section, line_along
+from tests.builders.rods import straight_line
 from tests.judges.compliant import CompliantPath, CompliantSettings, compliant_path
 from tests.judges.lifted_chains import LiftedChain
 

@@ -10,6 +10,7 @@ from labpipe.wire.calibration.fit import Wire
 from labpipe.wire.cross_section import Layer, concentric
 from labpipe.wire.friction import Contacts
 from labpipe.wire.materials import Elastic
+from tests.builders.bilinear_laws import law_of_plays
 from tests.builders.loading_tests import measured, wire_of
 from tests.judges.source_method import calibrate_as_source, source_forces
 
@@ -26,7 +27,6 @@ def elastic_wire() -> Wire:
 @pytest.mark.parametrize(("shape", "close"), [("elastica", 2e-3), ("series", 0.03)])
 def test_right_for_a_wire_of_one_stiffness(shape: str, close: float) -> None:
     """Without friction and yield nothing is wrong but the series."""
-    from labpipe.law.loading_panels import law_of_plays
     from labpipe.law.plays import LinearLaw
     from labpipe.wire.bending_law import slip_stiffness
     from labpipe.wire.first_loading import force_at, load_cantilever

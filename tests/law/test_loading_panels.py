@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.law.loading_panels import law_of_plays, panel_rule
-from labpipe.law.plays import LinearLaw, PlayLaw, complementary_energy, respond, virgin_plays
+from labpipe.law.loading_panels import panel_rule
+from labpipe.law.plays import LinearLaw, PlayLaw, respond, virgin_plays
+from tests.builders.bilinear_laws import complementary_energy, law_of_plays
 
 PLAYS = PlayLaw(5e-3, np.array([1e-3, 4e-3]), np.array([100.0, 300.0]))
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from labpipe.law.loss_card import fit_dahl, loss_card, turn_loss
+from labpipe.law.loss_card import fit_dahl, turn_loss
 from labpipe.law.sliders import fit_sliders, slide, virgin_rests
-from tests.builders.wire_tables import wire_table
+from tests.builders.wire_tables import loss_card, wire_table
 
 
 @pytest.mark.parametrize("name", ["A2", "C5"])

@@ -12,14 +12,13 @@ from labpipe.law.plays import (
     LinearLaw,
     MomentLaw,
     PlayLaw,
-    complementary_energy,
     first_curvature,
     require_within,
     respond,
     virgin_plays,
 )
 from labpipe.records.arrays import Floats
-from tests.builders.bilinear_laws import bilinear_law
+from tests.builders.bilinear_laws import bilinear_law, complementary_energy
 
 WIRE = stick_slip_law(
     stick_stiffness=5e-3,

@@ -14,10 +14,11 @@ import numpy as np
 from labpipe.law.sliders import SliderLaw
 from labpipe.rod.bands import bent
 from labpipe.rod.boundaries import EARTH, Gravity, Held, Load
-from labpipe.rod.line import Line, Section, straight_line
+from labpipe.rod.line import Line, Section
 from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
 from labpipe.rod.statics import follow
+from tests.builders.rods import straight_line
 from tests.judges.foreign import wire_section as foreign
 from tests.judges.foreign.planar_rod import PlanarRod, Stops, stops_through
 from tests.line_coverage.drawn_lines import (

@@ -6,158 +6,10 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
-from labpipe.process.new_sheets import new_from_sheet, new_seen, new_test, write_seen
+from labpipe.process.new_sheets import new_from_sheet, new_seen, write_seen
 from labpipe.process.seen_tests import SeenTest
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.records.harness_bundle import Bundle, BundleWire
-
-VALUES = {
-    "protocol": "wire-cantilever",
-    "type": "A2",
-    "spool": "A2-s1",
-    "sample": "1",
-    "length": "85 mm",
-    "force": "a.mat; b.mat",
-    "markers": "take.csv",
-    "markers.clamp": "Grip",
-    "because": "renamed in Motive",
-}
-
-
-def test_a_test_sheet_from_options(tmp_path: Path) -> None:
-    path = new_test(tmp_path / "raw" / "A2-085-1", VALUES)
-
-    sheet = load_test_sheet(path)
-    assert path == tmp_path / "raw" / "A2-085-1" / "test.yaml"
-    assert (sheet.test, sheet.specimen.length) == ("A2-085-1", 0.085)
-    assert sheet.files == {"force": ("a.mat", "b.mat"), "markers": ("take.csv",)}
-    protocol = resolve(sheet, path)
-    assert protocol.markers is not None
-    assert protocol.markers.clamp == "Grip"
-    assert [file.name for file in path.parent.iterdir()] == ["test.yaml"]
-
-
-BUNDLE = {
-    "length": "114.3 mm",
-    "bundle_wires": "10 B1 (1.1 mm) + 9 B2 (1.6 mm)",
-    "bundle_number": "19",
-    "arrangement": "symmetric",
-    "tape": "PVC",
-    "taping": "half-lap",
-    "conduit": "corrugated-tube",
-    "conduit_bore": "10.7 mm",
-    "labels.cured": "24 h",
-}
-RECORD = Bundle(
-    (BundleWire("B1", 10, 0.0011), BundleWire("B2", 9, 0.0016)),
-    arrangement="symmetric",
-    tape="PVC",
-    taping="half-lap",
-    conduit="corrugated-tube",
-    conduit_bore=0.0107,
-)
-
-
-def test_a_bundle_from_options(tmp_path: Path) -> None:
-    path = new_test(tmp_path / "t", VALUES | BUNDLE)
-
-    sheet = load_test_sheet(path)
-    assert sheet.specimen.record.bundle == RECORD
-    assert sheet.specimen.labels == {"cured": "24 h"}
-    assert list(sheet.overrides) == ["markers.clamp"]
-
-
-def test_faults_of_a_bundle_are_told_at_its_options(tmp_path: Path) -> None:
-    wrong = {
-        "bundle_wires": "ten B1",
-        "bundle_number": "many",
-        "taping": "halflap",
-        "labels.Cured": "24 h",
-    }
-
-    with pytest.raises(UsageError) as info:
-        new_test(tmp_path / "t", VALUES | BUNDLE | wrong)
-
-    path = tmp_path / "t" / "test.yaml"
-    assert set(str(info.value).splitlines()) == {
-        f"{path}, bundle_wires: expected wires by type, such as {{B1: 10, B2: 9}} or"
-        " '10 B1 + 9 B2', found 'ten B1'.",
-        f"{path}, bundle_number: expected a whole number from 1 to 100000, found 'many'.",
-        f"{path}, taping: expected one of 'half-lap', 'coarse', 'none', found 'halflap'."
-        " Did you mean 'half-lap'?",
-        f"{path}, labels.Cured: expected a name of small letters, digits and '_', a letter first,"
-        " found 'Cured'.",
-    }
-
-
-def test_a_bundle_without_wires(tmp_path: Path) -> None:
-    with pytest.raises(
-        UsageError,
-        match=r"bundle_wires: expected a value for 'bundle_wires', found none\. Fill it in\.$",
-    ):
-        new_test(tmp_path / "t", VALUES | {"conduit": "corrugated-tube"})
-
-
-def test_a_test_sheet_that_is_there_is_kept_unless_asked(tmp_path: Path) -> None:
-    path = new_test(tmp_path / "t", VALUES)
-    before = path.read_text(encoding="utf-8")
-
-    with pytest.raises(UsageError) as info:
-        new_test(tmp_path / "t", VALUES | {"sample": "2"})
-    assert str(info.value) == (
-        f"{path}: expected no such file yet, found one that is there already."
-        " Edit it, or ask to overwrite it."
-    )
-    assert path.read_text(encoding="utf-8") == before
-
-    new_test(tmp_path / "t", VALUES | {"sample": "2"}, overwrite=True)
-    assert load_test_sheet(path).specimen.sample == "2"
-
-
-def test_all_faults_of_the_options_come_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "t" / "test.yaml"
-    values = VALUES | {"typ": "A", "length": "85", "force": "../a.mat", "protocol": "wire"}
-    del values["spool"]
-
-    with pytest.raises(UsageError) as info:
-        new_test(tmp_path / "t", values)
-
-    lines = str(info.value).splitlines()
-    assert lines[0].startswith(f"{path}, typ: expected one of 'type', ")
-    assert lines[0].endswith("or a dotted key, found 'typ'. Did you mean 'type'?")
-    assert set(lines[1:4]) == {
-        f"{path}, spool: expected a value for 'spool', found none. Fill it in.",
-        f"{path}, length: expected a quantity with a unit such as mm, found '85'."
-        " Write it with its unit, such as '53 mm'.",
-        f"{path}, force: expected a file inside the folder of the test, found '../a.mat'."
-        " Copy the export into the folder of the test and name it from there.",
-    }
-    assert lines[4].startswith(f"{path}, protocol: expected one of the protocols ")
-    assert not path.exists()
-
-
-def test_a_test_without_files(tmp_path: Path) -> None:
-    values = {key: value for key, value in VALUES.items() if key not in ("force", "markers")}
-
-    with pytest.raises(
-        UsageError, match="files: expected at least one entry, found an empty block"
-    ):
-        new_test(tmp_path / "t", values)
-
-
-def test_a_change_without_a_reason(tmp_path: Path) -> None:
-    values = {key: value for key, value in VALUES.items() if key != "because"}
-
-    with pytest.raises(UsageError, match="because: expected a value for 'because', found none"):
-        new_test(tmp_path / "t", values)
-
-
-def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
-    (tmp_path / "t").write_text("", encoding="utf-8")
-
-    with pytest.raises(StoreError, match=r"test\.yaml: expected "):
-        new_test(tmp_path / "t" / "u", VALUES)
-
 
 TABLE = """\
 Test;protocol;type;spool;sample;Length (mm);date;force;markers;markers.clamp;because
@@ -353,21 +205,39 @@ def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
     assert len(str(info.value).splitlines()) == len(open_)
 
 
-def test_a_wrong_value_is_refused_though_others_are_open(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"length": "85"}, "length: expected a quantity with a unit"),
+        ({"typ": "A"}, "expected one of .*found 'typ'"),
+        ({"labels.Cured": "24 h"}, "labels.Cured: expected a name of small letters"),
+        ({"conduit": "twist-tube"}, "bundle_wires: expected a value for 'bundle_wires'"),
+        ({"force": "../a.mat"}, "force: expected a file inside the folder of the test"),
+        ({"markers.clamp": "Grip"}, "because: expected a value for 'because', found none"),
+    ],
+)
+def test_a_wrong_value_is_refused_though_others_are_open(
+    values: dict[str, str], message: str, tmp_path: Path
+) -> None:
     (tmp_path / "x").mkdir()
-    with pytest.raises(UsageError, match=r"length: expected a quantity with a unit"):
-        list(new_seen(tmp_path / "x", {"length": "85"}))
-    with pytest.raises(UsageError, match=r"expected one of .*found 'typ'"):
-        list(new_seen(tmp_path / "x", {"typ": "A"}))
+    with pytest.raises(UsageError, match=message):
+        list(new_seen(tmp_path / "x", values))
     assert not (tmp_path / "x" / "test.yaml").exists()
 
 
 def test_a_sheet_that_is_there_is_not_seen_again(tmp_path: Path) -> None:
-    path = new_test(tmp_path / "t", VALUES)
-    before = path.read_bytes()
+    path = tmp_path / "t" / "test.yaml"
+    path.parent.mkdir()
+    path.write_text("mine", encoding="utf-8")
     with pytest.raises(UsageError, match="found one that is there already"):
         list(new_seen(tmp_path / "t", {}))
-    assert path.read_bytes() == before
+    assert path.read_text(encoding="utf-8") == "mine"
+
+
+def test_a_folder_that_cannot_be_made(table: Path, tmp_path: Path) -> None:
+    (tmp_path / "raw").write_text("", encoding="utf-8")
+    with pytest.raises(StoreError, match=r"test\.yaml: expected "):
+        new_from_sheet(table, tmp_path / "raw")
 
 
 def test_exports_that_a_table_names_and_that_are_not_there(tmp_path: Path) -> None:

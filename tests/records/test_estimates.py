@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, Failure, scaled, widened
+from labpipe.records.estimates import Estimate, Failure, widened
 
 LOPSIDED = Estimate(1.0, 0.1, 9, Interval(0.9, 1.4))
 
@@ -24,27 +24,9 @@ def test_an_uncertain_input_widens() -> None:
 
 
 def test_an_interval_beside_its_value_widens_about_its_middle() -> None:
-    """Half width 0.1 about 0.8; 0.196 on top in quadrature; times 2 with the error doubled."""
+    """Half width 0.1 about 0.8; 0.196 on top in quadrature."""
     off = Estimate(1.0, 0.05, 9, Interval(0.7, 0.9))
     found = widened(off, 0.1).interval
     assert found is not None
     half = np.hypot(0.1, 0.1959964)
     assert (found.lower, found.upper) == pytest.approx((0.8 - half, 0.8 + half), rel=1e-6)
-    larger = scaled(off, 2.0, more=0.05 * np.sqrt(3.0)).interval
-    assert larger is not None
-    assert (larger.lower, larger.upper) == pytest.approx((1.6 - 0.4, 1.6 + 0.4))
-
-
-@pytest.mark.parametrize("factor", [3.0, -3.0])
-def test_scaling_keeps_the_quantile(factor: float) -> None:
-    assert scaled(Estimate(2.0, 3.0, 9), factor, more=4.0) == Estimate(2.0 * factor, 15.0, 9)
-    found = scaled(LOPSIDED, factor, more=0.1)
-    assert (found.value, found.error) == pytest.approx((factor, 0.3 * np.sqrt(2.0)))
-    assert found.interval is not None
-    assert factor - found.interval.lower == pytest.approx(0.3 * np.sqrt(2.0))
-    assert found.interval.upper - factor == pytest.approx(1.2 * np.sqrt(2.0))
-
-
-def test_an_interval_without_an_error_is_left_out() -> None:
-    without = Estimate(1.0, 0.0, 9, Interval(0.9, 1.1))
-    assert scaled(without, 2.0, more=0.5) == Estimate(2.0, 1.0, 9)

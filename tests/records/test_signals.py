@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET, GRIP, SPEED, TURN
-from labpipe.records.causes import PULL as PULL_OFFSET
+from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET, GRIP
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.signals import Clocks, Signal, Signals
 
@@ -80,16 +79,6 @@ def test_what_is_done_to_a_signal_is_done_to_all_that_it_may_have_been() -> None
     np.testing.assert_allclose(doubled.moved[GRIP], 2e-3 * TIME + 2e-3)
     zeroed = Signals().with_new("way", signal).without_level("way", 5e-4, 0.0)
     np.testing.assert_allclose(zeroed.raw["way"].moved[GRIP], 1e-3 * TIME + 5e-4)
-
-
-def test_rectangles_are_taken_together() -> None:
-    """Half widths are sqrt(3) standard uncertainties; offsets do not count among them."""
-    assert WAY.alternative is None
-    assert replace(WAY, moved={GRIP: WAY.values + 1.0}).alternative is None
-    moved = {TURN: WAY.values + 3e-4, SPEED: WAY.values - 1e-4, PULL_OFFSET: WAY.values + 1.0}
-    other = replace(WAY, moved=moved).alternative
-    assert other is not None
-    np.testing.assert_allclose(other - WAY.values, 2e-4 * np.sqrt(3.0))
 
 
 def test_one_clock_needs_no_joining() -> None:

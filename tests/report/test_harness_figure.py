@@ -41,7 +41,6 @@ HARNESS = DrawnHarness(
     ),
     planes=((np.array([0.0, 0.0, -0.02]), np.array([0.0, 0.0, 1.0])),),
     allowed=0.05,
-    allowed_words="stated",
 )
 SWEEP = DrawnSweep(
     name="corner",

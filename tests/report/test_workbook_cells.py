@@ -11,26 +11,9 @@ from labpipe.report.workbook_cells import (
     form_in_column,
     number_form,
     percent,
-    sheet_name,
     shown,
     shown_with_ends,
 )
-
-
-def test_names_of_sheets() -> None:
-    assert sheet_name("curve " + "x" * 40, []) == "curve " + "x" * 25
-    long = sheet_name("curve " + "x" * 40, ["curve " + "X" * 25])
-    assert (len(long), long[-2:]) == (31, " 2")
-    assert sheet_name("a[b]:c*d?e'f", []) == "a-b--c-d-e-f"
-    assert sheet_name("   ", []) == "sheet"
-    assert sheet_name("a\x07\ufffe", []) == "a\ufffd\ufffd"
-    assert sheet_name(20 * "\U0001f600", []) == 15 * "\U0001f600"  # two units of UTF-16 each
-
-
-@pytest.mark.parametrize("name", ["History", "history"])
-def test_a_name_that_excel_keeps_for_itself(name: str) -> None:
-    assert sheet_name(name, []) == f"{name} 2"
-    assert sheet_name("History of A2", []) == "History of A2"
 
 
 def test_two_digits_of_the_interval_are_seen_and_all_are_there() -> None:

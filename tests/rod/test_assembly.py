@@ -10,10 +10,10 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Demands, Drag, Memory, Shape
 from labpipe.rod.boundaries import Plane
-from labpipe.rod.line import Line, Section, straight_line
+from labpipe.rod.line import Line, Section
 from labpipe.rod.rotations import from_rotation_vectors, multiply, skew, unit
 from labpipe.rod.supports import supports_of
-from tests.builders.rods import SLIDING
+from tests.builders.rods import SLIDING, straight_line
 
 N = 6
 STEP = 1e-7

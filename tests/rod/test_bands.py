@@ -12,9 +12,10 @@ from labpipe.law.sliders import SliderLaw
 from labpipe.rod.bands import bands_of, bent
 from labpipe.rod.beliefs import Belief, joined, known
 from labpipe.rod.boundaries import Gravity, Held, Load
-from labpipe.rod.line import Line, Section, straight_line
+from labpipe.rod.line import Line, Section
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
+from tests.builders.rods import straight_line
 
 LENGTH, NODES, STEPS = 0.2, 10, 6
 LAW = SliderLaw(2e-4, np.array([3e-4, 2e-4]), np.array([1.0, 4.0]), 0.0, 50.0)

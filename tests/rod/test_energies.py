@@ -7,9 +7,9 @@ import pytest
 
 from labpipe.law.sliders import linear_moment_law
 from labpipe.rod.boundaries import Held, Load, Moment
-from labpipe.rod.line import Section, straight_line
+from labpipe.rod.line import Section
 from labpipe.rod.rotations import from_rotation_vectors, multiply
-from tests.builders.rods import LENGTH, SLIDING, clamp, ramp, sliding_section, walked
+from tests.builders.rods import LENGTH, SLIDING, clamp, ramp, sliding_section, straight_line, walked
 
 
 def test_a_twisted_line_stores_half_the_torque_times_the_turn() -> None:

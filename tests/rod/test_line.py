@@ -7,9 +7,9 @@ import pytest
 
 from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Floats
-from labpipe.rod.line import Line, Section, line_along, straight_line
+from labpipe.rod.line import Line, Section, line_along
 from labpipe.rod.rotations import conjugate, matrices, multiply, rotation_vectors
-from tests.builders.rods import linear_section, sliding_section
+from tests.builders.rods import linear_section, sliding_section, straight_line
 
 SECTION = linear_section()
 
@@ -106,5 +106,3 @@ def test_points_on_one_another_are_refused() -> None:
         line_along(np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]), SECTION)
     with pytest.raises(ValueError, match=r"positions of shape \(1, 3\)"):
         line_along(np.zeros((1, 3)), SECTION)
-    with pytest.raises(ValueError, match="at least one element"):
-        straight_line(1.0, 0, SECTION)

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from labpipe.rod.boundaries import Gravity
-from labpipe.rod.line import straight_line
-from labpipe.rod.path import CODES
 from labpipe.rod.statics import follow
-from tests.builders.rods import LENGTH, linear_section, space_case, walked
+from tests.builders.rods import LENGTH, linear_section, space_case, straight_line, walked
 
 
 def test_a_path_ends_with_its_last_state() -> None:
@@ -33,7 +31,3 @@ def test_bendings_are_the_larger_of_both_sides_without_the_twist() -> None:
     across = np.hypot(state.node_curvatures[..., 0], state.node_curvatures[..., 1])
     np.testing.assert_allclose(state.bendings, across.max(axis=1))
     assert state.bendings.shape == (13,)
-
-
-def test_codes_are_single_words_with_a_sentence() -> None:
-    assert all(code.replace("_", "").isalpha() and said for code, said in CODES.items())

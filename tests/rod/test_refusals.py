@@ -10,9 +10,9 @@ import pytest
 from labpipe.law.sliders import linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Gravity, Held, Load, Plane
-from labpipe.rod.line import Section, straight_line
+from labpipe.rod.line import Section
 from labpipe.rod.statics import follow
-from tests.builders.rods import LENGTH, STIFFNESS, clamp, linear_section, ramp
+from tests.builders.rods import LENGTH, STIFFNESS, clamp, linear_section, ramp, straight_line
 
 
 def test_a_line_too_short_for_its_clips_fails_with_step_and_nodes() -> None:

@@ -7,10 +7,9 @@ import pytest
 
 from labpipe.rod.assembly import Shape
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Ring, String
-from labpipe.rod.line import straight_line
 from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
 from labpipe.rod.schedule import Schedule
-from tests.builders.rods import linear_section
+from tests.builders.rods import linear_section, straight_line
 
 LINE = straight_line(1.0, 4, linear_section(mass=0.1))
 START = Shape(LINE.positions, LINE.frames, np.zeros(4), np.zeros((4, 3)))

@@ -9,10 +9,9 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Demands, Memory, Shape
-from labpipe.rod.line import straight_line
 from labpipe.rod.settling import settle
 from labpipe.rod.supports import supports_of
-from tests.builders.rods import LENGTH, STIFFNESS, linear_section
+from tests.builders.rods import LENGTH, STIFFNESS, linear_section, straight_line
 
 N = 10
 LINE = straight_line(LENGTH, N, linear_section())

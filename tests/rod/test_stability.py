@@ -7,11 +7,10 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Balance, Demands, Memory, Shape
-from labpipe.rod.line import straight_line
 from labpipe.rod.rotations import from_rotation_vectors, multiply
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.supports import Grip, supports_of
-from tests.builders.rods import LENGTH, STIFFNESS, linear_section
+from tests.builders.rods import LENGTH, STIFFNESS, linear_section, straight_line
 
 N = 40
 LINE = straight_line(LENGTH, N, linear_section())

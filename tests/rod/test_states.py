@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 
 from labpipe.rod.boundaries import Gravity, Held, Load, Plane, Ring, String
-from labpipe.rod.line import straight_line
 from labpipe.rod.states import merged_rests, parted_rests
 from labpipe.rod.supports import supports_of
-from tests.builders.rods import LENGTH, clamp, linear_section, ramp, sliding_section, walked
+from tests.builders.rods import (
+    LENGTH,
+    clamp,
+    linear_section,
+    ramp,
+    sliding_section,
+    straight_line,
+    walked,
+)
 
 
 def test_rests_go_to_both_sides_and_back() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.law.sliders import linear_moment_law
 from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane
-from labpipe.rod.line import Section, straight_line
+from labpipe.rod.line import Section
 from labpipe.rod.rotations import (
     conjugate,
     from_rotation_vectors,
@@ -29,6 +29,7 @@ from tests.builders.rods import (
     reversed_case,
     sliding_section,
     space_case,
+    straight_line,
     there_and_back,
     walked,
 )

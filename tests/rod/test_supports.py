@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.rod.line import Line, straight_line
+from labpipe.rod.line import Line
 from labpipe.rod.supports import END_SHARE, supports_of
-from tests.builders.rods import linear_section
+from tests.builders.rods import linear_section, straight_line
 
 
 def uneven() -> Line:

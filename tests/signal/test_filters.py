@@ -9,14 +9,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from labpipe.records.arrays import Floats
-from labpipe.records.signals import Filter
 from labpipe.signal.filters import (
     Butterworth,
     Smoothing,
     in_pieces,
     moving_average,
     seconds_to_window,
-    unthinned,
     window_length,
 )
 
@@ -238,17 +236,3 @@ def test_a_cutoff_too_fast_for_coarse_samples_does_nothing() -> None:
     act = Butterworth(10.0, 100.0, 2)
     assert act.coarser(4) == Butterworth(10.0, 25.0, 2)
     np.testing.assert_array_equal(act.coarser(5)(values), values)
-
-
-def test_filters_that_keep_all_samples_span_the_same_time() -> None:
-    filters: list[Filter] = [(Smoothing(31), 3), (Smoothing(5), 2), (Butterworth(2.0, 50.0, 2), 1)]
-    assert unthinned(filters) == (
-        (Smoothing(31), 1),
-        (Smoothing(15), 1),
-        (Butterworth(2.0, 300.0, 2), 1),
-    )
-    assert unthinned(filters, ratio=6.0) == (
-        (Smoothing(5), 1),
-        (Smoothing(3), 1),
-        (Butterworth(2.0, 50.0, 2), 1),
-    )

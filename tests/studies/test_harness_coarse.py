@@ -10,7 +10,6 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.rod.boundaries import Gravity, Held, Plane
-from labpipe.rod.line import straight_line
 from labpipe.rod.path import Reason, RodPath
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_coarse import (
@@ -23,7 +22,7 @@ from labpipe.studies.harness_coarse import (
 )
 from labpipe.studies.harness_line import Laid
 from labpipe.studies.harness_numbers import numbers_of
-from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section
+from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line
 
 CORNERS = LENGTH * np.array(
     [[1, 0, 0], [0.9, 0.24, 0], [0.9, 0.24, 0.24], [0.9, 0, 0.24], [0.9, -0.2, 0], [0.9, 0.1, 0]]

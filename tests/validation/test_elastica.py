@@ -11,11 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-from labpipe.law.plays import (
-    LinearLaw,
-    MomentLaw,
-    complementary_energy,
-)
+from labpipe.law.plays import LinearLaw, MomentLaw
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_travel,
@@ -23,7 +19,7 @@ from labpipe.wire.cantilever import (
     straight,
 )
 from labpipe.wire.end_load_path import end_load_path
-from tests.builders.bilinear_laws import bilinear_law
+from tests.builders.bilinear_laws import bilinear_law, complementary_energy
 from tests.builders.cantilevers import LENGTH, WIRE
 
 STRING = 0.760

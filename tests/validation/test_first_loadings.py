@@ -9,7 +9,6 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from benchmarks.first_loadings import Loading, observe_loading
-from labpipe.law.loading_panels import law_of_plays
 from labpipe.units import GRAVITY
 from labpipe.virtual_lab.cantilever_path import solve_path
 from labpipe.virtual_lab.cantilever_scenarios import (
@@ -20,6 +19,7 @@ from labpipe.virtual_lab.cantilever_scenarios import (
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import load_cantilever
+from tests.builders.bilinear_laws import law_of_plays
 
 WEIGHT = 0.0027 * GRAVITY
 

@@ -13,13 +13,13 @@ from labpipe.law.plays import respond, virgin_plays
 from labpipe.law.sliders import as_plays
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Load, Moment
-from labpipe.rod.line import straight_line
 from labpipe.wire.cantilever import bend_under_force, straight
 from tests.builders.rods import (
     LENGTH,
     SLIDING,
     clamp,
     sliding_section,
+    straight_line,
     there_and_back,
     walked,
 )

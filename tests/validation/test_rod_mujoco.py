@@ -13,8 +13,9 @@ from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
 from labpipe.law.table_sliders import sliders_of
 from labpipe.records.arrays import Floats
 from labpipe.rod.boundaries import Load
-from labpipe.rod.line import Section, straight_line
+from labpipe.rod.line import Section
 from labpipe.rod.statics import follow
+from tests.builders.rods import straight_line
 from tests.builders.wire_tables import LENGTH, wire_table
 from tests.judges.judged_rods import clamped
 from tests.judges.mujoco_chains import tips

@@ -13,7 +13,6 @@ from labpipe.wire.bundle_packing import (
     LEAST_FILLED,
     Contacts,
     densest_heap,
-    drawn_together,
     gradient_of_heap,
     holding_circle,
     packing_fraction,
@@ -45,7 +44,7 @@ def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     """The pull on each wire is balanced by wires that touch it to 1e-12 of a diameter."""
     rng = np.random.default_rng(number)
     diameters = rng.uniform(0.8, 1.2, number)
-    centres = drawn_together(rng.normal(size=(number, 2)), diameters)
+    centres = densest_heap([rng.normal(size=(number, 2))], diameters)
     first, second = np.triu_indices(number, 1)
     apart = centres[first] - centres[second]
     distance = np.hypot(*apart.T)
@@ -60,7 +59,7 @@ def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
 
 def test_three_unequal_wires_touch_each_other() -> None:
     diameters = np.array([1.0, 2.0, 3.0])
-    found = drawn_together(np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]]), diameters)
+    found = densest_heap([np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])], diameters)
     for one, other in ((0, 1), (0, 2), (1, 2)):
         apart = np.hypot(*(found[one] - found[other]))
         assert apart == pytest.approx((diameters[one] + diameters[other]) / 2.0, rel=1e-6)
@@ -71,20 +70,20 @@ def test_three_unequal_wires_touch_each_other() -> None:
 def test_wires_on_one_another_part(beside: int) -> None:
     """Seven at one place, some more at another."""
     centres = np.concatenate([np.zeros((7, 2)), np.full((beside, 2), 3.0)])
-    found = drawn_together(centres, np.ones(7 + beside))
+    found = densest_heap([centres], np.ones(7 + beside))
     assert largest_overlap(found, np.full(7 + beside, 0.5)) < 1e-9
     assert holding_circle(found, np.ones(7 + beside))[1] < 2.0
 
 
 def test_one_wire_lies_in_the_middle() -> None:
-    assert drawn_together(np.array([[3.0, 4.0]]), np.ones(1)).tolist() == [[0.0, 0.0]]
+    assert densest_heap([np.array([[3.0, 4.0]])], np.ones(1)).tolist() == [[0.0, 0.0]]
 
 
 def test_scale_does_not_matter() -> None:
     rng = np.random.default_rng(1)
     begin, diameters = rng.normal(size=(9, 2)), rng.uniform(0.8, 1.2, 9)
-    large, scale = drawn_together(begin, diameters), 2.0**-10  # which no number is rounded by
-    small = drawn_together(scale * begin, scale * diameters)
+    large, scale = densest_heap([begin], diameters), 2.0**-10  # which no number is rounded by
+    small = densest_heap([scale * begin], scale * diameters)
     assert scale * large == pytest.approx(small, abs=1e-12)
 
 
@@ -93,7 +92,7 @@ def test_scale_does_not_matter() -> None:
 def test_no_two_overlap(seed: int, number: int) -> None:
     rng = np.random.default_rng(seed)
     diameters = rng.uniform(0.5, 1.5, number)
-    found = drawn_together(rng.normal(size=(number, 2)), diameters)
+    found = densest_heap([rng.normal(size=(number, 2))], diameters)
     assert largest_overlap(found, diameters / 2.0) < 1e-9
 
 
@@ -102,7 +101,7 @@ def test_wires_at_rest_in_a_loose_heap_are_shaken(number: int, seed: int) -> Non
     """Without it they fill less than half of the circle around them, and are refused."""
     rng = np.random.default_rng(seed)
     diameters = rng.uniform(0.5, 1.5, number)
-    found = drawn_together(rng.normal(size=(number, 2)), diameters)
+    found = densest_heap([rng.normal(size=(number, 2))], diameters)
     assert largest_overlap(found, diameters / 2.0) < 1e-9
     assert packing_fraction(diameters, 2.0 * holding_circle(found, diameters)[1]) > 0.55
 
@@ -110,7 +109,7 @@ def test_wires_at_rest_in_a_loose_heap_are_shaken(number: int, seed: int) -> Non
 def test_a_row_is_shaken() -> None:
     """Four in a row, which nothing pushes aside: 0.25 filled; in a rhomb they fill 0.536."""
     row = np.column_stack([np.arange(4.0), np.zeros(4)])
-    found = drawn_together(row, np.ones(4))
+    found = densest_heap([row], np.ones(4))
     assert packing_fraction(np.ones(4), 2.0 * holding_circle(found, np.ones(4))[1]) > 0.53
 
 
@@ -163,7 +162,7 @@ def test_wires_that_do_not_come_together_are_refused() -> None:
 @pytest.mark.parametrize("place", [np.nan, np.inf])
 def test_places_that_are_no_numbers(place: float) -> None:
     with pytest.raises(ValueError, match=r"^a heap of wires: allowed are finite centres and "):
-        drawn_together(np.array([[0.0, 0.0], [place, 1.0]]), np.ones(2))
+        densest_heap([np.array([[0.0, 0.0], [place, 1.0]])], np.ones(2))
     with pytest.raises(ValueError, match=r"the 2 wires did not come together: they fill 0 of"):
         require_dense(np.array([[0.0, 0.0], [place, 1.0]]), np.ones(2))
 

@@ -8,17 +8,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from labpipe.law.plays import (
-    LinearLaw,
-    MomentLaw,
-    complementary_energy,
-    respond,
-    virgin_plays,
-)
+from labpipe.law.plays import LinearLaw, MomentLaw, respond, virgin_plays
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.cantilever import bend_to_deflection, straight
 from labpipe.wire.end_load import deflection_at, end_loads, polygon_of
-from tests.builders.bilinear_laws import bilinear_law
+from tests.builders.bilinear_laws import bilinear_law, complementary_energy
 from tests.builders.stranded_wires import contacts_of, wire
 
 LENGTH = 0.085

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from labpipe.law.loading_panels import law_of_plays
 from labpipe.law.plays import LinearLaw, MomentLaw
 from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
 from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
-from tests.builders.bilinear_laws import bilinear_law
+from tests.builders.bilinear_laws import bilinear_law, law_of_plays
 from tests.builders.loading_tests import law_of, rig_of, wire_of
 
 LENGTH = 0.085

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.law.loading_panels import law_of_plays
 from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import (
@@ -18,7 +17,7 @@ from labpipe.wire.first_loading import (
     tension_of,
     weight_of,
 )
-from tests.builders.bilinear_laws import bilinear_law
+from tests.builders.bilinear_laws import bilinear_law, law_of_plays
 
 RULE = rule_of(law_of_plays(bilinear_law(5e-3, 1.5e-3, 0.004), 0.02, n_points=6))
 RIG = StringRig(0.76, 0.026, 0.085, 0.76)

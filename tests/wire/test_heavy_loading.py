@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.law.loading_panels import law_of_plays
 from labpipe.law.loading_table import LoadingTable
 from labpipe.law.play_fits import polygon_law
 from labpipe.law.plays import LinearLaw
@@ -13,6 +12,7 @@ from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import StringRig, bend_to_travel, straight
 from labpipe.wire.first_loading import force_at, load_cantilever
 from labpipe.wire.heavy_loading import heavy_states, load_heavy
+from tests.builders.bilinear_laws import law_of_plays
 from tests.judges.heavy_wires import HeavyWire, yielding
 
 LENGTH, WEIGHT = 0.12, 0.097
