@@ -100,7 +100,7 @@ def whole_lines(lines: tuple[str, ...]) -> list[str]:
     for line in lines:
         indent = len(line) - len(line.lstrip())
         goes_on = found and found[-1].strip() != LEFT_OUT and found[-1] and indent >= 6
-        if goes_on and len(found[-1]) > 60 and not re.search(r"\S {2,}\S", line):
+        if goes_on and len(found[-1]) > 60 and not re.search(r"\S {2,}[^\s\[]", line):
             found[-1] = f"{found[-1]} {line.strip()}"
         else:
             found.append(line)

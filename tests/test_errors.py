@@ -52,6 +52,7 @@ def test_nearest_ignores_case_and_keeps_to_the_most() -> None:
     assert nearest("x", []) == []
 
 
+@pytest.mark.slow
 @given(st.text(max_size=10), st.lists(st.text(max_size=10), max_size=8))
 def test_nearest_only_sorts(word: str, known: list[str]) -> None:
     found = nearest(word, known)

@@ -19,6 +19,8 @@ from labpipe.wire.wire_table import build, wire_table
 from tests.builders.small_tests import Run, state
 from tests.builders.wire_lab import processed_wires
 
+pytestmark = pytest.mark.slow
+
 TRUTH = {"radial_friction": 0.0465, "insulation_modulus": 1e9, "copper_scale": 1.0}
 
 
@@ -39,7 +41,6 @@ def plan(folder: Path, text: str) -> str:
     return str(path)
 
 
-@pytest.mark.slow
 def test_truth_is_found_and_another_wire_predicted(
     campaign: Path, sheet: str, tmp_path: Path, run: Run
 ) -> None:
@@ -64,7 +65,6 @@ def test_truth_is_found_and_another_wire_predicted(
     assert (out / "calibration.xlsx").is_file()
 
 
-@pytest.mark.slow
 def test_decks_are_those_of_the_calibrated_wires(
     campaign: Path, sheet: str, tmp_path: Path, run: Run
 ) -> None:
@@ -85,7 +85,6 @@ def test_decks_are_those_of_the_calibrated_wires(
     assert deck["moment"] != pytest.approx(wire_table(nominal).moment.tolist(), rel=1e-6)
 
 
-@pytest.mark.slow
 def test_tests_beyond_the_range_of_the_insulation_are_told(
     campaign: Path, tmp_path: Path, run: Run
 ) -> None:
@@ -122,7 +121,6 @@ def test_tests_beyond_the_range_of_the_insulation_are_told(
     assert values[1] == pytest.approx(values[0], rel=0.01)
 
 
-@pytest.mark.slow
 def test_figures_are_drawn(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
     asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(tmp_path / "out"))
     assert run("calibrate", str(campaign), "--wire", sheet, *asked).status == 0
@@ -147,7 +145,6 @@ def test_the_model_is_bent_as_far_as_the_sample(campaign: Path, repository: Path
             assert len(shape.markers) == 8
 
 
-@pytest.mark.slow
 def test_one_wire_needs_no_plan(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
     out = tmp_path / "out"
     alone = [str(campaign / f"A2-085-{number}") for number in (1, 2)]
@@ -208,7 +205,6 @@ def test_fewer_points_than_parameters(campaign: Path, sheet: str, tmp_path: Path
     assert "points of the first loading lie between 0 and 0.5 mm: 20 at least are needed" in said
 
 
-@pytest.mark.slow
 def test_a_broken_result_is_left_out_and_told(
     campaign: Path, sheet: str, tmp_path: Path, run: Run
 ) -> None:
@@ -223,7 +219,6 @@ def test_a_broken_result_is_left_out_and_told(
     assert (tmp_path / "out" / "calibration.json").is_file()
 
 
-@pytest.mark.slow
 def test_a_prior_that_contradicts_the_tests(
     campaign: Path, sheet: str, tmp_path: Path, run: Run
 ) -> None:
@@ -237,7 +232,6 @@ def test_a_prior_that_contradicts_the_tests(
     assert "standard errors of both together below the prior" in done.out
 
 
-@pytest.mark.slow
 def test_a_curve_from_elsewhere_is_compared_with_tests_and_model(
     campaign: Path, sheet: str, tmp_path: Path, run: Run
 ) -> None:

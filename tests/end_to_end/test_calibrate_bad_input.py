@@ -19,6 +19,8 @@ from tests.builders.small_tests import Ran, Run, state
 from tests.builders.tensile_tests import make_tensile
 from tests.builders.wire_lab import processed_rest, processed_wires
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -55,7 +57,6 @@ def blocked(result: TestResult) -> TestResult:
     return replace(result, curve=None, aligned=None, shape=None, bending=None)
 
 
-@pytest.mark.slow
 def test_all_tests_were_blocked(
     campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran]
 ) -> None:
@@ -116,7 +117,6 @@ def test_a_free_length_that_nobody_gave(
     assert "the free length is not known: give it in the test sheet (specimen.length)" in done.err
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("slack", "told"),
     [
@@ -141,7 +141,6 @@ def test_a_wire_that_hung_at_rest(
     assert told in found["left_out"][str(hung / "result.h5")]
 
 
-@pytest.mark.slow
 def test_a_parameter_that_nothing_is_left_for(
     campaign: Path, calibrate: Callable[..., Ran]
 ) -> None:
@@ -168,7 +167,6 @@ def test_a_value_outside_the_bounds(campaign: Path, calibrate: Callable[..., Ran
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("value", "side"), [("3000 MPa", "below"), ("300 MPa", "above")])
 def test_a_prior_that_contradicts_the_tests(
     value: str, side: str, campaign: Path, calibrate: Callable[..., Ran]
@@ -188,7 +186,6 @@ def test_a_prior_that_contradicts_the_tests(
     assert f"standard errors of both together {side} the prior" in said
 
 
-@pytest.mark.slow
 def test_friction_numbers_are_said_not_to_be_known_apart(
     campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran]
 ) -> None:
@@ -217,7 +214,6 @@ def test_two_tests_of_one_name(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 def test_half_of_a_test_that_was_killed(
     campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran]
 ) -> None:

@@ -13,6 +13,8 @@ from labpipe.cli import main
 from labpipe.virtual_lab.conduit_scenarios import conduit_scenario
 from labpipe.virtual_lab.observations import simulate_test
 
+pytestmark = pytest.mark.slow
+
 SHARED = ("peak_force", "peak_displacement", "energy")
 
 
@@ -48,7 +50,6 @@ def by_speed(tmp_path_factory: pytest.TempPathFactory) -> Done:
     return Done(tmp_path_factory.mktemp("lab"), "CWB-2a", 1, has_frame=False)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("which", ["measured", "by_speed"])
 def test_every_number_against_its_truth(which: str, request: pytest.FixtureRequest) -> None:
     done: Done = request.getfixturevalue(which)

@@ -80,6 +80,7 @@ def test_from_exports_to_the_law(tmp_path: Path, run: Run) -> None:
     assert (lab.processed / "figures" / "moment-curvature.svg").is_file()
 
 
+@pytest.mark.slow
 def test_the_cloud_lies_on_the_law(repository: Path) -> None:
     """Nine in ten points of the first loading within three of their errors, away from the ends."""
     virtual, bending = scenario(cycles=2), _bending(repository, 7)

@@ -16,7 +16,7 @@ from labpipe.store.read import read_result
 from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, state
 
-pytestmark = pytest.mark.realdata
+pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 
 SOFT_ARM = """\
 test: T1

@@ -12,7 +12,7 @@ from tests.builders.reasons import why
 from tests.builders.small_tests import state
 from tests.builders.tensile_tests import TensileLab
 
-pytestmark = pytest.mark.realdata
+pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 
 SPANS = {
     "1": "12.8 mm",

@@ -21,6 +21,8 @@ from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import load_cantilever
 from tests.builders.bilinear_laws import law_of_plays
 
+pytestmark = pytest.mark.slow
+
 WEIGHT = 0.0027 * GRAVITY
 
 
@@ -37,7 +39,6 @@ def loading() -> Loading:
     return observe_loading(scenario(), 3, n_points=4000)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["A3", "B1"])
 def test_the_true_curve_is_that_of_the_first_integral(name: str) -> None:
     """One goes station by station with a history, the other all at once without any."""
@@ -51,7 +52,6 @@ def test_the_true_curve_is_that_of_the_first_integral(name: str) -> None:
     assert found.true_force == pytest.approx(wanted, rel=2e-4, abs=2e-5)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("weighs", "accuracy"), [(False, 1e-7), (True, 1e-6)])
 def test_a_sample_is_interpolated_exactly(*, weighs: bool, accuracy: float) -> None:
     """With weight less so: where the strands already slip at rest changes with the factor."""

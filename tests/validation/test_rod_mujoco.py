@@ -55,6 +55,7 @@ def test_there_and_back_and_there_again(name: str, most: float) -> None:
     assert rod[:, 2] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_load_that_turns() -> None:
     """Pulled up, then round by a quarter turn: vector sliders against scalar ones.
 

@@ -36,6 +36,8 @@ from tests.judges.rod_fits import (
 from tests.judges.rod_snaps import fit_torsion, snap_turn
 from tests.judges.twisted_loops import TwistedLoop
 
+pytestmark = pytest.mark.slow
+
 LOOP = HungElastica(1.5, 0.17, 0.8e-4, (-0.123, 0.002))
 
 
@@ -131,7 +133,6 @@ def black(realdata: Path) -> Seen:
     return seen(BLACK, realdata)
 
 
-@pytest.mark.slow
 @pytest.mark.realdata
 def test_stiffness_of_the_white_wire(white: Seen) -> None:
     found = WHITE.stiffness_of(*white)
@@ -140,7 +141,6 @@ def test_stiffness_of_the_white_wire(white: Seen) -> None:
     assert max(float(each.distances.mean()) for each in white[1]) < 4.1e-3
 
 
-@pytest.mark.slow
 @pytest.mark.realdata
 def test_stiffness_of_the_black_wire(black: Seen) -> None:
     found = BLACK.stiffness_of(*black)
@@ -157,7 +157,6 @@ def test_the_elastica_fits_the_same(white: Seen, black: Seen) -> None:
         assert fits[0].natural == pytest.approx(by_other.natural, abs=0.05)
 
 
-@pytest.mark.slow
 @pytest.mark.realdata
 def test_black_is_asymmetric_by_its_free_curvature(black: Seen) -> None:
     """One slope of free curvature fits four of five hangs, and takes more than half the misfit."""
@@ -180,7 +179,6 @@ def test_points_are_not_independent(white: Seen, black: Seen) -> None:
         assert scatter.half_width < 0.98 * found.half_width
 
 
-@pytest.mark.slow
 @pytest.mark.realdata
 def test_the_white_loop_snaps_over_as_measured(realdata: Path) -> None:
     """Rod and loop of directions, at the stiffnesses that are published."""
@@ -192,7 +190,6 @@ def test_the_white_loop_snaps_over_as_measured(realdata: Path) -> None:
     assert by_loop == pytest.approx(by_rod, rel=6e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.parametrize(
     ("wire", "straight", "curved"), [(WHITE, 0.988, 0.997), (BLACK, 1.63, 1.42)]
@@ -207,7 +204,6 @@ def test_torsion(wire: RealWire, straight: float, curved: float, realdata: Path)
     assert fit_torsion(hang, turns, stiffness, [slope]).value == pytest.approx(curved, rel=0.01)
 
 
-@pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.parametrize(
     ("curl", "degrees"),
@@ -228,7 +224,6 @@ def test_the_black_loop_turns_by_a_curl_that_its_hangs_do_not_show(
     assert np.degrees(turn) == pytest.approx(degrees, abs=2.0)
 
 
-@pytest.mark.slow
 @pytest.mark.realdata
 def test_poses_of_the_white_wire_in_space(realdata: Path) -> None:
     """With stiffnesses of other tests, nothing fitted; points are good to 5 % of 400 mm."""
@@ -244,7 +239,6 @@ def test_poses_of_the_white_wire_in_space(realdata: Path) -> None:
     assert float(distances(seen_poses(WHITE, realdata)[1], other_way).mean()) > 3 * 7e-3
 
 
-@pytest.mark.slow
 @pytest.mark.realdata
 def test_poses_of_the_black_wire_in_space(realdata: Path) -> None:
     """The last one snapped over: the wire lies on itself in the picture."""

@@ -67,6 +67,7 @@ def test_the_loading_is_that_of_the_package(*, has_weight: bool, close: float) -
     assert np.sqrt(np.mean(off**2)) < 0.1 * close
 
 
+@pytest.mark.slow
 def test_weight_changes_the_first_millimetre_most() -> None:
     heavy, light = (loading("A3", 0.12, TRUE, has_weight=has) for has in (True, False))
     first, last = (

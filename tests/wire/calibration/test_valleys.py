@@ -125,6 +125,7 @@ def test_a_prior_tells_them_apart(scale: float, best: float) -> None:
     assert "within a factor of 1.5 (tensile tests of strands), agrees" in copper.conflict.message
 
 
+@pytest.mark.slow
 def test_a_start_in_the_other_valley_finds_both() -> None:
     start = {"copper_scale": ParameterChoice(7.0), "insulation_modulus": ParameterChoice(5e8)}
     found = calibrate(wire_of("A3"), measured("A3", (0.12,), seed=1), Settings(start, gain=0.005))
