@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,12 +42,17 @@ def test_a_folder_that_is_not_there(batch: Batch) -> None:
 @pytest.mark.slow
 def test_the_process_is_kept_for_a_while(batch: Batch, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batches, "_IDLE", 1.0)
-    made: list[Crew[tuple[Path, Task], Outcome]] = []
+    made: list[Counted] = []
 
     class Counted(Crew[tuple[Path, Task], Outcome]):
         def __init__(self, *more: object, **others: object) -> None:
             super().__init__(*more, **others)  # type: ignore[arg-type]
             made.append(self)
+            self.has_left = threading.Event()
+
+        def leave(self) -> None:
+            super().leave()
+            self.has_left.set()
 
     monkeypatch.setattr(batches, "Crew", Counted)
 
@@ -56,17 +60,15 @@ def test_the_process_is_kept_for_a_while(batch: Batch, monkeypatch: pytest.Monke
         do_here(batch)
         do_here(batch)
         assert len(made) == 1
-        time.sleep(3.0)  # it is ended meanwhile
+        made[0].has_left.wait()
         do_here(batch)
 
     thread = threading.Thread(target=in_a_thread_of_a_worker)
     thread.start()
     thread.join()
     assert len(made) == 2
-    until = time.monotonic() + 20.0
-    while any(worker.process for crew in made for worker in crew._workers):
-        assert time.monotonic() < until
-        time.sleep(0.1)
+    made[1].has_left.wait()
+    assert not any(worker.process for crew in made for worker in crew._workers)
 
 
 def test_versions() -> None:
