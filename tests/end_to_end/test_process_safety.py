@@ -216,7 +216,6 @@ def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None
     }
 
 
-@pytest.mark.slow
 def test_killed_while_the_first_result_is_put_in_place(
     pristine: Lab, tmp_path: Path, run: Run
 ) -> None:
