@@ -16,10 +16,10 @@ import pytest
 from labpipe.cli import _parser as parser_of
 from labpipe.cli import main
 from labpipe.errors import CODES
-from labpipe.protocol.harness_loading import load_harness
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,
+    load_harness,
     load_test_sheet,
     parse_protocol,
     resolve,

@@ -16,6 +16,7 @@ from labpipe.protocol.load import (
     is_there,
     load_calibration_plan,
     load_campaign_plan,
+    load_harness,
     load_protocol,
     load_test_sheet,
     missing_exports,
@@ -123,7 +124,6 @@ def _loader_of(path: Path) -> Callable[[Path], object] | None:
     """What reads a YAML file that is no protocol; a misspelt protocol is one."""
     from labpipe.protocol.campaign_plan import PLAN_NAME
     from labpipe.protocol.harness_file import HarnessFile
-    from labpipe.protocol.harness_loading import load_harness
     from labpipe.protocol.plans import CalibrationPlan
 
     if path.name == PLAN_NAME:

@@ -29,6 +29,7 @@ from labpipe.protocol.yaml_text import Document, PlacedFault, parse_yaml, read_t
 
 if TYPE_CHECKING:
     from labpipe.protocol.campaign_plan import CampaignPlan
+    from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.plans import CalibrationPlan
 
 
@@ -228,6 +229,34 @@ def load_campaign_plan(path: Path) -> CampaignPlan:
     from labpipe.protocol.campaign_plan import CampaignPlan  # tests do without it
 
     return checked(CampaignPlan, parse_yaml(read_text(path), str(path)))
+
+
+def load_harness(path: Path) -> HarnessFile:
+    """Read a harness: one line between its boundaries.
+
+    Parameters
+    ----------
+    path : the YAML file
+
+    Returns
+    -------
+    The harness, defaults filled in; its line is long enough for its boundaries.
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it, or a file that it names is not there; the message has one line
+        per fault.
+    """
+    from labpipe.protocol.harness_file import HarnessFile  # tests do without it
+    from labpipe.protocol.harness_reach import file_faults, reach_faults
+
+    document = parse_yaml(read_text(path), str(path))
+    harness = checked(HarnessFile, document)
+    faults = [*file_faults(harness, path), *reach_faults(harness)]
+    if faults:
+        raise complaint_of(list(map(document.place, faults)))
+    return harness
 
 
 def resolve(

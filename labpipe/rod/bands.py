@@ -70,11 +70,6 @@ class LineBands:
     states: tuple[StateBands, ...]
     notes: tuple[QualityNote, ...] = ()
 
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether something does."""
-        return bool(self.notes)
-
 
 def bands_of(
     solve: Solve | Sequence[Solve],
@@ -232,10 +227,10 @@ def _jumps(looks: Sequence[_Look]) -> Iterator[QualityNote]:
     """Jumps in step 0 are none: there a line is laid, wherever its drawing has it."""
     differing = [each for look in looks for each in look.snapped if each != look.snapped[0]]
     if differing:
-        at = looks[0].snapped[0]
+        steps = looks[0].snapped[0], differing[0]
+        at, beside = (", ".join(map(str, each)) or "none" for each in steps)
         message = (
-            f"the line jumps in steps {list(at)} at the best inputs, and in steps "
-            f"{list(differing[0])} to one side of a cause: near a jump a smooth response, and "
-            "the band, do not hold"
+            f"steps in which the line jumps: {at} at the best inputs, {beside} to one side of a "
+            "cause; near a jump a smooth response, and the band, do not hold"
         )
         yield QualityNote("jumps", Severity.WARNING, "", message)

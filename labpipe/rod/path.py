@@ -31,7 +31,8 @@ class RodState(ArrayRecord):
         element
     node_curvatures : shape (n + 1, 2, 3), 1/m, the same, but carried on to the clamps
     rests : shape (n + 1, 2, sliders, 2), 1/m, where the sliders rest: the memory
-    reaction_forces : shape (boundaries, 3), N, what each boundary does to the line in all
+    reaction_forces : shape (boundaries, 3), N, what each boundary does to the line in all, loads
+        included; weight and moments have none
     reaction_moments : shape (boundaries, 3), N m, of clamps, about their node
     contacts : shape (planes, n + 1, 3), m, where the nodes stick to the planes: their memory
     contact_forces : shape (planes, n + 1, 3), N, what the planes do to the nodes

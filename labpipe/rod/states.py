@@ -8,6 +8,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Balance, Demands, Shape
+from labpipe.rod.boundaries import Load
 from labpipe.rod.path import RodState
 from labpipe.rod.rotations import matrices
 from labpipe.rod.schedule import Schedule
@@ -53,22 +54,24 @@ def _at_sides(supports: Supports, values: Floats) -> Floats:
 
 
 def state_of(
-    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: Reached
+    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: Reached, step: int
 ) -> RodState:
-    """Tell a state, all forces and moments in space."""
+    """Tell the state of a step, all forces and moments in space."""
     supports, cells = assembly.supports, now.balance.cells
     n_nodes = assembly.n + 1
     forces, clamp_moments = assembly.reactions(now.balance, now.demands)
     moments = _at_sides(supports, _moments_in_space(assembly, now))
-    n = len(schedule.boundaries)
-    reaction_forces, reaction_moments = np.zeros((n, 3)), np.zeros((n, 3))
+    reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
     reaction_forces[list(grips)] = forces
+    for k, load in enumerate(schedule.boundaries):
+        if isinstance(load, Load):
+            reaction_forces[k] = load.force[min(step, len(load.force) - 1)]
     clamped = [grips[int(row)] for row in supports.clamps]
     reaction_moments[clamped] = clamp_moments
     for k, touch in zip(schedule.planes, now.balance.touches, strict=True):
         reaction_forces[k] = touch.forces.sum(axis=0)
     reaction_forces[list(schedule.strings)] = now.balance.tensions
-    slid = np.full(n, np.nan)
+    slid = np.full(len(schedule.boundaries), np.nan)
     stations = assembly.line.stations
     for k, each in zip(schedule.rings, now.balance.threads, strict=True):
         reaction_forces[k] = each.force

@@ -459,7 +459,7 @@ class _Walk:
     # ---- what is kept -------------------------------------------------------------------------
 
     def _keep(self, step: int) -> None:
-        state = state_of(self.assembly, self.schedule, self.grips, self.now)
+        state = state_of(self.assembly, self.schedule, self.grips, self.now, step)
         self.states.append(state)
         stored = self._stored()
         jumps = self.jumped, self.lost_in_jumps

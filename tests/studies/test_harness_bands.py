@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from scipy.stats import rice
 
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_bands import HarnessBands, harness_bands
 from labpipe.studies.harness_line import Inputs, laid

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.records.result import Status
 from labpipe.studies.harness_followed import FollowedHarness, followed, shown_steps, swept
 from labpipe.studies.harness_section import material_of

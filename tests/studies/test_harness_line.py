@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.law.sliders import linear_moment_law
 from labpipe.protocol.harness_file import HarnessFile
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Section
 from labpipe.rod.rotations import matrices

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from labpipe.law.sliders import SliderLaw, slide_vector, virgin_rests
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.law.sliders import slider_moment
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status

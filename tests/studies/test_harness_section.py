@@ -11,7 +11,7 @@ import pytest
 from labpipe.decks.slider_table import sliders_json
 from labpipe.errors import LabpipeError
 from labpipe.law.sliders import slider_moment
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.studies.harness_section import Material, material_of
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.wire_table import wire_table

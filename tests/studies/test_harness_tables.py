@@ -9,7 +9,7 @@ from io import StringIO
 import numpy as np
 import pytest
 
-from labpipe.protocol.harness_loading import load_harness
+from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
