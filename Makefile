@@ -31,7 +31,7 @@ golden: .venv/.ready  ## numbers of the full demo and of real exports against th
 	$(BIN)/python -m tests.golden $(if $(PROCESSED),--processed $(PROCESSED)) $(NAMES)
 
 # The matrices are small: more than one thread of BLAS only waits for the others.
-golden test test-slow coverage: export OPENBLAS_NUM_THREADS = 1
+golden test test-slow coverage coverage-status: export OPENBLAS_NUM_THREADS = 1
 
 test: .venv/.ready  ## all but what takes long: four minutes on two cores
 	$(BIN)/python -m pytest -n 2
@@ -44,10 +44,10 @@ test-slow: .venv/.ready  ## all that takes long: before anything is called done
 coverage: .venv/.ready  ## how often intervals hold: goes on where it stopped, for 50 minutes (MINUTES=10: less)
 	$(BIN)/python -m tests.coverage run --minutes $(or $(MINUTES),50)
 
-coverage-status: .venv/.ready  ## whether the page of the coverage study still holds, and what is missing
+coverage-status: .venv/.ready  ## which kinds of the studies are void, and what is missing
 	$(BIN)/python -m tests.coverage status
 
-coverage-page: .venv/.ready  ## put what was counted on docs/explanations/coverage.md
+coverage-page: .venv/.ready  ## put what is kept on the pages of the studies
 	$(BIN)/python -m tests.coverage publish
 
 check: .venv/.ready  ## style, types, layers, sizes

@@ -1,10 +1,9 @@
-"""Count how often intervals hold the truth.
+"""Count how often intervals hold the truth, in tests, calibrations and lines.
 
-``run`` goes on where it stopped, for some minutes, and may be killed at any time; ``status`` says
-whether the page still holds; ``publish`` puts what was counted on the page; ``keep`` puts the lines
-of a study that is not whole into the project, so that it goes on from them on any machine. With
-``--calibrations`` it is the study of calibrations, whose kinds are chosen by words of their names,
-such as ``foreign A2``.
+``status`` makes canary rows again and compares them with those kept; ``run`` makes rows that are
+missing or do not hold, for some minutes, or all of the KINDs given; ``keep`` takes what was made
+into the project; ``publish`` puts what is kept on the pages, ``show`` prints it. A KIND is a name,
+a pattern such as 'lab/*' or 'own C?*', or a study: tests, calibrations, lines.
 """
 
 from __future__ import annotations
@@ -13,106 +12,68 @@ import argparse
 import sys
 from pathlib import Path
 
-from tests.coverage import wire_judgement, wire_study
-from tests.coverage.page import PAGE, publish, published_digest, tables
-from tests.coverage.study import FILE, KINDS, carry_on, keep, missing, read, rests_on
-from tests.coverage.wire_campaigns import KINDS as WIRE_KINDS
+from tests.coverage import study
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.coverage", description=__doc__)
-    parser.add_argument("task", choices=["run", "status", "show", "publish", "keep"])
-    parser.add_argument(
-        "kinds", nargs="*", metavar="KIND", help="such as lab/pet-tape; all if none"
-    )
-    parser.add_argument("--minutes", type=float, default=50.0, help="no test begins after them")
+    parser.add_argument("task", choices=list(TASKS))
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help="all if none")
+    parser.add_argument("--minutes", type=float, default=50.0, help="no row begins after them")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--rounds", type=int, help="only the first so many seeds of each kind")
-    parser.add_argument("--file", type=Path, help="of the lines")
-    parser.add_argument("--calibrations", action="store_true", help="the study of calibrations")
+    parser.add_argument("--file", type=Path, help="keep: rows made elsewhere")
     options = parser.parse_args()
-    if options.task == "keep" and not options.calibrations:
-        parser.error("only lines of calibrations are kept: the other study is made in one piece")
-    options.file = options.file or (wire_study.FILE if options.calibrations else FILE)
-    return (WIRE_TASKS if options.calibrations else TASKS)[options.task](options)
+    try:
+        kinds = study.kinds_of(options.kinds)
+    except LookupError as error:
+        parser.error(str(error.args[0]))
+    return TASKS[options.task](options, kinds)
 
 
-def _run(options: argparse.Namespace) -> int:
-    chosen = [k for k in KINDS if not options.kinds or f"{k.simulator}/{k.name}" in options.kinds]
-    if len(chosen) < len(options.kinds):
-        names = ", ".join(f"{kind.simulator}/{kind.name}" for kind in KINDS)
-        print(f"expected some of {names}, found {', '.join(options.kinds)}", file=sys.stderr)
-        return 2
-    left = carry_on(
-        options.file,
-        minutes=options.minutes,
-        jobs=options.jobs,
-        kinds=chosen,
-        rounds=options.rounds,
+def _run(options: argparse.Namespace, kinds: list[str]) -> int:
+    left = study.run(
+        kinds, is_renewed=bool(options.kinds), minutes=options.minutes, jobs=options.jobs
     )
-    print(f"{left} tests are left" if left else "all tests were made")
+    print(f"{left} rows are left" if left else "all rows were made")
     return 0
 
 
-def _status(options: argparse.Namespace) -> int:
-    now, then = rests_on(), published_digest(PAGE.read_text(encoding="utf-8"))
-    holds = "holds" if now == then else "is out of date"
-    print(f"{PAGE.name} {holds}: it rests on {then or 'nothing it names'}, the code is {now}")
-    print(f"{options.file.name}: {len(missing(options.file))} tests are missing")
-    return 0 if now == then else 1
+def _status(options: argparse.Namespace, kinds: list[str]) -> int:
+    rows = study.kept_rows()
+    changed = study.changes(study.make_rows(study.canary(kinds), jobs=options.jobs))
+    for kind in kinds:
+        state = "differs" if kind in changed else "holds" if rows[kind] else ""
+        print(f"{kind}: {len(rows[kind])} of {len(study.BY_KIND[kind].seeds[kind])} kept {state}")
+    print(study.remedy(changed) if changed else "all canary rows are as kept")
+    return 1 if changed else 0
 
 
-def _show(options: argparse.Namespace) -> int:
-    print(tables(list(read(options.file).values())))
+def _show(_: argparse.Namespace, kinds: list[str]) -> int:
+    for each in _studies(kinds):
+        print(study.published(each, study.kept_rows()))
     return 0
 
 
-def _publish(options: argparse.Namespace) -> int:
-    publish(list(read(options.file).values()))
+def _publish(_: argparse.Namespace, kinds: list[str]) -> int:
+    for each in _studies(kinds):
+        study.publish(each)
     return 0
 
 
-def _run_wires(options: argparse.Namespace) -> int:
-    words = set(options.kinds)
-    chosen = [kind for kind in WIRE_KINDS if words <= set(kind.name.split())]
-    left = wire_study.carry_on(
-        options.file, minutes=options.minutes, jobs=options.jobs, kinds=chosen
-    )
-    print(f"{left} campaigns are left" if left else "all campaigns were made")
+def _studies(kinds: list[str]) -> list[study.Study]:
+    return [each for each in study.STUDIES if set(each.seeds) & set(kinds)]
+
+
+def _keep(options: argparse.Namespace, kinds: list[str]) -> int:
+    kept = study.keep(options.file or study.WORKING)
+    for kind in kinds:
+        print(f"{kind}: {kept[kind]} of {len(study.BY_KIND[kind].seeds[kind])}")
+    if options.file is None:
+        study.WORKING.unlink(missing_ok=True)
     return 0
 
 
-def _status_of_wires(options: argparse.Namespace) -> int:
-    now = wire_study.rests_on()
-    holds = f"`{now}`" in wire_judgement.PAGE.read_text(encoding="utf-8")
-    print(f"{wire_judgement.PAGE.name} {'holds' if holds else 'is out of date'}: the code is {now}")
-    print(f"{options.file.name}: {len(wire_study.missing(options.file))} campaigns are missing")
-    return 0 if holds else 1
-
-
-def _show_wires(options: argparse.Namespace) -> int:
-    print(wire_judgement.tables(wire_study.read(options.file), wire_study.rests_on()))
-    return 0
-
-
-def _publish_wires(options: argparse.Namespace) -> int:
-    wire_judgement.publish(wire_study.read(options.file), wire_study.rests_on())
-    return 0
-
-
-def _keep_wires(options: argparse.Namespace) -> int:
-    print(keep(options.file, wire_study.read(options.file)).name)
-    return 0
-
-
-TASKS = {"run": _run, "status": _status, "show": _show, "publish": _publish}
-WIRE_TASKS = {
-    "run": _run_wires,
-    "status": _status_of_wires,
-    "show": _show_wires,
-    "publish": _publish_wires,
-    "keep": _keep_wires,
-}
+TASKS = {"run": _run, "status": _status, "show": _show, "publish": _publish, "keep": _keep}
 
 if __name__ == "__main__":
     sys.exit(main())

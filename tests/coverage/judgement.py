@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from scipy.stats import binom
 
-from tests.coverage.study import KINDS, Kind, Line
-
+Row = dict[str, Any]
+"""As `study` keeps them, and of their results."""
 STATED = 0.95
 LEAST = 20
 """Results that are `ok` in fewer tests are not judged."""
@@ -33,82 +34,98 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Held:
+    """How often something held, of how often it was asked."""
+
+    held: int
+    asked: int
+
+    @classmethod
+    def of(cls, rows: Iterable[Row]) -> Held:
+        """Intervals of results."""
+        held = [holds(row) for row in rows]
+        return cls(sum(held), len(held))
+
+    def __add__(self, other: Held) -> Held:
+        return Held(self.held + other.held, self.asked + other.asked)
+
+    @property
+    def share(self) -> float:
+        """NaN if it was never asked."""
+        return self.held / self.asked if self.asked else float("nan")
+
+    @property
+    def percent(self) -> str:
+        """Empty if it was never asked."""
+        return f"{100.0 * self.share:.1f} %" if self.asked else ""
+
+    @property
+    def chance(self) -> float:
+        """Of so few, if each held in `STATED` of all cases."""
+        return float(binom.cdf(self.held, self.asked, STATED))
+
+    def __str__(self) -> str:
+        return f"{self.held} of {self.asked}" if self.asked else ""
+
+
+@dataclass(frozen=True, slots=True)
 class Count:
     """How a result fared in the tests without a fault.
 
     Parameters
     ----------
     kind, name : of which test, which result
-    ok, doubtful, failed : in how many tests
-    held, doubtful_held : of the first two, those whose interval holds the truth
+    ok, doubtful : intervals of results of that status
+    failed : how many results
     width : median half width over 1.96 standard deviations of the estimate in tests with the same
         kind of noise; 1 is ideal
     """
 
-    kind: Kind
+    kind: str
     name: str
-    ok: int
-    doubtful: int
+    ok: Held
+    doubtful: Held
     failed: int
-    held: int
-    doubtful_held: int
     width: float
 
-    @property
-    def share(self) -> float:
-        """Of the `ok` ones that hold; NaN if there are none."""
-        return self.held / self.ok if self.ok else float("nan")
 
-    @property
-    def chance(self) -> float:
-        """Of so few, if each of them held in `STATED` of all tests."""
-        return float(binom.cdf(self.held, self.ok, STATED))
+def holds(row: Row) -> bool:
+    """Whether an interval, or a part of it, holds its truth; one that is not there does not."""
+    parts = row.get("parts", [[row.get("lower"), row.get("upper")]])
+    return any(None not in part and part[0] <= row["truth"] <= part[1] for part in parts)
 
 
-def holds(row: Line) -> bool:
-    """Whether an interval holds its truth; one that is not there does not."""
-    ends = row["lower"], row["upper"]
-    return None not in ends and bool(ends[0] <= row["truth"] <= ends[1])
-
-
-def is_empty(row: Line) -> bool:
+def is_empty(row: Row) -> bool:
     """Whether a result that is `ok` has no interval, or one of no width."""
-    ends = row["lower"], row["upper"]
-    return row["status"] == "ok" and (None in ends or not ends[0] < ends[1])
+    is_wide = row.get("lower") is not None and row["lower"] < row["upper"]
+    return row["status"] == "ok" and not is_wide
 
 
-def counted(lines: Iterable[Line]) -> list[Count]:
-    """Counts by kind and result, in the order of the kinds."""
-    rows: dict[tuple[Kind, str], list[tuple[str, Line]]] = {}
-    for line in lines:
-        for row in line["rows"] if not line["fault"] else ():
-            key = Kind(line["simulator"], line["kind"]), row["name"]
-            rows.setdefault(key, []).append((line["noise"], row))
-    order = sorted(rows, key=lambda key: KINDS.index(key[0]))
-    return [_count(*key, rows[key]) for key in order]
+def counted(rows: Iterable[Row]) -> list[Count]:
+    """Counts by kind and result of tests, in their order."""
+    found: dict[tuple[str, str], list[tuple[str, Row]]] = {}
+    for row in rows:
+        for result in row["rows"] if not row["about"].get("fault") else ():
+            noise = row["about"].get("noise", "")
+            found.setdefault((row["kind"], result["name"]), []).append((noise, result))
+    return [_count(*key, results) for key, results in found.items()]
 
 
-def _count(kind: Kind, name: str, rows: list[tuple[str, Line]]) -> Count:
-    ok = [row for _, row in rows if row["status"] == "ok"]
-    doubtful = [row for _, row in rows if row["status"] == "doubtful"]
-    return Count(
-        kind=kind,
-        name=name,
-        ok=len(ok),
-        doubtful=len(doubtful),
-        failed=len(rows) - len(ok) - len(doubtful),
-        held=sum(map(holds, ok)),
-        doubtful_held=sum(map(holds, doubtful)),
-        width=_width(rows),
+def _count(kind: str, name: str, results: list[tuple[str, Row]]) -> Count:
+    ok, doubtful = (
+        Held.of(row for _, row in results if row["status"] == status)
+        for status in ("ok", "doubtful")
     )
+    failed = len(results) - ok.asked - doubtful.asked
+    return Count(kind, name, ok, doubtful, failed, _width(results))
 
 
-def _width(rows: list[tuple[str, Line]]) -> float:
+def _width(results: list[tuple[str, Row]]) -> float:
     """As `Count` says; NaN where no kind of noise has five tests."""
     ratios: list[float] = []
-    for noise in {noise for noise, _ in rows}:
-        ok = [row for each, row in rows if each == noise and row["status"] == "ok"]
-        ok = [row for row in ok if row["lower"] is not None]
+    for noise in {noise for noise, _ in results}:
+        ok = [row for each, row in results if each == noise and row["status"] == "ok"]
+        ok = [row for row in ok if row.get("lower") is not None]
         if len(ok) >= 5:
             off = np.array([_middle(row) - row["truth"] for row in ok])
             half = np.array([0.5 * (row["upper"] - row["lower"]) for row in ok])
@@ -117,7 +134,7 @@ def _width(rows: list[tuple[str, Line]]) -> float:
     return float(np.median(ratios)) if ratios else float("nan")
 
 
-def _middle(row: Line) -> float:
+def _middle(row: Row) -> float:
     """What the interval lies around."""
     estimate = row.get("estimate")
     return float(row["value"] if estimate is None else estimate)
@@ -144,34 +161,32 @@ def holm(chances: Sequence[float], level: float) -> list[bool]:
     return rejected
 
 
-def judged(counts: Sequence[Count]) -> list[Verdict]:
+def judged(counts: Sequence[Held]) -> list[Verdict]:
     """On each result, in their order."""
-    family = [each for each in counts if each.ok >= LEAST]
-    seldom = dict(zip(map(id, family), holm([each.chance for each in family], LEVEL), strict=True))
-    return [_verdict(each, is_seldom=seldom.get(id(each), False)) for each in counts]
+    family = [each for each in counts if each.asked >= LEAST]
+    seldom = iter(holm([each.chance for each in family], LEVEL))
+    return [_verdict(each, is_seldom=each.asked >= LEAST and next(seldom)) for each in counts]
 
 
-def _verdict(count: Count, *, is_seldom: bool) -> Verdict:
-    if count.ok < LEAST:
+def _verdict(count: Held, *, is_seldom: bool) -> Verdict:
+    if count.asked < LEAST:
         return Verdict.FEW
-    if is_seldom or (count.ok >= MANY and count.share < ENOUGH):
+    if is_seldom or (count.asked >= MANY and count.share < ENOUGH):
         return Verdict.SELDOM
     return Verdict.WIDE if count.share > WIDE else Verdict.HOLDS
 
 
-def pooled(counts: Iterable[Count]) -> dict[Kind, tuple[int, int, Verdict]]:
-    """By kind: how many of all its intervals hold, of how many, and the verdict."""
-    sums: dict[Kind, tuple[int, int]] = {}
+def pooled(counts: Iterable[Count]) -> dict[str, tuple[Held, Verdict]]:
+    """By kind: all its intervals that are `ok`, and the verdict."""
+    sums: dict[str, Held] = {}
     for each in counts:
-        held, ok = sums.get(each.kind, (0, 0))
-        sums[each.kind] = held + each.held, ok + each.ok
-    return {kind: (held, ok, _of_all(held, ok)) for kind, (held, ok) in sums.items()}
+        sums[each.kind] = sums.get(each.kind, Held(0, 0)) + each.ok
+    return {kind: (held, _of_all(held)) for kind, held in sums.items()}
 
 
-def _of_all(held: int, ok: int) -> Verdict:
-    if ok < LEAST:
+def _of_all(held: Held) -> Verdict:
+    if held.asked < LEAST:
         return Verdict.FEW
-    share = held / ok
-    if share < POOLED[0]:
+    if held.share < POOLED[0]:
         return Verdict.SELDOM
-    return Verdict.WIDE if share > POOLED[1] else Verdict.HOLDS
+    return Verdict.WIDE if held.share > POOLED[1] else Verdict.HOLDS

@@ -1,302 +1,430 @@
-"""The study of coverage: tests of both simulators by seed, one JSON line each, in parts.
+"""The studies of coverage: how often intervals hold the truth in tests, calibrations and lines.
 
-Seeds were fixed before the first run and are never changed. Tests are drawn in rounds, one of each
-kind, so that after any time all kinds have as many. A line says which commit made it and what it
-rests on; where that has changed since, the test is made again.
+Seeds were fixed before the first run and are never changed. Rows stay in `KEPT` and hold while the
+code gives their numbers again: of each kind the canary seeds of ``kinds.csv`` are made again, and a
+number that differs voids the rows of its kind.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import lzma
+import math
 import os
-import shutil
 import subprocess
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
-from functools import cache
+from fnmatch import fnmatchcase
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from statistics import fmean, median
+from typing import Any
 
-from tests.coverage import lab
-from tests.coverage.rests_on import ROOT, digest, together
+from tests.coverage import lab, page, wire_campaigns, wire_judgement
 from tests.judges.foreign import processed as foreign
+from tests.line_coverage import drawn_lines, line_judgement, predicted_lines
 
+ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "tests" / "coverage" / "kept"
-"""Lines of studies that are not whole, compressed."""
-Each = TypeVar("Each")
+WORKING = ROOT / "processed" / "coverage.jsonl"
+"""Rows as they are made, of all studies; `keep` takes them from there."""
+DIGITS = 11
+"""Of a number that is kept."""
+CANARIES = 2
+EXACT, SEARCHED = 1e-9, 1e-6
+"""To which a number is made again on any processor, of the largest number of its result."""
 
-Line = dict[str, Any]
-"""Of one test: simulator, kind, seed, noise, fault, commit, rests_on, seconds, error, rows."""
+Row = dict[str, Any]
+"""Kind, seed, commit, error, about (text and numbers on the whole), rows: of each result its name,
+truth, value, lower, upper and status; seconds of CPU while it is not kept."""
+Rows = dict[str, dict[int, Row]]
+"""By kind and seed."""
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Kind:
-    """A kind of test.
+@dataclass(frozen=True, slots=True)
+class Study:
+    """What is drawn again and again, and counted on one page.
 
     Parameters
     ----------
-    simulator : ``foreign`` or ``lab``
-    name : of the simulator's kind
+    name : of its file of kept rows, and between the marks of its page
+    seeds : by kind; kinds of all studies have different names
+    make : about and rows of a kind and a seed
+    tables : of its rows, in markdown
+    page : in docs/explanations
+    searched : how names of results begin whose numbers are where a search or an iteration ends
     """
 
-    simulator: str
     name: str
-
-    @property
-    def rests_on(self) -> str:
-        """Digest of what its numbers rest on."""
-        return _digest(self.simulator, lab.PROTOCOLS.get(self.name, self.name))
-
-    @property
-    def seeds(self) -> range:
-        """Its tests."""
-        return SEEDS[self.simulator]
+    seeds: Mapping[str, range]
+    make: Callable[[str, int], Row]
+    tables: Callable[[Sequence[Row]], str]
+    page: str
+    searched: tuple[str, ...]
 
 
-SEEDS = {"foreign": range(26000, 26200), "lab": range(27000, 27200)}
-"""Never changed."""
-KINDS = (
-    *(Kind("foreign", name) for name in foreign.KINDS),
-    *(Kind("lab", name) for name in lab.KINDS),
+def _make_test(kind: str, seed: int) -> Row:
+    simulator, _, name = kind.partition("/")
+    with tempfile.TemporaryDirectory(prefix="coverage-") as folder:
+        if simulator == "lab":
+            return {"rows": lab.rows(name, seed, Path(folder))}
+        chance = foreign.chance_of(name, seed)
+        said = foreign.process(chance, Path(folder) / "test")
+    error = said.printed if "Traceback" in said.printed else ""
+    about = {"noise": chance.noise, "fault": chance.fault}
+    return {"about": about, "rows": list(said.rows), "error": error}
+
+
+_CAMPAIGNS = {kind.name: kind for kind in wire_campaigns.KINDS}
+_LINES = {kind.name: kind for kind in drawn_lines.KINDS}
+STUDIES = (
+    Study(
+        "tests",
+        {
+            **{f"foreign/{name}": range(26000, 26200) for name in foreign.KINDS},
+            **{f"lab/{name}": range(27000, 27200) for name in lab.KINDS},
+        },
+        _make_test,
+        page.tables,
+        "coverage.md",
+        ("clock", "slack"),
+    ),
+    Study(
+        "calibrations",
+        {name: kind.seeds for name, kind in _CAMPAIGNS.items()},
+        lambda kind, seed: wire_campaigns.rows(_CAMPAIGNS[kind], seed),
+        wire_judgement.tables,
+        "calibration.md",
+        ("",),
+    ),
+    Study(
+        "lines",
+        {name: kind.seeds for name, kind in _LINES.items()},
+        lambda kind, seed: predicted_lines.rows(_LINES[kind], seed),
+        line_judgement.tables,
+        "rod-bands.md",
+        ("",),
+    ),
 )
-FILE = ROOT / "processed" / "coverage.jsonl"
-
-_digest = cache(digest)
+BY_KIND = {kind: study for study in STUDIES for kind in study.seeds}
 
 
-def rests_on() -> str:
-    """One digest for the whole study."""
-    return together([kind.rests_on for kind in KINDS])
+def kinds_of(patterns: Iterable[str]) -> list[str]:
+    """Kinds by their names, patterns of them such as ``lab/*``, or studies; all without any.
+
+    Raises
+    ------
+    LookupError
+        If one of them fits no kind.
+    """
+    asked = list(patterns)
+    fits = {
+        pattern: {
+            k for k, study in BY_KIND.items() if fnmatchcase(k, pattern) or study.name == pattern
+        }
+        for pattern in asked
+    }
+    if nothing := [pattern for pattern, kinds in fits.items() if not kinds]:
+        message = f"{', '.join(nothing)}: expected kinds among {', '.join(BY_KIND)}"
+        raise LookupError(message)
+    return [kind for kind in BY_KIND if not asked or any(kind in each for each in fits.values())]
 
 
-def read(file: Path) -> dict[tuple[Kind, int], Line]:
-    """The tests of a study that still hold, in the order of the kinds; a torn line is left out."""
-    found: dict[tuple[Kind, int], Line] = {}
-    for text in file.read_text(encoding="utf-8").split("\n") if file.is_file() else ():
-        line = whole(text)
-        kind = Kind(line["simulator"], line["kind"]) if line else None
-        if line and kind in KINDS and line["rests_on"] == kind.rests_on:
-            found[kind, line["seed"]] = line
-    return dict(sorted(found.items(), key=lambda each: (KINDS.index(each[0][0]), each[0][1])))
-
-
-def whole(text: str) -> Line | None:
-    """Read a line; None for a torn one."""
+def make_row(kind: str, seed: int) -> Row:
+    """Make one row; an error that nobody expects is kept in it."""
+    begin, made = time.process_time(), Row()
     try:
-        line = json.loads(text)
-    except json.JSONDecodeError:
-        return None
-    return line if isinstance(line, dict) else None
-
-
-def read_lines(file: Path, kinds: Iterable[str], rests_on: str) -> list[Line]:
-    """Read the lines of a study that still hold, each kind and seed once, the last one made.
-
-    Parameters
-    ----------
-    file : of the lines; need not be there. Lines that were kept of it come before them, see `keep`
-    kinds : names, in the order wanted; lines of others are left out
-    rests_on : digest that a line must rest on
-    """
-    order = {name: number for number, name in enumerate(kinds)}
-    found: dict[tuple[int, int], Line] = {}
-    for text in [*_kept(file), *_written(file)]:
-        line = whole(text)
-        if line and line["kind"] in order and line["rests_on"] == rests_on:
-            found[order[line["kind"]], line["seed"]] = line
-    return [line for _, line in sorted(found.items(), key=lambda each: each[0])]
-
-
-def keep(file: Path, lines: Iterable[Line]) -> Path:
-    """Keep the lines of a study that is not whole, for `read_lines` to begin with on any machine.
-
-    Parameters
-    ----------
-    file : of the lines, by whose name they are kept
-    lines : that still hold; without any, what was kept before goes
-
-    Returns
-    -------
-    Where they are kept.
-    """
-    kept, text = _kept_file(file), "".join(f"{json.dumps(line)}\n" for line in lines)
-    kept.unlink(missing_ok=True)
-    if text:
-        kept.parent.mkdir(exist_ok=True)
-        kept.write_bytes(lzma.compress(text.encode(), preset=9))
-    return kept
-
-
-def _kept_file(file: Path) -> Path:
-    return KEPT / f"{file.name}.xz"
-
-
-def _kept(file: Path) -> list[str]:
-    kept = _kept_file(file)
-    return lzma.decompress(kept.read_bytes()).decode().split("\n") if kept.is_file() else []
-
-
-def _written(file: Path) -> list[str]:
-    return file.read_text(encoding="utf-8").split("\n") if file.is_file() else []
-
-
-def line_of(kind: str, seed: int, rests_on: str, make: Callable[[], Line]) -> Line:
-    """Make a line of a study; an error that nobody expects is kept in it.
-
-    Parameters
-    ----------
-    kind, seed, rests_on : of the line
-    make : what it says beside them
-    """
-    begin, error, said = time.process_time(), "", {}
-    try:
-        said = make()
-    except Exception:  # noqa: BLE001 - kept in the line, and counted
-        error = traceback.format_exc()
+        made = BY_KIND[kind].make(kind, seed)
+    except Exception:  # noqa: BLE001 - kept in the row, and counted
+        made = {"error": traceback.format_exc()}
     seconds = round(time.process_time() - begin, 3)
-    made = {"kind": kind, "seed": seed, "rests_on": rests_on}
-    return {**made, "seconds": seconds, "error": error, **said}
+    row = {"kind": kind, "seed": seed, "seconds": seconds}
+    return {**row, "error": "", "about": {}, "rows": [], **made}
 
 
-def missing(file: Path, kinds: Iterable[Kind] = KINDS) -> list[tuple[Kind, int]]:
-    """Tests that have not been made, or rest on what has changed, in rounds."""
-    done, asked = read(file), tuple(kinds)
-    rounds = zip(*(kind.seeds for kind in asked), strict=True)
-    wanted = ((kind, seed) for each in rounds for kind, seed in zip(asked, each, strict=True))
-    return [each for each in wanted if each not in done]
+def differences(kept: Row, made: Row) -> list[str]:
+    """Numbers and words of a row that another one of its kind and seed has otherwise."""
+    searched, found = BY_KIND[kept["kind"]].searched, []
+    if bool(kept["error"]) != bool(made["error"]):
+        found.append(f"error: {kept['error'] or 'none'} -> {made['error'] or 'none'}")
+    ours, theirs = (_results(row) for row in (kept, made))
+    for name in dict.fromkeys([*ours, *theirs]):
+        one, other = ours.get(name, {}), theirs.get(name, {})
+        tolerance = SEARCHED if name.startswith(searched) else EXACT
+        scale = max(
+            (abs(x) for x in one.values() if isinstance(x, float) and math.isfinite(x)), default=0.0
+        )
+        found += [
+            f"{name} {key}: {one.get(key)} -> {other.get(key)}"
+            for key in dict.fromkeys([*one, *other])
+            if not _is_same(one.get(key), other.get(key), tolerance * scale)
+        ]
+    return found
 
 
-def carry_on(
-    file: Path,
-    *,
-    minutes: float,
-    jobs: int = 2,
-    kinds: Iterable[Kind] = KINDS,
-    rounds: int | None = None,
-) -> int:
-    """Go on with the study for some minutes.
+def _results(row: Row) -> dict[str, dict[str, Any]]:
+    results = {"about": row["about"], **{each["name"]: each for each in row["rows"]}}
+    return {name: dict(_leaves("", each)) for name, each in results.items()}
 
-    Parameters
-    ----------
-    file : of the lines; made if it is not there
-    minutes : no test is begun after them
-    jobs : processes
-    kinds : which tests
-    rounds : of each kind, the first so many; all if left out
 
-    Returns
-    -------
-    How many tests are still missing.
+def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, (list, dict)):
+        inner = value.items() if isinstance(value, dict) else enumerate(value)
+        for name, each in inner:
+            if name not in _WORDS:
+                yield from _leaves(f"{key} {name}".strip(), each)
+    elif value is not None:
+        yield key, float(value) if isinstance(value, (int, float)) else value
+
+
+_WORDS = ("why", "name")
+
+
+def _is_same(one: Any, other: Any, nearness: float) -> bool:
+    if isinstance(one, float) and isinstance(other, float) and math.isfinite(one):
+        return abs(one - other) <= nearness
+    return bool(one == other) or (one != one and other != other)
+
+
+def standing(rows: Iterable[Row]) -> Rows:
+    """Rows that hold, in the order of kinds and seeds.
+
+    Of a kind and seed the last one counts. Where its numbers are others than those of the one
+    before, the earlier rows of its kind no longer hold.
     """
-    wanted = [
-        (kind, seed)
-        for kind, seed in missing(file, kinds)
-        if rounds is None or seed in kind.seeds[:rounds]
+    found: Rows = {kind: {} for kind in BY_KIND}
+    for row in rows:
+        own = found.get(row["kind"], {})
+        if row["seed"] in own and differences(own[row["seed"]], row):
+            own.clear()
+        own[row["seed"]] = row
+    return {kind: dict(sorted(own.items())) for kind, own in found.items()}
+
+
+def read(file: Path) -> Iterator[Row]:
+    """Rows of a file of JSON lines, if it is there; a torn line is left out."""
+    yield from _parsed(file.read_text(encoding="utf-8").splitlines() if file.is_file() else ())
+
+
+def kept_rows(kinds: Iterable[str] | None = None) -> Rows:
+    """All that are kept, or those of some kinds."""
+    wanted = set(BY_KIND if kinds is None else kinds)
+    begins = tuple(f'{{"kind": "{kind}"' for kind in wanted)
+    files = [_file(study) for study in STUDIES if wanted & set(study.seeds)]
+    lines = [line for file in files if file.is_file() for line in _unpacked(file.read_bytes())]
+    return standing(_parsed(line for line in lines if line.startswith(begins)))
+
+
+def _parsed(lines: Iterable[str]) -> Iterator[Row]:
+    for line in lines:
+        try:
+            yield json.loads(line)
+        except json.JSONDecodeError:
+            continue
+
+
+@lru_cache(maxsize=len(STUDIES))
+def _unpacked(packed: bytes) -> list[str]:
+    return lzma.decompress(packed).decode().splitlines()
+
+
+def _file(study: Study) -> Path:
+    return KEPT / f"{study.name}.jsonl.xz"
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """CPU seconds of one row of a kind, and the seeds that are made again."""
+
+    seconds: float
+    canary: tuple[int, ...]
+
+
+def costs() -> dict[str, Cost]:
+    """By kind, as kept."""
+    file = KEPT / "kinds.csv"
+    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    return {
+        kind: Cost(float(seconds), tuple(map(int, canary.split())))
+        for kind, seconds, canary in list(csv.reader(lines))[1:]
+    }
+
+
+def keep(file: Path) -> dict[str, int]:
+    """Take rows of a file to those that are kept; how many there are now, by kind.
+
+    A canary stays while its row is there; a new one is cheap, without a fault, and has as many
+    numbers as the others of its kind.
+    """
+    new, known = list(read(file)), costs()
+    rows = standing([row for own in kept_rows().values() for row in own.values()] + new)
+    for kind in {row["kind"] for row in new} & set(rows):
+        made = [row for row in rows[kind].values() if "seconds" in row]
+        before = known.get(kind, Cost(0.0, ()))
+        canary = tuple(seed for seed in before.canary if seed in rows[kind])
+        seconds = before.seconds
+        if len(made) > CANARIES or kind not in known:
+            seconds = round(fmean(row["seconds"] for row in made), 3)
+        known[kind] = Cost(seconds, (*canary, *_cheapest(made, canary))[:CANARIES])
+    KEPT.mkdir(exist_ok=True)
+    for study in STUDIES:
+        text = "".join(_line(row) for kind in study.seeds for row in rows[kind].values())
+        _file(study).write_bytes(lzma.compress(text.encode(), preset=9))
+    lines = [
+        f"{kind},{known[kind].seconds:g},{' '.join(map(str, known[kind].canary))}\n"
+        for kind in BY_KIND
+        if kind in known
     ]
-    return len(wanted) - make_lines(file, one, wanted, minutes=minutes, jobs=jobs)
+    (KEPT / "kinds.csv").write_text("kind,seconds,canary\n" + "".join(lines), encoding="utf-8")
+    return {kind: len(own) for kind, own in rows.items()}
 
 
-def make_lines(
-    file: Path,
-    make: Callable[[Each, int], Line],
-    wanted: Iterable[tuple[Each, int]],
-    *,
-    minutes: float,
-    jobs: int,
-) -> int:
-    """Make lines of a study in processes for some minutes, and keep each as it comes.
+def _cheapest(rows: Sequence[Row], known: Sequence[int]) -> Iterator[int]:
+    sizes = {row["seed"]: sum("lower" in each for each in row["rows"]) for row in rows}
+    for row in sorted(rows, key=lambda row: row["seconds"]):
+        is_plain = not (row["error"] or row["about"].get("fault"))
+        if is_plain and row["seed"] not in known and sizes[row["seed"]] >= median(sizes.values()):
+            yield row["seed"]
+
+
+def _line(row: Row) -> str:
+    """A row as it is kept: numbers rounded; no words but codes; of an error the last line."""
+    rows = [{key: each[key] for key in each if key != "why"} for each in row["rows"]]
+    error = row["error"].strip().rpartition("\n")[2]
+    about = {key: row[key] for key in ("kind", "seed", "commit")}
+    return (
+        f"{json.dumps(_rounded({**about, 'error': error, 'about': row['about'], 'rows': rows}))}\n"
+    )
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items() if each is not None}
+    if isinstance(value, list):
+        return [_rounded(each) for each in value]
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+def canary(kinds: Iterable[str]) -> list[tuple[str, int]]:
+    """Kinds and seeds that are made again."""
+    known = costs()
+    return [(kind, seed) for kind in kinds if kind in known for seed in known[kind].canary]
+
+
+def changes(made: Iterable[Row]) -> dict[str, list[str]]:
+    """By kind, what rows made just now have otherwise than those kept."""
+    rows, found = list(made), dict[str, list[str]]()
+    kept = kept_rows({row["kind"] for row in rows})
+    for row in rows:
+        said = differences(kept[row["kind"]][row["seed"]], row)
+        if said:
+            found.setdefault(row["kind"], []).extend(f"seed {row['seed']}, {each}" for each in said)
+    return found
+
+
+def remedy(changed: Mapping[str, Sequence[str]]) -> str:
+    """What differs, by kind, and what to do about it."""
+    known = costs()
+    seconds = {kind: known[kind].seconds * len(BY_KIND[kind].seeds[kind]) for kind in changed}
+    lines = [
+        f"{kind}: {len(said)} numbers differ ({'; '.join(said[:3])}); {seconds[kind]:.0f} CPU s"
+        for kind, said in changed.items()
+    ]
+    names = " ".join(f"'{kind}'" for kind in changed)
+    return "\n".join(
+        [
+            *lines,
+            f"If that is meant, renew these kinds in {sum(seconds.values()) / 60.0:.1f} CPU min:",
+            f"  python -m tests.coverage run {names}",
+            "  python -m tests.coverage keep",
+            "  python -m tests.coverage publish",
+        ]
+    )
+
+
+def run(kinds: Sequence[str], *, is_renewed: bool, minutes: float, jobs: int) -> int:
+    """Make rows for some minutes, into `WORKING`; how many are left.
 
     Parameters
     ----------
-    file : of the lines; made if it is not there
-    make : line of a kind and a seed; a function of a module
-    wanted : kinds and seeds, in order
-    minutes : nothing is begun after them
+    kinds : of which rows
+    is_renewed : all of them; else those that are missing or do not hold
+    minutes : no row is begun after them
     jobs : processes
 
-    Returns
-    -------
-    How many were made.
+    Notes
+    -----
+    First come canary rows of what another commit made: where they differ, all others of their kind
+    are made again. Then rounds, so that after any time all kinds have the same share of theirs.
+    """
+    until, commit = time.monotonic() + 60.0 * minutes, head()
+    kept = [] if is_renewed else [row for own in kept_rows().values() for row in own.values()]
+    rows = standing([*kept, *read(WORKING)])
+    seeds = [
+        (kind, seed)
+        for kind, seed in canary(kinds)
+        if seed in rows[kind] and rows[kind][seed]["commit"] != commit
+    ]
+    for made in make_rows(seeds, jobs=jobs, until=until):
+        append(WORKING, {"commit": commit, **made})
+    wanted = missing(standing([*kept, *read(WORKING)]), kinds)
+    left = len(wanted)
+    for made in make_rows(wanted, jobs=jobs, until=until):
+        append(WORKING, {"commit": commit, **made})
+        left -= 1
+    return left
+
+
+def missing(rows: Rows, kinds: Iterable[str]) -> list[tuple[str, int]]:
+    """Kinds and seeds without a row, in rounds."""
+    wanted = [
+        (number / len(BY_KIND[kind].seeds[kind]), kind, seed)
+        for kind in kinds
+        for number, seed in enumerate(BY_KIND[kind].seeds[kind])
+        if seed not in rows[kind]
+    ]
+    return [(kind, seed) for _, kind, seed in sorted(wanted, key=lambda each: each[0])]
+
+
+def make_rows(
+    wanted: Iterable[tuple[str, int]], *, jobs: int, until: float = math.inf
+) -> Iterator[Row]:
+    """Make rows in processes, as they come; only a few are asked for ahead of time.
+
+    Parameters
+    ----------
+    wanted : kinds and seeds
+    jobs : processes
+    until : nothing is begun after that, of the monotonic clock
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before the processes load it
-    until, left, commit = time.monotonic() + 60.0 * minutes, iter(wanted), head()
-    file.parent.mkdir(parents=True, exist_ok=True)
-    written = 0
+    left, running = iter(wanted), set[Future[Row]]()
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for line in _made(pool, make, left, until=until, ahead=2 * jobs):
-            append(file, {"commit": commit, **line})
-            written += 1
-    return written
+        while True:
+            while len(running) < 2 * jobs and time.monotonic() < until:
+                if (each := next(left, None)) is None:
+                    break
+                running.add(pool.submit(make_row, *each))
+            if not running:
+                return
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            yield from (future.result() for future in done)
 
 
-def _made(
-    pool: ProcessPoolExecutor,
-    make: Callable[[Each, int], Line],
-    left: Iterator[tuple[Each, int]],
-    *,
-    until: float,
-    ahead: int,
-) -> Iterator[Line]:
-    """Lines as they come; only a few are asked for ahead of time."""
-    running: set[Future[Line]] = set()
-    while True:
-        while len(running) < ahead and time.monotonic() < until:
-            if (wanted := next(left, None)) is None:
-                break
-            running.add(pool.submit(make, *wanted))
-        if not running:
-            return
-        done, running = wait(running, return_when=FIRST_COMPLETED)
-        yield from (each.result() for each in done)
-
-
-def append(file: Path, line: Line) -> None:
-    """Add a line in one piece; behind a torn one it begins afresh."""
+def append(file: Path, row: Row) -> None:
+    """Add a row in one piece; behind a torn line it begins a new one."""
+    file.parent.mkdir(parents=True, exist_ok=True)
     with file.open("a+b") as stream:
-        torn = stream.tell() > 0 and _last_byte(file) != b"\n"
-        stream.write((b"\n" if torn else b"") + json.dumps(line).encode() + b"\n")
-
-
-def _last_byte(file: Path) -> bytes:
-    with file.open("rb") as stream:
-        stream.seek(-1, os.SEEK_END)
-        return stream.read()
-
-
-def one(kind: Kind, seed: int) -> Line:
-    """Make, process and take away one test; an error that nobody expects is kept in its line."""
-    home, begin = Path(tempfile.mkdtemp(prefix="coverage-")), time.process_time()
-    noise, fault, error, rows = "", "", "", []
-    try:
-        if kind.simulator == "foreign":
-            chance = foreign.chance_of(kind.name, seed)
-            noise, fault = chance.noise, chance.fault
-            said = foreign.process(chance, home / "test")
-            rows = list(said.rows)
-            error = said.printed if "Traceback" in said.printed else ""
-        else:
-            rows = lab.rows(kind.name, seed, home)
-    except Exception:  # noqa: BLE001 - kept in the line, and counted
-        error = traceback.format_exc()
-    finally:
-        shutil.rmtree(home, ignore_errors=True)
-    return {
-        "simulator": kind.simulator,
-        "kind": kind.name,
-        "seed": seed,
-        "noise": noise,
-        "fault": fault,
-        "rests_on": kind.rests_on,
-        "seconds": round(time.process_time() - begin, 3),
-        "error": error,
-        "rows": rows,
-    }
+        stream.seek(max(stream.tell() - 1, 0))
+        is_torn = stream.read() not in (b"", b"\n")
+        stream.write((b"\n" if is_torn else b"") + json.dumps(row).encode() + b"\n")
 
 
 def head() -> str:
@@ -306,3 +434,22 @@ def head() -> str:
         for words in (("rev-parse", "--short", "HEAD"), ("status", "--porcelain", "-uno"))
     ]
     return said[0].stdout.strip() + ("+" if said[1].stdout.strip() else "")
+
+
+def published(study: Study, rows: Rows) -> str:
+    """What is counted of a study, in markdown: how many rows, at which commits, tables."""
+    own = {kind: list(rows[kind].values()) for kind in study.seeds}
+    every = [row for each in own.values() for row in each]
+    commits = Counter(row["commit"] for row in every)
+    numbers = sorted({len(each) for each in own.values()})
+    summary = (
+        f"{len(every)} of {sum(map(len, study.seeds.values()))} {study.name},"
+        f" {' to '.join(map(str, (numbers[0], numbers[-1])[: len(numbers)]))} of each kind, made at"
+        f" {', '.join(f'`{commit}` ({number})' for commit, number in commits.items())}."
+    )
+    return f"{summary}\n\n{study.tables(every)}"
+
+
+def publish(study: Study) -> None:
+    """Put what is kept on the page of its study."""
+    page.put(published(study, kept_rows()), study.name, ROOT / "docs" / "explanations" / study.page)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import PARAMETERS, Calibration
+from labpipe.records.wire_calibration import PARAMETERS, CalibratedParameter, Calibration
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.wire.calibration.fit import Wire
@@ -73,6 +73,8 @@ class WireKind:
 
 FIRST_SEED = 31000
 """Never changed."""
+BAND = "band"
+"""First word of the names of bands."""
 MAIN = (("A2", 85), ("A3", 120), ("C5", 120), ("B1", 100))
 OTHERS = (
     *(("A1", length) for length in (85, 120)),
@@ -163,35 +165,47 @@ def rows(kind: WireKind, seed: int) -> dict[str, Any]:
 
     Returns
     -------
-    parameters : by name: truth, parts of the interval, verdict
-    bands : of the mean sample on another length, at `AT`: truth, lower, upper
-    solutions : how many are in the 95 % set
+    rows : of each parameter, and of the band of the mean sample on another length at each of `AT`:
+        truth, value, ends; of a parameter the verdict as status, and parts of its interval if it
+        has several
+    about : how many solutions are in the 95 % set; or why there is none
     """
     gain, curves = campaign(kind, seed)
     found = calibrate(wire_of(kind.wire), curves, Settings(gain=GAIN))
     if not isinstance(found, Calibration):
-        return {"failed": f"{found.code}: {found.message}"}
-    said = {
-        each.name: {
-            "truth": _VALUES[each.name],
-            "parts": [[part.lower, part.upper] for part in each.intervals],
-            "verdict": str(each.verdict),
-        }
-        for each in found.parameters
-    }
-    return {
-        "parameters": said,
-        "bands": _bands(kind, found, gain),
-        "solutions": sum(each.is_allowed for each in found.solutions),
-    }
+        return {"about": {"failed": found.code}}
+    parameters = [_row(each) for each in found.parameters]
+    solutions = sum(each.is_allowed for each in found.solutions)
+    return {"rows": parameters + _bands(kind, found, gain), "about": {"solutions": solutions}}
 
 
-def _bands(kind: WireKind, found: Calibration, gain: float) -> list[list[float]]:
-    length = 1e-3 * kind.other
+def _row(parameter: CalibratedParameter) -> dict[str, Any]:
+    parts = [[part.lower, part.upper] for part in parameter.intervals]
+    row = {
+        "name": parameter.name,
+        "truth": _VALUES[parameter.name],
+        "value": parameter.value,
+        "lower": parts[0][0],
+        "upper": parts[-1][1],
+        "status": str(parameter.verdict),
+    }
+    return row if len(parts) == 1 else {**row, "parts": parts}
+
+
+def _bands(kind: WireKind, found: Calibration, gain: float) -> list[dict[str, Any]]:
     truth = gain * _at(kind)
-    band = predict(found, wire_of(kind.wire), length, AT, rig=rig_of(length))
-    columns = truth, band.lower_mean, band.upper_mean
-    return [[float(value) for value in row] for row in zip(*columns, strict=True)]
+    band = predict(found, wire_of(kind.wire), 1e-3 * kind.other, AT, rig=rig_of(1e-3 * kind.other))
+    columns = AT, truth, band.force, band.lower_mean, band.upper_mean
+    return [
+        {
+            "name": f"{BAND} {1e3 * at:g} mm",
+            "truth": truth,
+            "value": value,
+            "lower": low,
+            "upper": up,
+        }
+        for at, truth, value, low, up in np.transpose(columns).tolist()
+    ]
 
 
 def _at(kind: WireKind) -> Floats:

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 from labpipe.rod.bands import bent
 from labpipe.rod.response import Band
-from tests.coverage.rests_on import ROOT
 from tests.line_coverage.drawn_bands import Drawing, drawing
 from tests.line_coverage.drawn_lines import KINDS, Numbers
 
+ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"
 STYLE = ROOT / "labpipe" / "report" / "labpipe.mplstyle"
 SHOWN = 40

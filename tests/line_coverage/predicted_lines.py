@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any
 
@@ -54,22 +54,6 @@ _INPUTS = {
 }
 _STILL = 1e-9
 """m: a band that is narrower is that of a node that is held."""
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """One number of a line, and the band that was predicted for it."""
-
-    name: str
-    truth: float
-    value: float
-    lower: float
-    upper: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether the band has the truth."""
-        return self.lower <= self.truth <= self.upper
 
 
 @cache
@@ -220,7 +204,7 @@ def looked_at(drawn: Drawn, truth: TrueLine) -> dict[str, float]:
     }
 
 
-def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[Asked]:
+def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[dict[str, Any]]:
     """The same, with their bands."""
     (held, back), which = bands.states, drawn.asked
     places: tuple[tuple[Band, tuple[int, ...]], ...] = (
@@ -231,7 +215,7 @@ def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[Asked]:
     )
     for (name, number), (band, place) in zip(looked_at(drawn, truth).items(), places, strict=True):
         value, lower, upper = (float(each[place]) for each in (band.value, band.lower, band.upper))
-        yield Asked(name, number, value, lower, upper)
+        yield {"name": name, "truth": number, "value": value, "lower": lower, "upper": upper}
 
 
 def nominal_torsion(wire: str) -> float:
@@ -258,21 +242,23 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
     Returns
     -------
     rows : by number asked: truth, value, ends of the band
-    inside : share of all nodes and components inside, by shape
-    notes : what makes the bands doubtful
-    solutions : of the calibration, in its 95 % set
-    shares : of each cause in the bend radius
+    about : the wire, and
+        notes : what makes the bands doubtful
+        inside : share of all nodes and components inside, by shape
+        shares : of each cause in the bend radius
+        failed : without a prediction
     """
     drawn, what = draw(kind, seed), known_of(seed)
     truth = true_line(kind, drawn, nominal_torsion(drawn.wire))
     bands = predicted(kind, drawn, what)
     if bands is None:
-        return {"failed": "the prediction has no equilibrium"}
+        return {"about": {"wire": drawn.wire, "failed": "no_equilibrium"}}
     return {
-        "rows": [asdict(each) for each in asked(drawn, truth, bands)],
-        "inside": shares_inside(truth, bands),
-        "notes": [note.code for note in bands.notes],
-        "solutions": sum(each.is_allowed for each in what.calibration.solutions),
-        "shares": dict(bands.states[0].shares["smallest_bend_radius"]),
-        "wire": drawn.wire,
+        "rows": list(asked(drawn, truth, bands)),
+        "about": {
+            "wire": drawn.wire,
+            "notes": [note.code for note in bands.notes],
+            "inside": shares_inside(truth, bands),
+            "shares": dict(bands.states[0].shares["smallest_bend_radius"]),
+        },
     }

@@ -5,7 +5,7 @@ Numbers that were asked of them are put beside those of the study, as shares of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from labpipe.rod.boundaries import EARTH
 from labpipe.rod.rotations import frame_from_axes, matrices
+from tests.coverage.page import table as markdown
 from tests.judges.foreign import wire_section as foreign
 from tests.line_coverage.drawn_lines import (
     FIRST_SEED,
@@ -138,27 +139,26 @@ def all_solved(jobs: int) -> dict[tuple[str, int], dict[str, float]]:
 
 
 def table(
-    lines: Sequence[dict[str, Any]], second: Mapping[tuple[str, int], dict[str, float]]
+    rows: Mapping[str, Mapping[int, dict[str, Any]]],
+    second: Mapping[tuple[str, int], dict[str, float]],
 ) -> str:
     """In markdown: how far both truths are apart, in per cent of the widths of the study's bands.
 
     Parameters
     ----------
-    lines : of the study; a line that is not among them is left out
+    rows : of the study, by kind and seed; a case that is not among them is left out
     second : numbers of the cases, by kind and seed
     """
-    rows = ["| line | wire | " + " | ".join(ASKED) + " |", "|---|---|" + "---:|" * len(ASKED)]
-    for line in lines:
-        if (numbers := second.get((line["kind"], line["seed"]))) is None or "rows" not in line:
-            continue
-        cells = [
-            f"{_apart(row, numbers[row['name']]):.2f} %" if numbers else "not followed"
-            for row in line["rows"]
-        ]
-        rows.append(
-            f"| {line['kind']} {line['seed']} | {line['wire']} | " + " | ".join(cells) + " |"
-        )
-    return "\n".join(rows)
+    lines = []
+    for (kind, seed), numbers in second.items():
+        row = rows[kind].get(seed)
+        if row is not None and row["rows"]:
+            cells = [
+                f"{_apart(each, numbers[each['name']]):.2f} %" if numbers else "not followed"
+                for each in row["rows"]
+            ]
+            lines.append((f"{kind} {seed}", row["about"]["wire"], *cells))
+    return "\n".join(markdown("ll" + "r" * len(ASKED), ("line", "wire", *ASKED), lines))
 
 
 def _apart(row: dict[str, Any], number: float) -> float:

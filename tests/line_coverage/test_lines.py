@@ -1,8 +1,7 @@
-"""The study of lines: what it draws, how it goes on, how it judges; a line of each way of truth."""
+"""The study of lines: what it draws, how it judges; a line of each way of truth."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,53 +9,30 @@ import pytest
 from scipy.stats import binom
 
 from labpipe.law.sliders import SliderLaw
-from tests.coverage.study import append
 from tests.judges.foreign import wire_section as foreign
-from tests.line_coverage import predicted_lines
 from tests.line_coverage.drawn_bands import compared, drawing, table
 from tests.line_coverage.drawn_lines import FIRST_SEED, KINDS, NODES, WIRES, Way, draw, wire_drawn
 from tests.line_coverage.line_judgement import (
     ASKED,
-    BEGIN,
-    END,
     counted,
-    is_held,
     judged,
     predicted,
-    publish,
     tables,
 )
-from tests.line_coverage.line_study import carry_on, missing, one, read, rests_on
 from tests.line_coverage.true_lines import Laid, held_at, true_line, true_stops
 
 BY_NAME = {kind.name: kind for kind in KINDS}
 
 
-def row(name: str, *, held: bool = True) -> dict[str, Any]:
-    truth = 1.0 if held else 3.0
-    return {"name": name, "truth": truth, "value": 1.0, "lower": 0.5, "upper": 2.0}
-
-
-def line(kind: str, seed: int, *, held: bool = True, **more: Any) -> dict[str, Any]:
-    made = {
-        "kind": kind,
-        "seed": seed,
-        "rests_on": rests_on(),
-        "commit": "abc",
-        "seconds": 6.0,
-        "error": "",
-        "rows": [row(name, held=held) for name in ASKED],
+def row(kind: str, *, held: bool = True, notes: tuple[str, ...] = ()) -> dict[str, Any]:
+    band = {"truth": 1.0 if held else 3.0, "value": 1.0, "lower": 0.5, "upper": 2.0}
+    about = {
+        "notes": list(notes),
         "inside": {"shape": 1.0, "shape on the way back": 0.5},
-        "notes": [],
         "shares": {"specimen": 0.25, "spool": 0.75},
     }
-    return {**made, **more}
-
-
-def test_seeds_and_kinds_are_fixed() -> None:
-    assert FIRST_SEED == 41000
-    assert sum(len(kind.seeds) for kind in KINDS) == 200
-    assert list(BY_NAME) == ["push", "bow", "slack", "space bow", "space push"]
+    rows = [{"name": name, **band} for name in ASKED]
+    return {"kind": kind, "error": "", "about": about, "rows": rows}
 
 
 def test_lines_of_one_seed_share_their_wire_and_nothing_else() -> None:
@@ -112,60 +88,20 @@ def test_draws_lie_in_the_bands_that_were_made_of_them() -> None:
     assert "| bow | " in table(rows)
 
 
-def test_the_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    file = tmp_path / "lines.jsonl"
-    append(file, line("bow", FIRST_SEED))
-    append(file, line("push", FIRST_SEED + 1))
-    append(file, {**line("push", FIRST_SEED), "rests_on": "older code"})
-    file.write_text(file.read_text(encoding="utf-8") + '{"kind": "torn', encoding="utf-8")
-    found = [(each["kind"], each["seed"]) for each in read(file)]
-    assert found == [("push", FIRST_SEED + 1), ("bow", FIRST_SEED)]
-    left = missing(file)
-    assert len(left) == 198
-    assert [(kind.name, seed) for kind, seed in left[:2]] == [
-        *(("push", FIRST_SEED), ("slack", FIRST_SEED)),
-    ]
-    assert carry_on(file, minutes=-1.0, jobs=1) == 198
-
-
-def test_an_error_is_kept_in_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> dict[str, Any]:
-        message = "no such wire"
-        raise RuntimeError(message)
-
-    monkeypatch.setattr(predicted_lines, "rows", broken)
-    assert "no such wire" in one(KINDS[0], FIRST_SEED)["error"]
-
-
 def test_bands_that_hold_too_seldom_are_found() -> None:
-    good = [line("push", seed) for seed in range(95)] + [
-        line("push", 95 + n, held=False) for n in range(5)
-    ]
+    good = [row("push", held=n >= 5) for n in range(100)]
     assert not any(judged(good).values())
     assert str(counted(good, "moment")) == "95 of 100"
-    bad = good + [line("bow", seed, held=False) for seed in range(12)]
-    assert all(judged(bad).values())
-    assert not is_held(row("shape", held=False))
+    assert all(judged([*good, *[row("bow", held=False)] * 12]).values())
 
 
 def test_doubtful_and_failed_lines_are_counted_apart() -> None:
-    doubtful = line("bow", 2, notes=["beyond_tested"])
-    failed = {**line("bow", 3), "failed": "no equilibrium", "rows": []}
-    lines = [line("push", 1), doubtful, failed]
-    assert predicted(lines) == [lines[0]]
-    assert predicted(lines, doubtful=True) == [doubtful]
-    text = tables(lines, "0123456789ab", 197)
-    assert "3 lines; 197 are still to be made" in text
+    doubtful = row("bow", notes=("beyond_tested",))
+    failed = {**row("bow"), "about": {"failed": "no_equilibrium"}, "rows": []}
+    rows = [row("push"), doubtful, failed]
+    assert predicted(rows) == [rows[0]]
+    assert predicted(rows, doubtful=True) == [doubtful]
+    text = tables(rows)
     assert "1 x `beyond_tested`), 1 failed, 0 ended in an error" in text
     assert "spool 75 %, specimen 25 %" in text
-
-
-def test_what_was_counted_stands_between_its_marks(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
-    publish([line("push", 1)], "0123456789ab", 0, page)
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith("before")
-    assert text.endswith("after\n")
-    assert "\nold\n" not in text
-    assert "1 of 1" in text
+    assert "| push | 1 | 1 of 1 |" in text

@@ -73,12 +73,8 @@ def test_both_truths_of_a_line_in_space_agree() -> None:
 
 def test_truths_are_put_beside_each_other_by_the_width_of_a_band() -> None:
     row = {"name": "shape", "truth": 1.0, "lower": 0.5, "upper": 2.5}
-    about = {"kind": "space bow", "wire": "A1"}
-    lines = [
-        {**about, "seed": 41000, "rows": [row]},
-        {**about, "seed": 41001, "failed": "no equilibrium"},
-        {**about, "seed": 41002, "rows": [row]},
-    ]
+    line = {"about": {"wire": "A1"}, "rows": [row]}
+    lines = {"space bow": {41000: line, 41001: {**line, "rows": []}, 41002: line}}
     numbers = {("space bow", seed): {"shape": 1.02} for seed in (41000, 41001)}
     assert table(lines, {**numbers, ("space bow", 41002): {}}).splitlines()[2:] == [
         "| space bow 41000 | A1 | 1.00 % |",

@@ -6,8 +6,13 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.harness_loading import load_harness
-from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.load import (
+    dump_protocol,
+    load_harness,
+    load_test_sheet,
+    parse_protocol,
+    resolve,
+)
 from labpipe.protocol.plausible import PLAUSIBLE
 from labpipe.units import parse_quantity
 from tests.protocol.conftest import SHEET, Tell, Told
