@@ -1,8 +1,8 @@
 """Count how often intervals hold the truth, in tests, calibrations and lines.
 
 ``status`` makes canary rows again and compares them with those kept; ``run`` makes rows that are
-missing or do not hold, for some minutes, or all of the KINDs given; ``keep`` takes what was made
-into the project; ``publish`` puts what is kept on the pages, ``show`` prints it. A KIND is a name,
+missing or do not hold, or all ``--again``, for some minutes, and goes on where it was stopped;
+``keep`` takes what was made into the project; ``publish`` puts what is kept on the pages, ``show`` prints it. A KIND is a name,
 a pattern such as 'lab/*' or 'own C?*', or a study: tests, calibrations, lines.
 """
 
@@ -21,6 +21,7 @@ def main() -> int:
     parser.add_argument("kinds", nargs="*", metavar="KIND", help="all if none")
     parser.add_argument("--minutes", type=float, default=50.0, help="no row begins after them")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--again", action="store_true", help="run: all rows, whatever is kept")
     parser.add_argument("--file", type=Path, help="keep: rows made elsewhere")
     options = parser.parse_args()
     try:
@@ -31,9 +32,7 @@ def main() -> int:
 
 
 def _run(options: argparse.Namespace, kinds: list[str]) -> int:
-    left = study.run(
-        kinds, is_renewed=bool(options.kinds), minutes=options.minutes, jobs=options.jobs
-    )
+    left = study.run(kinds, again=options.again, minutes=options.minutes, jobs=options.jobs)
     print(f"{left} rows are left" if left else "all rows were made")
     return 0
 

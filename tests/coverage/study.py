@@ -342,20 +342,20 @@ def remedy(changed: Mapping[str, Sequence[str]]) -> str:
         [
             *lines,
             f"If that is meant, renew these kinds in {sum(seconds.values()) / 60.0:.1f} CPU min:",
-            f"  python -m tests.coverage run {names}",
+            f"  python -m tests.coverage run {names} --again",
             "  python -m tests.coverage keep",
             "  python -m tests.coverage publish",
         ]
     )
 
 
-def run(kinds: Sequence[str], *, is_renewed: bool, minutes: float, jobs: int) -> int:
+def run(kinds: Sequence[str], *, again: bool, minutes: float, jobs: int) -> int:
     """Make rows for some minutes, into `WORKING`; how many are left.
 
     Parameters
     ----------
     kinds : of which rows
-    is_renewed : all of them; else those that are missing or do not hold
+    again : all of them but those in `WORKING`; else those that are missing or do not hold
     minutes : no row is begun after them
     jobs : processes
 
@@ -365,7 +365,7 @@ def run(kinds: Sequence[str], *, is_renewed: bool, minutes: float, jobs: int) ->
     are made again. Then rounds, so that after any time all kinds have the same share of theirs.
     """
     until, commit = time.monotonic() + 60.0 * minutes, head()
-    kept = [] if is_renewed else [row for own in kept_rows().values() for row in own.values()]
+    kept = [] if again else [row for own in kept_rows().values() for row in own.values()]
     rows = standing([*kept, *read(WORKING)])
     seeds = [
         (kind, seed)

@@ -136,8 +136,8 @@ def test_going_on(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(study, "STUDIES", (short,))
     monkeypatch.setattr(study, "make_rows", made_here)
 
-    def run(minutes: float = 5.0, *, is_renewed: bool = False) -> tuple[int, int]:
-        left = study.run([BAR], is_renewed=is_renewed, minutes=minutes, jobs=1)
+    def run(minutes: float = 5.0, *, again: bool = False) -> tuple[int, int]:
+        left = study.run([BAR], again=again, minutes=minutes, jobs=1)
         return left, len(list(study.read(study.WORKING)))
 
     assert run(0.0) == (3, 0)
@@ -155,7 +155,7 @@ def test_going_on(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     study.keep(study.WORKING)
     assert set(study.kept_rows()[BAR]) == {27000, 27001, 27002}
     study.WORKING.unlink()
-    assert run(0.0, is_renewed=True) == (3, 0)
+    assert run(0.0, again=True) == (3, 0)
 
 
 def test_what_is_kept(kept: Path, tmp_path: Path) -> None:
@@ -188,7 +188,7 @@ def test_what_is_kept(kept: Path, tmp_path: Path) -> None:
     assert "RuntimeError" not in str(study.changes([row(BAR, 27001, 5.0)]))
     told = study.remedy(study.changes([row(BAR, 27001, 6.0)]))
     assert "seed 27001, compliance value: 5.0 -> 6.0); 353 CPU s" in told
-    assert "python -m tests.coverage run 'lab/stiff-bar'" in told
+    assert "python -m tests.coverage run 'lab/stiff-bar' --again" in told
 
 
 def test_kinds_by_name_pattern_and_study() -> None:
