@@ -2,8 +2,9 @@
 
 ``status`` makes canary rows again and compares them with those kept; ``run`` makes rows that are
 missing or do not hold, or all ``--again``, for some minutes, and goes on where it was stopped;
-``keep`` takes what was made into the project; ``publish`` puts what is kept on the pages, ``show`` prints it. A KIND is a name,
-a pattern such as 'lab/*' or 'own C?*', or a study: tests, calibrations, lines.
+``keep`` takes what was made into the project; ``publish`` puts what is kept on the pages, ``show``
+prints it. A KIND is a name, a pattern such as 'lab/*' or 'own C?*', or a study: tests,
+calibrations, lines.
 """
 
 from __future__ import annotations
