@@ -43,10 +43,6 @@ class Cluster:
         arguments += ["--local-directory", str(self.home / f"worker-{len(self.workers)}")]
         self.workers.append(_started("dask_worker", self.home, *arguments, folder=folder))
 
-    def lose_worker(self, number: int) -> None:
-        """Kill one with all that belongs to it, as when its machine goes down."""
-        _kill(self.workers[number])
-
     def close(self) -> None:
         """End all processes."""
         for process in (*self.workers, self.scheduler):

@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -27,11 +26,10 @@ from scipy.optimize import minimize
 
 from labpipe.law.loading_panels import panel_rule
 from labpipe.law.plays import LinearLaw
-from labpipe.records.arrays import ArrayRecord, Floats, Vector
-from labpipe.records.wire_calibration import CalibrationFailure
+from labpipe.records.arrays import Floats
 from labpipe.wire.bending_law import moment_curvature
 from labpipe.wire.calibration.fit import Wire
-from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors, usable
+from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
 from labpipe.wire.first_loading import load_cantilever
 from labpipe.wire.friction import insulated
 from tests.builders.bilinear_laws import law_of_plays
@@ -44,36 +42,24 @@ _STEEPNESS = 1e-6  # largest slope at rest of the sum of squares over that of th
 _STEP = 1e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SourceCalibration(ArrayRecord):
-    """The source's procedure: three friction numbers and one stiffness for the whole wire.
+@dataclass(frozen=True)
+class SourceCalibration:
+    """Where the search ended.
 
     Parameters
     ----------
-    strand_friction, insulation_friction, radial_force : mu_s, mu_p, N, where the search ended
-    radial_friction : phi = F_rad (mu_s + mu_p), N: all that the tests could say
-    start : where the search began
+    strand_friction, radial_friction : mu_s, and phi = F_rad (mu_s + mu_p), N, which is all that the
+        tests could say
     converged : whether the search says that it did
-    iterations : of the search
     singular_values : shape (3,), of the forces' derivatives by the logarithms, over the RMSE
-    sse, rmse, rmse_share : N^2, N, 1
-    deflection, force, model : shape (n,), m, N, N
+    rmse : N
     """
 
     strand_friction: float
-    insulation_friction: float
-    radial_force: float
     radial_friction: float
-    start: tuple[float, float, float]
     converged: bool
-    iterations: int
-    singular_values: Annotated[Floats, 3]
-    sse: float
+    singular_values: Floats
     rmse: float
-    rmse_share: float
-    deflection: Vector
-    force: Vector
-    model: Vector
 
 
 def calibrate_as_source(
@@ -82,7 +68,7 @@ def calibrate_as_source(
     *,
     start: tuple[float, float, float] = START,
     shape: str = "series",
-) -> SourceCalibration | CalibrationFailure:
+) -> SourceCalibration:
     """Calibrate three friction numbers with one stiffness for the whole wire.
 
     Parameters
@@ -92,12 +78,6 @@ def calibrate_as_source(
     start : mu_s, mu_p and F_rad (N)
     shape : ``series``, the source's, or ``elastica``, the exact one for one stiffness
 
-    Returns
-    -------
-    Where the search ended; or a failure as of
-    `labpipe.wire.calibration.calibrate_wire.calibrate`, or ``parameter_without_effect`` for
-    a single strand.
-
     Notes
     -----
     BFGS, as in the source, without bounds: a negative number is taken by its size, since friction
@@ -106,38 +86,22 @@ def calibrate_as_source(
     depend on how many points there are: with more of them it would not rest on the floor of the
     valley, but walk along it to a mu_s of 30 for three parts in a thousand of the misfit.
     """
-    known = usable(tuple(curves))
-    if isinstance(known, CalibrationFailure):
-        return known
-    if len(wire.section.layers) == 1:
-        message = "a single strand has no friction: there is nothing to fit"
-        return CalibrationFailure("parameter_without_effect", message)
-    force = np.concatenate([curve.force for curve in known])
+    force = np.concatenate([curve.force for curve in curves])
     size = float(force @ force)
 
     def misfit(numbers: Floats) -> float:
-        left = source_forces(wire, known, numbers, shape) - force
+        left = source_forces(wire, curves, numbers, shape) - force
         return float(left @ left) / size
 
     found = minimize(misfit, np.array(start), method="BFGS", options={"gtol": _STEEPNESS})
     strand, insulation, radial = (float(value) for value in np.abs(found.x))
-    model = source_forces(wire, known, found.x, shape)
-    errors = curve_errors(force, model)
+    errors = curve_errors(force, source_forces(wire, curves, found.x, shape))
     return SourceCalibration(
         strand_friction=strand,
-        insulation_friction=insulation,
-        radial_force=radial,
         radial_friction=radial * (strand + insulation),
-        start=start,
         converged=bool(found.success),
-        iterations=int(found.nit),
-        singular_values=_singular_values(wire, known, np.abs(found.x), shape, errors.rmse),
-        sse=errors.sse,
+        singular_values=_singular_values(wire, curves, np.abs(found.x), shape, errors.rmse),
         rmse=errors.rmse,
-        rmse_share=errors.rmse_share,
-        deflection=np.concatenate([curve.deflection for curve in known]),
-        force=force,
-        model=model,
     )
 
 

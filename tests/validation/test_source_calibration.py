@@ -17,9 +17,7 @@ FIXED = ParameterChoice(is_fixed=True)
 def by_source(*, has_string: bool, shape: str = "series") -> SourceCalibration:
     # Hardly any noise: what is left of the truth is bias. At 2 mN one curve gives phi to 4 %.
     curves = measured(samples=1, scatter=0.0, gain=0.0, noise=1e-5, has_string=has_string)
-    found = calibrate_as_source(WIRE, curves, shape=shape)
-    assert isinstance(found, SourceCalibration)
-    return found
+    return calibrate_as_source(WIRE, curves, shape=shape)
 
 
 def test_one_stiffness_for_the_whole_wire_asks_for_four_times_the_friction() -> None:
