@@ -131,12 +131,37 @@ def complaint(file: object, place: str, *, expected: str, found: str, remedy: st
     return f"{where}: expected {expected}, found {found}. {remedy}"
 
 
-def refusal(error: OSError) -> str:
-    """Word what the operating system refuses.
+_NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread")
+"""What says that the memory is used up, where a library or a thread is refused for it."""
+
+
+def code_of(error: Exception) -> str:
+    """Find the code of an error that ended the processing of a test, or a command.
 
     Parameters
     ----------
     error : as it was raised
+
+    Returns
+    -------
+    One of `CODES`; ``fault_of_labpipe`` for what neither the input nor the system explains.
+    """
+    if isinstance(error, LabpipeError):
+        return error.code
+    said = str(error).casefold()
+    refused = isinstance(error, ImportError | RuntimeError | OSError)
+    if isinstance(error, MemoryError) or (refused and any(words in said for words in _NO_MEMORY)):
+        return "out_of_memory"
+    is_of_system = isinstance(error, OSError | UnicodeEncodeError)
+    return "system_refused" if is_of_system else "fault_of_labpipe"
+
+
+def refusal(error: Exception) -> str:
+    """Word what the operating system refuses.
+
+    Parameters
+    ----------
+    error : as it was raised: an OSError, or a name that the system cannot write
 
     Returns
     -------
@@ -147,12 +172,19 @@ def refusal(error: OSError) -> str:
     >>> refusal(OSError(36, "File name too long", "xxx"))
     'xxx: expected a file that can be used, found file name too long. Check the path and the disk.'
     """
-    found = (error.strerror or str(error) or type(error).__name__).lower()
+    if isinstance(error, UnicodeEncodeError):
+        return complaint(
+            repr(error.object)[:80],
+            "",
+            expected=f"names that this system can write, whose encoding is {error.encoding}",
+            found=ascii(error.object[error.start : error.end])[:80],
+            remedy="Choose a locale of UTF-8, such as LC_ALL=C.UTF-8, or set PYTHONUTF8=1.",
+        )
     return complaint(
-        error.filename or "files",
+        getattr(error, "filename", None) or "files",
         "",
         expected="a file that can be used",
-        found=found,
+        found=(getattr(error, "strerror", None) or str(error) or type(error).__name__).lower(),
         remedy="Check the path and the disk.",
     )
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe import errors
-from labpipe.errors import CODES, LabpipeError, ReadError, complaint, nearest
+from labpipe.errors import CODES, LabpipeError, ReadError, code_of, complaint, nearest, refusal
 from labpipe.readers.channels import NoChannelError
 from labpipe.studies.first_loadings import NotUsableError
 
@@ -44,6 +44,34 @@ def test_a_code_passes_from_one_process_to_another() -> None:
     error = pickle.loads(pickle.dumps(ReadError("x", code="missing_export")))
     assert (str(error), error.code) == ("x", "missing_export")
     assert ReadError("x").code == "unreadable_export"
+
+
+NO_SEGMENT = "_special_ufuncs.so: failed to map segment from shared object"
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (ReadError("x", code="missing_export"), "missing_export"),
+        (MemoryError(), "out_of_memory"),
+        (ImportError(NO_SEGMENT), "out_of_memory"),
+        (OSError(12, "Cannot allocate memory"), "out_of_memory"),
+        (RuntimeError("can't start new thread"), "out_of_memory"),
+        (OSError(36, "File name too long", "xxx"), "system_refused"),
+        (UnicodeEncodeError("ascii", "a/\xfc", 2, 3, "ordinal not in range"), "system_refused"),
+        (ImportError("No module named 'x'"), "fault_of_labpipe"),
+        (ValueError(NO_SEGMENT), "fault_of_labpipe"),
+    ],
+)
+def test_the_code_of_an_error(error: Exception, code: str) -> None:
+    assert code_of(error) == code
+    assert code in CODES
+
+
+def test_a_name_that_the_system_cannot_write() -> None:
+    said = refusal(UnicodeEncodeError("ascii", "a/\xfc", 2, 3, "ordinal not in range"))
+    assert said.startswith("'a/\xfc': expected names that this system can write, whose encoding is")
+    assert r"ascii, found '\xfc'. Choose a locale of UTF-8" in said
 
 
 def test_nearest_ignores_case_and_keeps_to_the_most() -> None:

@@ -372,17 +372,20 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
         If the decisions cannot be read: a rejected test must not slip in.
     """
     found: dict[Path, tuple[Decision, ...]] = {}
-    read: dict[Path, DecisionFile] = {}
+    read: dict[Path, dict[str, list[Decision]]] = {}
     for file in files:
         test = file.resolve().parent
         home = home_of(test, test.parent)
         if not (home / DECISIONS).is_file():
             continue
-        known = read.setdefault(home, read_decisions(home))
-        if not known.is_whole:
-            raise StoreError("\n".join(known.faults))
-        label = test.relative_to(home).as_posix()
-        found[file] = tuple(each for each in known.decisions if each.test == label)
+        if home not in read:
+            known = read_decisions(home)
+            if not known.is_whole:
+                raise StoreError("\n".join(known.faults))
+            read[home] = {}
+            for each in known.decisions:
+                read[home].setdefault(each.test, []).append(each)
+        found[file] = tuple(read[home].get(test.relative_to(home).as_posix(), ()))
     return found
 
 

@@ -9,7 +9,7 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -55,6 +55,12 @@ _WIDEST = 60
 _UNSHOWN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 """Characters that would do something to a terminal, or to a cell."""
 
+_FORMULA = re.compile(r"(?![-+]\d+(?:\.\d*)?\Z)[=+\-@\t\r\n]")
+"""How text begins that a spreadsheet takes for a formula (OWASP); a number with a sign is none."""
+_STEPS = 1_000_000
+_MOST_STEPS, _STEPS_A_ROW = 200, 0.05
+"""Steps of SQLite, in millions, that a condition may take: in any case, and for each result."""
+
 
 @dataclass(frozen=True, slots=True)
 class Answer:
@@ -89,14 +95,18 @@ def answered(catalog: Catalog, where: str) -> Iterator[Answer]:
     Raises
     ------
     UsageError
-        If the condition is none.
+        If the condition is none, or does not come to an end.
     """
     with catalog.reading() as connection:
         fields = _fields(connection)
+        (results,) = connection.execute("select count(*) from results").fetchone()
+        most, passed = _MOST_STEPS + _STEPS_A_ROW * results, count(1)
         connection.set_authorizer(_only_reads)
+        connection.set_progress_handler(lambda: next(passed) > most, _STEPS)
         try:
             yield _asked(connection, where, fields)
         finally:
+            connection.set_progress_handler(None, 0)
             connection.set_authorizer(None)
 
 
@@ -117,10 +127,11 @@ def _asked(connection: sqlite3.Connection, where: str, fields: dict[str, str]) -
         raise _no_condition(where, error, list(columns)) from error
     names = tuple(each[0] for each in rows.description)
 
-    def count() -> int:
-        return int(connection.execute(f"select count(*) from ({sql})").fetchone()[0])
+    def counted() -> int:
+        counts = connection.execute(f"select count(*) from ({sql})")
+        return int(next(_reading(counts, where))[0])
 
-    return Answer(names, _reading(chain(first, rows), where), count)
+    return Answer(names, _reading(chain(first, rows), where), counted)
 
 
 def _reading(rows: Iterable[Sequence[Any]], where: str) -> Iterator[Sequence[Any]]:
@@ -137,6 +148,8 @@ def _no_condition(where: str, error: Exception, columns: list[str]) -> UsageErro
     if missing:
         close = ", ".join(nearest(missing[1], columns, most=3))
         remedy = f"Nearest: {close}. Text stands in single quotes: type = 'A1'."
+    elif "interrupted" in said:
+        said, remedy = "one without an end", "A recursive part needs a limit."
     elif "not authorized" in said or "prohibited" in said:
         remedy = "A condition can only look at the columns."
     return UsageError(
@@ -223,12 +236,17 @@ def escaped(text: str) -> str:
 
 def _csv(answer: Answer, out: IO[str]) -> int:
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(answer.columns)
+    writer.writerow(map(_no_formula, answer.columns))
     count = 0
     for row in answer.rows:
-        writer.writerow(row)
+        writer.writerow(map(_no_formula, row))
         count += 1
     return count
+
+
+def _no_formula(said: object) -> object:
+    """A value of a csv: text that a spreadsheet would work out has an apostrophe before it."""
+    return f"'{said}" if isinstance(said, str) and _FORMULA.match(said) else said
 
 
 def _json(answer: Answer, out: IO[str]) -> int:

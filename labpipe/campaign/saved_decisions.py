@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 
 from labpipe.campaign.decisions import (
@@ -15,6 +16,7 @@ from labpipe.campaign.decisions import (
     decisions_on,
     home_of,
     label_of,
+    now,
     read_decision_file,
 )
 from labpipe.errors import LabpipeError, UsageError, complaint
@@ -97,15 +99,18 @@ def take_in(folder: Path, campaign: str, decisions: Iterable[Decision]) -> Taken
     """
     wanted = list(dict.fromkeys(decisions))
     files = _results(folder)
-    standing = decisions_on([file for each in wanted for file in files.get(each.test, ())])
+    named = {file: None for each in wanted for file in files.get(each.test, ())}
+    standing = {file: {*own} for file, own in decisions_on([*named]).items()}
+    labels = {file: label_of(file, folder) for file in named}
+    runs = {file: _run_of(file) for file in named}
     taken = TakenIn()
     at_home: dict[Path, list[Decision]] = {}
     for each in wanted:
-        file, why = _meant(each, files.get(each.test, ()))
+        file, why = _meant(each, files.get(each.test, ()), runs)
         if file is None:
             taken.left.append((each, why))
             continue
-        own = replace(each, test=label_of(file, folder))
+        own = replace(each, test=labels[file])
         if own in standing.get(file, ()):
             taken.known += 1
         else:
@@ -125,15 +130,32 @@ def _results(folder: Path) -> dict[str, list[Path]]:
     return found
 
 
-def _meant(decision: Decision, files: Iterable[Path]) -> tuple[Path | None, str]:
+def _run_of(file: Path) -> str | LabpipeError:
+    """Key of a result, or why it cannot be read."""
+    try:
+        return read_run(file)
+    except LabpipeError as error:
+        return error
+
+
+def _meant(
+    decision: Decision, files: Iterable[Path], runs: Mapping[Path, str | LabpipeError]
+) -> tuple[Path | None, str]:
     """The result that a decision was made on, or why there is none."""
+    if decision.when and not _is_time(decision.when):
+        return None, f"its time {decision.when[:40]!r} is none such as {now()}"
     why = NO_SUCH_TEST
     for file in files:
-        try:
-            if read_run(file) == decision.run:
-                return file, ""
-        except LabpipeError as error:
-            why = str(error)
-        else:
-            why = OTHER_KEY
+        if runs[file] == decision.run:
+            return file, ""
+        why = OTHER_KEY if isinstance(runs[file], str) else str(runs[file])
     return None, why
+
+
+def _is_time(text: str) -> bool:
+    """Check whether a text is a time of ISO 8601, as decisions state it."""
+    try:
+        datetime.fromisoformat(text)
+    except ValueError:
+        return False
+    return True

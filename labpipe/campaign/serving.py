@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -33,6 +34,7 @@ from labpipe.report.lab_report import PAGE_FILE
 from labpipe.report.page_parts import served
 from labpipe.report.page_tests import page_file
 from labpipe.report.wording import count_of
+from labpipe.units import whole_number
 
 LOOPBACK: Final = "127.0.0.1"
 REPORT: Final = "report"
@@ -121,6 +123,11 @@ class ReportServer(ThreadingHTTPServer):
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = LOOPBACK, int(self.server_address[1])
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Show what goes wrong, but for a browser that went away, also before it was answered."""
+        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
+            super().handle_error(request, client_address)
+
     @property
     def address(self) -> str:
         """Where a browser finds the report."""
@@ -158,8 +165,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json({"error": str(error)}, error.status)
         except LabpipeError as error:
             self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
-        except (BrokenPipeError, ConnectionResetError, TimeoutError):
-            self.close_connection = True  # the browser went away
+        except (ConnectionError, TimeoutError):
+            raise  # the browser went away
         except OSError as error:
             self._send_json({"error": refusal(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
 
@@ -208,12 +215,13 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_json(answer)
 
     def _body(self) -> bytes:
-        length = self.headers.get("Content-Length", "")
-        if not length.isdecimal() or int(length) > _MOST_BYTES:
+        said = self.headers.get("Content-Length", "")
+        length = whole_number(said)
+        if length is None or length > _MOST_BYTES:
             self.close_connection = True
-            found = f"expected at most {_MOST_BYTES} bytes, found {length or 'no length'}."
+            found = f"expected at most {_MOST_BYTES} bytes, found {said[:20] or 'no length'}."
             raise RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"decisions: {found}")
-        return self.rfile.read(int(length))
+        return self.rfile.read(length)
 
     def _redirect(self, place: str) -> None:
         self.send_response(HTTPStatus.FOUND)

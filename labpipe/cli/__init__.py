@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lambda: None) -> int:
-    from labpipe.errors import LabpipeError, refusal  # help need not wait for it
+    from labpipe.errors import LabpipeError, code_of, refusal  # help need not wait for it
 
     # The matrices of a test are small: more than one thread of BLAS only waits for the others.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -91,9 +91,6 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
     except LabpipeError as error:
         print(f"labpipe {options.command}: {error}", file=sys.stderr)
         return BAD_INPUT
-    except MemoryError:
-        print(f"labpipe {options.command}: {_NO_MEMORY}", file=sys.stderr)
-        return BAD_INPUT
     except KeyboardInterrupt:
         print("labpipe: interrupted; earlier results are as they were", file=sys.stderr)
         return INTERRUPTED
@@ -101,8 +98,11 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
         # The reader of a pipe went away; what Python would flush at exit has nowhere to go.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
-    except OSError as error:
-        print(f"labpipe {options.command}: {refusal(error)}", file=sys.stderr)
+    except Exception as error:
+        if (code := code_of(error)) == "fault_of_labpipe":
+            raise
+        said = _NO_MEMORY if code == "out_of_memory" else refusal(error)
+        print(f"labpipe {options.command}: {said}", file=sys.stderr)
         return BAD_INPUT
 
 

@@ -10,7 +10,7 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
-from labpipe.errors import LabpipeError, complaint, refusal
+from labpipe.errors import LabpipeError, code_of, complaint, refusal
 from labpipe.process.reading import cards_in_play, fingerprint, named_exports
 from labpipe.process.run import Processed, goal_of, key_of, name_of, process_test
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
@@ -93,13 +93,10 @@ def attempt(
         )
     except LabpipeError as error:
         return refuse(task, error.code, str(error))
-    except MemoryError:
-        return refuse(task, "out_of_memory", _too_large(task.sheet))
-    except OSError as error:
-        return refuse(task, "system_refused", f"{task.sheet}: {refusal(error)}")
     except Exception as error:
-        refused = refuse(task, "fault_of_labpipe", _own_fault(task.sheet, error))
-        if is_alone:
+        code = code_of(error)
+        refused = refuse(task, code, _WORDED[code](task.sheet, error))
+        if is_alone and code == "fault_of_labpipe":
             raise
         return refused
     result = replace(done.result, recordings={}, aligned=None, curve=None, shape=None, bending=None)
@@ -160,7 +157,7 @@ def _with_what_is_known(failure: FailedTest, task: Task) -> FailedTest:
         return failure
 
 
-def _too_large(test: Path) -> str:
+def _too_large(test: Path, _error: Exception) -> str:
     return complaint(
         test,
         "",
@@ -180,3 +177,10 @@ def _own_fault(test: Path, error: Exception) -> str:
     place = f"{Path(at.filename).name}, line {at.lineno}"
     remedy = f"Report it ({place}) with the exports of the test; processed alone, it says more."
     return complaint(test, "", expected="to get through", found=found, remedy=remedy)
+
+
+_WORDED = {
+    "out_of_memory": _too_large,
+    "system_refused": lambda test, error: f"{test}: {refusal(error)}",
+    "fault_of_labpipe": _own_fault,
+}

@@ -14,7 +14,7 @@ import pytest
 from labpipe.campaign.catalog import OK, Catalog, Entry, Seen, TestRow, as_json
 from labpipe.campaign.catalog_file import new_catalog
 from labpipe.campaign.outcome_rows import ResultRow
-from labpipe.campaign.queries import answered, escaped, write_answer, write_workbook
+from labpipe.campaign.queries import Answer, answered, escaped, write_answer, write_workbook
 from labpipe.errors import UsageError
 
 NASTY = "=1+1 " + string.printable + "\x00\x1b[31m\u202eü"
@@ -82,6 +82,9 @@ def test_a_test_that_another_process_is_at_work_on(catalog: Catalog) -> None:
     assert [row["test"] for row in asked(catalog, "state = 'running'")] == ["T2"]
 
 
+ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) select max(i) from n)"
+
+
 @pytest.mark.parametrize(
     ("where", "said"),
     [
@@ -95,6 +98,8 @@ def test_a_test_that_another_process_is_at_work_on(catalog: Catalog) -> None:
         ("value > 'a\x00b'", "found "),
         (f"{'(' * 5000}1{')' * 5000}", "found "),
         ("'\ud800' = name", "found "),
+        (f"{ENDLESS} > 0", r"found one without an end\. A recursive part needs a limit"),
+        (f"{ENDLESS.replace('union all', 'union')} > 0", "found one without an end"),
     ],
 )
 def test_a_condition_that_is_none(catalog: Catalog, where: str, said: str) -> None:
@@ -127,12 +132,34 @@ def test_a_table_for_a_terminal(catalog: Catalog) -> None:
 def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
     nasty = NASTY.replace("\x00", "")
     rows = list(csv.DictReader(io.StringIO(written(catalog, "csv"), newline="")))
-    assert [row["cured"] for row in rows] == ["24 h", "24 h", nasty, ""]
+    assert [row["cured"] for row in rows] == ["24 h", "24 h", f"'{nasty}", ""]  # no formula
     assert [row["value"] for row in rows] == ["1.5", "", "2.5", ""]
     found = json.loads(written(catalog, "json"))
     assert [row["cured"] for row in found] == ["24 h", "24 h", nasty, None]
     assert found == asked(catalog, "")
     assert json.loads(written(catalog, "json", "0")) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"),
+    [
+        ("=HYPERLINK(1)", "'=HYPERLINK(1)"),
+        ("+1+1", "'+1+1"),
+        ("-A1", "'-A1"),
+        ("@SUM(1)", "'@SUM(1)"),
+        ("\t=1", "'\t=1"),
+        ("-1.5", "-1.5"),
+        ("+49", "+49"),
+        ("2 mm = 1", "2 mm = 1"),
+    ],
+)
+def test_a_text_in_a_csv_is_no_formula(text: str, cell: str) -> None:
+    out = io.StringIO()
+    write_answer(Answer((text, "value"), iter([(text, -1.5)]), lambda: 1), "csv", out)
+    assert list(csv.reader(io.StringIO(out.getvalue(), newline=""))) == [
+        [cell, "value"],
+        [cell, "-1.5"],
+    ]
 
 
 def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
+import struct
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from http.client import HTTPConnection
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +18,7 @@ import pytest
 from labpipe.campaign.decisions import add_decisions, read_decisions
 from labpipe.campaign.serving import ReportServer, Site
 from labpipe.errors import UsageError
+from labpipe.store.read import read_run
 from tests.builders.pulled_campaigns import WHEN, decision_on, make_pulls
 
 PAGE = "<head><meta content=\"connect-src 'none'\"></head><body>ü</body>"
@@ -195,10 +198,73 @@ def test_what_is_no_decision_is_refused(asked: Asked, body: object, why: str) ->
     assert not (asked.site.folder / "decisions.json").exists()
 
 
-def test_too_much_is_refused_unread(asked: Asked) -> None:
-    answer = asked.post("report/decisions", "", Content_Length="5000001")
+@pytest.mark.parametrize(
+    ("length", "found"),
+    [("5000001", "5000001."), (5000 * "9", "99999999999999999999."), ("-1", "-1.")],
+)
+def test_too_much_is_refused_unread(asked: Asked, length: str, found: str) -> None:
+    answer = asked.post("report/decisions", "", Content_Length=length)
     assert answer.status == 413
-    assert answer.said["error"] == ("decisions: expected at most 5000000 bytes, found 5000001.")
+    assert answer.said["error"] == (f"decisions: expected at most 5000000 bytes, found {found}")
+
+
+@pytest.mark.parametrize(
+    "request_text",
+    [
+        "POST /x/report/decisions HTTP/1.1\r\n\r\n",
+        "POST /{token}/report/decisions HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n"
+        "Content-Length: 4000000\r\n\r\nthe rest",
+        "GET /{token}/report/none HTTP/1.1\r\nHost: {host}\r\n\r\n",
+        "no request\r\n\r\n",
+    ],
+)
+def test_a_browser_that_goes_away(
+    asked: Asked, capfd: pytest.CaptureFixture[str], request_text: str
+) -> None:
+    asked.server.daemon_threads = False  # so that closing waits for the threads of all requests
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", asked.server.server_port)) as browser:
+            browser.sendall(request_text.format(token=asked.site.token, host=asked.host).encode())
+            browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    assert asked.get("report/report.html").status == 200
+    asked.server.shutdown()
+    asked.server.server_close()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_fault_is_shown_where_the_server_was_started(
+    asked: Asked, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("labpipe.campaign.serving._file_at", lambda *_: 1 / 0)
+    with pytest.raises(HTTPException):
+        asked.get("report/none")
+    asked.server.shutdown()
+    assert "ZeroDivisionError" in capfd.readouterr().err
+
+
+def test_ten_thousand_decisions(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each result is opened once, and not for each decision."""
+    opened: list[Path] = []
+
+    def counted(file: Path) -> str:
+        opened.append(file)
+        return read_run(file)
+
+    monkeypatch.setattr("labpipe.campaign.saved_decisions.read_run", counted)
+    entry = asdict(decision_on(asked.site.folder, "T-1"))
+    sent = [entry | {"because": f"reason {number}"} for number in range(10_000)]
+    answer = asked.post("report/decisions", {"schema": 1, "decisions": sent})
+    assert len(answer.said["decisions"]) == len(sent)
+    assert len(opened) == 1
+
+
+@pytest.mark.parametrize("when", ["9999999-99", "yesterday", "2026-13-01", 10_000 * "9"])
+def test_a_decision_at_no_time_is_not_saved(asked: Asked, when: str) -> None:
+    entry = asdict(decision_on(asked.site.folder, "T-1")) | {"when": when}
+    answer = asked.post("report/decisions", {"schema": 1, "decisions": [entry]})
+    assert answer.said["decisions"] == []
+    assert f"T-1: not saved: its time '{when[:40]}' is none such as 20" in answer.said["said"]
+    assert not (asked.site.folder / "decisions.json").exists()
 
 
 def test_what_goes_wrong_is_said_to_the_page(asked: Asked) -> None:

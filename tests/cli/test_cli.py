@@ -205,6 +205,22 @@ def test_a_name_that_the_terminal_cannot_show(lab: Lab) -> None:
     assert (ended.returncode, ended.stdout[:10]) == (0, b"T\\u529b1  ")
 
 
+@pytest.mark.skipif(os.name == "nt", reason="names of files are Unicode there")
+def test_a_name_that_the_system_cannot_write(lab: Lab) -> None:
+    text = re.sub(r"files: {\w+: ", "\\g<0>\xe4", lab.sheet.read_text(encoding="utf-8"))
+    lab.sheet.write_text(text, encoding="utf-8")
+    program = "import sys; from labpipe.cli import main; sys.exit(main(sys.argv[1:]))"
+    ended = subprocess.run(
+        [sys.executable, "-c", program, "check", str(lab.sheet)],
+        capture_output=True,
+        check=False,
+        env=os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0"},
+    )
+    assert ended.returncode == 2
+    assert b"Traceback" not in ended.stderr
+    assert b"whose encoding is ascii, found '\\xe4'. Choose a locale of UTF-8" in ended.stderr
+
+
 @pytest.mark.parametrize("command", ["process", "report", "bundle", "model", "inspect", "check"])
 def test_a_path_that_no_system_takes(run: Run, command: str) -> None:
     ran = run(command, "x" * 300)
