@@ -8,14 +8,20 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.approved import approved
 from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenario
 
+__all__ = ["approved"]
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 settings.register_profile(
     "labpipe", deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("labpipe")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--approve", action="store_true", help="write texts as the tests give them")
 
 
 @pytest.fixture(scope="session")
