@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,9 @@ _CLOSE = 1e-10
 """Of force, moment and length of the whole line, by which an equilibrium may be off."""
 _STILL = 1e-11
 """Of length and rad: a change so small ends the search where rounding keeps forces off."""
+_STRAY = 4
+"""Iterations without a smaller turn than before: between corners of the law Newton's method may
+circle or stray for ever."""
 _NEAR = 1e-5
 _TAUT = 1e4
 """Of the forces on the line as a whole: a line that pulls more is taut, and its shape hangs on
@@ -73,6 +77,7 @@ def settle(
     # held nodes and clamps go there with the first change, or as far as it is taken
     partly = replace(goal, held=now.held, clamps=now.clamps)
     balance = assembly.balance(shape, partly, memory if earlier is None else earlier, drag)
+    least, strayed = math.inf, 0
     for iteration in range(1, _ITERATIONS + 1):
         held = goal.held - shape.positions[nodes]
         clamps = rotation_vectors(multiply(conjugate(partly.clamps), goal.clamps))
@@ -80,8 +85,10 @@ def settle(
         change = assembly.band.solve(balance.values, right)
         if change is None:
             return None
-        share = _modest_share(assembly, change)
-        if share < _SMALLEST_SHARE:
+        turn = _largest_turn(assembly, change)
+        least, strayed = (turn, 0) if turn < least else (least, strayed + 1)
+        share = _modest_share(assembly, change, turn)
+        if share < _SMALLEST_SHARE or strayed == _STRAY:
             return None
         shape = assembly.changed(shape, share * change)
         partly = goal if share == 1.0 else _turned(partly, share * clamps)
@@ -95,10 +102,13 @@ def _turned(demands: Demands, clamps: Floats) -> Demands:
     return replace(demands, clamps=unit(multiply(demands.clamps, from_rotation_vectors(clamps))))
 
 
-def _modest_share(assembly: Assembly, change: Floats) -> float:
+def _largest_turn(assembly: Assembly, change: Floats) -> float:
+    return float(np.max(np.abs(change[assembly.places.turns[:, None] + np.arange(3)])))
+
+
+def _modest_share(assembly: Assembly, change: Floats, turn: float) -> float:
     """Share of a change that turns and moves no part of the line too far."""
     p = assembly.places
-    turn = float(np.max(np.abs(change[p.turns[:, None] + np.arange(3)])))
     move = float(np.max(np.abs(change[p.positions[:, None] + np.arange(3)])))
     return 1.0 / max(1.0, turn / _LARGEST_TURN, move / (_LARGEST_MOVE * assembly.line.length))
 
@@ -124,7 +134,7 @@ def _is_close(
     if off < _CLOSE:
         return True
     moved = max(
-        float(np.max(np.abs(change[p.turns[:, None] + three]))),
+        _largest_turn(assembly, change),
         float(np.max(np.abs(change[p.positions[:, None] + three]))) / length,
     )
     return moved < _STILL and off < _NEAR

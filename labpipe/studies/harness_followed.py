@@ -152,6 +152,8 @@ def followed(
     material: Material,
     folder: Path,
     on_step: Callable[[], object] = lambda: None,
+    *,
+    length: float | None = None,
 ) -> FollowedHarness:
     """Follow a harness, without its sweep.
 
@@ -162,18 +164,19 @@ def followed(
     material : of its line
     folder : of the results, which is not touched
     on_step : called after each step of the line
+    length : m, of a sweep, which shows the last step only; None for that of the file
 
     Raises
     ------
     ProcessingError
         If the line cannot be laid as its boundaries say.
     """
-    steps = shown_steps(harness)
-    path, ready, bands = _with_bands(harness, file, material, steps, on_step=on_step)
+    steps = shown_steps(harness) if length is None else (harness.steps,)
+    path, ready, bands = _with_bands(harness, file, material, steps, length, on_step=on_step)
     reasons = _all_reasons(path, ready, material, bands)
     is_whole = path.status != FAILED
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
-    results = _results(harness, material, (path, ready, bands)) if is_whole else ()
+    results = _results(harness, material, (path, ready, bands), length) if is_whole else ()
     limit = bend_limit(harness, material)
     return FollowedHarness(
         *(file, harness, material, ready, path, status, reasons, results, limit, folder),
@@ -237,19 +240,13 @@ _OF_SWEEP = (RADIUS, ON_THE_WAY, LOWEST)
 
 
 def swept(
-    harness: HarnessFile,
-    file: Path,
-    material: Material,
-    length: float,
-    on_step: Callable[[], object] = lambda: None,
+    stated: FollowedHarness, length: float, on_step: Callable[[], object] = lambda: None
 ) -> Swept:
     """Follow a harness with another length of its line.
 
     Parameters
     ----------
-    harness : as read
-    file : its YAML
-    material : of its line
+    stated : the harness with its own length, which is not followed again
     length : m
     on_step : called after each step of the line
 
@@ -258,17 +255,19 @@ def swept(
     ProcessingError
         As `followed`.
     """
-    path, ready, bands = _with_bands(
-        harness, file, material, (harness.steps,), length, on_step=on_step
-    )
-    reasons = _all_reasons(path, ready, material, bands)
-    if path.status != FAILED:
-        results = _results(harness, material, (path, ready, bands), length)
+    other = stated
+    if length != stated.harness.line.length:
+        inputs = stated.harness, stated.file, stated.material, stated.folder
+        other = followed(*inputs, on_step, length=length)
+    reasons = other.reasons
+    if other.status is not Status.FAILED:
         listed = [
-            each.reasons for each in results if each.name in _OF_SWEEP and each.value is not None
+            result.reasons
+            for result in other.results
+            if result.name in _OF_SWEEP and result.value is not None
         ]
-        reasons = tuple(dict.fromkeys(reason for each in listed for reason in each))
-    return Swept(length, path, ready, reasons, bands)
+        reasons = tuple(dict.fromkeys(reason for result in listed for reason in result))
+    return Swept(length, other.path, other.laid, reasons, other.bands)
 
 
 def _with_bands(

@@ -89,7 +89,8 @@ def follow_harness(
     folder = Path("processed/harness") / file.stem if out is None else out
     lengths = harness.sweep.length if harness.sweep else ()
     watcher = watcher or Watcher()
-    watcher.begin(len(lengths) + 1, harness.steps + 1)
+    others = [length for length in lengths if length != harness.line.length]
+    watcher.begin(len(others) + 1, harness.steps + 1)
     watcher.line("as stated")
     found = followed(harness, file, material, folder, watcher.step)
     if found.status is Status.FAILED:
@@ -97,8 +98,9 @@ def follow_harness(
         return found
     sweep = []
     for length in lengths:
-        watcher.line(f"length {1e3 * length:.6g} mm")
-        sweep.append(swept(harness, file, material, length, watcher.step))
+        if length in others:
+            watcher.line(f"length {1e3 * length:.6g} mm")
+        sweep.append(swept(found, length, watcher.step))
     return _write(replace(found, sweep=tuple(sweep)), figures=figures, png=png)
 
 

@@ -61,7 +61,7 @@ def test_steps_and_lengths(tmp_path: Path) -> None:
     harness = load_harness(file)
     assert shown_steps(harness) == (2, 6, 8)
     material = material_of(harness, file)
-    longer = swept(harness, file, material, 0.25)
+    longer = swept(followed(harness, file, material, tmp_path), 0.25)
     assert longer.laid.line.length == pytest.approx(0.25)
     assert (longer.length, longer.bands) == (0.25, None)
     assert longer.way.radius <= longer.bend.radius
@@ -87,7 +87,7 @@ def test_a_length_of_a_sweep_has_all_doubts_of_its_numbers(tmp_path: Path) -> No
     harness = load_harness(file)
     material = material_of(harness, file)
     radius = run(tmp_path, text).results[0]
-    one = swept(harness, file, material, harness.line.length)
+    one = swept(followed(harness, file, material, tmp_path), harness.line.length)
     assert radius.status is Status.DOUBTFUL
     assert one.status == "doubtful"
     assert {each.code for each in radius.reasons} <= {each.code for each in one.reasons}
@@ -114,7 +114,7 @@ def test_loads_are_told_in_every_step(tmp_path: Path) -> None:
 def test_a_length_that_failed_has_no_numbers(tmp_path: Path) -> None:
     file = written(tmp_path, arch())
     harness = load_harness(file)
-    one = swept(harness, file, material_of(harness, file), 0.25)
+    one = swept(followed(harness, file, material_of(harness, file), tmp_path), 0.25)
     failed = replace(one, path=replace(one.path, status="failed"))
     assert math.isnan(failed.bend.radius)
     assert math.isnan(failed.way.radius)
