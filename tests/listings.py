@@ -42,10 +42,7 @@ NOT_RUN = {
     "labpipe serve": "serves until it is interrupted, at an address made by chance",
     "labpipe campaign run raw/tensile --executor": "asks for a cluster on other machines",
     "labpipe campaign decide processed/tubes --from": "takes decisions that a person made",
-    "labpipe campaign run raw/tubes": "files are damaged and changed by hand between the commands",
-    "labpipe campaign status raw/tubes": "as above",
-    "labpipe campaign query raw/tubes": "as above",
-    "labpipe campaign decide raw/tubes": "as above",
+    "labpipe campaign replay raw/tubes --failed disk_full": "no disk is full",
     "labpipe demo --full": "takes minutes, and prints what its campaigns print",
 }
 
@@ -241,6 +238,28 @@ def _taped(folder: Path) -> None:
     run("labpipe process raw/demo/harness --no-figures")
 
 
+def _campaign(folder: Path) -> None:
+    """Tubes of the demo, of which one export is cut off and one test is yet to come."""
+    for campaign in CAMPAIGNS["tensile"]:
+        for scenario, seed in campaign.scenarios():
+            if scenario.name.startswith("CT-"):
+                test = simulate_test(scenario, folder / "raw/tubes" / scenario.name, seed=seed)
+                (test / "truth.json").unlink()
+    export = folder / "raw/tubes/CT-10-2/CT-10-2.xlsx"
+    export.rename(folder / "whole.xlsx")
+    export.write_bytes((folder / "whole.xlsx").read_bytes()[:5000])
+    (folder / "raw/tubes/CT-7-3").rename(folder / "CT-7-3")
+
+
+def _mended() -> None:
+    """The export anew, a sheet corrected, a test that comes in, and a file that nobody names."""
+    shutil.copy("whole.xlsx", "raw/tubes/CT-10-2/CT-10-2.xlsx")
+    shutil.copytree("CT-7-3", "raw/tubes/CT-7-3")
+    sheet = Path("raw/tubes/CT-7-1/test.yaml")
+    sheet.write_text(sheet.read_text().replace("operator: virtual lab", "operator: AT"))
+    Path("raw/tubes/notes.txt").write_text("cut with the new knife\n")
+
+
 def _tour(folder: Path) -> None:
     _examples(folder)
     _tubes(folder)
@@ -250,6 +269,7 @@ def _tour(folder: Path) -> None:
     run("labpipe process raw/demo/wires --no-figures")
 
 
+CAMPAIGN_PAGE, STATUS = "docs/how-to/run-a-campaign.md", "labpipe campaign status raw/tubes"
 TENSILE, BUNDLE = "docs/tutorials/first-tensile-test.md", "docs/tutorials/first-bundle.md"
 
 
@@ -322,7 +342,10 @@ MAKERS: dict[str, Callable[[Path], None]] = {
     BUNDLE: _bundles,
     "docs/tutorials/tour.md": _tour,
     "docs/how-to/new-deck.md": _examples,
+    CAMPAIGN_PAGE: _campaign,
 }
+BEFORE: dict[tuple[str, str], Callable[[], None]] = {(CAMPAIGN_PAGE, STATUS): _mended}
+"""What a person does before a command of a page."""
 
 
 def checked(page: str, *, update: bool = False) -> list[str]:
@@ -337,6 +360,7 @@ def checked(page: str, *, update: bool = False) -> list[str]:
         for command in commands_of(text):
             if not is_run(command.words):
                 continue
+            BEFORE.get((page, command.words), lambda: None)()
             printed = run(command.words)
             missing = differences(command, printed) if command.printed else []
             stale += [f"{page}: {command.words}: {line.strip()}" for line in missing]

@@ -338,6 +338,8 @@ def _campaign_decide(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("decision", nargs="?", choices=("accept", "reject"), help="what is decided")
     parser.add_argument("--because", default="", metavar="REASON", help="why")
     parser.add_argument("--by", default="", metavar="WHO", help="who decides")
+    example = 'raw/A2 A2-085-1 reject --because "slipped in the grip" --by AT'
+    parser.epilog = f"such as: labpipe campaign decide {example}"
     saved = "take in the decisions that the page of a report saved, in place of TEST"
     parser.add_argument("--from", dest="saved", type=_path, metavar="FILE", help=saved)
 
