@@ -29,7 +29,7 @@ from labpipe.report.wording import (
     in_words,
     shown_in,
     unit_words,
-    write_mean,
+    write_number,
 )
 
 if TYPE_CHECKING:
@@ -416,7 +416,7 @@ def _slope(group: Group, name: str) -> str:
         return in_words(name)
     shown = shown_in(name, number.unit, display_of(group))
     mean = number.mean.chosen
-    words = write_mean(mean, shown.factor, number.mean.spool_means.values()).text
+    words = write_number(mean.mean, mean.interval, shown.factor, apart=mean.apart).text
     over = "samples" if number.mean.is_pooled else "spool means"
     of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
     return f"{in_words(name)}: {words} {unit_words(shown.unit)}{of}"

@@ -20,7 +20,6 @@ from labpipe.report.wording import (
     shown_in,
     unit_words,
     with_names_in_words,
-    write_mean,
     write_number,
 )
 
@@ -122,7 +121,7 @@ def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tupl
         if mean is None:
             cells.append(Cell(DASH, "no number"))
             continue
-        written = write_mean(mean, shown.factor)
+        written = write_number(mean.mean, mean.interval, shown.factor, apart=mean.apart)
         cells.append(Cell(written.value, f"{written.interval} n = {mean.n}".strip()))
     return Cell(heading(number.name, shown.unit)), *cells
 

@@ -15,7 +15,7 @@ from labpipe.results import KINDS
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
-    from labpipe.records.group import Group, MeanInterval
+    from labpipe.records.group import Group
 
 
 class Scale(NamedTuple):
@@ -139,7 +139,6 @@ _AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
 _ONE_BY_ONE = ("slip_position", "slip_drop")
 _DIGITS_ALONE = 4
 _DIGITS_OF_INTERVAL = 2
-_DIGITS_OF_MEAN, _BEYOND_INTERVAL = 3, 2
 _PLAIN = (1e-3, 1e6)
 """Sizes between which a number is written without a power of ten."""
 SUPERSCRIPTS = str.maketrans(
@@ -315,44 +314,6 @@ def write_number(
     """
     place = place_of(value, interval, factor, digits)
     return _written([value, *_ends(interval), *([] if apart is None else [apart])], factor, place)
-
-
-def write_mean(
-    mean: MeanInterval, factor: float = 1.0, parts: Iterable[MeanInterval] = ()
-) -> Written:
-    """Write a mean with digits that can be compared with what it was averaged from.
-
-    Parameters
-    ----------
-    mean : in SI
-    factor : from SI to the display unit
-    parts : means of the spools
-
-    Returns
-    -------
-    As `write_number`, but with three significant digits of the mean at least and as many decimals
-    as the coarsest of the parts, however wide the interval; at the most two digits more than the
-    interval supports.
-
-    Examples
-    --------
-    >>> from labpipe.records.group import MeanInterval
-    >>> write_mean(MeanInterval(11.468, Interval(-31.2, 54.1), 4.7, 2)).text
-    '11.5 (-31.2 to 54.1)'
-    """
-    supported = place_of(mean.mean, mean.interval, factor, _DIGITS_ALONE)
-    wanted = [_place_of_mean(each, factor) for each in parts]
-    place = min([_place_of_mean(mean, factor), *([max(wanted)] if wanted else [])])
-    kept = max(place, supported - _BEYOND_INTERVAL)
-    apart = [] if mean.apart is None else [mean.apart]
-    return _written([mean.mean, *_ends(mean.interval), *apart], factor, kept)
-
-
-def _place_of_mean(mean: MeanInterval, factor: float) -> int:
-    supported = place_of(mean.mean, mean.interval, factor, _DIGITS_ALONE)
-    if mean.mean == 0.0 or not math.isfinite(mean.mean):
-        return supported
-    return min(supported, _last_place(abs(factor * mean.mean), _DIGITS_OF_MEAN))
 
 
 def place_of(

@@ -22,7 +22,7 @@ def test_lines_over_their_windows_with_the_mean_slopes() -> None:
     ends = [first.level, first.level + first.slope * 0.006]
     assert np.asarray(lines[0].get_ydata()) == pytest.approx(ends)
     words = [text.get_text() for text in page.legends[0].get_texts()]
-    assert words[0].startswith("Stiffness, first region: 5.01 (")
+    assert words[0].startswith("Stiffness, first region: 5.0 (")
     assert words[0].endswith(" N/mm, mean of 2 spool means")
     assert words[1].endswith(" N/mm, mean of 6 samples")
     assert page.axes[0].get_xlim()[1] < 1.6 * 20.0
