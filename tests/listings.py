@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import csv
 import difflib
 import io
 import json
@@ -274,18 +275,22 @@ TENSILE, BUNDLE = "docs/tutorials/first-tensile-test.md", "docs/tutorials/first-
 
 
 RESULTS_PAGE = "docs/reference/results.md"
-EXAMPLE = re.compile(r"([-\d.]+)( [^\s,]+(?: mm\^2)?|), 95 %: ([-\d.]+) to ([-\d.]+)")
+ENDS = ("value", "lower", "upper")
+EXAMPLE = re.compile(r"([-\d.]+)( [^\s,]+(?: mm\^2)?|), 95 %: ([-\d.]+) to (-?[\d.]*\d)")
 NEAR = 0.01
 """Of a value: how far the number of an example may have moved and still be known again."""
 
 
 def _checked_examples(path: Path, *, update: bool) -> list[str]:
-    """Examples of the page of results, each the number of a test of the demo as it is printed."""
+    """Examples of the page of results, each a number of the demo or of real exports, as printed."""
     with folder_of(RESULTS_PAGE):
         summaries = [
             json.loads(file.read_text(encoding="utf-8")) for file in Path().rglob("summary.json")
         ]
+    rows = csv.DictReader((ROOT / "tests/golden/real.csv").open(encoding="utf-8"))
+    real = [row | {key: float(row[key]) for key in ENDS} for row in rows if row["lower"]]
     results = [entry for summary in summaries for entry in summary["results"] if entry["lower"]]
+    results += real
     stale: list[str] = []
 
     def fresh(example: re.Match[str]) -> str:
