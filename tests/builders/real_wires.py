@@ -15,14 +15,11 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from tests.judges.hung_wires import GRAVITY, HungElastica
 from tests.judges.rod_fits import Estimate, Hang, HangFit, mean_stiffness
-from tests.judges.twisted_loops import TwistedLoop
 
 LENGTH = 1.5
 """m, between the clamps."""
 APART = 0.12
 """m, of the clamps, as built."""
-_PIECES = (60, 90)
-"""Of twisted loops, whose turn is of second order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,13 +121,3 @@ def by_elastica(hang: Hang, stiffness: float, natural: tuple[float, ...]) -> Flo
     """Places of the elastica at the shares of a hang, shape (points, 3)."""
     x, z = elastica_of(hang, stiffness, natural).at(hang.shares).T
     return np.column_stack([x, np.zeros(len(x)), z])
-
-
-def snap_by_loop(hang: Hang, stiffness: float, ratio: float) -> float:
-    """Turn at which the twisted loop snaps over, rad, for pieces of no length."""
-    turns = []
-    for pieces in _PIECES:
-        hung = elastica_of(hang, stiffness, pieces=pieces)
-        turns.append(TwistedLoop(hung, ratio * stiffness).snap()[0])
-    coarse, fine = _PIECES
-    return turns[1] + (turns[1] - turns[0]) / ((fine / coarse) ** 2 - 1)

@@ -32,7 +32,7 @@ from labpipe.virtual_lab.specimens import ElasticModel
 from labpipe.virtual_lab.three_point_path import solve_three_point
 from tests.builders.bent_tests import law_moment
 from tests.coverage.lab_tensile import wandering
-from tests.judges.foreign.stated import scale, stated
+from tests.judges.foreign.rig import scale, stated
 
 Truth = dict[str, float]
 Checked = tuple[tuple[Result, ...], Truth]

@@ -18,8 +18,7 @@ from labpipe.virtual_lab.tensile_scenarios import (
     twist_tube,
 )
 from tests.builders.tensile_tests import true_values
-from tests.judges.foreign.noise import wander
-from tests.judges.foreign.stated import scale, stated, zero_drift
+from tests.judges.foreign.rig import scale, stated, wander, zero_drift
 
 
 def drawn(kind: str, seed: int) -> TensileScenario:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.coverage.judgement import Count, Held, Row, Verdict, counted, is_empty, judged, pooled
-from tests.judges.foreign.noise import KINDS as NOISES
+from tests.judges.foreign.rig import KINDS as NOISES
 
 TITLES = {"foreign": "Second simulator", "lab": "Virtual lab"}
 

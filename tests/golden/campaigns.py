@@ -13,7 +13,7 @@ from pathlib import Path
 from labpipe.cli import main
 from tests.golden.documents import report_rows
 from tests.golden.rows import Row, rows
-from tests.judges.plain.bench import process
+from tests.judges.plain.judge import process
 from tests.judges.plain.test_real_exports import CASES
 
 CAMPAIGNS = ("wires", "tensile", "harness")

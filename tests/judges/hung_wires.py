@@ -14,8 +14,14 @@ from scipy.linalg import solve_banded
 from labpipe.records.arrays import Floats
 
 GRAVITY = 9.81
+
+
 _TOLERANCE = 1e-10
+
+
 _MOST = 30
+
+
 _WEIGHTS = (0.01, 1.0, 6)
 """From a circle that weighs nearly nothing to the wire."""
 

@@ -5,14 +5,15 @@ Each case gives its error: found less wanted, the wanted numbers from `rod_refer
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Flags, Floats
 from labpipe.rod.assembly import Assembly, Demands, Memory, Shape
-from labpipe.rod.boundaries import Gravity, Held, Load, Moment
+from labpipe.rod.boundaries import Gravity, Held, Load, Plane
 from labpipe.rod.line import Line, Section, line_along
 from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import frame_from_axes, from_rotation_vectors, multiply
@@ -31,7 +32,11 @@ from tests.judges.rod_references import (
 
 FAR = 1e6
 """1/m, end of the laws' range: no case gets there."""
+
+
 GRAVITY = 9.81
+
+
 STRETCH = 1e5
 """N, of rods whose both ends are held."""
 
@@ -58,13 +63,6 @@ def tip(path: RodPath) -> Floats:
 def clamped(line: Line) -> Held:
     """The first node, in the frame of the first element."""
     return Held(0, line.positions[0], line.frames[0])
-
-
-def elastica_error(elements: int) -> Floats:
-    """Of deflection and shortening under P L^2 / EI = 10, of the length (PHYSICS 5)."""
-    line = straight_line(1.0, elements, section())
-    x, _, z = tip(follow(line, [clamped(line), Load(-1, grown((0.0, 0.0, -10.0), 3))], steps=3))
-    return np.array([-z - 0.810609, 1.0 - x - 0.554996])
 
 
 def heavy_cantilever_error(elements: int, weight: float) -> Floats:
@@ -174,14 +172,6 @@ def moment_that_buckles(elements: int, *, torsion: float = 0.8, tension: float =
     return high / critical
 
 
-def turned_on_joints(elements: int, shares: Floats, *, torsion: float = 0.8) -> RodPath:
-    """A straight rod on universal joints under shares of the moment that buckles it in theory."""
-    line = straight_line(1.0, elements, section(torsion=torsion, stretch=STRETCH))
-    moments = shares[:, None] * critical_moment_of_joints() * np.array([1.0, 0.0, 0.0])
-    ends = [Held(0, line.positions[0]), Held(-1, line.positions[-1])]
-    return follow(line, [*ends, Moment(0, -moments), Moment(-1, moments)], steps=len(shares) - 1)
-
-
 def _left_at(shares: Floats, has_left: Flags) -> float:
     """Middle of the step in which something begins."""
     at = int(np.argmax(has_left))
@@ -198,18 +188,6 @@ def twisted_ring(elements: int, shares: Floats, *, torsion: float = 1.0) -> RodP
     frames = turning(frame, shares * 2.0 * np.pi * np.sqrt(3.0) / torsion)
     ends = [Held(0, np.zeros(3), frame), Held(-1, np.zeros(3), frames)]
     return follow(line, ends, steps=len(shares) - 1)
-
-
-def off_plane(path: RodPath) -> Floats:
-    """How far each state is from a plane, rms over the nodes, m.
-
-    A ring that is held at one place turns about its tangent there at no cost, so no plane is fixed.
-    """
-    found = []
-    for state in path.states:
-        centred = state.positions - np.mean(state.positions, axis=0)
-        found.append(np.linalg.svd(centred, compute_uv=False)[2] / np.sqrt(len(centred)))
-    return np.array(found)
 
 
 def twist_that_buckles_a_ring(elements: int, *, step: float = 1e-3) -> float:
@@ -320,15 +298,52 @@ def posed_rod_error(elements: int) -> tuple[float, float]:
     return float(np.max(off)), float(np.linalg.norm(pull) / np.linalg.norm(force))
 
 
-def catenary_error(elements: int, *, span: float = 0.8) -> float:
-    """Of the sag of a chain between two pins, of its length."""
-    soft = section(1e-7, 1e-7, weight=1.0)
-    line = straight_line(1.0, elements, soft)
-    way = np.zeros((11, 3))
-    way[:, 0] = np.linspace(1.0, span, 11)
-    weight = Gravity(grown((0.0, 0.0, -GRAVITY), 10))
-    path = follow(line, [Held(0, np.zeros(3)), Held(-1, way), weight], steps=10)
-    tip(path)
-    half = 0.5 * span
-    a = float(brentq(lambda a: 2.0 * a * np.sinh(half / a) - 1.0, 0.05, 50.0))
-    return float(-np.min(path.last.positions[:, 2]) - a * (np.cosh(half / a) - 1.0))
+@dataclass(frozen=True)
+class LiftedChain:
+    """A chain on a table with friction, its middle lifted, slowly.
+
+    Parameters
+    ----------
+    length, height : m, of the whole chain, and by which the middle is lifted
+    friction : coefficient
+    weight : N/m
+    """
+
+    length: float = 1.0
+    height: float = 0.25
+    friction: float = 0.5
+    weight: float = 1.0
+
+    @property
+    def lying(self) -> float:
+        """Length that still lies on the table on one side, m.
+
+        What hangs is a catenary that leaves the table level, of parameter a = H / w = friction
+        times what lies; its length s and height h have s^2 = h^2 + 2 a h.
+        """
+        half, most = 0.5 * self.length, 0.5 * self.length + self.friction * self.height
+        return float(most - np.sqrt(most**2 - (half**2 - self.height**2)))
+
+    @property
+    def pull(self) -> float:
+        """Horizontal force, the same in all that hangs, N: friction of what lies."""
+        return self.friction * self.weight * self.lying
+
+    def half_shape(self, arc: Floats) -> tuple[Floats, Floats]:
+        """Distance from the middle and height, m, at arc lengths from the middle."""
+        hanging = 0.5 * self.length - self.lying
+        above = np.clip(hanging - arc, 0.0, None)
+        if self.friction == 0.0:
+            return np.clip(arc - hanging, 0.0, None), above
+        a = self.friction * self.lying
+        across = a * (np.arcsinh(hanging / a) - np.arcsinh(above / a))
+        return across + np.clip(arc - hanging, 0.0, None), np.hypot(a, above) - a
+
+
+def lifted_half(chain: LiftedChain, elements: int, soft: float, *, steps: int = 20) -> RodPath:
+    """Half of it, held where its middle is: links that resist bending by EI = GJ = soft, N m^2."""
+    line = straight_line(0.5 * chain.length, elements, section(soft, soft, weight=chain.weight))
+    way = np.zeros((steps + 1, 3))
+    way[:, 2] = np.linspace(0.0, chain.height, steps + 1)
+    table = Plane(np.zeros(3), friction=chain.friction)
+    return follow(line, [Held(0, way), Gravity(), table], steps=steps)

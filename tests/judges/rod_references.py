@@ -8,19 +8,16 @@ the caller measures in.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_bvp
-from scipy.linalg import eigvals, expm
+from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 from labpipe.records.arrays import Floats
 
 TOLERANCE = 1e-9
-Complexes: TypeAlias = NDArray[np.complex128]
 
 
 def heavy_cantilever(weight: float) -> tuple[float, float, float]:
@@ -149,37 +146,6 @@ def critical_moment_of_joints(tension: float = 0.0) -> float:
     signs = np.sign([determinant(float(each)) for each in scan])
     at = int(np.flatnonzero(signs[:-1] * signs[1:] < 0.0)[0])
     return float(brentq(determinant, scan[at], scan[at + 1], xtol=1e-12))
-
-
-def shaft_frequencies(moment: float, *, is_free: bool = False) -> Complexes:
-    """Squares of the frequencies of a shaft under M L / B of constant direction, the lowest first.
-
-    Parameters
-    ----------
-    moment : M L / B
-    is_free : one end clamped and the other free; else both on universal joints
-
-    Notes
-    -----
-    B w(4) - i M w(3) = frequency^2 w across, with w = 0 and B w(2) - i M w(1) = 0 at joints; w and
-    its slope are zero at a clamp, that moment and its slope at a free end. Collocation at
-    Chebyshev's points.
-    """
-    points = 40
-    turns = np.arange(points + 1)
-    nodes = np.cos(np.pi * turns / points)
-    weights = np.where(turns % points == 0, 2.0, 1.0) * (-1.0) ** turns
-    first = weights[:, None] / weights / (nodes[:, None] - nodes + np.eye(points + 1))
-    first = 2.0 * (first - np.diag(first.sum(axis=1)))
-    bent = first @ first - 1j * moment * first
-    whole, mass = first @ first @ bent, np.eye(points + 1)
-    begin = [np.eye(points + 1)[-1], first[-1] if is_free else bent[-1]]
-    whole[[-1, -2]] = begin
-    whole[[0, 1]] = [bent[0], (first @ bent)[0]] if is_free else [np.eye(points + 1)[0], bent[0]]
-    mass[[0, 1, -2, -1]] = 0.0
-    found = eigvals(whole, mass)
-    found = found[np.isfinite(found)]
-    return np.asarray(found[np.argsort(np.abs(found))])
 
 
 @dataclass(frozen=True)

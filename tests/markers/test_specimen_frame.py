@@ -27,24 +27,6 @@ def frame_of(take: WireTake, *, limit: float = 1e-4) -> SpecimenFrame:
     )
 
 
-def test_markers_in_one_place_have_no_direction() -> None:
-    message = r"chain at rest=\[0.0, 0.0, 0.0\]: expected a vector of a length above 0"
-    with pytest.raises(ValueError, match=message):
-        specimen_frame(
-            None, np.zeros((350, 3, 3)), rest=REST, moving=slice(100, 350), out_of_plane_limit=1e-4
-        )
-
-
-def test_frame_of_a_wire_in_its_own_frame() -> None:
-    frame = frame_of(wire_take())
-    np.testing.assert_allclose(frame.rotation_lab_to_specimen, np.eye(3), atol=2e-3)
-    np.testing.assert_allclose(frame.origin_lab, 0.0, atol=1e-12)
-    assert frame.order == (0, 1, 2, 3, 4, 5)
-    assert frame.out_of_plane == pytest.approx(2e-5, rel=0.1)
-    assert frame.travel_residual < 1e-12
-    assert frame.notes == ()
-
-
 @given(turn=vectors, shift=vectors, order=st.permutations(range(6)))
 def test_the_lab_frame_and_the_columns_do_not_matter(
     turn: Floats, shift: Floats, order: list[int]
@@ -103,46 +85,6 @@ def test_without_a_clamp_the_end_that_moves_less_is_the_origin() -> None:
     np.testing.assert_allclose(frame.origin_lab, turn @ [0.01, 0, 0], atol=1e-5)
 
 
-def test_a_clamp_that_stands_still_is_refused() -> None:
-    take = wire_take()
-    with pytest.raises(ValueError, match="clamp_lab: expected a clamp that moves, found one"):
-        frame_of(WireTake(take.tracks, 0 * take.clamp + 1.0))
-
-
-def test_a_clamp_not_seen_at_rest_is_refused() -> None:
-    take = wire_take()
-    clamp = take.clamp.copy()
-    clamp[REST] = np.nan
-    with pytest.raises(
-        ValueError, match="the clamp is seen in no frame of the stretch at rest: make it"
-    ):
-        frame_of(WireTake(take.tracks, clamp))
-
-
-def test_markers_never_seen_with_the_clamp_are_refused() -> None:
-    take = wire_take()
-    with pytest.raises(ValueError, match="markers_lab: expected markers in some frame"):
-        specimen_frame(
-            take.clamp,
-            np.full((600, 3, 3), np.nan),
-            rest=REST,
-            moving=None,
-            out_of_plane_limit=1e-4,
-        )
-
-
-def test_a_single_marker_is_refused() -> None:
-    take = wire_take()
-    with pytest.raises(ValueError, match=r"shape \(600, 1, 3\): expected at least 2 markers"):
-        specimen_frame(
-            take.clamp,
-            take.tracks.positions[:, :1],
-            rest=REST,
-            moving=None,
-            out_of_plane_limit=1e-4,
-        )
-
-
 def test_markers_never_seen_together_do_not_break_the_order() -> None:
     take = wire_take()
     positions = take.tracks.positions.copy()
@@ -150,3 +92,19 @@ def test_markers_never_seen_together_do_not_break_the_order() -> None:
     positions[:300, 4] = np.nan
     frame = frame_of(WireTake(marker_tracks(NAMES, positions), take.clamp))
     assert frame.order == (0, 1, 2, 3, 4, 5)
+
+
+def test_frames_that_cannot_be_found() -> None:
+    take, nothing = wire_take(), np.full((600, 3, 3), np.nan)
+    markers, hidden = take.tracks.positions, take.clamp.copy()
+    hidden[REST] = np.nan
+    cases: list[tuple[Floats | None, Floats, str]] = [
+        (None, np.zeros((350, 3, 3)), "expected a vector of a length above 0"),
+        (0 * take.clamp + 1.0, markers, "clamp_lab: expected a clamp that moves, found one"),
+        (hidden, markers, "the clamp is seen in no frame of the stretch at rest: make it"),
+        (take.clamp, nothing, "markers_lab: expected markers in some frame"),
+        (take.clamp, markers[:, :1], "expected at least 2 markers"),
+    ]
+    for clamp, seen, message in cases:
+        with pytest.raises(ValueError, match=message):
+            specimen_frame(clamp, seen, rest=REST, moving=slice(100, 350), out_of_plane_limit=1e-4)

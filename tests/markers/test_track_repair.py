@@ -1,4 +1,4 @@
-"""Label repair and gap filling: truth is known, so it must come back."""
+"""Label repair and gap filling: truth is known, so it must come back; notes on it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from labpipe.markers.track_repair import RepairedTracks, repair_tracks
+from labpipe.markers.tracklets import Tracklets
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
+from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks
 from tests.builders.marker_takes import (
     NAMES,
@@ -79,16 +81,8 @@ def test_a_label_switch_is_undone_and_told(stop: int) -> None:
     )
 
 
-def test_neighbours_closer_than_a_jump_can_still_be_told_apart() -> None:
-    take = wire_take()
-    mixed = take.tracks.positions.copy()
-    mixed[150:, [2, 3]] = mixed[150:, [3, 2]]
-    repaired = repair(with_positions(take, mixed), max_jump=0.015)
-    np.testing.assert_array_equal(repaired.positions, take.tracks.positions)
-
-
 @pytest.mark.parametrize(("start", "stop"), [(0, 300), (200, 350), (250, 600)])
-@pytest.mark.parametrize("name", ["Unlabeled 1364", "Unlabeled:108", "Unlabelled 3"])
+@pytest.mark.parametrize("name", ["Unlabeled 1364"])
 def test_an_unlabelled_track_is_given_back_to_its_marker(start: int, stop: int, name: str) -> None:
     take = wire_take()
     truth = take.tracks.positions
@@ -101,44 +95,6 @@ def test_an_unlabelled_track_is_given_back_to_its_marker(start: int, stop: int, 
     assert (repaired.flags == PointFlag.RELABELLED).sum() == stop - start
     assert codes(repaired) == ["unlabelled_merged"]
     assert f"M5 was labelled as {name}, frames {start} to {stop - 1}" in repaired.notes[0].message
-
-
-def test_a_short_gap_is_filled_relative_to_the_clamp() -> None:
-    take = wire_take(noise=0.0)
-    gappy = take.tracks.positions.copy()
-    gappy[300:325, 5] = np.nan
-    repaired = repair(with_positions(take, gappy))
-    assert (repaired.flags[300:325, 5] == PointFlag.FILLED).all()
-    assert (repaired.flags == PointFlag.FILLED).sum() == 25
-    # the clamp travels 2 mm in this gap, and a straight line against it would be 0.1 mm off
-    np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=4e-5)
-    assert message(repaired, "gap_filled") == (
-        "M6: gap filled between its ends, relative to the clamp, 25 frames, "
-        "frames 300 to 324 (6.000 s to 6.480 s)"
-    )
-
-
-def test_a_long_gap_is_left_and_told() -> None:
-    take = wire_take()
-    gappy = take.tracks.positions.copy()
-    gappy[300:326, 5] = np.nan
-    repaired = repair(with_positions(take, gappy))
-    np.testing.assert_array_equal(repaired.positions, gappy)
-    assert (repaired.flags[300:326, 5] == PointFlag.MISSING).all()
-    assert "M6: no position, gap too long or open to fill, 26 frames" in message(
-        repaired, "gap_left"
-    )
-
-
-def test_blanks_of_the_clamp_do_not_matter_to_the_markers() -> None:
-    take = wire_take()
-    clamp = take.clamp.copy()
-    clamp[280:330] = np.nan
-    gappy = take.tracks.positions.copy()
-    gappy[300:310, 5] = np.nan
-    repaired = repair(WireTake(with_positions(take, gappy).tracks, clamp))
-    assert codes(repaired) == ["gap_filled"]
-    np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=3e-4)
 
 
 def test_a_frozen_pose_is_removed_and_filled() -> None:
@@ -192,21 +148,6 @@ def test_a_switch_that_cannot_be_told_is_left_and_noted() -> None:
     told = message(repaired, "label_ambiguous")
     assert "may have exchanged labels, frames 299 to 310" in told
     assert "left as labelled" in told
-
-
-def test_two_orphans_at_once_are_not_given_to_anyone() -> None:
-    take = wire_take()
-    truth = take.tracks.positions
-    mixed = truth.copy()
-    mixed[300:420, [3, 4]] = np.nan
-    mixed[305:] = mixed[305:, [3, 4, 2, 0, 1, 5]]
-    mixed[305:, [3, 4]] = truth[305:, [0, 1]]
-    repaired = repair(with_positions(take, mixed))
-    np.testing.assert_array_equal(repaired.positions[:, [0, 1]], truth[:, [0, 1]])
-    assert (repaired.flags[420:, [3, 4]] == PointFlag.MISSING).all()
-    assert "a second track under this label, frames 420 to 599" in message(
-        repaired, "label_ambiguous"
-    )
 
 
 def test_a_reflection_is_dropped_and_told() -> None:
@@ -270,15 +211,6 @@ def test_a_take_without_names_has_its_long_lived_points_as_markers() -> None:
     assert "track_dropped" in codes(repaired)
 
 
-def test_many_gaps_of_one_marker_are_told_in_one_note() -> None:
-    take = wire_take()
-    gappy = take.tracks.positions.copy()
-    gappy[10:400:20, 2] = np.nan
-    repaired = repair(with_positions(take, gappy))
-    assert codes(repaired) == ["gap_filled"]
-    assert "20 times, 20 frames" in repaired.notes[0].message
-
-
 def _turned(take: WireTake, rotation: Floats, shift: Floats) -> WireTake:
     tracks = marker_tracks(take.tracks.names, take.tracks.positions @ rotation.T + shift)
     return WireTake(tracks, take.clamp @ rotation.T + shift)
@@ -315,41 +247,6 @@ def test_column_order_and_motion_of_the_lab_frame_do_not_matter(
     np.testing.assert_array_equal(other.flags[:, columns], straight.flags)
 
 
-@pytest.mark.parametrize("name", ["max_gap", "max_jump", "frozen"])
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
-def test_limits_out_of_range_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=rf"{name}={value}: expected a value above 0"):
-        repair(wire_take(frames=50), **{name: value})
-
-
-def test_fewer_than_three_markers_are_refused() -> None:
-    take = wire_take(frames=50)
-    text = "markers=2: expected at least 3 markers along the specimen, found M1, M2"
-    with pytest.raises(ValueError, match=text):
-        repair(WireTake(marker_tracks(("M1", "M2"), take.tracks.positions[:, :2]), take.clamp))
-    blank = np.full((50, 6, 3), np.nan)
-    with pytest.raises(ValueError, match=r"markers=0: .* found none"):
-        repair(with_positions(take, blank))
-
-
-@pytest.mark.parametrize("along", [["M1", "M2", "M9"], ["M1", "M1", "M2"]])
-def test_unknown_and_repeated_names_are_refused(along: list[str]) -> None:
-    tracks = wire_take(frames=50).tracks
-    with pytest.raises(ValueError, match=r"along=.*: expected different names out of"):
-        repair_tracks(tracks, along=along, max_gap=0.5, max_jump=0.004, frozen=0.2, reference=None)
-
-
-def test_a_clamp_that_is_never_seen_is_refused() -> None:
-    take = wire_take(frames=50)
-    with pytest.raises(ValueError, match="reference: expected positions of the clamp, found none"):
-        repair(WireTake(take.tracks, np.full((50, 3), np.nan)))
-
-
-def test_flags_of_another_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"expected flags of shape \(5, 1\), found \(4, 1\)"):
-        RepairedTracks(("a",), np.zeros((5, 1, 3)), np.zeros((4, 1), dtype=np.uint8), ())
-
-
 @pytest.mark.realdata
 def test_soft_arm_take(realdata: Path) -> None:
     from labpipe.readers import read_export
@@ -372,3 +269,65 @@ def test_soft_arm_take(realdata: Path) -> None:
     for marker, unlabelled in ((1, 1366), (2, 1364), (3, 1365)):
         words = f"SA-base:Marker{marker} was labelled as Unlabeled {unlabelled}, frames 0 to 3931"
         assert any(text.startswith(words) for text in merged)
+
+
+@pytest.mark.parametrize(("length", "flag"), [(25, PointFlag.FILLED), (26, PointFlag.MISSING)])
+def test_gaps_of_half_a_second_are_filled_relative_to_the_clamp(
+    length: int, flag: PointFlag
+) -> None:
+    """The clamp travels 2 mm in this gap; a straight line against it would be 0.1 mm off."""
+    take = wire_take(noise=0.0)
+    gappy = take.tracks.positions.copy()
+    gappy[300 : 300 + length, 5] = np.nan
+    repaired = repair(with_positions(take, gappy))
+    assert (repaired.flags[300 : 300 + length, 5] == flag).all()
+    assert (repaired.flags == flag).sum() == length
+    is_filled = flag == PointFlag.FILLED
+    assert codes(repaired) == ["gap_filled" if is_filled else "gap_left"]
+    whole = take.tracks.positions if is_filled else gappy
+    np.testing.assert_allclose(repaired.positions, whole, atol=4e-5)
+
+
+def short(names: tuple[str, ...] = NAMES, clamp: Floats | None = None) -> WireTake:
+    take = wire_take(frames=50)
+    tracks = marker_tracks(names, take.tracks.positions[:, : len(names)])
+    return WireTake(tracks, take.clamp if clamp is None else clamp)
+
+
+@pytest.mark.parametrize(
+    ("take", "changes", "message"),
+    [
+        (short(), {"max_gap": 0.0}, "max_gap=0.0: expected a value above 0"),
+        (short(), {"max_jump": -1.0}, "max_jump=-1.0: expected a value above 0"),
+        (short(), {"frozen": float("nan")}, "frozen=nan: expected a value above 0"),
+        (short(("M1", "M2")), {}, "markers=2: expected at least 3 markers along the specimen"),
+        (short(("M1", "M1", "M2")), {}, "along=.*: expected different names out of"),
+        (short(clamp=np.full((50, 3), np.nan)), {}, "reference: expected positions of the clamp"),
+    ],
+)
+def test_what_cannot_be_repaired(take: WireTake, changes: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        repair(take, **changes)
+
+
+NONE = Tracklets(*(np.zeros(0, dtype=np.int64) for _ in range(3)))
+
+
+def test_many_dropped_tracks_are_summed_up() -> None:
+    take = wire_take()
+    ghosts = blank_columns(take.tracks.positions, 15)
+    for ghost in range(15):
+        stretch = slice(40 * ghost, 40 * ghost + 5)
+        ghosts[stretch, 6 + ghost] = np.linspace(1, 1.001, 5)[:, None]
+    broken = with_positions(take, ghosts, *(f"Unlabeled {number}" for number in range(15)))
+    repaired = repair_tracks(
+        broken.tracks,
+        along=broken.tracks.names,
+        max_gap=0.5,
+        max_jump=0.004,
+        frozen=0.2,
+        reference=take.clamp,
+    )
+    assert len(repaired.notes) == 11
+    assert all(note.severity is Severity.WARNING for note in repaired.notes)
+    assert repaired.notes[-1].message == "5 more tracks of no marker dropped, 25 samples in all"

@@ -8,13 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from tests.builders.real_wires import RealWire, by_elastica, elastica_of, mean_hang
-from tests.judges.rod_fits import Estimate, Hang, HangFit, fit_hang, mean_of
-from tests.judges.rod_snaps import fit_torsion
-from tests.judges.twisted_loops import TwistedLoop
-
-_PIECES = 90
-"""Of the loop that is drawn."""
+from tests.builders.real_wires import RealWire, by_elastica, mean_hang
+from tests.judges.rod_fits import Estimate, Hang, HangFit, fit_hang, fit_torsion, mean_of, snap_turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +60,7 @@ def study(wire: RealWire, folder: Path) -> Study:
     turns = np.radians(wire.snaps)
     slope = mean_of([each.natural[0] for each in fits])
     straight = fit_torsion(middle, turns, stiffness)
-    loop = TwistedLoop(
-        elastica_of(middle, stiffness.value, pieces=_PIECES), straight.value * stiffness.value
-    )
+    _, snapping = snap_turn(middle, stiffness.value, straight.value * stiffness.value)
     return Study(
         wire,
         hangs,
@@ -78,5 +71,5 @@ def study(wire: RealWire, folder: Path) -> Study:
         stiffness=stiffness,
         torsion=fit_torsion(middle, turns, stiffness, [slope]),
         torsion_straight=straight,
-        snapping=loop.snap()[1],
+        snapping=snapping,
     )

@@ -1,18 +1,42 @@
-"""Groups of samples: what enters, what is left out, and what is said of it."""
+"""Groups: how samples are divided, what enters and is left out, notes, budgets."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from labpipe.records.group import Verdict
-from labpipe.records.quality import Reason, worded
-from labpipe.records.result import Status
-from labpipe.statistics.groups import compare_groups
+from labpipe.records.curve import SlipDecision
+from labpipe.records.group import Group, GroupNumber, Sample, SampleCurve, Verdict
+from labpipe.records.harness_bundle import Bundle
+from labpipe.records.quality import Reason, Severity, worded
+from labpipe.records.result import Contribution, Result, Status
+from labpipe.statistics.group_budgets import SCATTER, group_budget
+from labpipe.statistics.group_division import Part, divide
+from labpipe.statistics.group_fields import (
+    differing_fields,
+    fields_of,
+    known_fields,
+    shared_fields,
+    varying_fields,
+)
+from labpipe.statistics.group_notes import (
+    grouping_notes,
+    method_notes,
+    mixed,
+    otherwise_made,
+    sample_notes,
+)
+from labpipe.statistics.groups import build_group, compare_groups
+from labpipe.statistics.means import nested_mean
 from labpipe.statistics.outliers import with_outliers
+from labpipe.statistics.shared_causes import with_shared
 from labpipe.statistics.two_groups import judged
+from tests.approved import Approve
+from tests.builders.bundle_campaigns import bundle_of, bundle_sample
+from tests.builders.campaigns import build_sample
 from tests.builders.sloped_samples import built, make, said, samples, stiffness
 
 
@@ -35,11 +59,6 @@ def test_order_of_samples_does_not_matter() -> None:
     assert one.numbers == two.numbers
 
 
-def test_sample_2_comes_before_sample_10() -> None:
-    group = built([make("s1", number, 50.0) for number in (10, 2, 1)])
-    assert [each.specimen.sample for each in group.samples] == ["1", "2", "10"]
-
-
 def test_what_is_left_out_says_why() -> None:
     broken, other, without, odd = (make("s1", number, 50.0 + number) for number in range(4))
     failed = stiffness(
@@ -60,15 +79,6 @@ def test_what_is_left_out_says_why() -> None:
         "s1-2": "no_result: the test has no stiffness",
         "s1-3": "not_finite: the value is inf",
     }
-
-
-def test_no_sample_has_the_number() -> None:
-    failed = stiffness(
-        None, status=Status.FAILED, reasons=(Reason("not_reached", "it ends at 1 mm"),)
-    )
-    number = built([replace(make("s1", 1, 50.0), results=(failed,))]).numbers[0]
-    assert number.mean is None
-    assert number.left_out == {"s1-1": (Reason("not_reached", "it ends at 1 mm"),)}
 
 
 def test_outliers_stay_in_the_mean() -> None:
@@ -95,6 +105,303 @@ def test_groups_are_compared_in_what_both_have() -> None:
     assert np.isnan(every[0].p_equivalent)
 
 
-def test_groups_in_other_units_are_not_compared() -> None:
-    other = replace(samples()[0], results=(stiffness(1.0, "N/mm"),))
-    assert compare_groups(built(samples()[:3]), built([other]), names=["stiffness"]) == ()
+def wires(*lengths: float | None, **labels: Sequence[str]) -> list[Sample]:
+    """Samples of one type with lengths in mm, and a word of each label."""
+    base = bundle_sample(None, 1)
+    return [
+        replace(
+            base,
+            test=f"t{at}",
+            specimen=replace(
+                base.specimen,
+                sample=str(at),
+                dimensions={} if length is None else {"length": 1e-3 * length},
+                labels={name: words[at] for name, words in labels.items()},
+            ),
+        )
+        for at, length in enumerate(lengths)
+    ]
+
+
+def divided(parts: Sequence[Part]) -> list[tuple[Mapping[str, str], list[str]]]:
+    return [(part.fields, [each.test for each in part.samples]) for part in parts]
+
+
+def test_two_lengths_are_two_parts() -> None:
+    assert divided(divide(wires(85, 100, 85, 100.4))) == [
+        ({"length": "85 mm"}, ["t0", "t2"]),
+        ({"length": "100.2 mm"}, ["t1", "t3"]),
+    ]
+
+
+def test_lengths_that_were_measured_stay_together() -> None:
+    assert len(divide(wires(96, 104, 100))) == 1  # no two neighbours more than 5 % apart
+    assert len(divide(wires(96, 104))) == 2
+    assert len(divide(wires(100, 104.9))) == 1
+    assert len(divide(wires(100, 105.1))) == 2
+
+
+def test_a_length_that_is_not_said_is_another_one() -> None:
+    assert [part.fields for part in divide(wires(85, None))] == [
+        {"length": "85 mm"}, {"length": "not said"}
+    ]  # fmt: skip
+
+
+def test_a_label_divides_unless_it_names_each_test() -> None:
+    aged = wires(85, 85, 85, aged=["0 h", "500 h", "0 h"])
+    assert divided(divide(aged)) == [({"aged": "0 h"}, ["t0", "t2"]), ({"aged": "500 h"}, ["t1"])]
+    assert len(divide(wires(85, 85, 85, serial=["a", "b", "c"]))) == 1
+
+
+def test_bundles_of_one_type_are_divided_by_what_they_are_made_of() -> None:
+    bundles = ["7 B1", "12 B1", "12 B1"]
+    tapings = ["none", "none", "half-lap"]
+    samples = [
+        bundle_sample(
+            bundle_of(wires, taping=taping, tape="none" if taping == "none" else "PVC"), at
+        )
+        for at, (wires, taping) in enumerate(zip(bundles, tapings, strict=True))
+    ]
+    assert [part.fields for part in divide(samples)] == [
+        {"composition": "7 B1", "taping": "none"},
+        {"composition": "12 B1", "taping": "none"},
+        {"composition": "12 B1", "taping": "half-lap"},
+    ]
+
+
+def group(*samples: Sample) -> Group:
+    return build_group("any", "taped-bundle", samples)
+
+
+def of(bundle: Bundle | None, **more: object) -> Group:
+    return group(bundle_sample(bundle, 1, **more), bundle_sample(bundle, 2, **more))  # type: ignore[arg-type]
+
+
+def differing(first: Bundle | None, second: Bundle | None) -> dict[str, tuple[str, str]]:
+    return differing_fields(of(first), of(second))
+
+
+def test_fields_of_a_bundle() -> None:
+    sample = bundle_sample(
+        bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.0107), 1, labels={"cured": "24 h"}
+    )
+    assert fields_of(sample.specimen) | {"type": "", "spool": ""} == {
+        "type": "", "spool": "", "wire": "B1", "number": "7", "composition": "7 B1",
+        "arrangement": "packed", "tape": "PVC", "taping": "half-lap", "conduit": "twist-tube",
+        "cured": "24 h", "length": "114.3 mm", "conduit_bore": "10.7 mm",
+    }  # fmt: skip
+    assert known_fields([sample.specimen])[:3] == ["type", "spool", "wire"]
+
+
+def test_what_follows_from_another_field_is_no_difference() -> None:
+    seven = bundle_of("7 B1")
+    assert differing(seven, seven) == {}
+    assert differing(seven, bundle_of("7 B2")) == {"wire": ("B1", "B2")}
+    assert differing(seven, bundle_of("12 B1")) == {"number": ("7", "12")}
+    assert differing(seven, bundle_of("7 B1", tape="none", taping="none")) == {
+        "taping": ("half-lap", "none")
+    }
+    assert differing(seven, bundle_of("7 B1", tape="PET")) == {"tape": ("PVC", "PET")}
+    tube = bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.01)
+    assert differing(seven, tube) == {"conduit": ("none", "twist-tube")}
+    wider = bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.012)
+    assert differing(tube, wider) == {"conduit_bore": ("10 mm", "12 mm")}
+    assert differing(seven, bundle_of("7 B1", arrangement="symmetric")) == {}
+
+
+def test_the_type_counts_where_there_is_no_bundle() -> None:
+    tube = of(None)
+    assert "type" in differing_fields(tube, of(bundle_of("7 B1")))
+    other = group(bundle_sample(None, 3, spool="other"))
+    assert differing_fields(tube, other) == {}
+    assert differing_fields(tube, other, by=("spool",)) == {"spool": ("tube-s1", "other")}
+
+
+def test_dimensions_differ_by_more_than_a_percent() -> None:
+    first = of(None, dimensions={"length": 0.1})
+    assert differing_fields(first, of(None, dimensions={"length": 0.1005})) == {}
+    longer = of(None, dimensions={"length": 0.12})
+    assert differing_fields(first, longer) == {"length": ("100 mm", "120 mm")}
+    assert differing_fields(first, of(None, dimensions={})) == {"length": ("100 mm", "not said")}
+
+
+def test_what_varies_within_a_group_is_no_difference() -> None:
+    mixed = group(bundle_sample(bundle_of("7 B1"), 1), bundle_sample(bundle_of("12 B2"), 2))
+    assert varying_fields(mixed) == ("type", "composition")
+    assert differing_fields(mixed, of(bundle_of("7 B1", tape="PET"))) == {"tape": ("PVC", "PET")}
+    assert shared_fields([]) == {}
+
+
+def test_tests_of_one_name_are_both_kept() -> None:
+    one, two = samples()[:2]
+    group = built([replace(one, source="a/result.h5"), replace(two, test=one.test, source="b")])
+    assert list(group.numbers[0].values) == ["s1-1 (a/result.h5)", "s1-1 (b)"]
+
+
+def test_notes_of_groups(approved: Approve) -> None:
+    """What is reported of groups whose samples, curves or numbers need a word."""
+    usual, doubted = samples(), samples()
+    slip = (Reason("slip", "0.5 N at 3 mm"),)
+    doubtful = stiffness(60.0, status=Status.DOUBTFUL, reasons=slip)
+    doubted[0] = replace(doubted[0], results=(doubtful,))
+    one, two, three = usual[:3]
+    longer = replace(two, specimen=replace(two.specimen, dimensions={"length": 0.4}))
+    (curve,) = one.loading
+    force = curve.force.copy()
+    force[40:44] = np.nan
+    gap = replace(one, loading=(SampleCurve(curve.displacement, force, force),))
+    far = SampleCurve(curve.displacement + 0.05, curve.force, curve.force)
+    groups = {
+        "two spools": usual,
+        "a doubtful value": doubted,
+        "none": [],
+        "one sample": [one],
+        "two samples": [one, two],
+        "tested twice": [one, replace(one, test="again")],
+        "other size": [one, longer],
+        "without a curve": [one, two, replace(three, loading=())],
+        "a gap": [gap, two, three],
+        "no overlap": [one, replace(two, loading=(far,))],
+    }
+    lines = []
+    for name, members in groups.items():
+        group = built(members)
+        lines += [name, *(f"  {code}: {message}" for code, message in said(group).items())]
+        lines.append(f"  band: {group.band.reason or 'whole'}")
+    wires = (("7 B1", "24 h"), ("12 B1", "48 h"), ("12 B1", "48 h"))
+    bundles = [
+        bundle_sample(bundle_of(words), at, labels={"cured": cured})
+        for at, (words, cured) in enumerate(wires, start=1)
+    ]
+    slips = [build_sample("s1", "a", slips=2), build_sample("s1", "b", slips=1)]
+    marked = tuple(replace(each, decision=SlipDecision.MARKED) for each in slips[1].slips)
+    notes = [
+        *sample_notes(bundles),
+        *sample_notes([bundles[0], bundle_sample(None, 2)]),
+        *method_notes({}, [slips[0], replace(slips[1], slips=marked)]),
+        *grouping_notes(["taping"], ["s1"]),
+    ]
+    approved([*lines, *(f"{note.severity} {note.code}: {note.message}" for note in notes)])
+
+
+def test_decisions_on_pooling(approved: Approve) -> None:
+    near, far = [1.1, 2.1, 2.9, 4.2], [11.1, 12.1, 12.9, 14.2]
+    spools: list[dict[str, list[float]]] = [
+        {},
+        {"a": [1.0]},
+        {"a": [1.0, 2.0, 4.0]},
+        {"a": [1.0], "b": [2.0], "c": [4.0]},
+        {"a": [1.0, 1.0], "b": [1.0, 1.0]},
+        {"a": [1.0, 2.0, 3.0], "b": [1.1, 2.1, 2.9]},
+        {"a": [1.0, 2.0, 3.0, 4.0], "b": near},
+        {"a": [1.0, 2.0, 3.0, 4.0], "b": far},
+    ]
+    means = [nested_mean(each) for each in spools]
+    assert not any(mean.is_pooled for mean in means)
+    approved(f"{mean.decision} [{mean.chosen.reason or 'interval'}]" for mean in means)
+
+
+SHORT, LONG = "line from 2 mm to 8 mm", "line from 1 mm to 14 mm"
+
+
+def result(name: str, method: str, made_of: str = "") -> Result:
+    why = (Reason("no_noise", "none"),)
+    return Result(name, 1.0, "N/m", reasons=why, method=method, made_of=made_of)
+
+
+def number(name: str, methods: Mapping[str, str]) -> GroupNumber:
+    values = {test: result(name, method) for test, method in methods.items()}
+    return GroupNumber(name, "N/m", None, values, {})
+
+
+def samples_of(*methods: str, **more: Result) -> list[Sample]:
+    """Samples a, b, c ... with a stiffness by these methods, and more results that are alike."""
+    made = [
+        (name, (result("stiffness", method), *more.values()))
+        for name, method in zip("abc", methods, strict=False)
+    ]
+    return [replace(build_sample("s1", name), test=name, results=own) for name, own in made]
+
+
+def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
+    samples = samples_of(SHORT, LONG, SHORT)
+    left_out = otherwise_made(samples)
+    why = Reason("made_otherwise", f"made by {LONG}; the mean: {SHORT}")
+    assert left_out == {"stiffness": {"b": why}}
+    (note,) = method_notes(left_out, samples)
+    assert (note.code, note.severity, note.where) == (
+        "protocols_differ", Severity.WARNING, "stiffness"
+    )  # fmt: skip
+    assert note.message == f"not in the mean, as it was made otherwise: b ({why.message})"
+    (stiffness,) = build_group("A", "p", samples).numbers
+    assert list(stiffness.values) == ["a", "c"]
+    assert stiffness.left_out == {"b": (why,)}
+
+
+def test_the_way_of_the_first_test_counts_where_two_are_as_frequent() -> None:
+    assert list(otherwise_made(samples_of(LONG, SHORT))["stiffness"]) == ["b"]
+
+
+def test_what_is_made_of_a_number_goes_with_it() -> None:
+    modulus = result("modulus", "stiffness x length / area", "stiffness")
+    samples = samples_of(SHORT, LONG, SHORT, modulus=modulus, energy=result("energy", "area"))
+    assert mixed(samples) == {
+        name: {SHORT: ["a", "c"], LONG: ["b"]} for name in ("stiffness", "modulus")
+    }
+    assert list(otherwise_made(samples)["modulus"]) == ["b"]
+
+
+def marked(sample: Sample) -> Sample:
+    slips = tuple(replace(slip, decision=SlipDecision.MARKED) for slip in sample.slips)
+    return replace(sample, slips=slips)
+
+
+FORCE = "scale of the force"
+
+
+def measured(value: float, **changes: float) -> Result:
+    names = {"noise": "noise", "force": FORCE, "pull": "pull offset"}
+    budget = tuple(
+        Contribution(names[key], change, is_common=key == "force")
+        for key, change in changes.items()
+    )
+    return Result("k", value, "N/m", budget=budget)
+
+
+def budgeted(*results: Result) -> GroupNumber:
+    values = {f"T{place}": each for place, each in enumerate(results)}
+    mean = with_shared(
+        nested_mean({"s1": [each.value or 0.0 for each in results]}), {"s1": list(results)}
+    )
+    return GroupNumber("k", "N/m", mean, values, {})
+
+
+def test_medians_are_scaled_to_one_and_a_missing_cause_is_none() -> None:
+    """Shares of noise 1, 0.8, 0.9 and of the force 0, 0.2, 0.1: 0.9 and 0.1; of one alone, none."""
+    found = group_budget(
+        budgeted(
+            measured(1.0, noise=1.0),
+            measured(2.0, noise=2.0, force=1.0),
+            measured(3.0, noise=3.0, force=1.0),
+            measured(9.0),
+        )
+    )
+    assert found.of_tests == pytest.approx({"noise": 0.9, FORCE: 0.1})
+    once = budgeted(*(measured(1.0, noise=1.0, pull=by) for by in (0.0, 0.0, 1.0)))
+    assert group_budget(once).of_tests == {"noise": 1.0}
+
+
+def test_the_mean_is_made_of_scatter_and_what_is_common() -> None:
+    """1 and 3: half width 12.706; a common change of 3 adds 5.880: (5.880 / 14.001)^2 = 0.1764."""
+    found = group_budget(budgeted(measured(1.0, noise=1.0, force=3.0), measured(3.0, force=3.0)))
+    assert list(found.of_mean) == [SCATTER, FORCE]
+    assert found.of_mean[FORCE] == pytest.approx(0.17637, abs=1e-5)
+    assert sum(found.of_mean.values()) == pytest.approx(1.0)
+
+
+def test_nothing_to_tell() -> None:
+    alone = group_budget(budgeted(measured(1.0)))
+    assert (alone.of_tests, alone.of_mean) == ({}, {})
+    none = GroupNumber("k", "N/m", None, {}, {})
+    assert group_budget(none).of_mean == {}
+    assert group_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}

@@ -1,14 +1,38 @@
-"""Means with t-based intervals."""
+"""Means with t-based intervals, nested in spools, on a log scale, and with what a rig shares."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import exp, hypot
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.stats import binomtest
 
-from labpipe.statistics.means import mean_interval
+from labpipe.records.group import MeanInterval, NestedMean
+from labpipe.records.result import Contribution, Result
+from labpipe.statistics.groups import group_number
+from labpipe.statistics.log_scale import can_be_on_a_log_scale, on_log_scale
+from labpipe.statistics.means import (
+    PoolingLimits,
+    equal_spools_p,
+    mean_interval,
+    nested_mean,
+    smallest_p,
+    spool_scatter,
+)
+from labpipe.statistics.shared_causes import widened_by, with_shared
+from labpipe.statistics.two_groups import (
+    contrast_of,
+    difference_of_means,
+    difference_p,
+    equivalence_p,
+)
+from tests.builders.bundle_campaigns import bundle_sample
 
 VALUES = st.lists(st.floats(-1e3, 1e3).map(lambda value: round(value, 6)), min_size=2, max_size=8)
 
@@ -23,17 +47,6 @@ def test_no_samples_and_one_sample_say_so() -> None:
         str(one.reason)
         == "one_sample: an interval needs the scatter of two values, there is one spool"
     )
-
-
-def test_nan_is_absent() -> None:
-    assert mean_interval([1.0, np.nan, 3.0]) == mean_interval([1.0, 3.0])
-    assert str(mean_interval([np.nan]).reason).startswith("no_samples: ")
-
-
-def test_equal_values_have_an_interval_without_width() -> None:
-    found = mean_interval([2.0, 2.0, 2.0]).interval
-    assert found is not None
-    assert (found.lower, found.upper) == (2.0, 2.0)
 
 
 @given(VALUES, st.floats(-1e3, 1e3), st.floats(0.1, 10.0))
@@ -60,3 +73,292 @@ def test_interval_covers(n: int) -> None:
         assert found is not None
         hits += found.lower <= 7.0 <= found.upper
     assert binomtest(hits, runs, 0.95).pvalue > 0.01, hits
+
+
+COUNTS = st.lists(st.integers(1, 4), min_size=1, max_size=4)
+
+
+def draw(counts: list[int], seed: int) -> dict[str, list[float]]:
+    rng = np.random.default_rng(seed)
+    return {f"s{at}": rng.normal(50.0, 3.0, count).tolist() for at, count in enumerate(counts)}
+
+
+def test_spools_count_alike() -> None:
+    found = nested_mean({"a": [1.0, 1.0, 1.0, 2.0], "b": [9.0, 10.0]})
+    assert found.chosen.mean == pytest.approx((1.25 + 9.5) / 2)
+    assert found.chosen.n == 2
+    assert found.over_samples.n == 6
+
+
+def test_many_alike_spools_are_pooled() -> None:
+    rng = np.random.default_rng(3)
+    spools = {f"s{at}": rng.normal(5.0, 1.0, 20) for at in range(40)}
+    found = nested_mean(spools, PoolingLimits(confidence=0.95))
+    assert found.is_pooled
+    assert found.chosen.n == 800
+    assert str(found.decision).startswith("Pooled over 800 samples of 40 spools")
+
+
+def test_every_limit_can_forbid_pooling() -> None:
+    spools = {"a": [1.0, 2.0, 3.0], "b": [2.5, 3.5, 4.5]}
+    loose = PoolingLimits(min_p=0.0, max_spool_share=1.0)
+    assert nested_mean(spools, loose).is_pooled
+    assert not nested_mean(spools, PoolingLimits(min_p=1.0, max_spool_share=1.0)).is_pooled
+    assert not nested_mean(spools, PoolingLimits(min_p=0.0, max_spool_share=0.5)).is_pooled
+
+
+@given(COUNTS, st.integers(0, 1000), st.floats(-100.0, 100.0), st.floats(0.01, 100.0))
+def test_moves_scales_and_does_not_mind_the_order(
+    counts: list[int], seed: int, shift: float, scale: float
+) -> None:
+    spools = draw(counts, seed)
+    moved = {
+        name: [scale * value + shift for value in values[::-1]]
+        for name, values in reversed(spools.items())
+    }
+    first, second = nested_mean(spools), nested_mean(moved)
+    assert second.chosen.n == first.chosen.n
+    assert second.is_pooled == first.is_pooled
+    assert second.chosen.mean == pytest.approx(scale * first.chosen.mean + shift, abs=1e-6)
+    assert second.within == pytest.approx(scale * first.within, rel=1e-6, nan_ok=True)
+    assert second.spool_p == pytest.approx(first.spool_p, nan_ok=True)
+
+
+@pytest.mark.parametrize("counts", [(3, 3), (4, 3, 6, 5)])
+def test_components_are_those_of_the_samples(counts: tuple[int, ...]) -> None:
+    rng, found = np.random.default_rng(1), []
+    for _ in range(3000):
+        spools = [rng.normal(rng.normal(0.0, 2.0), 1.0, count) for count in counts]
+        scatter = spool_scatter(spools, 0.95)
+        found.append((scatter.within**2, scatter.between**2))
+    within, between = np.mean(found, axis=0)
+    assert within == pytest.approx(1.0, rel=0.05)
+    # Cut off at zero, so a little above 4.
+    assert 3.8 < between < 4.5
+
+
+@pytest.mark.parametrize("counts", [(3, 3), (2, 3)])
+@pytest.mark.parametrize("share", [0.1, 0.9])
+def test_upper_limit_of_the_share_holds(counts: tuple[int, ...], share: float) -> None:
+    rng, runs = np.random.default_rng(2), 1000
+    spread = np.sqrt(share / (1.0 - share))
+    hits = 0
+    for _ in range(runs):
+        spools = [rng.normal(rng.normal(0.0, spread), 1.0, count) for count in counts]
+        hits += spool_scatter(spools, 0.95).share_upper >= share
+    assert binomtest(hits, runs, 0.95).pvalue > 0.01, hits
+
+
+def test_no_spool_with_two_samples() -> None:
+    scatter = spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
+    assert np.isnan([scatter.within, scatter.between, scatter.share]).all()
+    assert scatter.share_upper == 1.0
+
+
+def test_few_samples_give_an_exact_p() -> None:
+    # 2 of the 20 ways to deal six samples out to two spools keep them apart like this.
+    assert equal_spools_p([np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0])]) == 0.1
+
+
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [((3, 3), 0.1), ((2, 3), 0.2), ((2, 2), 1 / 3), ((2, 2, 2), 1 / 15), ((9, 9), 0.001)],
+)
+def test_smallest_p_of_few_samples(counts: tuple[int, ...], expected: float) -> None:
+    assert smallest_p(counts) == pytest.approx(expected)
+
+
+def ends(mean: MeanInterval) -> tuple[float, float]:
+    assert mean.interval is not None
+    return mean.interval.lower, mean.interval.upper
+
+
+def test_an_interval_as_a_spreadsheet_gives_it() -> None:
+    """9, 10, 14: mean 11, s = 2.6458; t(2) = 4.3027, h = 6.5724; factor exp(h / 11) = 1.8176."""
+    found = on_log_scale(nested_mean({"a": [9.0, 10.0, 14.0]})).chosen
+    assert found.mean == 11.0
+    assert ends(found) == pytest.approx((11.0 / 1.8176, 11.0 * 1.8176), rel=1e-4)
+    assert found.is_log
+    assert found.half == pytest.approx(6.5724, rel=1e-4)
+
+
+def test_nothing_is_put_where_there_is_no_interval_or_no_positive_middle() -> None:
+    alone = nested_mean({"a": [3.0]})
+    assert on_log_scale(alone) == alone
+    below = nested_mean({"a": [-3.0, 1.0]})
+    assert on_log_scale(below) == below
+
+
+def test_what_a_rig_shares_is_in_it() -> None:
+    results = [
+        Result(
+            "k",
+            value,
+            "N/m",
+            method="m",
+            budget=(Contribution("scale of the force", 0.5, is_common=True),),
+            reasons=(),
+        )
+        for value in (9.0, 10.0, 14.0)
+    ]
+    base = bundle_sample(None, 1)
+    samples = [replace(base, test=str(at), results=(each,)) for at, each in enumerate(results)]
+    number = group_number("k", samples)
+    assert number.mean is not None
+    half = np.hypot(stats.t.ppf(0.975, 2) * np.sqrt(7.0 / 3.0), stats.norm.ppf(0.975) * 0.5)
+    assert ends(number.mean.chosen) == pytest.approx((11 / exp(half / 11), 11 * exp(half / 11)))
+    signed = group_number("k", samples, is_signed=True)
+    assert signed.mean is not None
+    assert ends(signed.mean.chosen) == pytest.approx((11.0 - half, 11.0 + half))
+
+
+def test_a_value_that_is_not_positive_keeps_the_scale_linear() -> None:
+    base = Result("k", 1.0, "N", method="m")
+    assert can_be_on_a_log_scale([base, replace(base, estimate=0.9)])
+    assert not can_be_on_a_log_scale([base, replace(base, value=0.0)])
+    assert not can_be_on_a_log_scale([replace(base, estimate=-0.1)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n", "scatter"), [(2, 0.2), (3, 0.3), (6, 0.2)])
+def test_how_often_it_holds_the_arithmetic_mean(n: int, scatter: float) -> None:
+    """3000 groups know 0.4 %; log-normal values whose arithmetic mean is 1."""
+    spread = np.sqrt(np.log1p(scatter**2))
+    rng = np.random.default_rng(7)
+    held = 0
+    for values in np.exp(rng.normal(-(spread**2) / 2.0, spread, (3000, n))):
+        low, high = ends(_mean(values.tolist()).chosen)
+        held += low <= 1.0 <= high
+    assert 0.935 <= held / 3000 <= 0.965
+
+
+def _mean(values: list[float]) -> NestedMean:
+    return on_log_scale(nested_mean({"a": values}))
+
+
+def test_it_lies_about_the_estimate() -> None:
+    """Noise adds 1 to each of 9, 10, 14: the middle is 10."""
+    base = bundle_sample(None, 1)
+    samples = [
+        replace(
+            base,
+            test=str(value),
+            results=(Result("k", value, "N", method="m", estimate=value - 1.0),),
+        )
+        for value in (9.0, 10.0, 14.0)
+    ]
+    mean = group_number("k", samples).mean
+    assert mean is not None
+    low, high = ends(mean.chosen)
+    assert mean.chosen.mean == 11.0
+    assert low * high == pytest.approx(100.0)
+    assert high / low == pytest.approx(exp(2.0 * 6.5724 / 10.0), rel=1e-4)
+
+
+T_1, NORMAL = 12.7062047362, 1.9599639845
+"""97.5 % quantiles of Student's t with one degree of freedom and of the normal distribution."""
+
+
+def measured(value: float, *, off: float = 0.0, **changes: float) -> Result:
+    """A result with noise, and with common causes by the first word of their names."""
+    names = {"force": "scale of the force", "frame": "compliance of the frame"}
+    common = [Contribution(names[key], each, is_common=True) for key, each in changes.items()]
+    budget = (Contribution("noise", 5.0), *common)
+    return Result("stiffness", value, "N/m", estimate=value - off, budget=budget)
+
+
+def averaged(spools: Mapping[str, list[Result]]) -> NestedMean:
+    values = {name: [each.value or 0.0 for each in own] for name, own in spools.items()}
+    return with_shared(nested_mean(values), spools)
+
+
+def ends_of(mean: MeanInterval | None) -> tuple[float, float]:
+    assert mean is not None
+    assert mean.interval is not None
+    return mean.interval.lower, mean.interval.upper
+
+
+def test_a_cause_that_all_share_is_added_in_quadrature() -> None:
+    """10 and 12: s / sqrt(n) = 1, so 11 -+ 12.7 of the scatter; 0.3 and 0.5 have the mean 0.4."""
+    found = averaged({"a": [measured(10.0, force=3.0), measured(12.0, force=5.0)]})
+    assert found.chosen.common == (Contribution("scale of the force", 4.0, is_common=True),)
+    half = hypot(T_1, 4.0 * NORMAL)
+    assert ends_of(found.chosen) == pytest.approx((11.0 - half, 11.0 + half))
+    assert (found.chosen.mean, found.chosen.estimate) == (11.0, None)
+    assert found.chosen.deviation == pytest.approx(np.sqrt(2.0))
+    assert found.decision.because[-1].endswith("what all tests of a rig share: scale of the force")
+
+
+def test_changes_keep_their_signs_and_causes_are_independent() -> None:
+    """Of the frame +0.3 and -0.1 leave 0.1; with 0.4 of the force sqrt(0.17)."""
+    spool = [measured(10.0, force=0.4, frame=0.3), measured(12.0, force=0.4, frame=-0.1)]
+    found = averaged({"a": spool}).chosen
+    half = hypot(T_1, NORMAL * np.sqrt(0.17))
+    assert ends_of(found) == pytest.approx((11.0 - half, 11.0 + half))
+
+
+def test_spools_count_alike_in_what_they_share() -> None:
+    """Spool means of the changes are 1 and 4: 2.5 over spools, 2 over the three samples."""
+    found = averaged(
+        {"a": [measured(1.0, force=1.0), measured(2.0, force=1.0)], "b": [measured(9.0, force=4.0)]}
+    )
+    assert not found.is_pooled
+    assert found.chosen.common[0].change == pytest.approx(2.5)
+    assert found.over_samples.common[0].change == pytest.approx(2.0)
+    assert found.chosen == found.over_spools
+    half = hypot(T_1 * 0.5, NORMAL * 1.0)  # 1 and 2: s / sqrt(2) = 0.5
+    assert ends_of(found.spool_means["a"]) == pytest.approx((1.5 - half, 1.5 + half))
+    assert found.spool_means["b"].interval is None
+
+
+def test_the_interval_lies_about_the_estimates() -> None:
+    """Noise adds 1 and 3 to the largest samples: 2 on average."""
+    found = averaged({"a": [measured(10.0, off=1.0), measured(12.0, off=3.0)]})
+    assert (found.chosen.mean, found.chosen.estimate) == (11.0, 9.0)
+    assert ends_of(found.chosen) == pytest.approx((9.0 - T_1, 9.0 + T_1))
+    assert not found.chosen.common
+    assert "share" not in str(found.decision)
+
+
+def group(mean: float, change: float, off: float = 0.0) -> MeanInterval:
+    spool = [measured(mean - 1.0, force=change, off=off), measured(mean + 1.0, force=change)]
+    return averaged({"a": spool}).chosen
+
+
+def test_a_gain_acts_on_both_groups_alike() -> None:
+    """0.3 % of 100 and of 110: the difference of 10 changes by 0.3 %, 0.03, and not by 0.45."""
+    one, two = group(100.0, 0.30), group(110.0, 0.33)
+    found = difference_of_means(one, two)
+    assert found.common[0].change == pytest.approx(0.03)
+    plain = difference_of_means(mean_interval([99.0, 101.0]), mean_interval([109.0, 111.0]))
+    half = hypot(ends_of(plain)[1] - 10.0, 0.03 * NORMAL)
+    assert ends_of(found) == pytest.approx((10.0 - half, 10.0 + half))
+
+
+@pytest.mark.parametrize("change", [0.0, 2.0])
+def test_equivalence_where_the_interval_ends(change: float) -> None:
+    """At p = 5 % the margin is the end of the 90 % interval; it grows with what is shared."""
+    one, two = group(100.0, 0.0), group(101.0, change)
+    contrast = contrast_of(one, two)
+    assert contrast is not None
+    degrees, error = 2.0, np.sqrt(2.0)
+    half = hypot(2.9199855804 * error, 1.6448536270 * change)  # 95 % quantiles, t with 2 degrees
+    for margin, p in [(1.0 + half, 0.05), (1.0 - half, 0.95)]:
+        assert equivalence_p(replace(contrast, margin=margin)) == pytest.approx(p)
+    assert equivalence_p(replace(contrast, margin=1e9)) < 1e-6
+    assert contrast.degrees == degrees
+    assert difference_p(replace(contrast, between=half)) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("n", "shared"), [(2, 1.0), (3, 3.0), (6, 0.3), (6, 1.0)])
+def test_how_often_the_widened_interval_holds_the_mean(n: int, shared: float) -> None:
+    """Values scatter by 1 and are off together by `shared` / sqrt(n); 4000 groups know 0.4 %."""
+    rng = np.random.default_rng(1729)
+    together = shared / np.sqrt(n)
+    held = 0
+    for values in rng.normal(0.0, 1.0, (4000, n)) + rng.normal(0.0, together, (4000, 1)):
+        interval = mean_interval(values).interval
+        assert interval is not None
+        wide = widened_by(interval, [Contribution("scale of the force", together)])
+        held += wide.lower <= 0.0 <= wide.upper
+    assert 0.94 <= held / 4000 <= 0.99

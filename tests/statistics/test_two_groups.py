@@ -1,17 +1,24 @@
-"""Differences of groups, equivalence, and verdicts of many."""
+"""Differences of groups, equivalence, verdicts of many (Holm), and outliers by named tests."""
 
 from __future__ import annotations
 
-from math import exp, log, log1p
+from collections.abc import Mapping
+from dataclasses import replace
+from math import exp, isnan, log, log1p, nan
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.stats import binomtest
 
-from labpipe.records.group import Contrast, Difference, NestedMean, Verdict
+from labpipe.records.group import Contrast, Difference, Group, NestedMean, Outlier, Sample, Verdict
 from labpipe.records.result import Contribution, Result
+from labpipe.statistics.families import holm
+from labpipe.statistics.group_notes import too_few_for_outliers
+from labpipe.statistics.groups import build_group
 from labpipe.statistics.log_scale import on_log_scale
 from labpipe.statistics.means import mean_interval, nested_mean
+from labpipe.statistics.outliers import find_suspects, with_outliers
 from labpipe.statistics.shared_causes import with_shared
 from labpipe.statistics.two_groups import (
     compare,
@@ -23,8 +30,11 @@ from labpipe.statistics.two_groups import (
     judged,
     samples_needed,
 )
+from tests.builders.bundle_campaigns import bundle_sample
 
 FIRST, SECOND = [10.0, 10.4, 9.8, 10.1], [10.9, 11.8, 11.1]
+
+
 NEAR = [10.02, 10.38, 9.83, 10.08]
 
 
@@ -103,16 +113,6 @@ def test_a_gain_that_is_off_cancels_in_a_ratio() -> None:
     assert contrast.shared == pytest.approx(0.0, abs=1e-12)
 
 
-def test_no_interval_no_verdict() -> None:
-    found = difference_of_means(mean_interval(FIRST), mean_interval([1.0], "sample"))
-    assert found.interval is None
-    assert str(found.reason).startswith("one_sample: ")
-    assert contrast_of(mean_interval(FIRST), mean_interval([1.0])) is None
-    said = alone(compared(FIRST, [1.0]))
-    assert said.verdict is Verdict.CANNOT_TELL
-    assert said.why == "an interval needs the scatter of two values, there is one sample"
-
-
 def test_nothing_scatters() -> None:
     same = linear([1.0, 1.0], [2.0, 2.0])
     assert (half_of(same), difference_p(same)) == (0.0, 0.0)
@@ -157,20 +157,6 @@ def test_many_comparisons_are_corrected() -> None:
     assert sure[0].why.endswith(", corrected for 10 comparisons")
 
 
-def test_the_interval_agrees_with_the_verdict() -> None:
-    rng = np.random.default_rng(2)
-    groups = [(10.0 + shift + rng.normal(0, 0.5, 3)).tolist() for shift in np.linspace(0, 4, 12)]
-    found = judged("family", [compared(groups[0], each) for each in groups[1:]])
-    verdicts = [each.verdict for each in found]
-    assert Verdict.DIFFERENT in verdicts
-    assert Verdict.CANNOT_TELL in verdicts
-    for each in found:
-        assert each.interval is not None
-        holds_zero = each.interval.lower <= 0.0 <= each.interval.upper
-        assert holds_zero == (each.verdict is Verdict.CANNOT_TELL)
-        assert each.interval.level >= 0.95
-
-
 def test_how_many_samples_would_tell() -> None:
     """s = 3 % of both, margin 10 %: t(2n - 2) 0.03 sqrt(2 / n) is at most 0.0477 from n = 5 on."""
     contrast = Contrast(0.0, (0.03 / 3**0.5,) * 2, (3, 3), margin=log1p(0.1), is_log=True)
@@ -182,24 +168,136 @@ def test_how_many_samples_would_tell() -> None:
     assert samples_needed(Contrast(0.0, (1.0, 1.0), (3, 3))) is None
 
 
-def test_families_without_differences_are_wrong_in_a_twentieth() -> None:
-    rng, runs, wrong = np.random.default_rng(8), 400, 0
-    for _ in range(runs):
-        pairs = [rng.normal(10.0, 0.5, (2, 3)).tolist() for _ in range(12)]
-        found = judged("family", [compared(*pair) for pair in pairs])
-        wrong += any(each.verdict is Verdict.DIFFERENT for each in found)
-    assert stats.binomtest(wrong, runs, 0.05, alternative="greater").pvalue > 0.01, wrong
-
-
-def test_nested_groups_compare_spool_means() -> None:
-    first = {"a": [57.0, 58.0, 57.5], "b": [47.0, 46.0, 47.5]}
-    said = compare("k", "1/m", ("one", nested_mean(first)), ("two", nested_mean(first)))
-    assert said.difference.n == 4
-    assert "one spool" not in said.words
-
-
 @pytest.mark.parametrize(("sigmas", "chance"), [(5.0, 2.0 * stats.norm.sf(5.0)), (9.0, 0.0)])
 def test_beyond_eight_standard_errors_there_is_no_chance(sigmas: float, chance: float) -> None:
     """Of a doubt of 1000 that dwarfs the scatter."""
     contrast = Contrast(1000.0 * sigmas, errors=(1.0, 1.0), counts=(8, 8), shared=1000.0)
     assert difference_p(contrast) == pytest.approx(chance, rel=0.01, abs=0.0)
+
+
+def test_an_example_by_hand() -> None:
+    """0.01 x 4, 0.015 x 3 = 0.045, 0.03 x 2 = 0.06: the third and all that follow do not hold."""
+    found = holm([0.03, 0.01, 0.2, 0.015])
+    assert [each.p for each in found] == pytest.approx([0.06, 0.04, 0.2, 0.045])
+    assert [each.divisor for each in found] == [2, 4, 2, 3]
+    assert {each.tests for each in found} == {4}
+
+
+def test_what_has_no_test_does_not_count() -> None:
+    first, none, last = holm([0.02, nan, 0.03])
+    assert (first.p, last.p) == (0.04, 0.04)
+    assert isnan(none.p)
+    assert (none.tests, none.divisor) == (2, 2)
+    assert holm([]) == []
+    assert holm([nan])[0].divisor == 1
+
+
+def mark_outliers(
+    values: Mapping[str, float], spools: Mapping[str, str], *, level: float = 0.05
+) -> tuple[Outlier, ...]:
+    """Of one number alone."""
+    return find_suspects(values, spools).below(level)
+
+
+def one_spool(values: list[float]) -> tuple[dict[str, float], dict[str, str]]:
+    names = [f"t{number}" for number in range(len(values))]
+    return dict(zip(names, values, strict=True)), dict.fromkeys(names, "a")
+
+
+def test_grubbs_of_a_table() -> None:
+    # Two-sided 5 % point for n = 5 is 1.715 (Grubbs and Beck, Technometrics 14 (1972) 847).
+    base = np.array([-1.0, -0.5, 0.0, 0.5])
+    chances = {}
+    for far in np.linspace(1.0, 10.0, 2000):
+        values = np.append(base, far)
+        ratio = (far - values.mean()) / values.std(ddof=1)
+        found = mark_outliers(*one_spool(values.tolist()), level=1.1)
+        chances[float(ratio)] = found[0].p
+    at = min(chances, key=lambda ratio: abs(ratio - 1.715))
+    assert chances[at] == pytest.approx(0.05, abs=0.002)
+
+
+def test_spools_that_differ_hold_no_outliers() -> None:
+    values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9}
+    assert not mark_outliers(values, {name: name[0] for name in values})
+    values["b3"] = 5.0
+    (found,) = mark_outliers(values, {name: name[0] for name in values})
+    assert found.method == "Grubbs' test within spools"
+
+
+@pytest.mark.parametrize("shift", [0.0, 7.0, 1e6])
+def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
+    pair = {"c1": 4.0 + shift, "c2": 9.0 + shift}
+    values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9, **pair}
+    found = mark_outliers(values, {name: name[0] for name in values})
+    assert {each.sample for each in found} == {"c1", "c2"}
+    assert found[0].p == found[1].p
+    assert {each.method for each in found} == {
+        "Grubbs' test within spools, which cannot tell it from c1",
+        "Grubbs' test within spools, which cannot tell it from c2",
+    }
+
+
+def test_too_few_samples_are_said() -> None:
+    assert not mark_outliers(*one_spool([1.0, 100.0]))
+    assert not mark_outliers({}, {})
+    assert too_few_for_outliers(["a", "a", "a"]) == ""
+    assert too_few_for_outliers(["a", "a", "b"]) == (
+        "too_few_samples: 3 samples of 2 spools, outliers are found from 4 on"
+    )
+
+
+@pytest.mark.parametrize("counts", [(3,), (6,), (3, 3), (20,)])
+def test_false_marks_are_as_rare_as_said(counts: tuple[int, ...]) -> None:
+    rng, runs, marked = np.random.default_rng(4), 2000, 0
+    names = [f"{spool}-{each}" for spool, count in enumerate(counts) for each in range(count)]
+    spools = {name: name.partition("-")[0] for name in names}
+    for _ in range(runs):
+        marked += bool(
+            mark_outliers(dict(zip(names, rng.normal(size=len(names)), strict=True)), spools)
+        )
+    # Bonferroni's bound: at most 5 %.
+    assert binomtest(marked, runs, 0.05, alternative="greater").pvalue > 0.01, marked
+
+
+BASE = bundle_sample(None, 1)
+
+
+def group_of(name: str, numbers: Mapping[str, list[float]]) -> Group:
+    """A group of one spool whose tests have these numbers."""
+    count = len(next(iter(numbers.values())))
+    samples: list[Sample] = []
+    for at in range(count):
+        results = tuple(Result(each, own[at], "N", method="m") for each, own in numbers.items())
+        samples.append(replace(BASE, test=f"{name}-{at}", results=results, loading=()))
+    return build_group(name, "p", samples)
+
+
+def marks(groups: list[Group]) -> list[tuple[str, str]]:
+    return [
+        (number.name, each.sample)
+        for group in groups
+        for number in group.numbers
+        for each in number.outliers
+    ]
+
+
+def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
+    """p of 1, 1.1, 0.9, 1.05, 1.7 is 0.02: below 5 % alone, and not among ten numbers."""
+    odd, plain = [1.0, 1.1, 0.9, 1.05, 1.7], [1.0, 1.4, 0.7, 1.2, 0.9]
+    (suspect,) = find_suspects(*one_spool(odd)).below(0.05)
+    assert 0.01 < suspect.p < 0.04
+    alone = with_outliers([group_of("A", {"k": odd})])
+    assert marks(alone) == [("k", "A-4")]
+    more = {"k": odd, **{f"n{at}": plain for at in range(9)}}
+    assert not marks(with_outliers([group_of("A", more)]))
+    surer = {**more, "k": [1.0, 1.1, 0.9, 1.05, 9.0]}
+    found = with_outliers([group_of("A", surer)])
+    assert marks(found) == [("k", "A-4")]
+
+
+def test_what_the_rig_sets_is_not_tested() -> None:
+    group = group_of("A", {"k": [1.0, 1.1, 0.9, 1.05, 9.0]})
+    is_set = [replace(each, is_set_by_rig=True) for each in group.numbers]
+    assert not marks(with_outliers([replace(group, numbers=tuple(is_set))]))
+    assert marks(with_outliers([group]))

@@ -56,15 +56,6 @@ def test_white_noise_has_its_variance_everywhere(count: int) -> None:
     assert neighbours == pytest.approx(0.0, abs=0.03)
 
 
-def test_a_white_record_is_drawn_as_it_is() -> None:
-    drawn = draws(RNG(1).normal(0.0, 2.0, 6000))
-    assert np.var(drawn) == pytest.approx(4.0, rel=0.05)
-    for at in (slice(0, 20), slice(-20, None)):
-        assert np.var(drawn[:, at]) == pytest.approx(4.0, rel=0.08)
-    means = drawn.reshape(400, 60, 100).mean(axis=2)
-    assert np.var(means) == pytest.approx(0.04, rel=0.15)
-
-
 @pytest.mark.parametrize("factor", [0.5, 0.9, 0.98])
 def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
     """In a long record a memory of ten samples is seen by its own power only.
@@ -82,28 +73,6 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
         for lag in (0, 1, 5, 20):
             product = np.mean(part[:, : 200 - lag] * part[:, lag:])
             assert product == pytest.approx(factor**lag, abs=0.15)
-
-
-def test_a_slow_part_on_white_noise() -> None:
-    """A tenth of the variance is slow; it makes nearly all of that of a mean of 200.
-
-    Waves of a piece hardly tell it from flicker noise, which has more power in slower ones.
-    """
-    slow, white = autoregressive(0.95, (200, 4000), 3), RNG(4).normal(size=(200, 4000))
-    both = np.sqrt(0.1) * slow + np.sqrt(0.9) * white
-    truth = np.std(both[:, :200].mean(axis=1))
-    found = [np.std(draws(row, 200)[:, :200].mean(axis=1)) for row in both[:12]]
-    assert 0.9 * truth < np.mean(found) < 1.9 * truth
-    assert np.var(draws(both[0])) == pytest.approx(1.0, rel=0.2)
-
-
-def test_noise_that_swings_back() -> None:
-    """Differences of white noise: the mean of many is far surer than that of white noise."""
-    rows = np.diff(RNG(5).normal(size=(300, 3001)), axis=1) + 0.2 * RNG(6).normal(size=(300, 3000))
-    truth = np.std(rows[:, :100].mean(axis=1))
-    found = [np.std(draws(row, 200)[:, :100].mean(axis=1)) for row in rows[:12]]
-    assert np.mean(found) == pytest.approx(truth, rel=0.5)
-    assert np.mean(found) < 0.5 * np.std(rows) / 10.0
 
 
 def test_hum_keeps_its_power_and_its_place() -> None:
@@ -144,20 +113,6 @@ def test_one_short_record_leaves_its_variance_open() -> None:
     sure = np.log(18.0 / RNG(4).chisquare(18, 20_000))
     assert np.std(inner) > 0.95 * np.hypot(np.std(sampling), np.std(sure))
     assert np.std(inner) < 1.5 * np.hypot(np.std(sampling), np.std(sure))
-
-
-def test_one_short_record_leaves_its_memory_open() -> None:
-    """Correlations of neighbours scatter more than those of records of one known memory."""
-    found = []
-    for seed in range(8):
-        record = autoregressive(0.7, (150,), seed)
-        drawn = judged(record).draw(150, 600, RNG(seed)).astype(np.float64)
-        found.append(
-            np.std(np.sum(drawn[:, 1:] * drawn[:, :-1], axis=1) / np.sum(drawn**2, axis=1))
-        )
-    rows = autoregressive(0.7, (600, 150), 99)
-    one = np.std(np.sum(rows[:, 1:] * rows[:, :-1], axis=1) / np.sum(rows**2, axis=1))
-    assert np.mean(found) > 1.25 * one
 
 
 def test_the_chances_follow_the_record() -> None:
@@ -212,16 +167,6 @@ def test_prior_of_a_record_that_says_nothing() -> None:
     assert shares == pytest.approx(np.array(weights) / sum(weights), abs=0.12)
 
 
-def test_the_curve_is_no_noise() -> None:
-    """A cubic of a thousand times the noise changes nothing but the arithmetic."""
-    at, noise = np.linspace(0.0, 1.0, 3000), RNG(12).normal(size=3000)
-    curve = 1000.0 * (at - at**2 + 0.5 * at**3)
-    bent = noise_of([curve + noise], [curve])
-    plain = noise_of([noise], [0.0 * curve])
-    assert bent.squares == pytest.approx(plain.squares, rel=1e-6)
-    assert bent.power == pytest.approx(plain.power, rel=1e-9)
-
-
 def test_a_piece_with_a_step_is_left_out() -> None:
     values = RNG(13).normal(size=3000)
     plain = judged(values)
@@ -265,30 +210,6 @@ def test_gaps_neither_hide_nor_thin_the_noise(gap: str) -> None:
     assert noise.count == 3000 - is_gap.sum()
 
 
-def test_a_branch_without_any_datum_is_none() -> None:
-    values = RNG(15).normal(size=1000)
-    with_none = judged(values, np.full(5000, np.nan))
-    plain = judged(values)
-    assert with_none.squares == pytest.approx(plain.squares)
-    assert with_none.power == pytest.approx(plain.power)
-
-
-def test_what_stands_says_nothing() -> None:
-    """A record that is full for a long while, behind a loading of 200 samples."""
-    loading = np.linspace(0.0, 100.0, 200)
-    record, full = loading + RNG(16).normal(size=200), np.full(3000, 100.0)
-    noise = noise_of([record, full], [loading, full])
-    assert not noise.is_none
-    assert np.var(noise.draw(200, 2000, RNG(0))) == pytest.approx(1.0, rel=0.35)
-
-
-def test_pieces_that_stand_are_left_out() -> None:
-    """Full for the second half of a branch: six of twelve pieces, and all that move are kept."""
-    record = np.where(np.arange(3000) < 1500, RNG(17).normal(size=3000), 0.0)
-    noise = judged(record)
-    assert (noise.freedom, noise.kept) == (6 * 42, 1.0)
-
-
 @pytest.mark.parametrize(
     "values",
     [
@@ -312,29 +233,6 @@ def test_eight_samples_have_noise() -> None:
     noise = judged(np.array([1.0, 5.0, 2.0, 8.0, 1.0, 0.0, 3.0, 4.0]))
     assert not noise.is_none
     assert noise.freedom == 6
-
-
-def test_small_noise_on_a_long_way_is_noise() -> None:
-    """A nanometre in 300 mm is more than arithmetic."""
-    way = np.linspace(0.0, 0.3, 2000)
-    noise = noise_of([way + 3e-9 * RNG(0).normal(size=2000)], [way])
-    assert np.std(noise.draw(2000, 100, RNG(0))) == pytest.approx(3e-9, rel=0.1)
-
-
-def test_the_same_seed_draws_the_same() -> None:
-    noise = judged(autoregressive(0.9, (700,), 1))
-    first, again = (noise.draw(700, 5, RNG(3)) for _ in range(2))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, noise.draw(700, 5, RNG(4)))
-    assert first.dtype == np.float32
-
-
-def test_rounding_coarser_than_the_noise() -> None:
-    """Steps of 7 standard deviations on a slope: a rectangle of variance 49 / 12."""
-    record = np.linspace(0.0, 500.0, 4000) + RNG(18).normal(size=4000)
-    rounded = 7.0 * np.round(record / 7.0)
-    drawn = noise_of([rounded], [np.linspace(0.0, 500.0, 4000)]).draw(4000, 200, RNG(0))
-    assert np.var(drawn) == pytest.approx(1.0 + 49.0 / 12.0, rel=0.2)
 
 
 def flicker(shape: tuple[int, int], seed: int) -> Floats:
@@ -374,22 +272,6 @@ def test_rests_tell_flicker_noise() -> None:
     assert 0.7 * truth < wander(rows[:8], at_rest=True) < 1.4 * truth
 
 
-def slow_contrast(rows: Floats) -> Floats:
-    """What two means of a tenth of a record differ by that lie a fifth of it apart."""
-    tenth = rows.shape[1] // 10
-    found: Floats = rows[:, :tenth].mean(axis=1) - rows[:, 2 * tenth : 3 * tenth].mean(axis=1)
-    return found
-
-
-def test_long_records_tell_flicker_noise_without_rests() -> None:
-    """Of 1500 samples twelve pieces say how power rises; of 400 they do not."""
-    for count, low, high in ((1500, 0.6, 1.4), (400, 0.2, 0.6)):
-        rows = flicker((200, count), 14)
-        truth = np.std(slow_contrast(rows))
-        found = [np.std(slow_contrast(draws(row, 200))) for row in rows[:12]]
-        assert low * truth < np.mean(found) < high * truth
-
-
 def test_signals_that_are_alike_tell_more() -> None:
     """Twelve signals of one camera: what one of them leaves open is sure."""
     rows = flicker((12, 900), 15)
@@ -405,12 +287,6 @@ def test_signals_that_are_alike_tell_more() -> None:
     assert noise.freedom > 10 * alone.freedom
 
 
-def test_rests_tell_white_noise() -> None:
-    """It does not wander: the mean of 200 of it is known to 1/14, a difference to 1/10."""
-    rows = RNG(12).normal(size=(8, 3000))
-    assert wander(rows, at_rest=True) == pytest.approx(0.1, rel=0.5)
-
-
 def test_a_force_that_relaxes_behind_the_motion_is_no_noise() -> None:
     """By a tenth of the noise's range and ten times it; and a motion that began a little early."""
     rows = RNG(12).normal(size=(4, 3000))
@@ -422,11 +298,3 @@ def test_a_force_that_relaxes_behind_the_motion_is_no_noise() -> None:
     early = rows.copy()
     early[:, 185:200] += 0.5 * np.arange(15.0)
     assert wander(early, at_rest=True) < 1.2 * plain
-
-
-def test_a_rest_with_gaps_is_left_out() -> None:
-    row = RNG(13).normal(size=3000)
-    gaps = np.where(np.arange(200) == 50, np.nan, row[:200])
-    frozen = np.full(200, 0.3)
-    with_them = noise_of([row], [0.0 * row], [gaps, frozen, row[:20]])
-    assert with_them.chances == pytest.approx(noise_of([row], [0.0 * row]).chances)

@@ -70,35 +70,6 @@ def test_mean_of_few_samples_against_students_t(count: int) -> None:
     assert np.mean([bool(x.doubts) for x in found]) < 0.1
 
 
-@pytest.mark.slow
-def test_slope_of_a_line_against_the_textbook() -> None:
-    """Of 300 samples in white noise of 2 N the slope is known to 2 / sqrt(sum of squares)."""
-    way = 1e-3 * 0.01 * np.arange(300.0)
-    error = 2.0 / np.sqrt(np.sum((way - way.mean()) ** 2))
-    found = of_noise(slope, 4e3 * way, 2.0, 200)
-    assert held(found, 4e3) >= 0.92
-    wide = np.mean([width(x) for x in found]) / (3.92 * error)
-    assert 0.95 < wide < 1.45  # the process has to be guessed, too
-    assert np.mean([x.error for x in found]) == pytest.approx(wide * error, rel=0.05)
-    assert [x.estimate for x in found] == pytest.approx([x.value for x in found], abs=0.3 * error)
-
-
-def test_slope_of_a_large_force_in_small_noise() -> None:
-    """5 kN with 0.01 N over 300 mm with 1 um: both noises, in quadrature."""
-    way = np.linspace(0.0, 0.3, 1000)
-    lever = np.sqrt(np.sum((way - way.mean()) ** 2))
-    rigid = 5e3 / 0.3
-    error = np.hypot(0.01, rigid * 1e-6) / lever
-    found = list[Measured]()
-    for seed in range(12):
-        rng = RNG(seed)
-        force = rigid * way + rng.normal(0.0, 0.01, 1000)
-        trace = trace_of(force, way + rng.normal(0.0, 1e-6, 1000))
-        found += measured(trace, slope)
-    assert 0.95 < np.mean([x.error for x in found]) / error < 1.6
-    assert held(found, rigid) >= 0.75
-
-
 def test_the_largest_sample_of_a_plateau_is_too_high() -> None:
     """By brute force: how much, and how far it scatters; the estimate is without that."""
     truth = 20.0 - 20.0 * (1.0 - np.linspace(0.0, 1.0, 1000)) ** 4
@@ -218,13 +189,6 @@ def test_an_input_that_changes_more_upwards() -> None:
     assert budget(found) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
 
 
-def test_inputs_of_one_cause_have_one_row() -> None:
-    inputs = [Input(SECTION, raised, stream=name) for name in ("width", "thickness")]
-    (found,) = measured(trace_of(FORCE), mean, *inputs)
-    assert budget(found) == pytest.approx({SECTION: 0.3 * 2.0**0.5})
-    assert found.error == pytest.approx(0.3 * 2.0**0.5, rel=0.08)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_the_budget_adds_up_to_the_variance(seed: int) -> None:
     """Of inputs exactly but for their draws, of noise as it was drawn."""
@@ -244,31 +208,6 @@ def test_the_budget_adds_up_to_the_variance(seed: int) -> None:
     assert set(rows) == {NOISE, ZERO_OF_FORCE, GRIP, SECTION}
     assert [rows[ZERO_OF_FORCE], rows[GRIP], rows[SECTION]] == pytest.approx(shares)
     assert np.sum(np.square(list(rows.values()))) == pytest.approx(found.error**2, rel=0.2)
-
-
-def test_noise_in_the_budget_is_its_standard_deviation() -> None:
-    (found,) = measured(trace_of(FORCE + RNG(0).normal(size=200)), mean)
-    assert budget(found) == pytest.approx({NOISE: np.std(found.off)})
-    assert budget(found)[NOISE] == pytest.approx(200.0**-0.5, rel=0.35)
-
-
-def test_filters_are_part_of_the_number() -> None:
-    """Means of five: noise of 5^-1/2, and the flank that they cut off a top is in the interval."""
-
-    def five(values: Floats) -> Floats:
-        rows = np.lib.stride_tricks.sliding_window_view(values, 5, axis=-1).mean(axis=-1)
-        return np.concatenate([values[..., :2], rows, values[..., -2:]], axis=-1)
-
-    top = 20.0 - 0.5 * np.abs(np.arange(401.0) - 200.0)
-    record = five(top + RNG(0).normal(0.0, 0.01, 401))
-    raw = top + RNG(0).normal(0.0, 0.01, 401)
-    trace, unfiltered = trace_of(record), trace_of(raw)
-    made = replicates_of(unfiltered, cuts=[200], filters=(lambda x: x, five))
-    found = measure(replace(made, measured=trace), lambda _: Reading(largest, 400))
-    assert isinstance(found, tuple)
-    assert found[0].value == pytest.approx(19.4, abs=0.02)  # mean of 19, 19.5, 20, 19.5, 19
-    assert found[0].interval.lower <= 20.0 <= found[0].interval.upper
-    assert width(found[0]) < 0.1
 
 
 def test_a_number_that_is_not_in_the_curve() -> None:
@@ -291,39 +230,6 @@ def test_a_number_that_is_not_in_the_curve() -> None:
 
 
 @pytest.mark.parametrize(
-    ("above", "doubtful", "fails"),
-    [(1.9, False, False), (0.7, True, False), (-0.2, True, True), (-1.9, True, True)],
-    ids=["3 %", "24 %", "58 %", "97 %"],
-)
-def test_replicates_without_the_number(above: float, doubtful: bool, fails: bool) -> None:
-    """Those whose last sample lies higher than so many standard deviations have none."""
-
-    def guarded(trace: Trace) -> tuple[Floats]:
-        last = trace.force[..., -1]
-        return (np.where(last > 50.0 + above, np.nan, trace.force.mean(axis=-1)),)
-
-    record = FORCE + RNG(3).normal(size=200)
-    made = replicates_of(trace_of(record))
-    flat = replace(made.smooth, force=FORCE)
-    still = replace(
-        made, smooth=flat, measured=flat, force=FORCE + (made.force - made.smooth.force)
-    )
-    if above < 0.0:  # the curve itself has the number
-        still = replace(
-            still, smooth=replace(flat, force=FORCE - 3.0), measured=trace_of(FORCE - 3.0)
-        )
-    found = measure(still, lambda _: Reading(guarded, 200))
-    if fails:
-        assert isinstance(found, Failure)
-        assert found.code == "not_repeatable"
-        return
-    assert isinstance(found, tuple)
-    codes = [reason.code for _, reason in found[0].doubts]
-    assert codes == (["not_repeatable"] if doubtful else [])
-    assert np.isfinite([found[0].error, *vars_of(found[0])]).all()
-
-
-@pytest.mark.parametrize(
     ("without", "doubtful", "fails"),
     [(20, False, False), (21, True, False), (199, True, False), (200, True, True)],
 )
@@ -340,21 +246,6 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
     assert isinstance(found, Failure) == fails
     if isinstance(found, tuple):
         assert bool(found[0].doubts) == doubtful
-
-
-def vars_of(found: Measured) -> tuple[float, float, float]:
-    return found.estimate, found.interval.lower, found.interval.upper
-
-
-@pytest.mark.filterwarnings("error")
-def test_no_replicate_has_the_number() -> None:
-    def never(trace: Trace) -> tuple[Floats]:
-        return (np.full(trace.force.shape[:-1], np.nan),)
-
-    made = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
-    found = measure(made, lambda _: Reading(never, 200))
-    assert isinstance(found, Failure)
-    assert found.code == "not_repeatable"
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -416,20 +307,6 @@ def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None
     assert budget(found[0]) == pytest.approx(expected, abs=0.04)
 
 
-def test_a_value_between_whose_samples_much_happens_lies_in_its_interval() -> None:
-    """Nothing else is uncertain: a rectangle from 3.75 to 4.75 N, of which 95 %."""
-
-    def below(trace: Trace) -> Reading:
-        chosen = slice(0, int(np.sum(trace.displacement <= 4.5)))
-        return Reading(lambda each: (each.force[..., chosen].mean(axis=-1),), 5, is_cut=True)
-
-    found = measure(replicates_of(trace_of(2.0 * np.arange(20.0), np.arange(20.0))), below)
-    assert isinstance(found, tuple)
-    ends = found[0].interval.lower, found[0].interval.upper
-    assert ends == pytest.approx((3.775, 4.725), abs=0.04)
-    assert not found[0].doubts
-
-
 @pytest.mark.parametrize("feels", [False, True])
 def test_corners_between_samples_are_those_of_the_measured_curve(feels: bool) -> None:
     """Force |d - 10| up to 10.5 samples: 55 / 11 by samples, from a corner that a spline rounds."""
@@ -452,21 +329,6 @@ def test_corners_between_samples_are_those_of_the_measured_curve(feels: bool) ->
         assert shift == pytest.approx(1.25 - 1.2, abs=0.02)
     else:
         assert abs(shift) < 0.02
-
-
-def test_values_from_more_samples() -> None:
-    """The plain number is given; the doubt is that of the curve."""
-    record = FORCE + RNG(0).normal(size=200)
-    made = replicates_of(trace_of(record))
-    reading = Reading(mean, 200)
-    (plain,), (given,) = (
-        found
-        for found in (measure(made, lambda _: reading), measure(made, lambda _: reading, [51.0]))
-        if isinstance(found, tuple)
-    )
-    assert given.value == 51.0
-    assert plain.value == pytest.approx(record.mean())
-    assert np.array_equal(given.off, plain.off)
 
 
 def test_samples_moved_by_noise() -> None:
@@ -503,14 +365,6 @@ def test_noise_as_slow_as_the_number(tau: float, count: int, window: int, is_slo
     assert [(name, each.code) for name, each in found.doubts] == (
         [("force", "slow_noise")] if is_slow else []
     )
-
-
-def test_slow_noise_is_one_sentence_for_all_numbers_of_a_test() -> None:
-    """How many samples a number is read from stands beside it."""
-    trace = trace_of(slow(20.0, 3000))
-    sentences = [measured(trace, mean, n=window)[0].doubts[0][1].message for window in (60, 80)]
-    assert sentences[0] == sentences[1]
-    assert sentences[0].startswith("the noise of the force is as slow as what is measured: it reme")
 
 
 def test_doubts_of_an_input_are_those_of_what_rests_on_it() -> None:
@@ -574,10 +428,3 @@ def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
         assert [reason.code for _, reason in found[0].doubts] == codes
         assert found[0].interval.lower > found[0].value
         assert found[0].estimate == pytest.approx(level + 10.0, abs=0.5)
-
-
-def test_noise_raises_no_doubt_of_a_number_that_it_does_not_move() -> None:
-    record = RNG(0).normal(size=3000)
-    record[1750:] *= 5.0
-    (found,) = measured(trace_of(record), lambda trace: (0.0 * trace.force[..., 0],))
-    assert [reason.code for _, reason in found.doubts] == ["no_width"]

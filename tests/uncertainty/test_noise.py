@@ -1,11 +1,28 @@
-"""Variance of the mean of residuals that know their neighbours."""
+"""Noise of residuals and stretches, and linear fits in correlated noise."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
+from scipy.fft import dct
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
+from scipy.stats import binomtest
 
-from labpipe.uncertainty.noise import fast_noise, limits_by_noise, long_run_variance
+from labpipe.records.arrays import Floats
+from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
+from labpipe.uncertainty.noise import (
+    Grid,
+    Noise,
+    cubic_basis,
+    exact_covariance,
+    fast_noise,
+    limits_by_noise,
+    long_run_variance,
+    slowest_cosines,
+    smooth_stretches,
+)
 
 
 def test_white_noise_has_its_plain_variance() -> None:
@@ -27,29 +44,11 @@ def test_autoregressive_noise() -> None:
     assert np.mean(found) == pytest.approx(4.0, rel=0.1)
 
 
-def test_too_few_residuals_are_nan() -> None:
-    assert np.isnan(long_run_variance(np.zeros(4), parameters=2))
-
-
-def test_nan_count_as_absent() -> None:
-    values = np.random.default_rng(2).normal(size=100)
-    with_gap = np.insert(values, 50, np.nan)
-    assert long_run_variance(with_gap, parameters=1) == pytest.approx(
-        long_run_variance(values, parameters=1)
-    )
-
-
 def test_fast_noise_does_not_see_the_curve() -> None:
     x = np.linspace(0.0, 1.0, 5000)
     noise = np.random.default_rng(2).normal(0.0, 0.02, len(x))
     assert fast_noise(10.0 * x**3 + noise) == pytest.approx(0.02, rel=0.03)
     assert fast_noise(x) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_fast_noise_of_many_records() -> None:
-    rows = np.random.default_rng(5).normal(0.0, [[[0.1]], [[3.0]]], (2, 4, 330)).cumsum(axis=0)
-    alone = [[float(fast_noise(row)) for row in plane] for plane in rows]
-    np.testing.assert_allclose(fast_noise(rows), alone, rtol=1e-12)
 
 
 def test_limits_follow_the_noise_of_each_record() -> None:
@@ -59,3 +58,111 @@ def test_limits_follow_the_noise_of_each_record() -> None:
     rows[1, 7] = np.nan
     np.testing.assert_allclose(limits_by_noise(0.4, rows), [0.3, 0.3, 0.6], rtol=1e-9)
     np.testing.assert_array_equal(limits_by_noise(0.4, np.ones((2, 40))), [0.4, 0.4])
+
+
+def noise(seed: int, count: int, memory: float) -> Floats:
+    factor = np.exp(-1.0 / memory)
+    kicks = np.random.default_rng(seed).normal(size=count + 200) * np.sqrt(1.0 - factor**2)
+    return np.asarray(lfilter([1.0], [1.0, -factor], kicks)[200:], dtype=np.float64)
+
+
+@pytest.mark.parametrize("count", [5, 2001, 52_000, 76_001, 79_979])
+def test_slowest_cosines(count: int) -> None:
+    random = np.random.default_rng(1)
+    rows = np.stack([random.normal(size=count), np.full(count, count**-0.5), np.arange(count)])
+    rows[2, -4:] = 1e3
+    terms = min(count, 128)
+    expected = dct(rows, norm="ortho")[:, :terms]
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(slowest_cosines(rows, terms), expected, rtol=0, atol=1e-13 * scale)
+
+
+def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
+    values = 0.1 * noise(0, 820, 3.0) + 0.01 * np.arange(820.0)
+    assert len(smooth_stretches(values)) == 8
+    values[500:] += 3.0
+    values[650:] += 1.0 * np.arange(170.0)
+    values[100] = np.nan
+    found = smooth_stretches(values)
+    assert len(found) == 6
+    assert all(len(each) == 100 for each in found)
+    assert smooth_stretches(values[:99]) == ()
+
+
+def test_covariance_of_short_windows_is_exact() -> None:
+    """White noise keeps its variance 1; the last spectra are autoregressive with a white floor."""
+    grid, basis = Grid(100, 100), cubic_basis(12)
+    covariance = exact_covariance(basis, grid)
+    count = len(grid.times)
+    assert covariance[count] == pytest.approx(np.eye(4), abs=1e-12)
+    factor = np.exp(-1.0 / grid.times[-1])
+    slow = (1.0 - factor) / (1.0 + factor) * toeplitz(factor ** np.arange(12))
+    assert covariance[2 * count] == pytest.approx(basis @ slow @ basis.T, rel=1e-9, abs=1e-12)
+    mixed = 0.3 * np.eye(12) + 0.7 * slow
+    assert covariance[-1] == pytest.approx(basis @ mixed @ basis.T, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("memory", [0.2, 5.0])
+def test_ten_samples_with_the_record_beside_them(memory: float) -> None:
+    """The level at the beginning of ten samples, whose noise remembers half of them."""
+    design = np.column_stack([np.ones(10), np.arange(10.0)])
+    hits = 0
+    for seed in range(200):
+        record = noise(seed, 410, memory)
+        fit = fit_linear(design, record[:10], beside=smooth_stretches(record[10:]))
+        hits += bool(abs(fit.coefficients[0]) <= fit.half_widths[0])
+    assert binomtest(hits, 200, 0.95).pvalue > 0.01, hits
+
+
+def columns(count: int) -> Floats:
+    x = np.linspace(-1.0, 1.0, count)
+    return np.column_stack([np.ones(count), 1e-3 * x, 40.0 * np.maximum(x - 0.2, 0.0)])
+
+
+@pytest.mark.parametrize("count", [30, 9_999, 10_001, 60_000])
+def test_basis_is_orthonormal_and_spans_the_columns(count: int) -> None:
+    design = columns(count)
+    basis, to_coefficients = orthonormal(design)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(3), rtol=0, atol=1e-14)
+    wanted = np.array([2.0, -5e3, 0.3])
+    found = to_coefficients @ (basis @ (design @ wanted))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
+def test_weighted_finds_a_jump_in_slow_noise_more_closely() -> None:
+    kicks = np.random.default_rng(3).normal(size=120)
+    noise = np.zeros(120)
+    for i in range(1, 120):
+        noise[i] = 0.95 * noise[i - 1] + kicks[i]
+    jump = (np.arange(120) >= 60).astype(np.float64)
+    design = np.column_stack([np.ones(120), np.linspace(-1, 1, 120), jump])
+    plain, weighted = (fit_linear(design, 5.0 * jump + noise, weighted=w) for w in (False, True))
+    assert weighted.half_widths[2] < 0.7 * plain.half_widths[2]
+
+
+def test_too_few_samples() -> None:
+    with pytest.raises(ValueError, match="expected at least 6 samples for 2 coefficients, found 5"):
+        fit_linear(np.ones((5, 2)), np.ones(5))
+    with pytest.raises(ValueError, match="expected at least 3 samples for 2 coefficients, found 2"):
+        fit_linear(np.eye(2), np.ones(2), beside=[np.arange(100.0)])
+
+
+@pytest.mark.parametrize("freedom", [2, 5, 40])
+@pytest.mark.parametrize("offset", [0.0, 2.0])
+def test_half_widths_hold_95_percent_of_a_mixture(freedom: int, offset: float) -> None:
+    """Of t-distributions of the deviations 1 and 3, the second perhaps moved aside."""
+    noise = Noise(np.array([0.6, 0.4]), np.ones(2), freedom)
+    deviations, offsets = np.array([1.0, 3.0]), np.array([0.0, offset])
+    (half,) = _half_widths(noise, deviations[:, None] ** 2, offsets[:, None])
+    between = [stats.t.cdf((end * half - offsets) / deviations, freedom) for end in (-1.0, 1.0)]
+    assert noise.chances @ (between[1] - between[0]) == pytest.approx(0.95, abs=1e-6)
+
+
+def test_the_residual_deviation_is_that_of_the_textbook() -> None:
+    """Of 40 samples and a line, 38 degrees of freedom are left."""
+    x, noise = np.linspace(0.0, 1.0, 40), np.random.default_rng(4).normal(size=40)
+    fit = fit_linear(np.column_stack([np.ones(40), x]), x + noise)
+    line = stats.linregress(x, x + noise)
+    left = x + noise - line.intercept - line.slope * x
+    assert fit.residual_deviation == pytest.approx(np.sqrt(np.sum(left**2) / 38.0))
+    assert fit.classical_errors == pytest.approx([line.intercept_stderr, line.stderr])

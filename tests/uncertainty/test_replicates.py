@@ -1,4 +1,4 @@
-"""Smooth records, and curves drawn around them: by polynomials, plain numpy and hand."""
+"""Smooth records and curves drawn around them, by polynomials, plain numpy and hand."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
-from labpipe.uncertainty.readings import Trace
-from labpipe.uncertainty.replicates import COUNT, Input, Law, smooth_curve, stream
+from labpipe.records.estimates import Failure
+from labpipe.uncertainty.readings import Reading, Trace, combined
+from labpipe.uncertainty.replicates import COUNT, Input, Law, replicated, smooth_curve
+from labpipe.uncertainty.wandering_zeros import wanders
 from tests.builders.noisy_curves import as_it_is, replicates_of, trace_of
 
 RNG = np.random.default_rng
+
+
 TIME: Floats = 0.01 * np.arange(1000.0)
 
 
@@ -34,15 +38,6 @@ def test_every_piece_has_a_cubic_of_its_own() -> None:
     found = smooth_curve(TIME, values, [300, 720], 12)
     assert found == pytest.approx(values, abs=1e-8)
     assert np.abs(smooth_curve(TIME, values, [], 12) - values).max() > 1.0
-
-
-def test_gaps_stay_and_harm_nothing() -> None:
-    values = cubic(TIME)
-    values[[0, 5, 100]] = values[300:620] = values[990:] = np.nan
-    found = smooth_curve(TIME, values, [], 12)
-    assert np.array_equal(np.isnan(found), np.isnan(values))
-    known = ~np.isnan(values)
-    assert found[known] == pytest.approx(values[known], abs=1e-8)
 
 
 def test_no_gaps_are_too_many() -> None:
@@ -70,12 +65,6 @@ def test_freedom_of_the_spline(count: int, columns: int) -> None:
     assert np.sum(left**2) / 600 == pytest.approx(columns, rel=0.06)
 
 
-def test_a_cyclic_branch_is_followed_more_closely() -> None:
-    rows = RNG(1).normal(size=(100, 1000))
-    left = np.array([smooth_curve(TIME, row, [], 40) for row in rows])
-    assert np.sum(left**2) / 100 == pytest.approx(43.0, rel=0.06)
-
-
 def test_a_short_piece_is_a_line() -> None:
     """By hand: (0, 1), (1, 3), (2, 2) have the line 1.5 + 0.5 t."""
     time = np.array([0.0, 1.0, 2.0])
@@ -83,29 +72,6 @@ def test_a_short_piece_is_a_line() -> None:
     values = RNG(0).normal(size=15)
     line = np.polyval(np.polyfit(TIME[:15], values, 1), TIME[:15])
     assert smooth_curve(TIME[:15], values, [], 12) == pytest.approx(line)
-
-
-def test_two_samples_and_a_time_that_stands_stay() -> None:
-    two = np.array([4.0, 9.0])
-    assert np.array_equal(smooth_curve(TIME[:2], two, [], 12), two)
-    values = RNG(0).normal(size=40)
-    assert np.array_equal(smooth_curve(np.zeros(40), values, [], 12), values)
-    assert np.isnan(smooth_curve(TIME[:30], np.full(30, np.nan), [10], 12)).all()
-
-
-def test_the_record_itself_is_not_changed() -> None:
-    values = RNG(0).normal(size=1000)
-    before = values.copy()
-    smooth_curve(TIME, values, [500], 12)
-    assert np.array_equal(values, before)
-
-
-def test_streams() -> None:
-    """The same for the same name and record, else another."""
-    first = stream(b"a", "force").normal(size=5)
-    assert np.array_equal(first, stream(b"a", "force").normal(size=5))
-    for other in (stream(b"b", "force"), stream(b"a", "displacement")):
-        assert not np.isclose(first, other.normal(size=5)).any()
 
 
 def unmoved(trace: Trace, x: float) -> Trace:
@@ -168,24 +134,6 @@ def test_replicates_scatter_about_the_smooth_curve() -> None:
     apart = (found.force - found.smooth.force)[:, 500] * (found.displacement - TIME)[:, 500]
     assert abs(np.mean(apart)) < 0.2 * 0.3 * 0.02
     assert np.array_equal(found.measured.force, force)
-
-
-@pytest.mark.slow
-def test_the_replicates_are_read_some_at_a_time() -> None:
-    found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000)))
-    traces = list(found.traces())
-    assert len(traces) > 1
-    assert np.array_equal(np.concatenate([each.force for each in traces]), found.force)
-    ways = np.concatenate([each.displacement for each in traces])
-    assert ways == pytest.approx(np.broadcast_to(1e-3 * TIME, (COUNT, 1000)), abs=1e-12)
-    assert np.array_equal(traces[0].time, TIME)
-
-
-def test_the_same_record_and_seed_have_the_same_replicates() -> None:
-    trace = trace_of(cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000))
-    first = replicates_of(trace)
-    assert np.array_equal(first.force, replicates_of(trace).force)
-    assert not np.isclose(first.force, replicates_of(trace, seed=b"other").force).all(axis=1).any()
 
 
 def test_filters_act_on_the_replicates_and_not_on_the_smooth_curve() -> None:
@@ -257,16 +205,6 @@ def test_counting_displacements_from_elsewhere() -> None:
     assert moved.seed == found.seed
 
 
-def test_small_noise_on_large_numbers() -> None:
-    """5 kN with 0.01 N, 300 mm with 1 um, and a hundred kilonewtons with a millinewton."""
-    for level, way, spread in ((5e3, 5e3, 0.01), (0.3, 0.3, 1e-6), (1e5, 1.0, 1e-3)):
-        force = level + way * TIME / 10.0 + RNG(0).normal(0.0, spread, 1000)
-        found = replicates_of(trace_of(force))
-        off = found.force - found.smooth.force
-        assert np.std(off) == pytest.approx(spread, rel=0.1)
-        assert len(np.unique(off[:, 500])) > 390
-
-
 def test_a_plateau_is_not_as_high_as_its_noise() -> None:
     """Up, 200 samples at the top, down, in white noise of 1: the top follows it no further."""
     turns, time = [400, 600], np.arange(1000.0)
@@ -298,3 +236,153 @@ def test_a_rest_without_a_course_is_its_mean() -> None:
     # Where the whole record moves it has its spline.
     found = smooth_curve(TIME, values, [500], 12)
     assert np.ptp(found[502:]) > 1e-3
+
+
+SAMPLES = np.arange(600.0)
+
+
+@pytest.mark.parametrize("late", [-0.9, -0.3, 0.0, 0.4, 0.8])
+def test_no_piece_runs_past_a_turn(late: float) -> None:
+    """Up to a stand, and down from it: the cuts are whole samples, the corners are not."""
+    corners = np.array([0.0, 199.5 + late, 399.5 + late, 599.0])
+    true = np.interp(SAMPLES, corners, [0.0, 20.0, 20.0, 0.0])
+    found = smooth_curve(SAMPLES, true, [200, 400], 12)
+    assert found.max() == pytest.approx(20.0, abs=5e-3)  # a twentieth of a step
+    assert np.abs(found - true).max() < 0.03
+
+
+def test_a_break_stays() -> None:
+    """The force is lost within four samples, the last ones; before them it rose by 0.1 a step."""
+    time = SAMPLES[:304]
+    true = np.where(time < 300.0, 0.1 * time, 29.9 - 6.0 * (time - 299.0))
+    found = smooth_curve(time, true, [300], 12, broken=300)
+    assert found[299] == pytest.approx(29.9, abs=1e-6)
+    assert smooth_curve(time, true - 2.0 * (time >= 300.0), [300], 12)[299] < 29.5
+
+
+def test_a_jump_is_no_turn() -> None:
+    true = np.where(SAMPLES < 300.0, 0.1 * SAMPLES, 1.0)
+    found = smooth_curve(SAMPLES, true, [300], 12)
+    assert found[299:301] == pytest.approx([29.9, 1.0], abs=1e-6)
+
+
+CUTS = (200, 1500, 2800)
+
+
+RECORD = 3000
+
+
+def branch(start: int, stop: int, direction: Direction) -> Branch:
+    return Branch(start, stop, 1, direction, float(start), float(stop))
+
+
+def wandering(seed: int) -> Floats:
+    """Noise whose power falls as 1 over the frequency, of a hundredth of the way."""
+    waves = np.fft.rfft(np.random.default_rng(seed).normal(size=4 * RECORD))
+    waves[1:] /= np.sqrt(np.arange(1.0, len(waves)))
+    waves[0] = 0.0
+    found = np.fft.irfft(waves, 4 * RECORD)[:RECORD]
+    return np.asarray(0.01 * found / found.std(), dtype=np.float64)
+
+
+def test_rests_of_a_cyclic_test_are_looked_at() -> None:
+    """To and fro once between two rests; and the same record as one single loading.
+
+    Of 48 half waves of each rest a mean is taken off before the motion, a parabola behind it.
+    """
+    time = np.arange(RECORD, dtype=np.float64)
+    way = np.interp(time, [0.0, *CUTS, RECORD - 1.0], [0.0, 0.0, 1.0, 0.0, 0.0])
+    both = (branch(200, 1500, Direction.LOADING), branch(1500, 2800, Direction.UNLOADING))
+    force = way + 1e-3 * np.random.default_rng(2).normal(size=RECORD)
+    freedom = list[int]()
+    for branches in (both[:1], both):
+        trace = Trace(time, way + wandering(1), force, branches)
+        made = replicated(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
+        freedom.append(made.noises["displacement"].freedom)
+    assert freedom[1] - freedom[0] == 2 * 48 - 1 - 3
+    ends = [made.displacement[:, part].mean(axis=1) for part in (slice(0, 200), slice(2800, None))]
+    assert float(np.std(ends[1] - ends[0])) > 4e-3
+
+
+RECORD_TIME = np.linspace(0.0, 50.0, 501)
+
+
+def test_the_variance_is_that_of_a_walk() -> None:
+    """As stated at the end, and within a tenth of a walk from a quarter of the record on."""
+    waves = np.array(wanders(RECORD_TIME, 0.3))
+    spread = np.sqrt(np.sum(waves**2, axis=0))
+    assert spread[-1] == pytest.approx(0.3, rel=1e-12)
+    assert spread[0] == 0.0
+    assert spread[125:] == pytest.approx(0.3 * np.sqrt(RECORD_TIME[125:] / 50.0), rel=0.1)
+
+
+def overlaps() -> tuple[list[np.ndarray], list[np.ndarray]]:
+    one, two, three = wanders(RECORD_TIME, 1.0)
+    return [one, one, two], [two, three, three]
+
+
+TRACE = trace_of(np.array([1.0, 2.0, 6.0]), np.array([0.0, 1.0, 2.0]), sizes={"length": 4.0})
+
+
+def largest(trace: Trace) -> Reading:
+    del trace
+    return Reading(lambda each: (each.force.max(axis=-1), each.force.min(axis=-1)), 3)
+
+
+def reach(trace: Trace) -> Reading:
+    del trace
+    return Reading(lambda each: (each.displacement.max(axis=-1),), 2)
+
+
+def shared(trace: Trace, force: Floats, way: Floats) -> Floats:
+    return force / way * trace.sizes["length"]
+
+
+def test_a_finer_curve_is_the_same_curve() -> None:
+    way = np.array([0.0, np.nan, 2.0, 4.0])
+    trace = replace(trace_of(np.array([1.0, 2.0, 6.0, 0.0]), way), failed_at=2)
+    first, second = trace.branches[0], trace.branches[0]
+    both = replace(first, start=0, stop=3), replace(second, start=2, stop=4)
+    finer = replace(trace, branches=both).finer(2)
+    assert finer.force.tolist() == [1.0, 1.5, 2.0, 4.0, 6.0, 3.0, 0.0]
+    assert finer.time == pytest.approx(0.005 * np.arange(7))
+    assert np.isnan(finer.displacement[1:4]).all()
+    assert finer.displacement[[0, 4, 5, 6]].tolist() == [0.0, 2.0, 3.0, 4.0]
+    assert [(each.start, each.stop) for each in finer.branches] == [(0, 5), (4, 7)]
+    assert finer.failed_at == 4
+    assert trace.finer(1) is trace
+    assert (trace.steps, finer.steps, finer.finer(3).steps) == (1, 2, 6)
+
+
+def test_a_number_is_made_of_the_first_of_each_part() -> None:
+    found = combined(shared, largest, reach)(TRACE)
+    assert isinstance(found, Reading)
+    assert found.n == 3
+    assert found.numbers(TRACE)[0] == 6.0 / 2.0 * 4.0
+    force = np.array([[1.0, 2.0, 3.0], [2.0, 8.0, 4.0]])
+    way = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 4.0]])
+    many = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
+    assert found.numbers(many)[0].tolist() == [6.0, 8.0]
+
+
+def test_in_noise_each_part_is_read_as_in_noise() -> None:
+    """What moves the samples that are read, where that is said; else the numbers themselves."""
+
+    def moved(trace: Trace) -> Reading:
+        del trace
+        return Reading(
+            lambda each: (each.force.max(axis=-1),), 3, lambda each: (each.force[..., 0],)
+        )
+
+    assert moved(TRACE).drawn(TRACE)[0] == 1.0
+    assert largest(TRACE).drawn(TRACE)[0] == 6.0
+    found = combined(shared, moved, reach)(TRACE)
+    assert isinstance(found, Reading)
+    assert found.numbers(TRACE)[0] == 12.0
+    assert found.drawn(TRACE)[0] == 2.0
+
+
+def test_without_one_part_there_is_no_number() -> None:
+    why, later = Failure("no_peak", "none"), Failure("no_reach", "none")
+    assert combined(shared, largest, lambda _: later)(TRACE) is later
+    assert combined(shared, lambda _: why, lambda _: later)(TRACE) is why

@@ -11,14 +11,19 @@ below the elastica, alike within 0.03 %. Through the deck, whose material may no
 10 along are -0.13 to +0.15 %, -0.18 to 0.00 % and -0.20 to -0.04 % from labpipe; with that of A3, 5
 and 8 along are -0.12 to +0.94 % and -0.16 to +0.76 %. Most of the 2 % asked for is left for the
 rounding of the law's first slope, see the head of a deck.
+
+The bend of 45 degrees in space is compared with a rod that has the torsion constant of a square,
+0.1406; eight bricks along the bend are 0.1 % from 16.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -34,10 +39,14 @@ from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.wire_table import wire_table as table_of
 from tests.builders.wire_tables import spec_of, wire_table
+from tests.judges.judged_rods import bend_tip
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
 
+
 N_ALONG = 5
+
+
 CLOSE = 0.02
 
 
@@ -69,14 +78,17 @@ def compressed(name: str) -> WireTable:
 
 def test_a_linear_bar_is_the_elastica(tmp_path: Path) -> None:
     table = wire_table("A2")
-    deflection, load = pushed(linear(table, 4e-4), tmp_path, n_steps=12)
+    deflection, load = pushed(replace(table, moment=4e-4 * table.curvature), tmp_path, n_steps=12)
     expected = end_load_path(LinearLaw(4e-4), table.spec.length, deflection).load
     assert deflection[-1] == pytest.approx(0.6 * table.spec.length)
     assert load == pytest.approx(expected, rel=3e-3)
 
 
-def assert_near(table: WireTable, folder: Path) -> None:
-    deflection, load = pushed(table, folder)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["A1", "A2", "A3", "B1", "B2"])
+def test_wires(name: str, tmp_path: Path) -> None:
+    table = compressed(name) if name.startswith("B") else wire_table(name)
+    deflection, load = pushed(table, tmp_path)
     assert deflection[-1] >= 0.05
     held = (deflection >= 0.005) & (deflection <= 0.05)
     assert np.count_nonzero(held) > 60
@@ -85,13 +97,66 @@ def assert_near(table: WireTable, folder: Path) -> None:
     assert load[held] == pytest.approx(expected, rel=CLOSE)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["A2", "A3"])
-def test_wires_of_one_and_of_two_layers(name: str, tmp_path: Path) -> None:
-    assert_near(wire_table(name), tmp_path)
+LOAD = 600.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["A1", "B1", "B2"])
-def test_the_other_wires(name: str, tmp_path: Path) -> None:
-    assert_near(wire_table(name) if name == "A1" else compressed(name), tmp_path)
+TORSION = 0.140577
+
+
+ACROSS, ALONG = 2, 8
+
+
+# Corners, then edges, of a brick of 20 nodes, in half steps along its three directions.
+BRICK = [
+    *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],
+    *[(1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)],
+    *[(0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)],
+]
+
+
+def place(i: int, j: int, k: int) -> tuple[float, float, float]:
+    """Of a node: i across, up; j across in the plane, outwards; k along the bend."""
+    up, out = (0.5 * each / ACROSS - 0.5 for each in (i, j))
+    angle = 0.25 * np.pi * k / (2 * ALONG)
+    radius = 100.0 + out
+    return radius * np.sin(angle), 100.0 - radius * np.cos(angle), up
+
+
+def deck() -> str:
+    """Clamped at its start, pulled up at its end evenly, in increments that ccx chooses."""
+    bricks = [
+        [(i + 2 * a, j + 2 * b, k + 2 * c) for i, j, k in BRICK]
+        for a, b, c in product(range(ACROSS), range(ACROSS), range(ALONG))
+    ]
+    used = sorted({node for brick in bricks for node in brick})
+    number = {node: count for count, node in enumerate(used, start=1)}
+    lines = ["*NODE, NSET=ALL"]
+    lines += [f"{number[node]}, " + ", ".join(f"{x:.12g}" for x in place(*node)) for node in used]
+    lines.append("*ELEMENT, TYPE=C3D20R, ELSET=BEND")
+    for count, brick in enumerate(bricks, start=1):
+        names = [str(number[node]) for node in brick]
+        lines += [f"{count}, " + ", ".join(names[:10]) + ",", ", ".join(names[10:])]
+    ends = [[number[node] for node in used if node[2] == k] for k in (0, 2 * ALONG)]
+    for name, nodes in zip(("FOOT", "TIP"), ends, strict=True):
+        lines.append(f"*NSET, NSET={name}")
+        lines += [f"{node}," for node in nodes]
+    lines += ["*BOUNDARY", "FOOT, 1, 3", "*MATERIAL, NAME=M", "*ELASTIC", "1e7, 0.0"]
+    lines += ["*SOLID SECTION, ELSET=BEND, MATERIAL=M"]
+    lines += ["*STEP, NLGEOM, INC=1000", "*STATIC", "0.01, 1.0, 1e-8, 0.025", "*CLOAD"]
+    lines += [f"{node}, 3, {LOAD / len(ends[1]):.12g}" for node in ends[1]]
+    return "\n".join([*lines, "*NODE PRINT, NSET=TIP", "U", "*END STEP", ""])
+
+
+def test_bend_of_45_degrees(tmp_path: Path) -> None:
+    """Within 0.3 % of how far the tip moves; codes differ by 0.5 % on this bend."""
+    (tmp_path / "bend.inp").write_text(deck())
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    subprocess.run(["ccx", "-i", "bend"], cwd=tmp_path, env=environment, check=True, timeout=900)
+    text = (tmp_path / "bend.dat").read_text()
+    last = text[text.rindex("displacements") :]
+    rows = re.findall(r"^\s*\d+((?:\s+\S+){3})\s*$", last, flags=re.MULTILINE)
+    moved = np.array([row.split() for row in rows], dtype=float)
+    start = place(ACROSS, ACROSS, 2 * ALONG)
+    found = np.array(start) + np.mean(moved, axis=0)
+    rod = bend_tip(64, torsion=TORSION)
+    assert np.linalg.norm(rod - found) < 0.003 * np.linalg.norm(found - start)

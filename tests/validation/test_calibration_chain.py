@@ -10,31 +10,49 @@ may be.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.stats import binomtest
 
+from benchmarks.first_loadings import observe_loading
 from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.report.calibration_shown import ValidationGroup
 from labpipe.studies.first_loadings import NotUsableError
 from labpipe.studies.validation import compare
+from labpipe.units import GRAVITY
+from labpipe.virtual_lab.cantilever_scenarios import (
+    CantileverScenario,
+    LoadCell,
+    wire_scenario,
+)
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.cantilever import StringRig
+from labpipe.wire.first_loading import load_cantilever
+from tests.builders.bilinear_laws import law_of_plays
 from tests.builders.wire_chain import CALIBRATED, UNUSED, gain_read, loadings_of, mean_curve, wires
 
 FIRST_SEED, RUNS, WORKERS = 2001, 200, 2
+
+
 MOST_REFUSED = 4
+
+
 TRUTH = np.array([WIRES[CALIBRATED].parameters[name] for name in PARAMETERS])
+
+
 AT = np.array([0.005, 0.02, 0.05])
 """Deflections, m, at which bands are looked at."""
+
+
 NUMBERS = len(PARAMETERS) + 2 * len(UNUSED) * len(AT)
 """That share the 1 %."""
 
@@ -111,14 +129,6 @@ def in_bands(group: ValidationGroup, gain: float) -> tuple[np.ndarray, np.ndarra
     )
 
 
-def assert_covers(hits: np.ndarray, runs: int, numbers: int) -> None:
-    """Hold each count against 95 %, at 1 % over all numbers of the study."""
-    logging.getLogger(__name__).info("%s of %d", hits.tolist(), runs)
-    for count in hits.ravel():
-        chance = binomtest(int(count), runs, 0.95).pvalue
-        assert chance > 0.01 / numbers, f"{count} of {runs}: {hits.tolist()}"
-
-
 @pytest.fixture(scope="module")
 def hits(repository: Path) -> Hits:
     protocols = repository / "protocols"
@@ -128,16 +138,34 @@ def hits(repository: Path) -> Hits:
 
 
 @pytest.mark.slow
-def test_hardly_any_test_is_refused(hits: Hits) -> None:
+def test_parameters_and_bands_are_covered(hits: Hits) -> None:
     assert hits.campaigns >= RUNS - MOST_REFUSED
+    for part in (hits.parameters, hits.mean, hits.sample):
+        for count in part.ravel():
+            chance = binomtest(int(count), hits.campaigns, 0.95).pvalue
+            assert chance > 0.01 / NUMBERS, f"{count} of {hits.campaigns}: {part.tolist()}"
+
+
+WEIGHT = 0.0027 * GRAVITY
+
+
+def scenario(name: str = "A3", factor: float = 1.0) -> CantileverScenario:
+    return replace(
+        CantileverScenario(),
+        mechanics=wire_scenario(WIRES[name].scaled(factor), 0.085).mechanics,
+        load_cell=LoadCell(gain_error=0.01, noise=1e-3),
+    )
 
 
 @pytest.mark.slow
-def test_parameters_are_covered(hits: Hits) -> None:
-    assert_covers(hits.parameters, hits.campaigns, NUMBERS)
-
-
-@pytest.mark.slow
-def test_bands_hold(hits: Hits) -> None:
-    assert_covers(hits.mean, hits.campaigns, NUMBERS)
-    assert_covers(hits.sample, hits.campaigns, NUMBERS)
+@pytest.mark.parametrize("name", ["A3", "B1"])
+def test_the_true_curve_is_that_of_the_first_integral(name: str) -> None:
+    """One goes station by station with a history, the other all at once without any."""
+    test = scenario(name)
+    found = observe_loading(replace(test, mechanics=replace(test.mechanics, weighs=False)), 1)
+    law = replace(WIRES[name], n_plays=240).law()
+    largest = 1.2 * 0.085 * float(found.true_force[-1])
+    rig = StringRig(0.76, WEIGHT, 0.085, 0.76)
+    curve = load_cantilever(law_of_plays(law, largest, n_points=160), 0.085, rig)
+    wanted = CubicSpline(curve.deflection, curve.force)(found.true_deflection)
+    assert found.true_force == pytest.approx(wanted, rel=2e-4, abs=2e-5)

@@ -24,7 +24,7 @@ from labpipe.wire.materials import ElasticPerfectlyPlastic
 from labpipe.wire.strand_bending import LAMINAE
 from tests.builders.stranded_wires import contacts_of as usual_contacts
 from tests.builders.stranded_wires import wire
-from tests.judges.bending_history import bend_along
+from tests.judges.reference_wires import bend_along
 
 NAMES = st.sampled_from(["A1", "A2", "A3", "C4"])
 TURNS = st.lists(st.floats(-30.0, 30.0), min_size=1, max_size=5)
@@ -79,47 +79,6 @@ def test_branches_are_the_first_loading_at_twice_its_size(
     assert moment[:9] == pytest.approx(moment[0] - 2.0 * half, abs=1e-9 * size)
     assert moment[8:] == pytest.approx(moment[8] + 2.0 * half, abs=1e-9 * size)
     assert moment[-1] == pytest.approx(moment[0], rel=1e-9)
-
-
-@given(NAMES, FRICTION, PRESS, TURNS, st.floats(0.0, 6.3))
-def test_no_path_gives_back_more_than_was_put_in(
-    name: str, friction: float, press: float, turns: list[float], turn: float
-) -> None:
-    section = wire(name)
-    path = np.append(0.0, walk(turns))
-    bent = bend_along(section, contacts_of(section, friction, press), path, orientation=turn)
-    work = np.cumsum((bent[1:] + bent[:-1]) / 2.0 * np.diff(path))
-    scale = max(float(np.abs(bent).max() * np.abs(path).max()), 1e-30)
-    assert work.min() >= -1e-3 * scale
-
-
-@given(NAMES, FRICTION, PRESS, TURNS)
-def test_a_larger_bend_wipes_out_what_was_before(
-    name: str, friction: float, press: float, turns: list[float]
-) -> None:
-    """Madelung: beyond all turns the wire is on its first loading again."""
-    section = without_lay(name)
-    contacts = contacts_of(section, friction, press)
-    path = np.append(walk(turns, 5), [30.0, 40.0])
-    found = bend_along(section, contacts, path)[-2:]
-    law = moment_curvature(section, contacts, np.array([30.0, 40.0])).moment
-    assert found == pytest.approx(law, rel=1e-9)
-
-
-@given(
-    NAMES, FRICTION, PRESS, st.lists(st.integers(-100, 100), min_size=3, max_size=3, unique=True)
-)
-def test_inner_loops_close_and_are_forgotten(
-    name: str, friction: float, press: float, shares: list[int]
-) -> None:
-    """Back at the turn where an inner loop began the moment is the same, and so is the way on."""
-    low, inner_low, inner_high = (0.3 * share for share in sorted(shares))
-    section = without_lay(name)
-    contacts = contacts_of(section, friction, press)
-    on = np.linspace(inner_high, 30.0, 5)
-    plain = bend_along(section, contacts, np.concatenate([[30.0, low], on]))
-    looped = bend_along(section, contacts, np.concatenate([[30.0, low, inner_high, inner_low], on]))
-    assert looped[-5:] == pytest.approx(plain[-5:], abs=1e-9 * np.abs(plain).max())
 
 
 def laminae(path: Floats, strength: float, modulus: float) -> Floats:

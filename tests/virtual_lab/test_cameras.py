@@ -1,4 +1,4 @@
-"""Markers and clamp: where they are, how noisy, in which frame of reference."""
+"""Markers and clamp: where they are, how noisy; gaps, swapped labels, frozen markers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario, MarkerLayout
+from labpipe.virtual_lab.cameras import MishapEvent
+from labpipe.virtual_lab.cantilever_scenarios import (
+    NO_MISHAPS,
+    CantileverScenario,
+    MarkerLayout,
+    Mishaps,
+    Stretch,
+)
 from labpipe.virtual_lab.observations import Observation, observe
 
 EXACT = MarkerLayout(noise=0.0, pivot_noise=0.0, turn_noise=0.0)
@@ -42,17 +49,6 @@ def test_markers_stand_off_the_axis_and_are_spaced_along_it(exact: Observation) 
     assert np.all(straight[:, 2] == pytest.approx(0.0, abs=1e-12))
 
 
-def test_stand_off_is_along_the_local_normal_at_the_top(exact: Observation) -> None:
-    truth = exact.truth
-    shape = max(truth.shapes, key=lambda s: float(s.y[-1]))
-    points = wire(exact)[shape.frame]
-    points[:, 1] += truth.travel[shape.frame]
-    fine = np.linspace(0.0, 0.085, 2000)
-    x, y = (np.interp(fine, shape.arc_length, values) for values in (shape.x, shape.y))
-    away = np.hypot(points[:, :1] - x, points[:, 1:2] - y).min(axis=1)
-    np.testing.assert_allclose(away, 0.0008, atol=2e-5)
-
-
 def test_clamp_goes_down_with_the_travel(exact: Observation) -> None:
     pose, pivot = exact.scenario.pose, exact.take.body.position
     place = (pivot - pose.origin) @ pose.rotation()
@@ -71,37 +67,66 @@ def test_noise_of_markers_and_clamp(clean: Observation, exact: Observation) -> N
     np.testing.assert_allclose(np.std(turns, axis=0), 3e-4, rtol=0.05)
 
 
-def test_body_is_a_unit_quaternion_with_an_error(clean: Observation) -> None:
-    np.testing.assert_allclose(np.linalg.norm(clean.take.body.rotation, axis=1), 1.0)
-    assert np.all(clean.take.body.error >= 0.0)
-    assert np.median(clean.take.body.error) == pytest.approx(4.5e-5, rel=0.05)
+def with_mishaps(scenario: CantileverScenario, mishaps: Mishaps) -> tuple[Observation, Observation]:
+    """The same take with and without mishaps: noise is the same."""
+    quick = replace(scenario, clocks=replace(scenario.clocks, rate=50.0))
+    return (
+        observe(replace(quick, mishaps=mishaps), 5),
+        observe(replace(quick, mishaps=NO_MISHAPS), 5),
+    )
 
 
-def test_fitted_markers_lie_near_the_measured_ones(clean: Observation) -> None:
-    columns = [clean.take.names.index(f"Clamp:Marker{n}") for n in (1, 2, 3, 4)]
-    apart = clean.take.fitted - clean.take.positions[:, columns]
-    assert np.std(apart) < 5e-5
-    assert np.all((clean.take.quality <= 1.0) & (clean.take.quality > 0.9))
+def column(observation: Observation, marker: int) -> int:
+    return observation.take.names.index(observation.take.labels[marker])
 
 
-def test_names_in_the_order_of_an_export(observation: Observation) -> None:
-    clamp = [f"Clamp:Marker{n}" for n in range(1, 5)]
-    along = [f"Wire:Marker{n}" for n in range(1, 9)]
-    assert list(observation.take.names) == [*clamp, *along, "Unlabeled 1234"]
+def only(observation: Observation) -> MishapEvent:
+    (event,) = observation.take.log
+    return event
 
 
-def test_labels_are_scrambled_unless_told(scenario: CantileverScenario) -> None:
-    ordered = tuple(f"Wire:Marker{n}" for n in range(1, 9))
-    tidy = replace(scenario, markers=replace(scenario.markers, scrambled=False))
-    assert observe(tidy, 11).take.labels == ordered
-    scrambled = observe(scenario, 11).take.labels
-    assert scrambled != ordered
-    assert sorted(scrambled) == list(ordered)
+def test_gaps_are_blank_and_nothing_else_is(scenario: CantileverScenario) -> None:
+    seen, clean = with_mishaps(scenario, replace(NO_MISHAPS, n_gaps=6, long_gap=1.2))
+    blank = np.zeros(seen.take.positions.shape[:2], dtype=bool)
+    for event in seen.take.log:
+        blank[event.start : event.stop, column(seen, event.markers[0])] = True
+    np.testing.assert_array_equal(np.isnan(seen.take.positions).all(axis=2), blank)
+    np.testing.assert_array_equal(seen.take.positions[~blank], clean.take.positions[~blank])
 
 
-def test_recording_holds_tracks_and_body(observation: Observation) -> None:
-    tracks = observation.markers.markers
-    assert tracks is not None
-    assert tracks.body("Clamp") is not None
-    assert tracks.rate == 50.0
-    assert tracks.frames[3] == 3.0
+@pytest.mark.parametrize("stop", [0.6, 1.0])
+def test_two_neighbours_swap_labels(scenario: CantileverScenario, stop: float) -> None:
+    seen, clean = with_mishaps(scenario, replace(NO_MISHAPS, switch=Stretch(2, 0.4, stop)))
+    event, frames = only(seen), len(seen.take.time)
+    assert (event.markers, event.stop) == ((2, 3), int(stop * frames))
+    one, other = column(seen, 2), column(seen, 3)
+    during = slice(event.start, event.stop)
+    np.testing.assert_array_equal(
+        seen.take.positions[during, one], clean.take.positions[during, other]
+    )
+    np.testing.assert_array_equal(
+        seen.take.positions[during, other], clean.take.positions[during, one]
+    )
+    np.testing.assert_array_equal(
+        seen.take.positions[: event.start], clean.take.positions[: event.start]
+    )
+
+
+def test_frozen_marker_stands_still(scenario: CantileverScenario) -> None:
+    seen, _ = with_mishaps(scenario, replace(NO_MISHAPS, frozen=Stretch(7, 0.2, 0.25)))
+    event = only(seen)
+    assert np.all(np.ptp(seen.take.positions[event.start : event.stop, column(seen, 7)], 0) == 0)
+    assert np.ptp(seen.take.positions[event.stop : event.stop + 50, column(seen, 7)]) > 0
+
+
+@pytest.mark.parametrize(
+    "mishaps",
+    [
+        replace(NO_MISHAPS, switch=Stretch(7, 0.1, 0.2)),
+        replace(NO_MISHAPS, frozen=Stretch(-1, 0.1, 0.2)),
+        replace(NO_MISHAPS, unlabelled=Stretch(1, 0.2, 0.2)),
+    ],
+)
+def test_a_mishap_to_no_marker_is_refused(scenario: CantileverScenario, mishaps: Mishaps) -> None:
+    with pytest.raises(ValueError, match=r"=Stretch\(.*: allowed are markers 0 to [67] and"):
+        with_mishaps(scenario, mishaps)

@@ -1,29 +1,33 @@
-"""The path: where strings go slack, how exact looking up is, what cycles do."""
+"""The path of a wire on a string, its truth and its observation."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from labpipe.units import GRAVITY
 from labpipe.virtual_lab.cantilever_path import MechanicalPath, solve_path
-from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest
+from labpipe.virtual_lab.cantilever_scenarios import (
+    CantileverScenario,
+    Clocks,
+    MechanicalTest,
+)
+from labpipe.virtual_lab.observations import Observation, observe, write_exports
+from labpipe.virtual_lab.recorders import plan_cantilever
 from labpipe.wire.cantilever import bend_to_travel
 
 TEST = MechanicalTest(cycles=2)
+
+
 TWO_STROKES = 2 * TEST.stroke
 
 
 @pytest.fixture(scope="module")
 def path() -> MechanicalPath:
     return solve_path(CantileverScenario().mechanics)
-
-
-def test_equal_tests_are_solved_once() -> None:
-    one, other = (MechanicalTest(cycles=1, steps_per_branch=5) for _ in range(2))
-    assert solve_path(one) is solve_path(other)
 
 
 def test_segments_join_without_a_jump(path: MechanicalPath) -> None:
@@ -34,31 +38,6 @@ def test_segments_join_without_a_jump(path: MechanicalPath) -> None:
         np.testing.assert_allclose(before.y[-1], after.y[0], atol=1e-10)
 
 
-def test_travel_is_a_triangle(path: MechanicalPath) -> None:
-    progress = np.array([0.0, 0.01, 0.053, 0.1, 0.106, 0.159, 0.318, 1.0])
-    wanted = [0.0, 0.01, 0.053, 0.006, 0.0, 0.053, 0.0, 0.0]
-    assert path.travel(progress) == pytest.approx(wanted, abs=1e-12)
-
-
-def test_travel_agrees_with_the_solved_positions(path: MechanicalPath) -> None:
-    for segment in path.segments:
-        assert path.travel(segment.progress) == pytest.approx(segment.travel, abs=1e-12)
-
-
-def test_slack_is_the_travel_before_the_first_pull(path: MechanicalPath) -> None:
-    slack, first = path.segments[0], path.segments[1]
-    assert slack.is_still
-    assert slack.travel[-1] == pytest.approx(0.0015, abs=1e-12)
-    assert np.all(slack.tension == 0.0)
-    assert np.all(first.tension[1:] > 0.0)
-
-
-def test_without_slack_the_string_carries_the_counterweight() -> None:
-    path = solve_path(MechanicalTest(slack=None, cycles=1, steps_per_branch=20))
-    assert path.rest.tension == pytest.approx(0.0027 * GRAVITY, rel=1e-9)
-    assert np.max(np.abs(path.rest.y)) < 1e-12
-
-
 def test_string_and_wire_keep_their_lengths(path: MechanicalPath) -> None:
     for segment in path.segments:
         rise = path.rig.anchor_height + segment.travel - segment.y[:, -1]
@@ -66,18 +45,6 @@ def test_string_and_wire_keep_their_lengths(path: MechanicalPath) -> None:
         taut = segment.tension > 0.0
         np.testing.assert_allclose(span[taut], 0.76, atol=1e-10)
         assert np.all(span <= 0.76 + 1e-10)
-
-
-def test_looked_up_points_keep_the_arc_length(path: MechanicalPath) -> None:
-    arc = np.linspace(0.0, 0.085, 400)
-    x, y, angle = path.points(np.linspace(0.0, 0.318, 50), arc)
-    lengths = np.hypot(np.diff(x, axis=1), np.diff(y, axis=1)).sum(axis=1)
-    np.testing.assert_allclose(lengths, 0.085, rtol=1e-5)
-    np.testing.assert_allclose(
-        np.arctan2(np.diff(y, axis=1), np.diff(x, axis=1)),
-        0.5 * (angle[:, 1:] + angle[:, :-1]),
-        atol=2e-4,
-    )
 
 
 def test_looking_up_between_solved_positions_is_exact_enough(path: MechanicalPath) -> None:
@@ -90,20 +57,6 @@ def test_looking_up_between_solved_positions_is_exact_enough(path: MechanicalPat
     for coordinate, finer_coordinate in zip(mine[:2], better[:2], strict=True):
         assert np.max(np.abs(coordinate - finer_coordinate)) < 1e-6
     assert np.max(np.abs(mine[2] - better[2])) < 1e-5
-
-
-def test_more_stations_change_little(path: MechanicalPath) -> None:
-    finer = solve_path(replace(path.test, n_stations=96, cycles=1))
-    progress = np.linspace(0.0, 0.106, 2000)
-    assert np.max(np.abs(path.deflection(progress) - finer.deflection(progress))) < 1e-6
-    assert np.max(np.abs(path.tension(progress) - finer.tension(progress))) < 5e-5
-
-
-def test_default_wire_behaves_like_the_tested_ones(path: MechanicalPath) -> None:
-    force = np.array([segment.tension.max() for segment in path.segments])
-    assert 1.0 < force.max() < 1.5
-    residual = path.deflection(np.array([TWO_STROKES]))[0]
-    assert 0.010 < residual < 0.020
 
 
 def test_repeated_cycles_equal_solved_ones() -> None:
@@ -119,3 +72,98 @@ def test_repeated_cycles_equal_solved_ones() -> None:
             state = shape.state
             assert tension == pytest.approx(shape.tension, abs=1e-8)
             assert tip == pytest.approx(shape.y[-1], abs=1e-10)
+
+
+def test_cycles_agree_with_the_arrays(observation: Observation) -> None:
+    truth = observation.truth
+    for cycle in truth.cycles:
+        during = (truth.time >= cycle.start_time) & (truth.time <= cycle.stop_time)
+        force, deflection = truth.force[during], truth.deflection[during]
+        assert cycle.peak_force == pytest.approx(force.max(), rel=1e-3)
+        assert cycle.peak_deflection == pytest.approx(deflection.max(), rel=1e-3)
+        assert cycle.energy == pytest.approx(np.trapezoid(force, deflection), rel=1e-3)
+        assert cycle.energy > 0.0
+        assert cycle.start_time < cycle.top_time < cycle.stop_time
+
+
+def test_residual_deflection_is_where_the_force_is_gone(observation: Observation) -> None:
+    truth = observation.truth
+    for cycle in truth.cycles:
+        unloading = (truth.time > cycle.top_time) & (truth.time < cycle.stop_time)
+        pulling = unloading & (truth.force > 0.0)
+        assert cycle.residual_deflection is not None
+        assert truth.deflection[pulling].min() == pytest.approx(cycle.residual_deflection, abs=3e-5)
+        assert truth.deflection[pulling].min() >= cycle.residual_deflection
+        still = unloading & ~pulling
+        assert np.ptp(truth.deflection[still]) == 0.0
+
+
+def test_shapes_start_at_the_clamp_and_end_at_the_pull_point(observation: Observation) -> None:
+    truth, rest = observation.truth, solve_path(observation.scenario.mechanics).rest
+    assert len(truth.shapes) == 21
+    for shape in truth.shapes:
+        assert (shape.x[0], shape.y[0]) == pytest.approx((0.0, 0.0), abs=1e-12)
+        assert shape.y[-1] - rest.y[-1] == pytest.approx(truth.deflection[shape.frame], abs=1e-9)
+        chords = np.hypot(np.diff(shape.x), np.diff(shape.y))
+        assert np.sum(chords) == pytest.approx(0.085, rel=2e-4)
+
+
+def test_same_seed_same_records(scenario: CantileverScenario, observation: Observation) -> None:
+    again = observe(scenario, 11)
+    np.testing.assert_array_equal(again.force_record.volts, observation.force_record.volts)
+    np.testing.assert_array_equal(again.take.positions, observation.take.positions)
+    np.testing.assert_array_equal(again.take.body.rotation, observation.take.body.rotation)
+    assert again.take.log == observation.take.log
+
+
+@pytest.fixture(scope="module")
+def folder(observation: Observation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_exports(observation, tmp_path_factory.mktemp("raw") / "A2-085-1")
+
+
+def test_truth(folder: Path, observation: Observation) -> None:
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    assert truth["synthetic"] is True
+    assert truth["seed"] == 11
+    assert truth["clock"] == {"offset": 1.37, "drift": 40e-6}
+    assert truth["true_gain"] == observation.force_record.true_gain
+    for name in ("time", "travel", "deflection", "force"):
+        wanted = getattr(observation.truth, name)
+        np.testing.assert_allclose(truth[name], wanted, rtol=0, atol=1e-11)
+    turn = np.array(truth["rotation_specimen_to_lab"])
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-10)
+    assert [cycle["cycle"] for cycle in truth["cycles"]] == [1, 2]
+    assert truth["cycles"][0]["peak_force"] == observation.truth.cycles[0].peak_force
+    assert {event["kind"] for event in truth["mishaps"]} == {"gap", "switch", "unlabelled"}
+    assert [marker["label"] for marker in truth["markers"]] == list(observation.take.labels)
+    assert truth["law"]["stick_stiffness"] == 5e-3
+    assert truth["wire"] is None
+    law = truth["first_loading"]
+    assert (law["moment"][0], law["curvature"][0]) == (0.0, 0.0)
+    assert np.interp(1e-3, law["moment"], law["curvature"]) == pytest.approx(1e-3 / 5e-3)
+    assert len(truth["shapes"][0]["x"]) == 41
+
+
+@pytest.mark.parametrize("offset", [-3.0, 0.0, 1.37, 20.0])
+def test_both_records_rest_before_and_after(offset: float) -> None:
+    scenario = CantileverScenario(clocks=Clocks(rate=100.0, offset=offset), rest=4.5)
+    schedule = plan_cantilever(scenario)
+    start, end = schedule.turning_times[[0, -1]]
+    for record in (schedule.frame_times, schedule.force_times):
+        assert start - record[0] >= 4.5 - 1e-9
+        assert record[-1] - end >= 4.5 - 1e-9
+
+
+def test_force_time_is_offset_and_drift_times_marker_time() -> None:
+    schedule = plan_cantilever(
+        CantileverScenario(clocks=Clocks(rate=100.0, offset=2.0, drift=1e-3))
+    )
+    np.testing.assert_allclose(schedule.force_clock, 2.0 + 1.001 * schedule.force_times)
+
+
+def test_dwell_stops_the_clamp_at_every_turn() -> None:
+    schedule = plan_cantilever(replace(CantileverScenario(), dwell=2.0))
+    first_top = schedule.turning_times[1]
+    during = schedule.progress_at(first_top + np.array([-1.0, 0.0, 1.0, 2.0, 3.0]))
+    assert during == pytest.approx([0.052, 0.053, 0.053, 0.053, 0.054])
+    np.testing.assert_allclose(np.diff(schedule.turning_times), [53.0, *[55.0] * 5])

@@ -1,4 +1,4 @@
-"""The test sheet overrides the shipped protocol exactly where the rig differs."""
+"""Test sheets override the shipped protocol exactly where the rig differs."""
 
 from __future__ import annotations
 
@@ -6,20 +6,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
+from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.virtual_lab.bundles import BundleModel, lay_wires
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
-from labpipe.virtual_lab.sheet_texts import PROTOCOL_VALUES, write_sheet
-
-
-def test_default_scenario_needs_no_overrides() -> None:
-    sheet = yaml.safe_load(write_sheet(CantileverScenario()))
-    assert sheet["test"] == "A2-085-1"
-    assert sheet["protocol"] == "wire-cantilever"
-    assert sheet["specimen"] == {"type": "A2", "spool": "A2-s1", "sample": 1, "length": "85 mm"}
-    assert sheet["files"] == {"force": "force.mat", "markers": "take.csv"}
-    assert "overrides" not in sheet
+from labpipe.virtual_lab.conduit_scenarios import (
+    CONDUIT_TYPES,
+    conduit_scenario,
+)
+from labpipe.virtual_lab.sheet_texts import (
+    PROTOCOL_VALUES,
+    bundle_lines,
+    write_sheet,
+    write_wire_sheet,
+)
+from labpipe.virtual_lab.specimens import WIRES
+from labpipe.virtual_lab.tensile_scenarios import corrugated_tube
+from labpipe.wire.wire_table import build
 
 
 @pytest.mark.parametrize("name", PROTOCOL_VALUES)
@@ -51,11 +57,83 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
     assert all(entry["because"] for entry in sheet["overrides"].values())
 
 
-def test_says_that_it_is_synthetic() -> None:
-    assert "synthetic" in write_sheet(CantileverScenario()).splitlines()[0]
-
-
 def _look(document: Any, key: str) -> Any:
     for part in key.split("."):
         document = document[part]
     return document
+
+
+def said(bundle: BundleModel) -> dict[str, Any]:
+    text = "\n".join(["specimen:", *bundle_lines(bundle)])
+    found = yaml.safe_load(text)["specimen"]["bundle"]
+    assert isinstance(found, dict)
+    return found
+
+
+def test_mixed_bundles_say_where_their_wires_lie() -> None:
+    bundle = BundleModel((("B1", 10), ("B2", 9)), "asymmetric")
+    found = said(bundle)
+    assert list(found["wires"]) == ["B1", "B2"]
+    places = np.array([[float(each.split()[0]) for each in row] for row in found["positions"]])
+    layout = lay_wires(bundle)
+    np.testing.assert_allclose(1e-3 * places, np.column_stack([layout.x, layout.y]), atol=1e-7)
+
+
+def test_a_conduit() -> None:
+    found = said(CONDUIT_TYPES["CWB-2b"][0])
+    words = {key: found[key] for key in ("tape", "taping", "conduit", "conduit_bore")}
+    assert words == {
+        "tape": "PVC",
+        "taping": "coarse",
+        "conduit": "corrugated-tube",
+        "conduit_bore": "7.4 mm",
+    }
+    assert "tape" not in said(CONDUIT_TYPES["CWB-1"][0])
+
+
+FILES = {"force": ["force.mat"], "frame": ["DAQ- Crosshead, … - (Timed).txt"]}
+
+
+def test_sheet_of_a_case() -> None:
+    sheet = yaml.safe_load(write_sheet(conduit_scenario("CWB-2b"), FILES))
+    assert sheet["protocol"] == "conduit-bundle"
+    assert sheet["specimen"]["span"] == "152.4 mm"
+    assert sheet["specimen"]["bundle"]["taping"] == "coarse"
+    assert sheet["files"] == {role: name for role, (name,) in FILES.items()}
+    values = {key: entry["value"] for key, entry in sheet["overrides"].items()}
+    assert values == {
+        "specimen.section.outer_diameter": "10.2 mm",
+        "markers.centre_offset": "6.6 mm",
+    }
+
+
+PARTS = ("DAQ- Crosshead, … - (Timed).txt", "DAQ- Crosshead, … - (Timed)1.txt")
+
+
+def test_what_the_protocol_cannot_know_is_overridden() -> None:
+    tube = replace(corrugated_tube("CT-7-1"), section=(("outer_diameter", 10.2e-3),))
+    tube = replace(tube, instruments=replace(tube.instruments, gain_uncertainty=0.01))
+    sheet = yaml.safe_load(write_sheet(tube, {"frame": ["CT-7-1.xlsx"]}))
+    assert sheet["files"] == {"frame": "CT-7-1.xlsx"}
+    overrides = {key: override["value"] for key, override in sheet["overrides"].items()}
+    assert overrides == {
+        "sources.frame.channels.force.scale_uncertainty": "1 %",
+        "specimen.section.outer_diameter": "10.2 mm",
+    }
+
+
+def test_the_sheet_says_what_the_virtual_wires_are(tmp_path: Path) -> None:
+    sheet = write_wire_sheet(tmp_path / "wires")
+    specs = {spec.name: spec for spec in read_wire_sheet(sheet)}
+    assert list(specs) == list(WIRES)
+    for name, wire in WIRES.items():
+        section, virtual = build(specs[name]).section, wire.section()
+        assert section.kind == virtual.kind
+        assert specs[name].wire_diameter == pytest.approx(wire.diameter, rel=1e-6)
+        assert section.x == pytest.approx(virtual.x, abs=1e-9)
+        assert [layer.area for layer in section.layers] == pytest.approx(
+            [layer.area for layer in virtual.layers], rel=1e-6
+        )
+        assert [layer.lay_angle for layer in section.layers] == pytest.approx(
+            [layer.lay_angle for layer in virtual.layers], abs=1e-6
+        )

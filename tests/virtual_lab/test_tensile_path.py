@@ -1,40 +1,36 @@
-"""The force at every instant, checked by differences and by what must hold whatever the law."""
+"""Tensile tests: the force at every instant, the truth, what the controller writes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import openpyxl
 import pytest
 
+from labpipe.errors import StoreError
+from labpipe.virtual_lab.observations import observe, simulate_test
+from labpipe.virtual_lab.recorders import record_frame, sample_times, slow_noise
 from labpipe.virtual_lab.tensile_path import (
     TensilePath,
-    loading_force,
-    rounded_ramp,
     specimen_force,
 )
 from labpipe.virtual_lab.tensile_scenarios import (
     GIVE,
+    TABLE_2_3,
     BilinearLaw,
+    ExportLayout,
+    FrameInstruments,
     GripSlip,
+    TensileScenario,
     corrugated_tube,
     pet_tape,
     twist_tube,
 )
+from labpipe.virtual_lab.truth import SlipTruth, TensileTruth, in_series
 
 LAW = BilinearLaw(2e3, 0.5e3, 10e-3, knee=4e-3, slack=1e-3, toe=0.6e-3)
-
-
-def test_ramp_is_the_integral_of_its_slope() -> None:
-    distance = np.linspace(-3.0, 3.0, 6001)
-    slope = np.clip((distance + 1.0) / 2.0, 0.0, 1.0)
-    steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(distance)
-    integral = np.concatenate([[0.0], np.cumsum(steps)])
-    np.testing.assert_allclose(rounded_ramp(distance, 2.0), integral, atol=1e-12)
-
-
-def test_sharp_ramp() -> None:
-    np.testing.assert_array_equal(rounded_ramp(np.array([-1.0, 0.0, 2.0]), 0.0), [0.0, 0.0, 2.0])
 
 
 def test_law_is_slack_then_two_straight_lines() -> None:
@@ -55,14 +51,6 @@ def test_lines_cross_at_foot_and_break_point() -> None:
     second = np.polynomial.Polynomial.fit(on_second, specimen_force(LAW, on_second), 1).convert()
     assert first.roots()[0] == pytest.approx(1.3e-3)
     assert (first - second).roots()[0] == pytest.approx(1.3e-3 + 10e-3)
-
-
-def test_series_with_the_machine() -> None:
-    displacement = np.linspace(0.0, 30e-3, 301)
-    compliance = 5e-5  # a machine as soft as a tenth of the specimen
-    force = loading_force(LAW, compliance, displacement)
-    alone = specimen_force(LAW, displacement - compliance * force)
-    np.testing.assert_allclose(force, alone, atol=1e-7)
 
 
 def test_slip_goes_on_parallel_and_lower() -> None:
@@ -89,19 +77,6 @@ def test_failure_takes_its_time_and_leaves_fibres() -> None:
     assert np.all(np.diff(during) < 0.0)
 
 
-def test_crosshead_runs_on_after_failure() -> None:
-    path = TensilePath(twist_tube("1a"))
-    end = path.displacement(np.array([path.end, path.end + 1.0]))
-    np.testing.assert_allclose(end, path.scenario.last_displacement + 0.31 * 5e-3)
-
-
-def test_without_failure_it_stands_at_full_stroke() -> None:
-    path = TensilePath(corrugated_tube("CT-10-1"))
-    held = np.array([path.last_time, path.end])
-    np.testing.assert_allclose(path.displacement(held), 50e-3)
-    assert path.force(held)[0] == path.force(held)[1] > 45.0
-
-
 def test_unloading_starts_at_the_peak_with_the_first_stiffness_and_ends_slack() -> None:
     usual = corrugated_tube("CT-10-3")
     path = TensilePath(replace(usual, frame=replace(usual.frame, unloads=True)))
@@ -117,12 +92,128 @@ def test_unloading_starts_at_the_peak_with_the_first_stiffness_and_ends_slack() 
     assert force[-1] == 0.0
 
 
-def test_unloading_gives_back_the_machines_give() -> None:
-    usual = corrugated_tube("CT-10-3")
-    frame = replace(usual.frame, unloads=True, compliance=100 * GIVE)
-    path = TensilePath(replace(usual, frame=frame))
-    turn = path.last_time + frame.overrun
-    time = np.array([turn, turn + 1.0])
-    slope = np.diff(path.force(time))[0] / np.diff(path.displacement(time))[0]
-    k = usual.law.stiffness_first
-    assert slope == pytest.approx(k / (1.0 + k * 100 * GIVE), rel=1e-4)
+def truth_of(scenario: TensileScenario) -> TensileTruth:
+    return observe(scenario, 1).truth
+
+
+def line(truth: TensileTruth, start: float, stop: float) -> np.polynomial.Polynomial:
+    """Through the true curve between two displacements, as seen at the crosshead."""
+    chosen = (truth.displacement > start) & (truth.displacement < stop)
+    return np.polynomial.Polynomial.fit(
+        truth.displacement[chosen], truth.force[chosen], 1
+    ).convert()
+
+
+@pytest.mark.parametrize(
+    ("scenario", "first", "second"),
+    [
+        (twist_tube("1a"), (2e-3, 8e-3), (10e-3, 20e-3)),
+        (pet_tape("1"), (2e-3, 5.5e-3), (12e-3, 50e-3)),
+        (corrugated_tube("CT-10-1"), (1e-3, 10e-3), (30e-3, 49e-3)),
+    ],
+    ids=lambda case: getattr(case, "name", ""),
+)
+def test_stiffness_and_break_point(
+    scenario: TensileScenario, first: tuple[float, float], second: tuple[float, float]
+) -> None:
+    truth = truth_of(scenario)
+    one, two = line(truth, *first), line(truth, *second)
+    assert one.deriv()(0.0) == pytest.approx(truth.stiffness_first, rel=1e-6)
+    assert two.deriv()(0.0) == pytest.approx(truth.stiffness_second, rel=1e-6)
+    assert one.roots()[0] == pytest.approx(truth.foot, abs=1e-9)
+    assert truth.break_point is not None
+    assert (one - two).roots()[0] == pytest.approx(truth.break_point, abs=1e-8)
+    assert truth.break_point_from_foot is not None
+    assert truth.break_point == pytest.approx(truth.foot + truth.break_point_from_foot)
+    assert one(truth.break_point) == pytest.approx(truth.break_force, rel=1e-6)
+
+
+@pytest.mark.parametrize("sample", TABLE_2_3)
+def test_twist_tubes_are_those_of_table_2_3(sample: str) -> None:
+    truth = truth_of(twist_tube(sample))
+    assert truth.stiffness_first / truth.peak_force == pytest.approx(TABLE_2_3[sample][0], rel=1e-6)
+    assert truth.stiffness_second / truth.peak_force == pytest.approx(
+        TABLE_2_3[sample][1], rel=1e-6
+    )
+    assert truth.peak_force == pytest.approx(420.0, rel=1e-6)
+    assert truth.failure_force == pytest.approx(420.0, rel=1e-6)
+    assert truth.peak_displacement == pytest.approx(truth.failure_displacement)
+
+
+def test_machine_gives_way() -> None:
+    truth = truth_of(pet_tape("1"))
+    assert truth.specimen_stiffness_first == 12e3
+    assert 1.0 / truth.stiffness_first == pytest.approx(1.0 / 12e3 + GIVE)
+    assert in_series(12e3, 0.0) == 12e3
+
+
+def test_peak_before_a_slip() -> None:
+    slips = (GripSlip(49.9e-3, 2.0),)
+    scenario = replace(corrugated_tube("CT-10-1"), slips=slips)
+    truth = truth_of(scenario)
+    assert truth.slips == (SlipTruth(49.9e-3, 2.0),)
+    assert truth.peak_displacement == pytest.approx(49.9e-3, abs=1e-6)
+    whole = TensilePath(replace(scenario, slips=()))
+    time = np.array([49.9e-3 / scenario.frame.speed])
+    assert truth.peak_force == pytest.approx(whole.force(time)[0], rel=1e-6)
+
+
+TUBE = replace(corrugated_tube("CT-10-slit-2"), slips=(GripSlip(18.75e-3, 0.47),))
+
+
+PARTED = replace(twist_tube("2b"), export=ExportLayout(in_parts=True, part_at=2.6))
+
+
+@pytest.fixture(scope="module")
+def tube_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulate_test(TUBE, tmp_path_factory.mktemp("raw") / TUBE.name, 21)
+
+
+def test_export_is_the_truth_with_small_errors(tube_folder: Path) -> None:
+    sheet = openpyxl.load_workbook(tube_folder / "CT-10-slit-2.xlsx")["Test Data"]
+    rows = list(sheet.iter_rows(min_row=6, values_only=True))
+    time, force, displacement = np.array(rows, dtype=np.float64).T
+    truth = observe(TUBE, 21).truth
+    np.testing.assert_allclose(time, truth.time, atol=1e-6)
+    off = 4.4482216152605 * force - truth.force - TUBE.instruments.tare
+    assert np.std(off) == pytest.approx(np.hypot(0.02, 0.03), rel=0.2)
+    assert abs(np.mean(off)) < 0.01
+    moved = 25.4e-3 * displacement - TUBE.instruments.displacement_tare
+    np.testing.assert_allclose(moved, truth.displacement, atol=7e-6)
+
+
+def test_a_file_in_place_of_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "raw").write_text("mine")
+    with pytest.raises(StoreError, match=r"a folder to write in, found a file in its place"):
+        simulate_test(PARTED, tmp_path / "raw" / "parts", 21)
+
+
+QUIET = FrameInstruments(rate=100.0, first_sample=0.0195)
+
+
+def test_too_short() -> None:
+    with pytest.raises(ValueError, match=r"rate=100\.0: a test of 0\.03 s would have 2 samples"):
+        sample_times(QUIET, 0.03)
+
+
+@pytest.mark.parametrize("correlation_time", [0.02, 0.2])
+def test_slow_noise_has_its_size_and_memory(correlation_time: float) -> None:
+    instruments = replace(QUIET, slow_noise=0.3, correlation_time=correlation_time)
+    time = np.linspace(0.0, 4000.0, 400_001)
+    noise = slow_noise(instruments, time, np.random.default_rng(3))
+    effective = 4000.0 / (2.0 * correlation_time)  # samples as good as independent
+    tolerance = 4.0 / np.sqrt(effective)
+    assert np.std(noise) == pytest.approx(0.3, rel=tolerance)
+    for lag in (1, 5, 20):
+        correlation = np.corrcoef(noise[lag:], noise[:-lag])[0, 1]
+        wanted = np.exp(-0.01 * lag / correlation_time)
+        assert correlation == pytest.approx(wanted, abs=tolerance)
+
+
+def test_tare_and_gain() -> None:
+    usual = twist_tube("1a", gain_error=0.004)
+    quiet = replace(usual.instruments, white_noise=0.0, slow_noise=0.0, displacement_noise=0.0)
+    path = TensilePath(replace(usual, instruments=quiet))
+    record = record_frame(path, np.random.default_rng(6))
+    np.testing.assert_allclose(record.force, 1.004 * path.force(record.time) + 2.7, rtol=1e-12)
+    np.testing.assert_allclose(record.displacement, path.displacement(record.time) + 12e-6)

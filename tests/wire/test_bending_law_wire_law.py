@@ -20,7 +20,7 @@ from labpipe.wire.materials import (
     StressTable,
 )
 from tests.builders.stranded_wires import contacts_of, wire
-from tests.judges.bending_history import bend_along
+from tests.judges.reference_wires import bend_along
 
 
 @pytest.mark.parametrize("name", ["A2", "A3", "C4"])

@@ -18,7 +18,7 @@ from labpipe.wire.cantilever import (
 )
 from labpipe.wire.newton import interpolation_matrix
 from tests.builders.cantilevers import WIRE
-from tests.judges.heavy_wires import YIELD, HeavyWire, Law, yielding
+from tests.judges.reference_wires import YIELD, HeavyWire, Law, yielding
 
 LENGTH = 0.12
 KNOTS: Floats = np.geomspace(1e-7, 2e-2, 300)

@@ -13,7 +13,7 @@ from labpipe.wire.cantilever import StringRig, bend_to_travel, straight
 from labpipe.wire.first_loading import force_at, load_cantilever
 from labpipe.wire.heavy_loading import heavy_states, load_heavy
 from tests.builders.bilinear_laws import law_of_plays
-from tests.judges.heavy_wires import HeavyWire, yielding
+from tests.judges.reference_wires import HeavyWire, yielding
 
 LENGTH, WEIGHT = 0.12, 0.097
 RIG = StringRig(0.76, 0.0265, LENGTH, 0.76)

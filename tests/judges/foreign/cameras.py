@@ -11,14 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.judges.foreign import definitions
-from tests.judges.foreign.bends import Along, Branch, Wire, knives, loops
+from tests.judges.foreign import specimens
 from tests.judges.foreign.exports import write_mat, write_motive, write_mts, write_sheet
 from tests.judges.foreign.frames import Truth, measured, sheet
-from tests.judges.foreign.noise import noisy
-from tests.judges.foreign.pulls import Law, Loop
-from tests.judges.foreign.rig import Chance, Clocks, Made, Way
-from tests.judges.foreign.stated import scale, stated
+from tests.judges.foreign.rig import Chance, Clocks, Made, Way, noisy, scale, stated
+from tests.judges.foreign.specimens import Along, Branch, Law, Loop, Wire, knives, loops
 
 Array = NDArray[np.float64]
 FPS, RATE = 50.0, 1000.0
@@ -130,12 +127,12 @@ def clamped_truth(rig: Clamped, over: float) -> Truth:
         (d, f), (back_d, back_f) = (_dense(branches[2 * cycle + i]) for i in (0, 1))
         key = f".{cycle + 1}"
         truth["peak_force" + key], truth["peak_displacement" + key] = float(f[-1]), float(d[-1])
-        lost = definitions.work(d, f) - definitions.work(back_d, back_f)
+        lost = specimens.work(d, f) - specimens.work(back_d, back_f)
         truth["energy" + key] = lost
         away = d[-1] - back_d
         near = (away >= 0.1 * over) & (away <= over)
-        truth["unloading_stiffness" + key] = definitions.slope(back_d[near], back_f[near])
-        truth["residual_displacement" + key] = definitions.crossing(back_d, back_f, 0.0)
+        truth["unloading_stiffness" + key] = specimens.slope(back_d[near], back_f[near])
+        truth["residual_displacement" + key] = specimens.crossing(back_d, back_f, 0.0)
     return truth
 
 
@@ -157,7 +154,7 @@ def wire_cantilever(chance: Chance, folder: Path) -> Made:
     write_sheet(folder, sheet(chance, measured(chance, "length", 85.0), files, **changed))
     truth |= clamped_truth(rig, 3e-3)
     first = _dense(loops(wire, way.stroke, way.cycles)[0])
-    truth["initial_stiffness"] = definitions.window_slope(*first, 0.5e-3, 4e-3)
+    truth["initial_stiffness"] = specimens.window_slope(*first, 0.5e-3, 4e-3)
     for at in (1, 3):
         truth[f"bending_stiffness_at_{at}"] = float(wire.first_moment(float(at))) / at
     return Made(folder, truth)
@@ -182,8 +179,8 @@ def taped_bundle(chance: Chance, folder: Path) -> Made:
     truth |= bundle_truth(*first)
     truth["bending_stiffness"] = truth["initial_stiffness"] * 0.1143**3 / 3.0
     for cycle, (d, f) in enumerate((first, again)):
-        taut = definitions.crossing(d, f, 0.0) if cycle else 0.0
-        stiff = definitions.window_slope(d, f, taut, taut + 5e-3)
+        taut = specimens.crossing(d, f, 0.0) if cycle else 0.0
+        stiff = specimens.window_slope(d, f, taut, taut + 5e-3)
         truth[f"loading_stiffness.{cycle + 1}"] = stiff
     truth["hardening.2"] = truth["loading_stiffness.2"] / truth["loading_stiffness.1"]
     return Made(folder, truth)
@@ -191,11 +188,11 @@ def taped_bundle(chance: Chance, folder: Path) -> Made:
 
 def bundle_truth(d: Array, f: Array) -> Truth:
     """Stiffness, kink, slope at the end and plateau of a first loading."""
-    stiff = definitions.window_slope(d, f, 0.2e-3, 5e-3)
-    _, _, place, force = definitions.two_segments(d, f, 0.2e-3, 5e-3)
+    stiff = specimens.window_slope(d, f, 0.2e-3, 5e-3)
+    _, _, place, force = specimens.two_segments(d, f, 0.2e-3, 5e-3)
     truth = {"initial_stiffness": stiff, "kink_displacement": place, "kink_force": force}
-    truth["end_slope"] = definitions.window_slope(d, f, d[-1] - 5e-3, d[-1]) / stiff
-    levels = definitions.onset(d, f, 0.1 * stiff)
+    truth["end_slope"] = specimens.window_slope(d, f, d[-1] - 5e-3, d[-1]) / stiff
+    levels = specimens.onset(d, f, 0.1 * stiff)
     if levels is not None:
         truth["plateau_displacement"], truth["plateau_force"] = levels
     return truth
@@ -225,7 +222,7 @@ class Conduit:
     def left(self) -> float:
         """Where the roller leaves the conduit on the way back, m."""
         d = np.linspace(0.0, self.way.stroke, 20001)
-        return definitions.crossing(d, self.laws[1](d), 0.0)
+        return specimens.crossing(d, self.laws[1](d), 0.0)
 
     def bent(self, time: Array) -> tuple[Array, Array]:
         """Force and deflection at some times."""
@@ -298,7 +295,7 @@ def _pressed_truth(rig: Conduit) -> Truth:
     stroke, (load, unload) = rig.way.stroke, rig.laws
     there, back = np.linspace(0.0, stroke, 12001), np.linspace(stroke, rig.left, 12001)
     force = load(there)
-    lost = definitions.work(there, force) + definitions.work(back, unload(back))
+    lost = specimens.work(there, force) + specimens.work(back, unload(back))
     truth = {"peak_force.1": float(force[-1]), "peak_displacement.1": stroke, "energy.1": lost}
     return {**truth, **bundle_truth(there, force), **rod_truth(there, force, SPAN)}
 
@@ -310,11 +307,11 @@ def rod_truth(d: Array, f: Array, span: float) -> Truth:
         np.interp(d / span, rod.deflection, row)
         for row in (rod.deflection, rod.load, rod.curvature, rod.slope)
     )
-    share = definitions.window_slope(d, elastic / span**2, 0.2e-3, 5e-3)
-    stiff = definitions.window_slope(d, f, 0.2e-3, 5e-3)
+    share = specimens.window_slope(d, elastic / span**2, 0.2e-3, 5e-3)
+    stiff = specimens.window_slope(d, f, 0.2e-3, 5e-3)
     moment = 0.25 * f * span * (1.0 + 2.0 * ratio * np.tan(slope))
     inside = (d >= 1e-3) & (d <= 10e-3)
-    middle = definitions.slope(bend[inside] / span, moment[inside])
+    middle = specimens.slope(bend[inside] / span, moment[inside])
     return {
         "bending_stiffness": stiff / share,
         "mid_span_bending_stiffness": middle,

@@ -10,13 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.judges.foreign import definitions, pulls
-from tests.judges.foreign.bends import knives
+from tests.judges.foreign import specimens
 from tests.judges.foreign.exports import write_mat, write_mts, write_sheet, write_tra
-from tests.judges.foreign.noise import noisy
-from tests.judges.foreign.pulls import Specimen
-from tests.judges.foreign.rig import Chance, Made, Way, pulled
-from tests.judges.foreign.stated import force_channel, scale
+from tests.judges.foreign.rig import Chance, Made, Way, force_channel, noisy, pulled, scale
+from tests.judges.foreign.specimens import Specimen, knives
 
 Array = NDArray[np.float64]
 Truth = dict[str, float]
@@ -50,7 +47,7 @@ def slipping(chance: Chance, specimen: Specimen, share: float = 0.03) -> tuple[S
         return specimen, {}
     at = 0.45 * specimen.ends
     drop = share * float(specimen.whole()[1].max())
-    slipped = replace(specimen, law=pulls.drops(specimen.law, ((at, drop),)))
+    slipped = replace(specimen, law=specimens.drops(specimen.law, ((at, drop),)))
     return slipped, {"slip_position.1": at, "slip_drop.1": drop}
 
 
@@ -59,12 +56,12 @@ def broken(d: Array, f: Array) -> Truth:
     return {
         "failure_displacement": float(d[-1]),
         "failure_force": float(f[-1]),
-        "energy_to_break": definitions.work(d, f),
+        "energy_to_break": specimens.work(d, f),
     }
 
 
 def segments(d: Array, f: Array, start: float, end: float) -> Truth:
-    first, second, place, _ = definitions.two_segments(d, f, start, end)
+    first, second, place, _ = specimens.two_segments(d, f, start, end)
     return {
         "segment_stiffness_first": first,
         "segment_stiffness_second": second,
@@ -81,9 +78,9 @@ def off_grid(chance: Chance, specimen: Specimen, speed: float) -> Specimen:
 def tensile(chance: Chance, folder: Path) -> Made:
     """A wire, a brittle fibre, a yarn; testXpert, German."""
     specimen = (
-        pulls.ductile(60.0, 5e-3, 8e-3),
-        pulls.brittle(40e3, 3.1e-3),
-        pulls.yarn(20e3, 3e-3, 0.35e-3),
+        specimens.ductile(60.0, 5e-3, 8e-3),
+        specimens.brittle(40e3, 3.1e-3),
+        specimens.yarn(20e3, 3e-3, 0.35e-3),
     )[chance.variety]
     speed = 2e-4 if chance.rate(100.0) > 50.0 else 5e-5
     specimen, truth = slipping(chance, off_grid(chance, specimen, speed))
@@ -92,9 +89,9 @@ def tensile(chance: Chance, folder: Path) -> Made:
     write_tra(folder / "Zug.TRA", [*columns, ("Standardkraft", "N", force)])
     write_sheet(folder, sheet(chance, {}, {"frame": "Zug.TRA"}))
     d, f = specimen.whole()
-    loose = definitions.slack(d, f)
+    loose = specimens.slack(d, f)
     d = d - loose
-    window = definitions.window_slope(d, f, 0.5e-3, 1e-3)
+    window = specimens.window_slope(d, f, 0.5e-3, 1e-3)
     own = {"slack": loose, "peak_force.1": float(f.max()), "stiffness": window}
     if truth:
         truth["slip_position.1"] -= loose
@@ -104,7 +101,7 @@ def tensile(chance: Chance, folder: Path) -> Made:
 def twist_tube(chance: Chance, folder: Path) -> Made:
     """A woven tube; MTS, kN."""
     first = (22e3, 24e3, 27e3)[chance.variety]
-    whole = off_grid(chance, pulls.tearing(first, 0.55 * first, 9e-3, 26e-3), 5e-3)
+    whole = off_grid(chance, specimens.tearing(first, 0.55 * first, 9e-3, 26e-3), 5e-3)
     specimen, truth = slipping(chance, whole)
     time, travel, force = pulled(chance, specimen, speed=5e-3, rate=100.0, tare=1.0)
     columns = [("Crosshead", "mm", 1e3 * travel), ("Load", "kN", 1e-3 * force)]
@@ -112,7 +109,7 @@ def twist_tube(chance: Chance, folder: Path) -> Made:
     write_sheet(folder, sheet(chance, measured(chance, "length", 75.0), {"frame": "run.csv"}))
     d, f = specimen.whole()
     peak = float(f.max())
-    one, two = (definitions.window_slope(d, f, *w) for w in ((2e-3, 8e-3), (10e-3, 20e-3)))
+    one, two = (specimens.window_slope(d, f, *w) for w in ((2e-3, 8e-3), (10e-3, 20e-3)))
     truth |= {"peak_force.1": peak, "stiffness_first": one, "stiffness_second": two}
     truth |= {"stiffness_first_per_peak_force": one / peak}
     truth |= {"stiffness_second_per_peak_force": two / peak}
@@ -122,20 +119,20 @@ def twist_tube(chance: Chance, folder: Path) -> Made:
 def pet_tape(chance: Chance, folder: Path) -> Made:
     """A tape that hangs loose by about a millimetre; MTS, N."""
     loose = (0.6e-3, 0.9e-3, 1.2e-3)[chance.variety]
-    regions = pulls.behind(pulls.two_regions(12.2e3, 1.6e3, 9e-3, 0.9e-3), loose, 0.1e-3)
+    regions = specimens.behind(specimens.two_regions(12.2e3, 1.6e3, 9e-3, 0.9e-3), loose, 0.1e-3)
     specimen, truth = slipping(chance, off_grid(chance, Specimen(regions, 56.3e-3), 5e-4))
     time, travel, force = pulled(chance, specimen, speed=5e-4, rate=40.0, tare=1.0)
     columns = [("Crosshead", "mm", 1e3 * travel), ("Load", "N", force), ("Time", "sec", time)]
     write_mts(folder / "run.txt", columns)
     write_sheet(folder, sheet(chance, measured(chance, "length", 300.0), {"frame": "run.txt"}))
     d, f = specimen.whole()
-    slack = definitions.slack(d, f)
+    slack = specimens.slack(d, f)
     d = d - slack
-    one = definitions.window_slope(d, f, 1e-3, 4e-3)
+    one = specimens.window_slope(d, f, 1e-3, 4e-3)
     if truth:
         truth["slip_position.1"] -= slack
     truth |= {"slack": slack, "peak_force.1": float(f.max()), "stiffness_first": one}
-    truth |= {"stiffness_second": definitions.window_slope(d, f, 15e-3, 35e-3)}
+    truth |= {"stiffness_second": specimens.window_slope(d, f, 15e-3, 35e-3)}
     width, thickness = 18.79e-3 + chance.length("width"), 0.28e-3 + chance.length("thickness")
     truth |= {"modulus": one * 0.3 / (width * thickness)}
     return Made(folder, {**truth, **segments(d, f, 1e-3, 35e-3), **broken(d, f)})
@@ -144,14 +141,14 @@ def pet_tape(chance: Chance, folder: Path) -> Made:
 def corrugated_tube(chance: Chance, folder: Path) -> Made:
     """A soft tube stretched by 50 mm; what grips lose is repaired."""
     stiffness = (900.0, 1100.0, 1300.0)[chance.variety]
-    whole = pulls.rubbery(stiffness, 50e-3)
+    whole = specimens.rubbery(stiffness, 50e-3)
     specimen, truth = slipping(chance, whole)
     time, travel, force = pulled(chance, specimen, speed=4.23e-4, rate=40.0, tare=1.0)
     columns = [("Crosshead", "mm", 1e3 * travel), ("Load", "N", force), ("Time", "sec", time)]
     write_mts(folder / "run.txt", columns)
     write_sheet(folder, sheet(chance, measured(chance, "length", 114.3), {"frame": "run.txt"}))
     d, f = whole.whole()
-    stiff = definitions.window_slope(d, f, 1e-3, 10e-3)
+    stiff = specimens.window_slope(d, f, 1e-3, 10e-3)
     truth |= {"peak_force.1": float(f.max()), "peak_displacement.1": 50e-3, "stiffness": stiff}
     sizes = ("outer_diameter", 14.1e-3), ("inner_diameter", 10.7e-3), ("wall", 0.27e-3)
     outer, inner, wall = (size + chance.length(name) for name, size in sizes)
@@ -162,19 +159,19 @@ def corrugated_tube(chance: Chance, folder: Path) -> Made:
 
 def stiff_bar(chance: Chance, folder: Path) -> Made:
     """Travel per force of frame and grips; MTS, kN."""
-    specimen = pulls.bar((0.18e-6, 0.21e-6, 0.25e-6)[chance.variety], 460.0)
+    specimen = specimens.bar((0.18e-6, 0.21e-6, 0.25e-6)[chance.variety], 460.0)
     time, travel, force = pulled(chance, specimen, speed=1e-5, rate=40.0, tare=0.0)
     columns = [("Crosshead", "mm", 1e3 * travel), ("Load", "kN", 1e-3 * force)]
     write_mts(folder / "run.csv", [*columns, ("Time", "sec", time)], quoted=True)
     write_sheet(folder, sheet(chance, {}, {"frame": "run.csv"}))
     d, f = specimen.whole()
-    return Made(folder, {"compliance": definitions.window_slope(f, d, 50.0, 400.0)})
+    return Made(folder, {"compliance": specimens.window_slope(f, d, 50.0, 400.0)})
 
 
 def three_point_bend(chance: Chance, folder: Path) -> Made:
     """A rod that yields on knife edges; testXpert, German."""
     span, rigidity = 0.06, (0.5, 0.7, 0.9)[chance.variety]
-    specimen = pulls.bent_rod(rigidity, span, 2e-3, 4.6e-3)
+    specimen = specimens.bent_rod(rigidity, span, 2e-3, 4.6e-3)
     time, travel, force = pulled(chance, specimen, speed=1e-4, rate=40.0, tare=0.0)
     columns = [("Prüfzeit", "s", time), ("Standardweg", "mm", 1e3 * travel)]
     write_tra(folder / "Biegung.TRA", [*columns, ("Standardkraft", "N", force)])
@@ -183,14 +180,14 @@ def three_point_bend(chance: Chance, folder: Path) -> Made:
     truth = {"peak_force.1": float(f.max()), "peak_displacement.1": specimen.ends}
     truth |= segments(d, f, 0.2e-3, 4e-3)
     elastic = np.interp(d / span, knives().deflection, knives().load) / span**2
-    share = definitions.window_slope(d, elastic, 0.2e-3, truth["break_point"])
+    share = specimens.window_slope(d, elastic, 0.2e-3, truth["break_point"])
     return Made(folder, {**truth, "bending_stiffness": truth["segment_stiffness_first"] / share})
 
 
 def force_displacement(chance: Chance, folder: Path) -> Made:
     """A bundle that slips, to and fro; ControlDesk, one clock for both."""
     slips = ((6.0, 1.5e-3), (3.0, 0.4e-3))
-    loop = pulls.Loop((600.0, 800.0, 1000.0)[chance.variety], slips)
+    loop = specimens.Loop((600.0, 800.0, 1000.0)[chance.variety], slips)
     way = Way(12e-3, 2e-3, 3, 1.5, chance.dwell)
     start, end = way.kept(chance.fault)
     time = np.arange(0.0, end - start, 0.99985e-3)
@@ -210,7 +207,7 @@ def force_displacement(chance: Chance, folder: Path) -> Made:
         up, down = laws[2 * cycle](there), laws[2 * cycle + 1](back)
         truth[f"peak_force.{cycle + 1}"] = float(up.max())
         truth[f"peak_displacement.{cycle + 1}"] = way.stroke
-        truth[f"energy.{cycle + 1}"] = definitions.work(there, up) + definitions.work(back, down)
+        truth[f"energy.{cycle + 1}"] = specimens.work(there, up) + specimens.work(back, down)
     return Made(folder, truth)
 
 

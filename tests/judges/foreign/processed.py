@@ -16,7 +16,6 @@ from labpipe.cli import main
 from tests.builders.reasons import why
 from tests.judges.foreign.cameras import CAMERAS
 from tests.judges.foreign.frames import FRAMES
-from tests.judges.foreign.noise import KINDS as NOISES
 from tests.judges.foreign.rig import (
     CAMERA_FAULTS,
     FRAME_FAULTS,
@@ -25,6 +24,7 @@ from tests.judges.foreign.rig import (
     Chance,
     Made,
 )
+from tests.judges.foreign.rig import KINDS as NOISES
 
 MAKERS: dict[str, Callable[[Chance, Path], Made]] = {**FRAMES, **CAMERAS}
 KINDS = tuple(MAKERS)

@@ -1,25 +1,48 @@
-"""Values on tests of a second simulator: what is `ok` is right, and what goes wrong is named.
+"""What labpipe does not do yet on the foreign tests. A change that mends an entry takes it out.
 
-The load cell is exact here, the offsets are as stated and the noise is 0.03 % of the peak, so that
-what is left is arithmetic. How far a value may be off its truth is argued below.
+The tests hold these lists strictly: an entry that is right now makes its test fail.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
+from math import isfinite
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.judges.foreign.below import CRASHES, NOT_OK, UNNAMED, WRONG
+from tests.judges.foreign.cameras import CAMERAS
 from tests.judges.foreign.frames import FRAMES
 from tests.judges.foreign.processed import FAULTS, KINDS, Said, process
-from tests.judges.foreign.rig import Chance
+from tests.judges.foreign.rig import ATTACKS, Chance
+
+Case = tuple[str, int, str]
+"""Kind, seed, fault."""
+
+
+# Results that are `ok` and far off, by test.
+WRONG: dict[Case, set[str]] = {
+    # kink_displacement +3.5 %; a bend without a corner, its interval is twice as wide
+    ("taped-bundle", 48, ""): {"kink_displacement"},
+}
+
+
+# Sound tests with results that are not `ok`, and the reason given.
+NOT_OK: dict[Case, str] = {
+    ("three-point-bend", 0, ""): "partial_cycle",
+    ("three-point-bend", 108, ""): "partial_cycle",
+    ("conduit-bundle", 0, ""): "no_camera_clock",
+}
+
 
 CASES = {0: "white", 24: "hum", 48: "steps", 108: "memory"}
 """Seeds, and their noise. Machines dwell 0, 1, 5, 0 s at a turn; specimens differ; with the last
 seed load frames write ten samples a second."""
+
 
 RELATIVE = (
     # Five standard deviations of noise that the largest of thousands of samples shows: 0.15 %. As
@@ -41,11 +64,16 @@ RELATIVE = (
     # Lines over 0.1 mm, and a fall of 3 % in noise of 0.03 %.
     (r"slack|slip_drop", 0.05),
 )
+
+
 AT_10_HZ = {"failure_displacement": 0.02, "energy_to_break": 0.035, "failure_force": 0.03}
 """The break is a step or less behind the last sample: at 5 mm/s half a millimetre of 26, along
 which the force does 3 % of the work; threads that give way cost 2.7 % of the force in it."""
+
+
 ABSOLUTE = {"clock_offset": 10e-3, "clock_drift": 200e-6}
 """s, 1. Half a frame at 50 per second, and that over the time from the first turn to the last."""
+
 
 NAMES = {
     "counts-down": r"counts? down|\bsign\b|negative|revers",
@@ -55,10 +83,18 @@ NAMES = {
     "short-rest": r"rest\b",
 }
 """Words by which a technician knows what went wrong."""
+
+
 CLEAN = [(kind, seed, "") for kind in KINDS for seed in CASES if seed < 108 or kind in FRAMES]
+
+
 FAULTY = [(kind, 0, fault) for kind in KINDS for fault in FAULTS[kind]]
+
+
 MAY_DOUBT = {"failure_displacement", "failure_force", "energy_to_break"}
 """Of a yarn, whose fibres break one after another."""
+
+
 Ask = Callable[[str, int, str], Said]
 
 
@@ -97,6 +133,21 @@ def ask(tmp_path_factory: pytest.TempPathFactory) -> Ask:
     return said
 
 
+@pytest.mark.parametrize(("kind", "seed", "fault"), [*CLEAN, *FAULTY])
+def test_statuses(ask: Ask, kind: str, seed: int, fault: str) -> None:
+    """Sound tests are ok, faults of the rig are named; an entry of `NOT_OK` that is ok is out."""
+    said = ask(kind, seed, fault)
+    assert re.search("Traceback|fault of labpipe", said.printed) is None
+    if fault:
+        assert re.search(NAMES[fault], said.told)
+    if not fault or fault == "short-rest":
+        may = MAY_DOUBT if (kind, seed) == ("tensile", 48) else set()
+        other = [row for row in said.rows if row["status"] != "ok" and row["name"] not in may]
+        known = NOT_OK.get((kind, seed, fault))
+        assert (known is None) == (not other), other[:1]
+        assert all(known is not None and re.search(known, row["why"]) for row in other), other
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seed", "fault"), [*CLEAN, *FAULTY])
 def test_nothing_ok_is_far_off(ask: Ask, kind: str, seed: int, fault: str) -> None:
@@ -104,28 +155,101 @@ def test_nothing_ok_is_far_off(ask: Ask, kind: str, seed: int, fault: str) -> No
     assert far_off(ask(kind, seed, fault), seed, fault) == WRONG.get((kind, seed, fault), set())
 
 
-@pytest.mark.parametrize(
-    ("kind", "seed", "fault"), [*CLEAN, *(case for case in FAULTY if case[2] == "short-rest")]
+COUNTS = (8, 12, 20, 40, 80, 150, 400)
+
+
+PULLED = tuple(kind for kind in FRAMES if kind != "force-displacement")
+
+
+SEEDS = (4000, 4110, 4156)
+"""The first one is quick; specimens, dwells and rates of load frames differ."""
+
+
+MOST = 3.0
+"""Half widths: an interval that does not hold is at least not far from the truth."""
+
+
+JUMPS, PERIODIC = (
+    "a zero that jumps by 0.6 % of the peak is not seen",
+    "a wave slower than a window",
 )
-def test_sound_tests_are_ok(ask: Ask, kind: str, seed: int, fault: str) -> None:
-    """An entry of `NOT_OK` that is `ok` now is taken out of the list."""
-    said = ask(kind, seed, fault)
-    may = MAY_DOUBT if (kind, seed) == ("tensile", 48) else set()
-    other = [row for row in said.rows if row["status"] != "ok" and row["name"] not in may]
-    known = NOT_OK.get((kind, seed, fault))
-    assert (known is None) == (not other), other[:1]
-    assert all(known is not None and re.search(known, row["why"]) for row in other), other
 
 
-@pytest.mark.parametrize(("kind", "seed", "fault"), FAULTY)
-def test_faults_of_the_rig_are_named(ask: Ask, kind: str, seed: int, fault: str) -> None:
-    """An entry of `UNNAMED` that is named now is taken out of the list."""
-    named = re.search(NAMES[fault], ask(kind, seed, fault).told) is not None
-    assert named == ((kind, fault) not in UNNAMED)
+CLOCKS = "the corner of a force that stands on a step, or has no noise at all"
 
 
-@pytest.mark.parametrize(("kind", "seed", "fault"), [*CLEAN, *FAULTY])
-def test_no_traceback(ask: Ask, kind: str, seed: int, fault: str) -> None:
-    """An entry of `CRASHES` that no longer ends so is taken out of the list."""
-    ended = re.search("Traceback|fault of labpipe", ask(kind, seed, fault).printed) is not None
-    assert ended == ((kind, seed, fault) in CRASHES)
+NOT_YET = {
+    "taped-bundle-jump-4000": JUMPS,
+    "taped-bundle-jump-4110": JUMPS,
+    "conduit-bundle-jump-4000": JUMPS,
+    "conduit-bundle-jump-4110": JUMPS,
+    "twist-tube-jump-4156": JUMPS,
+    "pet-tape-jump-4156": JUMPS,
+    "twist-tube-periodic-4110": PERIODIC,
+    "tensile-periodic-4156": PERIODIC,
+    "conduit-bundle-periodic-4156": PERIODIC,
+    "conduit-bundle-coarse-4000": CLOCKS,
+    "conduit-bundle-coarse-4110": CLOCKS,
+    "taped-bundle-silent-4110": CLOCKS,
+    "tensile-8-samples-4156": "the step behind the last sample is a tenth of the way",
+}
+"""`ok` and farther off than the interval can excuse. An entry that is right now is taken out."""
+
+
+Attack = tuple[str, Chance]
+
+
+def attacks(seeds: tuple[int, ...]) -> Iterator[Attack]:
+    """Each attack on each kind of test, by its name."""
+    for seed in seeds:
+        for kind in (*FRAMES, *CAMERAS):
+            usual = Chance(kind, seed)
+            yield from (
+                (f"{kind}-{noise}-{seed}", replace(usual, noise=noise)) for noise in ATTACKS
+            )
+            yield f"{kind}-silent-{seed}", replace(usual, loud=0.0)
+            yield f"{kind}-drowned-{seed}", replace(usual, loud=1000.0)
+        for kind in PULLED:
+            for count in COUNTS:
+                yield f"{kind}-{count}-samples-{seed}", Chance(kind, seed, samples=count)
+        for kind in ("wire-cantilever", "taped-bundle"):
+            yield f"{kind}-no-rest-{seed}", Chance(kind, seed, rest=0.06)
+
+
+ALL = dict(attacks(SEEDS))
+
+
+def nonsense(row: dict[str, Any]) -> str:
+    """What is wrong with a result whatever the input was; empty if nothing is."""
+    if row["status"] == "absent":
+        return ""  # a cycle that nobody can see; what the command prints says so
+    if row["value"] is None:
+        return "" if row["why"] else "failed without a reason"
+    if row["status"] == "doubtful" and not row["why"]:
+        return "doubtful without a reason"
+    ends = row["lower"], row["upper"]
+    if row["status"] == "ok" and None in ends:
+        return "no interval"
+    given = [each for each in (row["value"], row["estimate"], *ends) if each is not None]
+    if not all(isfinite(each) for each in given):
+        return "not a number"
+    return "" if None in ends or ends[0] < ends[1] else "no width"
+
+
+def is_far(row: dict[str, Any]) -> bool:
+    """Whether a result that is `ok` is farther off than its interval can excuse."""
+    if row["status"] != "ok" or nonsense(row):
+        return False
+    middle, half = 0.5 * (row["upper"] + row["lower"]), 0.5 * (row["upper"] - row["lower"])
+    return bool(abs(middle - row["truth"]) > MOST * half)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALL)
+def test_attack(request: pytest.FixtureRequest, name: str, tmp_path: Path) -> None:
+    if name in NOT_YET:
+        request.applymarker(pytest.mark.xfail(strict=True, reason=NOT_YET[name]))
+    said = process(ALL[name], tmp_path / "test")
+    assert "Traceback" not in said.printed, said.printed
+    assert {row["name"]: nonsense(row) for row in said.rows if nonsense(row)} == {}
+    assert [row for row in said.rows if is_far(row)] == []

@@ -8,13 +8,9 @@ modulus until a fibre carries as much the other way as it did before, and harden
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from matplotlib import style
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from scipy.optimize import brentq
 
 from labpipe.law.play_fits import polygon_law
@@ -40,8 +36,6 @@ Of winding wires with the thickest enamel (grade 3), IS 13730 and IS 13778, as a
 them: avanticables.com, *Elongation and springiness for enamelled round copper winding wires*.
 """
 CURVATURES = (5.0, 12.0, 23.5, 37.5)
-STYLE = Path(__file__).resolve().parents[3] / "labpipe" / "report" / "labpipe.mplstyle"
-MODULI = (1e9, 3e8, 1e8)
 
 
 def kinematic(copper: RambergOsgood, before: Floats, now: Floats) -> Floats:
@@ -59,10 +53,6 @@ def isotropic(copper: RambergOsgood, before: Floats, now: Floats) -> Floats:
     return np.where(np.abs(falls) > np.abs(top), -onward, falls)
 
 
-_LOOKS: tuple[tuple[Rule, str, str], ...] = (
-    (kinematic, "#0072b2", "wire model (Masing)"),
-    (isotropic, "#e69f00", "the other extreme (isotropic)"),
-)
 _BARS = 1.0 + 6.0 * helix_factor(float(np.radians(12.0)), 0.34)
 """Strands of A2, each as stiff as a straight one times its helix factor."""
 _WALL = np.pi / 64.0 * (1.6e-3**4 - 1.0e-3**4)
@@ -107,81 +97,9 @@ def kept_of_a2(rule: Rule, modulus: float, curvature: float) -> float:
     return kept(rule, ANNEALED_COPPER, 0.32e-3, curvature, wall=modulus * _WALL, bars=_BARS)
 
 
-def tables() -> str:
-    """The two tables of the page."""
-    lines = [
-        "| copper, mandrel | most that is allowed | wire model | the same, isotropic |",
-        "|---|---|---|---|",
-    ]
-    for diameter, (mandrel, most) in WIRES.items():
-        found = [
-            " to ".join(f"{springback(rule, copper, diameter):.0f}" for copper in (softer, harder))
-            for rule, softer, harder in (
-                (kinematic, FIRMER, ANNEALED_COPPER),
-                (isotropic, ANNEALED_COPPER, FIRMER),
-            )
-        ]
-        lines.append(f"| {diameter:g} mm, {mandrel:g} mm | {most} | {found[0]} | {found[1]} |")
-    heads = " | ".join(f"{curvature:g} 1/m" for curvature in CURVATURES)
-    lines += ["", f"| A2, insulation | {heads} |", "|---" * (len(CURVATURES) + 1) + "|"]
-    for modulus in MODULI:
-        cells = [
-            " to ".join(
-                f"{100.0 * kept_of_a2(rule, modulus, each):.0f}" for rule in (kinematic, isotropic)
-            )
-            for each in CURVATURES
-        ]
-        lines.append(f"| {modulus / 1e6:g} MPa | {' | '.join(f'{cell} %' for cell in cells)} |")
-    return "\n".join(lines)
-
-
 def left_of_a2() -> float:
     """Deflection that the package leaves of A2 after 50 mm on 85 mm, m."""
     table = wire_table(spec_of("A2", "A2"))
     law = polygon_law(table.curvature[1:], table.moment[1:])
     bent = bend_to_deflection(law, straight(law, 60), 85e-3, 50e-3)
     return float(bend_under_force(law, bent.state, 85e-3, np.zeros(2)).y[-1])
-
-
-def moment_of_a2(rule: Rule, curvature: float, reached: float) -> float:
-    """Moment of A2 on the way back from a curvature it reached, N m, as `kept_of_a2`."""
-    height, area = _fibres(0.32e-3)
-    stress = rule(ANNEALED_COPPER, reached * height, curvature * height)
-    return _WALL * 1e9 * curvature + _BARS * float(stress * height @ area)
-
-
-def draw(path: Path) -> None:
-    """What is allowed and what both rules give, and A2 let go by both."""
-    with style.context(STYLE):
-        page = Figure(figsize=(6.3, 2.8), layout="constrained")
-        turns, release = page.subplots(1, 2)
-        _draw_turns(turns)
-        reached = CURVATURES[2]
-        up = np.linspace(0.0, reached, 60)
-        loading = [1e3 * moment_of_a2(kinematic, float(each), float(each)) for each in up]
-        release.plot(up, loading, color="black", label="first loading")
-        for rule, colour, words in _LOOKS:
-            back = np.linspace(kept_of_a2(rule, 1e9, reached), 1.0, 60) * reached
-            moments = [1e3 * moment_of_a2(rule, float(each), reached) for each in back]
-            release.plot(back, moments, color=colour, linestyle="--", label=words)
-        release.set(xlabel="Curvature (1/m)", ylabel="Bending moment (N\u00b7mm)")
-        release.set(xlim=(0.0, None), ylim=(0.0, None), title="(b) A2, insulation of 1000 MPa")
-        release.legend(fontsize=7.0)
-        page.savefig(path, dpi=150, metadata={"Software": None})
-
-
-def _draw_turns(axes: Axes) -> None:
-    places = np.arange(len(WIRES))
-    for rule, colour, words in _LOOKS:
-        found = [
-            [springback(rule, copper, each) for copper in (ANNEALED_COPPER, FIRMER)]
-            for each in WIRES
-        ]
-        low, high = np.sort(np.array(found), axis=1).T
-        axes.bar(places, high - low, bottom=low, width=0.5, color=colour, label=words)
-    most = [allowed for _, allowed in WIRES.values()]
-    axes.plot(places, most, "_", color="black", markersize=22, label="most that is allowed")
-    axes.set_xticks(places, [f"{each:g}" for each in WIRES])
-    axes.set(xlabel="Diameter of the copper (mm)", ylabel="Springback of a turn (degrees)")
-    axes.set(ylim=(0.0, 240.0), title="(a) wound on a mandrel")
-    axes.legend(fontsize=7.0, loc="upper left")

@@ -1,26 +1,100 @@
-"""The rule: an `ok` number is the plain one within 0.3 %; every other one says the true cause.
-
-`complaints` lists what breaks it. It knows names of results and the codes of reasons, and nothing
-of how labpipe finds a number.
-"""
+"""One test put into a lab's folder, run by ``labpipe process``, and what came out of it."""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import json
 import re
+import sys
+import traceback
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
-from typing import Any
+from pathlib import Path
+from typing import Any, TextIO
 
+import pytest
+
+from labpipe.cli import main
 from tests.builders.reasons import codes, why
-from tests.judges.plain.bench import Ran
 from tests.judges.plain.definitions import Plain
 
+
+@dataclass(frozen=True)
+class Ran:
+    """Exit status, what was said on the terminal, and summary.json (empty if there is none)."""
+
+    status: int
+    out: str
+    err: str
+    summary: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def results(self) -> dict[str, dict[str, Any]]:
+        return {each["name"]: each for each in self.summary.get("results", [])}
+
+    @property
+    def notes(self) -> list[dict[str, str]]:
+        return list(self.summary.get("quality", []))
+
+
+CRASHED = -1
+
+
+def process(home: Path, sheet: str, files: dict[str, bytes]) -> Ran:
+    """Write ``test.yaml`` and `files` beside it, and process; the test is called T."""
+    folder = home / "raw" / "c" / "T"
+    folder.mkdir(parents=True)
+    (folder / "test.yaml").write_text(sheet, encoding="utf-8")
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = _run(folder)
+    summary = home / "processed" / "c" / "T" / "summary.json"
+    said = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else {}
+    return Ran(status, out.getvalue(), err.getvalue(), said)
+
+
+def _run(folder: Path) -> int:
+    """As at a terminal: warnings are printed, and what nobody caught is a traceback."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = _show
+        try:
+            return int(main(["process", str(folder), "--no-figures"]))
+        except SystemExit as end:
+            return int(end.code or 0)
+        except Exception:  # noqa: BLE001 - what the program let through is what is judged
+            traceback.print_exc()
+            return CRASHED
+
+
+def _show(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    sys.stderr.write(f"{category.__name__}: {message} ({Path(filename).name}, line {lineno})\n")
+
+
 NEAR = 3e-3
+
+
 NAN = re.compile(r"\bnan\b|\binf\b", re.IGNORECASE)
+
+
 NO_BREAK = "no_break|no_failure"
+
+
 SIGN = re.compile("sign|negative|reversed|down|compress")
 """In the code of a note that says that a number is negative because of how the file counts."""
+
 
 Numbers = Mapping[str, Plain | None]
 """Plain number by name of the result; None for one that this test cannot have."""
@@ -152,3 +226,13 @@ def _shown(plain: Plain | None) -> str:
     if plain.low == plain.high:
         return f"{plain.low:.6g}"
     return f"{plain.low:.6g} to {plain.high:.6g}"
+
+
+STILL_WRONG: dict[str, str] = {}
+
+
+def marked(name: str) -> list[pytest.MarkDecorator]:
+    """The mark of a case of the table: it must fail, and by the judge."""
+    if name not in STILL_WRONG:
+        return []
+    return [pytest.mark.xfail(strict=True, raises=AssertionError, reason=STILL_WRONG[name])]

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from tests.judges.plain.definitions import Record, Samples
-from tests.judges.plain.numbers import USUAL, Asked
+from tests.judges.plain.definitions import (
+    USUAL,
+    Asked,
+    Plain,
+    Record,
+    Samples,
+    either,
+    excused,
+    filtered,
+    plain_numbers,
+)
+from tests.judges.plain.judge import Expected
 from tests.judges.plain.shapes import NEWTON
 
-LLOYD = "lloyd_nexygen/"
-REU = "mts/REU/"
-TIMED = "DAQ- Crosshead, … - (Timed)"
-RUN = f"mts/MTS_data/I0-0.9-dc/Test Run 4 10-23-2023 6 43 09 PM/{TIMED}"
-FDA = "mts/FDA/C18-L-M-RF 10-26-2022 1 03 54 PM/Collect Data - (Timed).txt"
 METRE = {"mm": 1e-3, "um": 1e-6, "in": 0.0254}
 
 
@@ -120,251 +127,170 @@ def controldesk(path: Path) -> dict[str, Samples]:
         return {"": group["X"]["Data"][:].ravel(), **found}
 
 
-def lloyd(name: str, low: float, high: float, **more: Any) -> Real:
-    columns = Columns(1, 0, encoding="utf-16")
-    return Real(
-        (f"{LLOYD}tensile_{name}.txt",),
-        columns,
-        "Load",
-        "Machine Extension",
-        asked=Asked((low, high), 0.2),
-        **more,
-    )
+def _real(table: dict[str, Any]) -> Real:
+    asked = dict(table.pop("asked"))
+    if "window" in asked:
+        asked["window"] = tuple(asked["window"]) or None
+    for name in ("files", "units"):
+        if name in table:
+            table[name] = tuple(table[name])
+    return Real(columns=Columns(**table.pop("columns")), asked=Asked(**asked), **table)
 
 
-def bent(name: str, encoding: str = "utf-16-le") -> Real:
-    """Load and travel are blank in other rows, so that what is there at the ends is not known."""
-    return Real(
-        (f"{LLOYD}3pb_hm3_{name}.txt",),
-        Columns(2, 1, 0, encoding=encoding),
-        "Load",
-        "Machine Extension",
-        asked=Asked((0.2, 3.2), 0.2, segments=True),
-        hurt={
-            "peak_*": "missing",
-            "energy*": "missing|no_break|no_failure",
-            "failure*": "missing|no_break|no_failure",
-        },
-    )
+FRAMES = {
+    name: _real(table)
+    for name, table in tomllib.loads(
+        Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+    ).items()
+}
 
 
-def suite(
-    file: str,
-    window: tuple[float, float],
-    unit: str,
-    columns: Columns,
-    *,
-    slack: bool = False,
-    hurt: Mapping[str, str] | None = None,
-) -> Real:
-    asked, units = Asked(window, 0.2, slack=slack), (unit, "mm")
-    return Real((file,), columns, "Load", "Crosshead", units, asked=asked, hurt=hurt or {})
+PROTOCOL = """\
+version: 1
+name: plain
+about: Plain numbers of one recorder
+sources:
+  force:
+    reader: READER
+    channels:
+      force: {channel: "FORCE", calibration: {gain: 1 N/V}, unit: V}
+      displacement: {channel: "TRAVEL", unit: mm}
+align: {method: none}
+STEPScurve: {force: force, displacement: displacement}
+branches: {channel: displacement, min_stroke: STROKE mm}
+results:
+  - {result: peak-displacement}
+"""
 
 
-BENT = (
-    *("1_test1", "1_test2", "1_test3", "1b_test1", "2_test1", "3_test1", "4_test1"),
-    *("5_test1", "5_test2", "5_test3", "6_test1", "7_test1", "7_test2", "7_test3"),
-)
-CSV = Columns(0, 1, 2, skip=8, separator=",")
-YARN = "zwick/yarn_compressionTests.xls"
-SIGN = "sign|negative|reversed|down|compress"
+WORK = "  - {result: peak-force}\n  - {result: energy}\n"
 
-FRAMES: dict[str, Real] = {
-    "copper-1": lloyd("22awg_copper_1_50mm", 0.5, 3.0),
-    "copper-1a": lloyd("22awg_copper_1a_50mm", 0.5, 3.0),
-    "copper-2": lloyd("22awg_copper_2_50mm", 0.5, 3.0),
-    "silicone-1": lloyd("22awg_silicone_1_50mm", 5.0, 60.0),
-    "silicone-2": lloyd("22awg_silicone_2_50mm", 5.0, 60.0),
-    "latex": lloyd("latex_1_30.5mm", 10.0, 60.0),
-    **{f"bent-{name}": bent(name, "utf-16" if name == "7_test1" else "utf-16-le") for name in BENT},
-    "cable-ld": suite(f"{REU}SteelCableLD_200mm_Trial3/{TIMED}.csv", (0.5, 1.0), "kN", CSV),
-    "cable-sd": suite(f"{REU}SteelCableSD_100mm_Trial1/{TIMED}.csv", (0.5, 1.0), "kN", CSV),
-    **{
-        f"{name}-slack": suite(f"{REU}{folder}/{TIMED}.csv", (0.3, 0.8), "kN", CSV, slack=True)
-        for name, folder in (
-            ("cable-ld", "SteelCableLD_200mm_Trial3"),
-            ("cable-sd", "SteelCableSD_100mm_Trial1"),
+
+SMOOTH = "  - {step: smooth, channel: %s, method: moving-average, span: %s s}\n"
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """Two channels of one recording, taken as N and mm; `span` is of a moving average, s."""
+
+    file: str
+    reader: str
+    force: str
+    travel: str
+    stroke: float
+    """mm"""
+    span: float = 0.0
+    same_as: str = ""
+    """A file that holds the same samples and is easier to open."""
+    position_only: bool = False
+    """What stands for the force is none, so that only the motion has a number."""
+    hurt: Mapping[str, str] = field(default_factory=dict)
+
+    def sheet(self) -> str:
+        return (
+            "test: T\nprotocol: ./plain.yaml\n"
+            'specimen: {type: real, spool: "1", sample: "1"}\n'
+            f"files: {{force: recording{Path(self.file).suffix}}}\n"
         )
-    },
-    "cable-cycles": suite(
-        f"{REU}Hysteresis_SteelCableSD_Trial1/{TIMED}.csv",
-        (0.2, 0.5),
-        "kN",
-        Columns(1, 2, 3, skip=8, separator=","),
-    ),
-    "ym-extract": suite(f"mts/ym-extract/{TIMED}.txt", (5.0, 20.0), "N", Columns(0, 1, 2, skip=8)),
-    "bone": Real(
-        (FDA,),
-        Columns(0, 1, 4, skip=8),
-        "Ch 1 Force",
-        "Ch 1 Displacement",
-        ("kN", "mm"),
-        asked=Asked((0.1, 0.2), 0.05),
-        sign_free=True,
-        hurt={"*": SIGN},
-    ),
-    "doubly-compressed": Real(
-        tuple(f"{RUN}{number}.txt" for number in ("", "1", "2", "3", "4", "5")),
-        Columns(0, 1, 2, skip=8),
-        "Load",
-        "Crosshead",
-        asked=Asked(None, 0.1),
-    ),
-    "flexure-793": Real(
-        ("mts/mts793/1_3D850_s1.dat",),
-        Columns(0, 1, 2, skip=8, separator=r"\s+"),
-        "Ch 1 Force",
-        "Ch 1 Displacement",
-        ("kN", "mm"),
-        asked=Asked((1.0, 2.0), 0.2),
-        sign_free=True,
-        hurt={"*": SIGN},
-    ),
-    "crush-793": Real(
-        ("mts/mts793/bam_druck_Wolf_8.2_Probe_2_specimen.dat",),
-        Columns(5, 4, 2, skip=21, decimal=",", encoding="cp1252"),
-        "Ch 1 Kraft",
-        "Ch 1 Weg",
-        ("kN", "mm"),
-        asked=Asked((0.3, 0.8), 0.2),
-        sign_free=True,
-        hurt={"*": SIGN},
-    ),
-    "modulus-793": Real(
-        ("mts/mts793/bam_emodul_specimen.dat",),
-        Columns(4, 3, 1, skip=15, last=572, decimal=",", encoding="cp1252"),
-        "Ch 1 Kraft",
-        "Ch 1 Weg",
-        ("kN", "mm"),
-        asked=Asked((0.1, 0.3), 0.1),
-        sign_free=True,
-        since=45.0,
-        hurt={"*": f"{SIGN}|zero|jump|drift|tare|not_reached"},
-    ),
-    "aluminium": Real(
-        ("instron/bezborodow_Al5005.csv",),
-        Columns(1, 2, 0, skip=14, separator=","),
-        "Load",
-        "Extension",
-        asked=Asked((0.1, 0.5), 0.2),
-    ),
-    "steel-8852": Real(
-        ("instron/matolab_instron8852_example2.csv",),
-        Columns(0, 1, 8, skip=2),
-        "Kraft",
-        "Maschine",
-        ("kN", "mm"),
-        asked=Asked((0.1, 0.4), 0.2),
-    ),
-    "flexure-bluehill": Real(
-        ("instron/nosh_3pb_Specimen_RawData_1.csv",),
-        Columns(1, 2, 0, skip=6, separator=","),
-        "Load",
-        "Extension",
-        ("lbf", "in"),
-        asked=Asked((20.0, 25.0), 0.2),
-        hurt={"*": "under_load|begins|start|zero"},
-    ),
-    "elastomer-cycle": Real(
-        ("instron/vhb4910_0d05_2d0_gbk.csv",),
-        Columns(1, 2, 0, skip=3, separator=",", encoding="gbk"),
-        "力",
-        "位移",
-        asked=Asked((5.0, 40.0), 1.0),
-    ),
-    "elastomer-hold": Real(
-        ("instron/vhb4910_relax_5d0_utf8.csv",),
-        Columns(1, 2, 0, skip=2, separator=","),
-        "力",
-        "位移",
-        asked=Asked((20.0, 200.0), 1.0),
-    ),
-    "alloy-tra": Real(
-        ("zwick/Allong 1.TRA",),
-        Columns(3, 2, 0, skip=12, separator=",", encoding="cp1252"),
-        "Force standard",
-        "Course standard",
-        asked=Asked((0.05, 0.15), 0.05),
-        hurt={"*": "under_load|begins|start|zero|drift|jump|negative"},
-    ),
-    "etfe-tra": Real(
-        ("zwick/Zugversuch_eng_ETFE-Ref+Groesseneffekt6.TRA",),
-        Columns(1, 2, 0, skip=18, encoding="cp1252"),
-        "Standardkraft",
-        "Standardweg",
-        asked=Asked((1.0, 4.0), 0.2),
-    ),
-    "metal-xlsx": Real(
-        ("zwick/FSP_AB_1_Traction-11.XLSX",),
-        Columns(3, 1, 0, skip=3, sheet="Values FSP_As-FSP_01"),
-        "Standard force",
-        "Standard travel",
-        asked=Asked((0.05, 0.15), 0.05),
-    ),
-    "aborted-xlsx": Real(
-        ("zwick/Target-2.XLSX",),
-        Columns(4, 3, 0, skip=3, sheet="Values Specimen 2"),
-        "Standard force",
-        "Standard travel",
-        refusal="samples|time",
-    ),
-    **{
-        name: Real(
-            (YARN,),
-            Columns(2, 1, 0, skip=3, sheet=name),
-            "Standard force",
-            "Strain",
-            ("mN", "mm"),
-            asked=Asked((0.5, 1.5), 0.2),
-            part=name,
+
+    def files(self, root: Path) -> dict[str, bytes]:
+        text = PROTOCOL.replace("READER", self.reader).replace("STROKE", str(self.stroke))
+        text = text.replace("FORCE", self.force).replace("TRAVEL", self.travel)
+        both = "".join(SMOOTH % (each, self.span) for each in ("force", "displacement"))
+        text = text.replace("STEPS", f"steps:\n{both}" if self.span else "")
+        text += "" if self.position_only else WORK
+        recording = (root / self.file).read_bytes()
+        return {"plain.yaml": text.encode(), f"recording{Path(self.file).suffix}": recording}
+
+    def expected(self, root: Path) -> Expected:
+        record, asked = self.record(root), Asked(None, self.stroke, failure=False)
+        samples = self.samples(record)
+        ways = filtered(record, samples, 1e-3 * self.stroke)
+        numbers = either(plain_numbers(each, asked) for each in ways)
+        if self.position_only:
+            numbers = {name: each for name, each in numbers.items() if "displacement" in name}
+        return Expected(numbers, causes=excused(record, asked) | dict(self.hurt))
+
+    def record(self, root: Path) -> Record:
+        source = root / (self.same_as or self.file)
+        signals = exported(source) if source.suffix == ".csv" else controldesk(source)
+        return Record(signals[""], 1e-3 * signals[self.travel], signals[self.force])
+
+    def samples(self, record: Record) -> int:
+        """An odd number of samples that the span of the filter holds, with a middle one."""
+        assert record.time is not None
+        count = round(self.span / float(np.median(np.diff(record.time))))
+        return count - (1 - count % 2) if count else 0
+
+
+def exported(path: Path) -> dict[str, Samples]:
+    """Time ("") and channels of a CSV of ControlDesk, whose first samples follow their label."""
+    text = path.read_text(encoding="utf-8-sig")
+    head, _, body = text.partition("\ntrace_values,")
+    (line,) = (each for each in head.splitlines() if each.startswith("trace_names,"))
+    rows = pd.read_csv(StringIO(body.replace("\n,", "\n")), header=None).to_numpy(dtype=float)
+    return dict(zip(["", *line.split(",")[2:]], rows.T, strict=True))
+
+
+@dataclass(frozen=True)
+class Take:
+    """A soft arm in a Motive take: how far the centre of its last ring goes."""
+
+    file: str
+    ring: str
+
+    def sheet(self) -> str:
+        return (
+            "test: T\nprotocol: markers-only\n"
+            'specimen: {type: soft-arm, spool: "1", sample: "1"}\nfiles: {markers: take.csv}\n'
         )
-        for name in (*(f"cotton-{i}" for i in range(1, 5)), *(f"acrylic-{i}" for i in range(1, 4)))
-    },
-    "shimadzu": Real(
-        ("shimadzu/Exemple_Shimadzu_Tract_L100_D2.csv",),
-        Columns(2, 1, 0, skip=3, separator=","),
-        "Force",
-        "Stroke",
-        asked=Asked((0.5, 1.0), 0.2),
+
+    def files(self, root: Path) -> dict[str, bytes]:
+        return {"take.csv": (root / self.file).read_bytes()}
+
+    def expected(self, root: Path) -> Expected:
+        lines = (root / self.file).read_text(encoding="utf-8-sig").splitlines()
+        top = next(i for i, line in enumerate(lines) if line.startswith("Frame,"))
+        names, words = lines[top - 3].split(","), lines[top - 1].split(",")
+        places = [
+            i
+            for i, (name, word) in enumerate(zip(names, words, strict=False))
+            if name.startswith(self.ring) and word == "Position"
+        ]
+        table = pd.read_csv(StringIO("\n".join(lines[top + 1 :])), header=None).to_numpy(float)
+        centre = 1e-3 * table[:, places].reshape(len(table), -1, 3).mean(axis=1)
+        away = np.linalg.norm(centre - centre[:5].mean(axis=0), axis=1)
+        return Expected({"tip_travel": Plain.of(float(np.nanmax(away)))})
+
+
+ROOT = "Model Root/"
+
+
+LOAD = f"{ROOT}Harware/Subsystem1/load raw1/In1"
+
+
+LASER = f"{ROOT}Laser Sensor/laser_-x1/In1"
+
+
+STEP = (f"{ROOT}Volt/In1", f"{ROOT}Position1/In1", 1.0)
+
+
+ADC = (f"{ROOT}DS1104ADC_C5/ADC", f"{ROOT}DS1104ADC_C6/ADC", 0.2)
+
+
+RECORDERS: dict[str, Recorder | Take] = {
+    "damper": Recorder("dspace/0103_3_3.mat", "dspace-mat", LOAD, LASER, 1.0, 0.02),
+    "damper-unfiltered": Recorder("dspace/0103_3_3.mat", "dspace-mat", LOAD, LASER, 1.0),
+    "motor-mat": Recorder("dspace/exp1_003.mat", "dspace-mat", *STEP, position_only=True),
+    "motor-mf4": Recorder(
+        *("dspace/rec1_003.mf4", "dspace-mf4", *STEP),
+        same_as="dspace/exp1_003.mat",
+        position_only=True,
     ),
-    "walter-bai-100": Real(
-        ("walter_bai/Exemple_WB100kN_Tract_L100_D2.csv",),
-        Columns(9, 2, 1, separator=";"),
-        "C_1_Force",
-        "C_1_Déplacement",
-        ("kN", "mm"),
-        asked=Asked((0.5, 1.5), 0.2),
+    "motor-csv": Recorder(
+        "dspace/rec1_001.csv", "dspace-csv", "Qs", "Theta_e", 1.0, position_only=True
     ),
-    "walter-bai-400": Real(
-        ("walter_bai/Exemple_WB400kN_2_Tract_L100_D10.csv",),
-        Columns(1, 2, separator=",", encoding="cp1252"),
-        "Force",
-        "Déplacement",
-        asked=Asked((3.0, 5.0), 0.2),
-        hurt={"*": "under_load|begins|start|zero"},
-    ),
-    "hot-catman": Real(
-        ("hbm_catman/DD11_7_1.ASC",),
-        Columns(3, 2, 0, encoding="cp1252"),
-        "Kraft",
-        "Standardwegaufnehmer",
-        asked=Asked((1.0, 1.5), 0.2),
-        hurt={"*": "under_load|begins|start|zero|drift|jump|negative"},
-    ),
-    "cellulose-microtest": Real(
-        ("deben/NANOCEL_KW.CHAL_450PPM_15.MTR",),
-        Columns(1, 2, 0, skip=20, separator=",", last=2701),
-        "Force",
-        "Elongation",
-        asked=Asked((0.1, 0.3), 0.05),
-    ),
-    "cellulose-dma": Real(
-        ("ta_dma/BC100GLU_01.txt",),
-        Columns(2, 3, 0, skip=56, encoding="utf-16"),
-        "Static Force",
-        "Displacement",
-        ("N", "um"),
-        minutes=True,
-        asked=Asked((0.05, 0.15), 0.02),
-    ),
+    "lvdt-waves": Recorder("dspace/exp1_030.mat", "dspace-mat", *ADC, position_only=True),
+    "lvdt-steps": Recorder("dspace/exp1_033.mat", "dspace-mat", *ADC, position_only=True),
+    "soft-arm": Take("motive/softarm_sim-fk-400-2_1.23.csv", "SA-up"),
 }

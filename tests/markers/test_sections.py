@@ -1,0 +1,220 @@
+"""Rings of markers, sections, and the axis of a bundle on two supports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from labpipe.markers.rings import (
+    axis_at_rest,
+    find_sections,
+    ring_centres,
+    section_twist,
+)
+from labpipe.markers.three_point_axis import fit_bent_axis, fit_span
+from labpipe.markers.track_repair import RepairedTracks
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import PointFlag
+from labpipe.records.recording import MarkerTracks
+from tests.builders.three_point import RADIUS, SPAN, STROKE, BendingRecord, curvature_at, tracks
+
+FRAMES = 200
+
+
+def turning_ring(count: int) -> tuple[Floats, Floats]:
+    """A ring that tips over by 60 degrees while it moves: its markers and their mean."""
+    angles = np.arange(count) * 2 * np.pi / count + 0.3
+    ring = 0.03 * np.column_stack([0 * angles, np.cos(angles), np.sin(angles)])
+    ring[:, 0] = 0.002 * np.arange(count)
+    turns = Rotation.from_rotvec(np.linspace(0, 1, FRAMES)[:, None] * [0.0, 0.3, 1.0])
+    path = np.linspace(0, 0.2, FRAMES)[:, None] * [1.0, 0.5, 0.0]
+    markers = np.einsum("fij,mj->fmi", turns.as_matrix(), ring) + path[:, None]
+    return markers, markers.mean(axis=1)
+
+
+def repaired(markers: Floats) -> RepairedTracks:
+    flags = np.where(np.isfinite(markers).all(axis=2), 1, 0).astype(np.uint8)
+    names = tuple(f"low:{number}" for number in range(markers.shape[1]))
+    return RepairedTracks(names, markers, flags, ())
+
+
+@pytest.mark.parametrize(("count", "tolerance"), [(3, 1e-4), (4, 1e-12)])
+def test_a_missing_marker_does_not_move_the_centre(count: int, tolerance: float) -> None:
+    # 4: a rigid fit of the three in sight; 3: interpolated between both ends, 18 degrees apart
+    markers, centre = turning_ring(count)
+    markers[60:120, 1] = np.nan
+    tracks = repaired(markers)
+    rings = ring_centres(tracks, {"low": tracks.names})
+    assert (rings.flags[60:120, 0] == PointFlag.FILLED).all()
+    assert (rings.flags == PointFlag.FILLED).sum() == 60
+    np.testing.assert_allclose(rings.positions[:, 0], centre, atol=tolerance * 3)
+    assert [note.message for note in rings.notes] == [
+        "low: centre built without low:1 in 60 frames"
+    ]
+
+
+def test_a_ring_never_whole_is_the_mean_of_what_is_seen() -> None:
+    markers, _ = turning_ring(3)
+    markers[:, 2] = np.nan
+    rings = ring_centres(repaired(markers), {"low": ("low:0", "low:1", "low:2")})
+    np.testing.assert_array_equal(rings.positions[:, 0], markers[:, :2].mean(axis=1))
+    assert "low: never seen whole; its centre is the mean of the markers in sight" in [
+        note.message for note in rings.notes
+    ]
+
+
+def test_a_centre_is_as_certain_as_its_least_certain_marker() -> None:
+    markers, _ = turning_ring(3)
+    flags = np.ones((FRAMES, 3), dtype=np.uint8)
+    flags[5, 1], flags[6] = PointFlag.RELABELLED, [1, 2, 3]
+    tracks = RepairedTracks(("a", "b", "c"), markers, flags, ())
+    rings = ring_centres(tracks, {"ring": ("a", "b", "c")})
+    assert rings.flags[4:8, 0].tolist() == [1, PointFlag.RELABELLED, PointFlag.FILLED, 1]
+
+
+@pytest.mark.parametrize("members", [(), ("low:0", "high:1")])
+def test_a_ring_of_unknown_markers_is_refused(members: tuple[str, ...]) -> None:
+    tracks = repaired(turning_ring(3)[0])
+    with pytest.raises(ValueError, match=r"ring low=\[.*\]: expected markers out of"):
+        ring_centres(tracks, {"low": members})
+
+
+STILL = (0.0, 0.0, 1e-9)
+
+
+def take(**more: object) -> tuple[MarkerTracks, Flags]:
+    record = BendingRecord(noise=STILL, **more)  # type: ignore[arg-type]
+    made = tracks(record, np.random.default_rng(0))
+    return made, np.asarray(made.time < 2.0)
+
+
+def test_frame_and_sections() -> None:
+    made, rest = take()
+    found = find_sections(made.positions, rest=rest, apart=0.004)
+
+    assert found.count == 15
+    assert np.allclose(np.diff(found.x), 0.0127, atol=1e-6)
+    assert np.linalg.det(found.rotation_lab_to_specimen) == pytest.approx(1.0)
+    lab_down = np.array([0.0, -1.0, 0.0])  # mid-span goes down in the frame of the cameras
+    assert found.rotation_lab_to_specimen[1] @ lab_down == pytest.approx(1.0, abs=1e-4)
+    assert np.nanmax(found.markers[..., 1]) > 0.9 * STROKE
+
+
+def test_too_few_markers_and_markers_that_stand_still() -> None:
+    made, rest = take()
+    with pytest.raises(ValueError, match="2 markers seen at rest: expected at least 3"):
+        find_sections(made.positions[:, :2], rest=rest, apart=0.004)
+    with pytest.raises(ValueError, match="the markers do not move: expected a specimen that is"):
+        find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], apart=0.004)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
+    made, rest = take()
+    found = find_sections(made.positions, rest=rest, apart=0.004)
+
+    axis = axis_at_rest(found, radius=RADIUS, towards=(0.0, sign))
+
+    far = np.linalg.norm(found.at_rest[:, 1:] - axis, axis=1)
+    assert np.allclose(far, RADIUS, atol=1e-6)
+    assert -sign * axis[1] > 0.0
+
+
+def test_twist_of_a_section_and_none_of_one_row() -> None:
+    made, rest = take(twist=0.08)
+    found = find_sections(made.positions, rest=rest, apart=0.004)
+    twist, lever = section_twist(found, np.zeros((len(rest), 15)), radius=RADIUS)
+    assert np.nanmax(np.abs(twist[:, 7])) == pytest.approx(0.08, abs=1e-3)
+    assert np.allclose(lever, RADIUS * np.sin(np.radians(35.0)) * np.sqrt(2.0), rtol=1e-3)
+
+    made, rest = take(angles=(np.radians(90.0),))
+    found = find_sections(made.positions, rest=rest, apart=0.004)
+    twist, lever = section_twist(found, np.zeros((len(rest), 15)), radius=RADIUS)
+    assert np.isnan(twist).all()
+    assert not lever.any()
+
+
+PLACES = 0.0127 * np.arange(-7.0, 8.0)
+
+
+def points(bend: float) -> Floats:
+    """Points with curvature bend x (1 - 2 |x| / span), small slopes, straight overhangs."""
+    u = np.clip(1.0 - 2.0 * np.abs(PLACES) / SPAN, 0.0, None)
+    half = 0.5 * SPAN
+    y = -bend * half**2 * ((1.0 - u) / 2.0 - (1.0 - u**3) / 6.0)
+    y -= bend * half / 2.0 * np.clip(np.abs(PLACES) - half, 0.0, None)
+    return np.column_stack([PLACES, y, 0.0 * PLACES])[None]
+
+
+def test_the_small_bend_of_an_elastic_beam() -> None:
+    bent = fit_bent_axis(points(0.01), span=SPAN, terms=3)
+
+    assert bent.mid_span[0] == pytest.approx(0.01, rel=1e-3)
+    # To 1 %: over a span the three powers are nearly alike, only their sum is well known.
+    assert bent.curvature[0] == pytest.approx([0.01, 0.0, 0.0], abs=1e-4)
+    assert bent.deflection[0] == pytest.approx(0.01 * SPAN**2 / 12.0, rel=1e-3)
+    assert abs(bent.support_slope[0]) == pytest.approx(0.01 * SPAN / 4.0, rel=1e-2)
+
+
+def test_a_line_is_no_bend_and_missing_points_are_left_out() -> None:
+    straight = np.column_stack([PLACES, 0.1 * PLACES + 0.002])[None]
+    bent = fit_bent_axis(straight, span=SPAN, terms=3)
+    assert bent.mid_span[0] == pytest.approx(0.0, abs=1e-9)
+    assert bent.height[0] == pytest.approx(0.002)
+
+    some = points(0.01)
+    some[0, 3] = np.nan
+    assert fit_bent_axis(some, span=SPAN, terms=3).mid_span[0] == pytest.approx(0.01, rel=1e-3)
+    some[0, :10] = np.nan
+    assert np.isnan(fit_bent_axis(some, span=SPAN, terms=3).mid_span).all()
+
+
+def test_the_stated_noise_is_that_of_the_points() -> None:
+    random = np.random.default_rng(3)
+    many = np.repeat(points(5.0)[..., :2], 400, axis=0)
+    many[..., 1] += random.normal(0.0, 2e-5, many.shape[:2])
+
+    bent = fit_bent_axis(many, span=SPAN, terms=3)
+
+    assert bent.noise == pytest.approx(2e-5, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("facing", ["side", "load"])
+def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
+    """The elastica by another method: curvature at full stroke is moment over EI."""
+    angles = np.radians([55.0, 125.0] if facing == "side" else [145.0, 215.0])
+    record = BendingRecord(noise=(0.0, 0.0, 1e-7), angles=tuple(float(each) for each in angles))
+    made = tracks(record, np.random.default_rng(0))
+    rest = np.asarray(made.time < 2.0)
+    sections = find_sections(made.positions, rest=rest, apart=0.004)
+    bent_most = np.nanmax(np.abs(sections.markers[..., 1] - sections.at_rest[:, 1]), axis=1) > 0.015
+
+    found = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, bent_most=bent_most)
+
+    top = int(np.argmin(np.abs(made.time - record.cameras_early - record.lasts)))
+    assert found.bent.mid_span[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
+    assert found.bent.deflection[top] == pytest.approx(STROKE, rel=5e-3)
+    assert found.bent.residual[top] < 3e-6
+    # Markers ahead of the axis are carried sideways by the twist, which tilts y by 12 mrad.
+    close = 1e-3 if facing == "side" else 2.5e-3
+    assert np.abs(found.twist[top]) == pytest.approx(np.full(15, 0.05), abs=close)
+    assert found.mid_span == pytest.approx(0.0, abs=1e-4)
+    assert found.side_share < 0.02
+
+
+@pytest.mark.parametrize(
+    ("count", "message"),
+    [
+        (16, r"mm of mid-span: expected some 45.72 mm away on both sides"),
+        (10, "5 sections with markers: expected at least 6"),
+    ],
+)
+def test_too_few_sections(count: int, message: str) -> None:
+    made = tracks(BendingRecord(), np.random.default_rng(0))
+    rest = np.asarray(made.time < 2.0)
+    sections = find_sections(made.positions[:, :count], rest=rest, apart=0.004)
+    bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
+    with pytest.raises(ValueError, match=message):
+        fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=bent_most)

@@ -1,0 +1,320 @@
+"""Turning points of a motion: strokes, corners, reversals, rests and jumps."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import AT_REST, Direction
+from labpipe.signal.rests_and_jumps import (
+    level_jumps,
+    moves_at_end,
+    samples_at_rest,
+    standing_stretches,
+)
+from labpipe.signal.turning_points import (
+    branch_numbers,
+    find_strokes,
+    goes_down,
+    sharpest_turn,
+    split_branches,
+    turn_near,
+)
+
+STEP = 0.02
+
+
+def ramps(*corners: tuple[float, float], noise: float = 0.0) -> tuple[Floats, Floats]:
+    """A motion through (time s, position mm) corners at 50 frames per second."""
+    times, places = zip(*corners, strict=True)
+    time = np.arange(times[0], times[-1], STEP)
+    motion = 1e-3 * np.interp(time, times, places)
+    return time, motion + np.random.default_rng(0).normal(0.0, noise, len(time))
+
+
+def triangle(cycles: int) -> list[tuple[float, float]]:
+    """Rest of 5 s, then cycles of 53 mm at 1 mm/s, then rest."""
+    turns = [(5.0 + 53.0 * i, 53.0 * (i % 2)) for i in range(2 * cycles + 1)]
+    return [(0.0, 0.0), *turns, (turns[-1][0] + 5.0, turns[-1][1])]
+
+
+@pytest.mark.parametrize("cycles", [1, 2, 3, 7])
+def test_any_number_of_cycles(cycles: int) -> None:
+    time, motion = ramps(*triangle(cycles), noise=1e-5)
+    strokes = find_strokes(time, motion, min_stroke=5e-3)
+    assert [stroke.sign for stroke in strokes] == [1, -1] * cycles
+    starts = [float(time[stroke.start]) for stroke in strokes]
+    assert starts == pytest.approx([5.0 + 53.0 * i for i in range(2 * cycles)], abs=0.1)
+    assert time[strokes[-1].stop] == pytest.approx(5.0 + 106.0 * cycles, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("corners", "down"),
+    [
+        (((0, 0), (5, 0), (35, 6), (65, 0), (70, 0)), False),
+        (((0, 0), (5, 0), (35, -6), (65, 0), (70, 0)), True),
+        (((0, 3.7), (15, 6), (45, 0), (70, 0)), False),  # begins under load
+        (((0, -3.7), (15, -6), (45, 0), (70, 0)), True),
+        (((0, 0), (5, 0), (35, 6)), False),  # breaks off
+    ],
+    ids=["up", "down", "begins halfway up", "begins halfway down", "ends at the top"],
+)
+def test_which_way_a_signal_goes(corners: tuple[tuple[float, float], ...], *, down: bool) -> None:
+    _, signal = ramps(*corners, noise=1e-5)
+    assert goes_down(signal) is down
+    signal[::7] = np.nan
+    assert goes_down(signal) is down
+
+
+def test_noise_makes_no_stroke_that_ends_before_it_begins() -> None:
+    """As a column of force makes that was taken for the displacement."""
+    time = np.arange(0.0, 120.0, 0.1)
+    noise = 1.5e-3 * np.random.default_rng(2).standard_normal(len(time))
+    strokes = find_strokes(time, noise, min_stroke=5e-3)
+    assert strokes
+    assert all(stroke.start < stroke.stop for stroke in strokes)
+
+
+def test_a_partial_last_cycle_is_a_stroke() -> None:
+    time, motion = ramps((0, 0), (20, 20), (40, 0), (52, 12))
+    strokes = find_strokes(time, motion, min_stroke=5e-3)
+    assert [stroke.sign for stroke in strokes] == [1, -1, 1]
+    assert strokes[-1].stop == len(time) - 1
+
+
+def test_dwell_belongs_to_neither_branch() -> None:
+    corners = [(0.0, 0.0), (5.0, 0.0), (25.0, 20.0), (35.0, 20.0), (55.0, 0.0), (60.0, 0.0)]
+    time, motion = ramps(*corners, noise=1e-5)
+    first, second = find_strokes(time, motion, min_stroke=5e-3)
+    assert time[first.stop] == pytest.approx(25.0, abs=0.1)
+    assert time[second.start] == pytest.approx(35.0, abs=0.1)
+
+
+def test_a_smooth_reversal_is_no_dwell() -> None:
+    time = np.arange(0.0, 20.0, 0.002)
+    noise = np.random.default_rng(2).normal(0, 2e-5, len(time))
+    motion = 4e-3 * np.sin(2 * np.pi * time / 0.6) + noise
+    strokes = find_strokes(time, motion, min_stroke=1e-3)
+    assert len(strokes) == 67
+    assert all(a.stop == b.start for a, b in pairwise(strokes))
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-100.0, 100.0), st.sampled_from([-1.0, 1.0]))
+def test_offset_shift_and_direction_do_not_move_the_turns(
+    offset: float, shift: float, sign: float
+) -> None:
+    time, motion = ramps(*triangle(2))
+    plain = find_strokes(time, motion, min_stroke=5e-3)
+    moved = find_strokes(time + shift, sign * motion + offset, min_stroke=5e-3)
+    assert [stroke.sign for stroke in moved] == [int(sign) * stroke.sign for stroke in plain]
+    for a, b in zip(plain, moved, strict=True):
+        assert abs(a.start - b.start) <= 1
+        assert abs(a.stop - b.stop) <= 1
+
+
+def test_nothing_moves() -> None:
+    time = np.arange(0.0, 10.0, STEP)
+    assert find_strokes(time, np.zeros_like(time), min_stroke=1e-3) == ()
+    assert find_strokes(time, np.full_like(time, np.nan), min_stroke=1e-3) == ()
+
+
+def test_min_stroke_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="min_stroke=0: expected a positive length"):
+        find_strokes(np.arange(3.0), np.arange(3.0), min_stroke=0)
+
+
+def test_branches_count_cycles_and_cover_every_stroke() -> None:
+    time, motion = ramps(*triangle(2))
+    strokes = find_strokes(time, motion, min_stroke=5e-3)
+    turns = np.full((4, 2), np.nan)
+    turns[0, 1] = turns[1, 0] = 58.0004
+    branches = split_branches(time, strokes, turning_times=turns)
+    assert [branch.cycle for branch in branches] == [1, 1, 2, 2]
+    assert [branch.direction for branch in branches[:2]] == [
+        Direction.LOADING,
+        Direction.UNLOADING,
+    ]
+    assert branches[0].stop_time == branches[1].start_time == 58.0004
+    branch, cycle = branch_numbers(len(time), branches)
+    inside = slice(strokes[0].start, strokes[-1].stop + 1)
+    assert (branch[inside] >= 0).all()
+    assert (cycle[inside] >= 1).all()
+    assert (branch[: strokes[0].start] == AT_REST).all()
+    assert (cycle[strokes[-1].stop + 1 :] == 0).all()
+
+
+def test_a_way_back_of_just_the_least_stroke_is_a_stroke() -> None:
+    motion = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 3.0, 4.0, 5.0])
+    strokes = find_strokes(np.arange(10.0), motion, min_stroke=2.0)
+    assert [(stroke.start, stroke.stop) for stroke in strokes] == [(0, 4), (4, 6), (6, 9)]
+    assert len(find_strokes(np.arange(10.0), motion, min_stroke=2.1)) == 1
+    assert len(find_strokes(np.arange(10.0), motion, min_stroke=5.0)) == 1
+    assert not find_strokes(np.arange(10.0), motion, min_stroke=5.1)
+
+
+@pytest.mark.parametrize(("dwell", "is_one"), [(0.44, False), (0.64, True)])
+def test_a_dwell_lasts_more_than_half_a_percent_of_its_strokes(
+    dwell: float, *, is_one: bool
+) -> None:
+    """Strokes of 100 s; a tolerance of 1e-4 of their way takes 0.04 s off a dwell."""
+    time, motion = ramps((0.0, 0.0), (100.0, 100.0), (100.0 + dwell, 100.0), (200.0 + dwell, 0.0))
+    first, second = find_strokes(time, motion, min_stroke=5e-3)
+    assert (first.stop < second.start) is is_one
+
+
+def test_the_corner_and_not_the_largest_value() -> None:
+    time = np.arange(0.0, 100.0, 0.01)
+    rise = np.sin(np.pi * np.clip(time, 0.0, 60.0) / 90.0)  # largest at 45 s, turns at 60 s
+    force = np.where(time < 60.0, rise, rise[6000] - 0.1 * (time - 60.0))
+
+    assert sharpest_turn(time, force, width=1.0) == pytest.approx(60.0, abs=0.2)
+
+
+def test_a_record_that_ends_under_load_has_no_turn() -> None:
+    """The head of a load frame touches at 2 s, which is no turn, nor is the noise at rest."""
+    time = np.arange(0.0, 40.0, 0.01)
+    force = np.clip(time - 5.0, 0.0, None) + 0.5 * np.exp(-(((time - 2.0) / 0.3) ** 2))
+    force += np.random.default_rng(1).normal(0.0, 0.02, len(time))
+
+    assert sharpest_turn(time, force, width=1.0) is None
+
+
+def test_noise_has_no_turn() -> None:
+    time = np.arange(0.0, 40.0, 0.01)
+    noise = np.random.default_rng(1).normal(0.0, 1.0, len(time))
+
+    assert sharpest_turn(time, noise, width=1.0) is None
+
+
+@pytest.mark.parametrize("dwell", [0.0, 0.2, 1.0, 5.0])
+@pytest.mark.parametrize("seen_at", [0.0, 1.0])
+def test_a_turn_with_a_wait_is_found_by_both_corners(dwell: float, seen_at: float) -> None:
+    """The steep corner is the second one: seen near either, the first one is found."""
+    time = np.arange(0.0, 60.0, 0.002)
+    past = time - 30.0
+    force = 0.02 * np.minimum(past, 0.0) - 0.6 * np.clip(past - dwell, 0.0, 0.2)
+    force -= 0.1 * np.maximum(past - dwell - 0.2, 0.0)
+    force += np.random.default_rng(4).normal(0.0, 2e-3, len(time))
+    force[1000:1050] = np.nan
+    near = 30.0 + seen_at * dwell
+
+    found = turn_near(time, force, near=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
+    assert found == pytest.approx(30.0, abs=0.1)
+
+
+def test_a_record_too_short_for_a_turn_with_a_wait() -> None:
+    time = np.arange(0.0, 3.0, 0.01)
+    assert turn_near(time, -np.abs(time - 1.5), near=1.5, reach=1.0, width=2.0, dwell=0.0) is None
+    assert turn_near(time, np.full(300, np.nan), near=1.5, reach=1.0, width=0.2, dwell=0.1) is None
+    assert turn_near(time, time, near=1.5, reach=1.0, width=0.5, dwell=9.0) is None
+
+
+TIME = np.arange(0.0, 5.0, 0.02)
+
+
+def path(shape: Floats, noise: float = 0.0) -> Floats:
+    values: Floats = shape + np.random.default_rng(3).normal(0.0, noise, len(shape))
+    return values
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_motion_that_goes_on(noise: float, sense: float) -> None:
+    assert moves_at_end(TIME, path(sense * TIME / 5.0, noise))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+def test_a_motion_that_rests_at_its_end(noise: float) -> None:
+    assert not moves_at_end(TIME, path(np.minimum(TIME, 4.0) / 5.0, noise))
+
+
+def test_a_motion_that_slows_down_to_its_turn() -> None:
+    assert not moves_at_end(TIME, 0.5 - 0.5 * np.cos(np.pi * TIME / 5.0))
+    assert moves_at_end(TIME[:200], (0.5 - 0.5 * np.cos(np.pi * TIME / 5.0))[:200])
+
+
+def test_few_samples() -> None:
+    assert moves_at_end(TIME[:3], TIME[:3])
+    assert not moves_at_end(TIME[:2], TIME[:2])
+    assert not moves_at_end(TIME[:5], np.zeros(5))
+
+
+def stretch(rest: int, noise: float, *, count: int = 60, seed: int = 0) -> Floats:
+    """A level of 5 that a line leaves, of slope 1 per sample."""
+    line = 5.0 + np.clip(np.arange(float(count)) - rest, 0.0, None)
+    values: Floats = line + np.random.default_rng(seed).normal(0.0, noise, count)
+    return values
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+@pytest.mark.parametrize("rest", [5, 15, 30, 50])
+def test_where_a_motion_begins(noise: float, rest: int) -> None:
+    assert samples_at_rest(stretch(rest, noise)) == pytest.approx(rest, abs=2)
+    assert samples_at_rest(-stretch(rest, noise)) == pytest.approx(rest, abs=2)
+
+
+def test_all_rest_or_all_motion() -> None:
+    for seed in range(200):
+        assert samples_at_rest(stretch(60, 1.0, seed=seed)) == 0
+        assert samples_at_rest(stretch(0, 1.0, seed=seed)) == 0
+    assert samples_at_rest(np.ones(60)) == 0
+    assert samples_at_rest(np.ones(3)) == 0
+
+
+def test_where_a_motion_stands() -> None:
+    walk = np.interp(TIME, [0.0, 1.0, 3.0, 5.0], [0.0, 1.0, 1.0, 3.0])
+    ((start, stop),) = standing_stretches(TIME, walk, size=5, speed=1.0)
+    assert TIME[start] == pytest.approx(1.0, abs=0.2)
+    assert TIME[stop] == pytest.approx(3.0, abs=0.2)
+    shaken = path(walk, 1.0)
+    assert standing_stretches(TIME, shaken, size=5, speed=1.0) == []  # nobody can tell
+    assert standing_stretches(TIME[:8], walk[:8], size=2, speed=1.0) == []
+    turns = 1.0 - np.cos(np.pi * TIME / 5.0)
+    assert standing_stretches(TIME, turns, size=5, speed=1.0) == []
+    ((start, stop),) = standing_stretches(TIME, np.minimum(TIME, 1.0), size=1, speed=1.0)
+    assert start == pytest.approx(50, abs=2)
+    assert stop == 250
+
+
+JUMP_TIME = 0.01 * np.arange(2000.0)
+
+
+RAMP = np.minimum(JUMP_TIME, 20.0 - JUMP_TIME) * 10.0
+
+
+@pytest.mark.parametrize("size", [10.0, -10.0, 3.0])
+def test_a_level_that_moves_from_one_sample_to_the_next(size: float) -> None:
+    ((sample, found),) = level_jumps(
+        JUMP_TIME,
+        RAMP + np.where(JUMP_TIME > 6.0, size, 0.0),
+    )
+    assert JUMP_TIME[sample - 1] <= 6.0 < JUMP_TIME[sample]
+    assert found == pytest.approx(size, abs=0.2)
+
+
+def test_corners_noise_steps_of_a_converter_and_spikes_are_none() -> None:
+    noise = np.random.default_rng(1).normal(0.0, 0.5, len(JUMP_TIME))
+    spike = np.where(np.arange(len(JUMP_TIME)) == 700, 50.0, 0.0)
+    for values in (
+        RAMP,
+        RAMP + noise,
+        np.round(RAMP, 0),
+        RAMP + spike,
+        np.full(len(JUMP_TIME), 2.0),
+    ):
+        assert level_jumps(JUMP_TIME, values) == ()
+
+
+def test_a_hole_in_the_record_is_none() -> None:
+    there = (JUMP_TIME < 5.0) | (JUMP_TIME > 7.0)
+    assert level_jumps(JUMP_TIME[there], RAMP[there]) == ()
+    assert level_jumps(JUMP_TIME, np.where(there, RAMP, np.nan)) == ()
+
+
+def test_few_samples_have_no_jump() -> None:
+    assert level_jumps(JUMP_TIME[:5], RAMP[:5]) == ()

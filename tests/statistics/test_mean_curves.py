@@ -1,0 +1,144 @@
+"""Mean curves of groups and their bands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
+from labpipe.statistics.mean_curves import (
+    _gaps,
+    block_means,
+    common_curves,
+    mean_band,
+    simultaneous_quantile,
+)
+from tests.builders.sloped_samples import built, make, said, samples, stiffness
+
+Curve = tuple[Floats, Floats]
+
+
+def line(slope: float, start: float = 0.0, stop: float = 0.02, n: int = 50) -> Curve:
+    path = np.linspace(start, stop, n)
+    return path, slope * path
+
+
+def test_only_where_every_curve_has_data() -> None:
+    shared = common_curves([line(1e3, 0.001, 0.02), line(2e3, 0.0, 0.015, 37)])
+    assert (shared.displacement[0], shared.displacement[-1]) == (0.001, 0.015)
+    np.testing.assert_allclose(shared.force[0], 1e3 * shared.displacement, rtol=1e-12)
+    np.testing.assert_allclose(shared.force[1], 2e3 * shared.displacement, rtol=1e-12)
+
+
+def test_a_gap_is_not_bridged() -> None:
+    path, force = line(1e3, n=41)
+    force = force.copy()
+    force[10:13] = np.nan
+    shared = common_curves([(path, force), line(1e3)])
+    inside = (shared.displacement > path[9]) & (shared.displacement < path[13])
+    assert not inside.any()
+    assert shared.displacement[-1] == path[-1]
+
+
+def test_two_curves_have_a_pointwise_band_only() -> None:
+    band = mean_band(common_curves([line(1e3), line(1.2e3)]), over="spool means")
+    np.testing.assert_allclose(band.upper - band.mean, 12.7062 * 100 * band.displacement, rtol=1e-5)
+    assert np.isnan(band.upper_all).all()
+    assert str(band.reason) == (
+        "two_curves: no simultaneous band over two spool means, which may cross and then show no "
+        "scatter at all"
+    )
+
+
+def test_curves_that_differ_in_slope_alone_have_one_band() -> None:
+    # The whole curve hangs on one number, so both bands are that of t with 2 degrees of freedom.
+    band = mean_band(common_curves([line(slope, 0.001) for slope in (1e3, 1.1e3, 1.3e3)]))
+    np.testing.assert_allclose(band.upper_all, band.upper, rtol=1e-4)
+
+
+def test_simultaneous_is_never_narrower_and_never_beyond_bonferroni() -> None:
+    rng = np.random.default_rng(0)
+    rough = simultaneous_quantile(rng.normal(size=(5, 200)))
+    smooth = simultaneous_quantile(np.outer(rng.normal(size=5), np.linspace(1.0, 2.0, 200)))
+    assert smooth == pytest.approx(2.7764, abs=1e-3)
+    # t with 4 degrees of freedom that leaves 0.05 / 200 outside, two-sided
+    assert rough == pytest.approx(12.27, abs=0.05)
+
+
+@given(st.integers(3, 6), st.integers(0, 500), st.floats(-50.0, 50.0), st.floats(0.1, 10.0))
+def test_moves_scales_and_does_not_mind_the_order(
+    n: int, seed: int, shift: float, scale: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    curves = [(line(1.0)[0], np.cumsum(rng.normal(0.5, 1.0, 50))) for _ in range(n)]
+    first = mean_band(common_curves(curves))
+    moved = mean_band(
+        common_curves([(path, scale * force + shift) for path, force in curves[::-1]])
+    )
+    for name in ("mean", "lower", "upper", "lower_all", "upper_all"):
+        expected = scale * getattr(first, name) + shift
+        np.testing.assert_allclose(getattr(moved, name), expected, rtol=1e-6, atol=1e-6 * scale)
+    assert moved.n == n
+
+
+def test_block_means() -> None:
+    assert block_means(np.arange(6.0), 3).tolist() == [0.5, 2.5, 4.5]
+    assert block_means(np.arange(7.0), 3).tolist() == [0.5, 2.5, 5.0]
+    assert block_means(np.arange(4.0), 9).tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert block_means(np.zeros(0), 9).tolist() == []
+    assert np.isnan(block_means(np.array([1.0, np.nan, 2.0, 4.0]), 2)).tolist() == [True, False]
+
+
+def test_scaled_band_without_a_peak_force() -> None:
+    members = samples()[:3]
+    failed = Result(
+        "peak_force.1", None, "N", status=Status.FAILED, reasons=(Reason("no_curve", "none"),)
+    )
+    members[1] = replace(members[1], results=(stiffness(50.0), failed))
+    members[2] = replace(members[2], results=(stiffness(50.0),))
+    group = built(members, scaled=True)
+    assert group.band_scaled is not None
+    # The third has no such result, so the largest force of its curve stands in.
+    assert group.band_scaled.n == 2
+    assert said(group)["no_peak_force"] == (
+        "not in the mean of force / peak force, without a peak force: s1-2"
+    )
+
+
+def test_three_curves_have_intervals_at_three_displacements() -> None:
+    """A quarter, half, all of 20 mm; over three t is 4.303."""
+    group = built(samples()[:3])
+    band = group.band
+    assert band.n == 3
+    assert not band.has_area
+    assert (1e3 * band.displacement[band.marks]).tolist() == pytest.approx([5.0, 10.0, 20.0])
+    force = np.array([each.loading[0].force for each in group.samples])
+    at = [int(np.argmin(abs(group.samples[0].loading[0].displacement - x))) for x in (0.01,)]
+    half = 4.302653 * force[:, at].std(axis=0, ddof=1) / np.sqrt(3)
+    middle = band.marks[1]
+    assert 0.5 * (band.upper - band.lower)[middle] == pytest.approx(float(half[0]), rel=0.05)
+    assert np.isnan(band.lower_all).all()
+    assert str(band.reason) == (
+        "few_curves: 3 samples are too few for a band, which needs 6; the mean has its interval at"
+        " three displacements"
+    )
+
+
+def test_six_curves_have_their_bands() -> None:
+    band = built([make("s1", at, 50.0 + at) for at in range(6)]).band
+    assert band.reason is None
+    assert band.has_area
+    assert not len(band.marks)
+    assert np.isfinite(band.upper_all).all()
+
+
+def test_one_missing_point_of_a_grid_is_a_gap() -> None:
+    grid = 1e-3 * np.array([0.0, 1.0, 2.0, 4.0, 5.0, 8.0])
+    assert _gaps(grid) == ["2 mm to 4 mm", "5 mm to 8 mm"]
+    assert _gaps(grid[:3]) == _gaps(grid[:1]) == []

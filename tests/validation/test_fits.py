@@ -1,0 +1,179 @@
+"""Fits of lines against other programs, and how often their 95 % intervals hold.
+
+Two segments beside pwlf and piecewise-regression: one optimum, three programs. Seeded runs with
+white and autoregressive noise (correlation time of 1 to 10 % of the window) are compared with 95 %
+by an exact two-sided binomial test at 1 %; more of them are counted in `tests/coverage`.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import piecewise_regression
+import pwlf
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import binomtest
+
+from labpipe.fits.grip_slips import find_slips
+from labpipe.fits.two_segments import Hinges, Segments
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import SlipDecision
+from labpipe.uncertainty.linear_fits import fit_linear
+from tests.builders.pulls import pulled
+
+RUNS = 200
+
+
+def assert_covers(hits: int, runs: int = RUNS, *, may_be_wide: bool = False) -> None:
+    """Intervals of correlated noise may be wide, for its memory is not known; never short."""
+    chance = binomtest(hits, runs, 0.95, alternative="less" if may_be_wide else "two-sided").pvalue
+    assert chance > 0.01, f"{hits} of {runs}"
+
+
+def noise(seed: int, count: int, memory: float) -> Floats:
+    """First-order autoregressive noise of variance 1; memory in samples."""
+    factor = np.exp(-1.0 / memory) if memory > 0.0 else 0.0
+    kicks = np.random.default_rng(seed).normal(size=count) * np.sqrt(1.0 - factor**2)
+    kicks[0] /= np.sqrt(1.0 - factor**2)
+    return np.asarray(lfilter([1.0], [1.0, -factor], kicks), dtype=np.float64)
+
+
+def slope_hits(count: int, share: float, runs: int) -> int:
+    design = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    fits = (fit_linear(design, noise(seed, count, share * count)) for seed in range(runs))
+    return sum(abs(fit.coefficients[1]) <= fit.half_widths[1] for fit in fits)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.1])
+def test_slope_quick(share: float) -> None:
+    assert_covers(slope_hits(200, share, RUNS), RUNS)
+
+
+def mixed_hits(count: int, white: float, memory: float, runs: int) -> int:
+    """White noise on top of noise that remembers: a load cell has both."""
+    design = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    hits = 0
+    for seed in range(50_000, 50_000 + runs):
+        both = noise(seed, count, memory) + white * noise(2 * seed, count, 0.0)
+        fit = fit_linear(design, both)
+        hits += bool(abs(fit.coefficients[1]) <= fit.half_widths[1])
+    return hits
+
+
+def test_slope_in_mixed_noise_quick() -> None:
+    assert_covers(mixed_hits(120, 0.6, 5.0, RUNS), RUNS)
+
+
+@pytest.mark.parametrize("memory", [0.0, 5.0, 20.0])
+def test_jump_by_generalised_least_squares(memory: float) -> None:
+    jump = (np.arange(120) >= 60).astype(np.float64)
+    design = np.column_stack([np.ones(120), np.linspace(-1.0, 1.0, 120), jump])
+    fits = [fit_linear(design, noise(seed, 120, memory), weighted=True) for seed in range(RUNS)]
+    assert_covers(sum(abs(fit.coefficients[2]) <= fit.half_widths[2] for fit in fits), RUNS)
+
+
+def segment_hits(count: int, share: float, runs: int) -> tuple[list[int], list[float]]:
+    """How often three numbers were held, and widths over those that the scatter asks for."""
+    d = np.linspace(0.0, 0.0201, round(count * 20.1 / 18.0))
+    force = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
+    truth = {"segment_stiffness_first": 5000.0, "segment_stiffness_second": 2700.0}
+    truth["break_point"] = 0.0093
+    found = np.zeros((3, runs, 3))
+    for seed in range(runs):
+        noisy = force + 0.4 * noise(seed, len(d), share * count)
+        _, results = pulled(d, noisy, results=["two-segments, from: 2 mm, to: 20 mm"])
+        for number, name in enumerate(truth):
+            value, interval = results[name].value, results[name].interval
+            assert value is not None
+            assert interval is not None
+            found[:, seed, number] = interval.lower, value, interval.upper
+    low, middle, high = found
+    hits = np.sum((low <= list(truth.values())) & (list(truth.values()) <= high), axis=0)
+    wide = np.median(high - low, axis=0) / (2.0 * 1.96 * middle.std(axis=0))
+    return hits.tolist(), wide.tolist()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "widest"), [(0.0, 1.6), (0.01, 2.5)])
+def test_two_segments_quick(share: float, widest: float) -> None:
+    """White noise, and noise with a memory of a hundredth of the window."""
+    hits, wide = segment_hits(200, share, RUNS)
+    for each in hits:
+        assert_covers(each, may_be_wide=True)
+    assert max(wide) < widest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [0.0, 2.0, 10.0])
+def test_slips(memory: float) -> None:
+    """The case of the corrugated tube; position and drop, and no slip where there is none."""
+    d = np.linspace(0.0, 0.05, 600)
+    smooth = 45.0 * (1.0 - np.exp(-d / 0.02)) / (1.0 - np.exp(-2.5))
+    hits, alarms, missed = np.zeros(2, dtype=np.int64), 0, 0
+    for seed in range(500):
+        jitter = np.random.default_rng(seed + 10_000).uniform(-1.5, 1.5) * d[1]
+        clean = smooth + 0.05 * noise(seed, len(d), memory)
+        slipped = clean - 0.47 * (d > 0.01875 + jitter) - 0.81 * (d > 0.03085)
+        none, found = (
+            find_slips(d, force, min_drop=0.2, decision=SlipDecision.REPAIRED)
+            for force in (clean, slipped)
+        )
+        assert isinstance(none, tuple)
+        assert isinstance(found, tuple)
+        alarms += len(none) > 0
+        if len(found) != 2:
+            missed += 1
+            continue
+        place, drop = found[0].position_interval, found[0].drop_interval
+        hits += [place.lower <= 0.01875 + jitter <= place.upper, drop.lower <= 0.47 <= drop.upper]
+    assert alarms <= 5
+    assert missed <= 15
+    for hit in hits:
+        assert_covers(int(hit), 500 - missed)
+
+
+def curve(seed: int) -> tuple[Floats, Floats]:
+    """Synthetic twist tube in mm and N."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(2.0, 20.0, 180)
+    return x, 45.0 + np.where(x < 9.3, 5.0, 2.7) * (x - 9.3) + rng.normal(0, 0.8, len(x))
+
+
+def ours(seed: int) -> tuple[Segments, float]:
+    """The lines, and the sum of squares that they leave."""
+    x, y = curve(seed)
+    hinges = Hinges.of(x, y)
+    assert isinstance(hinges, Hinges)
+    found = hinges.fitted(y)
+    ahead = x - found.break_point
+    left = y - found.level - np.where(ahead < 0.0, found.first, found.second) * ahead
+    return found, float(left @ left)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pwlf(seed: int) -> None:
+    (found, squares), model = ours(seed), pwlf.PiecewiseLinFit(*curve(seed), seed=seed)
+    breaks = model.fit(2)
+    assert squares <= model.ssr * (1.0 + 1e-9)
+    assert squares == pytest.approx(model.ssr, rel=1e-5)
+    assert float(found.break_point) == pytest.approx(breaks[1], abs=1e-2)
+    assert [float(found.first), float(found.second)] == pytest.approx(model.slopes, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_piecewise_regression(seed: int) -> None:
+    found, squares = ours(seed)
+    np.random.seed(seed)  # noqa: NPY002 (that library draws from the global generator)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit = piecewise_regression.Fit(*curve(seed), n_breakpoints=1, start_values=[9.0])
+    estimates = fit.get_results()
+    assert squares <= estimates["rss"] * (1.0 + 1e-9)
+    assert squares == pytest.approx(estimates["rss"], rel=1e-3)
+    theirs = estimates["estimates"]
+    assert float(found.break_point) == pytest.approx(theirs["breakpoint1"]["estimate"], abs=5e-2)
+    assert float(found.first) == pytest.approx(theirs["alpha1"]["estimate"], rel=5e-3)
+    assert float(found.second) == pytest.approx(theirs["alpha2"]["estimate"], rel=5e-3)

@@ -1,0 +1,179 @@
+"""Numbers that others have printed: NIST, Rosner, Student, tables of the source, worked examples.
+
+NIST StRD Norris, NoInt1 and NoInt2 (itl.nist.gov/div898/strd/lls); Rosner, Technometrics 25 (1983)
+165 with critical values of the NIST/SEMATECH handbook (1.3.5.17.3); Student, Biometrika 6 (1908) 1
+with Welch's interval of R (``t.test``) and the equivalence test of TOSTER (``t_TOST``).
+"""
+
+from __future__ import annotations
+
+import doctest
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.fits.least_squares import slope_of_line, zero_of_line
+from labpipe.statistics.means import mean_interval, nested_mean
+from labpipe.statistics.outliers import find_suspects
+from labpipe.statistics.two_groups import contrast_of, difference_of_means, equivalence_p
+from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.wire.bending_law import stick_stiffness
+from labpipe.wire.cross_section import concentric
+from tests.builders.stranded_wires import WIRES, layers_of, tube, wire
+
+NORRIS = """
+0.1 0.2 338.8 337.4 118.1 118.2 888.0 884.6 9.2 10.1 228.1 226.5 668.5 666.3 998.5 996.3
+449.1 448.6 778.9 777.0 559.2 558.2 0.3 0.4 0.1 0.6 778.1 775.5 668.8 666.9 339.3 338.0
+448.9 447.5 10.8 11.6 557.7 556.0 228.3 228.1 998.0 995.8 888.8 887.6 119.6 120.2 0.3 0.3
+0.6 0.3 557.6 556.8 339.3 339.1 888.0 887.2 998.5 999.0 778.9 779.0 10.2 11.1 117.6 118.3
+228.9 229.2 668.4 669.1 449.2 448.9 0.2 0.5
+"""
+"""Pairs y x."""
+
+
+def test_norris() -> None:
+    y, x = np.array(NORRIS.split(), dtype=np.float64).reshape(-1, 2).T
+    assert slope_of_line(x, y) == pytest.approx(1.00211681802045, rel=1e-13)
+    assert zero_of_line(x, y) == pytest.approx(0.262323073774029 / 1.00211681802045, rel=1e-10)
+    slopes = slope_of_line(np.array([x, x[::-1]]), np.array([y, 3.0 * y[::-1]]))
+    assert slopes == pytest.approx(np.array([1.0, 3.0]) * 1.00211681802045, rel=1e-13)
+    fit = fit_linear(np.column_stack([np.ones_like(x), x]), y)
+    assert fit.n == 36
+    assert fit.coefficients == pytest.approx([-0.262323073774029, 1.00211681802045], rel=1e-11)
+    assert fit.classical_errors == pytest.approx(
+        [0.232818234301152, 0.429796848199937e-3], rel=1e-11
+    )
+    assert fit.residual_deviation == pytest.approx(0.884796396144373, rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "slope", "error", "deviation"),
+    [
+        (range(60, 71), range(130, 141), 2.07438016528926, 0.165289256198347e-1, 3.56753034006338),
+        ((4, 5, 6), (3, 4, 4), 0.727272727272727, 0.420827318078432e-1, 0.369274472937998),
+    ],
+    ids=["NoInt1", "NoInt2"],
+)
+def test_lines_through_the_origin(
+    x: range, y: range, slope: float, error: float, deviation: float
+) -> None:
+    # NoInt2 has three samples; its rows twice give the same slope and a known other deviation.
+    times = 1 if len(x) > 6 else 2
+    design = np.tile(np.array(x, dtype=np.float64), times)[:, None]
+    fit = fit_linear(design, np.tile(np.array(y, dtype=np.float64), times))
+    share = np.sqrt(times * (len(x) - 1) / (times * len(x) - 1))
+    assert fit.coefficients[0] == pytest.approx(slope, rel=1e-12)
+    assert fit.residual_deviation == pytest.approx(share * deviation, rel=1e-12)
+    assert fit.classical_errors[0] == pytest.approx(share / np.sqrt(times) * error, rel=1e-12)
+
+
+VALUES = """
+-0.25 0.68 0.94 1.15 1.20 1.26 1.26 1.34 1.38 1.43 1.49 1.49 1.55 1.56 1.58 1.65 1.69 1.70 1.76
+1.77 1.81 1.91 1.94 1.96 1.99 2.06 2.09 2.10 2.14 2.15 2.23 2.24 2.26 2.35 2.37 2.40 2.47 2.54
+2.62 2.64 2.90 2.92 2.92 2.93 3.21 3.26 3.30 3.59 3.68 4.30 4.64 5.34 5.42 6.01
+"""
+
+
+def test_three_are_marked() -> None:
+    values = dict(enumerate(np.array(VALUES.split(), dtype=np.float64)))
+    named = {str(name): float(value) for name, value in values.items()}
+    found = find_suspects(named, dict.fromkeys(named, "one"), most=10).below(0.05)
+    assert [each.value for each in found] == [6.01, 5.42, 5.34]
+    assert {each.method for each in found} == {"generalised ESD test"}
+
+
+def test_one_alone_is_not() -> None:
+    # 3.118 where 3.158 is needed: the other two make the scatter large.
+    values = {str(at): float(value) for at, value in enumerate(VALUES.split())}
+    (found,) = find_suspects(values, dict.fromkeys(values, "one"), most=1).below(0.1)
+    assert found.value == 6.01
+    assert 0.05 < found.p < 0.1
+
+
+FIRST = mean_interval([0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0])
+
+
+SECOND = mean_interval([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
+
+
+def test_difference() -> None:
+    found = difference_of_means(FIRST, SECOND)
+    assert found.mean == pytest.approx(1.58)
+    assert found.interval is not None
+    assert found.interval.lower == pytest.approx(-0.2054832, abs=5e-8)
+    assert found.interval.upper == pytest.approx(3.3654832, abs=5e-8)
+
+
+def test_equivalence() -> None:
+    contrast = contrast_of(FIRST, SECOND, 0.5 / FIRST.mean)
+    assert contrast is not None
+    assert equivalence_p(contrast) == pytest.approx(0.89, abs=0.005)
+
+
+TABLE = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776, 6: 2.571, 10: 2.262, 30: 2.045}
+"""By number of samples."""
+
+
+@pytest.mark.parametrize("n", TABLE)
+def test_interval_is_made_with_it(n: int) -> None:
+    values = np.arange(n, dtype=np.float64)
+    found = mean_interval(values)
+    assert found.interval is not None
+    half = 0.5 * (found.interval.upper - found.interval.lower)
+    assert half == pytest.approx(TABLE[n] * np.std(values, ddof=1) / np.sqrt(n), rel=2e-4)
+
+
+FIRST_REGION = {"1": [58.33, 57.71, 56.28], "2": [47.09, 48.19, 46.08]}
+
+
+SECOND_REGION = {"1": [31.78, 33.98, 32.98], "2": [27.38, 28.81, 30.50]}
+"""1/m, by spool."""
+
+
+def test_two_spools_of_three_samples() -> None:
+    """Means of spools, scatter within and between, pooled and not; they are not pooled."""
+    found = nested_mean(FIRST_REGION)
+    assert [found.spool_means[key].mean for key in "12"] == pytest.approx([57.44, 47.12], abs=5e-3)
+    assert (found.within, found.between) == pytest.approx((1.05, 7.27), abs=0.005)
+    pooled, over_spools = found.over_samples, found.over_spools
+    assert over_spools is not None
+    assert pooled.interval is not None
+    assert over_spools.interval is not None
+    assert pooled.mean == pytest.approx(52.28, abs=0.005)
+    assert pooled.interval.upper - pooled.mean == pytest.approx(6.01, abs=0.005)
+    assert over_spools.interval.upper - over_spools.mean == pytest.approx(65.6, abs=0.05)
+    assert not found.is_pooled
+    assert found.chosen == over_spools
+    assert not nested_mean(SECOND_REGION).is_pooled
+    assert nested_mean(SECOND_REGION).chosen.mean == pytest.approx(30.905, abs=0.005)
+
+
+PRINTED = {"C1": 1.46, "C2": 2.75, "C3": 6.22, "C4": 16.96, "C5": 39.87}
+
+
+HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
+
+
+CONCENTRIC = {"C1": 1.62, "C2": 3.15, "C3": 6.60, "C4": 17.9, "C5": 41.9}
+"""1e-3 N m^2."""
+
+
+@pytest.mark.parametrize("name", sorted(PRINTED))
+def test_bounds(name: str) -> None:
+    low = 1e3 * stick_stiffness(wire(name))
+    high = 1e3 * stick_stiffness(concentric(layers_of(name), tube(WIRES[name][0])))
+    assert low == pytest.approx(HEXAGONAL[name], rel=3e-3)
+    assert high == pytest.approx(CONCENTRIC[name], rel=3e-3)
+    if name != "C2":
+        assert low - 0.005 < PRINTED[name] < high
+    else:
+        assert PRINTED[name] < low
+
+
+@pytest.mark.parametrize("page", ["bundle-extractors", "tensile-extractors"])
+def test_worked_examples_of_a_page(repository: Path, page: str) -> None:
+    file = repository / "docs" / "explanations" / f"{page}.md"
+    found = doctest.testfile(str(file), module_relative=False)
+    assert found.attempted > 15
+    assert found.failed == 0

@@ -1,0 +1,152 @@
+"""Virtual wires and bundles against the wire model, sliders, and truths known by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.law.plays import corners_of, respond, virgin_plays
+from labpipe.virtual_lab.bundles import TAPED_TYPES, BundleModel, lay_wires
+from labpipe.virtual_lab.cantilever_path import solve_path
+from labpipe.virtual_lab.cantilever_scenarios import taped_scenario
+from labpipe.virtual_lab.curve_truth import evaluate_taped, find_kink
+from labpipe.virtual_lab.specimens import WIRES, StrandedWire
+from labpipe.wire.bending_law import moment_curvature, stick_stiffness
+from tests.judges.reference_wires import bend_along
+
+EVERY = pytest.mark.parametrize("wire", WIRES.values(), ids=WIRES)
+
+
+@EVERY
+def test_first_loading_is_that_of_the_wire_model(wire: StrandedWire) -> None:
+    law = wire.law()
+    curvature = np.geomspace(1e-3, 70.0, 200)
+    moment = moment_curvature(wire.section(), wire.contacts(), curvature).moment
+    found = respond(law, moment, virgin_plays(law, len(moment))).curvature
+    assert found == pytest.approx(curvature, rel=2e-3)  # a polygon between its corners
+    assert law.stiffness == pytest.approx(stick_stiffness(wire.section()), rel=1e-3)
+
+
+@EVERY
+def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWire) -> None:
+    law, peak = wire.law(), 29.0
+    there, back = np.linspace(0.3, peak, 97), np.linspace(peak, -5.0, 140)[1:]
+    path = bend_along(wire.section(), wire.contacts(), np.concatenate([there, back]))
+    top, down = path[len(there) - 1], path[len(there) :]
+    history = respond(law, np.array([top]), virgin_plays(law, 1)).plays
+    found = respond(law, down, np.repeat(history, len(down), axis=0)).curvature
+    moment = np.interp(back[::-1], found[::-1], down[::-1])[::-1]
+    assert np.max(np.abs(moment - down)) < 1e-3 * top
+
+
+def test_strands_that_do_not_fit() -> None:
+    with pytest.raises(ValueError, match=r"does not fit: strands overlap the bore"):
+        replace(WIRES["A2"], wall=0.4e-3).section()
+    with pytest.raises(ValueError, match=r"less than the .* m that the strands need"):
+        replace(WIRES["B1"], wall=0.3e-3).section()
+
+
+SEVEN = BundleModel((("B1", 7),))
+
+
+NINETEEN = BundleModel()
+
+
+def test_seven_wires_by_hand() -> None:
+    """Six around one at a diameter d: the sum of y^2 is 3 d^2, whatever the orientation."""
+    wire = WIRES["B1"]
+    copper = 7 * np.pi * wire.strand**2 / 4
+    rigid = 110e9 * copper * 3 * wire.diameter**2
+    own = 7 * replace(wire, n_plays=24).law().stiffness
+    found = SEVEN.stiffnesses
+    assert found["rigid"] - found["wires"] == pytest.approx(rigid, rel=1e-12)
+    assert found["friction"] == pytest.approx(0.14 * rigid, rel=1e-12)
+    assert found["glue"] == pytest.approx(0.018 * rigid, rel=1e-12)
+    assert found["wires"] == pytest.approx(own, rel=1e-12)
+    assert SEVEN.radius == pytest.approx(1.5 * wire.diameter, rel=1e-12)
+
+
+def test_slips_where_it_is_said_to() -> None:
+    """Wires at the root mean square distance slip at the stated curvature, others in proportion."""
+    y = np.unique(np.round(np.abs(lay_wires(NINETEEN).y), 9))[1:]
+    all_of_them = np.abs(lay_wires(NINETEEN).y)
+    mean = np.sqrt(np.mean(all_of_them[all_of_them > 1e-9] ** 2))
+    _, bent, _ = corners_of(NINETEEN.law())
+    for curvature in NINETEEN.slip_curvature * mean / y:
+        assert np.min(np.abs(bent - curvature)) < 1e-6 * curvature
+    glue = NINETEEN.glue_strain
+    assert glue is not None
+    assert np.min(np.abs(bent - glue / NINETEEN.radius)) < 1e-6
+
+
+def test_locks_after_the_first_cycle_and_lets_go_where_the_tape_slides() -> None:
+    first, second = NINETEEN.law(), NINETEEN.law(2)
+    assert second.stiffness == first.stiffness
+    assert second.half_widths == pytest.approx(1.05 * first.half_widths, rel=1e-12)
+    limit = 0.028 / NINETEEN.radius
+    assert NINETEEN.held(limit) == 1.0
+    assert NINETEEN.held(2.0 * limit) == pytest.approx(0.92, rel=1e-12)
+    assert NINETEEN.held(100.0 * limit) == 0.5
+
+
+@pytest.mark.parametrize("arrangement", ["packed", "symmetric", "asymmetric"])
+def test_wires_do_not_overlap_and_balance(arrangement: str) -> None:
+    bundle = BundleModel((("B1", 10), ("B2", 9)), arrangement)
+    layout = lay_wires(bundle)
+    gaps = np.hypot(np.subtract.outer(layout.x, layout.x), np.subtract.outer(layout.y, layout.y))
+    touching = 0.5 * np.add.outer(layout.diameter, layout.diameter)
+    np.fill_diagonal(gaps, 1.0)
+    assert np.all(gaps >= touching - 1e-9)
+    assert layout.axial @ layout.y == pytest.approx(0.0, abs=1e-9)
+    assert np.sum(layout.diameter == 1.1e-3) == 10
+
+
+@pytest.mark.parametrize(
+    ("bundle", "message"),
+    [
+        (BundleModel((("Z9", 7),)), r"allowed are one or two kinds of A1, A2, A3, B1, B2"),
+        (BundleModel((("B1", 8),)), r"8 wires: allowed are numbers that fill shells"),
+        (BundleModel((("B1", 7),), "loose"), r"arrangement='loose'.*allowed are packed"),
+        (BundleModel((("B1", 7),), locking=0.9), r"locking=0.9: allowed are .* numbers >= 1"),
+    ],
+)
+def test_what_is_no_bundle(bundle: BundleModel, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        bundle.law()
+
+
+GRID = np.linspace(0.0, 0.05, 50_001)
+
+
+def three_lines(kink: float = 0.002, plateau: float = 0.035) -> np.ndarray:
+    """300 N/m, then 60, then 3."""
+    force = 300.0 * GRID - 240.0 * np.maximum(GRID - kink, 0.0)
+    return np.asarray(force - 57.0 * np.maximum(GRID - plateau, 0.0))
+
+
+def test_two_lines_are_found_where_they_join() -> None:
+    kink = find_kink(GRID, three_lines(), 0.2e-3, 5e-3)
+    assert kink.displacement == pytest.approx(0.002, abs=1e-7)
+    assert kink.force == pytest.approx(0.6, abs=1e-5)
+    assert kink.stiffness_before == pytest.approx(300.0, rel=1e-4)
+    assert kink.stiffness_after == pytest.approx(60.0, rel=1e-4)
+
+
+def test_a_bundle_in_the_rig() -> None:
+    bundle = TAPED_TYPES["TWB-B1-19-PVC"]
+    test = taped_scenario("TWB-B1-19-PVC", cycles=2).mechanics
+    truth = evaluate_taped(solve_path(test))
+    # A straight elastic beam: 3 EI / L^3; the counterweight's string adds next to nothing.
+    linear = 3.0 * bundle.law().stiffness / test.length**3
+    assert truth.loading.tangent_at_zero == pytest.approx(linear, rel=0.01)
+    assert 1.5e-3 < truth.loading.kink.displacement < 2.5e-3
+    plateau = truth.loading.plateau_displacement
+    assert plateau is not None
+    assert 0.033 < plateau < 0.037
+    windowed = truth.loading.windowed_stiffness
+    assert truth.bending_stiffness == pytest.approx(windowed * test.length**3 / 3.0)
+    assert truth.loading_stiffness[0] == pytest.approx(truth.loading.stiffness, rel=1e-3)
+    assert truth.hardening[0] == 1.0
+    assert truth.hardening[1] > 1.3
