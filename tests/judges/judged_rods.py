@@ -179,26 +179,6 @@ def _left_at(shares: Floats, has_left: Flags) -> float:
     return float(0.5 * (shares[at - 1] + shares[at]))
 
 
-def twisted_ring(elements: int, shares: Floats, *, torsion: float = 1.0) -> RodPath:
-    """A straight rod closed to a ring, one end turned by shares of Michell's critical twist."""
-    angle = np.linspace(0.0, 2.0 * np.pi, elements + 1)
-    points = np.stack([np.sin(angle), 1.0 - np.cos(angle), np.zeros_like(angle)], axis=1)
-    line = line_along(points / (2.0 * np.pi), section(torsion=torsion))
-    frame = frame_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
-    frames = turning(frame, shares * 2.0 * np.pi * np.sqrt(3.0) / torsion)
-    ends = [Held(0, np.zeros(3), frame), Held(-1, np.zeros(3), frames)]
-    return follow(line, ends, steps=len(shares) - 1)
-
-
-def twist_that_buckles_a_ring(elements: int, *, step: float = 1e-3) -> float:
-    """Twist at which a ring of B = C jumps out of its plane, over Michell's."""
-    shares = shares_near_one(step)
-    path = twisted_ring(elements, shares)
-    jumps = np.array([number in path.snapped for number in range(len(path.states))])
-    jumps[0] = False
-    return _left_at(shares, jumps)
-
-
 def pressed_column_path(
     elements: int, steps: int, law: SliderLaw | None = None, *, stretch: float = 1e6
 ) -> RodPath:

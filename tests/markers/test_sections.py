@@ -54,16 +54,6 @@ def test_a_missing_marker_does_not_move_the_centre(count: int, tolerance: float)
     ]
 
 
-def test_a_ring_never_whole_is_the_mean_of_what_is_seen() -> None:
-    markers, _ = turning_ring(3)
-    markers[:, 2] = np.nan
-    rings = ring_centres(repaired(markers), {"low": ("low:0", "low:1", "low:2")})
-    np.testing.assert_array_equal(rings.positions[:, 0], markers[:, :2].mean(axis=1))
-    assert "low: never seen whole; its centre is the mean of the markers in sight" in [
-        note.message for note in rings.notes
-    ]
-
-
 def test_a_centre_is_as_certain_as_its_least_certain_marker() -> None:
     markers, _ = turning_ring(3)
     flags = np.ones((FRAMES, 3), dtype=np.uint8)
@@ -202,19 +192,3 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     assert np.abs(found.twist[top]) == pytest.approx(np.full(15, 0.05), abs=close)
     assert found.mid_span == pytest.approx(0.0, abs=1e-4)
     assert found.side_share < 0.02
-
-
-@pytest.mark.parametrize(
-    ("count", "message"),
-    [
-        (16, r"mm of mid-span: expected some 45.72 mm away on both sides"),
-        (10, "5 sections with markers: expected at least 6"),
-    ],
-)
-def test_too_few_sections(count: int, message: str) -> None:
-    made = tracks(BendingRecord(), np.random.default_rng(0))
-    rest = np.asarray(made.time < 2.0)
-    sections = find_sections(made.positions[:, :count], rest=rest, apart=0.004)
-    bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
-    with pytest.raises(ValueError, match=message):
-        fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=bent_most)

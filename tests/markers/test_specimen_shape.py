@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from labpipe.markers.curve_fits import (
     EndConditions,
     coupled_design,
-    curve_at_rest,
     curve_basis,
     fit_frames,
 )
@@ -25,7 +24,6 @@ from labpipe.records.curve import PointFlag
 from tests.judges.reference_wires import (
     CENTRE_OFFSET,
     LAWS,
-    MARKERS,
     BentWire,
     bent_wire,
     straight_wire,
@@ -201,40 +199,6 @@ def test_too_few_markers_in_a_frame_leave_it_blank_and_told() -> None:
     ]
 
 
-def test_a_marker_not_seen_at_rest_is_left_out() -> None:
-    markers = take(bent("elastic", 58))
-    markers[REST, 2] = np.nan
-    fitted = fit(markers)
-    assert "M2" not in fitted.shape.names
-    assert fitted.notes[0].message == (
-        "M2 is not seen before the first loading and was left out of the shape"
-    )
-    assert np.abs(tip_error(fitted, bent("elastic", 58))).max() < 3e-5
-
-
-def test_without_a_clamp_the_first_marker_is_the_beginning() -> None:
-    markers = take(bent("elastic", 20))[:, ::2]
-    fitted = fit_shape(
-        markers,
-        np.ones(markers.shape[:2], dtype=np.uint8),
-        list("abcd"),
-        np.arange(25) / 50,
-        clamp_specimen=None,
-        rotation_lab_to_specimen=np.eye(3),
-        offsets=Offsets(),
-        terms=4,
-        tip="loaded",
-        rest=REST,
-    )
-    shape = fitted.shape
-    assert shape.names == ("a", "b", "c", "d")
-    np.testing.assert_array_equal(shape.positions, markers)
-    np.testing.assert_allclose(shape.arc_length, MARKERS[::2] - MARKERS[0], atol=1e-9)
-    np.testing.assert_allclose(shape.coefficients.sum(axis=2), markers[:, -1], atol=1e-12)
-    assert np.isnan(fitted.marker_noise)
-    assert np.isnan(fitted.tip_systematic).all()
-
-
 def test_shapes_that_cannot_be_fitted() -> None:
     markers = take(bent("elastic", 20))
     with pytest.raises(ValueError, match=r"terms=12: expected at most 11 for 8 markers"):
@@ -289,20 +253,6 @@ def sagging(offset: float) -> tuple[Floats, Floats]:
     return s, axis + offset * normal
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.0008])
-def test_arc_lengths_of_a_curved_wire_at_rest(offset: float) -> None:
-    s, markers = sagging(offset)
-    along = np.array([np.cos(0.1), np.sin(0.1), 0.0])
-    across = np.array([-np.sin(0.1), np.cos(0.1), 0.0])
-    markers = markers + 0.006 * along + 0.002 * across
-    found = curve_at_rest(
-        markers, grip_offset=0.006, pull_offset=0.004, centre_offset=offset, free_tip=False
-    )
-    np.testing.assert_allclose(found.arc_length, s, atol=2e-6)
-    np.testing.assert_allclose(found.tangent, along, atol=1e-4)
-    np.testing.assert_allclose(found.clamped_end, 0.006 * along + 0.002 * across, atol=3e-6)
-
-
 S = np.linspace(0.01, 0.08, 8)
 
 
@@ -341,14 +291,3 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
             together.coefficients[frame], alone.coefficients[0], rtol=1e-9, atol=1e-12
         )
         np.testing.assert_allclose(together.gain[frame], alone.gain[0])
-
-
-def test_noise_is_found_whatever_the_curve_cannot_follow() -> None:
-    rng = np.random.default_rng(2)
-    markers = np.repeat(parabolas(1), 2000, axis=0)
-    markers[:, 3, 1] += 0.001
-    markers += 3e-5 * rng.standard_normal(markers.shape)
-    fits = fit_frames(markers, S, 0.0, ENDS, terms=4)
-    assert fits.noise(slice(0, 2000)) == pytest.approx(3e-5, rel=0.03)
-    assert fits.residual[0] > 1e-4
-    assert np.isnan(fits.noise(slice(0, 1)))

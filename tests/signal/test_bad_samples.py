@@ -126,16 +126,6 @@ def test_a_machine_that_stands(rate: float, step: float, noise: float) -> None:
     assert not stuck_runs(record.time, record.displacement, record.force)
 
 
-@pytest.mark.parametrize("step", [0.005, 0.02, 0.05])
-def test_coarse_steps_and_a_plateau(step: float) -> None:
-    """A round top and a yield plateau stand on one step of the resolution for long."""
-    time: Floats = np.arange(0.0, 20.0, 0.02)
-    top = 1.0 - ((time - 10.0) / 10.0) ** 2
-    plateau = 1.0 - np.exp(-time)
-    for force in (top, plateau):
-        assert not stuck_runs(time, np.round(force / step) * step, 1e-3 * time)
-
-
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("since", [3.0, 5.5, 7.5, 9.0])
 def test_a_frozen_force(noise: float, since: float) -> None:

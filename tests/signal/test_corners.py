@@ -32,25 +32,6 @@ def test_exact_without_noise() -> None:
     assert corner.value == pytest.approx(HEIGHT, abs=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("correlated", [1, 20])
-def test_errors_hold_for_white_and_for_correlated_noise(correlated: int) -> None:
-    pulls = []
-    for seed in range(150):
-        time, force = bent(seed, noise=4e-3, correlated=correlated)
-        corner = fit_corner(time, force, near=4.1, window=2.0, degree=2)
-        assert corner is not None
-        pulls.append(
-            [
-                (corner.time - TURN) / corner.time_error,
-                (corner.value - HEIGHT) / corner.value_error,
-            ]
-        )
-    # The spread of 150 normal pulls is known to 6 %; correlated noise is estimated from fewer.
-    assert np.std(pulls, axis=0) == pytest.approx([1.0, 1.0], abs=0.17 if correlated == 1 else 0.3)
-    assert np.mean(pulls, axis=0) == pytest.approx([0.0, 0.0], abs=0.25)
-
-
 def test_too_few_samples() -> None:
     time = np.arange(0.0, 0.1, 0.02)
     assert fit_corner(time, time, near=0.04, window=0.05, degree=2) is None
@@ -178,20 +159,6 @@ def waited(
     return time, force + np.random.default_rng(seed).normal(0.0, noise, len(time))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("relaxes", [0.0, 0.004])
-@pytest.mark.parametrize("dwell", [0.2, 1.0])
-def test_a_wait_between_rise_and_fall(dwell: float, relaxes: float) -> None:
-    """Both corners have one time: of 40 intervals of 95 %, 34 hold in 999 studies of 1000."""
-    pulls = []
-    for seed in range(40):
-        time, force = waited(seed, dwell, relaxes=relaxes, noise=2e-4)
-        reversal = fit_reversal(time, force, near=REVERSAL + 0.05, window=1.0, dwell=dwell)
-        assert reversal is not None
-        pulls.append((reversal.corner.time - REVERSAL) / reversal.corner.time_error)
-    assert np.sum(np.abs(pulls) < 1.96) >= 34
-
-
 def test_the_ends_of_the_window_belong_to_it() -> None:
     """A second on each side at 256 samples a second, and half a second of waiting."""
     time = np.arange(2.0, 6.0, 2.0**-8)
@@ -201,17 +168,3 @@ def test_the_ends_of_the_window_belong_to_it() -> None:
         reversal = fit_reversal(time, force, near=4.0, window=1.0, dwell=dwell)
         assert reversal is not None
         assert reversal.corner.n == samples
-
-
-@pytest.mark.parametrize("scale", [1e-6, 1e6])
-def test_the_unit_of_the_force_does_not_matter(scale: float) -> None:
-    time, force = turned(3, sticks=0.3)
-    plain, scaled = (
-        fit_reversal(time, factor * force, near=3.97, window=1.0) for factor in (1.0, scale)
-    )
-    assert plain is not None
-    assert scaled is not None
-    assert scaled.corner.time == pytest.approx(plain.corner.time, rel=1e-6)
-    assert scaled.corner.time_error == pytest.approx(plain.corner.time_error, rel=1e-3)
-    assert scaled.corner.value == pytest.approx(scale * plain.corner.value, rel=1e-6)
-    assert scaled.corner.value_error == pytest.approx(scale * plain.corner.value_error, rel=1e-3)

@@ -6,8 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, Direction
@@ -20,7 +18,6 @@ from labpipe.signal.rests_and_jumps import (
 from labpipe.signal.turning_points import (
     branch_numbers,
     find_strokes,
-    goes_down,
     sharpest_turn,
     split_branches,
     turn_near,
@@ -51,24 +48,6 @@ def test_any_number_of_cycles(cycles: int) -> None:
     starts = [float(time[stroke.start]) for stroke in strokes]
     assert starts == pytest.approx([5.0 + 53.0 * i for i in range(2 * cycles)], abs=0.1)
     assert time[strokes[-1].stop] == pytest.approx(5.0 + 106.0 * cycles, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("corners", "down"),
-    [
-        (((0, 0), (5, 0), (35, 6), (65, 0), (70, 0)), False),
-        (((0, 0), (5, 0), (35, -6), (65, 0), (70, 0)), True),
-        (((0, 3.7), (15, 6), (45, 0), (70, 0)), False),  # begins under load
-        (((0, -3.7), (15, -6), (45, 0), (70, 0)), True),
-        (((0, 0), (5, 0), (35, 6)), False),  # breaks off
-    ],
-    ids=["up", "down", "begins halfway up", "begins halfway down", "ends at the top"],
-)
-def test_which_way_a_signal_goes(corners: tuple[tuple[float, float], ...], *, down: bool) -> None:
-    _, signal = ramps(*corners, noise=1e-5)
-    assert goes_down(signal) is down
-    signal[::7] = np.nan
-    assert goes_down(signal) is down
 
 
 def test_noise_makes_no_stroke_that_ends_before_it_begins() -> None:
@@ -102,19 +81,6 @@ def test_a_smooth_reversal_is_no_dwell() -> None:
     strokes = find_strokes(time, motion, min_stroke=1e-3)
     assert len(strokes) == 67
     assert all(a.stop == b.start for a, b in pairwise(strokes))
-
-
-@given(st.floats(-1.0, 1.0), st.floats(-100.0, 100.0), st.sampled_from([-1.0, 1.0]))
-def test_offset_shift_and_direction_do_not_move_the_turns(
-    offset: float, shift: float, sign: float
-) -> None:
-    time, motion = ramps(*triangle(2))
-    plain = find_strokes(time, motion, min_stroke=5e-3)
-    moved = find_strokes(time + shift, sign * motion + offset, min_stroke=5e-3)
-    assert [stroke.sign for stroke in moved] == [int(sign) * stroke.sign for stroke in plain]
-    for a, b in zip(plain, moved, strict=True):
-        assert abs(a.start - b.start) <= 1
-        assert abs(a.stop - b.stop) <= 1
 
 
 def test_nothing_moves() -> None:
@@ -295,19 +261,6 @@ def test_a_level_that_moves_from_one_sample_to_the_next(size: float) -> None:
     )
     assert JUMP_TIME[sample - 1] <= 6.0 < JUMP_TIME[sample]
     assert found == pytest.approx(size, abs=0.2)
-
-
-def test_corners_noise_steps_of_a_converter_and_spikes_are_none() -> None:
-    noise = np.random.default_rng(1).normal(0.0, 0.5, len(JUMP_TIME))
-    spike = np.where(np.arange(len(JUMP_TIME)) == 700, 50.0, 0.0)
-    for values in (
-        RAMP,
-        RAMP + noise,
-        np.round(RAMP, 0),
-        RAMP + spike,
-        np.full(len(JUMP_TIME), 2.0),
-    ):
-        assert level_jumps(JUMP_TIME, values) == ()
 
 
 def test_a_hole_in_the_record_is_none() -> None:

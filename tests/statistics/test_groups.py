@@ -17,11 +17,10 @@ from labpipe.statistics.group_budgets import SCATTER, group_budget
 from labpipe.statistics.group_division import Part, divide
 from labpipe.statistics.group_fields import (
     differing_fields,
-    fields_of,
-    known_fields,
     shared_fields,
     varying_fields,
 )
+from labpipe.statistics.group_fields import in_order as field_order
 from labpipe.statistics.group_notes import (
     grouping_notes,
     method_notes,
@@ -31,7 +30,6 @@ from labpipe.statistics.group_notes import (
 )
 from labpipe.statistics.groups import build_group, compare_groups
 from labpipe.statistics.means import nested_mean
-from labpipe.statistics.outliers import with_outliers
 from labpipe.statistics.shared_causes import with_shared
 from labpipe.statistics.two_groups import judged
 from tests.approved import Approve
@@ -79,16 +77,6 @@ def test_what_is_left_out_says_why() -> None:
         "s1-2": "no_result: the test has no stiffness",
         "s1-3": "not_finite: the value is inf",
     }
-
-
-def test_outliers_stay_in_the_mean() -> None:
-    slopes = (50.0, 50.5, 49.5, 50.2, 49.9, 80.0)
-    group = built([make("s1", at, slope) for at, slope in enumerate(slopes)])
-    (number, *_) = with_outliers([group])[0].numbers
-    (found,) = number.outliers
-    assert (found.sample, found.value) == ("s1-5", 80.0)
-    assert group.numbers[0].mean is not None
-    assert group.numbers[0].mean.chosen.n == 6
 
 
 def test_groups_are_compared_in_what_both_have() -> None:
@@ -153,22 +141,6 @@ def test_a_label_divides_unless_it_names_each_test() -> None:
     assert len(divide(wires(85, 85, 85, serial=["a", "b", "c"]))) == 1
 
 
-def test_bundles_of_one_type_are_divided_by_what_they_are_made_of() -> None:
-    bundles = ["7 B1", "12 B1", "12 B1"]
-    tapings = ["none", "none", "half-lap"]
-    samples = [
-        bundle_sample(
-            bundle_of(wires, taping=taping, tape="none" if taping == "none" else "PVC"), at
-        )
-        for at, (wires, taping) in enumerate(zip(bundles, tapings, strict=True))
-    ]
-    assert [part.fields for part in divide(samples)] == [
-        {"composition": "7 B1", "taping": "none"},
-        {"composition": "12 B1", "taping": "none"},
-        {"composition": "12 B1", "taping": "half-lap"},
-    ]
-
-
 def group(*samples: Sample) -> Group:
     return build_group("any", "taped-bundle", samples)
 
@@ -179,18 +151,6 @@ def of(bundle: Bundle | None, **more: object) -> Group:
 
 def differing(first: Bundle | None, second: Bundle | None) -> dict[str, tuple[str, str]]:
     return differing_fields(of(first), of(second))
-
-
-def test_fields_of_a_bundle() -> None:
-    sample = bundle_sample(
-        bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.0107), 1, labels={"cured": "24 h"}
-    )
-    assert fields_of(sample.specimen) | {"type": "", "spool": ""} == {
-        "type": "", "spool": "", "wire": "B1", "number": "7", "composition": "7 B1",
-        "arrangement": "packed", "tape": "PVC", "taping": "half-lap", "conduit": "twist-tube",
-        "cured": "24 h", "length": "114.3 mm", "conduit_bore": "10.7 mm",
-    }  # fmt: skip
-    assert known_fields([sample.specimen])[:3] == ["type", "spool", "wire"]
 
 
 def test_what_follows_from_another_field_is_no_difference() -> None:
@@ -404,3 +364,16 @@ def test_nothing_to_tell() -> None:
     none = GroupNumber("k", "N/m", None, {}, {})
     assert group_budget(none).of_mean == {}
     assert group_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("number", ["7", "12", "19"]),
+        ("taping", ["none", "coarse", "half-lap"]),
+        ("conduit", ["none", "corrugated-tube", "twist-tube-5", "twist-tube-10"]),
+        ("cured", ["not said", "2 h", "24 h"]),
+    ],
+)
+def test_words_have_an_order(name: str, words: list[str]) -> None:
+    assert sorted(sorted(words), key=lambda word: field_order(name, word)) == words

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import Reason
-from labpipe.records.result import Result, Status
 from labpipe.statistics.mean_curves import (
     _gaps,
     block_means,
@@ -19,7 +15,7 @@ from labpipe.statistics.mean_curves import (
     mean_band,
     simultaneous_quantile,
 )
-from tests.builders.sloped_samples import built, make, said, samples, stiffness
+from tests.builders.sloped_samples import built, make, samples
 
 Curve = tuple[Floats, Floats]
 
@@ -93,22 +89,6 @@ def test_block_means() -> None:
     assert block_means(np.arange(4.0), 9).tolist() == [0.0, 1.0, 2.0, 3.0]
     assert block_means(np.zeros(0), 9).tolist() == []
     assert np.isnan(block_means(np.array([1.0, np.nan, 2.0, 4.0]), 2)).tolist() == [True, False]
-
-
-def test_scaled_band_without_a_peak_force() -> None:
-    members = samples()[:3]
-    failed = Result(
-        "peak_force.1", None, "N", status=Status.FAILED, reasons=(Reason("no_curve", "none"),)
-    )
-    members[1] = replace(members[1], results=(stiffness(50.0), failed))
-    members[2] = replace(members[2], results=(stiffness(50.0),))
-    group = built(members, scaled=True)
-    assert group.band_scaled is not None
-    # The third has no such result, so the largest force of its curve stands in.
-    assert group.band_scaled.n == 2
-    assert said(group)["no_peak_force"] == (
-        "not in the mean of force / peak force, without a peak force: s1-2"
-    )
 
 
 def test_three_curves_have_intervals_at_three_displacements() -> None:

@@ -107,36 +107,6 @@ def test_every_limit_can_forbid_pooling() -> None:
     assert not nested_mean(spools, PoolingLimits(min_p=0.0, max_spool_share=0.5)).is_pooled
 
 
-@given(COUNTS, st.integers(0, 1000), st.floats(-100.0, 100.0), st.floats(0.01, 100.0))
-def test_moves_scales_and_does_not_mind_the_order(
-    counts: list[int], seed: int, shift: float, scale: float
-) -> None:
-    spools = draw(counts, seed)
-    moved = {
-        name: [scale * value + shift for value in values[::-1]]
-        for name, values in reversed(spools.items())
-    }
-    first, second = nested_mean(spools), nested_mean(moved)
-    assert second.chosen.n == first.chosen.n
-    assert second.is_pooled == first.is_pooled
-    assert second.chosen.mean == pytest.approx(scale * first.chosen.mean + shift, abs=1e-6)
-    assert second.within == pytest.approx(scale * first.within, rel=1e-6, nan_ok=True)
-    assert second.spool_p == pytest.approx(first.spool_p, nan_ok=True)
-
-
-@pytest.mark.parametrize("counts", [(3, 3), (4, 3, 6, 5)])
-def test_components_are_those_of_the_samples(counts: tuple[int, ...]) -> None:
-    rng, found = np.random.default_rng(1), []
-    for _ in range(3000):
-        spools = [rng.normal(rng.normal(0.0, 2.0), 1.0, count) for count in counts]
-        scatter = spool_scatter(spools, 0.95)
-        found.append((scatter.within**2, scatter.between**2))
-    within, between = np.mean(found, axis=0)
-    assert within == pytest.approx(1.0, rel=0.05)
-    # Cut off at zero, so a little above 4.
-    assert 3.8 < between < 4.5
-
-
 @pytest.mark.parametrize("counts", [(3, 3), (2, 3)])
 @pytest.mark.parametrize("share", [0.1, 0.9])
 def test_upper_limit_of_the_share_holds(counts: tuple[int, ...], share: float) -> None:
@@ -219,40 +189,8 @@ def test_a_value_that_is_not_positive_keeps_the_scale_linear() -> None:
     assert not can_be_on_a_log_scale([replace(base, estimate=-0.1)])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("n", "scatter"), [(2, 0.2), (3, 0.3), (6, 0.2)])
-def test_how_often_it_holds_the_arithmetic_mean(n: int, scatter: float) -> None:
-    """3000 groups know 0.4 %; log-normal values whose arithmetic mean is 1."""
-    spread = np.sqrt(np.log1p(scatter**2))
-    rng = np.random.default_rng(7)
-    held = 0
-    for values in np.exp(rng.normal(-(spread**2) / 2.0, spread, (3000, n))):
-        low, high = ends(_mean(values.tolist()).chosen)
-        held += low <= 1.0 <= high
-    assert 0.935 <= held / 3000 <= 0.965
-
-
 def _mean(values: list[float]) -> NestedMean:
     return on_log_scale(nested_mean({"a": values}))
-
-
-def test_it_lies_about_the_estimate() -> None:
-    """Noise adds 1 to each of 9, 10, 14: the middle is 10."""
-    base = bundle_sample(None, 1)
-    samples = [
-        replace(
-            base,
-            test=str(value),
-            results=(Result("k", value, "N", method="m", estimate=value - 1.0),),
-        )
-        for value in (9.0, 10.0, 14.0)
-    ]
-    mean = group_number("k", samples).mean
-    assert mean is not None
-    low, high = ends(mean.chosen)
-    assert mean.chosen.mean == 11.0
-    assert low * high == pytest.approx(100.0)
-    assert high / low == pytest.approx(exp(2.0 * 6.5724 / 10.0), rel=1e-4)
 
 
 T_1, NORMAL = 12.7062047362, 1.9599639845
@@ -295,20 +233,6 @@ def test_changes_keep_their_signs_and_causes_are_independent() -> None:
     found = averaged({"a": spool}).chosen
     half = hypot(T_1, NORMAL * np.sqrt(0.17))
     assert ends_of(found) == pytest.approx((11.0 - half, 11.0 + half))
-
-
-def test_spools_count_alike_in_what_they_share() -> None:
-    """Spool means of the changes are 1 and 4: 2.5 over spools, 2 over the three samples."""
-    found = averaged(
-        {"a": [measured(1.0, force=1.0), measured(2.0, force=1.0)], "b": [measured(9.0, force=4.0)]}
-    )
-    assert not found.is_pooled
-    assert found.chosen.common[0].change == pytest.approx(2.5)
-    assert found.over_samples.common[0].change == pytest.approx(2.0)
-    assert found.chosen == found.over_spools
-    half = hypot(T_1 * 0.5, NORMAL * 1.0)  # 1 and 2: s / sqrt(2) = 0.5
-    assert ends_of(found.spool_means["a"]) == pytest.approx((1.5 - half, 1.5 + half))
-    assert found.spool_means["b"].interval is None
 
 
 def test_the_interval_lies_about_the_estimates() -> None:

@@ -12,14 +12,13 @@ from scipy import stats
 from scipy.stats import binomtest
 
 from labpipe.records.group import Contrast, Difference, Group, NestedMean, Outlier, Sample, Verdict
-from labpipe.records.result import Contribution, Result
+from labpipe.records.result import Result
 from labpipe.statistics.families import holm
 from labpipe.statistics.group_notes import too_few_for_outliers
 from labpipe.statistics.groups import build_group
 from labpipe.statistics.log_scale import on_log_scale
 from labpipe.statistics.means import mean_interval, nested_mean
 from labpipe.statistics.outliers import find_suspects, with_outliers
-from labpipe.statistics.shared_causes import with_shared
 from labpipe.statistics.two_groups import (
     compare,
     contrast_of,
@@ -98,19 +97,6 @@ def test_a_ratio_by_hand() -> None:
     assert said.interval is not None
     assert said.interval.lower == pytest.approx(1.2 * exp(-half) - 1.0, rel=1e-3)
     assert said.interval.upper == pytest.approx(1.2 * exp(half) - 1.0, rel=1e-3)
-
-
-def test_a_gain_that_is_off_cancels_in_a_ratio() -> None:
-    def mean(values: list[float]) -> NestedMean:
-        results = [
-            Result("k", x, "N", method="m", budget=(Contribution("gain", 0.01 * x, True),))
-            for x in values
-        ]
-        return on_log_scale(with_shared(positive(values), {"a": results}))
-
-    contrast = contrast_of(mean([9.0, 10.0, 11.0]).chosen, mean([19.0, 20.0, 21.5]).chosen)
-    assert contrast is not None
-    assert contrast.shared == pytest.approx(0.0, abs=1e-12)
 
 
 def test_nothing_scatters() -> None:
@@ -296,8 +282,11 @@ def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
     assert marks(found) == [("k", "A-4")]
 
 
-def test_what_the_rig_sets_is_not_tested() -> None:
-    group = group_of("A", {"k": [1.0, 1.1, 0.9, 1.05, 9.0]})
-    is_set = [replace(each, is_set_by_rig=True) for each in group.numbers]
-    assert not marks(with_outliers([replace(group, numbers=tuple(is_set))]))
-    assert marks(with_outliers([group]))
+def test_no_interval_no_verdict() -> None:
+    found = difference_of_means(mean_interval(FIRST), mean_interval([1.0], "sample"))
+    assert found.interval is None
+    assert str(found.reason).startswith("one_sample: ")
+    assert contrast_of(mean_interval(FIRST), mean_interval([1.0])) is None
+    said = alone(compared(FIRST, [1.0]))
+    assert said.verdict is Verdict.CANNOT_TELL
+    assert said.why == "an interval needs the scatter of two values, there is one sample"

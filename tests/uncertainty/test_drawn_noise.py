@@ -75,33 +75,6 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
             assert product == pytest.approx(factor**lag, abs=0.15)
 
 
-def test_hum_keeps_its_power_and_its_place() -> None:
-    """A sine of three times the noise, at 0.2 of the sampling rate."""
-    at = np.arange(6000)
-    record = 3.0 * np.sqrt(2.0) * np.sin(2 * np.pi * 0.2 * at + 1.0) + RNG(7).normal(size=6000)
-    drawn = draws(record, 200)
-    assert np.var(drawn) == pytest.approx(10.0, rel=0.05)
-    frequency, power = signal.welch(drawn, nperseg=1000)
-    near = np.abs(frequency - 0.2) < 0.01
-    step = frequency[1]
-    assert power[:, near].mean(axis=0).sum() * step == pytest.approx(9.0, rel=0.08)
-    assert power[:, ~near].mean() == pytest.approx(2.0, rel=0.1)  # one-sided: 1 over 0 ... 0.5
-
-
-@pytest.mark.parametrize("kind", ["slow", "hum"])
-def test_the_end_of_a_drawn_record_does_not_know_its_begin(kind: str) -> None:
-    """Discrete Fourier transforms are periodic, a record is not."""
-    count = 1200
-    record = autoregressive(0.98, (count,), 8)
-    if kind == "hum":
-        record = 30.0 * np.sin(2 * np.pi * 0.2 * np.arange(count)) + RNG(8).normal(size=count)
-    drawn = judged(record).draw(count, 3000, RNG(1))
-    for lag in (1, 2, 5):
-        assert abs(np.corrcoef(drawn[:, 0], drawn[:, -lag])[0, 1]) < 0.1
-    near = [abs(np.corrcoef(drawn[:, 0], drawn[:, lag])[0, 1]) for lag in (1, 5)]
-    assert max(near) > 0.5
-
-
 def test_one_short_record_leaves_its_variance_open() -> None:
     """Means of squares of draws scatter by an inverse chi-square of 20 samples less a line."""
     record = RNG(11).normal(size=20)
@@ -196,20 +169,6 @@ def test_all_branches_are_judged() -> None:
     assert np.var(drawn) == pytest.approx(5.0, rel=0.1)
 
 
-@pytest.mark.parametrize("gap", ["single", "stretches"])
-def test_gaps_neither_hide_nor_thin_the_noise(gap: str) -> None:
-    """A sample in 40 is missing, or stretches of 120 in 300: no piece of 250 is whole."""
-    at = np.arange(3000)
-    curve = 1.0 * at
-    values = curve + 2.0 * RNG(14).normal(size=3000)
-    is_gap = at % 40 == 0 if gap == "single" else at % 300 < 120
-    values[is_gap], smooth = np.nan, np.where(is_gap, np.nan, curve)
-    noise = noise_of([values], [smooth])
-    drawn = noise.draw(3000, 200, RNG(0))
-    assert np.var(drawn) == pytest.approx(4.0, rel=0.1)
-    assert noise.count == 3000 - is_gap.sum()
-
-
 @pytest.mark.parametrize(
     "values",
     [
@@ -270,21 +229,6 @@ def test_rests_tell_flicker_noise() -> None:
     hidden = rows[:8] + 3.0 * RNG(12).normal(size=(8, 3000))
     assert wander(hidden, at_rest=False) < 0.5 * truth
     assert 0.7 * truth < wander(rows[:8], at_rest=True) < 1.4 * truth
-
-
-def test_signals_that_are_alike_tell_more() -> None:
-    """Twelve signals of one camera: what one of them leaves open is sure."""
-    rows = flicker((12, 900), 15)
-    ends = slice(100, 500), slice(500, 800)
-    branches = [row[each] for row in rows for each in ends]
-    none = [0.0 * each for each in branches]
-    before, behind = [row[:100] for row in rows], [row[800:] for row in rows]
-    noise = noise_of(branches, none, before, behind, copies=12)
-    alone = noise_of(branches[:2], none[:2], before[:1], behind[:1])
-    assert (noise.count, alone.count) == (700, 700)
-    flickers = _processes(noise.longest, noise.count).steep[: len(noise.chances)] > 0.0
-    assert noise.chances[flickers].sum() > 0.99
-    assert noise.freedom > 10 * alone.freedom
 
 
 def test_a_force_that_relaxes_behind_the_motion_is_no_noise() -> None:

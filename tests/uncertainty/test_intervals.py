@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import (
@@ -24,7 +23,7 @@ from labpipe.records.quality import Reason
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Input
-from tests.builders.noisy_curves import Numbers, measured, replicates_of, trace_of
+from tests.builders.noisy_curves import measured, replicates_of, trace_of
 
 RNG = np.random.default_rng
 
@@ -46,41 +45,8 @@ def width(found: Measured) -> float:
     return found.interval.upper - found.interval.lower
 
 
-def of_noise(numbers: Numbers, truth: Floats, spread: float, seeds: int) -> list[Measured]:
-    records = (truth + RNG(seed).normal(0.0, spread, len(truth)) for seed in range(seeds))
-    return [measured(trace_of(record), numbers)[0] for record in records]
-
-
 def held(found: list[Measured], truth: float) -> float:
     return float(np.mean([x.interval.lower <= truth <= x.interval.upper for x in found]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [8, 20, 50])
-def test_mean_of_few_samples_against_students_t(count: int) -> None:
-    """The process has to be guessed, too: no narrower, and at most a quarter wider on average."""
-    found = of_noise(mean, np.full(count, 5.0), 1.0, 150)
-    records = [RNG(seed).normal(0.0, 1.0, count) for seed in range(150)]
-    student = 2.0 * stats.t.ppf(0.975, count - 1) / np.sqrt(count)
-    wide = np.mean([width(x) for x in found]) / np.mean(
-        [student * np.std(x, ddof=1) for x in records]
-    )
-    assert 0.97 < wide < 1.25
-    assert held(found, 5.0) >= 0.9
-    assert np.mean([bool(x.doubts) for x in found]) < 0.1
-
-
-def test_the_largest_sample_of_a_plateau_is_too_high() -> None:
-    """By brute force: how much, and how far it scatters; the estimate is without that."""
-    truth = 20.0 - 20.0 * (1.0 - np.linspace(0.0, 1.0, 1000)) ** 4
-    many = np.max(truth + RNG(99).normal(0.0, 1.0, (4000, 1000)), axis=1)
-    found = of_noise(largest, truth, 1.0, 60)
-    bias = np.mean([x.value - x.estimate for x in found])
-    assert bias == pytest.approx(np.mean(many) - 20.0, rel=0.12)
-    assert np.mean([x.error for x in found]) == pytest.approx(np.std(many), rel=0.25)
-    assert held(found, 20.0) >= 0.87
-    outside = np.mean([x.value > x.interval.upper for x in found])
-    assert outside > 0.9
 
 
 def test_the_interval_is_the_spread_turned_around() -> None:
@@ -248,22 +214,6 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
         assert bool(found[0].doubts) == doubtful
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_an_input_that_leaves_no_number_on_one_side(side: float) -> None:
-    """There it counts as on the other side, and the number is doubtful."""
-
-    def onesided(trace: Trace) -> tuple[Floats]:
-        way = trace.displacement[..., 0]
-        return (np.where(side * way > 0.0, np.nan, 2.0 * way / 1e-4),)
-
-    still = trace_of(FORCE, np.zeros(200))
-    (found,) = measured(still, onesided, Input(ZERO_OF_DISPLACEMENT, pushed))
-    assert budget(found) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
-    assert found.interval.upper == pytest.approx(3.92, abs=0.2)
-    assert found.interval.lower == pytest.approx(-3.92, abs=0.2)
-    assert [reason.code for _, reason in found.doubts] == ["not_repeatable"]
-
-
 def test_windows_are_decided_anew_where_the_curve_moves() -> None:
     """Force where the displacement passes 1 mm: moved by 0.1 mm it lies 10 samples elsewhere."""
 
@@ -305,30 +255,6 @@ def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None
     assert found[0].estimate == pytest.approx(4.25 if is_cut else 4.0, abs=0.04)
     expected = {ZERO_OF_DISPLACEMENT: -0.3, STEP: 0.5 / np.sqrt(3.0)} if is_cut else {}
     assert budget(found[0]) == pytest.approx(expected, abs=0.04)
-
-
-@pytest.mark.parametrize("feels", [False, True])
-def test_corners_between_samples_are_those_of_the_measured_curve(feels: bool) -> None:
-    """Force |d - 10| up to 10.5 samples: 55 / 11 by samples, from a corner that a spline rounds."""
-    away = np.abs(np.arange(200.0) - 100.0)
-
-    def near(trace: Trace) -> Reading:
-        chosen = np.abs(trace.displacement - 100.0) <= 2.5
-        return Reading(
-            lambda each: (each.force[..., chosen].mean(axis=-1),),
-            5,
-            is_cut=True,
-            feels_corners=feels,
-        )
-
-    found = measure(replicates_of(trace_of(away, np.arange(200.0))), near)
-    assert isinstance(found, tuple)
-    shift = 2.0 * (found[0].estimate - found[0].value)
-    assert found[0].value == 1.2
-    if feels:  # to the mean of |d|, from -2.5 to 2.5, at 16 samples a step
-        assert shift == pytest.approx(1.25 - 1.2, abs=0.02)
-    else:
-        assert abs(shift) < 0.02
 
 
 def test_samples_moved_by_noise() -> None:

@@ -8,7 +8,6 @@ from scipy import stats
 from scipy.fft import dct
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
-from scipy.stats import binomtest
 
 from labpipe.records.arrays import Floats
 from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
@@ -102,18 +101,6 @@ def test_covariance_of_short_windows_is_exact() -> None:
     assert covariance[-1] == pytest.approx(basis @ mixed @ basis.T, rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize("memory", [0.2, 5.0])
-def test_ten_samples_with_the_record_beside_them(memory: float) -> None:
-    """The level at the beginning of ten samples, whose noise remembers half of them."""
-    design = np.column_stack([np.ones(10), np.arange(10.0)])
-    hits = 0
-    for seed in range(200):
-        record = noise(seed, 410, memory)
-        fit = fit_linear(design, record[:10], beside=smooth_stretches(record[10:]))
-        hits += bool(abs(fit.coefficients[0]) <= fit.half_widths[0])
-    assert binomtest(hits, 200, 0.95).pvalue > 0.01, hits
-
-
 def columns(count: int) -> Floats:
     x = np.linspace(-1.0, 1.0, count)
     return np.column_stack([np.ones(count), 1e-3 * x, 40.0 * np.maximum(x - 0.2, 0.0)])
@@ -127,17 +114,6 @@ def test_basis_is_orthonormal_and_spans_the_columns(count: int) -> None:
     wanted = np.array([2.0, -5e3, 0.3])
     found = to_coefficients @ (basis @ (design @ wanted))
     np.testing.assert_allclose(found, wanted, rtol=1e-12)
-
-
-def test_weighted_finds_a_jump_in_slow_noise_more_closely() -> None:
-    kicks = np.random.default_rng(3).normal(size=120)
-    noise = np.zeros(120)
-    for i in range(1, 120):
-        noise[i] = 0.95 * noise[i - 1] + kicks[i]
-    jump = (np.arange(120) >= 60).astype(np.float64)
-    design = np.column_stack([np.ones(120), np.linspace(-1, 1, 120), jump])
-    plain, weighted = (fit_linear(design, 5.0 * jump + noise, weighted=w) for w in (False, True))
-    assert weighted.half_widths[2] < 0.7 * plain.half_widths[2]
 
 
 def test_too_few_samples() -> None:

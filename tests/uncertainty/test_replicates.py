@@ -13,7 +13,7 @@ from labpipe.records.estimates import Failure
 from labpipe.uncertainty.readings import Reading, Trace, combined
 from labpipe.uncertainty.replicates import COUNT, Input, Law, replicated, smooth_curve
 from labpipe.uncertainty.wandering_zeros import wanders
-from tests.builders.noisy_curves import as_it_is, replicates_of, trace_of
+from tests.builders.noisy_curves import replicates_of, trace_of
 
 RNG = np.random.default_rng
 
@@ -38,22 +38,6 @@ def test_every_piece_has_a_cubic_of_its_own() -> None:
     found = smooth_curve(TIME, values, [300, 720], 12)
     assert found == pytest.approx(values, abs=1e-8)
     assert np.abs(smooth_curve(TIME, values, [], 12) - values).max() > 1.0
-
-
-def test_no_gaps_are_too_many() -> None:
-    """Whatever is missing: every spline of the basis has samples beneath it."""
-    for seed in range(150):
-        rng = RNG(seed)
-        count = int(rng.integers(2, 400))
-        time: Floats = np.arange(float(count))
-        values = 1.0 + 0.1 * time
-        for _ in range(rng.integers(0, 12)):
-            start = int(rng.integers(0, count))
-            values[start : start + int(rng.integers(1, 60))] = np.nan
-        cuts = rng.integers(0, count, 3).tolist()
-        found = smooth_curve(time, values, cuts, int(rng.choice([12, 40])))
-        assert np.array_equal(np.isnan(found), np.isnan(values))
-        assert np.nan_to_num(found) == pytest.approx(np.nan_to_num(values), abs=1e-7)
 
 
 @pytest.mark.parametrize(("count", "columns"), [(16, 5), (30, 6), (60, 10), (96, 15), (3000, 15)])
@@ -103,23 +87,6 @@ def test_draws_of_an_input(
     assert given.deviation == pytest.approx(wanted)
 
 
-def test_an_input_is_drawn_once_for_all_numbers() -> None:
-    found, other = replicates_of(trace_of(TIME)), replicates_of(trace_of(TIME), seed=b"other")
-    given = Input("zero of the force", unmoved)
-    draws = found.draws(given)
-    assert np.array_equal(draws, found.draws(given))
-    for one in (
-        other.draws(given),
-        found.draws(replace(given, cause="scale of the force")),
-        found.draws(replace(given, stream="width")),
-    ):
-        assert abs(np.corrcoef(draws, one)[0, 1]) < 0.2
-    same = replace(given, cause="section", stream="zero of the force")
-    assert np.array_equal(found.draws(same), draws)
-    known = np.arange(float(COUNT))
-    assert found.draws(replace(given, draws=known)) is known
-
-
 def test_replicates_scatter_about_the_smooth_curve() -> None:
     force, way = cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000), TIME + RNG(2).normal(0.0, 0.02, 1000)
     found = replicates_of(trace_of(force, way))
@@ -134,33 +101,6 @@ def test_replicates_scatter_about_the_smooth_curve() -> None:
     apart = (found.force - found.smooth.force)[:, 500] * (found.displacement - TIME)[:, 500]
     assert abs(np.mean(apart)) < 0.2 * 0.3 * 0.02
     assert np.array_equal(found.measured.force, force)
-
-
-def test_filters_act_on_the_replicates_and_not_on_the_smooth_curve() -> None:
-    def halved(values: Floats) -> Floats:
-        return 0.5 * values
-
-    trace = trace_of(10.0 + RNG(1).normal(0.0, 0.3, 1000))
-    found = replicates_of(trace, filters=(as_it_is, halved))
-    assert found.smooth.force.mean() == pytest.approx(10.0, abs=0.1)
-    assert found.force.mean() == pytest.approx(5.0, abs=0.1)
-    assert np.std(found.force) == pytest.approx(0.15, rel=0.1)
-    found = replicates_of(trace, filters=(halved, as_it_is))
-    assert found.displacement[0] == pytest.approx(0.5e-3 * TIME, abs=1e-12)
-
-
-def test_of_cycles_forty_parts_are_followed() -> None:
-    """A wave of 80 samples: a loading of twelve parts does not follow it, a cycle does."""
-    wave = np.sin(2.0 * np.pi * np.arange(1000) / 80.0)
-    trace = trace_of(wave)
-    loose = replicates_of(trace).smooth.force
-    branches = (
-        Branch(0, 999, 1, Direction.LOADING, 0.0, 9.9),
-        Branch(999, 1000, 1, Direction.UNLOADING, 9.9, 10.0),
-    )
-    close = replicates_of(replace(trace, branches=branches)).smooth.force
-    assert np.std(loose - wave) > 0.5
-    assert np.std(close - wave) < 0.05
 
 
 def test_what_is_left_of_a_specimen_is_not_its_noise() -> None:
@@ -188,38 +128,6 @@ def test_compliance_is_taken_off_with_the_noise_of_the_force() -> None:
     found = replicates_of(trace_of(force, TIME), compliance=1e-5)
     assert found.smooth.displacement == pytest.approx(TIME - 1e-5 * found.smooth.force, abs=1e-9)
     assert found.displacement == pytest.approx(TIME - 1e-5 * found.force, abs=1e-9)
-
-
-def test_counting_displacements_from_elsewhere() -> None:
-    found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(size=1000)))
-    given = Input("slack", unmoved)
-    moved = found.displaced(-2e-3, given)
-    for before, after in (
-        (found.measured, moved.measured),
-        (found.smooth, moved.smooth),
-        (next(found.traces()), next(moved.traces())),
-    ):
-        assert after.displacement == pytest.approx(before.displacement - 2e-3, abs=1e-15)
-        assert np.array_equal(after.force, before.force)
-    assert (found.inputs, moved.inputs) == ((), (given,))
-    assert moved.seed == found.seed
-
-
-def test_a_plateau_is_not_as_high_as_its_noise() -> None:
-    """Up, 200 samples at the top, down, in white noise of 1: the top follows it no further."""
-    turns, time = [400, 600], np.arange(1000.0)
-    true = 5.0 * np.interp(time, [0.0, 400.0, 600.0, 999.0], [0.0, 400.0, 400.0, 1.0])
-    branches = (
-        Branch(0, 400, 1, Direction.LOADING, 0.0, 400.0),
-        Branch(600, 1000, 1, Direction.UNLOADING, 600.0, 999.0),
-    )
-    off = []
-    for seed in range(20):
-        noisy = true + np.random.default_rng(seed).normal(size=1000)
-        found = smooth_curve(time, noisy, turns, 40, branches=branches)
-        off.append((found - true)[405:595])
-    assert np.std(off) < 0.25
-    assert np.mean(np.max(off, axis=1)) < 0.5
 
 
 def test_a_rest_without_a_course_is_its_mean() -> None:

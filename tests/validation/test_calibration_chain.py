@@ -19,10 +19,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 from scipy.stats import binomtest
 
-from benchmarks.first_loadings import observe_loading
 from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.report.calibration_shown import ValidationGroup
 from labpipe.studies.first_loadings import NotUsableError
@@ -35,9 +33,6 @@ from labpipe.virtual_lab.cantilever_scenarios import (
 )
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.wire.cantilever import StringRig
-from labpipe.wire.first_loading import load_cantilever
-from tests.builders.bilinear_laws import law_of_plays
 from tests.builders.wire_chain import CALIBRATED, UNUSED, gain_read, loadings_of, mean_curve, wires
 
 FIRST_SEED, RUNS, WORKERS = 2001, 200, 2
@@ -155,17 +150,3 @@ def scenario(name: str = "A3", factor: float = 1.0) -> CantileverScenario:
         mechanics=wire_scenario(WIRES[name].scaled(factor), 0.085).mechanics,
         load_cell=LoadCell(gain_error=0.01, noise=1e-3),
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["A3", "B1"])
-def test_the_true_curve_is_that_of_the_first_integral(name: str) -> None:
-    """One goes station by station with a history, the other all at once without any."""
-    test = scenario(name)
-    found = observe_loading(replace(test, mechanics=replace(test.mechanics, weighs=False)), 1)
-    law = replace(WIRES[name], n_plays=240).law()
-    largest = 1.2 * 0.085 * float(found.true_force[-1])
-    rig = StringRig(0.76, WEIGHT, 0.085, 0.76)
-    curve = load_cantilever(law_of_plays(law, largest, n_points=160), 0.085, rig)
-    wanted = CubicSpline(curve.deflection, curve.force)(found.true_deflection)
-    assert found.true_force == pytest.approx(wanted, rel=2e-4, abs=2e-5)

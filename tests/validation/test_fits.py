@@ -7,10 +7,7 @@ by an exact two-sided binomial test at 1 %; more of them are counted in `tests/c
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
-import piecewise_regression
 import pwlf
 import pytest
 from scipy.signal import lfilter
@@ -160,20 +157,3 @@ def test_pwlf(seed: int) -> None:
     assert squares == pytest.approx(model.ssr, rel=1e-5)
     assert float(found.break_point) == pytest.approx(breaks[1], abs=1e-2)
     assert [float(found.first), float(found.second)] == pytest.approx(model.slopes, rel=1e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_piecewise_regression(seed: int) -> None:
-    found, squares = ours(seed)
-    np.random.seed(seed)  # noqa: NPY002 (that library draws from the global generator)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        fit = piecewise_regression.Fit(*curve(seed), n_breakpoints=1, start_values=[9.0])
-    estimates = fit.get_results()
-    assert squares <= estimates["rss"] * (1.0 + 1e-9)
-    assert squares == pytest.approx(estimates["rss"], rel=1e-3)
-    theirs = estimates["estimates"]
-    assert float(found.break_point) == pytest.approx(theirs["breakpoint1"]["estimate"], abs=5e-2)
-    assert float(found.first) == pytest.approx(theirs["alpha1"]["estimate"], rel=5e-3)
-    assert float(found.second) == pytest.approx(theirs["alpha2"]["estimate"], rel=5e-3)

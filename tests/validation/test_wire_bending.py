@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import plain_loop
@@ -275,30 +275,3 @@ def test_scaling_of_lengths(drawn: Drawn, c: float) -> None:
     assert found.moment == pytest.approx(c**3 * small.moment, rel=1e-9)
     assert found.tangent_stiffness == pytest.approx(c**4 * small.tangent_stiffness, rel=1e-7)
     assert stick_stiffness(large) == pytest.approx(c**4 * stick_stiffness(once))
-
-
-@given(wires(), st.floats(0.0, 6.3))
-def test_both_hands_of_lay_bend_alike(drawn: Drawn, turn: float) -> None:
-    contacts = drawn.contacts(0.4, 0.2, 0.15)
-    right, left = (
-        moment_curvature(
-            drawn.section(SOFT, hand=hand), contacts, CURVATURES, orientation=turn
-        ).moment
-        for hand in (1.0, -1.0)
-    )
-    assert right == pytest.approx(left, rel=1e-13)
-    mirrored = drawn.section(SOFT)
-    mirrored = replace(mirrored, x=-mirrored.x)
-    found = moment_curvature(mirrored, contacts, CURVATURES, orientation=-turn).moment
-    assert found == pytest.approx(right, rel=1e-9)
-
-
-@given(wires(), st.floats(0.0, 6.3), st.floats(0.0, 6.3))
-def test_stick_does_not_know_the_orientation(drawn: Drawn, one: float, other: float) -> None:
-    """Of rings of three strands or more; two lie in a plane, and that plane has a direction."""
-    assume(2 not in drawn.counts)
-    section = drawn.section(Elastic(MODULUS))
-    tight = drawn.contacts(0.3, 0.2, 1e12)
-    at = [moment_curvature(section, tight, CURVATURES, orientation=turn) for turn in (one, other)]
-    assert at[0].moment == pytest.approx(at[1].moment, rel=1e-9)
-    assert at[0].moment == pytest.approx(stick_stiffness(section) * CURVATURES, rel=1e-9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -55,16 +54,6 @@ def scenarios(campaign: ConduitCampaign, seed: int = 1) -> list[ConduitScenario]
     return [scenario for scenario, _ in campaign.scenarios(seed)]
 
 
-def test_three_samples_of_every_case() -> None:
-    found = scenarios(ConduitCampaign())
-    assert len({scenario.name for scenario in found}) == 24
-    assert [s.name for s in found[:4]] == ["CWB-1-1", "CWB-1-2", "CWB-1-3", "CWB-2a-1"]
-    assert [s.has_frame_export for s in found[:3]] == [True, True, False]
-    assert len({scenario.load_cell.gain_error for scenario in found}) == 1
-    assert len({scenario.markers.twist for scenario in found}) == 24
-    assert all(2e-3 <= s.clocks.trigger_lag <= 12e-3 for s in found)
-
-
 QUICK = TapedCampaign(types=("TWB-B1-7-PVC",), samples=1, rate=50.0, fps=10.0, cycles=1)
 
 
@@ -104,19 +93,6 @@ SCENARIOS = {scenario.name: scenario for scenario in tensile_scenarios()}
 
 
 TRUTHS = {name: observe(scenario, 1).truth for name, scenario in SCENARIOS.items()}
-
-
-def test_kinds_and_spools() -> None:
-    assert Counter(scenario.protocol for scenario in SCENARIOS.values()) == {
-        "corrugated-tube": 9,
-        "twist-tube": 6,
-        "pet-tape": 5,
-        "stiff-bar": 1,
-    }
-    spools = Counter(scenario.spool for scenario in SCENARIOS.values())
-    assert [spools[name] for name in ("twist-tube-s1", "twist-tube-s2")] == [3, 3]
-    assert [spools[name] for name in ("pet-tape-s1", "pet-tape-s2")] == [3, 2]
-    assert [spools[f"{kind}-s1"] for kind in ("CT-10-slit", "CT-10", "CT-7")] == [3, 3, 3]
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -81,16 +81,6 @@ def test_slips_where_it_is_said_to() -> None:
     assert np.min(np.abs(bent - glue / NINETEEN.radius)) < 1e-6
 
 
-def test_locks_after_the_first_cycle_and_lets_go_where_the_tape_slides() -> None:
-    first, second = NINETEEN.law(), NINETEEN.law(2)
-    assert second.stiffness == first.stiffness
-    assert second.half_widths == pytest.approx(1.05 * first.half_widths, rel=1e-12)
-    limit = 0.028 / NINETEEN.radius
-    assert NINETEEN.held(limit) == 1.0
-    assert NINETEEN.held(2.0 * limit) == pytest.approx(0.92, rel=1e-12)
-    assert NINETEEN.held(100.0 * limit) == 0.5
-
-
 @pytest.mark.parametrize("arrangement", ["packed", "symmetric", "asymmetric"])
 def test_wires_do_not_overlap_and_balance(arrangement: str) -> None:
     bundle = BundleModel((("B1", 10), ("B2", 9)), arrangement)

@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
 from labpipe.studies.wire_specs import read_wire_sheet
-from labpipe.virtual_lab.bundles import BundleModel, lay_wires
+from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
 from labpipe.virtual_lab.conduit_scenarios import (
     CONDUIT_TYPES,
@@ -68,15 +67,6 @@ def said(bundle: BundleModel) -> dict[str, Any]:
     found = yaml.safe_load(text)["specimen"]["bundle"]
     assert isinstance(found, dict)
     return found
-
-
-def test_mixed_bundles_say_where_their_wires_lie() -> None:
-    bundle = BundleModel((("B1", 10), ("B2", 9)), "asymmetric")
-    found = said(bundle)
-    assert list(found["wires"]) == ["B1", "B2"]
-    places = np.array([[float(each.split()[0]) for each in row] for row in found["positions"]])
-    layout = lay_wires(bundle)
-    np.testing.assert_allclose(1e-3 * places, np.column_stack([layout.x, layout.y]), atol=1e-7)
 
 
 def test_a_conduit() -> None:

@@ -18,7 +18,6 @@ from labpipe.virtual_lab.tensile_path import (
 )
 from labpipe.virtual_lab.tensile_scenarios import (
     GIVE,
-    TABLE_2_3,
     BilinearLaw,
     ExportLayout,
     FrameInstruments,
@@ -126,18 +125,6 @@ def test_stiffness_and_break_point(
     assert truth.break_point_from_foot is not None
     assert truth.break_point == pytest.approx(truth.foot + truth.break_point_from_foot)
     assert one(truth.break_point) == pytest.approx(truth.break_force, rel=1e-6)
-
-
-@pytest.mark.parametrize("sample", TABLE_2_3)
-def test_twist_tubes_are_those_of_table_2_3(sample: str) -> None:
-    truth = truth_of(twist_tube(sample))
-    assert truth.stiffness_first / truth.peak_force == pytest.approx(TABLE_2_3[sample][0], rel=1e-6)
-    assert truth.stiffness_second / truth.peak_force == pytest.approx(
-        TABLE_2_3[sample][1], rel=1e-6
-    )
-    assert truth.peak_force == pytest.approx(420.0, rel=1e-6)
-    assert truth.failure_force == pytest.approx(420.0, rel=1e-6)
-    assert truth.peak_displacement == pytest.approx(truth.failure_displacement)
 
 
 def test_machine_gives_way() -> None:

@@ -58,16 +58,6 @@ def test_header_and_container(file: Path) -> None:
     assert whosmat(file) == [("force", (1, 1), "struct")]
 
 
-def test_fields_in_the_order_of_revision_2_1(content: Any) -> None:
-    assert content._fieldnames == ["Info", "X", "Y", "Description"]
-    assert (content.Info.RevisionMajor, content.Info.RevisionMinor) == (2, 1)
-    assert content.X._fieldnames == ["Name", "Type", "Data", "Unit", "Raster"]
-    assert content.Y[0]._fieldnames == [
-        *("Name", "Type", "Data", "Unit", "Raster", "Device", "XIndex", "DownSampling"),
-        *("Description", "DisplayIdentifier", "Path", "Flags", "Min", "Max", "MinWeak", "MaxWeak"),
-    ]
-
-
 def test_numbers_are_exact_and_whole_ones_small(content: Any, observation: Observation) -> None:
     record = observation.force_record
     np.testing.assert_array_equal(content.X.Data, record.clock)
@@ -76,16 +66,6 @@ def test_numbers_are_exact_and_whole_ones_small(content: Any, observation: Obser
     np.testing.assert_array_equal(content.Y[2].Data, record.signals[FREQUENCY_PATH])
     kinds = [channel.Data.dtype for channel in content.Y]
     assert kinds == [np.float64, np.uint8, np.uint16]
-
-
-def test_says_that_it_is_synthetic(content: Any) -> None:
-    origin = content.Description.General.Origin
-    assert "ControlDesk version: 7.4" in origin
-    assert "SYNTHETIC" in origin
-    assert "seed 11" in origin
-    assert content.Description.General.DateTime == "2026/03/04 10:08:43"
-    assert content.Description.Measurement.StartTimestamp == 0.0
-    assert content.Description.Measurement.Length == pytest.approx(content.X.Data[-1])
 
 
 TAKE_RUN = Run("A2-085-1", datetime(2026, 3, 4, 13, 5, 0), seed=11)
@@ -123,20 +103,6 @@ def test_numbers_six_decimals_and_blanks(rows: list[list[str]], observation: Obs
     np.testing.assert_allclose(measured, take.positions, atol=5.1e-7)
     assert np.isnan(measured).any()
     assert all(len(cell.partition(".")[2]) == 6 for cell in data[0][1:] if cell)
-
-
-@pytest.mark.parametrize(
-    ("unit", "word", "factor"), [("mm", "Millimeters", 1000.0), ("cm", "Centimeters", 100.0)]
-)
-def test_other_units(
-    observation: Observation, tmp_path: Path, unit: str, word: str, factor: float
-) -> None:
-    rows = write(observation, tmp_path / "take.csv", unit)
-    assert word in rows[0]
-    body = [float(cell) for cell in rows[7][6:9]]
-    np.testing.assert_allclose(body, observation.take.body.position[0] * factor, atol=1e-6)
-    assert float(rows[7][9]) == pytest.approx(observation.take.body.error[0] * factor, abs=1e-6)
-    assert 0.9 < float(rows[7][13]) <= 1.0  # a quality has no unit
 
 
 def test_unknown_unit_is_refused(observation: Observation, tmp_path: Path) -> None:

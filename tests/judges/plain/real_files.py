@@ -25,8 +25,8 @@ from tests.judges.plain.definitions import (
     plain_numbers,
 )
 from tests.judges.plain.judge import Expected
-from tests.judges.plain.shapes import NEWTON
 
+NEWTON = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605}
 METRE = {"mm": 1e-3, "um": 1e-6, "in": 0.0254}
 
 

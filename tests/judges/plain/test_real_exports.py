@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.judges.plain.definitions import Plain, either, excused, filtered, plain_numbers
+from tests.judges.plain.definitions import Plain, excused, plain_numbers
 from tests.judges.plain.judge import Expected, complaints, marked, process
 from tests.judges.plain.real_files import FRAMES, RECORDERS, Real, Recorder, Take, read
-from tests.judges.plain.shapes import Case, all_cases
 
 pytestmark = pytest.mark.realdata
 
@@ -116,77 +115,4 @@ def judged(name: str, root: Path, home: Path) -> list[str]:
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marked(name)) for name in CASES])
 def test_real_export(name: str, realdata: Path, tmp_path: Path) -> None:
     found = judged(name, realdata, tmp_path)
-    assert not found, "\n".join(found)
-
-
-SHAPES = {f"shape-{case.name}": case for case in all_cases()}
-
-
-SHEET = """\
-test: T
-protocol: ./plain.yaml
-specimen: {type: shape, spool: "1", sample: "1"}
-files: {frame: plain.csv}
-"""
-
-
-SHAPE_PROTOCOL = """\
-version: 1
-name: plain
-about: Plain numbers of plain shapes
-sources:
-  frame:
-    reader: load-frame
-    channels:
-      force: {channel: LoadSTATED}
-      displacement: {channel: Crosshead}
-STEPScurve: {force: force, displacement: displacement, failure: {force_below: 50 %}SLACK}
-branches: {channel: displacement, min_stroke: 1 mm}
-results:
-  - {result: peak-force}
-  - {result: peak-displacement}
-  - {result: stiffness, from: LOW mm, to: HIGH mm}
-  - {result: energy}
-  - {result: failure}
-  - {result: energy-to-break}
-"""
-
-
-def shape_protocol(case: Case) -> bytes:
-    assert case.asked.window is not None
-    low, high = case.asked.window
-    text = SHAPE_PROTOCOL.replace("LOW", str(low)).replace("HIGH", str(high))
-    text = text.replace("STEPS", f"steps:\n{case.steps}" if case.steps else "")
-    taken = ", slack: {from: 10 %, to: 30 %}" if case.asked.slack else ""
-    text = text.replace("SLACK", taken)
-    text = text.replace("STATED", case.stated)
-    return (text + ("  - {result: slack}\n" if taken else "")).encode()
-
-
-def expected(case: Case) -> Expected:
-    true = (case.true or case.table).record()
-    stroke = 1e-3 * case.asked.min_stroke
-    numbers = either(
-        plain_numbers(each, case.asked) for each in filtered(true, case.smooth, stroke)
-    )
-    causes = excused(case.table.record().seen(), case.asked) | dict(case.hurt)
-    return Expected(
-        numbers,
-        causes=causes,
-        refusal=case.refusal,
-        own=case.true is None,
-        sign_free=case.sign_free,
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(name, marks=marked(name)) for name in SHAPES])
-def test_shape(name: str, tmp_path: Path) -> None:
-    case = SHAPES[name]
-    export = case.table.csv()
-    files = {
-        "plain.csv": export[: int(case.kept * len(export))],
-        "plain.yaml": shape_protocol(case),
-    }
-    found = complaints(process(tmp_path, SHEET, files), expected(case))
     assert not found, "\n".join(found)
