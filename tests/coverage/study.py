@@ -27,9 +27,16 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
-from tests.coverage import lab, page, wire_campaigns, wire_judgement
+from tests.coverage import (
+    drawn_lines,
+    lab,
+    line_judgement,
+    page,
+    predicted_lines,
+    wire_campaigns,
+    wire_judgement,
+)
 from tests.judges.foreign import processed as foreign
-from tests.line_coverage import drawn_lines, line_judgement, predicted_lines
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "tests" / "coverage" / "kept"

@@ -2,9 +2,7 @@
 
 ``python -m tests.golden`` processes both afresh. ``--processed DIR`` takes the campaigns of a demo
 that has just been run. ``--update`` keeps the new numbers and prints what changed. Names of
-campaigns, such as ``real``, leave the others out. ``--widths`` prints instead how wide the
-intervals of tests were and are, by protocol and result, and which statuses changed. What intervals
-are made of is not kept.
+campaigns, such as ``real``, leave the others out. What intervals are made of is not kept.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.golden.campaigns import (
@@ -26,7 +24,6 @@ from tests.golden.campaigns import (
 from tests.golden.differences import differences
 from tests.golden.documents import made_model, study_rows
 from tests.golden.rows import Row, read, write
-from tests.golden.widths import changed_statuses, paired, table
 
 REPORTS, STUDIES, REAL = "reports", "studies", "real"
 NAMES = (*CAMPAIGNS, REPORTS, STUDIES, REAL)
@@ -40,16 +37,11 @@ def main() -> int:
         "--processed", type=Path, metavar="DIR", help="a full demo's processed/demo"
     )
     parser.add_argument("--update", action="store_true", help="keep the new numbers")
-    parser.add_argument("--widths", action="store_true", help="compare widths and statuses alone")
     options = parser.parse_args()
     if unknown := set(options.names) - set(NAMES):
         parser.error(f"expected some of {', '.join(NAMES)}, found {', '.join(sorted(unknown))}")
-    every = (*CAMPAIGNS, REAL) if options.widths else NAMES
     with tempfile.TemporaryDirectory() as folder:
-        found = taken(Path(folder), options.processed, options.names or every)
-    if options.widths:
-        print("\n".join(of_widths(found)))
-        return 0
+        found = taken(Path(folder), options.processed, options.names or NAMES)
     changed = sum(compared(name, new, update=options.update) for name, new in found.items())
     return 0 if options.update or not changed else 1
 
@@ -76,16 +68,6 @@ def demo_rows(demo: Path, folder: Path, names: Sequence[str]) -> dict[str, list[
         calibration = demo / "wires" / "calibration" / "calibration.json"
         found[STUDIES] = study_rows(calibration, made_model(folder / "model"))
     return found
-
-
-def of_widths(found: Mapping[str, list[Row]]) -> Iterator[str]:
-    """Tables of the widths of every campaign of tests, then the changes of status."""
-    pairs = [
-        pair for name, new in found.items() for pair in paired(read(HERE / f"{name}.csv"), new)
-    ]
-    yield from table(pairs)
-    yield ""
-    yield from changed_statuses(pairs)
 
 
 def compared(name: str, new: list[Row], *, update: bool) -> int:

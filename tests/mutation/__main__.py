@@ -29,7 +29,7 @@ TRIED, EXPLAINED = HERE / "tried.jsonl", HERE / "explained.toml"
 PAGE = REPOSITORY / "docs" / "explanations" / "mutation.md"
 DEMO = REPOSITORY / "raw" / "demo"
 BEGIN, END = "<!-- counted: begin -->", "<!-- counted: end -->"
-BESIDE, KEPT, OTHERS = "tests of its module", "numbers kept of the demo", "other tests"
+BESIDE, KEPT, OTHERS = "tests of its room", "numbers kept of the demo", "other tests"
 
 
 def main() -> int:
@@ -73,21 +73,25 @@ def try_for(seconds: float, mutants: Sequence[Mutant], demo: Path) -> None:
 
 
 def stages(mutant: Mutant, last: str) -> list[list[str]]:
-    """Tests that mirror a module, what noticed the fault last time first; those that import it."""
+    """Tests that import a module: of its own room, what noticed the fault last time first; others.
+
+    A room in which no file imports it is asked as a whole.
+    """
     module = Path(mutant.module)
-    own = sorted((REPOSITORY / "tests" / module.parent).glob(f"test_{module.stem}*.py"))
     dotted = "labpipe." + module.with_suffix("").as_posix().replace("/", ".")
-    users = [
-        path
-        for layer in LAYERS
-        for path in sorted((REPOSITORY / "tests" / layer).rglob("test_*.py"))
-        if path not in own and f"{dotted} " in path.read_text(encoding="utf-8")
-    ]
-    beside, others = (
-        [path.relative_to(REPOSITORY).as_posix() for path in each] for each in (own, users)
-    )
+    rooms = {layer: sorted((REPOSITORY / "tests" / layer).rglob("test_*.py")) for layer in LAYERS}
+    users = {
+        layer: [path for path in files if f"{dotted} " in path.read_text(encoding="utf-8")]
+        for layer, files in rooms.items()
+    }
+    own = module.parts[0]
+    beside = users.pop(own) or rooms[own]
+    others = [path for files in users.values() for path in files]
     file = last.partition("::")[0]
-    return [sorted(each, key=lambda path: path != file) for each in (beside, others)]
+    names = (
+        [path.relative_to(REPOSITORY).as_posix() for path in each] for each in (beside, others)
+    )
+    return [sorted(each, key=lambda path: path != file) for each in names]
 
 
 def token(mutant: Mutant) -> str:
@@ -187,8 +191,7 @@ def _end(mutant: Mutant, by: str | None, why: Mapping[str, str]) -> str:
         return "explained" if mutant.key in why else "survived"
     if by.startswith("golden"):
         return KEPT
-    module = Path(mutant.module)
-    is_beside = f"tests/{module.parent.as_posix()}/test_{module.stem}" in by or "/" not in by
+    is_beside = f"tests/{mutant.module.partition('/')[0]}/" in by or "/" not in by
     return BESIDE if is_beside else OTHERS
 
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tests.coverage.drawn_lines import KINDS
 from tests.coverage.judgement import ENOUGH, LEVEL, Held, Row, holm
 from tests.coverage.page import table
-from tests.line_coverage.drawn_lines import KINDS
 
 ASKED = ("shape", "moment", "bend radius", "shape on the way back")
 """Numbers of a line, one of each sort, chosen with the line before it is made."""

@@ -19,9 +19,7 @@ from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import from_rotation_vectors, matrices, multiply
 from labpipe.rod.statics import follow
 from tests.builders.rods import straight_line
-from tests.judges.foreign import wire_section as foreign
-from tests.judges.foreign.planar_rod import PlanarRod, Stops, stops_through
-from tests.line_coverage.drawn_lines import (
+from tests.coverage.drawn_lines import (
     LAYING,
     LOADING,
     NODES,
@@ -30,6 +28,8 @@ from tests.line_coverage.drawn_lines import (
     LineKind,
     Numbers,
 )
+from tests.judges.foreign import wire_section as foreign
+from tests.judges.foreign.planar_rod import PlanarRod, Stops, stops_through
 
 FINER = 3
 """Elements, and steps, of the truth over those of the prediction."""

@@ -30,8 +30,7 @@ from labpipe.wire.law_family import (
 )
 from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import build, mass_per_length
-from tests.judges.foreign import wire_section as foreign
-from tests.line_coverage.drawn_lines import (
+from tests.coverage.drawn_lines import (
     FREEDOM,
     SPREAD,
     WIRES,
@@ -40,7 +39,8 @@ from tests.line_coverage.drawn_lines import (
     draw,
     wire_drawn,
 )
-from tests.line_coverage.true_lines import Laid, TrueLine, held_at, true_line
+from tests.coverage.true_lines import Laid, TrueLine, held_at, true_line
+from tests.judges.foreign import wire_section as foreign
 
 SAMPLES, POINTS, DEEPEST = 3, 272, 0.05
 NOISE, GAIN = 2e-3, 0.005

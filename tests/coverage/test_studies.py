@@ -1,0 +1,416 @@
+"""The studies: what they draw, how they judge, what voids their rows, what is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import comb, inf
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labpipe.law.sliders import SliderLaw
+from labpipe.records.result import Result
+from labpipe.virtual_lab.specimens import ElasticModel
+from labpipe.wire.calibration.wire_parts import loading_table, take_apart
+from labpipe.wire.heavy_loading import heavy_states
+from tests.coverage import lab_bending, lab_tensile, line_judgement, study
+from tests.coverage.drawn_lines import KINDS as LINES
+from tests.coverage.drawn_lines import NODES, draw
+from tests.coverage.judgement import (
+    Count,
+    Held,
+    Verdict,
+    counted,
+    holds,
+    holm,
+    judged,
+    pooled,
+)
+from tests.coverage.lab import KINDS, compared, made
+from tests.coverage.line_judgement import ASKED
+from tests.coverage.page import by_fault, by_noise
+from tests.coverage.study import BY_KIND, STUDIES, Cost, append, differences, make_row
+from tests.coverage.true_lines import Laid, held_at, true_line, true_stops
+from tests.coverage.wire_campaigns import (
+    DEEPEST,
+    POINTS,
+    TRUTH,
+    rig_of,
+    true_curve,
+    wire_of,
+)
+from tests.coverage.wire_judgement import NAMES, bands, too_seldom
+from tests.coverage.wire_judgement import counted as parameters_counted
+from tests.judges.foreign import wire_section as foreign
+from tests.judges.foreign.processed import chance_of
+
+KIND = "foreign/tensile"
+
+
+def result(truth: float, *, half: float = 0.1, value: float = 1.0, **more: Any) -> dict[str, Any]:
+    ends = {"lower": value - half, "upper": value + half}
+    return {"name": "slack", "status": "ok", "value": value, "truth": truth, **ends, **more}
+
+
+def row(*results: dict[str, Any], noise: str = "white", fault: str = "") -> dict[str, Any]:
+    return {"kind": KIND, "about": {"noise": noise, "fault": fault}, "rows": list(results)}
+
+
+def test_chance_of_so_few() -> None:
+    """Of 30, 26 or fewer: one less the chance of 27 and more."""
+    more = sum(comb(30, k) * 0.95**k * 0.05 ** (30 - k) for k in range(27, 31))
+    assert Held(26, 30).chance == pytest.approx(1.0 - more)
+
+
+def test_holm_by_the_usual_example() -> None:
+    """Four hypotheses at 5 %: 0.005 < 0.0125, 0.01 < 0.0167, but 0.03 > 0.025 ends it."""
+    assert holm([0.01, 0.04, 0.03, 0.005], 0.05) == [True, False, False, True]
+
+
+def test_nine_of_ten_are_not_enough_alone() -> None:
+    """164 of 182 are 90 %, but so few come by chance once in 200 studies of that result alone."""
+    assert Held(164, 182).chance == pytest.approx(0.00473, abs=1e-5)  # summed with exact numbers
+    assert judged([Held(163, 182)]) == [Verdict.SELDOM]
+    assert judged([Held(164, 182)]) == [Verdict.SELDOM]
+    assert judged([Held(164, 182), *[Held(173, 182)] * 50]) == [Verdict.HOLDS] * 51
+    assert judged([Held(163, 182), *[Held(173, 182)] * 50])[0] is Verdict.SELDOM
+
+
+def test_wide_and_few() -> None:
+    assert judged([Held(182, 182), Held(180, 182)]) == [Verdict.WIDE, Verdict.HOLDS]
+    assert judged([Held(5, 19)]) == [Verdict.FEW]
+
+
+def test_all_of_a_kind_together() -> None:
+    counts = [
+        Count(kind, "slack", Held(held, asked), Held(0, 0), 0, 1.0)
+        for kind, held, asked in ((KIND, 180, 200), (KIND, 190, 200), ("lab/tensile", 100, 100))
+    ]
+    assert pooled(counts) == {
+        KIND: (Held(370, 400), Verdict.SELDOM),
+        "lab/tensile": (Held(100, 100), Verdict.WIDE),
+    }
+
+
+def test_what_is_counted() -> None:
+    doubtful, failed = result(1.05, status="doubtful"), result(1.0, status="failed")
+    rows = [row(result(1.05)), row(result(1.2)), row(doubtful), row(failed)]
+    rows += [row(result(1.2), fault="slip"), row({**result(1.0), "lower": None, "upper": None})]
+    (found,) = counted(rows)
+    assert (found.ok, found.doubtful, found.failed) == (Held(1, 3), Held(1, 1), 1)
+
+
+def test_width_is_that_of_the_same_noise() -> None:
+    """Errors of 1 and 10 in two noises, intervals of twice the ideal in each."""
+    random = np.random.default_rng(3)
+    rows = []
+    for noise, size in (("white", 1.0), ("pink", 10.0)):
+        for off in size * random.standard_normal(4000):
+            made = result(0.0, half=2.0 * 1.96 * size, value=9.0, estimate=float(off))
+            rows.append(row(made, noise=noise))
+    assert counted(rows)[0].width == pytest.approx(2.0, rel=0.03)
+
+
+def test_any_part_of_an_interval_may_hold_the_truth() -> None:
+    parts = [[0.5, 0.9], [3.0, 4.0]]
+    assert holds(result(3.5, parts=parts))
+    assert not holds(result(1.0, parts=parts))
+
+
+MOST = 4.5 / 1.96
+"""Half widths beyond which chance is no explanation in some hundred intervals."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_few_of_each(kind: str, tmp_path: Path) -> None:
+    """All that a protocol asks for has a truth, and nothing is off by more than chance can do."""
+    for seed in range(6 if kind in lab_tensile.KINDS else 2):
+        results, truth = made(kind, seed, tmp_path)
+        assert {each.name for each in results} <= set(truth)
+        assert len(results) >= (1 if kind == "stiff-bar" else 8)
+        found = compared(results, truth)
+        assert not [row for row in found if row["status"] not in {"ok", "doubtful"}]
+        assert not [row for row in found if row["status"] == "ok" and not halves(row) < MOST]
+
+
+def halves(row: dict[str, float]) -> float:
+    """How far the truth is from the middle of the interval."""
+    middle, half = 0.5 * (row["upper"] + row["lower"]), 0.5 * (row["upper"] - row["lower"])
+    return abs(middle - row["truth"]) / half
+
+
+def test_slips_that_are_not_there_count_as_failed() -> None:
+    slip, peak = (Result(name, 1.0, "N") for name in ("slip_drop.1", "peak_force.1"))
+    truth = {"slip_drop.1": 1.0, "slip_drop.2": 2.0, "peak_force.1": 1.0}
+    found = {row["name"]: row["status"] for row in compared((slip, peak), truth)}
+    assert found == {"peak_force.1": "ok", "slip_drop.1": "failed", "slip_drop.2": "failed"}
+
+
+def test_an_elastic_bar_is_as_stiff_as_itself() -> None:
+    """On rollers that rub, at deflections that are not small."""
+    rig = lab_bending.conduit_bundle(0).test
+    stiffness = lab_bending.windowed(replace(rig, bundle=ElasticModel(0.03)))
+    assert lab_bending.as_elastic_bar(rig, stiffness) == pytest.approx(0.03, rel=1e-4)
+    assert stiffness * rig.span**3 / 48.0 != pytest.approx(0.03, rel=0.01)
+
+
+def seldom(text: str) -> list[str]:
+    """Lines of tables that hold too seldom."""
+    return [line for line in text.splitlines() if line.startswith("|") and "**" in line]
+
+
+def test_nothing_holds_too_seldom(repository: Path) -> None:
+    page = repository / "docs" / "explanations" / "coverage.md"
+    assert not seldom(page.read_text(encoding="utf-8"))
+
+
+def noise_row(truth: float, *, noise: str = "white", fault: str = "") -> dict[str, Any]:
+    result = {"name": "peak_force.1", "status": "ok", "value": 1.0, "lower": 0.9, "upper": 1.1}
+    about = {"noise": noise, "fault": fault}
+    return {"kind": KIND, "about": about, "error": "", "rows": [{**result, "truth": truth}]}
+
+
+def test_by_noise_and_by_fault() -> None:
+    made = [
+        noise_row(1.0),
+        noise_row(1.2),
+        noise_row(1.0, noise="hum"),
+        noise_row(1.0, fault="cut"),
+    ]
+    made += [noise_row(1.5, fault="cut"), noise_row(-1.0, fault="counts-down")]
+    assert by_noise(made) == {(KIND, "white"): Held(1, 2), (KIND, "hum"): Held(1, 1)}
+    assert by_fault(made) == {(KIND, "cut"): (2, 2, 1), (KIND, "counts-down"): (1, 1, 0)}
+
+
+KEYS = ("truth", "value", "lower", "upper", "status")
+
+
+BAR, TAPE = "lab/stiff-bar", "lab/pet-tape"
+
+
+def kept_row(kind: str, seed: int, value: float = 1.0, **more: Any) -> dict[str, Any]:
+    result = {"name": "compliance", "truth": 1.0, "value": value, "lower": 0.9, "upper": 1.1}
+    made = {"kind": kind, "seed": seed, "commit": "abc", "seconds": 2.0, "error": "", "about": {}}
+    return {**made, "rows": [{**result, "status": "ok"}], **more}
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder of kept rows, and an empty file of those made."""
+    monkeypatch.setattr(study, "KEPT", tmp_path / "kept")
+    monkeypatch.setattr(study, "WORKING", tmp_path / "working.jsonl")
+    return tmp_path / "kept"
+
+
+def test_seeds_are_those_of_the_first_run() -> None:
+    """Nobody looks for seeds that please."""
+    tests, calibrations, lines = (each.seeds for each in STUDIES)
+    assert {kind.partition("/")[0]: seeds for kind, seeds in tests.items()} == {
+        "foreign": range(26000, 26200),
+        "lab": range(27000, 27200),
+    }
+    assert [(seeds[0], len(seeds)) for seeds in calibrations.values()] == [(31000, 200)] * 8 + [
+        (31000, 60)
+    ] * 36
+    assert lines == dict.fromkeys(
+        ("push", "bow", "slack", "space bow", "space push"), range(41000, 41040)
+    )
+    assert len(BY_KIND) == len(tests) + len(calibrations) + len(lines)
+    foreign = [kind for kind in tests if kind.startswith("foreign")]
+    drawn = [chance_of(kind.partition("/")[2], seed) for kind in foreign for seed in tests[kind]]
+    assert sum(bool(each.fault) for each in drawn) == 18 * len(foreign)
+
+
+def test_every_protocol_with_a_curve_is_studied(repository: Path) -> None:
+    shipped = {path.stem for path in (repository / "protocols").glob("*.yaml")}
+    assert {f"foreign/{name}" for name in shipped} - set(BY_KIND) == {"foreign/markers-only"}
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({}, []),
+        ({"seconds": 9.0, "commit": "def"}, []),
+        ({"value": 1.0 + 0.9e-9}, []),
+        ({"value": 1.0 + 2e-9}, ["compliance value"]),
+        ({"value": float("nan")}, ["compliance value"]),
+        ({"error": "RuntimeError"}, ["error"]),
+        ({"about": {"fault": "cut"}}, ["about fault"]),
+        ({"rows": []}, [f"compliance {key}" for key in KEYS]),
+        ({"kind": "push", "value": 1.0 + 0.9e-6}, []),
+        ({"kind": "push", "value": 1.0 + 2e-6}, ["compliance value"]),
+    ],
+)  # fmt: skip
+def test_what_differs(change: dict[str, Any], expected: list[str]) -> None:
+    kind = change.get("kind", BAR)
+    found = differences(kept_row(kind, 1), kept_row(**{"kind": kind, "seed": 1, **change}))
+    assert [each.partition(":")[0] for each in found] == expected
+
+
+def test_a_difference_voids_the_earlier_rows_of_its_kind() -> None:
+    rows = [
+        kept_row(BAR, 1),
+        kept_row(BAR, 2),
+        kept_row(TAPE, 1),
+        kept_row(BAR, 2, commit="same"),
+        kept_row(TAPE, 2),
+    ]
+    assert {kind: list(own) for kind, own in study.standing(rows).items() if own} == {
+        TAPE: [1, 2],
+        BAR: [1, 2],
+    }
+    found = study.standing([*rows, kept_row(BAR, 2, value=1.1), kept_row(BAR, 0, value=1.1)])
+    assert list(found[BAR]) == [0, 2]
+    assert list(found[TAPE]) == [1, 2]
+
+
+def made_here(
+    wanted: list[tuple[str, int]], *, jobs: int, until: float = inf
+) -> Iterator[dict[str, Any]]:
+    """As `study.make_rows`, without processes."""
+    return (make_row(*each) for each in wanted if monotonic() < until)
+
+
+def test_going_on(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is missing, what a canary voids, what is asked for by name."""
+    short = replace(STUDIES[0], seeds={BAR: range(27000, 27003)})
+    monkeypatch.setattr(study, "BY_KIND", {BAR: short})
+    monkeypatch.setattr(study, "STUDIES", (short,))
+    monkeypatch.setattr(study, "make_rows", made_here)
+
+    def run(minutes: float = 5.0, *, again: bool = False) -> tuple[int, int]:
+        left = study.run([BAR], again=again, minutes=minutes, jobs=1)
+        return left, len(list(study.read(study.WORKING)))
+
+    assert run(0.0) == (3, 0)
+    assert run() == (0, 3)
+    made = study.standing(study.read(study.WORKING))[BAR]
+    assert made[27001]["rows"][0]["name"] == "compliance"
+    study.keep(study.WORKING)
+    study.WORKING.unlink()
+    assert run() == (0, 0), "nothing is missing"
+    for each in made.values():
+        each["rows"][0]["value"] *= 1.0 + 1e-6
+        append(tmp_path / "older.jsonl", {**each, "commit": "abc"})
+    study.keep(tmp_path / "older.jsonl")
+    assert run() == (0, 3), "a canary differs"
+    study.keep(study.WORKING)
+    assert set(study.kept_rows()[BAR]) == {27000, 27001, 27002}
+    study.WORKING.unlink()
+    assert run(0.0, again=True) == (3, 0)
+
+
+def test_what_is_kept(kept: Path, tmp_path: Path) -> None:
+    """Rounded, without reasons; of the canary what is cheap, whole and without a fault."""
+    file = tmp_path / "rows.jsonl"
+    rows = [
+        kept_row(
+            BAR, 27000, 1.0 / 3.0, seconds=4.0, error="Traceback\n  in x\nRuntimeError: no wire\n"
+        ),
+        kept_row(BAR, 27001, 2.0 / 3.0, seconds=3.0),
+        kept_row(BAR, 27002, seconds=2.0),
+        kept_row(BAR, 27003, seconds=1.0, about={"fault": "cut"}),
+        kept_row(BAR, 27004, seconds=0.5, rows=[]),
+    ]
+    for each in rows:
+        append(file, each)
+    assert study.keep(file)[BAR] == 5
+    own = study.kept_rows()[BAR]
+    assert own[27001]["rows"][0]["value"] == 0.66666666667
+    assert own[27000]["error"] == "RuntimeError: no wire"
+    assert "seconds" not in own[27000]
+    assert not differences(own[27001], rows[1])
+    assert study.costs() == {BAR: Cost(2.1, (27002, 27001))}
+
+    append(file, kept_row(BAR, 27005, 1.0, seconds=0.1))
+    study.keep(file)
+    assert study.costs()[BAR].canary == (27002, 27001), "stays"
+    other = tmp_path / "other.jsonl"
+    append(other, kept_row(BAR, 27001, 5.0, seconds=7.0))
+    assert study.keep(other)[BAR] == 1, "a number that differs voids the kind"
+    assert study.costs() == {BAR: Cost(1.767, (27001,))}, "one row says little of the cost"
+    assert "RuntimeError" not in str(study.changes([kept_row(BAR, 27001, 5.0)]))
+    told = study.remedy(study.changes([kept_row(BAR, 27001, 6.0)]))
+    assert "seed 27001, compliance value: 5.0 -> 6.0); 353 CPU s" in told
+    assert "python -m tests.coverage run 'lab/stiff-bar' --again" in told
+
+
+def campaign_row(kind: str, *, held: bool = True, status: str = "identified") -> dict[str, Any]:
+    ends = {"lower": 0.8, "upper": 1.2}
+    parameters = [
+        {"name": name, "truth": 1.0 if held else 5.0, "status": status, **ends} for name in NAMES
+    ]
+    band = [
+        {"name": f"band {at} mm", "truth": truth, **ends} for at, truth in ((5, 1.0), (50, 1.3))
+    ]
+    about = {"solutions": 1}
+    return {"kind": kind, "error": "", "about": about, "rows": parameters + band}
+
+
+def test_the_truth_is_solved_where_it_is_asked() -> None:
+    """C5 slips in the first tenths of a millimetre: between other points it is 94 uN off."""
+    at = tuple(np.linspace(0.0, DEEPEST, POINTS)[:8].tolist())
+    wire, rig = wire_of("C5"), rig_of(0.12)
+    parts = take_apart(wire.section, wire.contacts)
+    values = np.array([TRUTH.friction, TRUTH.modulus, TRUTH.copper])
+    table = loading_table(parts, values, 40.0)
+    asked = np.array(at[1:])
+    exact = heavy_states(table, 0.12, rig, wire.self_weight, asked, n_stations=48)
+    curve = true_curve("own", "C5", 120, at)
+    assert curve(asked) == pytest.approx(exact.tension - exact.rest_tension, abs=1e-6)
+
+
+def test_what_holds_too_seldom() -> None:
+    """Nine of ten is chance in 60 campaigns, and not in 400."""
+    rows = [campaign_row("few", held=seed % 10 > 0) for seed in range(60)]
+    assert parameters_counted(rows, "copper_scale", identified=True) == Held(54, 60)
+    assert bands(rows) == Held(60, 120)
+    assert not any(is_seldom for _, is_seldom in too_seldom(rows).values())
+    many = [campaign_row("many", held=seed % 10 > 0) for seed in range(400)]
+    assert all(is_seldom for _, is_seldom in too_seldom(many).values())
+    weak = campaign_row("weak", status="two solutions")
+    assert parameters_counted([weak], "copper_scale", identified=True) == Held(0, 0)
+    assert parameters_counted([weak], "copper_scale", identified=False) == Held(1, 1)
+
+
+BY_NAME = {kind.name: kind for kind in LINES}
+
+
+def line_row(kind: str, *, held: bool = True) -> dict[str, Any]:
+    band = {"truth": 1.0 if held else 3.0, "value": 1.0, "lower": 0.5, "upper": 2.0}
+    rows = [{"name": name, **band} for name in ASKED]
+    return {"kind": kind, "error": "", "about": {"notes": []}, "rows": rows}
+
+
+@pytest.mark.parametrize("name", ["push", "bow"])
+def test_both_rods_agree_on_a_line_with_memory(name: str) -> None:
+    """The same law and numbers, links with angles beside nodes with frames."""
+    kind = BY_NAME[name]
+    drawn = draw(kind, 41007)
+    off, stops = drawn.off, true_stops(drawn)
+    truth = true_line(kind, drawn, 1e-3)
+    kept = stops.stiffness > 0.0
+    law = SliderLaw(stops.spring, stops.stiffness[kept], stops.width[kept], 0.0, 100.0)
+    mass = foreign.weight_of(foreign.BUILDS[drawn.wire]) / foreign.GRAVITY
+    laid = Laid(
+        *(law, 1e-3, mass * float(np.exp(off["mass_factor"]))),
+        *(drawn.length * float(np.exp(off["length_factor"])), (0.0, off["free_curvature_2"]), off),
+    )
+    path = laid.follow(kind, drawn)
+    held = path.states[held_at(kind)]
+    assert np.abs(held.positions - truth.held).max() < 1e-3 * drawn.length
+    assert np.abs(path.last.positions - truth.back).max() < 1e-3 * drawn.length
+    assert held.reaction_moments[0, 1] == pytest.approx(truth.moment[1], rel=0.02)
+    assert len(held.positions) == NODES + 1
+
+
+def test_bands_that_hold_too_seldom_are_found() -> None:
+    good = [line_row("push", held=n >= 5) for n in range(100)]
+    assert not any(line_judgement.judged(good).values())
+    assert str(line_judgement.counted(good, "moment")) == "95 of 100"
+    assert all(line_judgement.judged([*good, *[line_row("bow", held=False)] * 12]).values())
