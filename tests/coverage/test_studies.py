@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from math import comb, inf
+from math import comb
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import numpy as np
 import pytest
 
 from labpipe.law.sliders import SliderLaw
-from labpipe.records.result import Result
 from labpipe.virtual_lab.specimens import ElasticModel
 from labpipe.wire.calibration.wire_parts import loading_table, take_apart
 from labpipe.wire.heavy_loading import heavy_states
-from tests.coverage import lab_bending, lab_tensile, line_judgement, study
+from tests.coverage import lab_bending, line_judgement, study
 from tests.coverage.drawn_lines import KINDS as LINES
 from tests.coverage.drawn_lines import NODES, draw
 from tests.coverage.judgement import (
-    Count,
     Held,
     Verdict,
     counted,
     holds,
     holm,
     judged,
-    pooled,
 )
-from tests.coverage.lab import KINDS, compared, made
 from tests.coverage.line_judgement import ASKED
 from tests.coverage.page import by_fault, by_noise
-from tests.coverage.study import BY_KIND, STUDIES, Cost, append, differences, make_row
+from tests.coverage.study import BY_KIND, STUDIES, Cost, append, differences
 from tests.coverage.true_lines import Laid, held_at, true_line, true_stops
 from tests.coverage.wire_campaigns import (
     DEEPEST,
@@ -71,29 +65,9 @@ def test_holm_by_the_usual_example() -> None:
     assert holm([0.01, 0.04, 0.03, 0.005], 0.05) == [True, False, False, True]
 
 
-def test_nine_of_ten_are_not_enough_alone() -> None:
-    """164 of 182 are 90 %, but so few come by chance once in 200 studies of that result alone."""
-    assert Held(164, 182).chance == pytest.approx(0.00473, abs=1e-5)  # summed with exact numbers
-    assert judged([Held(163, 182)]) == [Verdict.SELDOM]
-    assert judged([Held(164, 182)]) == [Verdict.SELDOM]
-    assert judged([Held(164, 182), *[Held(173, 182)] * 50]) == [Verdict.HOLDS] * 51
-    assert judged([Held(163, 182), *[Held(173, 182)] * 50])[0] is Verdict.SELDOM
-
-
 def test_wide_and_few() -> None:
     assert judged([Held(182, 182), Held(180, 182)]) == [Verdict.WIDE, Verdict.HOLDS]
     assert judged([Held(5, 19)]) == [Verdict.FEW]
-
-
-def test_all_of_a_kind_together() -> None:
-    counts = [
-        Count(kind, "slack", Held(held, asked), Held(0, 0), 0, 1.0)
-        for kind, held, asked in ((KIND, 180, 200), (KIND, 190, 200), ("lab/tensile", 100, 100))
-    ]
-    assert pooled(counts) == {
-        KIND: (Held(370, 400), Verdict.SELDOM),
-        "lab/tensile": (Held(100, 100), Verdict.WIDE),
-    }
 
 
 def test_what_is_counted() -> None:
@@ -125,30 +99,10 @@ MOST = 4.5 / 1.96
 """Half widths beyond which chance is no explanation in some hundred intervals."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_few_of_each(kind: str, tmp_path: Path) -> None:
-    """All that a protocol asks for has a truth, and nothing is off by more than chance can do."""
-    for seed in range(6 if kind in lab_tensile.KINDS else 2):
-        results, truth = made(kind, seed, tmp_path)
-        assert {each.name for each in results} <= set(truth)
-        assert len(results) >= (1 if kind == "stiff-bar" else 8)
-        found = compared(results, truth)
-        assert not [row for row in found if row["status"] not in {"ok", "doubtful"}]
-        assert not [row for row in found if row["status"] == "ok" and not halves(row) < MOST]
-
-
 def halves(row: dict[str, float]) -> float:
     """How far the truth is from the middle of the interval."""
     middle, half = 0.5 * (row["upper"] + row["lower"]), 0.5 * (row["upper"] - row["lower"])
     return abs(middle - row["truth"]) / half
-
-
-def test_slips_that_are_not_there_count_as_failed() -> None:
-    slip, peak = (Result(name, 1.0, "N") for name in ("slip_drop.1", "peak_force.1"))
-    truth = {"slip_drop.1": 1.0, "slip_drop.2": 2.0, "peak_force.1": 1.0}
-    found = {row["name"]: row["status"] for row in compared((slip, peak), truth)}
-    assert found == {"peak_force.1": "ok", "slip_drop.1": "failed", "slip_drop.2": "failed"}
 
 
 def test_an_elastic_bar_is_as_stiff_as_itself() -> None:
@@ -267,42 +221,6 @@ def test_a_difference_voids_the_earlier_rows_of_its_kind() -> None:
     found = study.standing([*rows, kept_row(BAR, 2, value=1.1), kept_row(BAR, 0, value=1.1)])
     assert list(found[BAR]) == [0, 2]
     assert list(found[TAPE]) == [1, 2]
-
-
-def made_here(
-    wanted: list[tuple[str, int]], *, jobs: int, until: float = inf
-) -> Iterator[dict[str, Any]]:
-    """As `study.make_rows`, without processes."""
-    return (make_row(*each) for each in wanted if monotonic() < until)
-
-
-def test_going_on(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is missing, what a canary voids, what is asked for by name."""
-    short = replace(STUDIES[0], seeds={BAR: range(27000, 27003)})
-    monkeypatch.setattr(study, "BY_KIND", {BAR: short})
-    monkeypatch.setattr(study, "STUDIES", (short,))
-    monkeypatch.setattr(study, "make_rows", made_here)
-
-    def run(minutes: float = 5.0, *, again: bool = False) -> tuple[int, int]:
-        left = study.run([BAR], again=again, minutes=minutes, jobs=1)
-        return left, len(list(study.read(study.WORKING)))
-
-    assert run(0.0) == (3, 0)
-    assert run() == (0, 3)
-    made = study.standing(study.read(study.WORKING))[BAR]
-    assert made[27001]["rows"][0]["name"] == "compliance"
-    study.keep(study.WORKING)
-    study.WORKING.unlink()
-    assert run() == (0, 0), "nothing is missing"
-    for each in made.values():
-        each["rows"][0]["value"] *= 1.0 + 1e-6
-        append(tmp_path / "older.jsonl", {**each, "commit": "abc"})
-    study.keep(tmp_path / "older.jsonl")
-    assert run() == (0, 3), "a canary differs"
-    study.keep(study.WORKING)
-    assert set(study.kept_rows()[BAR]) == {27000, 27001, 27002}
-    study.WORKING.unlink()
-    assert run(0.0, again=True) == (3, 0)
 
 
 def test_what_is_kept(kept: Path, tmp_path: Path) -> None:

@@ -117,16 +117,3 @@ def test_frozen_marker_stands_still(scenario: CantileverScenario) -> None:
     event = only(seen)
     assert np.all(np.ptp(seen.take.positions[event.start : event.stop, column(seen, 7)], 0) == 0)
     assert np.ptp(seen.take.positions[event.stop : event.stop + 50, column(seen, 7)]) > 0
-
-
-@pytest.mark.parametrize(
-    "mishaps",
-    [
-        replace(NO_MISHAPS, switch=Stretch(7, 0.1, 0.2)),
-        replace(NO_MISHAPS, frozen=Stretch(-1, 0.1, 0.2)),
-        replace(NO_MISHAPS, unlabelled=Stretch(1, 0.2, 0.2)),
-    ],
-)
-def test_a_mishap_to_no_marker_is_refused(scenario: CantileverScenario, mishaps: Mishaps) -> None:
-    with pytest.raises(ValueError, match=r"=Stretch\(.*: allowed are markers 0 to [67] and"):
-        with_mishaps(scenario, mishaps)

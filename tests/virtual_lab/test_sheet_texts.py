@@ -13,7 +13,6 @@ from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, LoadCell, MarkerLayout
 from labpipe.virtual_lab.conduit_scenarios import (
-    CONDUIT_TYPES,
     conduit_scenario,
 )
 from labpipe.virtual_lab.sheet_texts import (
@@ -23,7 +22,6 @@ from labpipe.virtual_lab.sheet_texts import (
     write_wire_sheet,
 )
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.virtual_lab.tensile_scenarios import corrugated_tube
 from labpipe.wire.wire_table import build
 
 
@@ -69,18 +67,6 @@ def said(bundle: BundleModel) -> dict[str, Any]:
     return found
 
 
-def test_a_conduit() -> None:
-    found = said(CONDUIT_TYPES["CWB-2b"][0])
-    words = {key: found[key] for key in ("tape", "taping", "conduit", "conduit_bore")}
-    assert words == {
-        "tape": "PVC",
-        "taping": "coarse",
-        "conduit": "corrugated-tube",
-        "conduit_bore": "7.4 mm",
-    }
-    assert "tape" not in said(CONDUIT_TYPES["CWB-1"][0])
-
-
 FILES = {"force": ["force.mat"], "frame": ["DAQ- Crosshead, … - (Timed).txt"]}
 
 
@@ -98,18 +84,6 @@ def test_sheet_of_a_case() -> None:
 
 
 PARTS = ("DAQ- Crosshead, … - (Timed).txt", "DAQ- Crosshead, … - (Timed)1.txt")
-
-
-def test_what_the_protocol_cannot_know_is_overridden() -> None:
-    tube = replace(corrugated_tube("CT-7-1"), section=(("outer_diameter", 10.2e-3),))
-    tube = replace(tube, instruments=replace(tube.instruments, gain_uncertainty=0.01))
-    sheet = yaml.safe_load(write_sheet(tube, {"frame": ["CT-7-1.xlsx"]}))
-    assert sheet["files"] == {"frame": "CT-7-1.xlsx"}
-    overrides = {key: override["value"] for key, override in sheet["overrides"].items()}
-    assert overrides == {
-        "sources.frame.channels.force.scale_uncertainty": "1 %",
-        "specimen.section.outer_diameter": "10.2 mm",
-    }
 
 
 def test_the_sheet_says_what_the_virtual_wires_are(tmp_path: Path) -> None:

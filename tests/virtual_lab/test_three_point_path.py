@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from labpipe.readers import dspace_mat
-from labpipe.virtual_lab.cameras import cylinder_markers, marker_places
 from labpipe.virtual_lab.conduit_scenarios import (
     CONDUIT_TYPES,
     ConduitClocks,
@@ -173,20 +172,6 @@ def test_peak_energy_and_what_is_left(truth: ConduitTruth) -> None:
     assert truth.energy == pytest.approx(1.1 * work, rel=2e-3)
 
 
-def test_mid_span(truth: ConduitTruth) -> None:
-    """Moment over curvature is that of the law; the rig's own moment is near it at first."""
-    middle = truth.middle
-    law = SCENARIO.bundle.law()
-    corners = np.searchsorted(law.half_widths, middle.moment)
-    assert corners > 0
-    assert middle.bending_stiffness < truth.initial_bending_stiffness
-    assert middle.bending_stiffness_of_force == pytest.approx(middle.bending_stiffness, rel=0.03)
-    assert middle.moment > middle.moment_of_force
-    assert np.max(truth.curvature) == pytest.approx(middle.curvature, rel=1e-2)
-    assert np.max(truth.moment) == pytest.approx(middle.moment, rel=1e-2)
-    assert np.max(truth.twist) == pytest.approx(SCENARIO.markers.twist, rel=1e-2)
-
-
 QUICK = replace(conduit_scenario("CWB-1"), clocks=ConduitClocks(rate=50.0, fps=10.0))
 
 
@@ -261,21 +246,3 @@ def test_volts_are_force_by_the_calibration(
     assert np.max(record.volts) < 1.0
     assert np.min(record.volts) < -20.0
     assert list(record.signals) == ["Model Root/Load Cell", "Model Root/Trigger"]
-
-
-def test_markers_stand_on_a_cylinder_and_turn(
-    scenario: ConduitScenario, path: ThreePointPath
-) -> None:
-    markers = scenario.markers
-    progress = np.array([0.0, 0.0147, 0.0294])
-    seen = cylinder_markers(path, markers, progress)
-    places, angles = marker_places(markers)
-    middle = np.flatnonzero(places == 0.0)
-    x, y, _ = path.points(progress, np.array([0.0]))
-    off = seen[:, middle] - np.stack([x, y, 0.0 * x], axis=2)
-    radius = np.linalg.norm(off, axis=2)
-    assert radius == pytest.approx(markers.centre_offset, abs=1e-12)
-    around = np.arctan2(off[:, :, 2], off[:, :, 1])  # right-handed about x: from y to z
-    turned = around - around[0]
-    assert turned == pytest.approx(np.outer([0.0, 0.05, 0.1], [1.0, 1.0]), abs=1e-12)
-    assert np.degrees(angles[middle]) == pytest.approx([35.0, -35.0])

@@ -6,27 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
-from labpipe.wire.materials import ANNEALED_COPPER, RambergOsgood
-from labpipe.wire.strand_bending import strand_moment
-from labpipe.wire.wire_table import wire_table
-from tests.builders.wire_tables import spec_of
 from tests.judges.outside.cards import (
     Number,
     interval,
     read_cards,
     stiffness,
-)
-from tests.judges.outside.springback import (
-    FIRMER,
-    WIRES,
-    isotropic,
-    kept,
-    kept_of_a2,
-    kinematic,
-    left_of_a2,
-    springback,
 )
 
 CARDS = read_cards()
@@ -73,38 +58,3 @@ def test_the_line_through_published_points() -> None:
 )
 def test_three_point_stiffness_is_that_of_the_files(number: Number, realdata: Path) -> None:
     assert stiffness(realdata, number.bent) == pytest.approx(number.value, rel=1e-3)
-
-
-COPPERS = (ANNEALED_COPPER, FIRMER)
-
-
-@pytest.mark.parametrize("copper", COPPERS)
-def test_masings_rule_of_fibres_is_that_of_the_whole_bar(copper: RambergOsgood) -> None:
-    """A load follows twice the first loading at half the way, whatever it is summed up of."""
-
-    def first(curvature: float) -> float:
-        return float(strand_moment(copper, 0.32e-3, np.array([curvature])).moment[0])
-
-    half = float(brentq(lambda curvature: first(curvature) - first(23.5) / 2.0, 0.0, 23.5))
-    found = kept(kinematic, copper, 0.32e-3, 23.5)
-    assert found == pytest.approx(1.0 - 2.0 * half / 23.5, abs=1e-4)
-
-
-@pytest.mark.parametrize("diameter", WIRES)
-@pytest.mark.parametrize("copper", COPPERS)
-def test_the_rule_of_the_wire_model_springs_back_too_far(
-    copper: RambergOsgood, diameter: float
-) -> None:
-    most = WIRES[diameter][1]
-    assert springback(kinematic, copper, diameter) > 1.8 * most
-    assert springback(isotropic, copper, diameter) < 0.7 * most
-
-
-def test_the_package_keeps_of_a2_what_the_fibres_say() -> None:
-    """Friction, which the fibres leave out, keeps a little more."""
-    table = wire_table(spec_of("A2", "A2"))
-    moment = float(np.interp(23.5, table.curvature, table.moment))
-    half = float(np.interp(moment / 2.0, table.moment, table.curvature))
-    own = 1.0 - 2.0 * half / 23.5
-    assert 0.0 < own - kept_of_a2(kinematic, 1e9, 23.5) < 0.012
-    assert left_of_a2() == pytest.approx(5.0e-3, abs=0.1e-3)
