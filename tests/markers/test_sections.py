@@ -192,3 +192,19 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     assert np.abs(found.twist[top]) == pytest.approx(np.full(15, 0.05), abs=close)
     assert found.mid_span == pytest.approx(0.0, abs=1e-4)
     assert found.side_share < 0.02
+
+
+@pytest.mark.parametrize(
+    ("count", "message"),
+    [
+        (16, r"mm of mid-span: expected some 45.72 mm away on both sides"),
+        (10, "5 sections with markers: expected at least 6"),
+    ],
+)
+def test_too_few_sections(count: int, message: str) -> None:
+    made = tracks(BendingRecord(), np.random.default_rng(0))
+    rest = np.asarray(made.time < 2.0)
+    sections = find_sections(made.positions[:, :count], rest=rest, apart=0.004)
+    bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
+    with pytest.raises(ValueError, match=message):
+        fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=bent_most)

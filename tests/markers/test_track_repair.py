@@ -13,6 +13,7 @@ from labpipe.markers.track_repair import RepairedTracks, repair_tracks
 from labpipe.markers.tracklets import Tracklets
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
+from tests.approved import Approve
 from tests.builders.marker_takes import (
     NAMES,
     WireTake,
@@ -256,4 +257,41 @@ def test_two_orphans_at_once_are_not_given_to_anyone() -> None:
     assert (repaired.flags[420:, [3, 4]] == PointFlag.MISSING).all()
     assert "a second track under this label, frames 420 to 599" in message(
         repaired, "label_ambiguous"
+    )
+
+
+def test_notes_on_repairs(approved: Approve) -> None:
+    take = wire_take()
+    truth = take.tracks.positions
+    jumped, gappy, stand_ins, ghosts = (
+        *(truth.copy(), truth.copy()),
+        *(blank_columns(truth, 2), blank_columns(truth, 15)),
+    )
+    jumped[300:, 5] += [0.0, 0.0, 0.008]
+    gappy[10:400:20, 2] = np.nan
+    stand_ins[200:300, 6], stand_ins[300:380, 7] = truth[200:300, 1], truth[300:380, 1]
+    stand_ins[200:380, 1] = stand_ins[240:245, 6] = np.nan
+    for ghost in range(15):
+        path = np.linspace(1, 1.001, 5)[:, None]
+        ghosts[40 * ghost : 40 * ghost + 5, 6 + ghost] = path
+    nameless = blank_columns(truth, 2)
+    nameless[200:, 6], nameless[200:, 0] = truth[200:, 0], np.nan
+    nameless[50:90, 7] = 0.5
+    names = tuple(f"Unlabeled {number}" for number in range(15))
+    bare = repair(WireTake(marker_tracks(names[:8], nameless), take.clamp), frozen=5.0)
+    repairs = {
+        "a jump that stays": repair(with_positions(take, jumped)),
+        "many gaps": repair(with_positions(take, gappy)),
+        "two stand-ins": repair(with_positions(take, stand_ins, *names[:2])),
+        "fifteen ghosts": repair(with_positions(take, ghosts, *names)),
+        "without names": bare,
+    }
+    np.testing.assert_array_equal(repairs["a jump that stays"].positions, jumped)
+    np.testing.assert_allclose(repairs["two stand-ins"].positions, truth, atol=2e-4)
+    assert bare.names == names[:6]
+    np.testing.assert_array_equal(bare.positions, truth)
+    approved(
+        f"{case}: {note.severity} {note.code}: {note.message}"
+        for case, repaired in repairs.items()
+        for note in repaired.notes
     )

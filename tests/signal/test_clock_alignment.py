@@ -151,3 +151,9 @@ def test_what_a_wandering_zero_does_to_the_lag_is_in_intervals_alone() -> None:
         for x in ("drift_interval", "offset_interval")
     ]
     assert more == pytest.approx([0.05 / 100.0, 15.0 * 0.05 / 100.0], rel=1e-3)
+
+
+def test_no_peaks_no_pairs() -> None:
+    assert len(rough_peaks(np.arange(10.0), np.ones(10), smoothing=0.5, share=0.3)) == 0
+    pairs, is_ambiguous = match_peaks(PEAKS, np.empty(0))
+    assert (pairs.shape, is_ambiguous) == ((0, 2), False)

@@ -153,3 +153,8 @@ def test_a_cutoff_too_fast_for_coarse_samples_does_nothing() -> None:
     act = Butterworth(10.0, 100.0, 2)
     assert act.coarser(4) == Butterworth(10.0, 25.0, 2)
     np.testing.assert_array_equal(act.coarser(5)(values), values)
+
+
+def test_window_length_refuses_nonsense() -> None:
+    with pytest.raises(ValueError, match="span=0, count=5: expected a positive span"):
+        window_length(0, 5)

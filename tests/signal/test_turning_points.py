@@ -18,6 +18,7 @@ from labpipe.signal.rests_and_jumps import (
 from labpipe.signal.turning_points import (
     branch_numbers,
     find_strokes,
+    goes_down,
     sharpest_turn,
     split_branches,
     turn_near,
@@ -271,3 +272,21 @@ def test_a_hole_in_the_record_is_none() -> None:
 
 def test_few_samples_have_no_jump() -> None:
     assert level_jumps(JUMP_TIME[:5], RAMP[:5]) == ()
+
+
+@pytest.mark.parametrize(
+    ("corners", "down"),
+    [
+        (((0, 0), (5, 0), (35, 6), (65, 0), (70, 0)), False),
+        (((0, 0), (5, 0), (35, -6), (65, 0), (70, 0)), True),
+        (((0, 3.7), (15, 6), (45, 0), (70, 0)), False),  # begins under load
+        (((0, -3.7), (15, -6), (45, 0), (70, 0)), True),
+        (((0, 0), (5, 0), (35, 6)), False),  # breaks off
+    ],
+    ids=["up", "down", "begins halfway up", "begins halfway down", "ends at the top"],
+)
+def test_which_way_a_signal_goes(corners: tuple[tuple[float, float], ...], *, down: bool) -> None:
+    _, signal = ramps(*corners, noise=1e-5)
+    assert goes_down(signal) is down
+    signal[::7] = np.nan
+    assert goes_down(signal) is down

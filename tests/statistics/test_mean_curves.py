@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
 from labpipe.statistics.mean_curves import (
     _gaps,
     block_means,
@@ -15,7 +19,7 @@ from labpipe.statistics.mean_curves import (
     mean_band,
     simultaneous_quantile,
 )
-from tests.builders.sloped_samples import built, make, samples
+from tests.builders.sloped_samples import built, make, said, samples, stiffness
 
 Curve = tuple[Floats, Floats]
 
@@ -122,3 +126,19 @@ def test_one_missing_point_of_a_grid_is_a_gap() -> None:
     grid = 1e-3 * np.array([0.0, 1.0, 2.0, 4.0, 5.0, 8.0])
     assert _gaps(grid) == ["2 mm to 4 mm", "5 mm to 8 mm"]
     assert _gaps(grid[:3]) == _gaps(grid[:1]) == []
+
+
+def test_scaled_band_without_a_peak_force() -> None:
+    members = samples()[:3]
+    failed = Result(
+        "peak_force.1", None, "N", status=Status.FAILED, reasons=(Reason("no_curve", "none"),)
+    )
+    members[1] = replace(members[1], results=(stiffness(50.0), failed))
+    members[2] = replace(members[2], results=(stiffness(50.0),))
+    group = built(members, scaled=True)
+    assert group.band_scaled is not None
+    # The third has no such result, so the largest force of its curve stands in.
+    assert group.band_scaled.n == 2
+    assert said(group)["no_peak_force"] == (
+        "not in the mean of force / peak force, without a peak force: s1-2"
+    )

@@ -290,3 +290,20 @@ def test_no_interval_no_verdict() -> None:
     said = alone(compared(FIRST, [1.0]))
     assert said.verdict is Verdict.CANNOT_TELL
     assert said.why == "an interval needs the scatter of two values, there is one sample"
+
+
+def test_equal_values_and_nan() -> None:
+    assert not mark_outliers(*one_spool([2.0, 2.0, 2.0, 2.0]))
+    assert not mark_outliers(*one_spool([1.0, 2.0, 3.0, float("nan")]))
+
+
+def test_an_exact_fit_but_for_one() -> None:
+    (found,) = mark_outliers(*one_spool([2.0, 2.0, 2.0, 2.0, 3.0]))
+    assert found.sample == "t4"
+
+
+def test_what_the_rig_sets_is_not_tested() -> None:
+    group = group_of("A", {"k": [1.0, 1.1, 0.9, 1.05, 9.0]})
+    is_set = [replace(each, is_set_by_rig=True) for each in group.numbers]
+    assert not marks(with_outliers([replace(group, numbers=tuple(is_set))]))
+    assert marks(with_outliers([group]))

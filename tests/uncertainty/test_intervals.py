@@ -354,3 +354,19 @@ def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
         assert [reason.code for _, reason in found[0].doubts] == codes
         assert found[0].interval.lower > found[0].value
         assert found[0].estimate == pytest.approx(level + 10.0, abs=0.5)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_an_input_that_leaves_no_number_on_one_side(side: float) -> None:
+    """There it counts as on the other side, and the number is doubtful."""
+
+    def onesided(trace: Trace) -> tuple[Floats]:
+        way = trace.displacement[..., 0]
+        return (np.where(side * way > 0.0, np.nan, 2.0 * way / 1e-4),)
+
+    still = trace_of(FORCE, np.zeros(200))
+    (found,) = measured(still, onesided, Input(ZERO_OF_DISPLACEMENT, pushed))
+    assert budget(found) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
+    assert found.interval.upper == pytest.approx(3.92, abs=0.2)
+    assert found.interval.lower == pytest.approx(-3.92, abs=0.2)
+    assert [reason.code for _, reason in found.doubts] == ["not_repeatable"]

@@ -53,6 +53,8 @@ def test_a_short_piece_is_a_line() -> None:
     """By hand: (0, 1), (1, 3), (2, 2) have the line 1.5 + 0.5 t."""
     time = np.array([0.0, 1.0, 2.0])
     assert smooth_curve(time, np.array([1.0, 3.0, 2.0]), [], 12) == pytest.approx([1.5, 2.0, 2.5])
+    two = np.array([4.0, 9.0])
+    assert np.array_equal(smooth_curve(time[:2], two, [], 12), two)
     values = RNG(0).normal(size=15)
     line = np.polyval(np.polyfit(TIME[:15], values, 1), TIME[:15])
     assert smooth_curve(TIME[:15], values, [], 12) == pytest.approx(line)
@@ -217,6 +219,7 @@ RECORD_TIME = np.linspace(0.0, 50.0, 501)
 
 def test_the_variance_is_that_of_a_walk() -> None:
     """As stated at the end, and within a tenth of a walk from a quarter of the record on."""
+    assert wanders(RECORD_TIME, 0.0) == []
     waves = np.array(wanders(RECORD_TIME, 0.3))
     spread = np.sqrt(np.sum(waves**2, axis=0))
     assert spread[-1] == pytest.approx(0.3, rel=1e-12)
@@ -294,3 +297,20 @@ def test_without_one_part_there_is_no_number() -> None:
     why, later = Failure("no_peak", "none"), Failure("no_reach", "none")
     assert combined(shared, largest, lambda _: later)(TRACE) is later
     assert combined(shared, lambda _: why, lambda _: later)(TRACE) is why
+
+
+def test_draws_that_are_given_and_displacements_from_elsewhere() -> None:
+    found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(size=1000)))
+    given = Input("slack", unmoved)
+    draws = found.draws(given)
+    assert np.array_equal(draws, found.draws(given))
+    other = found.draws(replace(given, cause="scale of the force"))
+    assert abs(np.corrcoef(draws, other)[0, 1]) < 0.2
+    assert np.array_equal(found.draws(replace(given, cause="section", stream="slack")), draws)
+    known = np.arange(float(COUNT))
+    assert found.draws(replace(given, draws=known)) is known
+    moved = found.displaced(-2e-3, given)
+    for before, after in ((found.measured, moved.measured), (found.smooth, moved.smooth)):
+        assert after.displacement == pytest.approx(before.displacement - 2e-3, abs=1e-15)
+        assert np.array_equal(after.force, before.force)
+    assert (found.inputs, moved.inputs, moved.seed) == ((), (given,), found.seed)
