@@ -1,53 +1,50 @@
-"""The figure of a bundle: what is drawn, not how."""
+"""Figures and tables of bundles and harnesses: what is drawn, not how."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
+from labpipe.records.curve import Interval
+from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.harness_bundle import BundleLoop, FrictionFit
+from labpipe.records.quality import Reason
 from labpipe.report.bundle_figures import (
+    MOST_ROWS,
     bundle_figure,
+    draw_places,
+    has_bundles,
+    place_figures,
+    place_table,
     plot_bounds,
-    plot_bundle_section,
-    save_bundle_figure,
 )
+from labpipe.report.bundle_loop_figure import loop_figure
+from labpipe.report.figure_page import style
+from labpipe.report.harness_figure import (
+    DrawnHarness,
+    DrawnMark,
+    DrawnShape,
+    DrawnSweep,
+    harness_figure,
+    plot_view,
+    sweep_figure,
+)
+from labpipe.report.wording import Scale
 from labpipe.wire.bundle_model import bundle_model
+from tests.approved import Approve
+from tests.builders.bundle_campaigns import bundle_of, grouped, three_of
 from tests.builders.bundles import bundle, example_wires
+from tests.builders.campaigns import build_campaign
+from tests.report.figure_words import all_words, table_words
 
 MIXED = bundle_model(
     bundle(("B1", 4), ("B2", 3), arrangement="asymmetric", conduit_bore=4e-3), example_wires()
 )
 ALIKE = bundle_model(bundle(("B1", 7)), example_wires())
-
-
-def test_section_in_mm() -> None:
-    axes = Figure().subplots()
-    plot_bundle_section(MIXED, axes)
-    circles = [patch for patch in axes.patches if isinstance(patch, Circle)]
-    assert [circle.radius for circle in circles] == pytest.approx([0.55] * 4 + [0.625] * 3 + [2.0])
-    first = np.array([circle.center for circle in circles[:7]])
-    assert first == pytest.approx(1e3 * np.column_stack([MIXED.layout.x, MIXED.layout.y]))
-    assert circles[-1].center == pytest.approx(1e3 * np.array(MIXED.middle))
-    assert axes.get_xlabel() == "x (mm)"
-    assert axes.get_ylabel() == "y, direction of bending (mm)"
-    low, high = axes.get_xlim()
-    assert low <= -2.0 <= 2.0 <= high
-
-
-def test_arms_lie_along_the_principal_axes() -> None:
-    axes = Figure().subplots()
-    plot_bundle_section(MIXED, axes)
-    stiffest = axes.lines[0]
-    across, up = np.diff(stiffest.get_xdata())[0], np.diff(stiffest.get_ydata())[0]
-    turn = np.arctan2(up, across) - MIXED.principal_angle
-    assert np.sin(turn) == pytest.approx(0.0, abs=1e-9)
-    centre = axes.lines[2]
-    at = np.ravel([centre.get_xdata(), centre.get_ydata()])
-    assert at == pytest.approx(1e3 * np.array(MIXED.neutral))
 
 
 def test_bounds_in_n_mm() -> None:
@@ -68,24 +65,140 @@ def test_bounds_in_n_mm() -> None:
     assert axes.get_xlim() == (MIXED.curvature[1], MIXED.curvature[-1])
 
 
-def words(page: Figure) -> str:
-    legend = [text.get_text() for text in page.legends[0].get_texts()]
-    return "\n".join([*(text.get_text().replace("\n", " ") for text in page.texts), *legend])
+SCALE = Scale(1e6, "N*mm^2")
+PLACE = BundlePlace(
+    "g", "t-1", 0.0060, Interval(-0.001, 0.0130), 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03
+)
+GROUPS = tuple(grouped(three_of(bundle_of("7 B1"))))
+NAME = GROUPS[0].name
+ROW = BundlePlace(
+    NAME, "t-1", 0.0060, Interval(0.0058, 0.0062), 0.0015, 0.0045, 0.15, (0.15, 0.16),
+    0.0303, Interval(0.0290, 0.0316),
+)  # fmt: skip
 
 
-def test_words_of_the_page() -> None:
-    said = words(bundle_figure(MIXED))
-    assert "4 B1 + 3 B2  ·  bundle model  ·  asymmetric  ·  packing fraction 0.60 in 4 mm" in said
-    assert "bore of the conduit" in said
-    assert "stiffest direction" in said
-    assert "Copper that is stretched yields" in said
-    alike = words(bundle_figure(ALIKE))
-    assert "y and x: all directions are alike" in alike
-    assert "alike in all directions" in alike
-    assert "packing fraction" not in alike
+def campaign(*places: BundlePlace) -> Campaign:
+    return Campaign("Synthetic", GROUPS, places=places, wire_sheet="wires.xlsx")
 
 
-def test_both_files(tmp_path: Path) -> None:
-    files = save_bundle_figure(MIXED, tmp_path / "figures")
-    assert [file.name for file in files] == ["bundle.svg"]
-    assert all(file.stat().st_size > 1000 for file in files)
+DEFLECTION = np.array([0.0, 0.02, 0.01, 0.02, 0.01])
+FORCE = np.array([0.0, 1.0, 0.1, 1.0, 0.1])
+LOOP = BundleLoop(0.1, DEFLECTION, FORCE, np.array([0, 0, 1, 2, 3]), (1e-3, 0.2), 0.015)
+FIT = FrictionFit(
+    composite_share=0.13,
+    slip_curvature=0.3,
+    slide_curvature=4.5,
+    held=0.2,
+    held_lower=0.15,
+    held_upper=0.26,
+    loop=LOOP,
+    predicted=1.1 * FORCE,
+    is_held_out=np.array([False, False, False, True, True]),
+    error_fitted=0.04,
+    error_held_out=0.07,
+    loss=2e-3,
+    predicted_loss=2.2e-3,
+)
+TURN = np.linspace(0.0, np.pi / 2.0, 11)
+ARC = 0.1 * np.column_stack([np.sin(TURN), np.zeros(11), 1.0 - np.cos(TURN)])
+ROUND = DrawnShape(
+    9, ARC, np.full(11, 0.1), (ARC - 0.004, ARC + 0.004), (np.full(11, 0.08), np.full(11, 0.13))
+)
+HARNESS = DrawnHarness(
+    name="corner",
+    note="A note.",
+    along=0.1 * TURN,
+    shapes=(DrawnShape(3, ARC * [1.0, 1.0, 0.0], np.full(11, np.inf)), ROUND),
+    marks=(
+        DrawnMark("left", "clip", ARC[0], np.zeros((0, 3)), np.array([1.0, 0.0, 0.0])),
+        DrawnMark("hand", "grip", ARC[-1], ARC[[0, -1]]),
+        DrawnMark("guide", "ring", ARC[5], np.zeros((0, 3)), holds=False),
+    ),
+    planes=((np.array([0.0, 0.0, -0.02]), np.array([0.0, 0.0, 1.0])),),
+    allowed=0.05,
+)
+SWEEP = DrawnSweep(
+    name="corner",
+    note="A note.",
+    length=np.array([0.15, 0.2]),
+    radius=np.array([0.03, np.nan]),
+    way=np.array([0.02, np.nan]),
+    radius_band=(np.array([0.025, np.nan]), np.array([0.04, np.nan])),
+    shapes=(ARC, ARC[:0]),
+    allowed=0.05,
+    is_doubtful=np.array([False, True]),
+)
+
+
+def test_a_view_has_the_line_in_mm_with_its_radius() -> None:
+    axes = Figure().subplots()
+    line = plot_view(HARNESS, 0, 2, axes)
+    assert isinstance(line, LineCollection)
+    ends = np.array(line.get_segments())
+    assert ends[0, 0] == pytest.approx([0.0, 0.0])
+    assert ends[-1, 1] == pytest.approx([100.0, 100.0])
+    assert np.asarray(line.get_array()) == pytest.approx(np.full(10, 100.0))
+    (band,) = (each for each in axes.collections if isinstance(each, PolyCollection))
+    corners = np.vstack([path.vertices for path in band.get_paths()])
+    assert corners.min(axis=0) == pytest.approx([-4.0, -4.0])
+    assert corners.max(axis=0) == pytest.approx([104.0, 104.0])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x (mm)", "z (mm)")
+    left, right = axes.get_xlim()
+    assert left < 0.0
+    assert right > 100.0
+
+
+@pytest.mark.parametrize(("across", "up"), [(0, 2), (1, 2), (0, 1)])
+def test_the_way_of_a_gripper_is_seen_whole(across: int, up: int) -> None:
+    way = np.array([[0.1, 0.0, 0.1], [0.1, 0.09, 0.25], [0.1, 0.0, 0.1]])
+    hand = DrawnMark("hand", "grip", ARC[-1], way)
+    axes = Figure().subplots()
+    plot_view(replace(HARNESS, marks=(hand,)), across, up, axes)
+    for number, (low, high) in zip((across, up), (axes.get_xlim(), axes.get_ylim()), strict=True):
+        assert low < 1e3 * way[:, number].min() <= 1e3 * way[:, number].max() < high
+
+
+def test_many_rows_are_several_figures_with_whole_groups() -> None:
+    groups = grouped([*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))])
+    names = [group.name for group in groups]
+    places = [replace(PLACE, group=name) for name in names for _ in range(MOST_ROWS - 4)]
+    many = Campaign("Synthetic", tuple(groups), places=tuple(places))
+    few = replace(many, places=tuple(places[:4]))
+    name = "between-slipping-and-sticking"
+    for shown, expected in (
+        (many, [f"{name}-1", f"{name}-2"]), (few, [name]), (replace(many, places=()), []),
+    ):  # fmt: skip
+        assert [figure.name for figure in place_figures(shown)] == expected
+
+
+def test_table_of_places(approved: Approve) -> None:
+    short, absent = (
+        (Reason("short", "it ends early"),),
+        (Reason("not_in_sheet", "no bounds: the sheet has no B3"),),
+    )
+    bare = replace(ROW, test="", interval=None, principal=(0.15, 0.15), share_interval=None)
+    lacking = BundlePlace(NAME, "t-2", 0.006, None, reasons=absent)
+    failed = replace(bare, test="t-3", value=None, share=float("nan"), reasons=short)
+    table = place_table(campaign(ROW, bare, lacking, failed))
+    assert table is not None
+    approved(table_words(table))
+    assert place_table(campaign()) is None
+    assert has_bundles(campaign())
+    assert not has_bundles(build_campaign())
+
+
+def test_words(approved: Approve) -> None:
+    lacking = BundlePlace("g", "t-2", None, None, reasons=(Reason("x", "y" * 200),))
+    plain = replace(HARNESS, shapes=(replace(ROUND, band=None),), marks=(), planes=())
+    with style():
+        pages = {
+            "bundle": bundle_figure(MIXED),
+            "bundle of one wire": bundle_figure(ALIKE),
+            "places": draw_places([PLACE, replace(PLACE, test="", interval=None), lacking], SCALE),
+            "cycles of a bundle": loop_figure("TWB-1", FIT),
+            "harness": harness_figure(HARNESS),
+            "harness without a band": harness_figure(plain),
+            "sweep": sweep_figure(SWEEP),
+            "sweep without a band": sweep_figure(replace(SWEEP, radius_band=None)),
+        }
+    approved(all_words(pages))

@@ -1,16 +1,181 @@
+"""Figures of a calibration: the card, profiles, agreement with tests and foreign curves, shapes."""
+
 from __future__ import annotations
 
-import subprocess
-import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from labpipe.errors import StoreError
-from labpipe.report.calibration_figures import calibration_drawings, save_calibration_figures
-from labpipe.report.calibration_shown import CalibrationReport
-from tests.report.builders_calibrations import group, report, shapes, usual
+from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.wire_calibration import Calibration, ExternalCurveComparison, Profile
+from labpipe.report.calibration_agreement import (
+    ExternalPanel,
+    agreement_words,
+    external_figure,
+    external_pages,
+    validation_figure,
+)
+from labpipe.report.calibration_card import (
+    calibration_card,
+    plot_profile,
+    plot_residuals,
+    seen,
+    smooth,
+)
+from labpipe.report.calibration_figures import calibration_drawings, shapes_figure
+from labpipe.report.calibration_shown import BentShape, CalibrationReport
+from labpipe.report.figure_page import finish_layout, style
+from tests.approved import Approve
+from tests.builders.external_curves import (
+    external_comparison,
+    third_group,
+    unmodelled,
+    untested,
+)
+from tests.report.builders_calibrations import (
+    group,
+    predicted,
+    report,
+    shapes,
+    troubled,
+    two_solutions,
+    usual,
+)
+from tests.report.figure_words import all_words, without_digits
+
+
+@pytest.fixture(autouse=True)
+def _in_style() -> Iterator[None]:
+    with style({"text.parse_math": False}):
+        yield
+
+
+def compared(*comparisons: ExternalCurveComparison) -> CalibrationReport:
+    return CalibrationReport(usual(), (third_group(),), comparisons=comparisons)
+
+
+def test_pages_of_six() -> None:
+    many = [
+        replace(each, curve=replace(each.curve, length=0.08 + 0.01 * number))
+        for number, each in enumerate([untested()] * 8)
+    ]
+    assert [len(page) for page in external_pages(compared(*many))] == [6, 2]
+    assert external_pages(compared()) == []
+
+
+REASON = Reason("deflection_too_large", "the curve ends at 40 mm")
+LOST = replace(group(), prediction=None, errors=None, reason=REASON)
+A4_MM = 270.0
+"""Height of a page between its margins."""
+
+
+def _wordy() -> Calibration:
+    notes = tuple(
+        QualityNote(
+            "residuals_correlated", Severity.WARNING, "A2", f"note {number}: " + "x y " * 50
+        )
+        for number in range(4)
+    )
+    return replace(troubled(), notes=notes)
+
+
+@pytest.mark.parametrize("which", ["usual", "troubled", "wordy"])
+def test_the_page_is_one_page_and_its_words_stay_on_it(which: str) -> None:
+    makers: dict[str, Callable[[], Calibration]] = {
+        "usual": usual, "troubled": troubled, "wordy": _wordy,
+    }  # fmt: skip
+    page = calibration_card(makers[which]())
+    assert 25.4 * page.get_figheight() < A4_MM
+    finish_layout(page)
+    page.canvas.draw()
+    boxes = [text.get_window_extent() for text in page.axes[6].texts]
+    assert min(box.y0 for box in boxes) > page.texts[1].get_window_extent().y1
+    assert max(box.x1 for box in boxes) < page.bbox.x1
+    assert min(axes.get_window_extent().height for axes in page.axes[:6]) > 18.0 / 25.4 * page.dpi
+
+
+def panel() -> Axes:
+    return Figure().subplots()
+
+
+def test_residuals_with_and_without_the_factors_of_samples() -> None:
+    calibration = usual()
+    plain, own = panel(), panel()
+    plot_residuals(calibration, plain)
+    plot_residuals(calibration, own, has_own_factor=True)
+    curve = calibration.curves[0]
+    left = 1e3 * (curve.force - curve.model)
+    np.testing.assert_allclose(np.asarray(plain.lines[1].get_ydata()), left)
+    np.testing.assert_allclose(
+        np.asarray(plain.lines[2].get_ydata()), left.reshape(30, 3).mean(axis=1)
+    )
+    scaled = 1e3 * (curve.force - curve.sample_factor * curve.model)
+    np.testing.assert_allclose(np.asarray(own.lines[1].get_ydata()), scaled)
+    assert plain.get_ylabel() == "Measured \u2212 model (mN)"
+
+
+def test_profile_with_thresholds_value_and_interval() -> None:
+    parameter, axes = usual().parameter("insulation_modulus"), panel()
+    (profile,) = parameter.profiles
+    assert parameter.interval is not None
+    plot_profile(parameter, axes)
+    curve, dots, below, above, value = axes.lines
+    np.testing.assert_allclose(np.asarray(dots.get_xdata()), 1e-6 * profile.value)
+    np.testing.assert_allclose(np.asarray(dots.get_ydata()), profile.deviance)
+    assert set(np.asarray(below.get_ydata())) == {profile.threshold_below}
+    assert set(np.asarray(above.get_ydata())) == {profile.threshold_above}
+    assert np.asarray(value.get_xdata())[0] == pytest.approx(1e-6 * parameter.value)
+    assert np.min(np.asarray(curve.get_ydata())) == pytest.approx(0.0, abs=1e-12)
+    (grey,) = axes.patches
+    left, right = grey.get_extents().transformed(axes.transData.inverted()).intervalx
+    assert [1e6 * left, 1e6 * right] == pytest.approx(
+        [parameter.interval.lower, parameter.interval.upper]
+    )
+    assert axes.get_xscale() == "log"
+    assert axes.get_xlabel() == "Insulation modulus (MPa)"
+
+
+def test_prior_from_its_own_centre() -> None:
+    parameter, axes = troubled().parameter("copper_scale"), panel()
+    plot_profile(parameter, axes)
+    prior = axes.lines[-1]
+    x, y = np.asarray(prior.get_data())
+    assert x[np.argmin(y)] == pytest.approx(1.6, rel=2e-3)
+    assert np.interp(1.6 / 1.05, x, y) == pytest.approx(1.96**2, rel=0.01)
+
+
+def test_smooth_profile_passes_through_its_points() -> None:
+    logs = np.array([-2.0, -1.0, 0.0, 3.0])
+    profile = Profile(np.exp(logs), logs**2, 4.0, 4.0)
+    values, deviance = smooth(profile)
+    np.testing.assert_allclose(deviance, np.log(values) ** 2, atol=1e-12)
+    assert set(np.exp(logs)) <= set(values)
+
+
+def test_two_valleys_and_two_parts() -> None:
+    parameter, axes = two_solutions().parameter("copper_scale"), panel()
+    plot_profile(parameter, axes)
+    assert len(parameter.profiles) == len(parameter.intervals) == 2
+    spans = [
+        patch.get_extents().transformed(axes.transData.inverted()).intervalx.tolist()
+        for patch in axes.patches
+    ]
+    ends = [(part.lower, part.upper) for part in parameter.intervals]
+    assert spans == [pytest.approx(part) for part in ends]
+    marks = [line for line in axes.lines if line.get_marker() == "^"]
+    least = float(parameter.profiles[1].deviance.min())
+    (other,) = [line for line in marks if line.get_markerfacecolor() == "white"]
+    assert np.asarray(other.get_ydata())[0] == least > 0.0
+    for profile in parameter.profiles:
+        values, deviance = smooth(profile)
+        assert deviance.min() == pytest.approx(profile.deviance.min())
+        np.testing.assert_allclose(np.interp(profile.value, values, deviance), profile.deviance)
+    assert seen(parameter)[0] < parameter.intervals[0].lower
+    assert seen(parameter)[1] > parameter.intervals[1].upper
 
 
 def test_names_of_figures() -> None:
@@ -22,33 +187,58 @@ def test_names_of_figures() -> None:
     assert [each.name for each in calibration_drawings(CalibrationReport(usual()))] == names[:1]
 
 
-@pytest.mark.slow
-def test_all_figures(tmp_path: Path) -> None:
-    told: list[str] = []
-    calibration = replace(usual(), wire="$A_2$ <&>")
-    own = replace(report(), calibration=calibration, groups=(group(),), shapes=shapes())
-    files = save_calibration_figures(own, tmp_path / "figures", say=told.append)
-    assert sorted(files) == sorted((tmp_path / "figures").iterdir())
-    assert [path.name for path in files[:2]] == ["calibration.svg", "validation-1.svg"]
-    assert told == [path.stem for path in files]
-    again = save_calibration_figures(own, tmp_path / "again")
-    for first, second in zip(files, again, strict=True):
-        assert first.read_bytes() == second.read_bytes()
-        assert first.stat().st_size < 1_500_000
+def test_words_of_agreement(approved: Approve) -> None:
+    normal = external_comparison("normal", is_normal=True)
+    load = QualityNote("external_curve_load", Severity.INFO, "a", "the model's force is larger")
+    left_out = QualityNote("one_sample", Severity.WARNING, "A2", "the bands leave it out")
+    doubtful = replace(predicted("A1"), notes=(left_out,))
+    other = replace(group("A1"), mean_of=1, prediction=doubtful)
+    compared_curves = {
+        "each load": (external_comparison(), untested(), normal, external_comparison("other")),
+        "another load": (replace(normal, notes=(load,)),) * 2,
+        "no model": (unmodelled(), external_comparison("_fe")),
+    }
+    pages = {
+        name: external_figure(panels)
+        for name, curves in compared_curves.items()
+        for panels in external_pages(compared(*curves))
+    }
+    groups = {
+        "groups": report().groups,
+        "doubtful": [group(), replace(group(), doubtful_deflection=0.02)],
+        "one sample": [group("A3", 0.12, samples=1)],
+        "other bands": [group(), other, LOST],
+        "no prediction": [LOST],
+    }
+    errors = group().errors
+    assert errors is not None
+    assert f"RMSE {1e3 * errors.rmse:.3g} mN" in agreement_words(group())
+    fitted = {name: validation_figure(shown) for name, shown in groups.items()}
+    approved([*all_words(pages), *map(without_digits, all_words(fitted))])
 
 
-def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
-    (tmp_path / "x").write_text("")
-    with pytest.raises(
-        StoreError,
-        match=r"x: expected a folder that figures of a calibration can be written to, found ",
-    ):
-        save_calibration_figures(report(), tmp_path / "x")
+@pytest.mark.parametrize("count", [0, 7])
+def test_number_of_panels(count: int) -> None:
+    panel = ExternalPanel("A2", 0.085, False, None, (untested(),))
+    with pytest.raises(ValueError, match=rf"{count} panels: allowed are 1 to 6 on a page"):
+        external_figure([panel] * count)
+    with pytest.raises(ValueError, match=rf"{count} groups: allowed are 1 to 6 on a page"):
+        validation_figure([group()] * count)
 
 
-def test_drawing_program_is_loaded_only_when_a_figure_is_drawn() -> None:
-    code = (
-        "import sys, labpipe.report.calibration_figures, labpipe.report.calibration_workbook; "
-        "sys.exit(any(name.split('.')[0] in {'matplotlib', 'openpyxl'} for name in sys.modules))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+def test_words_of_card_and_shapes(approved: Approve) -> None:
+    nothing = np.zeros((0, 2))
+    bare = BentShape(0.01, np.full((3, 2), np.nan), nothing, nothing)
+    pages = {
+        "six shapes": shapes_figure("A2, 85 mm", shapes()["A2, 85 mm"]),
+        "markers alone": shapes_figure("A2", [bare]),
+        "no shape": shapes_figure("A2", []),
+    }
+    card = calibration_card(usual(), predictions={0.085: predicted()})
+    prior = calibration_card(troubled())
+    keys = [[text.get_text() for text in page.legends[0].get_texts()] for page in (card, prior)]
+    headings = [axes.get_title(loc="left") for axes in card.axes[:6]]
+    weights = {text.get_text(): text.get_fontweight() for text in prior.axes[6].texts}
+    assert (weights["not identified"], weights["fixed"]) == ("bold", "normal")
+    assert "without the band" in prior.texts[1].get_text()
+    approved([*all_words(pages), "[card]", *headings, *keys])

@@ -1,27 +1,34 @@
+"""Pages of figures, and the points, lines and rigs that are drawn on them."""
+
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
+from labpipe.records.arrays import Floats
+from labpipe.report.drawn_points import bends, extremes, worst
+from labpipe.report.drawn_rig import Rig, rig_of
 from labpipe.report.figure_page import (
     STYLE_FILE,
     finish_layout,
     in_pages,
     keep_in_view,
-    line_looks,
     new_page,
-    panel_grid,
     panel_letter,
     put_key,
     require_room,
-    say,
-    side_key,
     style,
     titled_page,
 )
@@ -54,11 +61,6 @@ def test_letters_that_the_first_font_lacks_come_from_another() -> None:
             drawn("\U000f0000")
 
 
-def test_letters_that_no_font_has_are_boxes_without_a_warning() -> None:
-    with style():
-        assert drawn("\U000f0000 A2") != drawn(" A2")
-
-
 def test_page_has_title_footnote_and_room_for_them() -> None:
     with style():
         page = new_page(RESULT, width_mm=180, height_mm=60, has_key=True)
@@ -78,25 +80,6 @@ def test_page_has_title_footnote_and_room_for_them() -> None:
     assert drawn.y1 < key_low
     assert key_low < page.texts[0].get_window_extent().y0 < height
     assert drawn.y0 > page.texts[1].get_window_extent().y1
-
-
-def test_side_key_stays_above_the_panel() -> None:
-    with style():
-        page = new_page(RESULT, width_mm=90, height_mm=60)
-        axes = page.subplots()
-        side_key(axes, axes.plot([0, 1], label="raw"))
-        finish_layout(page)
-    legend = axes.get_legend()
-    assert legend is not None
-    assert legend.get_window_extent().y0 >= axes.get_window_extent().y1
-
-
-def test_empty_panel_says_why() -> None:
-    page = new_page(RESULT, width_mm=90, height_mm=60)
-    axes = page.subplots()
-    say(axes, "There is no curve to draw.")
-    assert [text.get_text() for text in axes.texts] == ["There is no curve to draw."]
-    assert not axes.axison
 
 
 def texts(page: Figure) -> list[str]:
@@ -127,30 +110,6 @@ def test_what_cannot_be_drawn_is_shown_as_such() -> None:
     assert {"A\ufffd\ufffd2 \ufffd", "one\nother\ufffd", "\ufffd"} <= set(texts(page))
 
 
-def test_signs_of_mathematics_are_text() -> None:
-    with style():
-        drawn("$\\frac{$")
-        assert drawn("$x_1$") != drawn("x_1")
-
-
-@pytest.mark.parametrize(("count", "shape"), [(1, (1, 1)), (2, (1, 2)), (3, (2, 2))])
-def test_spare_panels_are_empty(count: int, shape: tuple[int, int]) -> None:
-    page = Figure()
-    panels = panel_grid(page, count, columns=2)
-    assert len(panels) == count
-    spec = panels[0].get_subplotspec()
-    assert spec is not None
-    assert spec.get_gridspec().get_geometry() == shape
-    assert [axes.axison for axes in page.axes] == [True] * count + [False] * (
-        len(page.axes) - count
-    )
-
-
-def test_looks_of_a_page_are_all_different() -> None:
-    looks = line_looks(12)
-    assert len({(look.colour, str(look.dash)) for look in looks}) == 12
-
-
 def test_things_on_pages() -> None:
     assert in_pages(range(25), 12) == [range(12), range(12, 24), range(24, 25)]
     assert in_pages([], 12) == []
@@ -167,3 +126,89 @@ def test_wide_intervals_are_cut_and_values_are_not() -> None:
     assert axes.get_xlim() == (-2.0, 5.0)
     keep_in_view([1.0], axes)
     assert axes.get_xlim() == (-2.0, 5.0)
+
+
+@given(
+    hnp.arrays(np.float64, st.integers(0, 400), elements=st.floats(-5, 5) | st.just(np.nan)),
+    st.integers(1, 20),
+)
+def test_thinned_line_is_as_wide_and_as_broken_as_the_samples(values: Floats, bins: int) -> None:
+    kept = extremes(values, bins=bins)
+    assert (np.diff(kept) > 0).all()
+    if len(values):
+        assert kept[0] == 0
+        assert kept[-1] == len(values) - 1
+    if np.isfinite(values).any():
+        assert np.nanmin(values[kept]) == np.nanmin(values)
+        assert np.nanmax(values[kept]) == np.nanmax(values)
+    assert np.isnan(values[kept]).any() == np.isnan(values).any()
+    assert len(kept) <= max(4 * bins, 3 * bins + 2)
+
+
+def test_worst_flag_of_a_stretch_wins() -> None:
+    flags = np.ones((1000, 2), dtype=np.uint8)
+    flags[503, 1] = 0
+    flags[504, 1] = 2
+    rank = np.array([2, 0, 1], dtype=np.uint8)
+    thin = worst(flags, rank, bins=10)
+    assert thin[:, 0].tolist() == [1] * 10
+    assert thin[:, 1].tolist() == [1] * 5 + [0] + [1] * 4
+    np.testing.assert_array_equal(worst(flags[:7], rank, bins=10), flags[:7])
+    assert worst(flags[:0], rank, bins=10).shape == (0, 2)
+
+
+def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
+    x = np.linspace(0.0, 50.0, 2001)
+    force = np.minimum(5.0 * x, 30.0 + 2.0 * x) - np.where(x > 30.0, 4.0, 0.0)
+    kept = bends(x, force, points=60)
+    assert len(kept) < 10
+    assert 10.0 in x[kept]
+    assert {30.0, 30.025} <= set(x[kept].round(3).tolist())
+    drawn = np.interp(x, x[kept], force[kept])
+    assert np.abs(drawn - force).max() <= 0.002 * np.ptp(force)
+
+
+def test_noise_keeps_its_largest_excursions_and_no_more_points_than_allowed() -> None:
+    force = np.random.default_rng(1).normal(size=3000)
+    kept = bends(np.arange(3000.0), force, points=50)
+    assert len(kept) == 50
+    assert {int(force.argmax()), int(force.argmin()), 0, 2999} <= set(kept.tolist())
+
+
+def test_gaps_and_standstill_in_bends() -> None:
+    force = np.arange(100.0)
+    force[40:45] = np.nan
+    assert bends(np.arange(100.0), force, points=10).tolist() == [0, 39, 40, 45, 99]
+    up = np.concatenate([np.zeros(50), np.linspace(0.0, 1.0, 50), np.zeros(50)])
+    assert {50, 99, 100} <= set(bends(np.zeros(150), up, points=20).tolist())
+    assert bends(np.zeros(3), np.full(3, np.nan), points=5).tolist() == [0]
+    assert bends(np.zeros(0), np.zeros(0), points=5).tolist() == []
+
+
+def with_protocol(text: str) -> Rig:
+    return rig_of(replace(build_result(cycles=1, half_cycle=1.0), protocol_yaml=text))
+
+
+def test_rollers_and_span_of_a_conduit(repository: Path) -> None:
+    text = (repository / "protocols" / "conduit-bundle.yaml").read_text(encoding="utf-8")
+    section = "section: {outer_diameter: 14.1 mm}"
+    rig = with_protocol(text.replace(section, f"{section}\n  span: 152.4 mm"))
+    assert rig == pytest.approx(Rig(0.1524, 0.005, 0.00705, 0.00855))
+    assert rig.reach == pytest.approx(0.01205)
+
+
+def test_a_cantilever_has_no_rollers(repository: Path) -> None:
+    text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
+    rig = with_protocol(text)
+    assert (rig.span, rig.roller_radius) == (0.0, 0.0)
+    assert rig.centre_offset == pytest.approx(0.0008)
+
+
+@pytest.mark.parametrize("text", ["", "version: 0\nname: of an earlier grammar\n"])
+def test_without_a_sound_protocol_nothing_is_known(text: str) -> None:
+    assert with_protocol(text) == Rig()
+
+
+def test_bins_out_of_range() -> None:
+    with pytest.raises(ValueError, match="bins=0: expected at least 1"):
+        extremes(np.zeros(3), bins=0)

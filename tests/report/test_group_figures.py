@@ -1,13 +1,42 @@
+"""Figures of a group: curves, slips, lines, numbers, shapes, and the words on them."""
+
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
+from matplotlib.figure import Figure
 
-from labpipe.report.group_figures import drawings, stems
-from labpipe.report.saving import FORMATS, save_report_figures
-from tests.builders.campaigns import build_group, build_sample, six_samples
+from labpipe.records.curve import FittedLine, Interval
+from labpipe.records.drawn import DrawnLaw, DrawnShapes
+from labpipe.records.group import Group, Outlier
+from labpipe.report.figure_page import style
+from labpipe.report.group_dots import MOST_ROWS, draw_dots, numbers_to_draw, plot_dots, rows_of
+from labpipe.report.group_figures import MOST_PANELS, draw_slips, drawings, stems
+from labpipe.report.group_plots import (
+    POINTS,
+    draw_curves,
+    draw_lines,
+    draw_scaled,
+    has_lines,
+    seen,
+    thin,
+)
+from labpipe.report.group_shapes import (
+    draw_group_laws,
+    draw_group_shapes,
+    has_laws,
+    has_shapes,
+)
+from labpipe.report.saving import save_report_figures
+from labpipe.statistics.mean_curves import without_band
+from tests.approved import Approve
+from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
+from tests.report.figure_words import all_words
 
 
 def test_figures_that_a_group_has_data_for() -> None:
@@ -20,37 +49,6 @@ def test_figures_that_a_group_has_data_for() -> None:
     assert [each.name for each in drawings(build_group("A", []))] == ["curves"]
 
 
-def test_every_figure_can_be_told_without_being_seen() -> None:
-    told = {each.name: each for each in drawings(build_group("A", six_samples()))}
-    assert told["curves"].alt == (
-        "Force against displacement: A, 6 samples from 2 spools."
-        " The mean reaches 134 N; it is known up to 40 mm."
-    )
-    assert "the mean of 6 samples" in told["curves"].caption
-    assert told["slips"].alt == "Slips of tt-s1b, tt-s2b on their curves."
-    assert told["lines"].alt == (
-        "Fitted lines on the curves of A: Stiffness, first region; Stiffness, second region."
-    )
-    lone = next(drawings(build_group("A", [build_sample("s1", "a")])))
-    assert "There is no band; the figure says why." in lone.caption
-
-
-def test_saved_in_each_format_with_the_same_bytes(tmp_path: Path) -> None:
-    sample = replace(build_sample("s1", "a"), lines=())
-    group = build_group("A", [sample], scaled=False)
-    runs = []
-    for name in "ab":
-        folder = tmp_path / name
-        folder.mkdir()
-        runs.append(save_report_figures(drawings(group), folder, formats=FORMATS))
-    files = runs[0][0].files
-    assert [path.name for path in files] == ["curves.svg", "curves.png", "curves.pdf"]
-    for one, other in zip(files, runs[1][0].files, strict=True):
-        assert one.read_bytes() == other.read_bytes()
-    assert files[1].read_bytes().startswith(b"\x89PNG")
-    assert files[2].read_bytes().startswith(b"%PDF")
-
-
 def test_letters_are_lines_so_that_no_font_of_a_reader_changes_them(tmp_path: Path) -> None:
     group = build_group("A", [build_sample("s1", "a")])
     (curves, *_) = save_report_figures(drawings(group), tmp_path)
@@ -60,26 +58,169 @@ def test_letters_are_lines_so_that_no_font_of_a_reader_changes_them(tmp_path: Pa
     assert "<dc:title>Force against displacement: A, 1 sample from 1 spool." in drawn
 
 
-def test_names_with_signs_of_mathematics_are_drawn_as_they_are(tmp_path: Path) -> None:
-    sample = replace(build_sample("$x_$", "a"), test="$\\frac{$")
-    (saved, *_) = save_report_figures(drawings(build_group("_A$_{$", [sample])), tmp_path)
-    assert "_A$_{$" in saved.files[0].read_text(encoding="utf-8")
-
-
 def test_file_names() -> None:
     assert stems(["A2 85 mm", "a2/85/mm", "\u00b5"]) == ["a2-85-mm", "a2-85-mm-2", "group"]
     assert stems(["A" * 200])[0] == "a" * 60
 
 
-def test_the_caption_says_where_the_band_of_the_whole_curve_leaves_the_panel() -> None:
-    group = build_group("A", six_samples(), scaled=False)
-    caption = next(iter(drawings(group))).caption
-    assert "leave the panel" not in caption
+def test_rows_are_samples_spool_means_and_the_mean() -> None:
+    group = build_group("A", troubled_samples())
+    number = group.numbers[1]
+    rows = rows_of(group, number)
+    assert [row.label for row in rows] == [
+        "tt-s1a", "tt-s1b", "tt-s1c", "mean of s1",
+        "tt-s2a", "tt-s2b", "tt-s2c", "mean of s2", "mean",
+    ]  # fmt: skip
+    assert [row.height for row in rows] == list(range(9))
+    assert rows[0].is_open
+    assert rows[5].note == "no number"
+    assert math.isnan(rows[5].value)
+    assert number.mean is not None
+    assert rows[-1].value == number.mean.chosen.mean
+
+
+def test_dots_that_differ_by_less_than_their_intervals_stay_close() -> None:
+    group = build_group("A", six_samples())
+    ends = Interval(4999.0, 5001.0)
+    values = {
+        test: replace(result, value=5000.0 + 1e-3 * at, interval=ends)
+        for at, (test, result) in enumerate(group.numbers[1].values.items())
+    }
+    number = replace(group.numbers[1], values=values, mean=None)
+    axes = Figure().subplots()
+    plot_dots(group, number, axes)
+    low, high = axes.get_xlim()
+    assert high - low >= 2e-3
+    assert not axes.xaxis.get_offset_text().get_text()
+
+
+def test_samples_of_large_groups_share_a_row() -> None:
+    samples = [build_sample(f"s{n % 2}", str(n), seed=n) for n in range(MOST_ROWS + 2)]
+    group = build_group("A", samples)
+    rows = rows_of(group, group.numbers[0])
+    half = len(samples) // 2
+    assert {row.label for row in rows[:half]} == {f"{half} samples"}
+    assert all(abs(row.height) < 0.5 and row.interval is None for row in rows[:half])
+    assert rows[half].height == 1.0
+    assert rows[-1].height == 4.0
+
+
+def test_later_cycles_are_left_to_the_tables() -> None:
+    group = build_group("A", six_samples())
+    later = replace(group.numbers[0], name="peak_force.2")
+    names = [each.name for each in numbers_to_draw(replace(group, numbers=(later, *group.numbers)))]
+    assert names[0] == "peak_force.1"
+
+
+@pytest.fixture(autouse=True)
+def _in_style() -> Iterator[None]:
+    with style():
+        yield
+
+
+def test_the_axis_follows_curves_and_pointwise_band() -> None:
+    group = build_group("A", six_samples())
+    wide = replace(group.band, upper_all=group.band.mean + 90.0, lower_all=group.band.mean - 90.0)
+    low, high = seen(group, wide)
+    peaks = [float(sample.loading[0].force.max()) for sample in group.samples]
+    assert max(peaks) < high < 1.1 * max(*peaks, group.band.upper.max())
+    near = replace(group.band, upper_all=group.band.upper + 9.0, lower_all=group.band.lower - 9.0)
+    assert seen(group, near)[1] > near.upper_all.max()
+    assert seen(group, near)[0] < near.lower_all.min() < low
+
+
+def test_thin_curves_keep_their_ends_and_peak() -> None:
+    curve = build_sample("s1", "a").loading[0]
+    x, y = thin(curve, curve.force)
+    assert len(x) <= POINTS
+    assert (x[0], x[-1]) == (curve.displacement[0], curve.displacement[-1])
+    assert y.max() == curve.force.max()
+
+
+X = np.linspace(0.0, 0.08, 5)
+STEPS = np.array([0.00004, 0.01, 0.02])
+SHAPES = DrawnShapes(STEPS, np.stack([np.column_stack([X, d * (X / 0.08) ** 2]) for d in STEPS]))
+KAPPA = np.array([0.0, 1.0, 10.0])
+LAW = DrawnLaw(KAPPA, 3e-4 * KAPPA, 2.9e-4 * KAPPA, 3.1e-4 * KAPPA)
+
+
+def bent(count: int = 6) -> Group:
+    samples = [replace(each, shapes=SHAPES, law=LAW) for each in six_samples()[:count]]
+    return build_group("A", samples)
+
+
+def test_few_curves_have_intervals_at_three_displacements_and_no_band() -> None:
+    group = build_group("A", six_samples())
+    few = without_band(replace(group.band, n=3))
+    axes = draw_curves(replace(group, band=few)).axes[0]
+    assert not axes.collections
+    marks = [line for line in axes.lines if len(np.asarray(line.get_xdata())) == 2]
+    for line, at in zip(marks, few.marks, strict=True):
+        ends = np.asarray(line.get_ydata(), float)
+        np.testing.assert_allclose(ends, [group.band.lower[at], group.band.upper[at]])
+
+
+def test_what_a_group_has_not() -> None:
+    empty = build_group("A", [])
+    assert not has_lines(empty)
+    assert np.isfinite(seen(empty, empty.band)).all()
+    assert not has_lines(build_group("A", [replace(build_sample("s1", "a"), lines=())]))
+    assert numbers_to_draw(build_group("A", [build_sample("s1", "a")])) == []
+    group = build_group("A", six_samples())
+    assert not has_shapes(group)
+    assert not has_laws(group)
+    assert {drawing.name for drawing in drawings(group)}.isdisjoint({"shapes", "moment"})
+    assert {"shapes", "moment"} <= {drawing.name for drawing in drawings(bent())}
+
+
+def odd_groups() -> dict[str, Group]:
+    """Groups whose curves want other words."""
+    six, two_cycles = build_group("A", six_samples()), six_samples(cycles=2)
+    return {
+        "six samples": six,
+        "two cycles": build_group("A", two_cycles),
+        "one loading": build_group(
+            "A", [replace(sample, loading=sample.loading[:1]) for sample in two_cycles]
+        ),
+        "no unloading": build_group("A", [replace(sample, unloading=()) for sample in two_cycles]),
+        "three curves": replace(six, band=without_band(replace(six.band, n=3))),
+        "two curves": replace(six, band=without_band(replace(six.band, n=2))),
+        "one sample": build_group("A", [build_sample("s1", "a")]),
+        "no sample": build_group("A", []),
+        "no curve": build_group("A", [troubled_samples()[4]]),
+    }
+
+
+def test_words(approved: Approve) -> None:
+    group, troubled = build_group("A", six_samples()), build_group("A", troubled_samples())
+    outlier = Outlier("tt-s1c", 5400.0, "Grubbs' test", 0.01)
+    number = replace(group.numbers[1], outliers=(outlier,))
+    many = [build_sample("s1", str(number), slips=1) for number in range(MOST_PANELS + 1)]
+    segment = FittedLine("segment_stiffness_first", 5000.0, 0.0, 0.0, 0.01)
+    segments = build_group("A", [replace(build_sample("s1", "a"), lines=(segment,))])
+    pages = {name: draw_curves(odd) for name, odd in odd_groups().items()}
+    pages |= {
+        "scaled": draw_scaled(group),
+        "numbers": draw_dots(group),
+        "numbers, one doubtful": draw_dots(troubled),
+        "numbers, an outlier": draw_dots(replace(group, numbers=(number,))),
+        "slips": draw_slips(group),
+        "too many slips": draw_slips(build_group("A", many)),
+        "lines": draw_lines(group),
+        "segments": draw_lines(segments),
+        "shapes": draw_group_shapes(bent()),
+        "laws": draw_group_laws(bent()),
+        "laws of three": draw_group_laws(bent(3)),
+        "no shapes": draw_group_shapes(group),
+        "no laws": draw_group_laws(group),
+    }
+    approved(all_words(pages))
+
+
+def test_figures_told_without_being_seen(approved: Approve) -> None:
+    group = build_group("A", six_samples())
     half = np.linspace(0.0, 90.0, len(group.band.mean))
     wide = replace(group.band, lower_all=group.band.mean - half, upper_all=group.band.mean + half)
-    caption = next(iter(drawings(replace(group, band=wide)))).caption
-    assert (
-        "They leave the panel, as 6 curves say little about a whole one: at 40 mm, where they are"
-        " furthest apart, they are at "
-    ) in caption
-    assert caption.count(" N.") == 1
+    lone = build_group("A", [build_sample("s1", "a")])
+    told = [*drawings(group), next(drawings(lone)), next(drawings(replace(group, band=wide)))]
+    approved(f"{drawing.name}: {drawing.alt}\n  {drawing.caption}" for drawing in told)

@@ -1,20 +1,33 @@
+"""The report's page as text and as files: closed tags, escaped names, its policy, its size."""
+
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
+import json
+import re
+from collections import Counter
 from dataclasses import replace
+from datetime import date
+from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 from openpyxl import load_workbook
 
-from labpipe.errors import StoreError
 from labpipe.records.group import BundlePlace, Campaign
-from labpipe.records.quality import QualityNote, Severity
-from labpipe.report.lab_report import Extras, write_report
+from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.result import Instrument, Status
+from labpipe.report.lab_report import Extras, Letterhead, render_page, write_report
+from labpipe.report.page_parts import page_data, page_script, served
+from labpipe.report.single_test import render_test
 from labpipe.report.wording import printable
-from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, three_of
-from tests.builders.campaigns import build_campaign, build_group, build_sample
+from tests.approved import Approve
+from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
+from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
+from tests.store.builders_result import build_result
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +40,6 @@ def test_files(written: tuple[Path, list[Path]]) -> None:
     folder, files = written
     assert [path.name for path in files] == ["report.html", "tables.xlsx"]
     assert {path for path in folder.rglob("*") if path.is_file()} == set(files)
-
-
-@pytest.mark.slow
-def test_figures_are_files_on_request(tmp_path: Path) -> None:
-    files = write_report(build_campaign(), tmp_path, Extras(formats=("svg",)))
-    assert files[2].relative_to(tmp_path).as_posix() == "figures/twist-tube-10-curves.svg"
-    assert {path.suffix for path in files[2:]} == {".svg"}
-    assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(files)
 
 
 def test_pages_of_tests_stand_beside_it(tmp_path: Path) -> None:
@@ -62,27 +67,6 @@ def test_a_page_is_as_small_as_it_should_be(samples: int, tmp_path: Path) -> Non
     assert groups * own + empty.stat().st_size < 0.3e6 + 60 * 3e3
 
 
-def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
-    (tmp_path / "x").write_text("")
-    with pytest.raises(StoreError, match=r"x: expected a folder that a report can be written to, "):
-        write_report(Campaign("Synthetic", ()), tmp_path / "x")
-
-
-@pytest.mark.slow
-def test_figures_over_groups_are_saved(tmp_path: Path) -> None:
-    bundles = [bundle_of("7 B1"), bundle_of("7 B2")]
-    campaign = bundle_campaign([each for bundle in bundles for each in three_of(bundle)])
-    place = BundlePlace(campaign.groups[0].name, "t-1", 0.006, None, 0.001, 0.004, 0.1, (0.1, 0.1))
-    extras = Extras(formats=("svg", "pdf"))
-    files = write_report(replace(campaign, places=(place,)), tmp_path, extras)
-    names = {file.name for file in files}
-    assert {
-        "difference-wire-7-wires-half-lap-pvc-length-114-3-mm.svg",
-        "between-slipping-and-sticking.pdf",
-    } <= names
-    assert len({name.rpartition(".")[0] for name in names if name.endswith(".svg")}) == 8
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["$x_1$ <b> & 'q'", "\\frac{$", "A\x07\x1b\x002\n\ud800\ufffe", "x" * 300, "\U0001f600"]
@@ -104,3 +88,177 @@ def test_any_name_is_reported(name: str, tmp_path: Path) -> None:
         ElementTree.fromstring(drawing.read_bytes())
     book = load_workbook(tmp_path / "tables.xlsx")
     assert printable(name) in {row[0] for row in book["means"].iter_rows(values_only=True)}
+
+
+VOID = {"meta", "br", "link", "img"}
+HEADS = {"h1", "h2", "h3", "caption", "summary"}
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render_page(build_campaign())
+
+
+def test_every_tag_is_closed_and_tables_have_heads(page: str) -> None:
+    outline = Outline(page)
+    assert outline.open == []
+    assert outline.tags["table"] > 10
+    assert page.count('scope="col"') + page.count('scope="row"') == len(re.findall("<th[ >]", page))
+    assert '<html lang="en">' in page
+    assert 'name="viewport"' in page
+
+
+def test_ids_are_unique_and_links_lead_to_them(page: str) -> None:
+    ids = re.findall(r' id="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'href="#([^"]+)"', page)) <= set(ids)
+
+
+def test_only_its_own_style_and_script_count(page: str) -> None:
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)
+    assert policy.startswith("default-src 'none'; ")
+    assert policy.count("connect-src 'none'") == 1
+    for tag in ("style", "script"):
+        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}'" in policy
+    assert not re.findall(r" (?:style|on[a-z]+)=", page.partition("<script>")[0])
+
+
+def test_nothing_is_fetched(page: str) -> None:
+    assert "<link" not in page
+    assert not re.findall(r"(?:src|href)=\"(?!#)", page)
+    assert "@import" not in page
+    assert "url(" not in page
+
+
+def test_text_of_people_is_escaped() -> None:
+    name = "<script>alert(1)</script>"
+    sample = replace(build_sample("s<1>", "a"), test=name, label=f"a/{name}", operator="<b>")
+    page = render_page(
+        Campaign("A & <b> */ </style>", (build_group("<i>", [sample]),), name="<i>"),
+        letterhead=Letterhead((("Lab", "<u>"),)),
+    )
+    assert page.count("<script") == 2
+    assert page.count("</style>") == 1
+    assert "<i>" not in page
+    assert "<u>" not in page
+    assert "<b>" not in re.sub(r"<b>(CANNOT|DIFFERENT|[^<]*</b>)", "", page)
+    assert "<title>A &amp; &lt;b&gt; */ &lt;/style&gt;</title>" in page
+    assert Outline(page).open == []
+
+
+HOSTILE = "</script><!-- & \u2028 \ud800 '\""
+
+
+def test_data_cannot_end_their_element() -> None:
+    entry = {"test": HOSTILE, "run": "r", "decision": "reject", "because": HOSTILE, "by": "A"}
+    campaign = Campaign(HOSTILE, (), labpipe_version="1.2", name=HOSTILE, decisions=(entry,))
+    text = page_data(campaign, report="abc")
+    assert not set("<>&") & set(text)
+    assert text.isascii()
+    assert json.loads(text) == {
+        "schema": 1,
+        "campaign": HOSTILE,
+        "report": "abc",
+        "labpipe": "1.2",
+        "decisions": [entry],
+    }
+
+
+def test_the_script_asks_no_network_and_makes_no_markup_of_text() -> None:
+    script = page_script()
+    assert "</script" not in script.lower()
+    assert script.startswith('"use strict";\n(() => {')
+    for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(",
+                 "XMLHttpRequest", "WebSocket", "sendBeacon", "import("):  # fmt: skip
+        assert word not in script
+    # Where a machine serves the page itself, it talks to that, by names beside the page.
+    assert re.findall(r"fetch\((\S+?)[,)]", script) == ['"decisions"', '"report"']
+
+
+def test_a_served_page_may_talk_to_its_machine() -> None:
+    page = "<head><meta content=\"default-src 'none'; connect-src 'none'\"></head><body>x</body>"
+    assert served(page) == page.replace("connect-src 'none'", "connect-src 'self'")
+    told = "<head></head><body>connect-src 'none'</body>"
+    assert served(told) == told
+
+
+def test_who_when_with_what_and_every_number() -> None:
+    cell = Instrument("force", ("force",), "LC-500", date(2025, 1, 1), date(2026, 1, 1))
+    result = replace(
+        build_result(half_cycle=1.0), date=date(2026, 3, 2), operator="A <b>", instruments=(cell,),
+        figures=("force-displacement",),
+    )  # fmt: skip
+    first = replace(
+        result.results[0], status=Status.DOUBTFUL, reasons=(Reason("code_1", "it slipped"),)
+    )
+    same = replace(result.results[1], status=Status.DOUBTFUL, reasons=first.reasons)
+    page = render_test(replace(result, results=(first, same, *result.results[2:])), report="abc")
+    assert "2026-03-02 by A &lt;b&gt;" in page
+    assert "force LC-500 (calibrated 2025-01-01, due 2026-01-01)" in page
+    assert page.count("It slipped.") == page.count("As above.") == 1
+    assert 'title="code_1"' in page
+    assert page.count("<svg") == 1
+    for each in result.results:
+        assert f'title="{each.name}"' in page
+    assert "<script" not in page
+    assert not re.findall(r' style="', page)
+    assert all(each.sha256 in page for each in result.inputs)
+
+
+class Outline(HTMLParser):
+    """Tags that are open at the end, all that were opened, and headings and captions as text."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: Counter[str] = Counter()
+        self.words: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:  # noqa: ARG002
+        self.tags[tag] += 1
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag in HEADS:
+            self.words.append(f"{tag}: ")
+
+    def handle_data(self, data: str) -> None:
+        if HEADS.intersection(self.open):
+            self.words[-1] += data
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_what_stands_on_pages_in_their_order(page: str, approved: Approve) -> None:
+    """Of a usual campaign, of one without faults, and of bundles with questions and places."""
+    bundles = bundle_campaign(conduit_cases())
+    place = BundlePlace(
+        bundles.groups[0].name, "t-1", None, None, reasons=(Reason("x", "no bounds: why"),)
+    )
+    placed = render_page(replace(bundles, places=(place,), wire_sheet="<wires>.xlsx"))
+    plain = render_page(Campaign("Synthetic", (build_group("A", six_samples(slips=0)),)))
+    outlines = [Outline(text) for text in (page, plain, render_page(bundles), placed)]
+    assert not any(outline.open for outline in outlines)
+    assert 'id="to-decide"' not in plain
+    assert "slipping and sticking" not in page
+    assert "--wire SHEET" not in placed
+    assert "&lt;wires&gt;.xlsx" in placed
+    assert "No bounds: why." in placed
+    approved(" ".join(words.split()) for outline in outlines[:3] for words in outline.words)
+
+
+def test_a_rejected_test_is_named_drawn_and_listed() -> None:
+    samples = six_samples(slips=0)
+    out = samples[0]
+    group = replace(build_group("A", samples[1:]), fields={"type": "twist-tube-10"})
+    page = render_page(
+        Campaign("Synthetic", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
+    )
+    for words in (
+        "1 rejected", f"{out.test} rejected: bent (me).", '<path class="rejected" data-t="5"',
+        'data-decision="reject">rejected: bent (me)',
+    ):  # fmt: skip
+        assert words in page

@@ -1,10 +1,16 @@
+"""What a report's page says of tests, groups and the whole campaign, before it is markup."""
+
 from __future__ import annotations
 
 from dataclasses import replace
 from datetime import date
 
-from labpipe.records.group import Campaign
-from labpipe.records.result import Instrument, Status
+from labpipe.records.curve import Interval
+from labpipe.records.group import Campaign, Decision, Outlier
+from labpipe.records.quality import Reason
+from labpipe.records.result import Contribution, Instrument, Status
+from labpipe.report.first_screen import answers, count_words, fold, key_blocks, to_decide
+from labpipe.report.group_tables import Table, slip_table, spool_means
 from labpipe.report.page_facts import (
     PageTests,
     days_words,
@@ -14,7 +20,26 @@ from labpipe.report.page_facts import (
     report_id,
     state_of,
 )
-from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
+from labpipe.report.page_groups import (
+    about_group,
+    budget_causes,
+    budget_drawing,
+    number_table,
+    result_cell,
+    samples_tables,
+)
+from labpipe.report.page_tests import page_file, test_rows
+from labpipe.report.ranked_causes import find_causes
+from tests.approved import Approve
+from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
+from tests.builders.campaigns import (
+    build_campaign,
+    build_group,
+    build_sample,
+    six_samples,
+    troubled_samples,
+)
+from tests.report.figure_words import table_words
 
 CELL = Instrument("force", ("force",), "LC-500", date(2025, 1, 1), date(2026, 1, 1))
 
@@ -49,17 +74,6 @@ def test_the_worst_number_is_the_state_of_a_test() -> None:
     assert states == [Status.DOUBTFUL, "ok", "ok", "ok", Status.FAILED, "ok"]
 
 
-def test_days_and_operators_and_what_is_missing_of_them() -> None:
-    one, two, three = six_samples()[:3]
-    assert days_words([one]) == "on an unknown day (no sheet states one)"
-    assert operators_words([one]) == "operator not stated"
-    one = replace(one, date=date(2026, 3, 6), operator="A. Tester")
-    two = replace(two, date=date(2026, 3, 2), operator="A. Tester")
-    assert days_words([one, two]) == "2026-03-02 to 2026-03-06"
-    assert days_words([one, three]) == "2026-03-06, 1 test of unknown day"
-    assert operators_words([one, two, three]) == "A. Tester (1 test without operator)"
-
-
 def test_an_overdue_calibration_is_said_with_its_tests() -> None:
     one, two, three = (replace(each, instruments=(CELL,)) for each in six_samples()[:3])
     one, two = replace(one, date=date(2025, 12, 31)), replace(two, date=date(2026, 1, 2))
@@ -84,3 +98,194 @@ def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:
         replace(campaign, title="T"),
     ]  # fmt: skip
     assert len({known, *map(report_id, other)}) == 4
+
+
+test_rows.__test__ = False  # type: ignore[attr-defined] # a function of the page, no test
+
+
+def test_rows_say_state_day_first_number_and_decision() -> None:
+    campaign = build_campaign()
+    tests = PageTests(campaign, ["a", "b", "c"])
+    rows = test_rows(campaign, tests, {"a": "twist-tube-10", "b": "twist-tube-7", "c": "x"})
+    assert [row.test.state for row in rows] == [
+        "doubtful", "ok", "ok", "ok", "failed", "ok", "ok",
+    ]  # fmt: skip
+    assert rows[0].why == "A slip at 5.2 mm."
+    assert rows[0].first.small == "Peak force, cycle 1 (N)"
+    assert rows[4].first.text == "\u2013"
+    assert (rows[6].group, rows[6].day, rows[6].operator) == ("twist-tube-7", "", "")
+
+
+def test_decided_and_rejected() -> None:
+    samples = six_samples(slips=0)
+    kept = replace(samples[0], decided="fine (me)", date=date(2026, 3, 2), operator="me")
+    out = replace(samples[1], label="c/x")
+    group = build_group("A", [kept])
+    campaign = Campaign("S", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
+    tests = PageTests(campaign, ["a"])
+    one, two = test_rows(campaign, tests, {"a": "A"})
+    assert (one.decided, one.said, one.day) == ("accept", "fine (me)", "2026-03-02")
+    assert (two.decided, two.said, two.why) == ("reject", "bent (me)", "Rejected: bent (me)")
+    assert two.page == "tests/c__x.html" == page_file("c/x")
+    odd = replace(two, page=page_file("a#1 50 %?"))
+    assert odd.address == "tests/a%231%2050%20%25%3F.html"
+
+
+def test_many_samples_are_rows() -> None:
+    campaign = build_campaign()
+    tests = PageTests(campaign, ["a", "b", "c"])
+    (first,) = samples_tables(campaign.groups[0], tests)
+    assert len(first.heads) == 2 + 7
+    assert [cells[0].text for cells in first.rows] == [f"tt-s{n}{x}" for n in "12" for x in "abc"]
+    assert first.rows[3][0].link == "#t3"
+    assert first.rows[0][3].mark == "?"
+
+
+def test_the_budget_is_drawn_with_its_causes() -> None:
+    parts = (Contribution("noise", 3.0, False), Contribution("scale of the force", 4.0, True))
+    samples = [
+        replace(each, results=tuple(replace(one, budget=parts) for one in each.results))
+        for each in six_samples()[:1]
+    ]
+    group = build_group("A <b>", samples)
+    drawing = str(budget_drawing(group))
+    assert "A &lt;b&gt;" in drawing
+    assert ">36<" in drawing
+    assert ">64<" in drawing
+    assert [(cause, shared) for cause, _, shared in budget_causes(group)] == [
+        ("noise", False), ("scale of the force", True),
+    ]  # fmt: skip
+    bare = replace(group, numbers=())
+    assert budget_drawing(bare) is None
+
+
+def test_pairs_are_folded_by_their_question() -> None:
+    found = {each.field: each for each in answers(bundle_campaign(conduit_cases()))}
+    number = found["wire"]
+    assert number.question == "Wire: B1, B1 & B2, B2"
+    assert number.verdict.startswith("DIFFERENT ")
+    assert number.difference.startswith("Bending stiffness +")
+    assert number.difference.endswith(f", largest of {len(number.pairs.rows)} pairs")
+    assert number.counts == "3 v 3"
+    assert not answers(Campaign("S", ()))
+
+
+def test_key_numbers_of_each_protocol() -> None:
+    campaign = build_campaign()
+    (block,) = key_blocks(campaign, ["a", "b", "c"])
+    assert block.heads == (
+        "Peak force, cycle 1 (N)", "Stiffness, first region (N/mm)",
+        "Stiffness, second region (N/mm)",
+    )  # fmt: skip
+    assert [(row.name, row.n) for row in block.rows] == [
+        ("twist-tube-10", 6), ("twist-tube-7", 1), ("twist-tube-5", 0),
+    ]  # fmt: skip
+    first, lone, empty = block.rows
+    assert "\u00b1" in first.numbers[0].text
+    assert "\u00b1" in lone.numbers[0].text  # how well the one test was measured
+    assert "one test" in lone.numbers[0].tip
+    assert [cell.text for cell in empty.numbers] == ["\u2013"] * 3
+    assert first.spark is not None
+    assert (empty.spark, empty.strip) == (None, None)
+    other = replace(campaign.groups[1], protocol="another")
+    two = key_blocks(replace(campaign, groups=(campaign.groups[0], other)), ["a", "b"])
+    assert [len(each.rows) for each in two] == [1, 1]
+
+
+def test_what_is_to_be_decided_until_somebody_did() -> None:
+    campaign = build_campaign()
+    tests = PageTests(campaign, ["a", "b", "c"])
+    open_ones = to_decide(find_causes(campaign), tests)
+    assert {each.line.head for each in open_ones} == {"Failed", "Doubtful", "Outlier"}
+    assert count_words(campaign, open_ones).endswith(" 3 to decide")
+    first = campaign.groups[0]
+    decided = [replace(each, decided="fine (me)") for each in first.samples]
+    settled = replace(campaign, groups=(replace(first, samples=tuple(decided)),))
+    assert not to_decide(find_causes(settled), PageTests(settled, ["a"]))
+    assert count_words(settled, []).endswith(" 0 to decide")
+
+
+def test_the_screen_holds_what_there_is_room_for() -> None:
+    groups = tuple(build_group(f"A{n}", [build_sample("s", "a")]) for n in range(2))
+    blocks = key_blocks(Campaign("S", groups), ["a", "b"])
+    assert fold(5, blocks, 1).groups >= 19
+    crowded = fold(40, blocks, 30)
+    assert (crowded.answers, crowded.decisions) == (8, 4)
+    assert 3 <= crowded.groups < fold(0, blocks, 0).groups
+
+
+def test_an_estimate_that_stands_apart_is_in_the_tooltip() -> None:
+    group = build_group("A", six_samples()[:3])
+    number = group.numbers[0]
+    assert number.mean is not None
+    chosen = replace(
+        number.mean.chosen, mean=140.0, interval=Interval(130.0, 132.0), estimate=131.0
+    )
+    odd = replace(number, mean=replace(number.mean, chosen=chosen))
+    (block,) = key_blocks(Campaign("S", (replace(group, numbers=(odd,)),)), ["a"])
+    (cell,) = block.rows[0].numbers
+    assert cell.text == "140.0 (130.0 to 132.0)"
+    assert cell.tip == "interval of the estimate 131.0"
+
+
+def with_decisions(*decisions: Decision) -> Table:
+    group = build_group("A", six_samples())
+    numbers = [
+        replace(number, mean=replace(number.mean, decision=decision))
+        for number, decision in zip(group.numbers, decisions, strict=False)
+        if number.mean is not None
+    ]
+    return spool_means(replace(group, numbers=tuple(numbers)))
+
+
+def test_days_operators_and_calibrations_in_words(approved: Approve) -> None:
+    one, two, three = six_samples()[:3]
+    march = replace(one, date=date(2026, 3, 6), operator="A. Tester")
+    later = replace(two, date=date(2026, 3, 2), operator="A. Tester")
+    tests = ([one], [march, later], [march, three], [march, later, three])
+    approved([
+        *(f"{days_words(some)} by {operators_words(some)}" for some in tests),
+        about_group(build_group("A", six_samples())),
+    ])  # fmt: skip
+
+
+def test_tables_of_a_group(approved: Approve) -> None:
+    """Columns and rows of samples, means of spools, reasons, outliers, slips."""
+    few, sample = build_group("A", six_samples()[:3]), troubled_samples()[4]
+    odd = Outlier("tt-s1b", 1.0, "Grubbs' test", 0.01)
+    marked = (replace(few.numbers[0], outliers=(odd,)), *few.numbers[1:])
+    reason = Reason("x", "the corner is at the end")
+    failed = tuple(replace(result, reasons=(reason,)) for result in sample.results)
+    assert not samples_tables(few, PageTests(build_campaign(), ["a", "b", "c"]))
+    assert slip_table(build_group("A", six_samples(slips=0))) is None
+    six = build_group("A", six_samples())
+    slips = slip_table(six)
+    assert slips is not None
+    tables = [
+        number_table(few),
+        number_table(build_group("A", troubled_samples())),
+        number_table(build_group("A", [build_sample("s1", "a")])),
+        number_table(replace(few, numbers=marked)),
+        number_table(build_group("A", [sample])),
+        number_table(build_group("A", [replace(sample, results=failed)])),
+        spool_means(six),
+        slips,
+    ]
+    approved(line for table in tables for line in table_words(table))
+    assert result_cell(None, 1.0).tip == "not asked for"
+
+
+def test_decisions_how_spools_are_averaged(approved: Approve) -> None:
+    """One that holds for all numbers stands once, and what they share below the table."""
+    one, over_two = "Over 3 samples of one spool", "Over 2 spool means"
+    tables = [
+        with_decisions(*[Decision(one, ("the type is not known",))] * 2),
+        with_decisions(
+            Decision(over_two, ("90 % lies between", "the test cannot tell")),
+            Decision(over_two, ("80 % lies between", "the test cannot tell")),
+        ),
+        with_decisions(
+            Decision(over_two, ("no scatter", "no test")), Decision(over_two, ("no test",))
+        ),
+    ]
+    approved(line for table in tables for line in table_words(table))

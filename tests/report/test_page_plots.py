@@ -1,6 +1,9 @@
+"""Plots of a report's page: paths, axes, ticks, and the panels of a group."""
+
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -8,6 +11,10 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
+from labpipe.records.drawn import DrawnLaw, DrawnShapes
+from labpipe.records.group import Campaign, Group, Sample
+from labpipe.report.group_panels import group_panels
+from labpipe.report.page_facts import PageTests
 from labpipe.report.page_plots import (
     FULL,
     Axis,
@@ -22,6 +29,7 @@ from labpipe.report.page_plots import (
     tick_words,
     ticks,
 )
+from tests.builders.campaigns import build_group, build_sample, six_samples
 
 X, Y = Axis("Displacement", "mm", 0.0, 10.0), Axis("Force", "N", -1.0, 9.0)
 
@@ -45,13 +53,6 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
     first, second = points(steps_of(Line("curve", x, y), X, Y), X, Y)
     np.testing.assert_allclose(first, np.column_stack([x, y])[:40], atol=10 / FULL)
     np.testing.assert_allclose(second, np.column_stack([x, y])[41:], atol=10 / FULL)
-
-
-def test_a_lone_point_is_a_dot_and_nothing_is_nothing() -> None:
-    at = np.array([5.0, np.nan])
-    assert steps_of(Line("slip", at, at), X, Y) == f"M{FULL / 2:.0f} 26214h0"
-    none = np.empty(0)
-    assert steps_of(Line("band", none, none, is_closed=True), X, Y) == ""
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7, 12.0), (1e-5, 3e-5), (4e7, 5e7)])
@@ -97,3 +98,74 @@ def test_strips_and_sparks() -> None:
     x = np.linspace(0, 1, 5)
     assert str(spark([(x, x)])).count("<path") == 1
     assert even(200, Axis("", "mm", 0, 100), Axis("", "mm", 0, 25)) == 50
+
+
+def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
+    campaign = Campaign("S", (group,), rejected_samples=rejected)
+    return {plot.kind: plot for plot in group_panels(group, "g", PageTests(campaign, ["g"]))}
+
+
+def looks(plot: Plot) -> list[str]:
+    return [line.look for line in plot.lines]
+
+
+def test_curves_of_all_samples_with_mean_band_slips_and_failure() -> None:
+    plot = panels(build_group("A", six_samples(cycles=2)))["curves"]
+    assert looks(plot)[:3] == ["band", "whole", "whole"]
+    assert [line.test for line in plot.lines if line.look.startswith("curve")] == [*range(6)]
+    assert {"mean", "measured", "slip", "failure", "window"} <= set(looks(plot))
+    assert "unloading c0" in looks(plot)
+    assert plot.x.label == "Displacement (mm)"
+    colours = [line.look for line in plot.lines if line.look.startswith("curve")]
+    assert colours == ["curve c0"] * 3 + ["curve c1"] * 3
+
+
+def test_curves_are_drawn_where_they_are() -> None:
+    sample = build_sample("s1", "a")
+    plot = panels(build_group("A", [sample], scaled=False))["curves"]
+    (line,) = (each for each in plot.lines if each.look == "curve c0")
+    assert len(line.x) <= 90
+    curve = sample.loading[0]
+    force = np.interp(line.x / 1e3, curve.displacement, curve.force)
+    np.testing.assert_allclose(line.y, force, atol=1e-9)
+    assert "mean" not in looks(plot)
+
+
+def test_a_rejected_test_is_grey() -> None:
+    samples = six_samples(slips=0)
+    group = replace(build_group("A", samples[1:]), fields={"type": "twist-tube-10"})
+    plot = panels(group, samples[0])["curves"]
+    (line,) = (each for each in plot.lines if each.look == "rejected")
+    assert line.test == 5
+    assert any(key.words == "rejected: in no mean" for key in plot.keys)
+
+
+def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
+    rise = np.array([0.0, 0.01, 0.02])
+    along = np.linspace(0.0, 0.1, 6)
+    places = np.stack([np.stack([along, way * along / 0.1], axis=1) for way in rise])
+    law = DrawnLaw(np.array([0.0, 10.0]), *(np.array([0.0, m]) for m in (0.02, 0.018, 0.022)))
+    samples = [
+        replace(each, shapes=DrawnShapes(rise, places), law=law) for each in six_samples()[:2]
+    ]
+    found = panels(build_group("A", samples))
+    shapes, moment = found["shapes"], found["moment"]
+    width, height = shapes.size
+    across = (shapes.x.high - shapes.x.low) / width
+    assert (shapes.y.high - shapes.y.low) / height == pytest.approx(across)
+    assert shapes.caption.startswith("Markers at 0, 10, 20 mm")
+    assert np.isnan(shapes.lines[0].x).sum() == 3
+    assert looks(moment) == ["band c0", "band c1", "curve c0", "curve c1"]
+    assert moment.lines[2].y[-1] == pytest.approx(0.02)
+
+
+def test_force_over_peak_force() -> None:
+    plot = panels(build_group("A", six_samples(slips=0)))["scaled"]
+    tops = [np.nanmax(line.y) for line in plot.lines if line.look.startswith("curve")]
+    assert tops == pytest.approx([1.0] * 6, abs=0.05)
+
+
+def test_a_group_without_curves_has_no_plots() -> None:
+    assert not panels(build_group("A", []))
+    assert not panels(build_group("A", [replace(build_sample("s", "a"), loading=(), lines=())],
+                                  scaled=False))  # fmt: skip

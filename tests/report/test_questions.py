@@ -1,17 +1,26 @@
+"""Questions that pairs of groups answer: pairs, families, tables, remarks."""
+
 from __future__ import annotations
 
 from dataclasses import replace
 
+from labpipe.records.curve import Interval
+from labpipe.records.group import Contrast, Difference, MeanInterval
+from labpipe.records.quality import Reason
 from labpipe.report.questions import (
     MOST_TOGETHER,
+    Pair,
     answering_pairs,
     context_words,
     equal_words,
     families,
     field_words,
     not_asked,
+    question_table,
     question_words,
+    remarks_on_pairs,
 )
+from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
     bundle_campaign,
     bundle_of,
@@ -20,25 +29,8 @@ from tests.builders.bundle_campaigns import (
     grouped,
     three_of,
 )
-from tests.builders.campaigns import build_campaign
-
-
-def test_the_questions_of_a_conduit_campaign() -> None:
-    pairs = answering_pairs(bundle_campaign(conduit_cases()))
-    said = [question_words(pair) for pair in pairs]
-    assert [pair.field for pair in pairs] == [
-        *["wire"] * 4, "number", *["taping"] * 3, *["conduit"] * 2
-    ]  # fmt: skip
-    assert said[4] == (
-        "Number: 19 against 12, all else equal (B2, no tape, corrugated-tube, length 114.3 mm)"
-    )
-    assert (
-        "Taping: half-lap against none, all else equal (19 B2, corrugated-tube, length 114.3 mm)"
-    ) in said
-    assert said[-1] == (
-        "Conduit: twist-tube against corrugated-tube, all else equal"
-        " (19 B2, no tape, length 114.3 mm)"
-    )
+from tests.builders.campaigns import build_campaign, build_difference
+from tests.report.figure_words import table_words
 
 
 def test_families_hold_all_that_differ_in_one_field() -> None:
@@ -77,34 +69,6 @@ def test_a_large_family_is_cut_and_keeps_its_first_group() -> None:
     assert second.words == ("3", "9", "12")
 
 
-def test_what_varies_within_groups_is_said() -> None:
-    samples = [
-        *three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B1")),
-        *three_of(bundle_of("7 B2")), *three_of(bundle_of("12 B2")),
-    ]  # fmt: skip
-    groups = grouped(samples, "wire")
-    assert equal_words(groups, "wire") == (
-        "all else equal (half-lap PVC, length 114.3 mm) but for composition, which varies within"
-        " the groups"
-    )
-
-
-def test_labels_and_mixes_in_words() -> None:
-    mixed = bundle_of("10 B1 + 9 B2", arrangement="symmetric")
-    groups = [*grouped([bundle_sample(mixed, 1, labels={"cured": "24 h"})])]
-    assert context_words(groups, "tape") == (
-        "10 B1 + 9 B2, symmetric, half-lap, cured 24 h, length 114.3 mm"
-    )
-    wires = bundle_of("19 B1")
-    one, other = (
-        [*grouped([bundle_sample(wires, 1)]), *grouped([bundle_sample(how, 1)])]
-        for how in (mixed, bundle_of("10 B1 + 9 B2", arrangement="asymmetric"))
-    )
-    assert context_words(one, "wire") != context_words(other, "wire")
-    assert context_words(grouped([bundle_sample(None, 1)]), "x") == "tube, length 114.3 mm"
-    assert field_words("conduit_bore") == "Conduit bore"
-
-
 def test_types_are_a_question_too() -> None:
     tubes = [bundle_sample(None, at) for at in (1, 2, 3)]
     hoses = [
@@ -122,3 +86,63 @@ def test_what_differs_in_several_fields_is_not_asked() -> None:
     assert not answering_pairs(campaign)
     assert not families(campaign)
     assert len(not_asked(campaign)) == 2
+
+
+def pair_of(difference: Difference) -> Pair:
+    first, second, _ = build_campaign().groups
+    return Pair(first, second, (difference,))
+
+
+def test_words_of_questions(approved: Approve) -> None:
+    pairs = answering_pairs(bundle_campaign(conduit_cases()))
+    varied = [
+        sample for count in ("7", "12") for wire in ("B1", "B2")
+        for sample in three_of(bundle_of(f"{count} {wire}"))
+    ]  # fmt: skip
+    mixed = bundle_of("10 B1 + 9 B2", arrangement="symmetric")
+    labelled = grouped([bundle_sample(mixed, 1, labels={"cured": "24 h"})])
+    taping = bundle_campaign(conduit_cases(), alone="taping")
+    assert {difference.question for difference in taping.differences} == {"taping"}
+    approved([
+        *(f"{pair.field}: {question_words(pair)}" for pair in pairs),
+        equal_words(grouped(varied, "wire"), "wire"),
+        context_words([*labelled], "tape"),
+        context_words(grouped([bundle_sample(None, 1)]), "x"),
+        field_words("conduit_bore"),
+        *remarks_on_pairs(bundle_campaign(conduit_cases())),
+        *remarks_on_pairs(taping),
+        *remarks_on_pairs(bundle_campaign([*three_of(bundle_of("7 B1"))], alone="taping")),
+    ])  # fmt: skip
+
+
+def test_arrangement_is_context() -> None:
+    wires = bundle_sample(bundle_of("19 B1"), 1)
+    one, other = (
+        grouped([wires, bundle_sample(bundle_of("10 B1 + 9 B2", arrangement=how), 1)])
+        for how in ("symmetric", "asymmetric")
+    )
+    assert context_words([*one], "wire") != context_words([*other], "wire")
+
+
+def test_tables_of_questions(approved: Approve) -> None:
+    """A share, a number that can be negative, no interval, no bounds, a mean of zero, a caveat."""
+    known = build_difference()
+    contrast = Contrast(-1423.4, (60.0, 60.0), (6, 3))
+    lone = MeanInterval(-1423.4, None, 120.0, 7, Reason("one_sample", "there is one sample"))
+    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
+    (pair,) = answering_pairs(bundle_campaign(samples))
+    first, second = pair.differences
+    odd = replace(first, caveats=(*first.caveats, "not made alike: this against that"))
+    zero = [*three_of(bundle_of("7 B1"), scale=0.0), *three_of(bundle_of("7 B2"))]
+    pairs = [
+        pair_of(known),
+        pair_of(replace(known, contrast=contrast, interval=Interval(-1650.0, -1200.0))),
+        pair_of(replace(known, contrast=None, interval=None, margin=None, difference=lone)),
+        pair_of(replace(known, interval=Interval(-0.99, 5e8))),
+        pair,
+        replace(pair, differences=(odd, second)),
+        *answering_pairs(bundle_campaign(zero)),
+    ]
+    approved(line for pair in pairs for line in table_words(question_table(pair)))
+    share = question_table(pair).rows[0][1].text.partition(" ")[0]
+    assert 50.0 < float(share) < 60.0  # 1.4 / 0.9

@@ -1,32 +1,52 @@
+"""Figures as files and as parts of a page."""
+
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
+from typing import get_args
+from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from labpipe.errors import StoreError
+from labpipe.protocol.schema import FigureName
+from labpipe.records.group import Campaign
+from labpipe.records.result import TestResult
+from labpipe.report.calibration_figures import save_calibration_figures
+from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.report.figure_page import style, titled_page
-from labpipe.report.saving import PNG_DPI, FigureToSave, save_page, save_pages, save_report_figures
+from labpipe.report.figures import FIGURES, save_figures
+from labpipe.report.lab_report import write_report
+from labpipe.report.saving import (
+    FigureToSave,
+    inline_svg,
+    save_page,
+    save_pages,
+    save_report_figures,
+)
+from labpipe.report.wire_figures import save_wire_figures
+from labpipe.report.wire_workbook import save_wire_workbook
+from tests.approved import Approve
+from tests.builders.wire_tables import wire_table
+from tests.report.builders_calibrations import report
+from tests.store.builders_result import build_result
 
 
 def page() -> Figure:
     figure = titled_page("title", "", width_mm=25.4, height_mm=25.4)
     figure.subplots().plot([0.0, 1.0])
     return figure
-
-
-def test_one_page_in_two_formats_with_the_same_bytes(tmp_path: Path) -> None:
-    with style(), ThreadPoolExecutor(max_workers=1) as packer:
-        one, other = (save_page(page(), tmp_path, name, packer).whole() for name in ("a.b", "c"))
-    assert [path.name for path in one] == ["a.b.svg", "a.b.png"]
-    for first, second in zip(one, other, strict=True):
-        assert first.read_bytes() == second.read_bytes()
-    svg, png = (path.read_bytes() for path in one)
-    assert b"<dc:date>" not in svg
-    assert int.from_bytes(png[16:20]) == PNG_DPI
 
 
 def test_the_svg_does_not_depend_on_the_png(tmp_path: Path) -> None:
@@ -36,20 +56,6 @@ def test_the_svg_does_not_depend_on_the_png(tmp_path: Path) -> None:
     assert [path.name for path in both] == ["a.svg", "a.png"]
     assert alone.read_bytes() == both[0].read_bytes()
     assert list((tmp_path / "alone").iterdir()) == [alone]
-
-
-def test_what_goes_wrong_is_raised(tmp_path: Path) -> None:
-    with (
-        style(),
-        ThreadPoolExecutor(max_workers=1) as packer,
-        pytest.raises(FileNotFoundError),
-    ):
-        save_page(page(), tmp_path / "missing", "a", packer)
-    (tmp_path / "a.png").mkdir()
-    with style(), ThreadPoolExecutor(max_workers=1) as packer:
-        saved = save_page(page(), tmp_path, "a", packer)
-    with pytest.raises(IsADirectoryError):
-        saved.whole()
 
 
 def test_each_figure_of_a_report_says_what_it_is(tmp_path: Path) -> None:
@@ -71,10 +77,6 @@ def test_png_and_pdf_on_request(tmp_path: Path) -> None:
         assert {file.suffix[1:] for file in one.files[0].parent.iterdir()} == endings
 
 
-def test_nothing_to_save(tmp_path: Path) -> None:
-    assert save_report_figures([], tmp_path) == []
-
-
 def test_words_are_as_wide_in_pixels_as_in_an_svg() -> None:
     """Else they would leave the room that they were given, or the page."""
     with style():
@@ -85,3 +87,149 @@ def test_words_are_as_wide_in_pixels_as_in_an_svg() -> None:
             words = figure.text(0.0, 0.5, "mean of taping none, wire B1 & B2, number 19", size=7)
             widths.append(words.get_window_extent().width / figure.dpi)
     assert widths[0] == pytest.approx(widths[1], rel=3e-3)
+
+
+DRAWING = b"""<?xml version="1.0"?>
+<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"
+ width="100pt" height="50pt" viewBox="0 0 100 50" version="1.1">
+ <metadata><x>made today</x></metadata>
+ <defs><style type="text/css">*{stroke-linejoin: round; stroke-linecap: butt}</style></defs>
+ <defs><path id="mark" d="M 0 1.23456 L -2.5 3" style="stroke: #000"/></defs>
+ <g id="figure_1"><g id="axes_1">
+  <path d="M 1.23456 2
+L 3 4
+L 5.00001 -6.5
+" clip-path="url(#clip)" style="fill: none; stroke: #0072b2"/>
+  <use xlink:href="#mark" x="10.98765" y="2" style="stroke: #000"/>
+  <text style="font: 9px 'STIXGeneral', serif, 'DejaVu Sans'; fill: #000">a &lt; b</text>
+ </g></g>
+ <defs><clipPath id="clip"><rect x="0" y="0" width="9.87654" height="1"/></clipPath></defs>
+</svg>"""
+
+
+def test_small_and_named() -> None:
+    inline = inline_svg(DRAWING, prefix="a2", title='Force <of> "A2"')
+    root = ET.fromstring(inline.element)
+    assert root.get("role") == "img"
+    assert root.get("aria-label") == 'Force <of> "A2"'
+    assert root.get("viewBox") == "0 0 100 50"
+    assert root.get("width") is None
+    for gone in ("made today", "<?xml", "style=", "figure_1", "<g"):
+        assert gone not in inline.element
+    assert 'd="M 1.23 2 3 4 5 -6.5"' in inline.element
+    assert "a &lt; b" in inline.element
+
+
+def test_words_keep_the_width_that_they_were_laid_out_with() -> None:
+    """By the metrics of the font itself, in 1/1000 of its size: STIX has an 'a' of 444."""
+    words = DRAWING.replace(b"a &lt; b", b"aaaa").replace(b"9px", b"10px")
+    element = inline_svg(words, prefix="a", title="").element
+    assert 'textLength="17.8"' in element
+    assert 'lengthAdjust="spacingAndGlyphs"' in element
+    assert (
+        "textLength"
+        not in inline_svg(DRAWING.replace(b"a &lt; b", b"10"), prefix="a", title="").element
+    )
+
+
+def test_ids_belong_to_the_drawing_and_references_follow() -> None:
+    one, other = (inline_svg(DRAWING, prefix=name, title="").element for name in ("one", "other"))
+    assert 'id="one-mark"' in one
+    assert 'href="#one-mark"' in one
+    assert 'clip-path="url(#one-clip)"' in one
+    assert "one-" not in other
+
+
+def test_long_lines_are_steps_that_do_not_add_up_to_an_error() -> None:
+    x, y = np.linspace(0.0, 100.0, 300), np.random.default_rng(1).uniform(0.0, 50.0, 300)
+    points = " L ".join(f"{a:.6f} {b:.6f}" for a, b in zip(x, y, strict=True))
+    drawing = f'<svg xmlns="http://www.w3.org/2000/svg"><path d="M {points} M 1.26 2 L 3 4"/></svg>'
+    element = inline_svg(drawing.encode(), prefix="a", title="t").element
+    path = re.search(r' d="M(.*?)"', element)
+    assert path is not None
+    line, other = path[1].split("M")
+    first, steps = (re.findall(r"-?[\d.]+", part) for part in line.split("l"))
+    found = np.cumsum(np.array([*first, *steps], dtype=float).reshape(-1, 2), axis=0)
+    np.testing.assert_allclose(found, np.column_stack([x, y]), atol=0.0551)  # to 0.01, then to 0.1
+    assert other == "1.3 2l1.7 2"
+
+
+@pytest.fixture(scope="module")
+def result() -> TestResult:
+    return build_result(half_cycle=1.0)
+
+
+@pytest.mark.slow
+def test_all_figures_in_both_formats_with_the_same_bytes(
+    result: TestResult, tmp_path: Path
+) -> None:
+    every = replace(result, figures=tuple(FIGURES))
+    one, other = (save_figures(every, tmp_path / name, png=True) for name in "ab")
+    assert [path.name for path in one] == [
+        f"{name}.{kind}" for name in FIGURES for kind in ("svg", "png")
+    ]
+    for first, second in zip(one, other, strict=True):
+        assert first.read_bytes() == second.read_bytes()
+    assert b"<dc:date>" not in one[0].read_bytes()
+    for path in one[1::2]:
+        content = path.read_bytes()
+        assert content.startswith(b"\x89PNG")
+        # 180 mm at 300 dots per inch
+        assert int.from_bytes(content[16:20]) == int(180 / 25.4 * 300)
+
+
+def test_every_figure_that_a_protocol_may_ask_for_can_be_drawn() -> None:
+    assert set(get_args(FigureName)) == set(FIGURES)
+
+
+def test_only_what_the_protocol_asks_for(result: TestResult, tmp_path: Path) -> None:
+    paths = save_figures(replace(result, figures=("timeline",)), tmp_path)
+    assert list(tmp_path.iterdir()) == paths
+    assert [path.name for path in paths] == ["timeline.svg"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["$\\frac{$", "A\x07\n\ud8002", "x" * 300, "<b>&\U0001f600"])
+def test_any_name_is_drawn(result: TestResult, tmp_path: Path, name: str) -> None:
+    specimen = replace(result.specimen, type=name, spool=name, sample=name)
+    notes = tuple(replace(note, where=name, message=name) for note in result.quality)
+    odd = replace(result, test=name, specimen=specimen, quality=notes, figures=tuple(FIGURES))
+    for drawn in save_figures(odd, tmp_path):
+        ElementTree.fromstring(drawn.read_bytes())
+
+
+SAVE: dict[str, Callable[[Path], object]] = {
+    "figures": lambda path: save_figures(build_result(half_cycle=0.2, cycles=1), path),
+    "wire figures": lambda path: save_wire_figures([wire_table("A1")], path),
+    "calibration figures": lambda path: save_calibration_figures(report(), path),
+    "report": lambda path: write_report(Campaign("Synthetic", ()), path),
+    "calibration": lambda path: save_calibration_workbook(report(), path / "a.xlsx"),
+    "wires": lambda path: save_wire_workbook([wire_table("A1")], path / "a.xlsx"),
+}
+
+
+def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
+    (tmp_path / "x").write_text("")
+    told = []
+    for name, save in SAVE.items():
+        with pytest.raises(StoreError) as refusal:
+            save(tmp_path / "x")
+        told.append(f"{name}: {re.sub(r'.Errno.*?: ', '', str(refusal.value))}")
+    with pytest.raises(ValueError, match=r"figures=\['pie'\]: expected some of \['force-disp"):
+        save_figures(replace(build_result(half_cycle=1.0), figures=("pie", "timeline")), tmp_path)
+    (tmp_path / "a.png").mkdir()
+    with style(), ThreadPoolExecutor(max_workers=1) as packer:
+        saved = save_page(page(), tmp_path, "a", packer)
+    with pytest.raises(IsADirectoryError):
+        saved.whole()
+    assert {path.name for path in tmp_path.iterdir()} == {"x", "a.png", "a.svg"}
+    approved(told)
+
+
+def test_heavy_programs_are_loaded_only_when_needed() -> None:
+    modules = ("figures", "calibration_figures", "calibration_workbook", "wire_workbook")
+    code = (
+        f"import sys, {', '.join(f'labpipe.report.{module}' for module in modules)}; "
+        "sys.exit(any(name.split('.')[0] in {'matplotlib', 'openpyxl'} for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,73 +1,49 @@
+"""Figures of modelled wires: stiffness, moments, cantilevers, comparisons, sections."""
+
 from __future__ import annotations
 
-import subprocess
-import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Annulus, Circle, Rectangle, Wedge
 
-from labpipe.errors import StoreError
+from labpipe.records.wire import WireTable
+from labpipe.report.figure_page import style
 from labpipe.report.wire_figures import (
+    cantilever_figure,
+    comparison_figure,
+    moment_figure,
+    moment_parts,
     plot_cantilever,
     plot_parts,
     plot_shares,
     plot_stiffness,
-    save_wire_figures,
+    stiffness_figure,
     wire_drawings,
 )
+from labpipe.report.wire_sections import plot_section, section_figure, strand_patches
+from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
+from tests.report.builders_wires import compressed_wire, troubled
+from tests.report.figure_words import all_words
 
 
-def names(count: int) -> list[str]:
+def names_of(count: int) -> list[str]:
     table = wire_table("A1")
     tables = [replace(table, name=f"w{number}") for number in range(count)]
     return [drawing.name for drawing in wire_drawings(tables)]
 
 
 def test_names_of_figures() -> None:
-    assert names(1) == ["sections-1", "w0.stiffness", "w0.moment", "w0.cantilever"]
-    assert names(2)[:3] == ["sections-1", "comparison-1", "w0.stiffness"]
-    assert names(13)[:4] == ["sections-1", "comparison-1", "sections-2", "w0.stiffness"]
-    assert len(names(13)) == 3 + 13 * 3
-    assert names(0) == []
-
-
-def test_names_of_wires_stay_inside_the_folder() -> None:
-    table = replace(wire_table("A1"), name="../a:b")
-    assert list(wire_drawings([table]))[-1].name == "..-a-b.cantilever"
-
-
-@pytest.mark.slow
-def test_all_figures(tmp_path: Path) -> None:
-    table = replace(wire_table("A1"), name="$A_1$ <&>")
-    told: list[str] = []
-    files = save_wire_figures([table], tmp_path / "figures", say=told.append)
-    assert sorted(files) == sorted((tmp_path / "figures").iterdir())
-    assert [path.name for path in files[:2]] == ["sections-1.svg", "$A_1$ -&-.stiffness.svg"]
-    assert told == [path.stem for path in files]
-    again = save_wire_figures([table], tmp_path / "again")
-    for first, second in zip(files, again, strict=True):
-        assert first.read_bytes() == second.read_bytes()
-        assert first.stat().st_size < 300_000
-
-
-def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
-    (tmp_path / "x").write_text("")
-    with pytest.raises(
-        StoreError, match=r"x: expected a folder that figures of wires can be written to, found "
-    ):
-        save_wire_figures([wire_table("A1")], tmp_path / "x")
-
-
-def test_drawing_program_is_loaded_only_when_a_figure_is_drawn() -> None:
-    code = (
-        "import sys, labpipe.report.wire_figures, labpipe.report.wire_workbook; "
-        "sys.exit(any(name.split('.')[0] in {'matplotlib', 'openpyxl'} for name in sys.modules))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert names_of(1) == ["sections-1", "w0.stiffness", "w0.moment", "w0.cantilever"]
+    assert names_of(2)[:3] == ["sections-1", "comparison-1", "w0.stiffness"]
+    assert names_of(13)[:4] == ["sections-1", "comparison-1", "sections-2", "w0.stiffness"]
+    assert len(names_of(13)) == 3 + 13 * 3
+    assert names_of(0) == []
 
 
 def test_what_is_doubtful_is_lighter() -> None:
@@ -89,3 +65,119 @@ def test_what_is_doubtful_is_lighter() -> None:
         assert cover.get_x() == pytest.approx(start)
         assert cover.get_facecolor() == (1.0, 1.0, 1.0, 0.6)
         assert covers[1] == []
+
+
+@pytest.fixture(autouse=True)
+def _in_style() -> Iterator[None]:
+    with style():
+        yield
+
+
+def test_stacked_parts_reach_the_moment() -> None:
+    table = wire_table("A3")
+    axes = Figure().subplots()
+    plot_parts(table, axes)
+    assert len(axes.collections) == 4
+    top = np.asarray(axes.collections[-1].get_paths()[0].vertices)[:, 1].max()
+    assert top == pytest.approx(1e3 * table.moment[-1])
+    np.testing.assert_allclose(sum(moment_parts(table)), table.moment, rtol=1e-12)
+    np.testing.assert_allclose(line(axes, 1)[1], 1e3 * (table.moment - table.plastic))
+    assert axes.get_ylim()[1] <= 2.08 * 1e3 * table.moment[-1]
+    assert axes.get_ylabel() == "Bending moment (N·mm)"
+
+
+def scaled(table: WireTable, factor: float) -> WireTable:
+    own = table.layout
+    layout = replace(
+        own, x=factor * own.x, y=factor * own.y, diameter=factor * own.diameter,
+        bore_radius=factor * own.bore_radius, wire_radius=factor * own.wire_radius,
+    )  # fmt: skip
+    return replace(table, layout=layout)
+
+
+def test_compressed_strands_fill_their_circle_with_their_areas() -> None:
+    table = compressed_wire()
+    wedges = [each for each in strand_patches(table.layout) if isinstance(each, Wedge)]
+    assert len(wedges) == 7
+    areas = []
+    for each in wedges:
+        assert each.width is not None
+        ring = each.r**2 - (each.r - each.width) ** 2
+        areas.append(np.radians(each.theta2 - each.theta1) / 2.0 * ring)
+    np.testing.assert_allclose(areas, 0.35 / 7, rtol=1e-9)
+    assert wedges[1].theta1 == pytest.approx(-30.0)
+    page = section_figure([table])
+    assert page.texts[1].get_text().startswith("Compressed strands: sectors of rings with the ar")
+
+
+def line(axes: Axes, number: int) -> tuple[np.ndarray, np.ndarray]:
+    x, y = axes.lines[number].get_data()
+    return np.asarray(x), np.asarray(y)
+
+
+def test_strands_wall_bore_and_bar_to_scale() -> None:
+    table = wire_table("A3")
+    layout = table.layout
+    circles = [patch for patch in strand_patches(layout) if isinstance(patch, Circle)]
+    assert [circle.radius for circle in circles] == pytest.approx([0.12] * 19)
+    centres = np.array([circle.center for circle in circles])
+    np.testing.assert_allclose(centres, 1e3 * np.column_stack([layout.x, layout.y]))
+    axes = Figure().subplots()
+    plot_section(table, axes)
+    (wall,) = (patch for patch in axes.patches if isinstance(patch, Annulus))
+    assert (wall.get_radii()[0], wall.get_width()) == pytest.approx((0.9, 0.3))
+    bore = next(each for each in axes.patches if isinstance(each, Circle) and not each.fill)
+    assert bore.radius == pytest.approx(0.6)
+    axis, bar = axes.lines
+    assert np.asarray(axis.get_ydata()).tolist() == [0.0, 0.0]
+    assert np.ptp(np.asarray(bar.get_xdata())) == pytest.approx(0.5)
+
+
+def test_sections_on_a_page() -> None:
+    small = wire_table("A1")
+    widths = [
+        [float(np.ptp(axes.get_xlim())) for axes in section_figure(tables).axes]
+        for tables in ([wire_table(name) for name in ("A1", "A3", "C5")],
+                       [small, scaled(small, 5.0)])
+    ]  # fmt: skip
+    assert len(set(widths[0])) == 1
+    assert widths[1][1] == pytest.approx(5.0 * widths[1][0])
+    page = section_figure([small] * 12)
+    assert sum(axes.axison or bool(axes.patches) for axes in page.axes) == 12
+
+
+@pytest.mark.parametrize("figure", [section_figure, comparison_figure])
+@pytest.mark.parametrize("count", [0, 13])
+def test_number_of_wires_on_a_page(figure: Callable[..., Figure], count: int) -> None:
+    with pytest.raises(ValueError, match=f"{count} wires: allowed are 1 to 12 on a page"):
+        figure([wire_table("A1")] * count)
+
+
+def test_words(approved: Approve) -> None:
+    a1, a3 = wire_table("A1"), wire_table("A3")
+    own = a1.layout
+    coreless = replace(
+        own, x=own.x[1:4], y=own.y[1:4], layer=own.layer[1:4] - 1, diameter=own.diameter[1:4]
+    )
+    mixed = replace(a3.spec, layer_counts=(1, 6, 12), strand_diameters=(0.3e-3, 0.25e-3, 0.25e-3))
+    stiff = replace(a1, stick_stiffness=51.57, name="a long  name " + "x" * 40)
+    at_rest = replace(a3, tip_deflection=np.zeros(1), tip_force=np.zeros(1))
+    pages = {
+        "stiffness": stiffness_figure(a3),
+        "limits near each other": stiffness_figure(
+            replace(a1, slip_stiffness=0.9 * a1.stick_stiffness)
+        ),
+        "a stiff wire": stiffness_figure(stiff),
+        "no slip": stiffness_figure(replace(a1, slip_onsets=np.array([np.inf]))),
+        "warnings": stiffness_figure(troubled()),
+        "moment": moment_figure(wire_table("C4")),
+        "cantilever": cantilever_figure(a3),
+        "cantilever at rest": cantilever_figure(at_rest),
+        "no cantilever": cantilever_figure(troubled()),
+        "comparison": comparison_figure([a1, wire_table("A2"), a3]),
+        "comparison with a stiff wire": comparison_figure([a1, stiff]),
+        "sections": section_figure([a1, replace(a3, spec=mixed), stiff]),
+        "sections unlike in size": section_figure([a1, scaled(a1, 5.0)]),
+        "section without core": section_figure([replace(a1, layout=coreless)]),
+    }
+    approved(all_words(pages))

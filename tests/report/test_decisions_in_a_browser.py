@@ -22,7 +22,6 @@ from tests.builders.report_pages import campaign_of, key_of, page_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator
-
 NAMES = [f"T-{number}" for number in range(1, 13)]
 OLD = {
     "test": "T-2", "run": key_of("T-2"), "decision": "reject", "because": "bent <i>before</i>",
@@ -129,19 +128,6 @@ def within_table(seen: Shown) -> bool:
     return bool(seen.page.evaluate("!!document.activeElement.closest('#tests')"))
 
 
-def test_after_a_filter_the_keyboard_finds_the_first_row(browser: Browser, twelve: Path) -> None:
-    with shown(browser, twelve) as seen:
-        find = seen.page.get_by_role("searchbox").last
-        find.fill("T-7")
-        for _ in range(30):
-            seen.press("Tab")
-            if within_table(seen) and seen.focused().startswith("accept"):
-                break
-        assert seen.focused() == "accept T-7"
-        seen.press("ArrowDown")
-        assert seen.focused() == "accept T-7"  # there is no other
-
-
 @pytest.mark.slow
 def test_decisions_outlive_the_page_and_end_when_a_report_knows_them(
     browser: Browser, tmp_path: Path
@@ -180,66 +166,9 @@ def test_what_is_decided_already_is_said_and_not_decided_anew(
         assert pressed(seen, "T-2") == ["accept"]
 
 
-def test_what_is_rejected_here_is_found_as_such(browser: Browser, twelve: Path) -> None:
-    with shown(browser, twelve) as seen:
-        row(seen, "T-9").get_by_role("button", name="reject").click()
-        seen.page.get_by_role("searchbox").last.fill("T")
-        seen.page.get_by_role("button", name="Save decisions.json").click()
-        assert seen.said() == "T-9: a rejection needs its reason."
-        assert seen.page.get_by_role("searchbox").last.input_value() == "T"
-        seen.page.keyboard.type("b")  # the field has the focus
-        assert seen.said() == ""
-        seen.page.get_by_role("button", name="rejected", exact=True).click()
-        names = seen.page.locator("#tests tbody tr:visible").evaluate_all(
-            "(rows) => rows.map((row) => row.dataset.test)"
-        )
-        assert names == ["T-2", "T-9"]
-
-
-def test_a_decision_on_another_key_does_not_show(browser: Browser, tmp_path: Path) -> None:
-    page = page_of(tmp_path, campaign_of(NAMES, decisions=[OLD | {"run": "0" * 64}]))
-    with shown(browser, page) as seen:
-        assert pressed(seen, "T-2") == []
-
-
-def test_a_browser_that_keeps_nothing_says_so(browser: Browser, twelve: Path) -> None:
-    with shown(browser, twelve) as seen:
-        seen.page.add_init_script(
-            "Object.defineProperty(window, 'localStorage', {get() { throw new Error('no'); }})"
-        )
-        seen.page.reload()
-        row(seen, "T-3").get_by_role("button", name="accept").click()
-        assert "this browser keeps nothing: save before you close the page" in bar(seen)
-        seen.page.get_by_label("Decided by").fill("A. Tester")
-        assert len(saved(seen)["decisions"]) == 2
-
-
-def test_a_test_without_a_key_cannot_be_decided(browser: Browser, tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    campaign = campaign_of(NAMES[:2])
-    (group,) = campaign.groups
-    samples = (replace(group.samples[0], run=""), *group.samples[1:])
-    page = page_of(tmp_path, replace(campaign, groups=(replace(group, samples=samples),)))
-    with shown(browser, page) as seen:
-        assert row(seen, "T-1").get_by_role("button").count() == 0
-        assert "process it again to decide" in (row(seen, "T-1").text_content() or "")
-        assert row(seen, "T-2").get_by_role("button", name="accept").count() == 1
-
-
 @pytest.fixture
 def processed(tmp_path: Path) -> Path:
     return make_pulls(tmp_path, ("T-1", "T-2", "T-3"))
-
-
-@pytest.mark.slow
-def test_a_served_page_shows_single_tests_on_a_click(browser: Browser, served: str) -> None:
-    with shown(browser, served) as seen:
-        row(seen, "T-2").get_by_role("link", name="page").click()
-        seen.page.wait_for_url("**/tests/T-2.html")
-        assert "T-2" in (seen.page.locator("h1").text_content() or "")
-        assert seen.page.locator("svg").count() >= 1
-        assert seen.page.evaluate("document.querySelectorAll('script').length") == 0
 
 
 @pytest.mark.slow
