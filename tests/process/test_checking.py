@@ -1,9 +1,9 @@
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ import pytest
 from labpipe.process.checking import check_paths
 from labpipe.readers import read_export
 from labpipe.records.recording import Clock, Recording
+from tests.approved import Approve
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
 from tests.builders.motive import Layout, marker, rigid_body, write_table
 
@@ -22,26 +23,43 @@ sources:
   markers: {reader: motive-csv}
 markers: {clamp: Clamp, along: [M*]}
 """
+
+
 SHEET = """\
 test: A1
 protocol: wire
 specimen: {type: A, spool: s, sample: 1}
 files: {force: force.mat, markers: take.csv}
 """
-Say = Callable[..., list[str]]
+
+
+WIRE, TEST = "protocols/wire.yaml", "raw/campaign/A1/test.yaml"
+
+
+FOLDER = Path("raw/campaign/A1")
+
+
+Change = tuple[str, str, str]
+
+
+def write_force(path: Path, count: int = 50, *, name: str = "Load", unit: str = "") -> None:
+    """Two channels of a bench, 1000 samples per second."""
+    time = np.arange(count) * 0.001
+    signals = [Signal("Model/Load", "Out1", time, unit=unit), Signal("Model/Laser", "Out1", time)]
+    if name != "Load":
+        signals = [Signal("", "Load", time, unit="mm"), Signal("", "Crosshead", time, unit="N")]
+    write_mat_v5(path, [Axis(time)], signals)
 
 
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A lab with one protocol and one test, both right."""
-    test = tmp_path / "raw" / "campaign" / "A1"
+    test = tmp_path / FOLDER
     test.mkdir(parents=True)
     (tmp_path / "protocols").mkdir()
-    (tmp_path / "protocols" / "wire.yaml").write_text(PROTOCOL, encoding="utf-8")
-    (test / "test.yaml").write_text(SHEET, encoding="utf-8")
-    time = np.arange(50) * 0.001
-    signals = [Signal("Model/Load", "Out1", time), Signal("Model/Laser", "Out1", time)]
-    write_mat_v5(test / "force.mat", [Axis(time)], signals)
+    (tmp_path / WIRE).write_text(PROTOCOL, encoding="utf-8")
+    (tmp_path / TEST).write_text(SHEET, encoding="utf-8")
+    write_force(test / "force.mat")
     positions = np.random.default_rng(1).normal(size=(20, 3))
     columns = rigid_body("Clamp", positions, np.tile([0.0, 0.0, 0.0, 1.0], (20, 1)))
     write_table(test / "take.csv", columns + marker("M1", positions), 20, Layout())
@@ -49,169 +67,159 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def say(lab: Path) -> Say:
+def messages(lab: Path, *changes: Change) -> list[str]:
     """Give the findings of the lab after some changes (file, old, new)."""
-
-    def say(*changes: tuple[str, str, str]) -> list[str]:
-        for name, old, new in changes:
-            path = lab / name
-            text = path.read_text(encoding="utf-8")
-            assert text.count(old) == 1
-            path.write_text(text.replace(old, new), encoding="utf-8")
-        return [finding.message for finding in check_paths().findings]
-
-    return say
-
-
-WIRE, TEST = "protocols/wire.yaml", "raw/campaign/A1/test.yaml"
-FOLDER = Path("raw/campaign/A1")
+    for name, old, new in changes:
+        text = (lab / name).read_text(encoding="utf-8")
+        assert text.count(old) == 1
+        (lab / name).write_text(text.replace(old, new), encoding="utf-8")
+    return [finding.message.replace(os.sep, "/") for finding in check_paths().findings]
 
 
 def test_a_lab_in_order(lab: Path) -> None:
     checked = check_paths()
-
     assert checked.findings == ()
-    assert checked.protocols == (Path("protocols/wire.yaml"),)
-    assert checked.tests == (FOLDER / "test.yaml",)
+    assert checked.protocols == (Path(WIRE),)
+    assert checked.tests == (Path(TEST),)
 
 
 @pytest.mark.parametrize(
     ("path", "protocols", "tests"),
-    [
-        ("protocols/wire.yaml", 1, 0),
-        ("raw/campaign/A1", 0, 1),
-        ("raw/campaign/A1/test.yaml", 0, 1),
-        ("raw", 0, 1),
-        (".", 1, 1),
-    ],
+    [(WIRE, 1, 0), ("raw/campaign/A1", 0, 1), (TEST, 0, 1), ("raw", 0, 1), (".", 1, 1)],
 )
 def test_what_a_path_stands_for(lab: Path, path: str, protocols: int, tests: int) -> None:
     checked = check_paths([lab / path])
-
     assert (len(checked.protocols), len(checked.tests)) == (protocols, tests)
     assert checked.findings == ()
 
 
-@pytest.mark.parametrize(
-    ("path", "found"),
-    [
-        ("nowhere", "nothing of that name"),
-        ("empty", "a folder without any"),
-        ("raw/campaign/A1/force.mat", "another file"),
-    ],
-)
-def test_a_path_with_nothing_to_check(lab: Path, path: str, found: str) -> None:
+def test_a_path_with_nothing_to_check(lab: Path, approved: Approve) -> None:
     (lab / "empty").mkdir()
-
-    (finding,) = check_paths([Path(path)]).findings
-
-    assert finding.message == (
-        f"{Path(path)}: expected a protocol, a test.yaml, or a folder with some, found {found}."
-        " `labpipe new` writes a test.yaml."
-    )
+    found = check_paths([Path("nowhere"), Path("empty"), FOLDER / "force.mat"]).findings
+    shutil.rmtree(lab / "protocols")
+    shutil.rmtree(lab / "raw")
+    found += check_paths().findings
+    approved(finding.message.replace(os.sep, "/") for finding in found)
 
 
-def test_nothing_to_check_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-    (finding,) = check_paths().findings
-
-    assert "protocols: expected a protocol, a test.yaml" in finding.message
+def nothing(_: Path) -> None:
+    """The files stay."""
 
 
-def test_a_protocol_that_is_not_called_like_its_file(say: Say) -> None:
-    assert say((WIRE, "name: wire", "name: other")) == [
-        f"{Path(WIRE)}, (name): expected the name of the file, 'wire', found 'other'."
-        " Change one of them."
-    ]
+def no_take(folder: Path) -> None:
+    (folder / "take.csv").unlink()
 
 
-def test_a_channel_that_the_export_does_not_have(say: Say) -> None:
-    (message,) = say((WIRE, "Model/Load/Out1", "Model/Load/Out"))
-
-    assert message.startswith(
-        f"{FOLDER / 'force.mat'}, channel 'Model/Load/Out': expected one of the 2 channels"
-    )
-    assert "Nearest: 'Model/Load/Out1'" in message
+def no_recording(folder: Path) -> None:
+    (folder / "force.mat").write_text("no recording", encoding="utf-8")
 
 
-def test_the_first_of_several_names_is_enough(say: Say) -> None:
-    assert say((WIRE, "channel: Model/Load/Out1", "channel: [Force, Model/Load/Out1]")) == []
+def the_take_twice(folder: Path) -> None:
+    shutil.copy(folder / "take.csv", folder / "force.mat")
 
 
-def test_none_of_several_names_is_there(say: Say) -> None:
-    (message,) = say((WIRE, "channel: Model/Load/Out1", "channel: [Force, Model/Load/Out]"))
-
-    assert message.startswith(
-        f"{FOLDER / 'force.mat'}, channel 'Force' or 'Model/Load/Out': expected one of the 2"
-        " channels of the file, found no such channel. Nearest: 'Model/Load/Out1'"
-    )
+def the_force_twice(folder: Path) -> None:
+    shutil.copy(folder / "force.mat", folder / "again.mat")
 
 
-def test_a_test_without_samples_is_told(say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = Recording("dspace-mat", clocks=(Clock("time", np.empty(0)),))
-    monkeypatch.setattr("labpipe.process.checking.read_export", lambda *_, **__: nothing)
-
-    assert say() == [
-        f"{FOLDER / 'force.mat'}: expected samples, found none in this file. The test was aborted"
-        " before its first sample; leave it out."
-    ]
+def no_body(folder: Path) -> None:
+    write_table(folder / "take.csv", marker("X1", np.zeros((20, 3))), 20, Layout())
 
 
-def test_a_part_without_samples_is_no_fault(
-    lab: Path, say: Say, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    empty = lab / FOLDER / "empty.mat"
-    shutil.copy(lab / FOLDER / "force.mat", empty)
+def twenty_samples(folder: Path) -> None:
+    write_force(folder / "force.mat", 20)
 
-    def read(path: Path, *reader: Any, **more: Any) -> Recording:
-        nothing = Recording("dspace-mat", clocks=(Clock("time", np.empty(0)),))
-        return nothing if path.name == "empty.mat" else read_export(path, *reader, **more)
+
+def five_samples(folder: Path) -> None:
+    write_force(folder / "force.mat", 5)
+
+
+def swapped_columns(folder: Path) -> None:
+    write_force(folder / "force.mat", name="swapped")
+
+
+def kilonewtons(folder: Path) -> None:
+    write_force(folder / "force.mat", unit="kN")
+
+
+def copies_of_the_test(folder: Path) -> None:
+    shutil.copytree(folder, folder.with_name("A2"))
+    shutil.copytree(folder, folder.parent.with_name("other") / "A1")
+
+
+ZEROS = (
+    "steps:\n  - {step: zero, channel: force, over: 2 ms}\n"
+    "  - {step: zero, channel: force, over: 3 ms, at: end}\nmarkers: {clamp"
+)
+
+
+SWAPPED = "channels: {force: {channel: Load}, displacement: {channel: Crosshead}}"
+
+
+BENT = """\
+protocol: three-point-bend
+specimen: {type: A, spool: s, sample: 1}
+files: {frame: bend.txt}
+"""
+FAULTS: dict[str, tuple[Callable[[Path], None], Change | None]] = {
+    "name of the file": (nothing, (WIRE, "name: wire", "name: other")),
+    "channel": (nothing, (WIRE, "Model/Load/Out1", "Model/Load/Out")),
+    "channels": (nothing, (WIRE, "Model/Load/Out1", "[Force, Model/Load/Out]")),
+    "parts overlap": (the_force_twice, (TEST, "force.mat", "[force.mat, again.mat]")),
+    "two short rests": (twenty_samples, (WIRE, "markers: {clamp", ZEROS)),
+    "short recording": (five_samples, None),
+    "swapped columns": (swapped_columns, (WIRE, "channel: Model/Load/Out1, unit: N", SWAPPED)),
+    "no unit": (nothing, (WIRE, ", unit: N", "")),
+    "another unit": (kilonewtons, None),
+    "no such body": (nothing, (WIRE, "clamp: Clamp, along: [M*]", "clamp: Klamp, along: [M*, N1]")),
+    "no body at all": (no_body, None),
+    "bad protocol and bad file": (no_recording, (WIRE, "name: wire", "name: wire\nabuot: x")),
+    "no file": (no_take, None),
+    "another format": (the_take_twice, None),
+    "bad sheet": (nothing, (TEST, "test: A1", "tset: A1\ntest: A1")),
+    "two tests of a name": (copies_of_the_test, None),
+    "no span": (nothing, (TEST, SHEET.partition("\n")[2], BENT)),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults(lab: Path, name: str, approved: Approve) -> None:
+    spoil, change = FAULTS[name]
+    spoil(lab / FOLDER)
+    found = messages(lab, *([change] if change else []))
+    assert found
+    approved(found)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "change"),
+    [
+        (nothing, (WIRE, "channel: Model/Load/Out1", "channel: [Force, Model/Load/Out1]")),
+        (no_body, (WIRE, "clamp: Clamp, along: [M*]", "clamp: null")),
+        (nothing, (WIRE, "markers: {clamp: Clamp, along: [M*]}\n", "")),
+    ],
+    ids=["first of several names", "no clamp", "no markers"],
+)
+def test_no_faults(lab: Path, spoil: Callable[[Path], None], change: Change) -> None:
+    spoil(lab / FOLDER)
+    assert messages(lab, change) == []
+
+
+def test_a_part_without_samples_is_no_fault(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A test of nothing else is."""
+    shutil.copy(lab / FOLDER / "force.mat", lab / FOLDER / "empty.mat")
+
+    def read(path: Path, *reader: object, **more: object) -> Recording:
+        empty = Recording("dspace-mat", clocks=(Clock("time", np.empty(0)),))
+        return empty if path.name == "empty.mat" else read_export(path, *reader, **more)  # type: ignore[arg-type]
 
     monkeypatch.setattr("labpipe.process.checking.read_export", read)
-    assert say((TEST, "force: force.mat", "force: [force.mat, empty.mat]")) == []
+    assert messages(lab, (TEST, "force: force.mat", "force: [force.mat, empty.mat]")) == []
+    (message,) = messages(lab, (TEST, "[force.mat, empty.mat]", "empty.mat"))
+    assert message.startswith(f"{FOLDER.as_posix()}/empty.mat: expected samples, found none")
 
 
-def test_parts_that_overlap_are_told(lab: Path, say: Say) -> None:
-    shutil.copy(lab / FOLDER / "force.mat", lab / FOLDER / "again.mat")
-
-    (message,) = say((TEST, "force: force.mat", "force: [force.mat, again.mat]"))
-    place = f"{FOLDER / 'again.mat'}, time"
-    assert message.startswith(f"{place}: expected a start after 0.049000 s, where force.mat")
-
-
-ZERO = "steps:\n  - {step: zero, channel: force, over: 2 ms}\n"
-
-
-def test_a_step_that_the_data_cannot_go_through_is_told(lab: Path, say: Say) -> None:
-    """At once for each step, as `labpipe process` says it for the first one."""
-    time = np.arange(20) * 0.001
-    write_mat_v5(lab / FOLDER / "force.mat", [Axis(time)], [Signal("Model/Load", "Out1", time)])
-    steps = f"{ZERO}  - {{step: zero, channel: force, over: 3 ms, at: end}}\nmarkers:"
-
-    messages = say((WIRE, "markers: {clamp", f"{steps} {{clamp"))
-
-    assert messages == [
-        f"{FOLDER / 'test.yaml'}, steps.{number} (zero): force: {samples} samples in the {over} s"
-        f" to zero on, 8 are needed, and there are 1000 per second. Write 'steps.{number}.over:"
-        " {value: 0.0085 s, because: ...}' under 'overrides' in test.yaml."
-        for number, samples, over in ((0, 3, 0.002), (1, 4, 0.003))
-    ]
-
-
-def test_a_recording_that_cannot_be_processed_is_told(lab: Path, say: Say) -> None:
-    time = np.arange(5) * 0.001
-    path = lab / FOLDER / "force.mat"
-    write_mat_v5(path, [Axis(time)], [Signal("Model/Load", "Out1", time)])
-
-    assert say() == [
-        f"{FOLDER / 'test.yaml'}, force, time: expected at least 8 samples, found 5. The recording"
-        " was aborted; leave this test out."
-    ]
-
-
-def test_dialect_and_part_go_to_the_reader(say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dialect_and_part_go_to_the_reader(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[dict[str, object]] = []
 
     def read(*_: object, **more: object) -> Recording:
@@ -220,200 +228,16 @@ def test_dialect_and_part_go_to_the_reader(say: Say, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr("labpipe.process.checking.read_export", read)
     new = "{reader: load-frame, dialect: own, part: Specimen 2, channel: Load}"
-    say((WIRE, "{reader: dspace-mat, channel: Model/Load/Out1, unit: N}", new))
-
+    messages(lab, (WIRE, "{reader: dspace-mat, channel: Model/Load/Out1, unit: N}", new))
     assert {"dialect": ("own",), "part": "Specimen 2"} in asked
-
-
-def test_swapped_columns(lab: Path, say: Say) -> None:
-    time = np.arange(50) * 0.001
-    signals = [Signal("", "Load", time, unit="mm"), Signal("", "Crosshead", time, unit="N")]
-    write_mat_v5(lab / FOLDER / "force.mat", [Axis(time)], signals)
-
-    channels = "channels: {force: {channel: Load}, displacement: {channel: Crosshead}}"
-    messages = say((WIRE, "channel: Model/Load/Out1, unit: N", channels))
-
-    assert [message.split(": expected ")[1] for message in messages] == [
-        f"a unit of the dimension of {unit}, found '{found}'. Name another channel with"
-        f" 'sources.force.channels.{name}.channel: {{value: ..., because: ...}}' under 'overrides'"
-        f" in test.yaml, or give 'sources.force.channels.{name}.calibration'."
-        for name, unit, found in (("force", "N", "mm"), ("displacement", "m", "N"))
-    ]
-
-
-def test_a_unit_that_nobody_says(say: Say) -> None:
-    assert say((WIRE, ", unit: N", "")) == [
-        f"{FOLDER / 'force.mat'}, channel 'Model/Load/Out1': expected a unit, found none in the"
-        " file and none in the protocol. Write the unit of its numbers, such as"
-        " 'sources.force.unit: {value: N, because: ...}' under 'overrides' in test.yaml."
-    ]
-
-
-@pytest.mark.parametrize("unit", ["mm", "kN"])
-def test_a_unit_of_the_export_that_contradicts_the_protocol(lab: Path, say: Say, unit: str) -> None:
-    time = np.arange(50) * 0.001
-    path = FOLDER / "force.mat"
-    write_mat_v5(lab / path, [Axis(time)], [Signal("Model/Load", "Out1", time, unit=unit)])
-
-    (message,) = say()
-    assert message.startswith(
-        f"{path}, channel 'Model/Load/Out1': expected the unit that the export states, '{unit}',"
-        " found 'sources.force.unit: N'. "
-    )
-
-
-def test_the_key_of_a_channel_that_is_not_there_is_named(say: Say) -> None:
-    (message,) = say((WIRE, "Model/Load/Out1", "Model/Load/Out"))
-    assert message.endswith(
-        "Name the right one with 'sources.force.channel: {value: ..., because: ...}' under"
-        " 'overrides' in test.yaml."
-    )
-
-
-def test_a_rigid_body_and_markers_that_the_take_does_not_have(say: Say) -> None:
-    assert say((WIRE, "clamp: Clamp, along: [M*]", "clamp: Klamp, along: [M*, N1]")) == [
-        f"{FOLDER / 'take.csv'}, rigid body 'Klamp': expected the rigid body that 'markers.clamp'"
-        " names, found no such body. The take has 'Clamp'.",
-        f"{FOLDER / 'take.csv'}, markers 'N1': expected markers that 'markers.along' names,"
-        " found none. Nearest: 'M1'.",
-    ]
-
-
-def test_a_take_without_any_body_or_marker(lab: Path, say: Say) -> None:
-    positions = np.zeros((20, 3))
-    write_table(lab / FOLDER / "take.csv", marker("X1", positions), 20, Layout())
-
-    (message, _) = say()
-
-    assert message == (
-        f"{FOLDER / 'take.csv'}, rigid body 'Clamp': expected the rigid body that 'markers.clamp'"
-        " names, found no rigid bodies at all. `labpipe inspect` shows what the file holds."
-    )
-
-
-def test_no_clamp_and_all_markers_ask_nothing_of_the_take(lab: Path, say: Say) -> None:
-    write_table(lab / FOLDER / "take.csv", marker("X1", np.zeros((20, 3))), 20, Layout())
-
-    assert say((WIRE, "clamp: Clamp, along: [M*]", "clamp: null")) == []
-
-
-def test_a_take_of_a_protocol_that_says_nothing_of_markers(say: Say) -> None:
-    assert say((WIRE, "markers: {clamp: Clamp, along: [M*]}\n", "")) == []
-
-
-def test_files_are_looked_at_even_where_the_protocol_is_wrong(lab: Path, say: Say) -> None:
-    (lab / FOLDER / "force.mat").write_text("no recording", encoding="utf-8")
-
-    messages = say((WIRE, "name: wire", "name: wire\nabuot: x"))
-
-    assert [message.split(":")[0] for message in messages] == [
-        f"{Path(WIRE)}, line 3, column 1 (abuot)",
-        str(FOLDER / "force.mat"),
-    ]
-
-
-def test_a_file_that_is_not_there(lab: Path, say: Say) -> None:
-    (lab / FOLDER / "take.csv").unlink()
-
-    (message,) = say()
-
-    place, _, rest = message.partition(": expected ")
-    assert place.startswith(f"{FOLDER / 'test.yaml'}, line ")
-    assert place.endswith("(files.markers)")
-    assert rest.startswith("a file, found none of that name ('take.csv')")
-    assert "'force.mat'" in rest
-
-
-def test_a_file_of_another_format_than_the_protocol_says(lab: Path, say: Say) -> None:
-    shutil.copy(lab / FOLDER / "take.csv", lab / FOLDER / "force.mat")
-
-    assert say() == [
-        f"{FOLDER / 'force.mat'}: expected a file of the format dspace-mat, found one of the format"
-        " motive-csv. Name the right file, or change `reader` in the protocol."
-    ]
-
-
-def test_a_test_sheet_that_is_wrong(say: Say) -> None:
-    (message,) = say((TEST, "test: A1", "tset: A1\ntest: A1"))
-
-    assert message.startswith(f"{Path(TEST)}, line 1, column 1 (tset): expected one of the keys ")
-
-
-def test_two_tests_of_one_name(lab: Path, say: Say) -> None:
-    shutil.copytree(lab / FOLDER, lab / "raw" / "campaign" / "A2")
-    shutil.copytree(lab / FOLDER, lab / "raw" / "other" / "A1")
-
-    second = Path("raw/campaign/A2/test.yaml")
-    assert say() == [
-        f"{second}, (test): expected a name that no other test of the campaign has, found 'A1'."
-        f" {Path(TEST)} has it too: rename one of them."
-    ]
 
 
 @pytest.mark.realdata
 def test_a_real_recording_of_ten_channels_of_one_name(lab: Path, realdata: Path) -> None:
-    test = lab / "raw" / "real"
-    test.mkdir()
-    shutil.copy(realdata / "dspace" / "0103_3_3.mat", test / "force.mat")
-    (test / "test.yaml").write_text(
-        """\
-test: real
-protocol: force-displacement
-specimen: {type: finger, spool: s, sample: 1}
-files: {force: force.mat}
-overrides:
-  sources.force.channels.force.channel: {value: load raw/In1, because: another bench}
-""",
-        encoding="utf-8",
-    )
-
-    messages = [finding.message for finding in check_paths([test]).findings]
-
-    assert len(messages) == 2
-    assert all("expected one of the 10 channels of the file" in message for message in messages)
-    assert "Nearest: 'Model Root/Harware/Subsystem1/load raw/In1'" in messages[0]
-
-
-@pytest.mark.parametrize(("span", "is_said"), [("", False), (", span: 40 mm", True)])
-def test_a_test_on_two_supports_whose_distance_nobody_says(
-    lab: Path, span: str, is_said: bool
-) -> None:
-    folder = lab / "raw" / "campaign" / "B1"
-    folder.mkdir()
-    sheet = SHEET.replace("test: A1\nprotocol: wire", "test: B1\nprotocol: three-point-bend")
-    sheet = sheet.replace("sample: 1}", f"sample: 1{span}}}")
-    sheet = sheet.replace("force: force.mat, markers: take.csv", "frame: bend.txt")
-    (folder / "test.yaml").write_text(sheet, encoding="utf-8")
-    said = [each.message for each in check_paths([folder]).findings if "span" in each.message]
-    assert said == (
-        []
-        if is_said
-        else [
-            f"{folder / 'test.yaml'}, specimen.span: expected the distance of the supports (for "
-            "bending-stiffness), found nothing. Write it into the specimen, such as "
-            "'span: 152.4 mm'."
-        ]
-    )
-
-
-PLAN = """\
-version: 1
-wire: A2
-"""
-
-
-def test_a_calibration_plan_is_no_protocol(lab: Path, tmp_path: Path) -> None:
-    plan = tmp_path / "raw" / "campaign" / "plan.yaml"
-    plan.write_text(PLAN, encoding="utf-8")
-
-    checked = check_paths()
-
-    assert (checked.plans, checked.findings) == ((plan.relative_to(tmp_path),), ())
-    plan.write_text(PLAN.replace("A2", "A2\nmethod: likelihood"), encoding="utf-8")
-    (finding,) = check_paths().findings
-    assert "method" in finding.message
-    plan.write_text("version: 1\nname: plan\nsource: {}\n", encoding="utf-8")
-    assert check_paths().protocols[-1] == plan.relative_to(tmp_path)  # a protocol, misspelt
+    shutil.copy(realdata / "dspace" / "0103_3_3.mat", lab / FOLDER / "force.mat")
+    found = messages(lab, (WIRE, "Model/Load/Out1", "load raw/In1"))
+    assert "expected one of the 10 channels of the file" in found[0]
+    assert "Nearest: 'Model Root/Harware/Subsystem1/load raw/In1'" in found[0]
 
 
 HARNESS = """\
@@ -427,21 +251,28 @@ steps: 10
 """
 
 
-def test_a_harness_is_no_protocol(lab: Path, tmp_path: Path) -> None:
-    file = tmp_path / "raw" / "campaign" / "harness.yaml"
-    file.write_text(HARNESS, encoding="utf-8")
+@pytest.mark.parametrize(
+    ("name", "right", "wrong", "said"),
+    [
+        ("plan", "version: 1\nwire: A2\n", "version: 1\nwire: A2\nmethod: x\n", "method"),
+        ("harness", HARNESS, HARNESS.replace("300 mm", "300"), "line 3, column 11 (line.length)"),
+        (
+            *("campaign", "version: 1\nprotocol: wire\n", "version: 1\nprotocl: wire\n"),
+            "Did you mean 'protocol'?",
+        ),
+    ],
+)
+def test_plans_are_no_protocols(lab: Path, name: str, right: str, wrong: str, said: str) -> None:
+    plan = Path("raw/campaign") / f"{name}.yaml"
+    plan.write_text(right, encoding="utf-8")
     checked = check_paths()
-    assert (checked.plans, checked.findings) == ((file.relative_to(tmp_path),), ())
-    file.write_text(HARNESS.replace("300 mm", "300"), encoding="utf-8")
+    assert (checked.plans, checked.findings) == ((plan,), ())
+    plan.write_text(wrong, encoding="utf-8")
     (finding,) = check_paths().findings
-    assert "line 3, column 11 (line.length): expected a quantity with a unit" in finding.message
+    assert said in finding.message
 
 
-def test_a_campaign_plan_is_known_by_its_name(lab: Path, tmp_path: Path) -> None:
-    plan = tmp_path / "raw" / "campaign" / "campaign.yaml"
-    plan.write_text("version: 1\nprotocol: wire\n", encoding="utf-8")
-    checked = check_paths()
-    assert (checked.plans, checked.findings) == ((plan.relative_to(tmp_path),), ())
-    plan.write_text("version: 1\nprotocl: wire\n", encoding="utf-8")
-    (finding,) = check_paths().findings
-    assert "Did you mean 'protocol'?" in finding.message
+def test_a_misspelt_protocol_is_no_plan(lab: Path) -> None:
+    plan = Path("raw/campaign/plan.yaml")
+    plan.write_text("version: 1\nname: plan\nsource: {}\n", encoding="utf-8")
+    assert check_paths().protocols[-1] == plan

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,13 @@ import numpy as np
 import pytest
 
 from labpipe.process.inspection import as_json, as_text, inspect_export
+from tests.approved import Approve
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
 from tests.builders.motive import Layout, marker, rigid_body, write_table
 
 TIME = np.delete(np.arange(500) * 0.001, [200, 201, 202])
+
+
 FORCE = np.linspace(-2.0, 3.0, len(TIME))
 
 
@@ -111,37 +115,7 @@ def test_a_time_axis_that_runs_backwards_can_be_inspected(tmp_path: Path) -> Non
     assert (channel["min"], channel["max"], channel["missing"]) == (None, None, 4)
 
 
-def test_a_recording_without_samples(tmp_path: Path) -> None:
-    signal = Signal("Root", "F", np.empty(0))
-    found = facts(write_mat_v5(tmp_path / "recording.mat", [Axis(np.empty(0))], [signal]))
-    (stream,) = found["streams"]
-    assert (stream["samples"], stream["start"], stream["step_median"]) == (0, None, None)
-    assert stream["channels"][0]["first"] is None
-
-
-def test_the_page_on_a_recording(recording: Path) -> None:
-    lines = as_text(inspect_export(recording)).splitlines()
-    assert lines[1] == "  ControlDesk 7.4, read by dspace-mat"
-    assert lines[3] == (
-        "Clock HostService: 497 samples, 0 to 0.499 s, step 1 ms (1000 per second), holes: 1"
-    )
-    assert lines[4].split() == ["channel", "unit", "first", "last", "min", "max", "missing"]
-    assert lines[5].split()[-6:] == ["-", "-", "3", "-1.98992", "3", "2"]
-    assert lines[6].split()[-6:] == ["m", "-0.004", "0.006", "-0.004", "0.006", "0"]
-    assert "Notes" in lines
-    assert all(line == line.rstrip() for line in lines)
-
-
-def test_the_page_on_a_take(take: Path) -> None:
-    text = as_text(inspect_export(take))
-    assert "Markers: 50 frames, 0 to 0.408333 s, step 8.33333 ms (120 per second)" in text
-    assert "lengths in Meters" in text
-    rows = [line.split() for line in text.splitlines()]
-    assert ["Tip", "marker", "3", "2", "2", "0"] in rows
-    assert ["Clamp", "rigid", "body", "0", "0", "0", "19"] in rows
-    assert "missing in" not in text  # the table says it
-
-
-def test_the_page_on_an_empty_take(tmp_path: Path) -> None:
-    text = as_text(inspect_export(write_table(tmp_path / "synthetic.csv", [], 4, Layout())))
-    assert "  no rigid body and no marker" in text
+def test_pages(recording: Path, take: Path, tmp_path: Path, approved: Approve) -> None:
+    empty = write_table(tmp_path / "empty.csv", [], 4, Layout())
+    pages = [as_text(inspect_export(path)) for path in (recording, take, empty)]
+    approved(page.replace(f"{tmp_path}{os.sep}", "") for page in pages)

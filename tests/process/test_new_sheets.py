@@ -1,15 +1,35 @@
+"""Test sheets from tables, from what folders hold, and from the protocol that fits."""
+
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
+from labpipe.process.fitting_protocols import Fit, Known, all_protocols, fitting
+from labpipe.process.folder_contents import SeenExport, look_into
 from labpipe.process.new_sheets import new_from_sheet, new_seen, write_seen
-from labpipe.process.seen_tests import SeenTest
+from labpipe.process.recorded_facts import (
+    FOLDER,
+    Fact,
+    agreed,
+    day_in,
+    facts_of_export,
+    facts_of_folder,
+)
+from labpipe.process.seen_tests import SeenTest, see_test, see_tests
 from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import Bundle, BundleWire
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+from tests.approved import Approve
+from tests.builders.load_frames import mts_suite
+from tests.builders.small_tests import Lab
 
 TABLE = """\
 Test;protocol;type;spool;sample;Length (mm);date;force;markers;markers.clamp;because
@@ -66,25 +86,6 @@ def test_bundles_from_a_table(tmp_path: Path) -> None:
     assert resolve(load_test_sheet(made.written[0]), made.written[0]).specimen.span == 0.1524
 
 
-def test_faults_of_bundles_name_their_cells(tmp_path: Path) -> None:
-    path = tmp_path / "campaign.csv"
-    wrong = BUNDLES.replace("19 B1;;;", "19 B1;symmetric;;half-lap").replace("10 B1 +", "10 B1,")
-    path.write_text(wrong, encoding="utf-8")
-
-    with pytest.raises(ReadError) as info:
-        new_from_sheet(path, tmp_path / "raw")
-    assert str(info.value).splitlines() == [
-        f"{path}, line 2, column 8 (arrangement): expected 'packed' for wires of one type, found"
-        " 'symmetric'. Only wires of different types can be spread one way or another: leave it"
-        " out.",
-        f"{path}, line 2, column 10 (taping): expected 'none' where there is no tape, found"
-        " 'half-lap'. Write what tape it is, such as 'tape: PVC', or 'tape: unknown'.",
-        f"{path}, line 3, column 7 (bundle_wires): expected wires by type, such as"
-        " {B1: 10, B2: 9} or '10 B1 + 9 B2', found '10 B1, 9 B2'.",
-    ]
-    assert not (tmp_path / "raw").exists()
-
-
 def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path) -> None:
     path = tmp_path / "raw" / "A2-1" / "test.yaml"
     path.parent.mkdir(parents=True)
@@ -96,92 +97,6 @@ def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path)
 
     made = new_from_sheet(table, tmp_path / "raw", overwrite=True)
     assert (made.kept, len(made.written)) == ((), 2)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (
-            "Length (mm)",
-            "lenght",
-            "line 1, column 6: expected one of 'length', 'test', 'arrangement', 'sample', 'taping',"
-            " ..., or a dotted key, found 'lenght'. Did you mean 'length'?",
-        ),
-        (
-            "type;spool",
-            "spool;spool",
-            "line 1, column 4: expected each column once, found 'spool' again."
-            " Remove or rename one of them.",
-        ),
-        (
-            "type;spool",
-            "spool;spool",
-            "line 1, column 1: expected a column 'type', found none. Add it.",
-        ),
-        (
-            "A2;s1;2",
-            "A2;s1;",
-            "line 3, column 5 (sample): expected a value for 'sample', found none. Fill it in.",
-        ),
-        (
-            "8 cm",
-            "8 kg",
-            "line 3, column 6 (length): expected a quantity with a unit such as mm, found '8 kg'."
-            " kg is a unit of mass. Write it with its unit, such as '53 mm'.",
-        ),
-        (
-            "A2-2;wire-cantilever",
-            "A2-2;wire-cantilver",
-            "line 3, column 2 (protocol): expected one of the protocols 'wire-cantilever',"
-            " 'force-displacement', 'markers-only', found 'wire-cantilver'."
-            " Did you mean 'wire-cantilever'?",
-        ),
-        (
-            "A2-2",
-            "a2-1",
-            "line 3, column 1: expected each test once, found 'a2-1' again."
-            " Give each test a name of its own.",
-        ),
-        (
-            "Grip;renamed",
-            "Grip;",
-            "line 3, column 11 (because): expected a value for 'because', found none. Fill it in.",
-        ),
-        (
-            "2026-03-04;a.mat;t.csv;Grip",
-            "4.3.26;a.mat;t.csv;Grip",
-            "line 3, column 7 (date): expected a date such as 2026-03-04, found '4.3.26'.",
-        ),
-        (
-            "A2-2",
-            "../A2",
-            "line 3, column 1 (test): expected a name of letters, digits, '-', '_', '.' and '+',"
-            " found '../A2'.",
-        ),
-    ],
-)
-def test_a_fault_names_its_cell_and_nothing_is_written(
-    old: str,
-    new: str,
-    message: str,
-    table: Path,
-    tmp_path: Path,
-    repository: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    shipped = ("wire-cantilever", "force-displacement", "markers-only")
-    own = tmp_path / "protocols"
-    own.mkdir()
-    for name in shipped:
-        shutil.copy(repository / "protocols" / f"{name}.yaml", own)
-    monkeypatch.setattr("labpipe.protocol.load.protocol_folders", lambda _: (own,))
-    table.write_text(TABLE.replace(old, new), encoding="utf-8")
-
-    with pytest.raises(ReadError) as info:
-        new_from_sheet(table, tmp_path / "raw", protocols=own)
-
-    assert f"{table}, {message}" in str(info.value).splitlines()
-    assert not (tmp_path / "raw").exists()
 
 
 def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
@@ -225,15 +140,6 @@ def test_a_wrong_value_is_refused_though_others_are_open(
     assert not (tmp_path / "x" / "test.yaml").exists()
 
 
-def test_a_sheet_that_is_there_is_not_seen_again(tmp_path: Path) -> None:
-    path = tmp_path / "t" / "test.yaml"
-    path.parent.mkdir()
-    path.write_text("mine", encoding="utf-8")
-    with pytest.raises(UsageError, match="found one that is there already"):
-        list(new_seen(tmp_path / "t", {}))
-    assert path.read_text(encoding="utf-8") == "mine"
-
-
 def test_a_folder_that_cannot_be_made(table: Path, tmp_path: Path) -> None:
     (tmp_path / "raw").write_text("", encoding="utf-8")
     with pytest.raises(StoreError, match=r"test\.yaml: expected "):
@@ -250,3 +156,386 @@ def test_exports_that_a_table_names_and_that_are_not_there(tmp_path: Path) -> No
     (tmp_path / "raw" / "t" / "a.mat").write_bytes(b"x")
     made = new_from_sheet(table, tmp_path / "raw")
     assert dict(made.absent) == {tmp_path / "raw" / "t" / "test.yaml": ("b.mat", "c.csv")}
+
+
+FAULTS_OF_A_TABLE = {
+    "lenght": (("Length (mm)", "lenght"),),
+    "a column twice": (("type;spool", "spool;spool"),),
+    "no sample": (("A2;s1;2", "A2;s1;"),),
+    "a mass": (("8 cm", "8 kg"),),
+    "a protocol": (("A2-2;wire-cantilever", "A2-2;wire-cantilver"),),
+    "a test twice": (("A2-2", "a2-1"),),
+    "no reason": (("Grip;renamed", "Grip;"),),
+    "a date": (("2026-03-04;a.mat;t.csv;Grip", "4.3.26;a.mat;t.csv;Grip"),),
+    "a name": (("A2-2", "../A2"),),
+    "bundles": (("19 B1;;;", "19 B1;symmetric;;half-lap"), ("10 B1 +", "10 B1,")),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS_OF_A_TABLE)
+def test_a_fault_names_its_cell_and_nothing_is_written(
+    name: str,
+    tmp_path: Path,
+    repository: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    approved: Approve,
+) -> None:
+    own, table = tmp_path / "protocols", tmp_path / "campaign.csv"
+    own.mkdir()
+    for protocol in ("wire-cantilever", "force-displacement", "markers-only"):
+        shutil.copy(repository / "protocols" / f"{protocol}.yaml", own)
+    monkeypatch.setattr("labpipe.protocol.load.protocol_folders", lambda _: (own,))
+    text = BUNDLES if name == "bundles" else TABLE
+    for old, new in FAULTS_OF_A_TABLE[name]:
+        text = text.replace(old, new)
+    table.write_text(text, encoding="utf-8")
+    with pytest.raises(ReadError) as refused:
+        new_from_sheet(table, tmp_path / "raw", protocols=own)
+    assert not (tmp_path / "raw").exists()
+    approved(str(refused.value).replace(str(table), "campaign.csv"))
+
+
+@pytest.fixture
+def wire(lab: Lab) -> Path:
+    """A wire in a folder that is named as the lab names them, without its test sheet."""
+    folder = lab.raw.with_name("A2-085-3")
+    shutil.copytree(lab.raw, folder)
+    (folder / "test.yaml").unlink()
+    shutil.rmtree(lab.raw)
+    return folder
+
+
+def has(seen: SeenTest, *parts: str) -> bool:
+    return any(all(part in each for part in parts) for each in seen.said)
+
+
+def test_all_that_can_be_seen(wire: Path) -> None:
+    seen = see_test(wire, {})
+
+    assert seen.values == {
+        "test": "A2-085-3",
+        "protocol": "wire-cantilever",
+        "date": "2026-03-04",
+        "operator": "labpipe virtual lab",
+        "type": "A2",
+        "sample": "3",
+        "length": "85 mm",
+    }
+    assert seen.files == {"force": ("force.mat",), "markers": ("take.csv",)}
+    assert seen.open == ("spool",)
+    assert has(seen, "date 2026-03-04: from force.mat and take.csv")
+    assert has(seen, "not used: truth.json: JSON")
+
+
+def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
+    given = {"operator": "jk", "spool": "s", "protocol": "taped-bundle", "date": "2026-01-01"}
+    seen = see_test(wire, given)
+    assert given.items() <= seen.values.items()
+    assert seen.open == ()
+    assert not has(seen, "operator")
+
+
+def test_contradictions_are_said(wire: Path) -> None:
+    folder = wire.rename(wire.with_name("A2-120-3"))
+    take = folder / "take.csv"
+    text = take.read_text(encoding="utf-8")
+    take.write_text(
+        text.replace("2026-03-04", "2026-03-05").replace("Take Name,T1", "Take Name,A2-085-3"),
+        encoding="utf-8",
+    )
+    seen = see_test(folder, {"protocol": "wire-cantilever"})
+    assert "date" not in seen.values
+    assert has(seen, "date: 2026-03-04 in force.mat, 2026-03-05 in take.csv; left out")
+    assert has(seen, "look: take.csv is of 'A2-085-3', the folder is called 'A2-120-3'")
+    assert has(seen, "look: the markers of take.csv show a length of about 86", "120 mm is stated")
+
+
+def test_several_protocols_fit_alike(tmp_path: Path) -> None:
+    (tmp_path / "pull").mkdir()
+    (tmp_path / "pull" / "x.txt").write_bytes(mts_suite())
+    seen = see_test(tmp_path / "pull", {})
+    assert seen.open == ("protocol", "type", "spool", "sample")
+    (first,) = (each for each in seen.said if each.startswith("protocol: "))
+    asked, *named, decides = first.splitlines()
+    assert "fit alike; name one with --protocol" in asked
+    assert {"stiff-bar", "tensile", "three-point-bend"} <= {
+        line.split(":")[0].strip() for line in named
+    }
+    assert "what would decide: a folder" in decides
+    assert seen.files == {"frame": ("x.txt",)}
+    assert see_test(tmp_path / "pull", {"protocol": "three-point-bend"}).open[-1] == "span"
+
+
+def test_two_exports_of_one_role(tmp_path: Path) -> None:
+    for name in ("x.txt", "y.txt"):
+        (tmp_path / name).write_bytes(mts_suite())
+    seen = see_test(tmp_path, {"protocol": "tensile"})
+    assert seen.files == {}
+    assert "frame" in seen.open
+    assert has(seen, "frame: x.txt, y.txt could each be it", "name one with --frame")
+    assert see_test(tmp_path, {"protocol": "tensile", "frame": "y.txt"}).files == {
+        "frame": ("y.txt",)
+    }
+
+
+def test_an_empty_folder_and_one_without_exports(tmp_path: Path) -> None:
+    assert has(see_test(tmp_path, {}), "no exports lie here yet")
+    (tmp_path / "x.bin").write_bytes(bytes(100))
+    assert has(see_test(tmp_path, {}), "no export that labpipe reads lies here")
+    assert has(see_test(tmp_path, {"frame": "a.txt"}), "not there yet: a.txt")
+
+
+def test_a_name_of_a_folder_that_no_test_can_have(tmp_path: Path) -> None:
+    folder = tmp_path / "Run 4, März (2)"
+    folder.mkdir()
+    assert see_test(folder, {}).values["test"] == "Run-4-März-2"
+
+
+def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
+    longer = wire.with_name("A1-100-1")
+    shutil.copytree(wire, longer)
+    shutil.copytree(wire, wire.with_name("A0-100-1"))
+    alone = see_test(longer, {})
+    assert "protocol" in alone.values  # by the length that the markers show
+
+    seen = {each.folder.name: each for each in see_tests(sorted(wire.parent.iterdir()), {})}
+
+    assert {each.values["protocol"] for each in seen.values()} == {"wire-cantilever"}
+
+
+def facts(metadata: Mapping[str, object], name: str = "x.csv") -> dict[str, str]:
+    return {
+        each.key: each.value for each in facts_of_export(name, Recording("r", metadata=metadata))
+    }
+
+
+@pytest.mark.parametrize(
+    ("written", "day"),
+    {
+        "2026-03-04 10.05.00.000 AM": "2026-03-04",
+        "20.02.2008": "2008-02-20",
+        "10/26/2022 1:02:25 PM": "2022-10-26",
+        "26/10/2022 13:02": "2022-10-26",
+        "7/3/2025 12:23:28 PM": "2025-07-03",
+        "7/7/2025": "2025-07-07",
+        "7/3/2025 12:23": "",
+        "31/31/2025": "",
+        "43173.4": "",
+    }.items(),
+)
+def test_a_day_is_read_where_its_order_is_plain(written: str, day: str) -> None:
+    assert day_in(written) == day
+
+
+def test_the_day_of_the_export_counts_before_that_of_its_name() -> None:
+    assert facts({"Date": "27.02.2015"}, "2026-01-01.csv") == {"date": "2015-02-27"}
+    assert facts({}, "2026-01-01.csv") == {"date": "2026-01-01"}
+    assert facts({"Date/heure": "43173.4"}, "2026-01-01.csv") == {"date": "2026-01-01"}
+    assert facts({}, "take.csv") == {}
+
+
+def test_what_programs_say_of_operator_and_specimen() -> None:
+    control = {"Description": {"General": {"User": "jk", "DateTime": "x"}}, "date": "2026-03-04"}
+    assert facts(control) == {"date": "2026-03-04", "operator": "jk"}
+    bluehill = {
+        "Specimen properties : Length": "50 mm",
+        "Specimen properties : Width": "wide",
+        "General : Specimen number (included)": "7",
+    }
+    assert facts(bluehill) == {"length": "50 mm", "specimen": "7"}
+    assert facts({"Operator": "<None>", "Test Run": "A2-085-1"}) == {"take": "A2-085-1"}
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    {
+        "A2-085-1": {"type": "A2", "length": "85 mm", "sample": "1"},
+        "TWB-B1-19-PVC-2": {"type": "TWB-B1-19-PVC", "sample": "2"},
+        "twist-tube-1a": {"type": "twist-tube", "sample": "1a"},
+        "CT_10_3": {"type": "CT_10", "sample": "3"},
+        "2026-03-04": {},
+        "Test Run 4 10-23-2023 6 43 09 PM": {},
+        "specimen": {},
+    }.items(),
+)
+def test_the_pattern_of_a_lab(name: str, said: dict[str, str]) -> None:
+    assert {each.key: each.value for each in facts_of_folder(name)} == said
+
+
+def test_what_all_say_is_taken_and_what_is_said_twice_is_left_open() -> None:
+    both = agreed(
+        [
+            Fact("date", "2026-03-04", "a.mat"),
+            Fact("date", "", "b.csv", "3/4/2026"),
+            Fact("date", "2026-03-04", "take.csv"),
+            Fact("operator", "jk", "a.mat"),
+            Fact("operator", "vl", "take.csv"),
+            Fact("type", "A2", FOLDER),
+        ]
+    )
+
+    assert both.facts["date"].where == "a.mat and take.csv"
+    assert list(both.facts) == ["date", "type"]
+    assert both.open == ("operator: jk in a.mat, vl in take.csv; left out, write the right one",)
+
+
+def test_a_day_that_can_be_read_two_ways_is_left_open() -> None:
+    found = agreed([Fact("date", "", "b.csv", "3/4/2026")])
+    said = "date: '3/4/2026' in b.csv can be read day first or month first; left out"
+    assert (dict(found.facts), found.open) == ({}, (said,))
+
+
+TIME: Floats = np.linspace(0.0, 120.0, 1201)
+
+
+@pytest.fixture(scope="module")
+def protocols() -> list[Protocol]:
+    return all_protocols()
+
+
+def cell() -> SeenExport:
+    """The load cell in volts, as the benches record it."""
+    channel = Channel("Out1", "Model Root/Load Cell/Out1", np.sin(TIME))
+    return SeenExport(
+        Path("f.mat"), Recording("dspace-mat", "", "", (Clock("time", TIME),), (channel,))
+    )
+
+
+def take(*, body: str = "Clamp", length: float = 0.085, stroke: float = 0.053) -> SeenExport:
+    """A clamp that goes down, and markers along a wire."""
+    down = np.zeros((len(TIME), 3))
+    down[:, 1] = -stroke * np.clip(TIME / 60.0, 0.0, 1.0)
+    none = np.full((len(TIME), 4), np.nan)
+    bodies = (RigidBody(body, down, none, none[:, 0]),) if body else ()
+    along = length + 0.006 - 0.004
+    last = down + np.array([along, 0.0, 0.0])
+    tracks = MarkerTracks(TIME, TIME, 10.0, ("Wire:Marker1",), last[:, None, :], bodies)
+    return SeenExport(Path("t.csv"), Recording("motive-csv", markers=tracks))
+
+
+def frame(
+    travel: float, speed: float, *, peak: float = 100.0, start: float = 0.0, name: str = "m.txt"
+) -> SeenExport:
+    """A pull on a load frame at a steady speed."""
+    time = np.linspace(start, start + travel / speed, 400)
+    clock = Clock("time", time)
+    moved = Channel("Crosshead", "Crosshead", (time - start) * speed * 1e3, unit_in_file="mm")
+    force = Channel("Load", "Load", peak * np.linspace(0.0, 1.0, 400), unit_in_file="N")
+    recording = Recording("load-frame", "", "", (clock,), (moved, force), metadata={"dialect": "x"})
+    return SeenExport(Path(name), recording)
+
+
+def names(fits: Sequence[Fit]) -> list[str]:
+    return [fit.protocol.name for fit in fits]
+
+
+def test_a_wire_is_known_by_clamp_length_and_stroke(protocols: list[Protocol]) -> None:
+    (fit,) = fitting([cell(), take()], protocols, Known(("A2-085-1", "A2"), 0.085))
+    assert fit.protocol.name == "wire-cantilever"
+    assert fit.files == {"force": ("f.mat",), "markers": ("t.csv",)}
+    assert fit.faults == ()
+
+
+def test_a_bundle_is_longer(protocols: list[Protocol]) -> None:
+    assert names(fitting([cell(), take(length=0.1143)], protocols, Known())) == ["taped-bundle"]
+
+
+def test_without_a_clamp_it_lies_on_two_supports(protocols: list[Protocol]) -> None:
+    assert names(fitting([cell(), take(body="")], protocols, Known())) == ["conduit-bundle"]
+
+
+def test_a_take_alone(protocols: list[Protocol]) -> None:
+    assert names(fitting([take()], protocols, Known())) == ["markers-only"]
+
+
+def test_what_fits_alike_is_not_chosen_from(protocols: list[Protocol]) -> None:
+    exports = [cell(), take(length=0.1)]
+    assert names(fitting(exports, protocols, Known(length=0.1))) == [
+        "taped-bundle",
+        "wire-cantilever",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("of_type", "of_campaign", "expected"),
+    [
+        ({}, {"wire-cantilever": 1}, "wire-cantilever"),
+        ({}, {"wire-cantilever": 3, "taped-bundle": 2}, "wire-cantilever"),
+        ({}, {"wire-cantilever": 2, "taped-bundle": 2}, ""),
+        ({}, {"wire-cantilever": 2, "corrugated-tube": 3}, ""),
+        ({}, {"wire-cantilever": 6, "": 15}, ""),
+        ({}, {"corrugated-tube": 9}, ""),
+        ({"taped-bundle": 1}, {"wire-cantilever": 9, "taped-bundle": 1}, "taped-bundle"),
+        ({"taped-bundle": 1, "": 1}, {"wire-cantilever": 9, "taped-bundle": 1}, "wire-cantilever"),
+    ],
+)
+def test_what_fits_alike_is_settled_by_most_of_the_others(
+    protocols: list[Protocol],
+    of_type: dict[str, int],
+    of_campaign: dict[str, int],
+    expected: str,
+) -> None:
+    known = Known(of_type=of_type, of_campaign=of_campaign)
+    found = fitting([cell(), take(length=0.1)], protocols, known)
+    assert names(found) == ([expected] if expected else ["taped-bundle", "wire-cantilever"])
+    if expected:
+        share = f"{(of_type or of_campaign)[expected]} of " if not of_type.get("") else "9 of 10"
+        assert share in found[0].signs[-1].text
+
+
+@pytest.mark.parametrize("called", ["22AWG tensile_3", "tensile-1", "A Tensile (2)"])
+def test_facts_of_the_export_count_before_the_others(
+    protocols: list[Protocol], called: str
+) -> None:
+    """A short pull among tubes that are stretched by 50 mm is none of them."""
+    pull = frame(0.012, 0.1e-3)
+    among = {"corrugated-tube": 20}
+    undecided = names(fitting([pull], protocols, Known(of_campaign=among)))
+    assert "tensile" in undecided
+    assert "corrugated-tube" not in undecided
+    assert names(fitting([pull], protocols, Known((called,), of_campaign=among))) == ["tensile"]
+
+
+def test_tubes_and_tapes_by_stroke_speed_and_name(protocols: list[Protocol]) -> None:
+    tube = frame(0.05, 0.423e-3)
+    assert names(fitting([tube], protocols, Known())) == ["corrugated-tube"]
+    tape = frame(0.04, 0.5e-3, peak=400.0)
+    assert "tensile" in names(fitting([tape], protocols, Known()))  # one weak sign is too little
+    assert names(fitting([tape], protocols, Known(("pet-tape-1",)))) == ["pet-tape"]
+
+
+def test_parts_of_one_recording_are_of_one_role(protocols: list[Protocol]) -> None:
+    parts = [frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, start=11.0, name="2.txt")]
+    for fit in fitting(parts, protocols, Known()):
+        assert fit.files == {"frame": ("1.txt", "2.txt")}
+        assert not fit.unclear
+
+
+def test_several_that_are_no_parts_are_unclear(protocols: list[Protocol]) -> None:
+    several = [frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, name="2.txt")]
+    fits = fitting(several, protocols, Known())
+    assert {fit.unclear for fit in fits} == {frozenset({"frame"})}
+    named = fitting(several, protocols, Known(roles={"frame": ("2.txt",)}))
+    assert {fit.files["frame"] for fit in named} == {("2.txt",)}
+    assert not any(fit.unclear for fit in named)
+
+
+def test_a_channel_of_another_name_is_said(protocols: list[Protocol]) -> None:
+    other = Channel("ADC", "Model Root/ADC", np.sin(TIME))
+    recording = Recording("dspace-mat", "", "", (Clock("time", TIME),), (other,))
+    wire = [each for each in protocols if each.name == "wire-cantilever"]
+    (fit,) = fitting([SeenExport(Path("f.mat"), recording), take(body="Grip")], wire, Known())
+    assert "Name the right one with 'sources.force.channel" in fit.faults[0]
+    assert fit.faults[1] == "the take has no rigid body 'Clamp', which 'markers.clamp' names"
+
+
+def test_nothing_fits_what_lacks_a_role(protocols: list[Protocol]) -> None:
+    wire = [each for each in protocols if each.name == "wire-cantilever"]
+    assert fitting([cell()], wire, Known()) == []
+    assert fitting([cell(), take()], wire, Known(roles={"frame": ("m.txt",)})) == []
+
+
+def test_real_parts_of_a_load_frame(protocols: list[Protocol], realdata: Path) -> None:
+    folder = next((realdata / "mts" / "MTS_data").glob("*/Test Run 4*"))
+    fits = fitting(look_into(folder).exports, protocols, Known())
+    assert {len(fit.files["frame"]) for fit in fits} == {6}  # one of them is empty

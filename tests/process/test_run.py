@@ -1,17 +1,186 @@
+"""Tests that are found, processed and refused."""
+
 from __future__ import annotations
 
+import json
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
-from labpipe.errors import ProcessingError, ProtocolError, StoreError
-from labpipe.process.run import process_test
-from labpipe.records.harness_bundle import Bundle, BundleWire
-from labpipe.records.result import Status
+from labpipe import __version__
+from labpipe.errors import CODES, ProcessingError, StoreError, UsageError
+from labpipe.process.attempts import Refused, Task, attempt, refuse
+from labpipe.process.folder_contents import folders_of_tests, look_into
+from labpipe.process.run import Processed, process_test
+from labpipe.process.targets import (
+    files_below,
+    find_copies,
+    find_results,
+    find_tests,
+    recording_of,
+    refuse_repeated,
+)
+from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.schema import Protocol
+from labpipe.records.result import InputFile, Specimen, Status, TestResult
 from labpipe.store.read import read_result
+from labpipe.store.replace import locked
+from tests.builders.load_frames import mts_suite
+from tests.builders.pulls import broken, pull
 from tests.builders.small_tests import Lab, state
+from tests.builders.tensile_tests import TensileLab, write_pull
+
+
+@pytest.fixture
+def pull_lab(tmp_path: Path) -> TensileLab:
+    """One pull."""
+    pull_lab = TensileLab(tmp_path, "P-1")
+    travel, force = pull(slack=0.001, seed=1)
+    write_pull(pull_lab, "tensile", broken(travel, force, at=0.018), travel)
+    return pull_lab
+
+
+def tried(pull_lab: TensileLab, **more: Any) -> Processed | Refused:
+    return attempt(Task(pull_lab.sheet, figures=False, **more))
+
+
+def failure(pull_lab: TensileLab) -> dict[str, Any]:
+    said: dict[str, Any] = json.loads((pull_lab.processed / "failure.json").read_text("utf-8"))
+    return said
+
+
+def test_a_failure_stands_beside_untouched_results_until_a_success(pull_lab: TensileLab) -> None:
+    assert isinstance(tried(pull_lab), Processed)
+    before, summary = state(pull_lab.processed), pull_lab.summary
+    assert sorted(before) == ["result.h5", "summary.json"]
+    export = pull_lab.export.read_bytes()
+    pull_lab.export.write_bytes(export[:80])
+    refused = tried(pull_lab)
+    assert isinstance(refused, Refused)
+    after = state(pull_lab.processed)
+    assert after.pop("failure.json")
+    assert after == before
+    said = failure(pull_lab)
+    assert said.pop("run") == refused.run != summary["run"]
+    assert said.pop("inputs")[0]["sha256"] != summary["inputs"][0]["sha256"]
+    assert said == {
+        "schema": 1,
+        "labpipe": __version__,
+        "test": "P-1",
+        "code": "unreadable_export",
+        "reason": refused.reason,
+        "made_of": summary["made_of"],
+    }
+    pull_lab.export.write_bytes(export)
+    assert isinstance(tried(pull_lab), Processed)
+    assert sorted(state(pull_lab.processed)) == ["result.h5", "summary.json"]
+
+
+def spoil(error: Exception) -> Callable[..., Any]:
+    def spoiled(*_: object, **__: object) -> Any:
+        raise error
+
+    return spoiled
+
+
+FAULT = (
+    r"expected to get through, found a fault of labpipe itself \(ZeroDivisionError: of all\)\."
+    r" Report it \(run.py, line \d+\) with the exports of the test; processed alone, it says more"
+)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (MemoryError(), "out_of_memory", "expected a test that goes into the memory"),
+        (OSError(5, "Input/output error"), "system_refused", "a file that can be used"),
+        (ZeroDivisionError("of\nall"), "fault_of_labpipe", FAULT),
+    ],
+)
+def test_what_is_no_error_of_labpipe_has_a_code_too(
+    pull_lab: TensileLab, monkeypatch: pytest.MonkeyPatch, error: Exception, code: str, said: str
+) -> None:
+    monkeypatch.setattr("labpipe.process.run.reduce_recordings", spoil(error))
+    refused = tried(pull_lab)
+    assert isinstance(refused, Refused)
+    assert (refused.code, failure(pull_lab)["code"]) == (code, code)
+    assert re.search(said, refused.reason)
+
+
+def without_export(pull_lab: TensileLab) -> None:
+    pull_lab.export.unlink()
+
+
+def without_channel(pull_lab: TensileLab) -> None:
+    pull_lab.override("sources.frame.channels.force.channel", "Nothing")
+
+
+def without_protocol(pull_lab: TensileLab) -> None:
+    pull_lab.edit("test.yaml", "protocol: tensile", "protocol: none-such")
+
+
+def without_sheet(pull_lab: TensileLab) -> None:
+    pull_lab.sheet.unlink()
+
+
+def a_file_for_a_folder(pull_lab: TensileLab) -> None:
+    (pull_lab.processed / "result.h5").mkdir(parents=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (without_export, "missing_export"),
+        (without_channel, "missing_channel"),
+        (without_protocol, "bad_sheet"),
+        (without_sheet, "bad_sheet"),
+        (a_file_for_a_folder, "cannot_store"),
+    ],
+)
+def test_codes(pull_lab: TensileLab, change: Callable[[TensileLab], None], code: str) -> None:
+    change(pull_lab)
+    refused = tried(pull_lab)
+    assert isinstance(refused, Refused)
+    assert (refused.code, failure(pull_lab)["code"]) == (code, code)
+    assert code in CODES
+    assert failure(pull_lab)["run"] == refused.run
+
+
+def test_a_result_that_cannot_be_processed_again(pull_lab: TensileLab) -> None:
+    assert isinstance(tried(pull_lab), Processed)
+    pull_lab.result.write_bytes(pull_lab.result.read_bytes()[:1000])
+    refused = attempt(Task(pull_lab.result, figures=False))
+    assert isinstance(refused, Refused)
+    assert (refused.code, failure(pull_lab)["code"]) == ("bad_result", "bad_result")
+
+
+def test_another_process_in_the_folder_is_no_failure(pull_lab: TensileLab) -> None:
+    with locked(pull_lab.processed):
+        refused = tried(pull_lab)
+    assert isinstance(refused, Refused)
+    assert refused.code == "in_use"
+    assert not (pull_lab.processed / "failure.json").exists()
+
+
+def test_a_key_that_is_known_before_counts(pull_lab: TensileLab, tmp_path: Path) -> None:
+    task = Task(pull_lab.sheet, tmp_path / "there" / "P", run="0a")
+    assert refuse(task, "process_died", "words", is_read=False).run == "0a"
+    said = json.loads((tmp_path / "there" / "P" / "failure.json").read_text("utf-8"))
+    assert (said["run"], said["test"], said["inputs"]) == ("0a", "", [])
+
+
+def test_no_folder_to_write_in(pull_lab: TensileLab, tmp_path: Path) -> None:
+    shutil.rmtree(pull_lab.raw)
+    (tmp_path / "file").write_text("")
+    refused = tried(pull_lab, goal=tmp_path / "file" / "P")
+    assert isinstance(refused, Refused)
+    assert refused.folder == tmp_path / "file" / "P"
 
 
 def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
@@ -26,40 +195,6 @@ def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
     assert stored.test_yaml == (lab.raw / "test.yaml").read_text(encoding="utf-8")
     assert "name: wire-cantilever" in stored.protocol_yaml
     assert stored.specimen.dimensions == {"length": 0.085}
-
-
-@pytest.mark.slow
-def test_the_words_on_a_bundle_reach_the_result_and_stay_when_it_is_processed_again(
-    lab: Lab,
-) -> None:
-    path = lab.raw / "test.yaml"
-    sheet = yaml.safe_load(path.read_text(encoding="utf-8"))
-    sheet["specimen"] |= {
-        "bundle": {"wires": "4 B1 + 3 B2", "arrangement": "symmetric"},
-        "labels": {"cured": "24 h"},
-    }
-    path.write_text(yaml.safe_dump(sheet), encoding="utf-8")
-
-    process_test(path, figures=False)
-    first = read_result(lab.result).specimen
-    process_test(lab.result, figures=False)
-
-    wires = (BundleWire("B1", 4), BundleWire("B2", 3))
-    assert first.bundle == Bundle(wires, arrangement="symmetric")
-    assert first.labels == {"cured": "24 h"}
-    assert read_result(lab.result).specimen == first
-
-
-def test_a_date_after_the_due_one_of_a_certificate_is_seen_again_and_again(lab: Lab) -> None:
-    path = lab.raw / "test.yaml"
-    sheet = yaml.safe_load(path.read_text(encoding="utf-8")) | {"date": "2026-02-01"}
-    certificate = {"number": "LC-7", "date": "2025-01-10", "due": "2026-01-10"}
-    sheet["overrides"]["sources.force.certificate"] = {"value": certificate, "because": "another"}
-    path.write_text(yaml.safe_dump(sheet), encoding="utf-8")
-    for source in (path, lab.result):
-        found = {each.name: each for each in process_test(source, figures=False).result.results}
-        assert "calibration_overdue: " in found["peak_force.1"].why
-        assert found["peak_displacement.1"].status is Status.OK
 
 
 def test_failed_results_are_counted(lab: Lab) -> None:
@@ -88,20 +223,6 @@ def test_errors_name_the_test(lab: Lab) -> None:
     lab.override("markers.clamp", "Clmp")
     with pytest.raises(ProcessingError, match=r"T1, markers, rigid bodies: .*'Clamp'.*Name the"):
         process_test(lab.raw / "test.yaml", figures=False)
-
-
-def test_a_file_that_is_no_result(tmp_path: Path) -> None:
-    path = tmp_path / "result.h5"
-    path.write_bytes(b"nothing")
-    with pytest.raises(StoreError, match=r"result.h5"):
-        process_test(path, figures=False)
-
-
-def test_a_sheet_that_is_none(tmp_path: Path) -> None:
-    path = tmp_path / "test.yaml"
-    path.write_text("test: T1\n", encoding="utf-8")
-    with pytest.raises(ProtocolError, match=r"test.yaml"):
-        process_test(path, figures=False)
 
 
 @pytest.mark.slow
@@ -138,3 +259,194 @@ def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
         opened["raw"].attrs.create("roles", ["markers"], dtype=h5py.string_dtype())
     with pytest.raises(StoreError, match=r"raw/force: expected the channels .*, found none"):
         process_test(lab.result, figures=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("none", "found nothing of that name"), ("empty", "found neither")]
+)
+def test_no_test_there(tmp_path: Path, name: str, found: str) -> None:
+    (tmp_path / "empty").mkdir()
+    said = f"expected a test.yaml, a folder that holds one, or a result.h5, {found}"
+    with pytest.raises(UsageError, match=said):
+        find_tests([tmp_path / name])
+
+
+def test_an_export_is_no_test(tmp_path: Path) -> None:
+    export = tmp_path / "force.mat"
+    export.write_bytes(b"MATLAB")
+    with pytest.raises(
+        UsageError, match=r"found a \.mat file\. An export belongs to a test: `labpipe new` writes"
+    ):
+        find_tests([export])
+
+
+def test_results_are_found_once_and_in_order(tmp_path: Path) -> None:
+    for name in ("T-2", "T-1", "H-1"):
+        (tmp_path / "c" / name).mkdir(parents=True)
+        (tmp_path / "c" / name / "result.h5").touch()
+    one = tmp_path / "c" / "T-1" / "result.h5"
+    assert find_results([one]) == [one]
+    names = [file.parent.name for file in find_results([tmp_path, one, tmp_path / "c"])]
+    assert names == ["H-1", "T-1", "T-2"]
+
+
+def test_no_results(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"expected a result.h5, or a folder with .*, found none"):
+        find_results([tmp_path])
+    with pytest.raises(UsageError, match=r"found nothing of that name\. `labpipe process` makes"):
+        find_results([tmp_path / "nowhere"])
+
+
+@pytest.mark.parametrize("hidden", [".labpipe.new", ".trash", "T-1/.labpipe.new"])
+def test_what_is_hidden_is_no_input(tmp_path: Path, hidden: str) -> None:
+    """A process that was killed leaves its half of a result in a hidden folder."""
+    for folder in ("T-1", hidden):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+        (tmp_path / folder / "result.h5").touch()
+        (tmp_path / folder / "test.yaml").touch()
+    assert find_results([tmp_path]) == [tmp_path / "T-1" / "result.h5"]
+    assert find_tests([tmp_path]) == [tmp_path / "T-1" / "test.yaml"]
+    (tmp_path / "T-1" / ".hidden.yaml").touch()
+    names = [path.name for path in files_below(tmp_path)]
+    assert names == ["result.h5", "test.yaml"]
+
+
+def test_what_labpipe_was_writing_is_refused(tmp_path: Path) -> None:
+    stage = tmp_path / "T-1" / ".labpipe.new"
+    stage.mkdir(parents=True)
+    (stage / "result.h5").touch()
+    said = "found one that labpipe was writing when it was stopped. Process the test again."
+    for target in (stage, stage / "result.h5"):
+        with pytest.raises(UsageError, match=said):
+            find_results([target])
+
+
+def test_one_file_by_two_ways_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "T-1").mkdir()
+    (tmp_path / "T-1" / "result.h5").touch()
+    (tmp_path / "again").symlink_to(tmp_path / "T-1")
+    monkeypatch.chdir(tmp_path)
+    found = find_results([Path("T-1"), tmp_path / "T-1", Path("again/result.h5")])
+    assert found == [Path("T-1/result.h5")]
+
+
+def test_two_tests_that_share_a_name(tmp_path: Path) -> None:
+    files = [tmp_path / name / "result.h5" for name in "abc"]
+    refuse_repeated(zip(("T-1", "T-2", "T-3"), files, strict=True), "name")
+    with pytest.raises(UsageError) as told:
+        refuse_repeated(zip(("T-1", "T-2", "t-1"), files, strict=True), "name")
+    assert str(told.value) == (
+        f"{files[2]}: expected one test for each name, found a second for 't-1'. {files[0]} is the"
+        " first: rename one of them in its test.yaml, or leave it out."
+    )
+
+
+RESULT = TestResult(
+    test="T-1",
+    specimen=Specimen("tube", "1", "1"),
+    protocol="p",
+    protocol_yaml="",
+    test_yaml="",
+    labpipe_version="",
+    inputs=(InputFile("frame", "a.csv", "12", 1), InputFile("markers", "b.csv", "34", 1)),
+    recordings={},
+    aligned=None,
+    curve=None,
+    shape=None,
+    results=(),
+    quality=(),
+)
+
+
+SOURCES = """
+version: 1
+name: p
+sources:
+  frame:
+    reader: load-frame
+    part: Specimen 1
+    channels: {force: {channel: F}, displacement: {channel: D}}
+  markers: {reader: motive-csv}
+markers: {clamp: Base, along: [wire 1]}
+"""
+
+
+def protocol(old: str = "", new: str = "") -> Protocol:
+    return parse_protocol(SOURCES.replace(old, new), "p.yaml")
+
+
+def test_names_of_test_and_files_do_not_matter() -> None:
+    turned = tuple(replace(each, file="c.csv") for each in reversed(RESULT.inputs))
+    other = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=turned)
+    assert recording_of(RESULT, protocol()) == recording_of(other, protocol())
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("Specimen 1", "Specimen 2"),
+        ("channel: F", "channel: F2"),
+        ("wire 1", "w 2"),
+        ("Base", "B2"),
+    ],
+)
+def test_one_export_may_hold_several_specimens(old: str, new: str) -> None:
+    assert recording_of(RESULT, protocol()) != recording_of(RESULT, protocol(old, new))
+
+
+def test_other_bytes_are_another_recording() -> None:
+    first, second = RESULT.inputs
+    changed = replace(RESULT, inputs=(first, replace(second, sha256="56")))
+    assert recording_of(RESULT, protocol()) != recording_of(changed, protocol())
+
+
+def test_all_but_the_first_are_copies() -> None:
+    files = [Path(name) / "result.h5" for name in "abcd"]
+    found = find_copies(list(zip(files, (1, 2, 1, 1), strict=True)))
+    assert list(found) == [str(files[2]), str(files[3])]
+    assert f"found the same exports, byte for byte, as in {files[0]}." in found[str(files[3])]
+
+
+def test_exports_are_known_by_their_content(lab: Lab) -> None:
+    (lab.raw / "force.mat").rename(lab.raw / "take 7.txt")
+    (lab.raw / "notes.md").write_text("of the test", encoding="utf-8")
+    (lab.raw / ".hidden").write_text("x", encoding="utf-8")
+
+    found = look_into(lab.raw)
+
+    assert {each.name: each.reader for each in found.exports} == {
+        "take 7.txt": "dspace-mat",
+        "take.csv": "motive-csv",
+    }
+    assert found.others == {"truth.json": "JSON"}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("cut.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "expected a whole MAT v5 file"),
+        ("empty.csv", b"", "expected a file with content"),
+        ("a\nb.csv", mts_suite(), "its name has control characters; rename it"),
+    ],
+)
+def test_what_is_no_export_is_said(tmp_path: Path, name: str, content: bytes, why: str) -> None:
+    (tmp_path / name).write_bytes(content)
+
+    found = look_into(tmp_path)
+
+    assert found.exports == ()
+    said = {**found.unread, **found.others}
+    assert list(said) == [name]
+    assert said[name].startswith(why)
+    assert bool(found.unread) == name.endswith((".mat", "empty.csv"))  # these may still be written
+
+
+def test_folders_of_a_campaign(tmp_path: Path) -> None:
+    for name in ("B", "A", ".git", "empty"):
+        (tmp_path / name).mkdir()
+    for name in ("B", "A", ".git"):
+        (tmp_path / name / "x.csv").write_text("x", encoding="utf-8")
+    assert folders_of_tests(tmp_path) == [tmp_path / "A", tmp_path / "B"]
+    (tmp_path / "test.yaml").write_text("test: x", encoding="utf-8")
+    assert folders_of_tests(tmp_path) == []
+    assert folders_of_tests(tmp_path / "A") == []

@@ -1,4 +1,4 @@
-"""Steps of a protocol on one channel."""
+"""Steps of a protocol on channels and on a travel made from crosshead speed."""
 
 from __future__ import annotations
 
@@ -10,15 +10,22 @@ import numpy as np
 import pytest
 
 from labpipe.process.calibrated_signals import Prepared
-from labpipe.process.steps import ShortStretchError, take_step
+from labpipe.process.steps import take_step
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.quality import QualityNote
+from labpipe.records.causes import SPEED as SPEED_CAUSE
+from labpipe.records.causes import TURN
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.result import Status
 from labpipe.records.signals import Signal, Signals
 from labpipe.signal.filters import Butterworth, Smoothing, in_pieces
+from tests.builders.doubts import doubted
+from tests.builders.three_point import STROKE, BendingRecord, reduced
 
 TIME: Floats = np.arange(2000, dtype=np.float64) * 0.01
+
+
 VALUES: Floats = 0.3 + np.sin(TIME) + np.random.default_rng(1).normal(0, 0.01, len(TIME))
 
 
@@ -61,12 +68,6 @@ def test_zero_at_the_start() -> None:
     assert test.notes[0].message == f"zero at {level:.6g} N, the mean over 1.995 s at the start"
 
 
-def test_zero_at_the_end() -> None:
-    test = after("{step: zero, channel: force, over: 0.995 s, at: end}")
-    rest = TIME[-1] - 0.995 < TIME
-    assert abs(test.signals.raw["force"].values[rest].mean()) < 1e-12
-
-
 def test_error_of_the_zero_holds() -> None:
     pulls = []
     for seed in range(200):
@@ -90,25 +91,6 @@ def test_zero_by_a_line_is_what_the_first_sample_stood_at() -> None:
     np.testing.assert_allclose(test.signals.raw["force"].values, 2.0 * TIME, atol=1e-9)
     assert test.signals.zeroed == {}  # that it moves is no fault
     assert test.notes[0].message == "zero at 0.3 N, the outer end of a line over 0.5 s at the start"
-
-
-def test_zero_by_a_line_at_the_end() -> None:
-    step = "{step: zero, channel: force, over: 0.5 s, by: line, at: end}"
-    values = after(step, ramp(0.3, 2.0, 0.0)).signals.filtered["force"].values
-    np.testing.assert_allclose(values, 2.0 * (TIME - TIME[-1]), atol=1e-9)
-
-
-def test_a_mean_in_motion_is_no_zero() -> None:
-    mean = after("{step: zero, channel: force, over: 0.5 s}", ramp(0.3, 2.0, 0.0))
-    assert mean.signals.filtered["force"].values[0] == pytest.approx(-0.5, abs=0.02)
-    assert "force" in mean.signals.zeroed
-
-
-def test_a_line_takes_no_notice_of_blanks() -> None:
-    values = ramp(0.3, 0.0, 0.0)
-    values[5:9] = np.nan
-    test = after("{step: zero, channel: force, over: 0.5 s, by: line}", values)
-    np.testing.assert_allclose(test.signals.filtered["force"].values[20:], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("at", ["start", "end"])
@@ -188,16 +170,6 @@ def test_few_samples_are_enough_beside_a_record(by: str, error: float) -> None:
     assert test.signals.raw["force"].zero_error == pytest.approx(error, rel=0.1)
 
 
-def test_few_samples_of_a_short_record() -> None:
-    signal = Signal(np.linspace(0.0, 2.9, 30), VALUES[:30], "N", "frame")
-    with pytest.raises(ShortStretchError) as refused:
-        stepped("{step: zero, channel: force, over: 0.5 s}", signal)
-    assert str(refused.value) == (
-        "force: 6 samples in the 0.5 s to zero on, 8 are needed, and there are 10 per second"
-    )
-    assert refused.value.needed == pytest.approx(0.85)
-
-
 @pytest.mark.parametrize(
     ("span", "window"),
     [("1 s", 99), ("2 mm", 99), ("10 %", 49), ("21 samples", 21), ("20 samples", 19)],
@@ -229,14 +201,6 @@ def test_decimate(method: str) -> None:
     assert test.notes[0].message == f"every 4th sample kept ({method})"
 
 
-@pytest.mark.parametrize("count", [1000, 2000, 50_000])
-def test_zero_by_a_line_is_exact_however_many_samples(count: int) -> None:
-    time = np.linspace(0.0, 0.5, count)
-    signal = Signal(time, 3.0 + 100.0 * time, "N", "frame")
-    test = stepped("{step: zero, channel: force, over: 0.5 s, by: line}", signal)
-    assert test.signals.filtered["force"].values[0] == pytest.approx(0.0, abs=1e-9)
-
-
 def test_zero_by_line_over_rest_and_motion() -> None:
     """The machine moves from the first second on: the zero is what it stood at before."""
     values = 0.7 + np.clip(TIME - 1.0, 0.0, None) + 1e-3 * np.sin(60.0 * TIME)
@@ -246,3 +210,80 @@ def test_zero_by_line_over_rest_and_motion() -> None:
     assert re.match(said, note.message)
     assert abs(float(test.signals.raw["force"].values[TIME < 0.9].mean())) < 1e-3
     assert test.signals.lined == {"force": (0.0, 2.0)}
+
+
+ALONE = ("frame", "markers")
+
+
+def test_it_ends_at_the_stroke_where_the_force_turns() -> None:
+    test, results = reduced(BendingRecord(force_late=-3.0), without=ALONE)
+
+    peak = results["peak_displacement.1"]
+    assert peak.value == pytest.approx(STROKE, abs=1e-5)
+    assert peak.interval is not None
+    assert peak.interval.upper / STROKE - 1.0 == pytest.approx(0.01, abs=0.005)  # speed, 0.5 %
+    assert {each.status for each in results.values()} == {Status.OK}
+    assert test.clocks.force is None
+    (note,) = (note for note in test.findings.notes if note.code == "displacement_from_speed")
+    assert note.severity is Severity.INFO
+    assert note.message.startswith(
+        "no export measured it: 0.5 mm/s over 58.8 s up to the force's corner at 61.8"
+    )
+
+
+def test_what_is_not_known_of_the_drive_moves_it() -> None:
+    """0.5 % faster, and later by what is not known of the turn: less on the way up, more down."""
+    test, _ = reduced(BendingRecord(force_late=-3.0), without=ALONE)
+
+    way = test.displacement
+    np.testing.assert_allclose(way.moved[SPEED_CAUSE], 1.005 * way.values)
+    later = way.moved[TURN] - way.values
+    top = int(np.argmax(way.values))
+    assert np.median(later[100 : top - 100]) < 0.0 < np.median(later[top + 100 :])
+    assert np.ptp(later) < 1e-4
+
+
+def test_a_measured_displacement_goes_before_it() -> None:
+    test, _ = reduced(BendingRecord(), without=("markers",))
+
+    assert "displacement_from_speed" not in {note.code for note in test.findings.notes}
+    assert test.signals.raw["displacement"].clock == "frame"
+
+
+def test_a_start_that_nobody_saw_is_said() -> None:
+    test, _ = reduced(BendingRecord(), without=ALONE)
+
+    (note,) = (note for note in test.findings.notes if note.code == "start_not_seen")
+    assert note.message == (
+        "the force was not seen to rise from rest, so that nothing checks the start"
+    )
+
+
+def test_a_zero_that_was_taken_under_load() -> None:
+    test, results = reduced(BendingRecord(force_late=2.0), without=ALONE)
+
+    assert doubted(test)["force"] == (
+        "start_missed: the record of the force begins 2.02 s after the motion, known to 0.59 s: "
+        "its zero was taken under load, so that forces are too small"
+    )
+    assert results["peak_force.1"].status is Status.DOUBTFUL
+    assert results["peak_displacement.1"].status is Status.OK
+
+
+def test_a_reversed_bridge() -> None:
+    change = (("gain: -0.21082 N/V", "gain: 0.21082 N/V"),)
+    test, results = reduced(BendingRecord(force_late=-3.0), without=ALONE, change=change)
+
+    assert results["peak_displacement.1"].value == pytest.approx(STROKE, abs=1e-5)
+    assert set(doubted(test)) == {"force"}
+    assert doubted(test)["force"].startswith("force_reversed: the force goes to -")
+
+
+def test_a_force_that_never_turns() -> None:
+    with pytest.raises(Exception, match="expected a corner where it turns from rising") as info:
+        reduced(BendingRecord(rigidity=0.0, noise=(1e-12, 0.0, 0.0)), without=ALONE)
+    assert str(info.value).startswith(
+        "steps.4 (travel-from-speed): force: expected a corner where it turns from rising to "
+        "falling, which says when the frame turned, found none: look whether it is the right "
+        "channel, and whether the unloading was recorded. Look at the exports with"
+    )

@@ -1,4 +1,4 @@
-"""Zeros from the rest that there is: all of it, a short one, or none to speak of."""
+"""Zeros from the rest that there is, records that begin under load, zeros that change."""
 
 from __future__ import annotations
 
@@ -21,13 +21,19 @@ from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.evidence import Evidence
 from labpipe.virtual_lab import observe
 from tests.builders.doubts import doubted
+from tests.builders.plain_records import PlainRecord, up_and_down
+from tests.builders.reduced import loop, reduced
 from tests.builders.small_tests import small_scenario
 
 TIME: Floats = np.arange(0.0, 50.0, 0.02)
+
+
 BRANCHES = (
     Branch(50, 1250, 1, Direction.LOADING, 1.0, 25.0),
     Branch(1250, 2450, 1, Direction.UNLOADING, 25.0, 49.0),
 )
+
+
 NOWHERE = Interval(float("nan"), float("nan"))
 
 
@@ -59,12 +65,6 @@ def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
         "the machine rests for 1.00 s, less than the 2 s to zero on: the zero is the mean over "
         "these 1.00 s"
     )
-
-
-def test_at_the_end_too() -> None:
-    made, _ = use_rest_there_is(zeroed((48.0, 50.0)), MOTION)
-    assert made.zeroed["force"] == (49.0, 50.0)
-    assert abs(float(made.raw["force"].values[TIME >= 49.0].mean())) < 1e-12
 
 
 def test_on_the_clock_of_the_signal() -> None:
@@ -100,7 +100,7 @@ def test_levels_hold_in_their_errors() -> None:
     assert (np.std(pulls, axis=0) > 0.4).all()
 
 
-def reduced(
+def reduced_wire(
     repository: Path, *, rest: float, offset: float, seed: int = 4
 ) -> tuple[Evidence, dict[str, Result]]:
     usual = small_scenario(cycles=3)
@@ -127,8 +127,8 @@ def test_short_rests_leave_results_as_good(
     repository: Path, rest: float, offset: float, where: list[str]
 ) -> None:
     """Rest of the cameras, of the force recorder, of both: each shorter than the 2 s asked for."""
-    _, whole = reduced(repository, rest=2.5, offset=offset)
-    made, short = reduced(repository, rest=rest, offset=offset)
+    _, whole = reduced_wire(repository, rest=2.5, offset=offset)
+    made, short = reduced_wire(repository, rest=rest, offset=offset)
     assert [note.where for note in made.findings.notes if note.code == "short_rest"] == where
     assert "zero_not_at_rest" not in str(doubted(made))
     asked = ("peak_force.1", "peak_displacement.1", "initial_stiffness", "bending_stiffness_at_3")
@@ -142,30 +142,11 @@ def test_short_rests_leave_results_as_good(
 
 
 def test_a_rest_too_short_for_a_zero_is_doubted(repository: Path) -> None:
-    made, results = reduced(repository, rest=0.02, offset=0.0)
+    made, results = reduced_wire(repository, rest=0.02, offset=0.0)
     assert ("force", "zero_not_at_rest") in {
         (each.quantity, each.reason.code) for each in made.findings.doubts
     }
     assert results["peak_force.1"].status is Status.DOUBTFUL
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("memory", [0.0, 0.9])
-@pytest.mark.parametrize("count", [3, 5])
-def test_zeros_of_few_samples_hold(memory: float, count: int) -> None:
-    """Of 300 records of 10 Hz, noise that remembers nothing, or ten samples."""
-    held = {"mean": 0, "line": 0}
-    for seed in range(300):
-        white = np.random.default_rng(seed).normal(0.0, np.sqrt(1.0 - memory**2), 400)
-        noise = lfilter([1.0], [1.0, -memory], white)[100:]
-        rising = noise + 0.5 * np.arange(300.0)
-        for word, level in (
-            ("mean", mean_level(noise[:count], rising[count:])),
-            ("line", end_level(rising[:count], rising[count:])),
-        ):
-            held[word] += abs(level[0]) <= 1.96 * level[1]
-    assert min(held.values()) >= 276  # 92 of 100
-    assert max(held.values()) <= 297
 
 
 def test_a_short_record_says_nothing_of_its_noise() -> None:
@@ -197,3 +178,175 @@ def test_zeros_of_few_samples_hold_in_a_short_record(memory: float) -> None:
         level, error = end_level(rising[:3], rising[3:])
         held += abs(level) <= 1.96 * error
     assert 273 <= held <= 297  # 91 of 100
+
+
+ASKED = """\
+results:
+  - {result: peak-force}
+  - {result: peak-displacement}
+  - {result: stiffness, from: 4 mm, to: 8 mm}
+  - {result: energy}
+"""
+
+
+LINES = """\
+steps:
+  - {step: zero, channel: force, over: 0.4 s, by: line}
+  - {step: zero, channel: displacement, over: 0.4 s, by: line}
+"""
+
+
+def late(share: float, noise: float = 1e-3, cycles: int = 2) -> PlainRecord:
+    """Cycles whose first rows are missing, as a share of the first loading."""
+    record = up_and_down(rest=0.0, noise=noise, cycles=cycles)
+    return record.where(record.time >= 5.0 * share)
+
+
+def doubtful(record: PlainRecord, more: str = ASKED) -> dict[str, str]:
+    _, results = reduced(*record.arrays(), more=more)
+    return {name: each.why for name, each in results.items() if each.status is not Status.OK}
+
+
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_numbers_that_were_zeroed_under_load(share: float, noise: float) -> None:
+    found = doubtful(late(share, noise), LINES + ASKED)
+    assert {"peak_force.1", "peak_force.2", "peak_displacement.2", "stiffness"} < set(found)
+    assert set(found) > {"energy.1", "energy.2"}
+    assert all(why.startswith("begins_under_load: ") for why in found.values())
+    assert " force and displacement zeroed there" in found["peak_force.1"]
+
+
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.2])
+def test_only_the_work_before_is_missing_where_nothing_was_zeroed(share: float) -> None:
+    found = doubtful(late(share))
+    assert set(found) == {"energy.1"}
+    assert found["energy.1"].startswith(
+        "begins_under_load: the record begins under load and in motion: 0."
+    )
+    assert f" N, {1e2 * share:.0f} % of its range, at " in found["energy.1"].replace(".1 %", " %")
+
+
+def test_only_the_displacement_was_zeroed() -> None:
+    found = doubtful(late(0.1), LINES.replace("force, over", "displacement, over") + ASKED)
+    assert {"peak_displacement.1", "peak_displacement.2", "stiffness", "energy.2"} <= set(found)
+    assert not {"peak_force.1", "peak_force.2"} & set(found)
+
+
+def test_slack_finds_the_zero_of_the_displacement() -> None:
+    """A line through the linear region goes back to zero force, which was exported as such."""
+    steps = "steps:\n  - {step: zero, channel: displacement, over: 0.4 s, by: line}\n"
+    record = late(0.1, cycles=1, noise=1e-4).up_to(4.9)
+    text = "curve: {force: force, displacement: displacement%s}\n"
+    plain, with_slack = text % "", text % ", slack: {from: 30 %, to: 60 %}"
+    _, results = reduced(*record.arrays(), more=steps + ASKED, replaced=(plain, with_slack))
+    assert results["stiffness"].status is Status.OK
+    assert results["stiffness"].value == pytest.approx(100.0, rel=0.01)
+
+
+def test_what_begins_with_an_unloading() -> None:
+    record = up_and_down(rest=0.0)
+    found = doubtful(record.where(record.time >= 5.0))
+    assert {"peak_force.1", "peak_displacement.1", "energy.1"} <= set(found)
+    assert "begins under load, with an unloading" in found["peak_force.1"]
+
+
+def offset(record: PlainRecord, force: float, path: float) -> PlainRecord:
+    return replace(record, force=record.force + force, displacement=record.displacement + path)
+
+
+def with_preload(record: PlainRecord) -> PlainRecord:
+    """Cycles between a tenth of the load and all of it."""
+    kept: Floats = 0.1 + 0.9 * record.force
+    return replace(record, force=kept, displacement=1e-3 + 0.9 * record.displacement)
+
+
+def test_what_does_not_begin_under_load() -> None:
+    for record in (
+        up_and_down(),  # at rest
+        up_and_down(rest=0.0),
+        offset(up_and_down(rest=0.0), 0.05, 0.0),  # load cells have offsets,
+        offset(up_and_down(rest=0.0), 0.05, 3e-3),
+        offset(up_and_down(rest=0.0), 0.0, 0.7),  # and crossheads count from anywhere
+        offset(up_and_down(), 0.4, 4e-3),
+        with_preload(up_and_down(rest=0.0, cycles=3)),
+        up_and_down(rest=0.0, noise=0.05),
+    ):
+        for steps in ("", LINES):
+            assert not [
+                why for why in doubtful(record, steps + ASKED).values() if "begins_under" in why
+            ]
+
+
+def test_an_offset_that_no_load_cell_has() -> None:
+    """Nothing tells it from a specimen that was loaded already."""
+    record = up_and_down(rest=0.0, cycles=1).up_to(4.9)
+    found = doubtful(offset(record, 0.3, 0.7), LINES + ASKED)
+    assert found["peak_force.1"].startswith("begins_under_load: ")
+    assert " N, 31 % of its range, at 700 mm in the first sample" in found["peak_force.1"]
+    _, results = reduced(*offset(up_and_down(rest=0.0), 0.3, 0.7).arrays(), more=LINES + ASKED)
+    assert results["peak_force.1"].status is Status.OK  # it ends where it began
+
+
+PULLED = "results:\n  - {result: peak-force}\n  - {result: peak-displacement}\n"
+
+
+FAILURE = (
+    "displacement: displacement}",
+    "displacement: displacement, failure: {force_below: 50 %}}",
+)
+
+
+NOISE = 0.005
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_a_test_whose_zero_stays(noise: float) -> None:
+    assert not doubted(reduced(*loop(noise=noise))[0])
+
+
+@pytest.mark.parametrize("size", [0.1, -0.1])
+def test_a_force_that_jumps_is_doubted_from_there_on(size: float) -> None:
+    """A tenth of the peak, in the second unloading."""
+    time, path, force = loop(noise=NOISE)
+    test, results = reduced(time, path, force + np.where(time > 35.0, size, 0.0))
+    assert doubted(test)["force"].startswith("zero_jump: the force jumps by ")
+    assert results["peak_force.1"].status is Status.OK
+    assert results["energy.1"].status is Status.OK
+    assert results["energy.2"].status is Status.DOUBTFUL
+
+
+def test_a_specimen_that_loses_force_while_it_is_loaded_may_slip() -> None:
+    time, path, force = loop(cycles=1)
+    test, _ = reduced(time, path, force - np.where((time > 8.0) & (time < 12.0), 0.05, 0.0))
+    assert "zero_jump" not in str(test.findings.doubts)
+
+
+@pytest.mark.parametrize(("drift", "is_seen"), [(0.1, True), (-0.1, True), (0.01, False)])
+def test_a_zero_that_drifts(drift: float, is_seen: bool) -> None:
+    time, path, force = loop(noise=NOISE)
+    test, results = reduced(time, path, force + drift * time / time[-1])
+    assert ("zero_drift" in str(test.findings.doubts)) is is_seen
+    assert (results["energy.2"].status is Status.DOUBTFUL) is is_seen
+    assert results["peak_displacement.1"].status is Status.OK
+
+
+def test_a_crosshead_zeroed_in_mid_record() -> None:
+    time, path, force = loop(noise=NOISE)
+    test, results = reduced(time, path + np.where(time < 1.0, 0.05, 0.0), force)
+    assert "zeroed in mid-record" in doubted(test)["displacement"]
+    assert results["peak_force.1"].status is Status.DOUBTFUL
+
+
+@pytest.mark.parametrize(
+    ("left", "is_seen"), [(-0.06, True), (-0.02, False), (0.0, False), (0.06, False)]
+)
+def test_the_force_once_the_specimen_is_broken(left: float, is_seen: bool) -> None:
+    time = np.arange(0.0, 12.0, 0.02)
+    force = np.where(time < 10.0, 0.1 * time, left)
+    force += np.random.default_rng(0).normal(0.0, 1e-3, len(time))
+    test, results = reduced(time, 1e-3 * time, force, more=PULLED, replaced=FAILURE)
+    assert ("zero_drift" in str(test.findings.doubts)) is is_seen
+    assert (results["peak_force.1"].status is Status.DOUBTFUL) is is_seen
+    if is_seen:
+        assert "once the specimen is broken, 6% of its peak below zero" in doubted(test)["force"]

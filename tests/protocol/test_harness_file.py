@@ -1,3 +1,5 @@
+"""Harness files: what they hold, and what a line cannot reach."""
+
 from __future__ import annotations
 
 import json
@@ -9,6 +11,7 @@ import yaml
 
 from labpipe.errors import ProtocolError
 from labpipe.protocol.harness_file import END, START, Clip, Grip, HarnessFile, Plane
+from labpipe.protocol.harness_reach import start_of
 from labpipe.protocol.load import load_harness
 from labpipe.protocol.reference import json_schema
 
@@ -99,59 +102,6 @@ def test_the_schema_takes_and_refuses_as_labpipe_does() -> None:
         assert not checker.is_valid(data | wrong)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("length: 0.3 m", "length: 0.3", "line 4, column 11 (line.length): expected a quantity"),
-        ("length: 0.3 m", "length: 0.3 N", "(line.length): expected a quantity with a unit such"),
-        ("elements: 30", "elements: 3", "expected a whole number from 4 to 2000, found '3'."),
-        ("    diameter: 2.2 mm\n", "", "(line.section): expected the key 'diameter' beside 'ben"),
-        (
-            "    largest_curvature: 80 1/m\n",
-            "",
-            "expected the key 'largest_curvature' beside 'bending_stiffness', found no such key. A "
-            "law needs a range",
-        ),
-        (
-            "    bending_stiffness: 150 N*mm^2",
-            "    wire: A2\n    bending_stiffness: 150 N*mm^2",
-            "expected one of the keys 'wire', 'sliders' and 'bending_stiffness', found 'wire' and "
-            "'bending_stiffness'. Say once what the line is made of.",
-        ),
-        ("    bending_stiffness: 150 N*mm^2\n", "", "found none of them"),
-        (
-            "    mass_per_length: 7 g/m",
-            "    sheet: wires.xlsx",
-            "(line.section.sheet): expected only keys that go with 'bending_stiffness'",
-        ),
-        ("at: start", "at: begin", "expected 'start', 'end', or a length from the start such as"),
-        ("[3, 0, 4]", "[0, 0, 0]", "expected a direction, found 'one without length'"),
-        ("[3, 0, 4]", "[3, 0]", "expected a list of three quantities, found 'a list of 2'. Write"),
-        ("[3, 0, 4]", "right", "expected a list of three quantities, found 'right'. Write x, y"),
-        ("kind: grip", "kind: gripp", "(boundaries.1.kind): expected one of 'grip',"),
-        ("name: stud", "name: left", "expected a name of its own, found 'left', as boundary 1."),
-        ("at: 200 mm", "at: start", "(boundaries.1.at): expected a place that nothing else holds"),
-        ("at: end", "at: 0.2 m", "expected a place that nothing else holds, found '0.2 m', which "),
-        ("step: 20", "step: 10", "(boundaries.1.path.1.step): expected a step after 10, found 10"),
-        ("step: 20", "step: 31", "expected a step from 1 to 30, the last, found '31'. Or raise"),
-        ("release: 25", "release: 31", "(boundaries.1.release): expected a step from 1 to 30"),
-        ("by: 5", "by: 50", "(boundaries.2.by): expected a step from 1 to 30, the last"),
-        ("[10, 20]", "[10, 40]", "(show.1): expected a step from 1 to 30, the last, found '40'."),
-        ("at: 200 mm\n", "at: 200 mm\n    holds: position\n", "(boundaries.1.path.1.direction): "),
-        ("friction: 0.3", "friction: -1", "(boundaries.6.friction): expected a pure number"),
-        ("steps: 30", "stpes: 30", "expected one of the keys 'steps'"),
-        ("[310 mm, 320 mm]", "[310 mm]", "(sweep.length): expected two lengths or more, found 1. "),
-    ],
-)
-def test_what_is_wrong_is_said_with_its_place(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
-    assert old in WHOLE
-    with pytest.raises(ProtocolError) as raised:
-        load(tmp_path, WHOLE.replace(old, new))
-    assert message in str(raised.value)
-
-
 def test_something_must_hold_the_line(tmp_path: Path) -> None:
     head, _, rest = WHOLE.partition("boundaries:\n")
     plane = "boundaries:\n  - {kind: plane, name: table, point: [0 mm, 0 mm, 0 mm]}\n"
@@ -160,26 +110,59 @@ def test_something_must_hold_the_line(tmp_path: Path) -> None:
     assert rest
 
 
-def test_a_fault_of_the_only_boundary_is_the_only_fault(tmp_path: Path) -> None:
-    head, _, _ = WHOLE.partition("boundaries:\n")
-    clip = "boundaries:\n  - {kind: clip, name: left, at: 0 mm, position: [0 mm, 0 mm, 0 mm]}\n"
-    with pytest.raises(ProtocolError) as raised:
-        load(tmp_path, head + clip)
-    assert len(str(raised.value).splitlines()) == 1
-    with pytest.raises(ProtocolError, match="expected a boundary that holds the line"):
-        load(tmp_path, head + "boundaries: []\n")
+BETWEEN_CLIPS = """\
+version: 1
+line:
+  length: 300 mm
+  section:
+    bending_stiffness: 150 N*mm^2
+    torsional_stiffness: 90 N*mm^2
+    largest_curvature: 80 1/m
+    diameter: 2.2 mm
+boundaries:
+  - {kind: clip, name: left, at: start, position: [10 mm, 0 mm, 0 mm], direction: [0, 1, 0]}
+  - {kind: clip, name: right, at: end, position: [10 mm, 250 mm, 0 mm]}
+"""
 
 
-def test_neither_weight_nor_stiffness(tmp_path: Path) -> None:
-    slack = WHOLE.replace("150 N*mm^2", "0 N*mm^2")
-    with pytest.raises(
-        ProtocolError, match=r"\(line.section.bending_stiffness\): .* above 0 N\*mm"
-    ):
-        load(tmp_path, slack.replace("    mass_per_length: 7 g/m\n", ""))
+def test_a_line_begins_where_its_first_clip_is(tmp_path: Path) -> None:
+    assert start_of(load(tmp_path, BETWEEN_CLIPS)) == ((0.01, 0.0, 0.0), (0.0, 1.0, 0.0))
+    own = BETWEEN_CLIPS.replace(
+        "  section:", "  start: [1 mm, 0 mm, 0 mm]\n  direction: [0, 0, 1]\n  section:"
+    )
+    assert start_of(load(tmp_path, own)) == ((0.001, 0.0, 0.0), (0.0, 0.0, 1.0))
+    at_the_end = BETWEEN_CLIPS.replace("at: start", "at: 1 mm")
+    assert start_of(load(tmp_path, at_the_end)) == ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
 
 
-def test_all_faults_are_in_one_message(tmp_path: Path) -> None:
-    wrong = WHOLE.replace("0.3 m\n", "0.3\n").replace("by: 5", "by: 50").replace("2.2 mm", "2.2")
-    with pytest.raises(ProtocolError) as raised:
-        load(tmp_path, wrong)
-    assert len(str(raised.value).splitlines()) == 3
+def test_a_line_may_be_straight_between_its_clips(tmp_path: Path) -> None:
+    assert load(tmp_path, BETWEEN_CLIPS.replace("250 mm", "300 mm"))
+
+
+def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
+    """From its release on, a grip may be as far from the line as it likes."""
+    grip = (
+        "  - {kind: grip, name: mid, at: 100 mm, release: RELEASE, path: ["
+        "{step: 10, position: [10 mm, 95 mm, 0 mm]}, {step: 30, position: [10 mm, 0 mm, 500 mm]}]}"
+        "\nsteps: 40\n"
+    )
+    assert load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "11"))
+    with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm between them at step 30"):
+        load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))
+
+
+def test_many_turns_may_be_made_in_enough_steps(tmp_path: Path) -> None:
+    assert load(tmp_path, BETWEEN_CLIPS.replace("250 mm, 0 mm]", "250 mm, 0 mm], turn: 1080 deg"))
+
+
+def test_a_line_that_all_let_go_falls(tmp_path: Path) -> None:
+    """One without weight, with a table, or with one that holds on, does not."""
+    loose = BETWEEN_CLIPS.replace("direction: [0, 1, 0]}", "direction: [0, 1, 0], release: 9}")
+    assert load(tmp_path, loose)
+    loose = loose.replace("250 mm, 0 mm]}", "250 mm, 0 mm], release: 20}")
+    assert load(tmp_path, loose), "it has no weight"
+    heavy = loose.replace("    diameter", "    mass_per_length: 7 g/m\n    diameter")
+    with pytest.raises(ProtocolError, match="holds the line from step 20 on, found nothing: it f"):
+        load(tmp_path, heavy)
+    assert load(tmp_path, heavy + "  - {kind: plane, name: p, point: [0 mm, 0 mm, -9 mm]}\n")
+    assert load(tmp_path, heavy + "gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")

@@ -1,17 +1,29 @@
+"""What a test changes in its protocol, leaves out of it, and may not do."""
+
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 
 import pytest
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
+from labpipe.protocol.load import (
+    dump_protocol,
+    load_harness,
+    load_protocol,
+    load_test_sheet,
+    parse_protocol,
+    resolve,
+)
+from labpipe.protocol.overrides import absent_faults, without_absent
+from labpipe.protocol.plausible import PLAUSIBLE
 from labpipe.protocol.schema import AlignNone, AlignStated, Protocol
 from labpipe.results.stiffness import ComplianceResult, LineStiffness
-from tests.protocol.conftest import SHEET, Tell
+from tests.protocol.conftest import SHEET, Tell, Told
 
 
 def test_a_test_puts_its_own_values_into_its_protocol(
@@ -138,22 +150,6 @@ TWO = """\
 """
 
 
-def test_a_name_goes_before_a_kind(lab: Path, write: Callable[[str], Path], wire: str) -> None:
-    """Two of a kind, one of which is called as the kind is."""
-    (lab / "protocols" / "wire.yaml").write_text(
-        wire.replace("report:", f"{TWO}report:"), encoding="utf-8"
-    )
-    overrides = "  results.stiffness.to: {value: 6 mm, because: x}\n"
-    overrides += "  results.stiffness_second.to: {value: 16 mm, because: x}\n"
-    overrides += "  results.peak_force: {value: {result: energy}, because: x}\n"
-    path = write(f"{SHEET}overrides:\n{overrides}")
-
-    results = resolve(load_test_sheet(path), path, lab / "protocols").results
-
-    assert [getattr(each, "stop", None) for each in results[-2:]] == [6e-3, 16e-3]
-    assert [each.result for each in results[:2]] == ["clock", "energy"]
-
-
 def test_results_of_one_name_or_kind_need_their_number(lab: Path, tell: Tell, wire: str) -> None:
     two = TWO.replace("stiffness, from", "stiffness, name: stiffness_first, from")
     (lab / "protocols" / "wire.yaml").write_text(
@@ -205,91 +201,6 @@ def test_clocks_are_stated_for_one_test(lab: Path, write: Callable[[str], Path])
         assert align.channel is None
 
 
-def test_what_a_statement_lacks(tell: Tell) -> None:
-    (found,) = tell(f"{SHEET}overrides:\n  align: {{value: {{method: stated}}, because: x}}\n")
-    assert found == (
-        "test/test.yaml, line 7, column 18 (align): expected the key 'offset', found no such key. "
-        "Add the key 'offset'."
-    )
-
-
-OVERRIDES = {
-    "wrong unit": (
-        "sources.force.calibration.gain: {value: 0.0411 N, because: x}",
-        "test/test.yaml, line 7, column 43 (sources.force.calibration.gain): expected a quantity"
-        " with a unit such as N/V, found '0.0411 N'. N is a unit of force."
-        " Write it with its unit, such as '0.5 N/V'.",
-    ),
-    "unknown key": (
-        "rig.strok: {value: 3 mm, because: x}",
-        "test/test.yaml, line 7, column 3 (rig.strok): expected one of the keys 'stroke', 'string',"
-        " 'crosshead_speed', 'cycles', found 'strok'. Did you mean 'stroke'?",
-    ),
-    "unknown block": (
-        "rigg.stroke: {value: 3 mm, because: x}",
-        "test/test.yaml, line 7, column 3 (rigg): expected one of the keys 'rig', 'align',"
-        " 'version', 'curve', 'groups', 'report', ..., found 'rigg'. Did you mean 'rig'?",
-    ),
-    "below a value": (
-        "rig.cycles.x: {value: 3, because: x}",
-        "test/test.yaml, line 7, column 3 (overrides.rig.cycles.x): expected a key of the protocol,"
-        " found 'x' below a plain value.",
-    ),
-    "unknown step": (
-        "steps.smoth.span: {value: 1 s, because: x}",
-        "test/test.yaml, line 7, column 3 (overrides.steps.smoth.span): expected a number from 0 to"
-        " 4, or a name that one item of the list has, found 'smoth'. Did you mean 'smooth'?",
-    ),
-    "step beyond the last": (
-        "steps.9.span: {value: 1 s, because: x}",
-        "test/test.yaml, line 7, column 3 (overrides.steps.9.span): expected a number from 0 to 4,"
-        " or a name that one item of the list has, found '9'. Did you mean 'fit-shape'?",
-    ),
-    "within a block": (
-        "results: {value: [{result: clock}, {result: enrgy}], because: x}",
-        "test/test.yaml, line 7, column 47 (results.1.result): expected one of 'energy',"
-        " 'energy-to-break', 'hardening', 'moment-curvature', 'bending-stiffness',"
-        " 'peak-force', ...,"
-        " found 'enrgy'. Did you mean 'energy'?",
-    ),
-    "elsewhere": (
-        "markers.clamp: {value: null, because: x}",
-        "protocols/wire.yaml, line 14, column 17 (align.method): expected a clamp whose motion has"
-        " the turning points, found none. Name the rigid body at the clamp in 'markers.clamp'."
-        " (With what test/test.yaml changes.)",
-    ),
-    "length twice": (
-        "specimen.length: {value: 3 mm, because: x}",
-        "test/test.yaml, line 7, column 28 (overrides.specimen.length.value): expected"
-        " 'specimen.length' once, found '3 mm' beside '80 mm' in 'specimen'."
-        " Keep the one in 'specimen'.",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", OVERRIDES.values(), ids=OVERRIDES)
-def test_a_wrong_override_is_told_where_the_test_sheet_has_it(
-    case: tuple[str, str], tell: Tell
-) -> None:
-    override, message = case
-
-    assert message.replace("/", os.sep, message.split(":")[0].count("/")) in tell(
-        f"{SHEET}overrides:\n  {override}\n"
-    )
-
-
-def test_thousands_of_overrides_are_placed_each(tell: Tell) -> None:
-    """In time that grows with their number: each once went through all places of the sheet."""
-    keys = [f"report.display.x{number}" for number in range(5000)]
-    lines = "".join(f"  {key}: {{value: mm, because: x}}\n" for key in keys)
-
-    messages = tell(f"{SHEET}overrides:\n{lines}")
-
-    places = [message.partition(": expected")[0] for message in messages]
-    file = Path("test", "test.yaml")
-    assert places == [f"{file}, line {n}, column 3 ({key})" for n, key in enumerate(keys, 7)]
-
-
 def test_an_override_of_a_block_and_of_a_key_in_it(
     lab: Path, write: Callable[[str], Path], tell: Tell
 ) -> None:
@@ -305,15 +216,6 @@ def test_an_override_of_a_block_and_of_a_key_in_it(
         f"{Path('test', 'test.yaml')}, line 7, column 53 (rig.string.counterweight)",
         f"{Path('test', 'test.yaml')}, line 8, column 30 (rig.string.length)",
     ]
-
-
-def test_a_step_that_is_there_twice_needs_its_number(lab: Path, tell: Tell, wire: str) -> None:
-    step = "  - {step: zero, channel: force, over: 2 s}\n"
-    (lab / "protocols" / "wire.yaml").write_text(wire.replace(step, step * 2), encoding="utf-8")
-
-    lines = tell(f"{SHEET}overrides:\n  steps.zero.over: {{value: 1 s, because: x}}\n")
-
-    assert lines[0].endswith("that one item of the list has, found 'zero'. Use its number.")
 
 
 def tube_of(
@@ -374,17 +276,6 @@ def test_what_is_taken_out_is_not_shown_first(
     assert protocol.groups.main == ("peak_force.1", "slack")
 
 
-def test_a_fault_behind_what_was_taken_out_has_its_own_number(
-    lab: Path, tube: str, write: Callable[[str], Path]
-) -> None:
-    changes = """\
-results.0: {value: null, because: x}
-results.compliance.to: {value: 3 mm, because: x}"""
-    with pytest.raises(ProtocolError) as refused:
-        tube_of(lab, tube, write, changes)
-    assert "test.yaml, line 8, column 34 (results.9.to): expected a quantity" in str(refused.value)
-
-
 def test_a_step_is_taken_out_and_the_others_keep_their_keys(
     lab: Path, tube: str, write: Callable[[str], Path]
 ) -> None:
@@ -404,14 +295,453 @@ def test_a_result_that_others_are_made_of_stays(
         tube_of(lab, tube, write, gone)
 
 
-def test_an_item_of_a_list_that_the_protocol_leaves_out(
-    lab: Path, tube: str, write: Callable[[str], Path]
-) -> None:
-    bare = re.sub(r"steps:\n.*\n", "", tube)
-    assert "steps" not in bare
-    with pytest.raises(ProtocolError) as refused:
-        tube_of(lab, bare, write, "steps.0.over: {value: 1 s, because: x}")
-    assert str(refused.value).endswith(
-        "(overrides.steps.0.over): expected a key of the protocol, which has no 'steps', found"
-        " 'steps.0.over'. Override 'steps' as a whole."
+CONDUIT = Path(__file__).parents[2] / "protocols" / "conduit-bundle.yaml"
+
+
+CONDUIT_SHEET = """\
+test: C1-1
+protocol: conduit-bundle
+specimen: {type: CWB-1, spool: s1, sample: 1}
+files: {%s}
+"""
+
+
+@pytest.fixture
+def whole() -> Protocol:
+    return load_protocol(CONDUIT)
+
+
+def steps(protocol: Protocol) -> list[str]:
+    return [f"{step.step} {getattr(step, 'channel', '')}".strip() for step in protocol.steps]
+
+
+def test_a_measured_displacement_goes_before_the_speed(whole: Protocol) -> None:
+    kept = without_absent(whole, ["force", "frame", "markers"])
+
+    assert "travel-from-speed displacement" not in steps(kept)
+    assert set(kept.sources) == {"force", "frame", "markers"}
+    assert kept.results == whole.results
+
+
+def test_without_a_frame_the_displacement_is_made_on_one_clock(whole: Protocol) -> None:
+    kept = without_absent(whole, ["force"])
+
+    assert steps(kept) == ["zero force", "travel-from-speed displacement", "smooth force"]
+    assert kept.align == AlignNone()
+    assert "clock" not in [each.result for each in kept.results]
+    assert list(absent_faults(kept, whole)) == []
+
+
+def test_without_cameras_shape_and_twist_are_not_asked_for(whole: Protocol) -> None:
+    kept = without_absent(whole, ["force", "frame"])
+
+    asked = {each.result for each in kept.results}
+    assert not {"mid-span", "twist"} & asked
+    assert "clock" in asked
+    drawn = ("force-displacement", "stiffness-lines", "timeline", "uncertainty-budget")
+    assert kept.report.figures == drawn
+    assert "mid_span_bending_stiffness" not in kept.groups.main
+    assert kept.markers is None
+
+
+@pytest.mark.parametrize("roles", [["force"], ["force", "frame"], ["force", "markers"]])
+def test_what_is_left_is_a_protocol(whole: Protocol, roles: list[str]) -> None:
+    kept = without_absent(whole, roles)
+
+    again = parse_protocol(dump_protocol(kept), "result.h5")
+    assert dump_protocol(again) == dump_protocol(kept)  # its steps know other numbers
+
+
+def test_a_step_keeps_the_number_that_the_protocol_gives_it(whole: Protocol) -> None:
+    kept = without_absent(whole, ["force", "frame"])
+    numbers = {step.key: number for number, step in enumerate(whole.steps)}
+    assert list(numbers) == [f"steps.{number}" for number in range(len(whole.steps))]
+    assert [numbers[step.key] for step in kept.steps] == [whole.steps.index(x) for x in kept.steps]
+    assert kept.steps[0].key != "steps.0"
+
+
+@pytest.fixture
+def tell_of_conduit(tmp_path: Path) -> Callable[..., str]:
+    """Give the error of a test with some files and a changed protocol."""
+
+    def tell_of_conduit(files: str, *changes: tuple[str, str]) -> str:
+        text = CONDUIT.read_text(encoding="utf-8")
+        for old, new in changes:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        folder = tmp_path / "protocols"
+        folder.mkdir()
+        (folder / "conduit-bundle.yaml").write_text(text, encoding="utf-8")
+        path = tmp_path / "test.yaml"
+        path.write_text(CONDUIT_SHEET % files, encoding="utf-8")
+        with pytest.raises(ProtocolError) as info:
+            resolve(load_test_sheet(path), path, folder)
+        return str(info.value).replace(f"{tmp_path}{os.sep}", "")
+
+    return tell_of_conduit
+
+
+def test_neither_frame_nor_speed(tell_of_conduit: Callable[..., str]) -> None:
+    found = tell_of_conduit("force: a.mat", ("crosshead_speed: 0.5 mm/s, ", ""))
+
+    assert found.partition(": ")[2] == (
+        "expected a file in the role 'frame', or 'rig.crosshead_speed' to make 'displacement' from,"
+        " found neither. Add the file to 'files', or 'rig.crosshead_speed' to the protocol."
     )
+
+
+def test_a_source_that_is_not_optional_is_still_needed(tell_of_conduit: Callable[..., str]) -> None:
+    found = tell_of_conduit("frame: a.txt")
+
+    assert found.partition(": ")[2] == (
+        "expected a file in the role 'force', found none. Add it to 'files'."
+    )
+
+
+def test_a_step_without_speed_where_no_source_measures(whole: Protocol) -> None:
+    text = dump_protocol(without_absent(whole, ["force"]))
+    lines = [line for line in text.splitlines() if "crosshead_speed" not in line]
+
+    with pytest.raises(ProtocolError) as info:
+        parse_protocol("\n".join(lines), "p.yaml")
+
+    assert (
+        "expected 'rig.crosshead_speed' for 'travel-from-speed', found none. Add "
+        "'rig.crosshead_speed', or a source that measures the displacement."
+    ) in str(info.value)
+
+
+LINKED_SHEET = """\
+test: A1
+protocol: own
+specimen: {type: A, spool: s, sample: 1}
+files: {force: force.mat}
+"""
+
+
+PROTOCOL = "version: 1\nname: own\nsources: {force: {reader: dspace-mat, channel: x, unit: N}}\n"
+
+
+Resolve = Callable[..., str]
+
+
+@pytest.fixture
+def linked_lab(tmp_path: Path) -> Path:
+    """A linked_lab whose test has a link into a store."""
+    for folder in ("protocols", "test", "store"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "store" / "001.mat").write_bytes(b"synthetic")
+    (tmp_path / "test" / "force.mat").symlink_to(tmp_path / "store" / "001.mat")
+    return tmp_path
+
+
+@pytest.fixture
+def refusal(linked_lab: Path) -> Resolve:
+    """Why a test is refused; empty if it is not."""
+
+    def refusal(*, follow_links: bool = False, protocol: str = "", sheet: str = "") -> str:
+        (linked_lab / "protocols" / "own.yaml").write_text(PROTOCOL + protocol, encoding="utf-8")
+        path = linked_lab / "test" / "test.yaml"
+        path.write_text(LINKED_SHEET + sheet, encoding="utf-8")
+        try:
+            resolve(
+                load_test_sheet(path), path, linked_lab / "protocols", follow_links=follow_links
+            )
+        except ProtocolError as error:
+            return str(error)
+        return ""
+
+    return refusal
+
+
+def test_a_link_out_of_the_folder_is_refused(linked_lab: Path, refusal: Resolve) -> None:
+    place, _, said = refusal().partition(" (files.force): expected ")
+    assert place == f"{linked_lab / 'test' / 'test.yaml'}, line 4, column 16"
+    assert said.startswith("a file inside the folder of the test, found 'force.mat', a link out of")
+
+
+def test_a_link_is_followed_where_the_command_says_so(refusal: Resolve) -> None:
+    assert refusal(follow_links=True) == ""
+
+
+@pytest.mark.parametrize("word", ["true", "True"])
+def test_a_link_is_followed_where_the_protocol_says_so(refusal: Resolve, word: str) -> None:
+    assert refusal(protocol=f"follow_links: {word}\n") == ""
+    assert "a link out of it" in refusal(protocol="follow_links: false\n")
+
+
+def test_a_test_cannot_say_so_itself(refusal: Resolve) -> None:
+    change = "overrides: {follow_links: {value: true, because: x}}\n"
+    message = refusal(sheet=change)
+    assert "a link out of it" in message
+    assert (
+        "line 5, column 13 (overrides.follow_links): expected a key that a test may change, found"
+        " 'follow_links'. Write it into the protocol, or give --follow-links."
+    ) in message
+
+
+def test_a_link_within_the_folder(linked_lab: Path, refusal: Resolve) -> None:
+    (linked_lab / "test" / "force.mat").rename(linked_lab / "test" / "other.mat")
+    (linked_lab / "test" / "first.mat").write_bytes(b"synthetic")
+    (linked_lab / "test" / "force.mat").symlink_to(linked_lab / "test" / "first.mat")
+    assert refusal() == ""
+
+
+@pytest.mark.parametrize("follow_links", [True, False])
+def test_a_link_that_leads_back_to_itself(
+    linked_lab: Path, refusal: Resolve, follow_links: bool
+) -> None:
+    (linked_lab / "test" / "force.mat").unlink()
+    (linked_lab / "test" / "force.mat").symlink_to(linked_lab / "test" / "force.mat")
+    assert refusal(follow_links=follow_links).endswith(
+        "expected a file, found 'force.mat', a link that leads back to itself. Make the link anew."
+    )
+
+
+@pytest.mark.parametrize("name", ["../store/001.mat", "/etc/hostname"])
+def test_a_path_that_leaves_the_folder_is_never_followed(
+    refusal: Resolve, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(globals(), "LINKED_SHEET", LINKED_SHEET.replace("force.mat", name))
+    assert "expected a file inside the folder of the test" in refusal(follow_links=True)
+
+
+LENGTH = "length: 80 mm"
+
+
+OVERRIDES = "overrides:\n  {}: {{value: {}, because: x}}\n"
+
+
+@pytest.mark.parametrize(
+    ("written", "key", "wider"),
+    [
+        ("length: 100 km", "specimen.length", "plausible.length.to: {value: 100 km"),
+        ("length: 80 m", "specimen.length", "plausible.length.to: {value: 80 m"),
+        ("length: 80 um", "specimen.length", "plausible.length.from: {value: 80 um"),
+        ("span: 76 m", "specimen.span", "plausible.span.to: {value: 76 m"),
+        ("outer_diameter: 2.1 m", "specimen.outer_diameter", "plausible.diameter.to"),
+        ("wall_thickness: 0.4 m", "specimen.wall_thickness", "plausible.wall.to"),
+        ("mandrel: 3 km", "specimen.mandrel", "plausible.other.to"),
+        ("mass_per_length: 60 kg/m", "specimen.mass_per_length", "plausible.mass_per_length.to"),
+        ("bundle: {wires: {B1: {number: 2, diameter: 1.1 m}}}", "wires.B1.diameter", "diameter.to"),
+        ("bundle: {wires: 2 B1 (1.1 m)}", "wires.B1.diameter", "plausible.diameter.to"),
+        ("bundle: {wires: 2 B1, conduit: x, conduit_bore: 8 m}", "conduit_bore", "diameter.to"),
+    ],
+)
+def test_an_implausible_size_of_a_specimen_is_refused(
+    tell: Tell, written: str, key: str, wider: str
+) -> None:
+    (message,) = tell(SHEET.replace(LENGTH, written))
+
+    place, _, rest = message.partition(": expected a plausible ")
+    assert place.startswith(f"{Path('test', 'test.yaml')}, line 3, column ")
+    assert place.endswith(f"{key})")
+    assert wider in rest
+    assert "overrides" in rest
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("length: 760 mm", "length: 760 m", "rig.string.length"),
+        ("1 mm/s, cycles", "9 m/s, cycles", "rig.crosshead_speed"),
+        ("cycles: 3", "cycles: 3, stroke: 53 m", "rig.stroke"),
+        ("counterweight: 2.7 g", "counterweight: 2700 kg", "rig.string.counterweight"),
+        ("grip_offset: 6 mm", "grip_offset: -6 m", "markers.grip_offset"),
+        ("{length: 85 mm}", "{section: {wall: 3 m}}", "specimen.section.wall"),
+        ("{length: 85 mm}", "{section: {area: 5 m^2}}", "specimen.section.area"),
+        ("{length: 85 mm}", "{section: {width: 18 m}}", "specimen.section.width"),
+    ],
+)
+def test_an_implausible_dimension_of_a_protocol_is_refused(
+    told: Told, old: str, new: str, place: str
+) -> None:
+    (message,) = told((old, new))
+
+    assert f"({place}): expected a plausible " in message
+
+
+@pytest.mark.parametrize("ends", ["{from: 1 mm, to: 100 km}", "{to: 100 km}", "{to: 2000 km}"])
+def test_a_test_or_a_protocol_widens_a_range(
+    lab: Path, wire: str, write: Callable[[str], Path], ends: str
+) -> None:
+    long = SHEET.replace(LENGTH, "length: 100 km")
+    path = write(long + OVERRIDES.format("plausible.length", ends))
+    own = resolve(load_test_sheet(path), path, lab / "protocols")
+    assert own.specimen.length == 1e5
+    assert own.plausible["length"].start == "1 mm"
+    assert own.plausible["span"].stop == PLAUSIBLE["span"][2]
+    assert parse_protocol(dump_protocol(own), "result.h5") == own
+
+    file = lab / "protocols" / "wire.yaml"
+    file.write_text(f"{wire}plausible: {{length: {ends}}}\n", encoding="utf-8")
+    path = write(long)
+    assert resolve(load_test_sheet(path), path, lab / "protocols").specimen.length == 1e5
+
+
+def test_a_message_names_the_override_that_lets_a_test_through(
+    lab: Path, write: Callable[[str], Path], tell: Tell
+) -> None:
+    long = SHEET.replace(LENGTH, "length: 100 km")
+    (message,) = tell(long)
+    override = message.partition("write '")[2].partition("' under")[0].replace("...", "x")
+
+    path = write(f"{long}overrides:\n  {override}\n")
+
+    assert resolve(load_test_sheet(path), path, lab / "protocols").specimen.length == 1e5
+
+
+@pytest.mark.parametrize(
+    ("written", "place", "expected"),
+    [
+        ("{length: {to: 5}}", "plausible.length.to", "a quantity with a unit such as m"),
+        ("{speed: {to: 5 m}}", "plausible.speed.to", "a quantity with a unit such as m/s"),
+        ("{length: {from: 2 m, to: 1 m}}", "plausible.length", "'from' of at least zero"),
+        ("{length: 5 m}", "plausible.length", "a block of keys"),
+        ("{lenght: {from: 1 m, to: 5 m}}", "plausible.lenght", "'length'"),
+        ("{length: {to: [5 m]}}", "plausible.length.to", "text"),
+        ("{length: {most: 5 m}}", "plausible.length.most", "one of the keys"),
+    ],
+)
+def test_a_wrong_range_is_refused(told: Told, written: str, place: str, expected: str) -> None:
+    (message,) = told(("report:\n", f"plausible: {written}\nreport:\n"))
+
+    assert f"({place})" in message
+    assert expected in message
+
+
+HARNESS = """\
+version: 1
+line: {length: 300 mm, section: {bending_stiffness: 1 N*mm^2, torsional_stiffness: 1 N*mm^2,
+  largest_curvature: 20 1/m, diameter: 2 mm}}
+boundaries:
+  - {kind: clip, name: left, at: start, position: [0 mm, 0 mm, 0 mm], direction: [1, 0, 0]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("length: 300 mm", "length: 300 m", "line.length"),
+        ("diameter: 2 mm", "diameter: 2 m", "line.section.diameter"),
+        ("boundaries:", "sweep: {length: [310 mm, 320 m]}\nboundaries:", "sweep.length.1"),
+    ],
+)
+def test_a_harness_has_plausible_dimensions_too(
+    tmp_path: Path, old: str, new: str, key: str
+) -> None:
+    path = tmp_path / "harness.yaml"
+    path.write_text(HARNESS.replace(old, new), encoding="utf-8")
+    with pytest.raises(ProtocolError) as info:
+        load_harness(path)
+    assert f"({key}): expected a plausible " in str(info.value)
+
+    widened = str(info.value).partition("write '")[2].partition("'")[0]
+    path.write_text(f"{HARNESS.replace(old, new)}{widened}\n", encoding="utf-8")
+    load_harness(path)
+
+
+CERTIFICATE = "{number: LC-7 / 2026, date: 2026-01-10, due: 2027-01-10, uncertainty: 0.5 %}"
+
+
+FORCE = "unit: V\n"
+"""Where a key of the channel of the force can be added."""
+
+
+def with_certificate(wire: str, certificate: str) -> str:
+    calibrated = wire.replace(", gain_uncertainty: 0.2 %", "")
+    return calibrated.replace(FORCE, f"{FORCE}    certificate: {certificate}\n")
+
+
+def kept(protocol: Protocol) -> Protocol:
+    """The same, written and read again."""
+    again = parse_protocol(dump_protocol(protocol), "again.yaml")
+    assert again == protocol
+    return again
+
+
+@pytest.mark.parametrize(
+    ("said", "standard"),
+    [("0.5 %", 0.0025), ("0.5 %, k: 1", 0.005), ("0.6 %, k: 3", 0.002), ("0 %", 0.0)],
+)
+def test_a_certificate_states_k_times_the_standard_uncertainty(
+    wire: str, said: str, standard: float
+) -> None:
+    text = with_certificate(wire, CERTIFICATE.replace("0.5 %", said))
+    force = kept(parse_protocol(text, "p.yaml")).channels["force"]
+    assert force.gain_uncertainty == pytest.approx(standard, rel=1e-12)
+    assert force.certificate is not None
+    assert force.certificate.number == "LC-7 / 2026"
+    assert (force.certificate.date, force.certificate.due) == (date(2026, 1, 10), date(2027, 1, 10))
+
+
+def test_a_certificate_may_leave_the_uncertainty_to_the_calibration(wire: str) -> None:
+    text = wire.replace(FORCE, f"{FORCE}    certificate: {{number: 7, date: 2026-01-10}}\n")
+    force = kept(parse_protocol(text, "p.yaml")).channels["force"]
+    assert force.gain_uncertainty == 0.002
+    assert force.certificate is not None
+    assert force.certificate.due is None
+
+
+def test_a_certificate_that_says_the_same_as_the_calibration(wire: str) -> None:
+    """0.2 % of the gain and 0.15 % of the scale make 0.25 %, which is 0.5 % with k = 2."""
+    more = f"{FORCE}    scale_uncertainty: 0.15 %\n    certificate: {CERTIFICATE}\n"
+    force = parse_protocol(wire.replace(FORCE, more), "p.yaml").channels["force"]
+    assert force.gain_uncertainty == pytest.approx(0.0025)
+
+
+@pytest.mark.parametrize(
+    ("said", "standard"),
+    [
+        ("", 0.0),
+        ("    scale_uncertainty: 0.05 %\n", 0.0005),
+        (f"    certificate: {CERTIFICATE}\n", 0.0025),
+        (f"    scale_uncertainty: 0.25 %\n    certificate: {CERTIFICATE}\n", 0.0025),
+    ],
+)
+def test_cameras_have_a_scale(wire: str, said: str, standard: float) -> None:
+    text = wire.replace("reader: motive-csv\n", f"reader: motive-csv\n{said}")
+    cameras = kept(parse_protocol(text, "p.yaml")).sources["markers"]
+    assert cameras.camera_uncertainty == pytest.approx(standard)
+    assert cameras.all_channels == {}
+
+
+def test_the_zero_of_a_force_drifts(wire: str, tube: str) -> None:
+    """Of one channel named like its role, and of one of several; 0 is stated, too."""
+    said = wire.replace(FORCE, f"{FORCE}    zero_drift: 0.12 %\n")
+    assert kept(parse_protocol(said, "p.yaml")).channels["force"].zero_drift == 0.0012
+    assert kept(parse_protocol(wire, "p.yaml")).channels["force"].zero_drift is None
+    frame = tube.replace("force: {", "force: {zero_drift: 0, ", 1)
+    channels = kept(parse_protocol(frame, "p.yaml")).channels
+    assert (channels["force"].zero_drift, channels["displacement"].zero_drift) == (0.0, None)
+
+
+def test_sizes_have_uncertainties(tube: str) -> None:
+    said = "thickness: 0.3 mm}, uncertainty: {length: 0.5 mm, thickness: 6 um, area: 0.05 mm^2}}"
+    specimen = kept(parse_protocol(tube.replace("thickness: 0.3 mm}}", said), "p.yaml")).specimen
+    assert specimen.uncertainty is not None
+    assert specimen.uncertainty.stated == pytest.approx(
+        {"length": 5e-4, "thickness": 6e-6, "area": 5e-8}
+    )
+
+
+@pytest.mark.parametrize(
+    ("sheet", "overrides"),
+    [
+        (", uncertainty: {length: 1 mm}", ""),
+        ("", "overrides:\n  specimen.uncertainty.length: {value: 1 mm, because: bent}\n"),
+    ],
+)
+def test_a_test_has_uncertainties_of_its_own(
+    sheet: str, overrides: str, lab: Path, wire: str, write: Callable[[str], Path]
+) -> None:
+    text = wire.replace(
+        "{length: 85 mm}", "{length: 85 mm, uncertainty: {length: 2 mm, wall: 1 um}}"
+    )
+    (lab / "protocols" / "wire.yaml").write_text(text, encoding="utf-8")
+    path = write(SHEET.replace("length: 80 mm", f"length: 80 mm{sheet}") + overrides)
+
+    found = resolve(load_test_sheet(path), path, lab / "protocols").specimen.uncertainty
+
+    assert found is not None
+    assert found.stated == {"length": 0.001, "wall": 1e-6}

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import re
 import runpy
 import sys
 from pathlib import Path
@@ -15,17 +14,9 @@ from labpipe.protocol.reference import (
     PAGES,
     SCHEMAS,
     json_schema,
-    kinds_of_notes,
-    table_of_notes,
-    table_of_results,
-    tables,
     with_tables,
-    write_reference,
 )
 from labpipe.protocol.schema import Protocol
-from labpipe.results import KINDS
-from labpipe.results.failures import FailureResult
-from labpipe.results.stiffness import Hardening
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
@@ -121,13 +112,6 @@ def test_the_tables_of_a_page_are_fresh(name: str, repository: Path) -> None:
     assert kept == with_tables(kept), "run: make reference"
 
 
-def test_every_table_has_its_place(repository: Path) -> None:
-    pages = [(repository / "docs" / "reference" / name).read_text("utf-8") for name in PAGES]
-    places = re.findall(r"<!-- table: (\w+) -->", "".join(pages))
-
-    assert sorted(places) == sorted(tables())
-
-
 def test_a_stale_table_is_written_afresh() -> None:
     page = "before\n\n<!-- table: bundles -->\n| old |\n<!-- end of table -->\n\nafter\n"
     written = with_tables(page)
@@ -139,57 +123,6 @@ def test_a_stale_table_is_written_afresh() -> None:
     assert written.endswith("\nafter\n")
     assert "| old |" not in written
     assert with_tables(written) == written
-
-
-def test_a_place_for_no_table_is_refused() -> None:
-    with pytest.raises(KeyError, match="other"):
-        with_tables("<!-- table: other -->\n<!-- end of table -->")
-
-
-def test_each_quality_note_has_one_record_at_its_place() -> None:
-    keys = [(each.origin, each.code) for each in kinds_of_notes()]
-
-    assert len(keys) > 150
-    for origin in {origin for origin, _ in keys}:
-        codes = [code for other, code in keys if other == origin]
-        assert codes == sorted(codes), origin
-    assert all(each.meaning and each.severities for each in kinds_of_notes())
-
-
-def test_what_notes_make_doubtful_has_a_column_where_there_is_any() -> None:
-    drift = next(each for each in kinds_of_notes() if each.code == "alignment_drift")
-    cut = next(each for each in kinds_of_notes() if each.code == "loading_cut")
-
-    assert table_of_notes([drift, cut]).splitlines() == [
-        "| code | severity | meaning | doubtful |",
-        "|---|---|---|---|",
-        f"| `alignment_drift` | warning | {drift.meaning} | clock |",
-        f"| `loading_cut` | info | {cut.meaning} | |",
-    ]
-    assert table_of_notes([cut]).startswith("| code | severity | meaning |\n")
-
-
-def test_a_result_says_what_it_gives_and_is_read_from() -> None:
-    assert table_of_results([FailureResult, Hardening]).splitlines()[2:] == [
-        "| `failure` | [`failure_displacement`](#failure_displacement) (m), "
-        "[`failure_force`](#failure_force) (N) | where the specimen fails "
-        "| the curve, `curve.failure` |",
-        "| `hardening` | [`hardening.<cycle>`](#hardeningcycle) (1) "
-        "| `loading_stiffness` of a later cycle over that of the first | the curve |",
-    ]
-
-
-def test_every_result_says_what_it_means() -> None:
-    cells = [row.split(" | ") for row in table_of_results(KINDS).splitlines()[2:]]
-
-    assert len(cells) == len(KINDS)
-    assert all(len(row) == 4 and all(row) for row in cells)
-
-
-def test_the_schemas_are_written(tmp_path: Path) -> None:
-    write_reference(tmp_path / "reference")
-
-    assert sorted(path.name for path in (tmp_path / "reference").iterdir()) == sorted(SCHEMAS)
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,12 @@ from typing import get_args
 import pytest
 
 from labpipe.errors import Fault
+from labpipe.protocol.stress_curve import StressPoint, curve_fault, curve_of
 from labpipe.protocol.wire_rows import (
     COLUMNS,
     NEEDED,
-    SIZES,
     WireRow,
     column_name,
-    default_words,
     field_of,
     heading_faults,
     parse_row,
@@ -24,6 +23,8 @@ from labpipe.protocol.wire_rows import (
 from labpipe.records.wire import LAYOUTS, WireSpec
 
 SILENT = WireSpec("W", 1.6e-3, (1, 6), (0.32e-3,) * 2, (0.2,), 0.3e-3)
+
+
 A2 = {
     "wire": "A2",
     "wire_diameter_mm": "1.6",
@@ -32,6 +33,8 @@ A2 = {
     "lay_angles_deg": "12",
     "insulation_thickness_mm": "0.3",
 }
+
+
 HEADING = list(A2)
 
 
@@ -102,12 +105,6 @@ def test_missing_and_repeated_columns() -> None:
     assert {number for number, *_ in missing} == {0}
 
 
-def test_a_column_like_none_is_told_what_a_sheet_has() -> None:
-    [(number, expected, found, _)] = told(*HEADING, "Farbe")
-    assert (number, found) == (6, "'Farbe'")
-    assert expected.startswith("a column of a wire sheet, such as 'wire', 'wire_diameter_mm'")
-
-
 def test_numbers_keep_their_unit_until_they_become_si() -> None:
     read = row(lay_angles_deg="12; -15", layer_counts="1;3;3", conductor_modulus_gpa="110")
     assert (read.wire_diameter_mm, read.counts) == (1.6, (1, 3, 3))
@@ -150,11 +147,6 @@ def test_numbers_that_are_refused(column: str, text: str, expected: str, remedy:
     assert remedy in found.remedy
 
 
-@pytest.mark.parametrize("name", ["A2", "A 2", "B1.5", "Ä"])
-def test_names_of_wires(name: str) -> None:
-    assert row(wire=name).wire == name
-
-
 @pytest.mark.parametrize("name", ["A/2", "..", "a.", "con", "NUL.csv", "a\tb", "a" * 101])
 def test_names_that_no_file_can_have(name: str) -> None:
     found = fault(wire=name)
@@ -165,18 +157,6 @@ def test_names_that_no_file_can_have(name: str) -> None:
 def test_an_orientation_of_more_than_a_turn_is_what_is_left_of_it() -> None:
     assert row(orientation_deg="450") == row(orientation_deg="90")
     assert row(orientation_deg="-720").orientation_deg == 0.0
-
-
-def test_defaults_in_words() -> None:
-    assert default_words("insulation_modulus_mpa") == "insulation modulus 1000 MPa"
-    assert default_words("friction_strand") == "friction strand 0.21"
-    assert default_words("orientation_deg") == "orientation 0 deg"
-    assert default_words("layout") == "layout auto"
-    assert default_words("largest_curvature_per_m").endswith(
-        "a bending radius of five wire diameters"
-    )
-    with pytest.raises(ValueError, match=r"wire_diameter_mm: allowed are columns with a default"):
-        default_words("wire_diameter_mm")
 
 
 def test_every_column_with_its_range_and_default_is_documented(repository: Path) -> None:
@@ -192,11 +172,6 @@ def test_every_column_with_its_range_and_default_is_documented(repository: Path)
             assert low <= default / column.factor <= high
 
 
-def test_a_size_is_needed_once() -> None:
-    assert fault(strand_diameter_mm="").path == ("strand_diameter_mm",)
-    assert {name for name in SIZES if name in HEADING} == {"strand_diameter_mm"}
-
-
 def test_a_mass_that_is_not_that_of_strands_and_wall() -> None:
     """Copper 0.563 mm^2, five sixths of its strands 1 / cos(12 deg) longer, and PVC 1.225 mm^2."""
     found = fault(mass_per_length_g_per_m="20")
@@ -210,3 +185,45 @@ def test_a_mass_that_is_not_that_of_strands_and_wall() -> None:
     assert row(mass_per_length_g_per_m="5.2", conductor_density_kg_per_m3="8900").has_mass
     light = fault(mass_per_length_g_per_m="6.8", conductor_density_kg_per_m3="2700")
     assert light.expected.startswith("within a third of the 3.264 g/m")
+
+
+def points(*pairs: tuple[float, float]) -> list[StressPoint]:
+    return [StressPoint.model_validate({"strain": str(a), "stress_mpa": str(b)}) for a, b in pairs]
+
+
+def test_a_curve_in_si_without_its_zero() -> None:
+    curve = points((0.0, 0.0), (0.001, 110.0), (0.1, 150.0))
+    assert curve_fault(curve, "stress_table") is None
+    assert curve_of(curve) == ((0.001, 0.1), (110e6, 150e6))
+
+
+@pytest.mark.parametrize(
+    ("pairs", "number", "expected", "found"),
+    [
+        ([(0.002, 110), (0.001, 120)], 1, "a strain above 0.002", "0.001"),
+        ([(0.001, 110), (0.002, 100)], 1, "a stress of 110 MPa or more, and more", "100 MPa"),
+        ([(0.001, 0), (0.002, 100)], 0, "a stress of 0 MPa or more, and more", "0 MPa"),
+        ([(0.001, 50), (0.002, 150)], 1, "a slope up to the first, 50 GPa", "100 GPa"),
+        ([(0, 0)], 0, "a point beyond zero", "none"),
+        ([(0, 0), (0.2, 110)], 1, "a first slope of 1 to 1000 GPa", "0.55 GPa"),
+        ([(1e-5, 90000)], 0, "a first slope of 1 to 1000 GPa", "9e+06 GPa"),
+    ],
+)
+def test_points_that_make_no_curve(
+    pairs: list[tuple[float, float]], number: int, expected: str, found: str
+) -> None:
+    wrong = curve_fault(points(*pairs), "stress_table")
+    assert wrong is not None
+    assert (wrong[0], wrong[1].found) == (number, found)
+    assert wrong[1].expected.startswith(expected)
+
+
+def test_insulation_is_softer_and_must_not_soften() -> None:
+    assert curve_fault(points((0.01, 10), (0.3, 20)), "insulation_table") is None
+    wrong = curve_fault(points((0.01, 10), (0.05, 18), (0.1, 16)), "insulation_table")
+    assert wrong is not None
+    assert wrong[0] == 2
+    assert wrong[1].expected == "a stress of 18 MPa or more, and more than zero"
+    stiff = curve_fault(points((0.001, 110), (0.3, 200)), "insulation_table")
+    assert stiff is not None
+    assert stiff[1].expected == "a first slope of 0.0001 to 10 GPa"

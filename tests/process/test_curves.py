@@ -1,32 +1,99 @@
-"""Corrections of the curve on pulls whose faults are known."""
+"""The stages of one test, corrections of its curve, and remedies for failed numbers."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from labpipe.cli import main
 from labpipe.errors import ProcessingError
 from labpipe.process.curve_corrections import correct_curve
 from labpipe.protocol.schema import CurveBlock
+from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
-from labpipe.records.curve import SlipDecision
+from labpipe.records.curve import Direction, SlipDecision
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Severity
 from labpipe.uncertainty.intervals import Measured
 from tests.builders.doubts import doubted
-from tests.builders.pulls import STEP, broken, codes, pull, pulled, slipped
+from tests.builders.pulls import LINE, STEP, broken, codes, pull, pulled, slipped
+from tests.builders.reasons import why
+from tests.builders.reduced import RESULTS, loop, reduced
+from tests.builders.tensile_tests import TensileLab, write_pull
 
-LINE = "stiffness, from: 2 mm, to: 10 mm"
+
+def test_stages_of_one_clock() -> None:
+    time, path, force = loop(cycles=3, noise=1e-3)
+    test, _ = reduced(time, path, force)
+    assert test.aligned is not None
+    assert test.curve is not None
+    assert set(test.aligned.series) == {"force", "displacement"}
+    np.testing.assert_array_equal(test.curve.time, time)
+    np.testing.assert_array_equal(test.curve.force, force)
+    np.testing.assert_array_equal(test.aligned.series["displacement"].values, path)
+    assert [branch.direction for branch in test.curve.branches[:2]] == list(Direction)
+    assert [branch.cycle for branch in test.curve.branches] == [1, 1, 2, 2, 3, 3]
+    assert test.curve.branches[0].stop_time == pytest.approx(12.0, abs=0.03)
+
+
+def test_a_column_of_noise_is_no_motion() -> None:
+    time, path, force = loop(cycles=3, noise=1e-3)
+    noise = 2e-3 * np.random.default_rng(0).standard_normal(len(time))
+    test, results = reduced(time, path + noise, force)
+    assert test.curve is None
+    assert results["initial_stiffness"].why == (
+        "no_motion: the motion scatters by 1.97 mm from sample to sample, too much to tell strokes "
+        "of min_stroke, 1 mm: is it the right channel?"
+    )
+
+
+def test_smoothing_leaves_the_aligned_data_alone() -> None:
+    time, path, force = loop(noise=0.05)
+    step = "steps:\n  - {step: smooth, channel: force, method: moving-average, span: 1 s}\n"
+    test, _ = reduced(time, path, force, more=step + RESULTS)
+    assert test.aligned is not None
+    assert test.curve is not None
+    np.testing.assert_array_equal(test.aligned.series["force"].values, force)
+    assert np.std(np.diff(test.curve.force)) < 0.1 * np.std(np.diff(force))
+
+
+@pytest.mark.parametrize(
+    ("specimen", "old", "known"),
+    [
+        ("{length: 100 mm}", "", {}),
+        ("{length: 100 mm, uncertainty: {length: 1 mm}}", "", {"length": 1e-3}),
+        ("{length: 100 mm}", ", length_uncertainty: 2 mm", {"length": 2e-3}),
+        (
+            "{length: 100 mm, uncertainty: {wall: 1 um, length: 2 mm}}",
+            ", length_uncertainty: 2 mm",
+            {"length": 2e-3, "wall": 1e-6},
+        ),
+    ],
+)
+def test_uncertainties_of_sizes_reach_the_setup(
+    specimen: str, old: str, known: dict[str, float]
+) -> None:
+    bending = f"bending-stiffness, of: stiffness, support: cantilever{old}"
+    test, _ = pulled(*pull(), specimen=specimen, results=[LINE, bending])
+    assert test.setup.uncertainties == pytest.approx(known)
+
+
+SLOPE = "stiffness, from: 2 mm, to: 10 mm"
+
+
 SLIPS = ((0.006, 3.0), (0.012, 2.0))
 
 
 def test_give_of_the_frame_is_taken_off() -> None:
     """A pull through 1 um/N looks softer: 1 / (1 / 5000 + 1e-6)."""
     travel, force = pull()
-    plain, before = pulled(travel, force, results=[LINE])
-    test, after = pulled(travel, force, curve="compliance: {value: 1 um/N}", results=[LINE])
+    plain, before = pulled(travel, force, results=[SLOPE])
+    test, after = pulled(travel, force, curve="compliance: {value: 1 um/N}", results=[SLOPE])
     assert before["stiffness"].value == pytest.approx(5000.0, rel=1e-3)
     assert after["stiffness"].value == pytest.approx(1.0 / (1.0 / 5000.0 - 1e-6), rel=1e-3)
     assert test.curve is not None
@@ -40,7 +107,7 @@ def test_give_of_the_frame_is_taken_off() -> None:
 def test_uncertain_give_widens_the_interval() -> None:
     travel, force = pull()
     curve = "compliance: {value: 10 um/N, uncertainty: 10 %}"
-    _, results = pulled(travel, force, curve=curve, results=[LINE])
+    _, results = pulled(travel, force, curve=curve, results=[SLOPE])
     found = results["stiffness"]
     assert found.value is not None
     assert found.interval is not None
@@ -52,7 +119,7 @@ def test_give_and_slack_move_what_the_displacement_may_be() -> None:
     """11 um/N in place of 10 um/N; the slack that was taken off is the same for both."""
     travel, force = pull(slack=2e-3)
     curve = "compliance: {value: 10 um/N, uncertainty: 10 %}, slack: {from: 10 %, to: 30 %}"
-    test, _ = pulled(travel, force, curve=curve, results=[LINE])
+    test, _ = pulled(travel, force, curve=curve, results=[SLOPE])
     assert test.curve is not None
     moved = test.displacement.moved[COMPLIANCE] - test.displacement.values
     np.testing.assert_allclose(moved, -1e-6 * test.curve.force, atol=1e-15)
@@ -63,7 +130,7 @@ def test_give_and_slack_move_what_the_displacement_may_be() -> None:
 def test_repaired_slips_add_up() -> None:
     travel, force = pull()
     curve = "slips: {decision: repaired, min_drop: 0.5 N}"
-    test, results = pulled(travel, slipped(travel, force, *SLIPS), curve=curve, results=[LINE])
+    test, results = pulled(travel, slipped(travel, force, *SLIPS), curve=curve, results=[SLOPE])
     assert [slip.decision for slip in test.slips] == [SlipDecision.REPAIRED] * 2
     assert test.curve is not None
     assert test.curve.force[-50:].mean() == pytest.approx(force[-50:].mean(), abs=0.1)
@@ -92,7 +159,7 @@ def test_cut_ends_the_curve_before_the_first_slip() -> None:
         travel,
         slipped(travel, force, *SLIPS),
         curve=curve,
-        results=["peak-force", "peak-displacement", LINE, "failure"],
+        results=["peak-force", "peak-displacement", SLOPE, "failure"],
     )
     assert test.curve is not None
     kept = test.slips[0].start + 1
@@ -118,12 +185,6 @@ def test_failure_moves_up_with_what_was_added_back() -> None:
     assert test.curve is not None
     # What is left of the broken specimen is not raised.
     assert test.curve.force[-1] == pytest.approx(torn[-1])
-
-
-def test_too_short_for_slips_is_said() -> None:
-    travel, force = pull(length=0.0012)
-    test, _ = pulled(travel, force, curve="slips: {decision: marked, min_drop: 0.5 N}")
-    assert codes(test)["slips_not_looked_for"] == "60 samples in the branch, 64 are needed"
 
 
 def test_slack_moves_all_displacements() -> None:
@@ -206,23 +267,6 @@ def test_more_give_than_the_test_has_is_refused() -> None:
         pulled(*pull(), curve="compliance: {value: 300 um/N}")
 
 
-def test_a_slip_is_told_where_displacement_counts_from_in_the_end() -> None:
-    travel, force = pull(slack=0.003)
-    curve = "slips: {decision: marked, min_drop: 0.5 N}, slack: {from: 10 %, to: 30 %}"
-    test, _ = pulled(travel, slipped(travel, force, (0.015, 3.0)), curve=curve)
-    message = codes(test)["slip_marked"]
-    assert f"{1e3 * test.slips[0].position:.4g} mm" in message
-    assert test.slips[0].position == pytest.approx(0.012, abs=3e-4)
-
-
-def test_of_a_cut_curve_the_ledger_ends_where_the_curve_does() -> None:
-    travel, force = pull()
-    curve = "slips: {decision: cut, min_drop: 0.5 N}"
-    test, _ = pulled(travel, slipped(travel, force, *SLIPS), curve=curve)
-    assert len(test.slips) == 1
-    assert test.slips[0].position == pytest.approx(0.006, abs=3 * STEP)
-
-
 def test_a_bad_sample_is_bridged_and_told() -> None:
     travel, force = pull()
     bad = broken(travel, force, at=0.018)
@@ -250,3 +294,117 @@ def test_a_failure_in_steps_is_doubtful() -> None:
         "lost_in_steps: some of the force was suddenly lost before, and it never came back to where"
         " it had been"
     )
+
+
+SAID = re.compile(r"'([\w.-]+): \{value: (.+?), because: \.\.\.\}'")
+
+
+SLACK, BREAK = {"slack"}, {"failure_displacement", "failure_force", "energy_to_break"}
+
+
+def bent_over(travel: Floats, *, knee: float, most: float) -> Floats:
+    """Force of a wire that yields, N: steep at first, and flat then."""
+    return np.asarray(most * np.tanh(np.maximum(travel, 0.0) / knee))
+
+
+def ends_in(force: Floats, *shares: float) -> Floats:
+    """The last samples at these shares of the largest force."""
+    return np.concatenate([force[: -len(shares)], force.max() * np.array(shares)])
+
+
+ROWS = 90
+
+
+COARSE = np.linspace(0.0, 12e-3, ROWS)
+"""A sample each 0.13 mm."""
+
+
+LATE = np.linspace(0.7e-3, 80e-3, ROWS)
+
+
+FINE = np.linspace(0.0, 12e-3, 400)
+
+
+SLOW = np.linspace(1.0, 0.0, 60)
+
+
+PULLS = {
+    "too few samples": (
+        COARSE,
+        ends_in(bent_over(COARSE - 0.3e-3, knee=0.6e-3, most=76.0), 0.02, 0.0),
+        {*SLACK, "stiffness"},
+        {"curve.slack.to", "results.stiffness.to"},
+    ),
+    "begins late, never breaks": (
+        LATE,
+        3.0 + bent_over(LATE, knee=60e-3, most=12.0),
+        {*SLACK, *BREAK, "stiffness"},
+        {
+            *("curve.slack", "results.slack", "results.failure", "results.energy-to-break"),
+            *("results.stiffness.from", "results.stiffness.to"),
+        },
+    ),
+    "stops in mid-break": (
+        FINE,
+        ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), 0.73, 0.72),
+        BREAK,
+        {"curve.failure.force_below"},
+    ),
+    "stops while it necks": (
+        FINE,
+        ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), *np.linspace(1.0, 0.7, 40)),
+        BREAK,
+        {"curve.failure.force_below", "curve.failure.within"},
+    ),
+    "breaks slowly": (
+        FINE,
+        ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), *SLOW),
+        BREAK,
+        {"curve.failure.within"},
+    ),
+}
+
+
+def processed(lab: TensileLab) -> Mapping[str, Mapping[str, str]]:
+    main(["process", str(lab.raw), "--no-figures"])
+    return lab.results
+
+
+@pytest.mark.parametrize("name", PULLS)
+def test_what_is_told_makes_it_available(tmp_path: Path, name: str) -> None:
+    travel, force, failed, keys = PULLS[name]
+    lab = TensileLab(tmp_path, "T-1")
+    noise = np.random.default_rng(3).normal(0.0, 0.02, len(force))
+    write_pull(lab, "tensile", force + noise, travel, rate=10.0)
+    found = processed(lab)
+    assert {each for each in found if found[each]["status"] == "failed"} == failed
+    told = {key: value for each in failed for key, value in SAID.findall(why(found[each]))}
+    assert set(told) == keys
+    for key, value in told.items():
+        lab.override(key, value)
+    after = processed(lab)
+    assert not {each for each in after if after[each]["status"] == "failed"}
+    assert len(after) == len(found) - sum(each in failed for each in set(found) - set(after))
+
+
+def test_a_window_beyond_the_travel_is_cut_to_it(tmp_path: Path) -> None:
+    lab = TensileLab(tmp_path, "T-1")
+    force = ends_in(bent_over(FINE, knee=6e-3, most=100.0), 0.0)
+    write_pull(lab, "force-displacement", force, FINE, rate=10.0)
+    text = lab.sheet.read_text("utf-8")
+    own = tmp_path / "own.yaml"
+    own.write_text(
+        "version: 1\nname: own\nsources:\n  frame:\n    reader: load-frame\n    channels:\n"
+        "      force: {channel: Load}\n      displacement: {channel: Crosshead}\n"
+        "curve: {force: force, displacement: displacement}\n"
+        "branches: {channel: displacement, min_stroke: 1 mm}\nresults:\n"
+        "  - {result: stiffness, name: first, from: 1 mm, to: 2 mm}\n"
+        "  - {result: stiffness, name: second, from: 2 mm, to: 80 mm}\n"
+        "  - {result: two-segments, from: 1 mm, to: 90 mm}\n",
+        encoding="utf-8",
+    )
+    lab.sheet.write_text(text.replace("force-displacement", str(own)), "utf-8")
+    found = processed(lab)
+    assert found["first"]["status"] == "ok"
+    assert dict(SAID.findall(why(found["second"]))) == {"results.second.to": "12 mm"}
+    assert dict(SAID.findall(why(found["break_point"]))) == {"results.two-segments.to": "12 mm"}

@@ -1,8 +1,10 @@
+"""Quantities, words and patterns of names."""
+
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import jsonschema
 import pytest
@@ -11,7 +13,14 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from labpipe.protocol.grammar import validated
-from labpipe.protocol.values import SI_UNITS, QuantityText, parse_whole
+from labpipe.protocol.name_patterns import parse_name_pattern
+from labpipe.protocol.values import (
+    FileStem,
+    QuantityText,
+    file_inside,
+    is_name_of_a_test,
+    parse_whole,
+)
 from labpipe.records.declarations import (
     Area,
     Compliance,
@@ -39,6 +48,8 @@ POSITIVE = {
     "Frequency": (Frequency, "10 Hz", 10.0),
     "Compliance": (Compliance, "0.2 um/N", 0.2e-6),
 }
+
+
 OTHERS = {
     "Offset": (Offset, "-0.8 mm", -0.0008),
     "Distance": (Distance, "0 mm", 0.0),
@@ -75,106 +86,6 @@ def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: f
 
     assert f"above 0 {unit}, found '0 {unit}'." in _fault(kind, f"0 {unit}")
     assert f"above 0 {unit}, found '-{number} {unit}'." in _fault(kind, f"-{number} {unit}")
-
-
-@pytest.mark.parametrize(
-    ("kind", "text", "message"),
-    [
-        (
-            Length,
-            "53",
-            "expected a quantity with a unit such as mm, found '53'."
-            " Write it with its unit, such as '53 mm'.",
-        ),
-        (
-            Length,
-            "53 s",
-            "expected a quantity with a unit such as mm, found '53 s'."
-            " s is a unit of time. Write it with its unit, such as '53 mm'.",
-        ),
-        (
-            Length,
-            None,
-            "expected a quantity with a unit such as mm, found nothing."
-            " Write it with its unit, such as '53 mm'.",
-        ),
-        (Mass, "-1 g", "expected a quantity with a unit such as g from 0 g up, found '-1 g'."),
-        (
-            Offset,
-            "1e400 mm",
-            "expected a quantity with a unit such as mm that is finite, found '1e400 mm'.",
-        ),
-        (
-            Ratio,
-            "5 deg",
-            "expected a pure number (also in % or ppm), found '5 deg'. Write it such as '0.2 %'.",
-        ),
-        (
-            Share,
-            "0 %",
-            "expected a pure number (also in % or ppm) above 0 %, at most 100 %, found '0 %'.",
-        ),
-        (
-            Share,
-            "110 %",
-            "expected a pure number (also in % or ppm) above 0 %, at most 100 %, found '110 %'.",
-        ),
-        (
-            Compliance,
-            "0.2 mm",
-            "expected a quantity with a unit such as um/N, found '0.2 mm'."
-            " mm is a unit of length. Write it with its unit, such as '0.2 um/N'.",
-        ),
-        (
-            Span,
-            "51",
-            "expected a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or"
-            " '51 samples', found '51'. Write it with its unit, such as '0.1 s'.",
-        ),
-        (Span, "0 samples", "expected a span of at least 1 sample, found '0 samples'."),
-        (
-            Span,
-            "120 %",
-            "expected a pure number (also in % or ppm) from 0.0001 % up, at most 100 %,"
-            " found '120 %'.",
-        ),
-        (Span, "0 s", "expected a quantity with a unit such as s above 0 s, found '0 s'."),
-    ],
-)
-def test_what_is_refused_is_told(kind: object, text: object, message: str) -> None:
-    assert _fault(kind, text).startswith(message)
-
-
-@pytest.mark.parametrize(
-    ("kind", "text", "remedy"),
-    [
-        (Length, "12,5 mm", "Write it with a decimal point: 12.5 mm."),
-        (Length, "2,1 mm", "Write it with a decimal point: 2.1 mm."),
-        (Length, "-0,125 mm", "Write it with a decimal point: -0.125 mm."),
-        (Length, "1,000 mm", "Write 1000 mm or 1.000 mm, as meant."),
-        (Length, "1 000 mm", "without signs between thousands: 1000 mm."),
-        (Length, "1'000 mm", "without signs between thousands: 1000 mm."),
-        (Length, "1.000,5 mm", "without signs between thousands: 1000.5 mm."),
-        (Length, "1,000.5 mm", "without signs between thousands: 1000.5 mm."),
-        (Length, "1 000 000,25 mm", "without signs between thousands: 1000000.25 mm."),
-        (Length, "85", "Write it with its unit, such as '53 mm'."),
-        (Length, "85 kg", "kg is a unit of mass. Write it with its unit, such as '53 mm'."),
-        (Length, "85 MM", "labpipe knows no unit 'MM'."),
-        (Length, "20 1/m", "1/m is a unit of curvature."),
-        (Length, "0 mm", "Correct the number; is its unit right?"),
-        (Length, "-5 mm", "Correct the number; is its unit right?"),
-        (Force, "5 kg", "kg is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."),
-        (Force, "500 g", "g is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."),
-        (Mass, "5 N", "N is a unit of force."),
-        (Ratio, "0,5", "Write it with a decimal point: 0.5."),
-        (Ratio, "0,5 %", "Write it with a decimal point: 0.5 %."),
-        (Span, "0,1 s", "Write it with a decimal point: 0.1 s."),
-        (Span, "0,1 mm", "Write it with a decimal point: 0.1 mm."),
-        (Span, "1 kg", "kg is a unit of mass."),
-    ],
-)
-def test_a_remedy_of_what_was_written(kind: object, text: str, remedy: str) -> None:
-    assert remedy in _fault(kind, text)
 
 
 @pytest.mark.parametrize("text", ["three", "2.5", "1", "13", "", True, None, "0x3"])
@@ -253,6 +164,97 @@ def test_the_json_schema_refuses_what_has_no_unit(text: object) -> None:
         jsonschema.validate(text, TypeAdapter(validated(Length)).json_schema())
 
 
-@pytest.mark.parametrize("quantity", SI_UNITS)
-def test_every_quantity_has_an_si_unit(quantity: str) -> None:
-    assert si_factor(SI_UNITS[quantity], SI_UNITS[quantity]) == 1.0
+NAME = TypeAdapter(Annotated[str, file_inside("the folder of the test", "Copy it.")])
+
+
+@pytest.mark.parametrize("name", ["a.csv", "below/a.csv", "..a.csv", "DAQ\u00a0- \u2026 力.txt"])
+def test_a_file_is_in_its_folder_or_below(name: str) -> None:
+    assert NAME.validate_python(name) == name
+
+
+@pytest.mark.parametrize(
+    "name", ["../a.csv", "a/../../b", r"a\..\b", "/a.csv", r"C:\a.csv", "C:a.csv"]
+)
+def test_a_file_elsewhere_is_refused(name: str) -> None:
+    with pytest.raises(ValidationError) as info:
+        NAME.validate_python(name)
+    expected = f"expected a file inside the folder of the test, found {name!r}. Copy it."
+    assert info.value.errors()[0]["msg"] == expected
+
+
+@pytest.mark.parametrize("value", [" ", "", 1, None, "a\0b", "a\nb", "a\ud800"])
+def test_what_is_no_name_of_a_file_is_refused(value: object) -> None:
+    with pytest.raises(ValidationError, match="expected the name of a file"):
+        NAME.validate_python(value)
+
+
+@pytest.mark.parametrize("name", ["A2-085-1", "0333", "Größe_1", "v1.2+b", "console", "a" * 120])
+def test_names_of_tests(name: str) -> None:
+    assert is_name_of_a_test(name)
+    assert TypeAdapter(FileStem).validate_python(name) == name
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "../x", "a/b", r"a\b", "a b", "CON", "lpt1.x", "a.", "ö" * 61, "a\n"]
+)
+def test_what_cannot_be_the_name_of_a_test(name: str) -> None:
+    assert not is_name_of_a_test(name)
+    with pytest.raises(ValidationError):
+        TypeAdapter(FileStem).validate_python(name)
+
+
+MATCHES = [
+    (
+        "{type}-{length mm}-{sample}.mat",
+        "A2-085-1.mat",
+        {"type": "A2", "length": "85 mm", "sample": "1"},
+    ),
+    ("{type}-{sample}.csv", "TWB-B1-19-PVC-2.CSV", {"type": "TWB-B1-19-PVC", "sample": "2"}),
+    ("{test}/DAQ* (Timed).txt", "T1/DAQ- Crosshead, … - (Timed).txt", {"test": "T1"}),
+    ("{type}/{type}_{sample} *", "A/A_2 take.csv", {"type": "A", "sample": "2"}),
+    ("{date}_{test}", "20260304_T", {"date": "2026-03-04", "test": "T"}),
+    ("{date} {test}", "2026-03-04 T", {"date": "2026-03-04", "test": "T"}),
+    ("{outer_diameter in}x{test}", "0,5xT", {"outer_diameter": "0.5 in", "test": "T"}),
+    ("{labels.batch}.{test}", "b.c.T", {"labels.batch": "b.c", "test": "T"}),
+    ("a.b{test}", "axbT", None),
+    ("{type}/{type}_{sample}", "A/B_2", None),
+    ("{test}.mat", "a/b.mat", None),
+    ("{test}.mat", "x" * 301 + ".mat", None),
+    ("{length mm}.mat", "long.mat", None),
+]
+
+
+@pytest.mark.parametrize(("pattern", "name", "fields"), MATCHES)
+def test_names_are_taken_apart(pattern: str, name: str, fields: dict[str, str] | None) -> None:
+    assert parse_name_pattern(pattern).match(name) == fields
+
+
+@pytest.mark.parametrize(
+    ("pattern", "expected"),
+    [
+        ("{typ}-1", "one of {test}, {type}, "),
+        ("{length}-1", "a dimension with its unit such as {length mm}"),
+        ("{length N}-1", "a dimension with a unit of length, such as {length mm}"),
+        ("{type mm}", "one of {test}"),
+        ("a{", "one of {test}"),
+        ("a}b", "one of {test}"),
+        ("{}", "one of {test}"),
+        ("x" * 301, "a pattern of at most 300 letters"),
+    ],
+)
+def test_what_is_no_pattern(pattern: str, expected: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(expected)):
+        parse_name_pattern(pattern)
+
+
+def test_the_name_of_a_test_ends_behind_the_last_field() -> None:
+    pattern = parse_name_pattern("in/{type}-{sample}_force.mat")
+    assert pattern.stem("in/A2-1_force.mat") == "A2-1"
+    assert parse_name_pattern("*.mat").stem("in/x.mat") == "x.mat"
+
+
+@given(st.text(min_size=1, max_size=40))
+def test_every_sign_stands_for_itself(text: str) -> None:
+    bare = re.sub(r"[{}*/\\]", "", text) or "x"
+    found = parse_name_pattern(bare + "{test}").match(bare + "T")
+    assert found == {"test": "T"}

@@ -1,7 +1,8 @@
-"""Marker steps of the shipped protocols on takes seen by the virtual lab, in memory."""
+"""Steps on markers: of a clamped wire, and of a rod on two supports."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,17 +11,20 @@ import pytest
 
 from labpipe.errors import ProcessingError
 from labpipe.process.calibrated_signals import Prepared, Take
-from labpipe.process.camera_steps import fit_shapes, repair, rms, turn_into_specimen
+from labpipe.process.camera_steps import fit_shapes, repair, turn_into_specimen
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.causes import CENTRE, GRIP, PULL, SHAPE
 from labpipe.records.declarations import FitShape, RepairMarkers, SpecimenFrame
 from labpipe.records.quality import Findings
 from labpipe.records.recording import MarkerTracks
+from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signals
+from labpipe.results.evidence import Evidence
 from labpipe.virtual_lab import Observation, observe
 from tests.builders.doubts import doubted
 from tests.builders.small_tests import small_scenario
+from tests.builders.three_point import STROKE, BendingRecord, curvature_at, load_at, reduced
 
 
 @pytest.fixture(scope="module")
@@ -125,21 +129,6 @@ def test_what_cameras_see_has_their_scale(tracks: MarkerTracks, protocol: Protoc
         assert made.signals.raw[name].relative_error == 5e-4
 
 
-def test_markers_of_the_clamp_are_not_along_the_wire(
-    tracks: MarkerTracks, protocol: Protocol
-) -> None:
-    repaired = done(tracks, protocol)[0].take.repaired
-    assert repaired is not None
-    assert len(repaired.names) == 8
-    assert all(name.startswith("Wire:") for name in repaired.names)
-
-
-def test_markers_by_pattern(tracks: MarkerTracks, protocol: Protocol) -> None:
-    repaired = done(tracks, protocol, along=("Wire:Marker[1-6]",))[0].take.repaired
-    assert repaired is not None
-    assert len(repaired.names) == 6
-
-
 def refused(tracks: MarkerTracks | None, protocol: Protocol, **changes: object) -> None:
     mend, _, _ = steps(protocol)
     repair(taken(tracks), mend, words(protocol, **changes))
@@ -168,19 +157,6 @@ def test_too_few_markers(tracks: MarkerTracks, protocol: Protocol) -> None:
         refused(tracks, protocol, along=("Wire:Marker[12]",))
     with pytest.raises(ProcessingError, match=r"found 0: none"):
         refused(tracks, protocol, along=("Tube*",))
-
-
-def test_no_take(protocol: Protocol) -> None:
-    with pytest.raises(ValueError, match="expected a role with marker tracks and a block markers"):
-        refused(None, protocol)
-
-
-def test_steps_out_of_order(tracks: MarkerTracks, protocol: Protocol) -> None:
-    _, turn, fit = steps(protocol)
-    with pytest.raises(ValueError, match="expected repair-markers before it"):
-        turn_into_specimen(taken(tracks), turn, protocol.markers)
-    with pytest.raises(ValueError, match="expected repair-markers and specimen-frame before it"):
-        fit_shapes(taken(tracks), fit, protocol.markers)
 
 
 def test_markers_off_their_plane_leave_the_deflection_in_doubt(
@@ -248,6 +224,138 @@ def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protoco
     assert "look at grip_offset, centre_offset and terms" in why
 
 
-def test_rms_leaves_nan_out() -> None:
-    assert rms(np.array([3.0, np.nan, 4.0])) == pytest.approx(np.sqrt(12.5))
-    assert np.isnan(rms(np.array([np.nan])))
+NAMES = ("mid_span_bending_stiffness", "mid_span_curvature", "twist")
+
+
+SPAN = "span: 152.4 mm"
+
+
+@pytest.fixture(scope="module")
+def bent() -> tuple[Evidence, dict[str, Result]]:
+    return reduced(BendingRecord())
+
+
+def holds(result: Result, truth: float) -> bool:
+    interval = result.interval
+    return interval is not None and interval.lower <= truth <= interval.upper
+
+
+@pytest.mark.slow
+def test_every_number_holds_its_truth(bent: tuple[Evidence, dict[str, Result]]) -> None:
+    _, results = bent
+    record = BendingRecord()
+
+    assert {each.status for each in results.values()} == {Status.OK}
+    assert holds(results["mid_span_bending_stiffness"], record.rigidity)
+    assert holds(results["mid_span_curvature"], curvature_at(STROKE))
+    assert holds(results["peak_force.1"], float(load_at(record, np.array([STROKE]))[0]))
+    assert holds(results["twist"], abs(record.twist))
+    assert holds(results["clock_offset"], 0.0)
+
+
+def test_three_clocks_are_joined(bent: tuple[Evidence, dict[str, Result]]) -> None:
+    test, _ = bent
+    fit = test.clocks.others["markers"]
+    shape = test.shape
+
+    assert fit.offset == pytest.approx(3.2, abs=0.01)
+    assert shape is not None
+    assert test.span is not None
+    assert shape.time[0] == pytest.approx(-3.2, abs=0.01)
+    assert test.aligned is not None
+    seen = test.aligned.series["mid_span"].values
+    way = test.aligned.series["displacement"].values
+    # A rod on knife edges: mid-span goes where the load goes.
+    assert np.nanmax(np.abs(seen - way)) < 3e-4
+    (note,) = (note for note in test.findings.notes if note.code == "camera_clock")
+    assert note.message.startswith("the cameras are 3.19") or "3.20" in note.message
+
+
+def test_shape_of_the_store(bent: tuple[Evidence, dict[str, Result]]) -> None:
+    test, _ = bent
+    shape = test.shape
+
+    assert shape is not None
+    assert shape.names[0] == "section 1"
+    assert shape.positions.shape[1:] == (15, 3)
+    assert shape.length == pytest.approx(14 * 0.0127, abs=1e-4)
+    top = int(np.nanargmax(shape.positions[:, 7, 1] - shape.positions[:, 1, 1]))
+    along = (shape.positions[top, :, 0] - shape.coefficients[top, 0, 0]) / shape.length
+    drawn = shape.coefficients[top, 1] @ along[None, :] ** np.arange(10)[:, None]
+    inside = (along > 0.0) & (along < 1.0)
+    assert np.abs(drawn - shape.positions[top, :, 1])[inside].max() < 3e-4
+
+
+def test_no_span() -> None:
+    _, results = reduced(BendingRecord(), change=((f"  {SPAN}\n", ""),))
+
+    for name in NAMES:
+        assert results[name].status is Status.FAILED
+        assert results[name].why == (
+            "no_span: specimen.span, the distance of the supports, is not given: write it into the "
+            "specimen of the test sheet, such as 'span: 152.4 mm'"
+        )
+    assert results["bending_stiffness"].why.startswith("no_span: ")
+    assert results["peak_force.1"].status is Status.OK
+
+
+@pytest.mark.slow
+def test_a_span_of_another_rig_is_doubted_by_the_cameras() -> None:
+    wrong = ((SPAN, "span: 120 mm"),)
+    _, results = reduced(BendingRecord(), change=wrong)
+
+    assert results["bending_stiffness"].status is Status.DOUBTFUL
+    said = results["bending_stiffness"].why
+    assert said.startswith("mid_span_differs: cameras see mid-span sink by 19.9")
+    assert said.endswith(
+        " mm, the displacement is 29.41 mm: look at specimen.span, at markers that are not on the "
+        "specimen, at the units of both exports, at rig.crosshead_speed and rig.stroke where no "
+        "frame measured it, and at how far the load was from the specimen"
+    )
+    assert results["peak_force.1"].status is Status.OK
+
+
+@pytest.mark.slow
+def test_cameras_that_began_under_load() -> None:
+    _, results = reduced(BendingRecord(cameras_early=-2.0))
+
+    assert results["twist"].status is Status.FAILED
+    assert results["twist"].why.startswith("no_rest: the shape at rest was taken up to 3.9")
+    assert results["twist"].why.endswith(
+        " s after loading began: look at the cameras' start, and at 'over' of the step "
+        "three-point-shape"
+    )
+    assert results["bending_stiffness"].status is Status.OK
+
+
+def test_supports_closer_than_the_markers() -> None:
+    wrong = ((SPAN, "span: 15.24 mm"),)
+    _, results = reduced(BendingRecord(), change=wrong)
+
+    assert results["twist"].why == (
+        "too_few_markers: of 15 sections with markers 2 lie between supports 15.24 mm apart: "
+        "expected at least 5; look at specimen.span and at the unit of the markers"
+    )
+
+
+@pytest.mark.slow
+def test_too_few_markers_for_a_twist() -> None:
+    _, results = reduced(BendingRecord(angles=(float(np.radians(90.0)),)))
+
+    assert results["twist"].why == (
+        "too_few_markers: twist needs two markers at different places around the axis in one "
+        "section, none of the 15 sections has them"
+    )
+    assert holds(results["mid_span_curvature"], curvature_at(STROKE))
+
+
+@pytest.mark.slow
+def test_a_window_that_is_not_reached() -> None:
+    old = "mid-span, from: 1 mm, to: 10 mm"
+    _, results = reduced(BendingRecord(), change=((old, "mid-span, from: 1 mm, to: 40 mm"),))
+
+    reason = results["mid_span_bending_stiffness"].why  # by the last frame before the turn
+    assert re.fullmatch(
+        r"not_reached: the first loading reaches 29\.(38|39|4) mm, 40 mm is asked", reason
+    )
+    assert results["mid_span_curvature"].status is Status.OK

@@ -1,0 +1,512 @@
+"""Where a motion turns, and how clocks are joined there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from labpipe.process.clock_joining import align_clocks, start_together, stated_clocks
+from labpipe.process.motion import Turn, check_turns, turning_points
+from labpipe.protocol.schema import AlignCommonStart, AlignStated, AlignTurningPoints
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import ClockFit
+from labpipe.records.quality import Findings, Reason
+from labpipe.records.signals import Signal
+from labpipe.signal.clock_alignment import Repeat
+from labpipe.signal.turning_points import Stroke, find_strokes
+from tests.builders.doubts import doubted
+from tests.builders.dwelling_tests import Dwelling
+
+TIME: Floats = np.arange(0.0, 50.0, 0.02)
+
+
+def travel(*corners: tuple[float, float], seed: int = 1, noise: float = 1e-5) -> Floats:
+    """A motion through (time s, position mm) corners."""
+    times, places = zip(*corners, strict=True)
+    scatter = np.random.default_rng(seed).normal(0, noise, len(TIME))
+    motion: Floats = 1e-3 * np.interp(TIME, times, places) + scatter
+    return motion
+
+
+SHARP = travel((0, 0), (5, 0), (25, 20), (45, 0), (50, 0))
+
+
+def turns_of(motion: Floats, time: Floats = TIME) -> tuple[Findings, list[Turn]]:
+    signal = Signal(time, motion, "m", "markers")
+    strokes = find_strokes(time, motion, min_stroke=5e-3)
+    turns = turning_points(signal, strokes, window=25.0)
+    return Findings() + check_turns(signal, strokes, turns), turns
+
+
+def test_turns_in_corners() -> None:
+    found, turns = turns_of(travel((0, 0), (5, 0), (15, 10), (25, 0), (35, 10), (45, 0), (50, 0)))
+    assert [turn.stroke for turn in turns] == [0, 1, 2]
+    for turn in turns:
+        assert turn.middle == pytest.approx(15.0 + 10.0 * turn.stroke, abs=5e-3)
+        assert len(turn.corners) == 1
+        assert turn.dwell == 0.0
+    assert not found.doubts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dwell", [0.1, 0.2, 0.5, 1.0, 2.0, 5.0])
+def test_waits_have_two_corners(dwell: float) -> None:
+    """Also those that no stroke shows; arrival and departure hold within their errors."""
+    pulls = []
+    for seed in range(10):
+        test = Dwelling(dwell, seed=seed)
+        time, motion = test.seen_by_cameras()
+        _, turns = turns_of(motion, time)
+        assert [turn.stroke for turn in turns] == list(range(5))
+        for turn, true in zip(
+            turns, np.column_stack([test.corners[:-1, 1], test.corners[1:, 0]]), strict=True
+        ):
+            assert turn.middle == pytest.approx(float(true.mean()), abs=0.02)
+            assert len(turn.corners) == 2
+            seen = [(each.time, each.time_error) for each in turn.corners]
+            pulls += [(at - real) / error for (at, error), real in zip(seen, true, strict=True)]
+    assert np.mean(np.abs(pulls) < 1.96) > 0.85
+
+
+def test_no_wait_is_made_of_noise() -> None:
+    for seed in range(15):
+        found, turns = turns_of(SHARP + np.random.default_rng(seed).normal(0, 2e-5, len(TIME)))
+        assert [turn.dwell for turn in turns] == [0.0]
+        assert not found.doubts
+        time, motion = Dwelling(0.0, seed=seed).seen_by_cameras()
+        assert not any(turn.dwell for turn in turns_of(motion, time)[1])
+
+
+def test_a_turn_that_was_not_seen() -> None:
+    found, turns = turns_of(np.where((TIME > 24.5) & (TIME < 25.5), np.nan, SHARP))
+    assert turns == []
+    assert set(doubted(found.found)) == {"displacement", "force", "clock"}
+    assert doubted(found.found)["clock"].startswith(
+        "turn_not_seen: the motion was not seen to turn near 2"
+    )
+
+
+_EITHER = "turn_rounded: the machine waits for "
+"""Or slows down there for longer: the travel does not tell which."""
+
+
+@pytest.mark.parametrize("slows_for", [0.5, 0.8, 1.2])
+def test_a_machine_that_slows_down(slows_for: float) -> None:
+    """It comes to a stop evenly and goes back as evenly: no corner, and no wait."""
+    fine = np.arange(0.0, 50.0, 1e-3)
+    speed = np.interp(
+        fine, [5, 5, 25 - slows_for / 2, 25 + slows_for / 2, 45, 45], [0, 1, 1, -1, -1, 0]
+    )
+    rounded = 1e-6 * np.interp(TIME, fine, np.cumsum(speed))
+    noise = np.random.default_rng(0).normal(0.0, 1e-5, len(TIME))
+    found, _ = turns_of(rounded + noise)
+    assert set(doubted(found.found)) == {"displacement", "clock"}
+    assert doubted(found.found)["clock"].startswith(("turn_rounded: the travel turns ", _EITHER))
+
+
+OFFSET, DRIFT = 1.25, 80e-6
+
+
+ALIGN = AlignTurningPoints.model_validate(
+    {
+        "method": "turning-points",
+        "channel": "force",
+        "motion_window": "8 s",
+        "force_window": "1 s",
+        "max_residual": "5 ms",
+        "max_drift": "500 ppm",
+    }
+)
+
+
+def triangle(time: Floats, cycles: int) -> Floats:
+    """10 s up, 10 s down, from 5 s on; 0 before and after."""
+    phase = (time - 5.0) % 20.0
+    moving = (time > 5.0) & (time < 5.0 + 20.0 * cycles)
+    return np.where(moving, np.minimum(phase, 20.0 - phase) / 10.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One test by two recorders: the motion in m, the force in N on a clock of its own."""
+
+    travel: Signal
+    force: Signal
+
+    def with_force(self, part: slice | Flags = slice(None), values: Floats | None = None) -> Seen:
+        """Some of the samples of the force, or other values."""
+        known = self.force.values if values is None else values
+        return replace(
+            self, force=replace(self.force, time=self.force.time[part], values=known[part])
+        )
+
+    @property
+    def strokes(self) -> tuple[Stroke, ...]:
+        return find_strokes(self.travel.time, self.travel.values, min_stroke=0.01)
+
+
+@dataclass(frozen=True)
+class Joined:
+    """The clocks of a test, and what was found on the way."""
+
+    fit: ClockFit | None
+    findings: Findings
+
+    @property
+    def doubted(self) -> dict[str, str]:
+        return doubted(self.findings.found)
+
+
+def seen(cycles: int, *, drift: float = DRIFT, noise: float = 1e-4) -> Seen:
+    random = np.random.default_rng(cycles)
+    motion_time = np.arange(0.0, 12.0 + 20.0 * cycles, 0.02)
+    force_time = np.arange(0.0, 12.0 + 20.0 * cycles, 0.002)
+    marker_time = (force_time - OFFSET) / (1.0 + drift)
+    travel = 0.05 * triangle(motion_time, cycles)
+    force = triangle(marker_time, cycles) ** 0.8
+    travel = travel + random.normal(0, 1e-5, len(travel))
+    force = force + random.normal(0, noise, len(force))
+    return Seen(
+        Signal(motion_time, travel, "m", "markers"), Signal(force_time, force, "N", "force")
+    )
+
+
+def aligned(made: Seen, align: AlignTurningPoints = ALIGN, *, window: float = 8.0) -> Joined:
+    turns = turning_points(made.travel, made.strokes, window=window)
+    fit, found = align_clocks(made.force, align, made.travel, made.strokes, turns)
+    return Joined(fit, Findings() + found)
+
+
+@pytest.mark.parametrize("cycles", [2, 3, 5])
+def test_offset_and_drift(cycles: int) -> None:
+    found = aligned(seen(cycles))
+    assert found.fit is not None
+    assert found.fit.offset == pytest.approx(OFFSET, abs=3e-3)
+    assert found.fit.drift == pytest.approx(DRIFT, abs=6e-5)
+    assert len(found.fit.event_times_motion) == cycles
+    assert ("repeated cycle" in found.fit.method) == (cycles > 2)
+    assert not found.doubted
+
+
+def test_drift_that_is_too_large() -> None:
+    found = aligned(seen(3, drift=2e-3))
+    assert found.doubted["clock"].startswith("alignment_drift: the clocks drift by ")
+    assert found.doubted["clock"].endswith("the protocol allows 500 ppm")
+
+
+def test_drift_that_noise_explains_is_not_doubted() -> None:
+    found = aligned(seen(2, noise=0.05))
+    assert found.fit is not None
+    assert "alignment_drift" not in str(found.doubted)
+
+
+def test_residual_that_is_too_large() -> None:
+    """The recorder of the force lost 60 ms between the first turn and the second."""
+    made = seen(3)
+    lost = 0.06 * (made.force.time > OFFSET + 25.0)
+    found = aligned(replace(made, force=replace(made.force, time=made.force.time - lost)))
+    assert found.doubted["clock"].startswith("alignment_residual: the clocks agree to ")
+
+
+def test_residual_that_noise_explains_is_not_doubted() -> None:
+    """Below a limit of nothing at all, but no more than the turns leave open."""
+    found = aligned(seen(3), ALIGN.model_copy(update={"max_residual": 1e-9}))
+    assert found.fit is not None
+    assert found.fit.residual > 1e-6
+    assert not found.doubted
+
+
+def test_one_event() -> None:
+    found = aligned(seen(1))
+    assert found.fit is not None
+    assert found.fit.drift == 0.0
+    assert found.doubted["clock"].startswith("alignment_one_event: ")
+
+
+def test_constant_force() -> None:
+    made = seen(2)
+    found = aligned(made.with_force(values=np.full(len(made.force.time), 0.25)))
+    assert found.fit is None
+    assert found.findings.blocked == Reason("constant_channel", "the force is constant at 0.25 N")
+
+
+def test_force_that_saw_no_peak() -> None:
+    found = aligned(seen(2).with_force(slice(0, 1000)))
+    assert found.fit is None
+    assert found.findings.blocked is not None
+    assert found.findings.blocked.code == "no_common_peak"
+
+
+def test_force_that_saw_only_the_last_cycles() -> None:
+    """The recorder was started late: pairs that fit equally well are reported as ambiguous."""
+    made = seen(3)
+    found = aligned(made.with_force(np.asarray(made.force.time > 20.0)))
+    assert found.fit is not None
+    assert found.doubted["clock"].startswith("alignment_ambiguous: another pairing")
+
+
+@pytest.mark.parametrize(("lag", "is_used"), [(20.0, True), (20.2, False)])
+def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
+    monkeypatch: pytest.MonkeyPatch, lag: float, is_used: bool
+) -> None:
+    monkeypatch.setattr(
+        "labpipe.process.clock_joining._repeat", lambda *_: Repeat(20.0, lag * (1.0 + DRIFT), 1e-3)
+    )
+    found = aligned(seen(3), window=ALIGN.motion_window)
+    assert found.fit is not None
+    assert ("repeated" in found.fit.method) is is_used
+    assert found.fit.offset == pytest.approx(OFFSET, abs=5e-3)
+    said = [note.message for note in found.findings.notes if note.code == "cycles_not_alike"]
+    assert len(said) == (not is_used)
+    if said:
+        assert said[0].startswith("the force of the last cycle lies 20.202 s behind that of the")
+        assert said[0].endswith("not alike, and the turning points alone join the clocks")
+
+
+def joined(test: Dwelling, *, hidden: int | None = None) -> Joined:
+    """Both records of a test, their clocks joined; one turn of the motion hidden."""
+    time, travel = test.seen_by_cameras()
+    if hidden is not None:
+        turn = test.corners[hidden, 1] + 0.5 * test.dwell
+        travel[np.abs(time - turn) < 0.5 * test.dwell + 0.6] = np.nan
+    motion = Signal(time, travel, "m", "markers")
+    force = Signal(*test.seen_by_load_cell(), "N", "force")
+    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
+    turns = turning_points(motion, strokes, window=25.0)
+    align = ALIGN.model_copy(update={"max_residual": 10e-3})
+    fit, found = align_clocks(force, align, motion, strokes, turns)
+    return Joined(fit, Findings() + found + check_turns(motion, strokes, turns))
+
+
+def dwelling(dwell: float, relaxes: float, seed: int) -> Dwelling:
+    rng = np.random.default_rng([round(100 * dwell), seed])
+    offset, drift = float(rng.uniform(-8.0, 8.0)), float(rng.uniform(-8e-5, 8e-5))
+    return Dwelling(dwell, relaxes=relaxes, offset=offset, drift=drift, seed=seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("relaxes", [0.0, 0.04])
+@pytest.mark.parametrize("dwell", [0.0, 0.2, 0.5, 1.0, 2.0, 5.0])
+def test_offsets_hold_however_long_a_machine_waits(dwell: float, relaxes: float) -> None:
+    held = 0
+    for seed in range(40):
+        test = dwelling(dwell, relaxes, seed)
+        fit = joined(test).fit
+        assert fit is not None
+        held += fit.offset_interval.lower <= test.offset <= fit.offset_interval.upper
+    assert held >= 34  # of 40 intervals of 95 %, as in 999 studies of 1000
+
+
+@pytest.mark.parametrize("hidden", [0, 2, 4])
+def test_a_turn_that_was_not_seen_shifts_no_cycle(hidden: int) -> None:
+    """Peaks are paired before those are left out whose turn the cameras missed."""
+    test = Dwelling(1.0, offset=-7.3, stroke=0.012, speed=4e-3, rest=9.0)
+    fit = joined(test, hidden=hidden).fit
+    assert fit is not None
+    assert fit.offset == pytest.approx(test.offset, abs=0.01)
+    assert len(fit.event_times_motion) == 2
+
+
+def test_a_wait_that_relaxes_faster_than_it_unloads() -> None:
+    """Both corners of the force have one time: the steep one is not taken for the other."""
+    test = Dwelling(0.5, relaxes=0.1, offset=4.2, seed=3)
+    fit = joined(test).fit
+    assert fit is not None
+    assert fit.offset == pytest.approx(test.offset, abs=0.012)
+
+
+@pytest.mark.parametrize(("first", "last", "said"), [(1, 2, True), (0, 3, False)])
+def test_records_that_lack_different_cycles_are_not_matched_in_silence(
+    first: int, last: int, said: bool
+) -> None:
+    """The cameras began after the first peak, the force stopped before the last: two peaks each."""
+    test = Dwelling(0.0, offset=2.0, seed=4)
+    time, travel = test.seen_by_cameras()
+    clock, force = test.seen_by_load_cell()
+    begin = float(test.corners[2 * first - 1, 0]) + 8.0 if first else 0.0
+    end = float(test.corners[2 * last - 1, 0]) + 8.0 if last < 3 else float(clock[-1])
+    kept = time >= begin
+    found = aligned(
+        Seen(
+            Signal(time[kept], travel[kept], "m", "markers"),
+            Signal(clock[clock <= end], force[clock <= end], "N", "force"),
+        )
+    )
+    assert ("alignment_ambiguous" in str(found.doubted)) is said
+    if said:
+        known = "if you know the offset, state it: 'align: {value: {method: stated"
+        assert known in found.doubted["clock"]
+
+
+TOGETHER = AlignCommonStart.model_validate(
+    {"method": "common-start", "channel": "force", "max_offset": "100 ms"}
+)
+
+
+def recorded_together(
+    offset: float, *, noise: float = 0.01, seed: int = 0, drift: float = 0.0
+) -> tuple[Signal, Signal]:
+    """Motion and force: 30 s up and down again, the force bending over as it goes."""
+    random = np.random.default_rng(seed)
+    frame, force = np.arange(0.0, 62.0, 0.05), np.arange(0.0, 64.0, 0.005)
+
+    def path(time: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Signal:
+        travel = 0.5e-3 * np.clip(30.0 - np.abs(time - 30.0), 0.0, None)
+        return Signal(time, travel, "m", "frame")
+
+    motion, pulled = path(frame), path((force - offset) / (1.0 + drift)).values
+    way = motion.values + random.normal(0.0, 2e-6, len(frame))
+    load = 4.0 * (pulled / 0.015) ** 0.7 + random.normal(0.0, noise, len(force))
+    return replace(motion, values=way), Signal(force, load, "N", "force")
+
+
+def fitted(motion: Signal, force: Signal) -> tuple[ClockFit, Findings]:
+    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
+    turns = turning_points(motion, strokes, window=TOGETHER.motion_window)
+    fit, found = start_together(force, TOGETHER, motion, strokes, turns)
+    return fit, Findings() + found
+
+
+def test_a_sharp_corner_decides() -> None:
+    fit, found = fitted(*recorded_together(0.04, noise=1e-3))
+
+    assert fit.offset_interval.lower < 0.04 < fit.offset_interval.upper
+    assert fit.offset == pytest.approx(0.04, abs=0.01)
+    assert fit.drift == pytest.approx(0.0, abs=1e-5)
+    assert fit.drift_interval.standard_error == pytest.approx(1e-4 / np.sqrt(3.0), rel=0.05)
+    assert [note.code for note in found.notes] == ["common_start"]
+    assert not found.doubts
+
+
+def test_a_reversed_bridge_turns_at_the_same_time() -> None:
+    motion, force = recorded_together(0.04, noise=1e-3)
+    usual, _ = fitted(motion, force)
+    other, found = fitted(motion, replace(force, values=-force.values))
+    assert other.offset == pytest.approx(usual.offset, abs=1e-9)
+    assert not found.doubts
+
+
+def test_a_force_without_corner_leaves_the_common_start() -> None:
+    motion, force = recorded_together(0.0)
+    fit, found = fitted(motion, replace(force, values=np.linspace(0.0, 1.0, len(force.time))))
+
+    assert fit.offset == 0.0
+    assert fit.offset_interval.standard_error == pytest.approx(0.1 / np.sqrt(3.0))
+    (note,) = found.notes
+    assert note.code == "start_unchecked"
+    assert note.message == (
+        "the force shows no corner at a turn of the motion: the common start, within 100 ms, is "
+        "taken as it is"
+    )
+
+
+@pytest.mark.parametrize(("offset", "word"), [(0.8, "after"), (-0.8, "before")])
+def test_not_started_together(offset: float, word: str) -> None:
+    fit, found = fitted(*recorded_together(offset, noise=1e-3))
+
+    assert fit.offset == pytest.approx(offset, abs=0.02)
+    assert set(doubted(found.found)) == {"clock", "force"}
+    message = doubted(found.found)["clock"]
+    assert message.startswith("not_started_together: the force turns ")
+    assert f" ms {word} the motion, known to " in message
+    assert message.endswith(
+        ": the recorders did not start within 100 ms of each other; the difference at the turn is "
+        "taken"
+    )
+
+
+@pytest.mark.slow
+def test_the_interval_covers_over_many_tests() -> None:
+    """Offsets drawn from what the trigger allows; the exact binomial test at 1 %."""
+    random = np.random.default_rng(5)
+    truths = random.uniform(-0.1, 0.1, 60)
+    hits = 0
+    for seed, truth in enumerate(truths):
+        interval = fitted(*recorded_together(float(truth), noise=0.02, seed=seed))[
+            0
+        ].offset_interval
+        hits += interval.lower <= truth <= interval.upper
+    assert binomtest(hits, len(truths), 0.95).pvalue > 0.01
+
+
+TEST = Dwelling(1.0, offset=-3.2)
+
+
+def stated(offset: str, **more: str) -> AlignStated:
+    return AlignStated.model_validate(
+        {"method": "stated", "offset": offset, "because": "LED in frame 512", **more}
+    )
+
+
+def taken(
+    align: AlignStated, *, test: Dwelling = TEST, sign: float = 1.0
+) -> tuple[Findings, ClockFit]:
+    motion = Signal(*test.seen_by_cameras(), "m", "markers")
+    time, force = test.seen_by_load_cell()
+    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
+    fit, found = stated_clocks(Signal(time, sign * force, "N", "force"), align, motion, strokes)
+    return Findings() + found, fit
+
+
+def test_it_is_taken_as_stated() -> None:
+    found, fit = taken(stated("-3.2 s", drift="40 ppm", uncertainty="0.02 s"))
+    assert (fit.offset, fit.drift) == (-3.2, 40e-6)
+    assert fit.offset_interval.standard_error == pytest.approx(0.02)
+    assert fit.to_force_seconds(100.0) == pytest.approx(96.804)
+    assert fit.event_errors.tolist() == [0.02]
+    assert fit.method == "stated: LED in frame 512"
+    (note,) = found.notes
+    assert (note.code, note.where, note.severity.value) == ("clocks_stated", "align", "info")
+    assert note.message == (
+        "the offset of the clocks is stated, not measured: -3.2 s, standard uncertainty 0.02 s, "
+        "drift 40 ppm, because: LED in frame 512"
+    )
+    assert not doubted(found.found)
+
+
+def test_without_an_uncertainty_it_is_known_to_a_sample() -> None:
+    found, fit = taken(stated("-3.2 s"))
+    assert fit.offset_interval.standard_error == pytest.approx(0.02)  # 50 frames per second
+    assert "standard uncertainty 0.02 s (one sample, as none is stated)" in found.notes[0].message
+    assert fit.drift_interval.standard_error == pytest.approx(1e-4 / np.sqrt(3.0))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("offset", "uncertainty", "wrong"),
+    [
+        ("-3.2 s", "20 ms", False),
+        ("-4.0 s", "20 ms", False),
+        ("3.2 s", "20 ms", True),
+        ("-53 s", "20 ms", True),
+        ("-6 s", "2 s", False),
+    ],
+)
+def test_a_statement_that_the_force_contradicts(
+    offset: str, uncertainty: str, wrong: bool, sign: float
+) -> None:
+    """A wrong sign is found, a statement that is known no better is not."""
+    found, _ = taken(stated(offset, uncertainty=uncertainty), sign=sign)
+    assert (doubted(found.found) != {}) is wrong
+    if wrong:
+        assert set(doubted(found.found)) == {"clock", "force"}
+        assert doubted(found.found)["clock"].startswith(
+            "clocks_stated_wrong: by the stated offset the "
+        )
+        assert doubted(found.found)["clock"].endswith(
+            "(time of the force less time of the motion) and at the files"
+        )
+
+
+@pytest.mark.parametrize("level", [0.0, 0.3])
+def test_a_force_that_never_peaks_contradicts_nothing(level: float) -> None:
+    motion = Signal(*TEST.seen_by_cameras(), "m", "markers")
+    values = level * np.linspace(0.0, 1.0, 1000)
+    force = Signal(np.arange(1000) / 10.0, values, "N", "force")
+    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
+    fit, found = stated_clocks(force, stated("1.5 s", channel="force"), motion, strokes)
+    assert fit.offset == 1.5
+    assert not doubted(found)

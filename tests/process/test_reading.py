@@ -1,0 +1,463 @@
+"""Exports read, their units, calibrations and the page of `labpipe inspect`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ProcessingError, ReadError
+from labpipe.process.calibrated_signals import calibrated
+from labpipe.process.reading import join_parts, read_inputs, read_role
+from labpipe.protocol.load import (
+    checked,
+    load_test_sheet,
+    parse_protocol,
+    resolve,
+)
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.protocol.source import Source
+from labpipe.protocol.yaml_text import parse_yaml
+from labpipe.records.quality import Finding, Findings, QualityNote, Severity
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+from tests.approved import Approve
+from tests.builders.controldesk import Axis, Signal, write_mat_v5
+from tests.builders.doubts import doubted
+from tests.builders.load_frames import trapezium
+from tests.builders.small_tests import Lab
+
+ReadParts = Callable[..., Recording]
+
+
+STEADY = np.arange(20) * 0.01
+
+
+RISING = np.linspace(1.0, 2.0, 20)
+
+
+def protocol(source: str) -> Protocol:
+    return parse_protocol(f"version: 1\nname: p\nsources:\n  force: {source}\n", "p.yaml")
+
+
+def export(tmp_path: Path, unit: str = "") -> Path:
+    signals = [Signal("Model", "Out1", RISING, unit=unit), Signal("Model", "Out2", RISING)]
+    return write_mat_v5(tmp_path / "a.mat", [Axis(STEADY)], signals)
+
+
+def test_only_named_channels_in_si(tmp_path: Path) -> None:
+    source = "{reader: dspace-mat, channels: {displacement: {channel: Model/Out1, unit: mm}}}"
+    recording = read_role(export(tmp_path), protocol(source).sources["force"])
+    (channel,) = recording.channels
+    assert (channel.name, channel.path, channel.unit) == ("displacement", "Model/Out1", "m")
+    np.testing.assert_allclose(channel.values, 1e-3 * RISING, rtol=1e-15)
+    assert len(recording.clocks) == 1
+
+
+def test_missing_channel_names_the_nearest(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: Model/Otu2, unit: N}").sources["force"]
+    path = export(tmp_path)
+    said = (
+        r"Model/Otu2.*'Model/Out2'.* Name the right one with 'sources\.force\.channel: "
+        r"\{value: \.\.\., because: \.\.\.\}' under 'overrides' in test\.yaml\.$"
+    )
+    with pytest.raises(ReadError, match=said):
+        read_role(path, source)
+
+
+def test_fingerprints(pristine: Lab) -> None:
+    sheet_path = pristine.raw / "test.yaml"
+    sheet = load_test_sheet(sheet_path)
+    recordings, inputs = read_inputs(pristine.raw, sheet, resolve(sheet, sheet_path))
+    assert list(recordings) == ["force", "markers"]
+    assert [(each.role, each.file) for each in inputs] == [
+        ("force", "force.mat"),
+        ("markers", "take.csv"),
+    ]
+    for each in inputs:
+        content = (pristine.raw / each.file).read_bytes()
+        assert each.sha256 == hashlib.sha256(content).hexdigest()
+        assert each.bytes == len(content)
+
+
+def part(start: float, *, name: str = "time") -> Recording:
+    time = start + np.arange(5.0)
+    channel = Channel("force", "Model/Out1", time, name, "N")
+    return Recording("dspace-mat", clocks=(Clock(name, time),), channels=(channel,))
+
+
+def test_parts_are_joined_in_time() -> None:
+    whole = join_parts([part(10.0, name="b"), part(0.0, name="a")], ["b.mat", "a.mat"])
+    expected = np.concatenate([np.arange(5.0), 10.0 + np.arange(5.0)])
+    np.testing.assert_array_equal(whole.clocks[0].time, expected)
+    np.testing.assert_array_equal(whole.channels[0].values, expected)
+    assert whole.channels[0].clock == whole.clocks[0].name
+
+
+def test_parts_that_overlap() -> None:
+    said = r"b.mat, time: expected a start after 4.000000 s, where a.mat ends, found 3.0"
+    with pytest.raises(ReadError, match=said):
+        join_parts([part(0.0), part(3.0)], ["a.mat", "b.mat"])
+
+
+EMPTY = Recording(
+    "load-frame",
+    notes=(QualityNote("no_samples", Severity.WARNING, "table", "a header, and no rows"),),
+)
+
+
+HEADED = replace(EMPTY, clocks=(Clock("time", np.empty(0)),))
+
+
+@pytest.fixture
+def read_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ReadParts:
+    """Read a test whose exports, a.mat and so on, hold what is given."""
+
+    def read_parts(*parts: Recording) -> Recording:
+        files = dict(zip(("a.mat", "b.mat", "c.mat"), parts, strict=False))
+        for name in files:
+            (tmp_path / name).write_bytes(b"synthetic")
+        monkeypatch.setattr(
+            "labpipe.process.reading.read_export", lambda path, *_, **__: files[path.name]
+        )
+        sheet = checked(
+            TestSheet,
+            parse_yaml(
+                "test: T\nprotocol: p\nspecimen: {type: A, spool: s, sample: 1}\n"
+                f"files: {{force: [{', '.join(files)}]}}\n",
+                "test.yaml",
+            ),
+        )
+        asked = protocol("{reader: dspace-mat, channel: Model/Out1, unit: N}")
+        recordings, inputs = read_inputs(tmp_path, sheet, asked)
+        assert [each.file for each in inputs] == list(files)
+        return recordings["force"]
+
+    return read_parts
+
+
+@pytest.mark.parametrize("nothing", [EMPTY, HEADED], ids=["bare", "header"])
+def test_an_empty_part_leaves_its_note_alone(read_parts: ReadParts, nothing: Recording) -> None:
+    alone = read_parts(part(3.0), nothing)
+    assert alone.notes == EMPTY.notes
+    np.testing.assert_array_equal(alone.channels[0].values, 3.0 + np.arange(5.0))
+    np.testing.assert_array_equal(alone.clocks[0].time, 3.0 + np.arange(5.0))
+
+    between = read_parts(part(10.0), nothing, part(0.0))
+    assert between.notes == EMPTY.notes
+    expected = np.concatenate([np.arange(5.0), 10.0 + np.arange(5.0)])
+    np.testing.assert_array_equal(between.clocks[0].time, expected)
+
+
+@pytest.mark.parametrize(
+    ("parts", "found"),
+    [((EMPTY,), "none in this file"), ((HEADED, EMPTY), "none in any of the parts")],
+)
+def test_a_test_without_any_sample(
+    read_parts: ReadParts, parts: tuple[Recording, ...], found: str
+) -> None:
+    said = (
+        rf"a\.mat: expected samples, found {found}\. The test was aborted before its first "
+        r"sample; leave it out\.$"
+    )
+    with pytest.raises(ReadError, match=said):
+        read_parts(*parts)
+
+
+def test_a_part_that_lacks_the_channel_is_not_taken_for_empty(read_parts: ReadParts) -> None:
+    other = replace(part(10.0), channels=(replace(part(10.0).channels[0], path="x", name="x"),))
+    with pytest.raises(ReadError, match=r"b\.mat, channel 'Model/Out1': expected one of the 1 cha"):
+        read_parts(part(0.0), other)
+
+
+def test_the_first_of_several_names_that_an_export_has(tmp_path: Path) -> None:
+    source = protocol(
+        "{reader: dspace-mat, channel: [Model/Load, Model/Out2, Model/Out1], unit: N}"
+    )
+    recording = read_role(export(tmp_path), source.sources["force"])
+    assert recording.channels[0].path == "Model/Out2"
+
+
+def test_a_channel_that_is_spelt_otherwise_is_told(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: [Load, Force, Kraft, out2], unit: N}")
+    recording = read_role(export(tmp_path), source.sources["force"])
+    assert recording.channels[0].path == "Model/Out2"
+    message = "the export has none called 'Load' or 'Force' or 'Kraft' ...: 'Model/Out2' was taken"
+    expected = QualityNote("channel_spelt_otherwise", Severity.INFO, "force", message)
+    assert expected in recording.notes
+
+
+def test_parts_without_time_have_no_order() -> None:
+    rows = replace(part(0.0), clocks=(Clock("time", np.arange(20.0), "1"),))
+    said = (
+        r"b\.txt: expected a part of a recording with times, by which parts are put in order, "
+        r"found rows without time\. Export the test in one piece, or with its time\."
+    )
+    with pytest.raises(ReadError, match=said):
+        join_parts([part(0.0), rows], ["a.txt", "b.txt"])
+
+
+SPECIMENS = """\
+version: 1
+name: p
+sources: {frame: {reader: load-frame, channels: {force: {channel: [Load, Force]}}}}
+"""
+
+
+def test_one_of_several_specimens_is_to_be_chosen(tmp_path: Path) -> None:
+    path = tmp_path / "pulls.csv"
+    path.write_bytes(trapezium((40, 25, 3)))
+    source = parse_protocol(SPECIMENS, "p.yaml").sources["frame"]
+    with pytest.raises(ReadError) as refused:
+        read_role(path, source)
+    assert str(refused.value) == (
+        f"{path}: expected one specimen, found 3: 'C1', 'C2', 'C3'. Choose one with"
+        " 'sources.frame.part: {value: C1, because: ...}' under 'overrides' in test.yaml."
+    )
+    chosen = source.model_copy(update={"part": "C2"})
+    assert len(read_role(path, chosen).channels[0].values) == 25
+
+
+def source(*, unit: str = "", wrong: str = "") -> Source:
+    said = (f", unit: {unit}" if unit else "") + (f", wrong_unit_in_file: {wrong}" if wrong else "")
+    text = f"{{reader: dspace-mat, channels: {{force: {{channel: Model/Out1{said}}}}}}}"
+    text = f"version: 1\nname: p\nsources:\n  force: {text}\n"
+    return parse_protocol(text, "p.yaml").sources["force"]
+
+
+def recorded(tmp_path: Path, stated: str, asked: Source) -> Recording:
+    """Read an export whose one channel states a unit."""
+    signals = [Signal("Model", "Out1", RISING, unit=stated)]
+    return read_role(write_mat_v5(tmp_path / "a.mat", [Axis(0.01 * np.arange(20))], signals), asked)
+
+
+def overridden(recording: Recording) -> list[QualityNote]:
+    return [note for note in recording.notes if note.code == "unit_overridden"]
+
+
+@pytest.mark.parametrize(("stated", "factor"), [("N", 1.0), ("kN", 1e3), ("lbf", 4.4482216152605)])
+def test_the_unit_of_the_file_is_taken_where_nobody_says_another(
+    tmp_path: Path, stated: str, factor: float
+) -> None:
+    recording = recorded(tmp_path, stated, source())
+    np.testing.assert_allclose(recording.channels[0].values, factor * RISING, rtol=1e-14)
+    assert overridden(recording) == []
+
+
+@pytest.mark.parametrize("stated", ["", "N", "newton", "-", "1"])
+def test_a_unit_beside_a_silent_file_or_one_that_means_the_same(
+    tmp_path: Path, stated: str
+) -> None:
+    recording = recorded(tmp_path, stated, source(unit="N"))
+    np.testing.assert_allclose(recording.channels[0].values, RISING)
+    assert len(overridden(recording)) == (stated in ("-", "1"))
+
+
+def test_a_label_in_the_file_that_is_said_to_be_wrong(tmp_path: Path) -> None:
+    recording = recorded(tmp_path, "kN", source(unit="N", wrong="kN"))
+    np.testing.assert_allclose(recording.channels[0].values, RISING)
+    message = "the export says 'kN', the protocol 'N': the protocol was followed"
+    expected = QualityNote("unit_overridden", Severity.WARNING, "force", message)
+    assert overridden(recording) == [expected]
+
+
+def test_another_label_than_the_one_that_is_said_to_be_wrong(tmp_path: Path) -> None:
+    """What was true of one export is not taken for the next one."""
+    with pytest.raises(ReadError, match=r"unit that the export states, 'mN', found '.*unit: N'"):
+        recorded(tmp_path, "mN", source(unit="N", wrong="kN"))
+
+
+def test_a_label_that_nobody_can_make_out_is_told(tmp_path: Path) -> None:
+    recording = recorded(tmp_path, "Einh. 7", source(unit="N"))
+    np.testing.assert_allclose(recording.channels[0].values, RISING)
+    assert "the export says 'Einh. 7'" in overridden(recording)[0].message
+
+
+REFUSED_UNITS = [
+    *(("kN", "N"), ("N", "kN"), ("lbf", "N"), ("KN", "N"), ("lbs", "N"), ("mm", "N")),
+    *(("", ""), ("KN", ""), ("Einh. 7", ""), ("mm", ""), ("kg", "")),
+]
+
+
+def test_units_that_cannot_be_used(tmp_path: Path, approved: Approve) -> None:
+    messages = []
+    for stated, unit in REFUSED_UNITS:
+        with pytest.raises(ReadError) as refused:
+            recorded(tmp_path, stated, source(unit=unit))
+        messages.append(str(refused.value).replace(str(tmp_path / "a.mat"), "a.mat"))
+    approved(messages)
+
+
+PROTOCOL = parse_protocol(
+    "version: 1\nname: p\nsources:\n"
+    "  force: {reader: dspace-mat, channel: A, unit: V,"
+    " calibration: {gain: 0.5 N/V, offset: 2 N, gain_uncertainty: 1 %}, zero_drift: 0.2 %}\n"
+    "  markers: {reader: motive-csv, scale_uncertainty: 0.05 %}\n"
+    "markers: {clamp: Clamp, along: all}\n",
+    "p.yaml",
+)
+
+
+TIME = np.arange(10) * 0.1
+
+
+def force_recording(values: np.ndarray, time: np.ndarray = TIME) -> dict[str, Recording]:
+    channel = Channel("force", "Model/A", values, unit="V")
+    note = QualityNote("x", Severity.INFO, "file", "y")
+    clock = (Clock("time", time),)
+    return {"force": Recording("dspace-mat", clocks=clock, channels=(channel,), notes=(note,))}
+
+
+def notes(found: list[Finding]) -> tuple[QualityNote, ...]:
+    return Findings(tuple(found)).notes
+
+
+def take(positions: np.ndarray, body: np.ndarray) -> dict[str, Recording]:
+    frames = len(positions)
+    clamp = RigidBody("Clamp", body, np.zeros((frames, 4)), np.zeros(frames))
+    time = np.arange(frames) / 50.0
+    tracks = MarkerTracks(time, time, 50.0, ("a", "b"), positions, (clamp,))
+    return {"markers": Recording("motive-csv", markers=tracks)}
+
+
+def test_calibrated_signal_and_notes() -> None:
+    made, found = calibrated(force_recording(np.arange(10.0)), PROTOCOL)
+    signal = made.signals.raw["force"]
+    np.testing.assert_allclose(signal.values, 0.5 * np.arange(10.0) + 2.0)
+    assert (signal.unit, signal.clock, signal.relative_error) == ("N", "force", 0.01)
+    assert signal.zero_drift == 0.002
+    assert made.signals.filtered["force"] is signal
+    assert [each.note for each in found] == [QualityNote("x", Severity.INFO, "force: file", "y")]
+    assert made.take.tracks is None
+
+
+def test_markers() -> None:
+    made, _ = calibrated(take(np.zeros((5, 2, 3)), np.zeros((5, 3))), PROTOCOL)
+    assert made.take.tracks is not None
+    assert made.take.role == "markers"
+    assert made.take.scale_error == 5e-4
+
+
+def test_missing_samples_are_doubted() -> None:
+    values = np.arange(10.0)
+    values[3] = np.nan
+    _, found = calibrated(force_recording(values), PROTOCOL)
+    assert doubted(found) == {
+        "force": "missing_samples: 1 of 10 samples are blank or not finite",
+    }
+
+
+def test_blanks_at_the_ends_are_noted_alone() -> None:
+    time = np.arange(100) * 0.1
+    values = np.arange(100.0)
+    values[0] = values[-1] = np.nan
+    _made, found = calibrated(force_recording(values, time), PROTOCOL)
+    assert not Findings(tuple(found)).doubts
+    assert [note.message for note in notes(found) if note.code == "missing_samples"] == [
+        "2 of 100 samples are blank or not finite"
+    ]
+    values[1:5] = np.nan
+    _, found = calibrated(force_recording(values, time), PROTOCOL)
+    assert [doubt.during for doubt in Findings(tuple(found)).doubts] == [
+        pytest.approx((0.0, 0.4)),
+        pytest.approx((9.9, 9.9)),
+    ]
+
+
+def test_nothing_but_blanks() -> None:
+    recordings = force_recording(np.full(10, np.nan))
+    with pytest.raises(ProcessingError, match=r"force, channel 'Model/A': expected numbers, found"):
+        calibrated(recordings, PROTOCOL)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 7])
+def test_an_aborted_recording(count: int) -> None:
+    recordings = force_recording(np.zeros(count), TIME[:count])
+    said = (
+        rf"^force, time: expected at least 8 samples, found {count}\. The recording was aborted; "
+        r"leave this test out\.$"
+    )
+    with pytest.raises(ProcessingError, match=said):
+        calibrated(recordings, PROTOCOL)
+
+
+def test_the_fewest_samples_that_are_taken() -> None:
+    made, _ = calibrated(force_recording(np.zeros(8), TIME[:8]), PROTOCOL)
+    assert len(made.signals.filtered["force"].values) == 8
+
+
+def test_rows_without_time() -> None:
+    recordings = force_recording(np.arange(10.0))
+    rows = Clock("time", np.arange(10.0), "1")
+    counted = {"force": replace(recordings["force"], clocks=(rows,))}
+    timed, _ = calibrated(recordings, PROTOCOL)
+    made, _ = calibrated(counted, PROTOCOL)
+    assert timed.signals.raw["force"].has_time
+    assert not made.signals.raw["force"].has_time
+
+
+PEAK = parse_protocol(
+    "version: 1\nname: p\nsources:\n"
+    "  force: {reader: dspace-mat, channel: A, unit: N,"
+    " plausible_peak: {from: 20 N, to: 2 kN}}\n",
+    "p.yaml",
+)
+
+
+@pytest.mark.parametrize("peak", [20.0, -150.0, 2000.0])
+def test_a_plausible_peak(peak: float) -> None:
+    _, found = calibrated(force_recording(peak * np.arange(10.0) / 9.0), PEAK)
+    assert not doubted(found)
+    assert len(found) == 1
+
+
+@pytest.mark.parametrize(
+    ("peak", "said"), [(0.15, "0.15 N"), (2.5e3, "2500 N"), (-1.5e5, "1.5e+05 N"), (0.0, "0 N")]
+)
+def test_an_implausible_peak(peak: float, said: str) -> None:
+    _, found = calibrated(force_recording(peak * np.arange(10.0) / 9.0), PEAK)
+    message = (
+        f"the largest value is {said}, plausible are 20 to 2000 N: is the unit right, and is it "
+        "this channel?"
+    )
+    assert doubted(found) == {"force": f"implausible_peak: {message}"}
+    note = QualityNote("implausible_peak", Severity.WARNING, "force", message)
+    assert note in notes(found)
+
+
+def test_time_that_runs_backwards() -> None:
+    time = TIME.copy()
+    time[4] = 0.05
+    recordings = force_recording(np.arange(10.0), time)
+    said = r"force, sample 5: expected a time axis that grows, found 0.050000 s after 0.300000 s"
+    with pytest.raises(ProcessingError, match=said):
+        calibrated(recordings, PROTOCOL)
+
+
+def test_impossibly_large_samples() -> None:
+    values = np.arange(10.0)
+    values[7] = -1e200
+    recordings = force_recording(values)
+    said = (
+        r"force, channel 'Model/A', sample 8: expected numbers up to 1e\+15 in SI units, found 5e"
+    )
+    with pytest.raises(ProcessingError, match=said):
+        calibrated(recordings, PROTOCOL)
+
+
+def test_impossibly_large_positions() -> None:
+    positions, body = np.zeros((5, 2, 3)), np.zeros((5, 3))
+    far = positions.copy()
+    far[3, 1, 2] = 1e9
+    with pytest.raises(
+        ProcessingError, match=r"markers, marker 'b', sample 4: expected numbers up"
+    ):
+        calibrated(take(far, body), PROTOCOL)
+    away = body.copy()
+    away[2] = [np.nan, 1e7, 0.0]
+    with pytest.raises(ProcessingError, match=r"markers, rigid body 'Clamp', sample 3: "):
+        calibrated(take(positions, away), PROTOCOL)
