@@ -165,7 +165,7 @@ def against_mujoco() -> None:
     from labpipe.decks.mujoco_sliders import mujoco_plane_deck
     from labpipe.law.table_sliders import sliders_of
     from tests.builders.wire_tables import LENGTH, wire_table
-    from tests.judges.mujoco_chains import tips
+    from tests.judges.rod_references import tips
 
     table = wire_table("A2")
     loads = np.array([0.2, 0.5, 0.9, 0.5, 0.0])

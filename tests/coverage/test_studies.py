@@ -142,8 +142,6 @@ def test_by_noise_and_by_fault() -> None:
 
 
 KEYS = ("truth", "value", "lower", "upper", "status")
-
-
 BAR, TAPE = "lab/stiff-bar", "lab/pet-tape"
 
 

@@ -17,7 +17,7 @@ from labpipe.records.arrays import Floats
 from labpipe.wire.end_load_path import end_load_path
 from tests.builders.wire_tables import loss_card
 from tests.decks.test_mujoco_sliders import LENGTH, example
-from tests.judges.mujoco_chains import tips
+from tests.judges.rod_references import tips
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"

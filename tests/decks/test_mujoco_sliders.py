@@ -21,7 +21,7 @@ from labpipe.records.wire import WireTable
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.wire_table import wire_table
-from tests.judges.mujoco_chains import tips
+from tests.judges.rod_references import tips
 
 LENGTH = 0.085
 DEFLECTIONS = np.array([3e-3, 5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3])

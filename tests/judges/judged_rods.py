@@ -32,11 +32,7 @@ from tests.judges.rod_references import (
 
 FAR = 1e6
 """1/m, end of the laws' range: no case gets there."""
-
-
 GRAVITY = 9.81
-
-
 STRETCH = 1e5
 """N, of rods whose both ends are held."""
 

@@ -17,17 +17,9 @@ from labpipe.wire.friction import Bundle, Contacts, arrange, ring_pressure, sine
 from labpipe.wire.strand_bending import helix_factor, strand_moment
 
 LENGTH = 0.085
-
-
 MARKERS = np.linspace(0.008, 0.081, 8)
-
-
 CENTRE_OFFSET = 0.0008
-
-
 STIFFNESS = 2e-3
-
-
 Law = Callable[[Floats], Floats]
 """Curvature (1/m) of a moment (N m), for moments above 0."""
 

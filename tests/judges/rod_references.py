@@ -1,8 +1,8 @@
-"""Shapes of rods by other means: boundary value problems, elliptic integrals, closed forms.
+"""Shapes of rods by other means: boundary value problems, elliptic integrals, MuJoCo.
 
 Nothing here shares code with `labpipe.rod`: the equations are those of Kirchhoff's rod, written out
-once more and solved by scipy, or formulas of the literature. Lengths and stiffnesses are whatever
-the caller measures in.
+once more and solved by scipy, or formulas of the literature; MuJoCo runs labpipe's decks. Lengths
+and stiffnesses are whatever the caller measures in.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
+from labpipe.decks.mujoco_sliders import REST
 from labpipe.records.arrays import Floats
 
 TOLERANCE = 1e-9
@@ -281,3 +282,38 @@ def bend_of_45_degrees(load: float = 600.0, *, torsion: float = 1.0 / 6.0) -> Fl
         (1e7 / 12.0, 1e7 / 12.0, 0.5e7 * torsion), 25.0 * np.pi, (0.01, 0.0, 0.0), frame
     )
     return np.asarray(whole.under(np.array([0.0, 0.0, load]))[0][-1])
+
+
+def tips(
+    deck: str,
+    loads: Floats,
+    towards: float | Floats = 0.0,
+    *,
+    ramp: int = 400,
+    rest: int = REST,
+) -> Floats:
+    """Where the tip comes to rest under each load, shape (loads, 3).
+
+    Parameters
+    ----------
+    deck : MJCF
+    loads : N, one after the other
+    towards : rad, direction of the loads from y to z; or of each load
+    ramp, rest : steps in which a load grows, and in which it stands
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(deck)
+    data = mujoco.MjData(model)
+    angles = np.broadcast_to(towards, np.shape(loads))
+    pulls = np.asarray(loads)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    places, before = [], np.zeros(model.nu)
+    for pull in pulls[:, : model.nu]:
+        for step in range(ramp + rest):
+            data.ctrl[:] = before + min(1.0, (step + 1) / ramp) * (pull - before)
+            mujoco.mj_step(model, data)
+        before = pull
+        places.append(np.array(data.sensor("tip").data))
+    assert not any(warning.number for warning in data.warning)
+    assert float(np.max(np.abs(data.qvel))) < 1e-3
+    return np.array(places)

@@ -30,8 +30,6 @@ from tests.judges.reference_wires import (
 )
 
 REST = slice(0, 20)
-
-
 PIVOT = np.array([-0.006, -0.0017, 0.0003])  # beside the axis, and 6 mm before the clamped end
 
 
@@ -254,11 +252,7 @@ def sagging(offset: float) -> tuple[Floats, Floats]:
 
 
 S = np.linspace(0.01, 0.08, 8)
-
-
 X = np.array([1.0, 0.0, 0.0])
-
-
 ENDS = EndConditions(length=0.085, direction=X, free_tip=False)
 
 

@@ -10,8 +10,6 @@ from labpipe.signal.bad_samples import Stuck, bridge_spikes, find_spikes, stuck_
 from tests.builders.plain_records import PlainRecord, up_and_down
 
 D = np.linspace(0.0, 0.04, 401)
-
-
 RISE = 9000.0 * D + np.random.default_rng(0).normal(0.0, 0.5, len(D))
 
 

@@ -249,8 +249,6 @@ def test_where_a_motion_stands() -> None:
 
 
 JUMP_TIME = 0.01 * np.arange(2000.0)
-
-
 RAMP = np.minimum(JUMP_TIME, 20.0 - JUMP_TIME) * 10.0
 
 

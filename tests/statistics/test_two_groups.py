@@ -32,8 +32,6 @@ from labpipe.statistics.two_groups import (
 from tests.builders.bundle_campaigns import bundle_sample
 
 FIRST, SECOND = [10.0, 10.4, 9.8, 10.1], [10.9, 11.8, 11.1]
-
-
 NEAR = [10.02, 10.38, 9.83, 10.08]
 
 

@@ -16,8 +16,6 @@ from labpipe.uncertainty.wandering_zeros import wanders
 from tests.builders.noisy_curves import replicates_of, trace_of
 
 RNG = np.random.default_rng
-
-
 TIME: Floats = 0.01 * np.arange(1000.0)
 
 
@@ -177,8 +175,6 @@ def test_a_jump_is_no_turn() -> None:
 
 
 CUTS = (200, 1500, 2800)
-
-
 RECORD = 3000
 
 

@@ -42,11 +42,7 @@ from tests.builders.wire_tables import spec_of, wire_table
 from tests.judges.judged_rods import bend_tip
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
-
-
 N_ALONG = 5
-
-
 CLOSE = 0.02
 
 
@@ -98,14 +94,8 @@ def test_wires(name: str, tmp_path: Path) -> None:
 
 
 LOAD = 600.0
-
-
 TORSION = 0.140577
-
-
 ACROSS, ALONG = 2, 8
-
-
 # Corners, then edges, of a brick of 20 nodes, in half steps along its three directions.
 BRICK = [
     *[(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)],

@@ -36,11 +36,7 @@ from tests.builders.cantilevers import LENGTH, WIRE
 from tests.builders.stranded_wires import contacts_of, wire
 
 STRING = 0.760
-
-
 WEIGHT = 0.0027 * 9.80665
-
-
 BILINEAR = bilinear_law(5e-3, 1.5e-3, 0.02)
 
 
@@ -238,8 +234,6 @@ CASES = [
     (plays("A2"), 0.13, 1e-5),
     (plays("C4"), 0.3, 1e-5),
 ]
-
-
 IDS = ["linear", "bilinear", "bilinear far", "A2", "A2 far", "C4"]
 
 

@@ -92,8 +92,6 @@ def test_one_alone_is_not() -> None:
 
 
 FIRST = mean_interval([0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0])
-
-
 SECOND = mean_interval([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
 
 
@@ -125,8 +123,6 @@ def test_interval_is_made_with_it(n: int) -> None:
 
 
 FIRST_REGION = {"1": [58.33, 57.71, 56.28], "2": [47.09, 48.19, 46.08]}
-
-
 SECOND_REGION = {"1": [31.78, 33.98, 32.98], "2": [27.38, 28.81, 30.50]}
 """1/m, by spool."""
 
@@ -150,11 +146,7 @@ def test_two_spools_of_three_samples() -> None:
 
 
 PRINTED = {"C1": 1.46, "C2": 2.75, "C3": 6.22, "C4": 16.96, "C5": 39.87}
-
-
 HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
-
-
 CONCENTRIC = {"C1": 1.62, "C2": 3.15, "C3": 6.60, "C4": 17.9, "C5": 41.9}
 """1e-3 N m^2."""
 

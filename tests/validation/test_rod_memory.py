@@ -31,7 +31,7 @@ from tests.builders.rods import (
 from tests.builders.wire_tables import LENGTH as WIRE_LENGTH
 from tests.builders.wire_tables import wire_table
 from tests.judges.judged_rods import clamped
-from tests.judges.mujoco_chains import tips
+from tests.judges.rod_references import tips
 
 PLAYS = as_plays(SLIDING)
 
@@ -78,8 +78,6 @@ def test_the_loop_of_a_cantilever_is_that_of_wire() -> None:
 
 
 ELEMENTS = 60
-
-
 PARTS = 5
 """Steps of the rod to each load of the chain."""
 

@@ -110,12 +110,8 @@ def test_any_lay_and_any_poisson(lay_angle: float, poisson: float) -> None:
 
 
 TENSION = 40e3
-
-
 INNER_ONLY = Contacts((0.7,) * 4, (0.0,) * 4)
 """Each layer rubs on what it is pressed against by its own pull and that of the layers outside."""
-
-
 SHARED = Contacts((0.7,) * 4, (0.35, 0.35, 0.35, 0.0), lay_lengths=True)
 """Sliding against the layer outside is shared between the two; pressure by lay lengths."""
 
@@ -155,11 +151,7 @@ def test_lay_lengths_and_shared_sliding_are_closer(
 
 
 MODULUS, NU, YIELD = 110e9, 0.34, 60e6
-
-
 SOFT = RambergOsgood(MODULUS, 530e6, 0.44)
-
-
 CURVATURES: Floats = np.array([1e-3, 0.05, 0.4, 3.0, 20.0, 60.0])
 
 

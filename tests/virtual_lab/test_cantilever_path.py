@@ -20,8 +20,6 @@ from labpipe.virtual_lab.recorders import plan_cantilever
 from labpipe.wire.cantilever import bend_to_travel
 
 TEST = MechanicalTest(cycles=2)
-
-
 TWO_STROKES = 2 * TEST.stroke
 
 

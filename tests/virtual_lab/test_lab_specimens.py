@@ -49,8 +49,6 @@ def test_strands_that_do_not_fit() -> None:
 
 
 SEVEN = BundleModel((("B1", 7),))
-
-
 NINETEEN = BundleModel()
 
 

@@ -123,8 +123,6 @@ def test_machine_gives_way() -> None:
 
 
 TUBE = replace(corrugated_tube("CT-10-slit-2"), slips=(GripSlip(18.75e-3, 0.47),))
-
-
 PARTED = replace(twist_tube("2b"), export=ExportLayout(in_parts=True, part_at=2.6))
 
 

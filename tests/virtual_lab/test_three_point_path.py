@@ -34,11 +34,7 @@ from labpipe.virtual_lab.three_point_path import (
 from labpipe.virtual_lab.truth import ConduitTruth, evaluate_conduit
 
 BUNDLE, _ = CONDUIT_TYPES["CWB-1"]
-
-
 SMOOTH = ThreePointTest(BUNDLE, friction=0.0)
-
-
 ROUGH = ThreePointTest(BUNDLE, friction=0.2)
 
 

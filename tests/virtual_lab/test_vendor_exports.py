@@ -105,14 +105,8 @@ def test_numbers_six_decimals_and_blanks(rows: list[list[str]], observation: Obs
 
 
 STARTED = datetime(2026, 3, 9, 10, 5)
-
-
 BOOK_RUN = Run("CT-10-1", STARTED, seed=9)
-
-
 TIME: Floats = 0.087 + 0.05 * np.arange(30, dtype=np.float64)
-
-
 RECORD = FrameRecord(time=TIME, displacement=25.4e-3 * TIME, force=4.4482216152605 * (TIME - 0.2))
 
 
@@ -140,21 +134,13 @@ def test_rows(book_file: Path) -> None:
 
 
 SUITE_STARTED = datetime(2026, 3, 9, 13, 5, 7)
-
-
 SUITE_RUN = Run("tube-1", SUITE_STARTED, seed=8)
-
-
 SUITE_TIME: Floats = 0.019 + 0.01 * np.arange(40, dtype=np.float64)
-
-
 SUITE_RECORD = FrameRecord(
     time=SUITE_TIME,
     displacement=5e-3 * SUITE_TIME,
     force=2.7 + 100.0 * SUITE_TIME,
 )
-
-
 PARTS = ExportLayout(in_parts=True, part_at=0.2)
 
 

@@ -21,26 +21,14 @@ from numpy.typing import NDArray
 from tests.judges.foreign.specimens import Specimen
 
 Array = NDArray[np.float64]
-
-
 Random = np.random.Generator
-
-
 Maker = Callable[[int, float, Random], Array]
-
-
 HUM = 49.93
 """Hz; mains are never at 50 exactly. The rates of the rig do not fold it to slow waves."""
-
-
 MEMORY = 0.3
 """s, of a load cell that remembers."""
-
-
 LAG = 60.0
 """s, by which a load cell of some hundred grams follows the air around it."""
-
-
 WAVES = (0.4, 1.0)
 """That a drifting zero goes along in a record, from the one to the other with the same chance."""
 
@@ -143,12 +131,8 @@ def slow(n: int, _: float, rng: Random) -> Array:
 
 KINDS = ("white", "memory", "pink", "hum", "steps", "drift")
 """Of the study."""
-
-
 ATTACKS = ("periodic", "louder", "jump", "slow", "coarse")
 """Worse than an interval can be asked to hold: it is to be wider, or doubtful."""
-
-
 MAKERS: dict[str, Maker] = {
     "white": white,
     "memory": remembering,
@@ -162,8 +146,6 @@ MAKERS: dict[str, Maker] = {
     "slow": slow,
     "coarse": quiet,
 }
-
-
 STEPS = {"steps": 7.0, "coarse": 60.0}
 """Of a converter, in sizes of the noise that there is: a third of the usual."""
 
@@ -177,8 +159,6 @@ def noisy(values: Array, kind: str, size: float, dt: float, rng: Random) -> Arra
 
 
 PROTOCOLS = Path(__file__).resolve().parents[3] / "protocols"
-
-
 UNITS = {"": 1.0, "%": 0.01, "mm": 1e-3, "um": 1e-6, "m": 1.0}
 
 
@@ -236,14 +216,8 @@ def scale(protocol: str, role: str, channel: str = "") -> float:
 
 
 FRAME_FAULTS = ("counts-down", "begins-under-load", "cut")
-
-
 PULL_FAULTS = (*FRAME_FAULTS, "slip")
-
-
 RECORDER_FAULTS = ("begins-under-load", "cut")
-
-
 CAMERA_FAULTS = ("begins-under-load", "cut", "short-rest")
 
 

@@ -18,15 +18,9 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 Array = NDArray[np.float64]
-
-
 Row = tuple[float, float, float, Array]
 """Travel, force, deflection, curvature."""
-
-
 GRAVITY = 9.80665
-
-
 POINTS = 22
 
 

@@ -53,8 +53,6 @@ def test_a_zero_is_as_far_off_at_its_end_as_is_stated(lasts: float, half: float)
 
 
 SPRING = Stops(1e-3, np.zeros(0), np.zeros(0))
-
-
 LENGTH = 0.1
 
 
@@ -87,8 +85,6 @@ def test_weight_is_carried() -> None:
 
 
 TRUE = Truth()
-
-
 VALUES = np.array([TRUE.friction, TRUE.modulus, TRUE.copper])
 
 

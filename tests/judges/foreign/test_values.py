@@ -22,28 +22,20 @@ from tests.judges.foreign.rig import ATTACKS, Chance
 
 Case = tuple[str, int, str]
 """Kind, seed, fault."""
-
-
 # Results that are `ok` and far off, by test.
 WRONG: dict[Case, set[str]] = {
     # kink_displacement +3.5 %; a bend without a corner, its interval is twice as wide
     ("taped-bundle", 48, ""): {"kink_displacement"},
 }
-
-
 # Sound tests with results that are not `ok`, and the reason given.
 NOT_OK: dict[Case, str] = {
     ("three-point-bend", 0, ""): "partial_cycle",
     ("three-point-bend", 108, ""): "partial_cycle",
     ("conduit-bundle", 0, ""): "no_camera_clock",
 }
-
-
 CASES = {0: "white", 24: "hum", 48: "steps", 108: "memory"}
 """Seeds, and their noise. Machines dwell 0, 1, 5, 0 s at a turn; specimens differ; with the last
 seed load frames write ten samples a second."""
-
-
 RELATIVE = (
     # Five standard deviations of noise that the largest of thousands of samples shows: 0.15 %. As
     # much again for the travel within the filter, and for a zero of ten samples.
@@ -64,17 +56,11 @@ RELATIVE = (
     # Lines over 0.1 mm, and a fall of 3 % in noise of 0.03 %.
     (r"slack|slip_drop", 0.05),
 )
-
-
 AT_10_HZ = {"failure_displacement": 0.02, "energy_to_break": 0.035, "failure_force": 0.03}
 """The break is a step or less behind the last sample: at 5 mm/s half a millimetre of 26, along
 which the force does 3 % of the work; threads that give way cost 2.7 % of the force in it."""
-
-
 ABSOLUTE = {"clock_offset": 10e-3, "clock_drift": 200e-6}
 """s, 1. Half a frame at 50 per second, and that over the time from the first turn to the last."""
-
-
 NAMES = {
     "counts-down": r"counts? down|\bsign\b|negative|revers",
     "begins-under-load": r"begins? (at|under)|under (load|a force)|not_at_rest",
@@ -83,18 +69,10 @@ NAMES = {
     "short-rest": r"rest\b",
 }
 """Words by which a technician knows what went wrong."""
-
-
 CLEAN = [(kind, seed, "") for kind in KINDS for seed in CASES if seed < 108 or kind in FRAMES]
-
-
 FAULTY = [(kind, 0, fault) for kind in KINDS for fault in FAULTS[kind]]
-
-
 MAY_DOUBT = {"failure_displacement", "failure_force", "energy_to_break"}
 """Of a yarn, whose fibres break one after another."""
-
-
 Ask = Callable[[str, int, str], Said]
 
 
@@ -156,28 +134,16 @@ def test_nothing_ok_is_far_off(ask: Ask, kind: str, seed: int, fault: str) -> No
 
 
 COUNTS = (8, 12, 20, 40, 80, 150, 400)
-
-
 PULLED = tuple(kind for kind in FRAMES if kind != "force-displacement")
-
-
 SEEDS = (4000, 4110, 4156)
 """The first one is quick; specimens, dwells and rates of load frames differ."""
-
-
 MOST = 3.0
 """Half widths: an interval that does not hold is at least not far from the truth."""
-
-
 JUMPS, PERIODIC = (
     "a zero that jumps by 0.6 % of the peak is not seen",
     "a wave slower than a window",
 )
-
-
 CLOCKS = "the corner of a force that stands on a step, or has no noise at all"
-
-
 NOT_YET = {
     "taped-bundle-jump-4000": JUMPS,
     "taped-bundle-jump-4110": JUMPS,
@@ -194,8 +160,6 @@ NOT_YET = {
     "tensile-8-samples-4156": "the step behind the last sample is a tenth of the way",
 }
 """`ok` and farther off than the interval can excuse. An entry that is right now is taken out."""
-
-
 Attack = tuple[str, Chance]
 
 

@@ -35,11 +35,7 @@ from labpipe.wire.materials import ANNEALED_COPPER, Elastic, Material
 from labpipe.wire.stretch_torsion import stretch_torsion
 
 Values = Mapping[str, Any]
-
-
 Bounds = tuple[float, float]
-
-
 RINGS = {7: 1, 19: 2, 37: 3, 61: 4}
 """Rings around the core of a lattice, by the number of strands."""
 
@@ -186,11 +182,7 @@ MODELS: dict[str, Callable[[Values], Bounds]] = {
         *(bending, six_wires, cord, cord_torsion),
     )
 }
-
-
 FOLDER = Path(__file__).resolve().parent / "cards"
-
-
 UNITS = {"g/m": 1e-3, "kg/m": 1.0, "MN": 1e6, "GPa": 1e9, "N mm2": 1e-6, "1": 1.0}
 """In SI units."""
 

@@ -15,11 +15,7 @@ from tests.judges.outside.cards import (
 )
 
 CARDS = read_cards()
-
-
 NUMBERS = [pytest.param(each, id=each.name) for card in CARDS for each in card.numbers]
-
-
 AREA = np.pi * 2.1e-3**2 / 4.0
 
 

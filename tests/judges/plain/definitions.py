@@ -16,18 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 Samples = npt.NDArray[np.float64]
-
-
 FAST = 0.05
 """s, in which a final loss falls by a tenth of the peak (one sample step where that is longer)."""
-
-
 TENTH = 0.1
-
-
 HALF = 0.5
-
-
 STANDING = 1e-3
 """Share of the stroke within which the motion stands at its turn."""
 
@@ -318,11 +310,7 @@ def filtered(record: Record, samples: int, stroke: float) -> list[Record]:
 
 
 SEGMENTS = ("segment_stiffness_first", "segment_stiffness_second", "break_point")
-
-
 AT_BREAK = ("failure_displacement", "failure_force", "energy_to_break")
-
-
 FEWEST = {"stiffness": 8, "energy.*": 16}
 """Samples that the reference page of the results asks for; with fewer a result may be refused."""
 

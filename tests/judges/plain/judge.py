@@ -84,18 +84,10 @@ def _show(
 
 
 NEAR = 3e-3
-
-
 NAN = re.compile(r"\bnan\b|\binf\b", re.IGNORECASE)
-
-
 NO_BREAK = "no_break|no_failure"
-
-
 SIGN = re.compile("sign|negative|reversed|down|compress")
 """In the code of a note that says that a number is negative because of how the file counts."""
-
-
 Numbers = Mapping[str, Plain | None]
 """Plain number by name of the result; None for one that this test cannot have."""
 

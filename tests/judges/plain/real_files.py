@@ -143,8 +143,6 @@ FRAMES = {
         Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
     ).items()
 }
-
-
 PROTOCOL = """\
 version: 1
 name: plain
@@ -161,11 +159,7 @@ branches: {channel: displacement, min_stroke: STROKE mm}
 results:
   - {result: peak-displacement}
 """
-
-
 WORK = "  - {result: peak-force}\n  - {result: energy}\n"
-
-
 SMOOTH = "  - {step: smooth, channel: %s, method: moving-average, span: %s s}\n"
 
 
@@ -264,20 +258,10 @@ class Take:
 
 
 ROOT = "Model Root/"
-
-
 LOAD = f"{ROOT}Harware/Subsystem1/load raw1/In1"
-
-
 LASER = f"{ROOT}Laser Sensor/laser_-x1/In1"
-
-
 STEP = (f"{ROOT}Volt/In1", f"{ROOT}Position1/In1", 1.0)
-
-
 ADC = (f"{ROOT}DS1104ADC_C5/ADC", f"{ROOT}DS1104ADC_C6/ADC", 0.2)
-
-
 RECORDERS: dict[str, Recorder | Take] = {
     "damper": Recorder("dspace/0103_3_3.mat", "dspace-mat", LOAD, LASER, 1.0, 0.02),
     "damper-unfiltered": Recorder("dspace/0103_3_3.mat", "dspace-mat", LOAD, LASER, 1.0),
