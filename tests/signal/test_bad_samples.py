@@ -184,3 +184,13 @@ def test_a_few_equal_samples_in_noise_are_chance(since: float) -> None:
     at = int(np.searchsorted(record.time, since))
     record.force[at : at + 9] = record.force[at]
     assert not seen(record)
+
+
+@pytest.mark.parametrize("step", [0.005, 0.02, 0.05])
+def test_coarse_steps_and_a_plateau(step: float) -> None:
+    """A round top and a yield plateau stand on one step of the resolution for long."""
+    time: Floats = np.arange(0.0, 20.0, 0.02)
+    top = 1.0 - ((time - 10.0) / 10.0) ** 2
+    plateau = 1.0 - np.exp(-time)
+    for force in (top, plateau):
+        assert not stuck_runs(time, np.round(force / step) * step, 1e-3 * time)

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from labpipe.records.arrays import Floats
 from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
 from labpipe.uncertainty.noise import (
+    Evidence,
     Grid,
     Noise,
     cubic_basis,
@@ -142,3 +143,15 @@ def test_the_residual_deviation_is_that_of_the_textbook() -> None:
     left = x + noise - line.intercept - line.slope * x
     assert fit.residual_deviation == pytest.approx(np.sqrt(np.sum(left**2) / 38.0))
     assert fit.classical_errors == pytest.approx([line.intercept_stderr, line.stderr])
+
+
+def test_more_stretches_know_the_correlation_better() -> None:
+    grid = Grid(100, 100)
+    evidence = [Evidence.of(cubic_basis(100), noise(k, 100, 5.0), grid, 128) for k in range(8)]
+    one, all_of_them = (Noise.of(evidence[:count], grid) for count in (1, 8))
+    entropies = [
+        -float(np.sum(each.chances * np.log(each.chances + 1e-300))) for each in (one, all_of_them)
+    ]
+    assert entropies[1] < entropies[0]
+    assert all_of_them.freedom == 8 * one.freedom
+    assert all_of_them.chances.sum() == pytest.approx(1.0)
