@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from labpipe.errors import CODES
-from tests.builders.lab_folders import LabFolder
-from tests.builders.small_tests import Run, state
+from tests.builders.small_tests import LabFolder, Run, state
 
 L = TypeVar("L", bound=LabFolder)
 

@@ -31,8 +31,11 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Specimen, Status
+from labpipe.statistics import groups
 
 DISPLAY = {"displacement": "mm", "force": "N", "stiffness": "N/mm", "energy": "J"}
+
+
 END = 0.040
 
 
@@ -276,3 +279,40 @@ def build_difference() -> Difference:
         why="p = 0.001",
         fields={"type": ("twist-tube-10", "twist-tube-7")},
     )
+
+
+SPOOLS = {"s1": (58.33, 57.71, 56.28), "s2": (47.09, 48.19, 46.08)}
+
+
+def stiffness(value: float | None, unit: str = "N/m", **said: object) -> Result:
+    return Result("stiffness", value, unit, **said)  # type: ignore[arg-type]
+
+
+def make(spool: str, number: int, slope: float, *, stop: float = 0.02) -> Sample:
+    path = np.linspace(0.0, stop, 80)
+    curve = SampleCurve(path, slope * path, slope * path)
+    peak = Result("peak_force.1", slope * stop, "N")
+    return Sample(
+        test=f"{spool}-{number}",
+        specimen=Specimen("tube", spool, str(number), {"length": 0.3}),
+        protocol="tensile",
+        loading=(curve,),
+        unloading=(),
+        results=(stiffness(slope), peak),
+    )
+
+
+def samples() -> list[Sample]:
+    return [
+        make(spool, number, slope)
+        for spool, slopes in SPOOLS.items()
+        for number, slope in enumerate(slopes, start=1)
+    ]
+
+
+def built(members: list[Sample], *, scaled: bool = False) -> Group:
+    return groups.build_group("tube", "tensile", members, scaled=scaled)
+
+
+def said(group: Group) -> dict[str, str]:
+    return {note.code: note.message for note in group.notes}

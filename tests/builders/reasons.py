@@ -1,9 +1,16 @@
-"""Reasons of the results in a ``summary.json``."""
+"""Reasons and doubts of the results of a test, and which run its files are of."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
+
+from labpipe.records.quality import Finding, Findings
+from labpipe.results.evidence import Evidence
+from labpipe.store.read import read_run
 
 
 def codes(result: Mapping[str, Any]) -> list[str]:
@@ -14,3 +21,24 @@ def codes(result: Mapping[str, Any]) -> list[str]:
 def why(result: Mapping[str, Any]) -> str:
     """Codes and sentences of the reasons of a result, as the commands print them."""
     return "; ".join(f"{each['code']}: {each['message']}" for each in result["reasons"])
+
+
+def doubted(found: Evidence | Iterable[Finding]) -> dict[str, str]:
+    """The first reason of each quantity that is in doubt anywhere in the record."""
+    findings = found.findings if isinstance(found, Evidence) else Findings() + found
+    reasons: dict[str, str] = {}
+    for doubt in findings.doubts:
+        reasons.setdefault(doubt.quantity, str(doubt.reason))
+    return reasons
+
+
+def runs(folder: Path) -> set[str]:
+    """Keys of the run that the files of a test show: result, summary, figures as SVG and PNG."""
+    found = {json.loads((folder / "summary.json").read_text("utf-8"))["run"]}
+    found.add(read_run(folder / "result.h5"))
+    for figure in (folder / "figures").iterdir():
+        content = figure.read_bytes()
+        key = rb"<dc:identifier>(\w{64})</dc" if figure.suffix == ".svg" else rb"run\x00(\w{64})"
+        found |= {each.decode() for each in re.findall(key, content)}
+        assert re.search(key, content), figure
+    return found

@@ -17,7 +17,7 @@ from labpipe.records.result import Result
 from labpipe.virtual_lab import TensileObservation, TensileScenario, observe
 from labpipe.virtual_lab.observations import simulate_test
 from labpipe.virtual_lab.tensile_path import TensilePath
-from tests.builders.lab_folders import LabFolder
+from tests.builders.small_tests import LabFolder
 
 SEGMENTS = {"twist-tube": (2e-3, 20e-3), "pet-tape": (1e-3, 35e-3)}
 """Windows of the two-segment fits of the shipped protocols, m."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked
-from tests.builders.run_keys import runs
+from tests.builders.reasons import runs
 from tests.builders.small_pulls import small_pulls
 from tests.builders.tensile_tests import TensileLab
 

@@ -17,7 +17,7 @@ import pytest
 
 from labpipe.store.replace import locked
 from tests.builders import bad_input
-from tests.builders.run_keys import runs
+from tests.builders.reasons import runs
 from tests.builders.small_tests import Lab, Run, state
 
 

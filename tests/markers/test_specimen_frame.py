@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
 from labpipe.records.arrays import Floats
-from tests.builders.marker_takes import NAMES, WireTake, marker_tracks, wire_take
+from tests.builders.plain_records import NAMES, WireTake, marker_tracks, wire_take
 
 X, Y, Z = np.eye(3)
 REST = slice(0, 100)

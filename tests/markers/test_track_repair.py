@@ -14,7 +14,7 @@ from labpipe.markers.tracklets import Tracklets
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
 from tests.approved import Approve
-from tests.builders.marker_takes import (
+from tests.builders.plain_records import (
     NAMES,
     WireTake,
     blank_columns,

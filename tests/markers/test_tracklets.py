@@ -15,7 +15,7 @@ from labpipe.markers.tracklets import (
     link_tracklets,
 )
 from labpipe.records.arrays import Floats
-from tests.builders.marker_takes import wire_take
+from tests.builders.plain_records import wire_take
 
 
 def cuts(positions: Floats, *, relative: Floats | None = None) -> list[tuple[int, int, int]]:

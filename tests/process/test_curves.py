@@ -20,9 +20,8 @@ from labpipe.records.curve import Direction, SlipDecision
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Severity
 from labpipe.uncertainty.intervals import Measured
-from tests.builders.doubts import doubted
 from tests.builders.pulls import LINE, STEP, broken, codes, pull, pulled, slipped
-from tests.builders.reasons import why
+from tests.builders.reasons import doubted, why
 from tests.builders.reduced import RESULTS, loop, reduced
 from tests.builders.tensile_tests import TensileLab, write_pull
 

@@ -22,7 +22,7 @@ from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signals
 from labpipe.results.evidence import Evidence
 from labpipe.virtual_lab import Observation, observe
-from tests.builders.doubts import doubted
+from tests.builders.reasons import doubted
 from tests.builders.small_tests import small_scenario
 from tests.builders.three_point import STROKE, BendingRecord, curvature_at, load_at, reduced
 

@@ -32,9 +32,9 @@ from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Instrument, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.signal.turning_points import find_strokes, split_branches
-from tests.builders.doubts import doubted
 from tests.builders.plain_records import PlainRecord, up_and_down
 from tests.builders.pulls import pull, pulled
+from tests.builders.reasons import doubted
 from tests.builders.reduced import reduced
 from tests.builders.tensile_tests import TensileLab, write_pull
 

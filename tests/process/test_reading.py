@@ -27,8 +27,8 @@ from labpipe.records.quality import Finding, Findings, QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from tests.approved import Approve
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
-from tests.builders.doubts import doubted
 from tests.builders.load_frames import trapezium
+from tests.builders.reasons import doubted
 from tests.builders.small_tests import Lab
 
 ReadParts = Callable[..., Recording]

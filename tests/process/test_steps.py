@@ -20,7 +20,7 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status
 from labpipe.records.signals import Signal, Signals
 from labpipe.signal.filters import Butterworth, Smoothing, in_pieces
-from tests.builders.doubts import doubted
+from tests.builders.reasons import doubted
 from tests.builders.three_point import STROKE, BendingRecord, reduced
 
 TIME: Floats = np.arange(2000, dtype=np.float64) * 0.01

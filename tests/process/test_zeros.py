@@ -20,8 +20,8 @@ from labpipe.records.result import Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.evidence import Evidence
 from labpipe.virtual_lab import observe
-from tests.builders.doubts import doubted
 from tests.builders.plain_records import PlainRecord, up_and_down
+from tests.builders.reasons import doubted
 from tests.builders.reduced import loop, reduced
 from tests.builders.small_tests import small_scenario
 

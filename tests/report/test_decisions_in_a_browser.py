@@ -16,9 +16,8 @@ from labpipe.campaign.reporting import report_tests
 from labpipe.campaign.saved_decisions import take_in_file
 from labpipe.campaign.serving import ReportServer, Site
 from labpipe.campaign.test_pages import page_of_test
-from tests.builders.browsers import Shown, launched, shown
 from tests.builders.pulled_campaigns import decision_on, make_pulls
-from tests.builders.report_pages import campaign_of, key_of, page_of
+from tests.builders.report_pages import Shown, campaign_of, key_of, launched, page_of, shown
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator

@@ -15,10 +15,9 @@ import pytest
 from labpipe.records.group import Campaign
 from labpipe.report.lab_report import Letterhead, render_page
 from labpipe.report.wording import printable
-from tests.builders.browsers import PHONE, WIDE, Shown, launched, shown
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import build_group, six_samples, troubled_samples
-from tests.builders.report_pages import campaign_of, page_of
+from tests.builders.report_pages import PHONE, WIDE, Shown, campaign_of, launched, page_of, shown
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

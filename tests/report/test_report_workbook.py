@@ -29,7 +29,7 @@ from labpipe.statistics.groups import build_group as grouped
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import build_campaign, build_group, six_samples
-from tests.builders.report_books import saved, table
+from tests.builders.report_pages import saved, table
 
 
 @pytest.fixture(scope="module")

@@ -29,8 +29,8 @@ from tests.builders.bundle_loops import (
     holds,
     width,
 )
-from tests.builders.doubts import doubted
 from tests.builders.pulls import pull, pulled
+from tests.builders.reasons import doubted
 from tests.builders.reduced import reduced, reduction
 from tests.builders.three_point import CONDUIT, BendingRecord
 from tests.builders.three_point import reduced as reduced_bending

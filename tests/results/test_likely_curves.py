@@ -34,7 +34,7 @@ from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Input, Replicates
-from tests.builders.recorded_tests import DOWN, UP, recorded
+from tests.builders.reduced import DOWN, UP, recorded
 
 RNG = np.random.default_rng
 

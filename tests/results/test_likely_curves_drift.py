@@ -18,8 +18,8 @@ from labpipe.results.stiffness import LineStiffness
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Input, Replicates
-from tests.builders.noisy_curves import Numbers
-from tests.builders.recorded_tests import recorded
+from tests.builders.plain_records import Numbers
+from tests.builders.reduced import recorded
 
 SHARE, PEAK, WAY, COUNT = 0.01, 80.0, 8e-3, 2001
 PLACES = np.pi * np.array([0.5, 1.5, 2.5])

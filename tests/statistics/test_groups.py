@@ -34,8 +34,7 @@ from labpipe.statistics.shared_causes import with_shared
 from labpipe.statistics.two_groups import judged
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample
-from tests.builders.campaigns import build_sample
-from tests.builders.sloped_samples import built, make, said, samples, stiffness
+from tests.builders.campaigns import build_sample, built, make, said, samples, stiffness
 
 
 def test_numbers_and_band_of_two_spools() -> None:

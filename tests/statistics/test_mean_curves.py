@@ -19,7 +19,7 @@ from labpipe.statistics.mean_curves import (
     mean_band,
     simultaneous_quantile,
 )
-from tests.builders.sloped_samples import built, make, said, samples, stiffness
+from tests.builders.campaigns import built, make, said, samples, stiffness
 
 Curve = tuple[Floats, Floats]
 

@@ -23,7 +23,7 @@ from labpipe.records.quality import Reason
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Input
-from tests.builders.noisy_curves import measured, replicates_of, trace_of
+from tests.builders.plain_records import measured, replicates_of, trace_of
 
 RNG = np.random.default_rng
 

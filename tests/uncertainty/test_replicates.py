@@ -13,7 +13,7 @@ from labpipe.records.estimates import Failure
 from labpipe.uncertainty.readings import Reading, Trace, combined
 from labpipe.uncertainty.replicates import COUNT, Input, Law, replicated, smooth_curve
 from labpipe.uncertainty.wandering_zeros import wanders
-from tests.builders.noisy_curves import replicates_of, trace_of
+from tests.builders.plain_records import replicates_of, trace_of
 
 RNG = np.random.default_rng
 TIME: Floats = 0.01 * np.arange(1000.0)
