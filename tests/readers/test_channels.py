@@ -1,18 +1,22 @@
+"""Names of channels, and what is noted of times."""
+
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from labpipe.errors import ReadError
 from labpipe.readers.channels import (
     NoChannelError,
-    channel_notes,
     find_channel,
-    is_as_written,
-    select_channel,
-    unique_names,
 )
-from labpipe.records.recording import Channel, Recording
+from labpipe.readers.time_axes import clock_notes, find_holes
+from labpipe.records.quality import Severity
+from labpipe.records.recording import Clock
 
 KNOWN = [
     ("Out1", '"Model Root"/"u1"/"Out1"'),
@@ -77,42 +81,12 @@ def test_of_several_names_the_first_that_is_there_counts(
     assert find_channel(wanted, KNOWN, "force.mat") == index
 
 
-def test_a_name_of_several_channels_is_not_passed_over() -> None:
-    with pytest.raises(ReadError, match=r"channel 'In1': expected a name that only one channel"):
-        find_channel(("Load", "In1", "ADC"), KNOWN, "force.mat")
-
-
-def test_none_of_several_names() -> None:
-    expected = (
-        r"^frame\.csv, channel 'Lod' or 'Forse': expected one of the 3 channels of the file, found"
-        r" no such channel\. Nearest: 'Load', .*'Force'.*\. `labpipe inspect` lists them all\.$"
-    )
-    known = [(name, name) for name in ("Time", "Load", "Force")]
-    with pytest.raises(ReadError, match=expected):
-        find_channel(("Lod", "Forse"), known, "frame.csv")
-    with pytest.raises(ReadError, match=r"channel 'A' or 'B': .*The file holds no channels\.$"):
-        find_channel(("A", "B"), [], "frame.csv")
-
-
 def test_the_nearest_are_listed_once_and_not_all_of_many() -> None:
     known = [(f"Load {number}", f"Load {number}") for number in range(9)]
     with pytest.raises(ReadError, match="expected one of the 9 channels") as info:
         find_channel(("Load", "Load x"), known, "frame.csv")
     nearest = str(info.value).split("Nearest: ")[1].split(". `labpipe")[0].split(", ")
     assert len(nearest) == len(set(nearest)) == 5
-
-
-def test_the_channel_itself() -> None:
-    channels = tuple(Channel(name, path, np.zeros(2)) for name, path in KNOWN)
-    recording = Recording(reader="dspace-mat", channels=channels)
-    assert select_channel(recording, "ADC", "force.mat") is channels[3]
-    assert select_channel(recording, ("Load", "ADC"), "force.mat") is channels[3]
-
-
-def test_many_names_are_not_all_listed() -> None:
-    names = tuple(f"N{i}" for i in range(9))
-    with pytest.raises(ReadError, match=r"channel 'N0' or 'N1' or .* or 'N5' or 3 more: expected"):
-        find_channel(names, KNOWN, "frame.csv")
 
 
 OF_FRAMES = [
@@ -155,25 +129,93 @@ def test_other_names_are_others(name: str) -> None:
         find_channel("Kraft", [(name, name)], "frame.csv")
 
 
-def test_whether_a_channel_is_called_as_written() -> None:
-    channel = Channel("_Load", "_Load", np.zeros(3))
-    assert is_as_written(("Kraft", "_Load"), channel)
-    assert not is_as_written(("Kraft", "Load"), channel)
+def codes(time: np.ndarray, name: str = "time", *, is_variable: bool = False) -> dict[str, str]:
+    notes = clock_notes(Clock(name, time), is_variable=is_variable)
+    return {note.code: note.message for note in notes}
 
 
-def test_names_are_made_unique() -> None:
-    assert unique_names(["F", "", "F"]) == ["F [1]", "column 2", "F [2]"]
+@given(lost=st.lists(st.integers(2, 90), unique=True, max_size=8), step=st.floats(1e-4, 1.0))
+def test_lost_samples_are_holes(lost: list[int], step: float) -> None:
+    numbers = np.delete(np.arange(100.0), lost)
+    holes = find_holes(numbers * step)
+    edges = [int(n) for n, m in pairwise(numbers) if m - n > 1]
+    assert [hole.at for hole in holes] == pytest.approx([n * step for n in edges])
+    assert sum(round(hole.length / step) - 1 for hole in holes) == len(lost)
 
 
-def test_notes_on_channels() -> None:
-    values = {"A/F": np.arange(4.0), "B/F": np.full(4, 2.0), "C/gone": np.full(4, np.nan)}
-    units = {"A/F": "N"}
-    channels = [
-        Channel(path[2:], path, each, clock="time", unit_in_file=units.get(path, ""))
-        for path, each in values.items()
-    ]
-    found = {note.code: note.message for note in channel_notes(channels)}
-    assert found["constant_channel"] == "1 of 3 channels never change: 'B/F'"
-    assert found["units_not_stated"] == "no unit is stated for 2 of 3 channels: 'B/F', 'C/gone'"
-    assert found["names_not_unique"].startswith("of 3 channels 2 are called 'F': ")
-    assert channel_notes(channels[:1]) == []
+def test_a_late_sample_is_jitter_and_not_a_hole() -> None:
+    time = np.arange(100.0)
+    time[50] += 0.6
+    assert find_holes(time) == ()
+    assert codes(time)["time_jitter"] == "steps from 400 ms to 1.6 s around 1 s without loss"
+
+
+def test_a_hole_is_told_with_its_losses() -> None:
+    time = np.delete(np.arange(100) * 0.001, [40, 41, 42])
+    assert codes(time)["time_holes"] == (
+        "1 holes of 4 ms to 4 ms, about 3 samples lost, first at 0.039 s"
+    )
+
+
+def test_long_steps_mean_nothing_where_samples_are_written_on_change() -> None:
+    time = np.array([0.0, 1.0, 2.0, 9.0, 10.0])
+    assert "time_holes" in codes(time)
+    assert codes(time, "OnChange") == {}
+
+
+REDUCED = np.concatenate([np.arange(100) * 0.01, 1.0 + np.arange(20) * 0.25])
+"""Ten milliseconds, then a quarter of a second, as a program that changes its rate writes."""
+
+
+def test_a_rate_that_varies_loses_nothing_where_the_program_varies_it() -> None:
+    assert codes(REDUCED, is_variable=True) == {
+        "time_variable": (
+            "steps from 10 ms to 250 ms around 10 ms; the program samples at a rate that varies"
+        )
+    }
+    assert codes(np.arange(100) * 0.01, is_variable=True) == {}
+
+
+def test_so_many_long_steps_that_they_need_not_be_losses() -> None:
+    (note,) = clock_notes(Clock("time", REDUCED))
+    assert note.severity is Severity.WARNING
+    assert note.message == (
+        "steps from 10 ms to 250 ms around 10 ms; 19 of 119 are longer than usual: the rate varies,"
+        " or samples were lost"
+    )
+
+
+def test_a_step_that_is_not_the_nominal_one() -> None:
+    message = codes(np.arange(10000) * 0.99985e-3)["step_not_nominal"]
+    assert message.startswith("mean step 0.99985 ms where 1 ms is nominal")
+    assert message.endswith("wrong by 0.0015 s at the end")
+    assert codes(np.arange(10000) / 120.0) == {}
+
+
+def test_time_that_runs_backwards_is_an_error_with_its_place() -> None:
+    time = np.arange(10.0)
+    time[4] = 0.5
+    (note,) = clock_notes(Clock("time", time))
+    assert note.code == "time_not_increasing"
+    assert note.severity is Severity.ERROR
+    assert note.message == "time runs backwards 1 times, first at sample 5: 0.5 s after 3 s"
+
+
+def test_time_that_is_no_number_is_an_error_with_its_place() -> None:
+    (note,) = clock_notes(Clock("time", np.array([0.0, 1.0, np.nan])))
+    assert note.severity is Severity.ERROR
+    assert note.message == "1 time stamps are no numbers, the first at sample 3"
+
+
+def test_smaller_oddities() -> None:
+    assert codes(np.array([0.0, 1.0, 1.0, 2.0, 3.0]))["time_repeats"] == (
+        "1 time stamps repeat the one before, first at sample 3 (1 s)"
+    )
+    assert codes(np.array([-1.0, 0.0, 1.0]))["time_start_not_zero"] == (
+        "time starts at -1 s, not at 0"
+    )
+    assert codes(np.empty(0)) == {"clock_empty": "it has no samples"}
+    assert codes(np.zeros(1)) == {}
+    assert codes(np.zeros(5)) == {
+        "time_repeats": "4 time stamps repeat the one before, first at sample 2 (0 s)"
+    }

@@ -1,26 +1,48 @@
-"""Cells of whole workbooks: once, in a thread, by the library that can."""
+"""Workbooks: read once, refused where a cell lies far away, and as tables of a person."""
 
 from __future__ import annotations
 
+import csv
+import datetime
 import gc
-from collections.abc import Iterator
+import re
+import zipfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from openpyxl import Workbook
 
 from labpipe.errors import ReadError
 from labpipe.readers import read_export
-from labpipe.readers.sheet_cells import read_campaign_sheet
+from labpipe.readers.curve_files import CurveColumn, read_curve
+from labpipe.readers.sheet_cells import (
+    Cell,
+    Table,
+    as_table,
+    csv_cells,
+    read_campaign_sheet,
+    sheets_of,
+    workbook_cells,
+)
 from labpipe.readers.unknown_files import describe_unknown
 from labpipe.readers.workbooks import (
     begin_sheets,
     cells_of,
+    check_extent,
+    check_size,
+    check_table,
     forget_sheets,
     is_workbook,
     open_sheets,
 )
+from labpipe.studies.wire_specs import read_wire_sheet
 from tests.readers.load_frame.exports import (
+    LAST,
     ROWS,
+    Change,
     changed,
     locked_workbook,
     specimen_sheet,
@@ -44,16 +66,6 @@ def test_a_workbook_is_parsed_once(tmp_path: Path) -> None:
     first = open_sheets(file)
     workbook(file, {"v": specimen_sheet("B", [*ROWS, ROWS[0]])})
     assert len(open_sheets(file)["v"]) == len(first["v"]) + 1
-
-
-def test_what_is_no_workbook_is_left_alone(tmp_path: Path) -> None:
-    begin_sheets(tmp_path)
-    begin_sheets(tmp_path / "none.xlsx")
-    (tmp_path / "a.csv").write_text("a,b", encoding="utf-8")
-    begin_sheets(tmp_path / "a.csv")
-    (tmp_path / "empty.xlsx").touch()
-    with pytest.raises(ReadError, match="expected a file with content, found an empty file"):
-        begin_sheets(tmp_path / "empty.xlsx")
 
 
 def test_a_damaged_one_is_told_when_it_is_opened(tmp_path: Path) -> None:
@@ -120,6 +132,8 @@ def test_a_large_workbook_that_calamine_refuses(
 
 
 OLD = b"\xd0\xcf\x11\xe0synthetic"
+
+
 ENDS = {
     "import os; os.abort()": "no reason",
     "import os, sys; print('out of memory\\nat', file=sys.stderr); os.abort()": "out of memory",
@@ -166,3 +180,347 @@ def test_a_wrong_place_in_an_old_workbook(
     (tmp_path / "a.xls").write_bytes(content)
     with pytest.raises(ReadError, match=said):
         open_sheets(tmp_path / "a.xls")
+
+
+@pytest.fixture
+def book(tmp_path: Path) -> Path:
+    sheets: dict[str, list[list[object]]] = {
+        "Values 1": specimen_sheet("A", ROWS),
+        "Notes": [["a note"]],
+    }
+    return workbook(tmp_path / "a.xlsx", sheets)
+
+
+@pytest.mark.parametrize("place", [LAST, "A1048576000", "XFD2000", "XFE1048576"])
+def test_a_stray_cell_is_named(book: Path, place: str) -> None:
+    with pytest.raises(ReadError) as refused:
+        check_extent(changed(book, stray(place)))
+    assert re.fullmatch(
+        rf"{re.escape(str(book))}, sheet 'Values 1', cell {place}: expected cells that lie"
+        r" together, found a sheet of \d+ rows and \d+ columns with 22 filled cells\. Delete the"
+        r" rows and columns behind the table, and save the workbook\.",
+        str(refused.value),
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        stray("Z20000"),
+        stray(LAST, ""),
+        lambda text: text.replace(
+            "</sheetData>", f'<row r="9999999"><c r="{LAST}"/></row></sheetData>'
+        ),
+    ],
+    ids=["not far", "a style alone", "an empty cell"],
+)
+def test_what_does_no_harm(book: Path, change: Change) -> None:
+    check_extent(changed(book, change))
+    assert len(open_sheets(book)["Values 1"]) < 30_000
+    forget_sheets()
+
+
+OTHERWISE: dict[str, Change] = {
+    "single quotes": lambda text: stray()(text).replace(f'r="{LAST}"', f"r='{LAST}'"),
+    "another order": lambda text: stray()(text).replace(f'r="{LAST}" s="0"', f's="0" r="{LAST}"'),
+    "blanks": lambda text: stray()(text).replace(f'<c r="{LAST}"', f'<c  r="{LAST}"'),
+    "prefix": lambda text: (
+        stray()(text)
+        .replace("<worksheet xmlns=", "<x:worksheet xmlns:x=")
+        .replace("<", "<x:")
+        .replace("<x:x:", "<x:")
+        .replace("<x:/", "</x:")
+        .replace("<x:?", "<?")
+    ),
+    "no places of cells": lambda text: re.sub(r'<c r="[A-Z]+\d+"', "<c", stray("A99999999")(text)),
+    **{
+        f"blank text in {cell}": lambda text, cell=cell: text.replace(  # type: ignore[misc]
+            "</sheetData>", f'<row r="1048576"><c r="{LAST}"{cell}</c></row></sheetData>'
+        )
+        for cell in (
+            ' t="inlineStr"><is><t> </t></is>',
+            ' t="inlineStr"><is><t></t></is>',
+            ' t="str"><v></v>',
+            "><v> </v>",
+        )
+    },
+    "one long line": lambda text: stray()(text.replace("<v>", "<v>" + " " * 3_000_000, 1)),
+}
+
+
+@pytest.mark.parametrize("change", OTHERWISE.values(), ids=OTHERWISE)
+def test_a_stray_cell_written_otherwise(book: Path, change: Change) -> None:
+    with pytest.raises(ReadError, match=r"sheet 'Values 1', cell \w+: expected cells that lie"):
+        check_extent(changed(book, change))
+
+
+@pytest.mark.parametrize(
+    ("part", "what"),
+    [
+        ("content.xml", "an OpenDocument spreadsheet (ods)"),
+        ("xl/workbook.bin", "a binary workbook (xlsb)"),
+    ],
+)
+def test_spreadsheets_of_other_formats(tmp_path: Path, part: str, what: str) -> None:
+    path = tmp_path / "a.ods"
+    with zipfile.ZipFile(path, "w") as parts:
+        parts.writestr(part, "<synthetic/>")
+    with pytest.raises(ReadError) as refused:
+        check_extent(path)
+    assert str(refused.value) == (
+        f"{path}: expected an xlsx workbook, found {what}. Save it as xlsx in the spreadsheet"
+        " program."
+    )
+
+
+MOTIVE: list[list[object]] = [["Format Version", "1.23"], ["", 1.0]]
+
+
+PLAIN: list[list[object]] = [["deflection / mm", "force / N"], [1.0, 2.0]]
+
+
+def read_a_curve(path: Path) -> object:
+    return read_curve(path, CurveColumn("deflection", "m"), CurveColumn("force", "N"))
+
+
+WHO_OPENS: dict[str, Callable[[Path], object]] = {
+    "load frame": lambda path: read_export(path, "load-frame"),
+    "motive": lambda path: read_export(path, "motive-xlsx"),
+    "wire sheet": read_wire_sheet,
+    "campaign sheet": read_campaign_sheet,
+    "curve": read_a_curve,
+}
+
+
+@pytest.mark.parametrize("opens", WHO_OPENS.values(), ids=WHO_OPENS)
+def test_whoever_opens_a_workbook_is_safe(tmp_path: Path, opens: Callable[[Path], object]) -> None:
+    table = MOTIVE if opens is WHO_OPENS["motive"] else PLAIN
+    path = changed(workbook(tmp_path / "a.xlsx", {"Take": table}), stray())
+    with pytest.raises(ReadError, match=r"sheet 'Take', cell XFD1048576: expected cells that lie"):
+        opens(path)
+    forget_sheets()
+
+
+def test_a_table_that_is_all_but_empty(tmp_path: Path) -> None:
+    blank: list[object] = [""] * 5000
+    rows = [["a", *blank[1:]], *[blank] * 2500]
+    with pytest.raises(ReadError, match=r"sheet 'v', cell GJH2501: expected cells that lie togeth"):
+        check_table(tmp_path / "a.xls", "v", rows)
+    check_table(tmp_path / "a.xls", "v", [[1.0] * 5000] * 2500)
+    check_table(tmp_path / "a.xls", "v", rows[:1000])
+    check_table(tmp_path / "a.xls", "v", [])
+
+
+def test_a_table_that_is_too_large_to_be_laid_out(tmp_path: Path) -> None:
+    with pytest.raises(
+        ReadError, match=r"cell CGOH874: .* 874 rows and 57858 columns with few fil"
+    ):
+        check_size(tmp_path / "a.xls", "v", 874, 57858)
+    check_size(tmp_path / "a.xls", "v", 1_048_576, 38)
+
+
+@pytest.fixture
+def two_sheets(tmp_path: Path) -> Path:
+    pages = Workbook()
+    first = pages.active
+    assert first is not None
+    first.title = "notes"
+    first.append(["a note"])
+    second = pages.create_sheet("wires")
+    second.append(["wire", "strands"])
+    second.append(["A1", 7])
+    pages.save(tmp_path / "a.xlsx")
+    return tmp_path / "a.xlsx"
+
+
+def test_sheets_by_number_and_by_name(two_sheets: Path) -> None:
+    assert sheets_of(two_sheets) == {"notes": True, "wires": True}
+    assert workbook_cells(two_sheets) == [[Cell("a note", "cell A1")]]
+    first, second = workbook_cells(two_sheets, "wires", "sheet 'wires'")[1]
+    assert (first, second.text) == (Cell("A1", "sheet 'wires', cell A2"), "7")
+
+
+def test_a_short_row_is_filled_up_and_a_long_one_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("a,b,\n1\n", encoding="utf-8")
+    table = as_table(csv_cells(path), path, rows_of="one row per wire")
+    assert [cell.text for cell in table.rows[0]] == ["1", ""]
+    path.write_text("a,b\n1,2,3\n", encoding="utf-8")
+    with pytest.raises(ReadError, match=r"line 2, column 3: expected a cell below a heading"):
+        as_table(csv_cells(path), path, rows_of="one row per wire")
+
+
+def _table_of(path: Path) -> None:
+    as_table(workbook_cells(path), path, rows_of="one row per wire")
+
+
+def test_errors_and_formulas_without_a_value_are_no_blanks(tmp_path: Path) -> None:
+    pages, path = Workbook(), tmp_path / "a.xlsx"
+    page = pages.active
+    assert page is not None
+    page.append(["wire", "length_mm", "poisson"])
+    page.append(["A1", "=80+5", None])
+    page.append(["A2", 85, "#DIV/0!"])
+    page["C3"].data_type = "e"
+    pages.save(path)
+    with pytest.raises(ReadError) as info:
+        _table_of(path)
+    assert str(info.value).split("\n") == [
+        f"{path}, cell B2: expected a value, found a formula without a stored value."
+        " Open the workbook in the spreadsheet program and save it.",
+        f"{path}, cell C3: expected a value, found the error #DIV/0!. Correct the cell.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("stored", "found"),
+    [
+        (b't="str"><f>80+5</f><v></v>', ""),  # an empty text on purpose
+        (b"><f>80+5</f><v>85</v>", ""),
+        (b't="e"><f>80+5</f><v>#N/A</v>', "the error #N/A"),
+    ],
+)
+def test_formulas_with_a_stored_value(tmp_path: Path, stored: bytes, found: str) -> None:
+    pages, path = Workbook(), tmp_path / "a.xlsx"
+    page = pages.active
+    assert page is not None
+    page.append(["wire", "=80+5"])
+    pages.save(path)
+    _store(path, stored)
+    unread = [cell.unread for row in workbook_cells(path) for cell in row if cell.unread]
+    assert unread == ([found] if found else [])
+
+
+def _store(path: Path, stored: bytes) -> None:
+    """Write a stored value into the cell B1 of a workbook."""
+    with zipfile.ZipFile(path) as parts:
+        texts = {name: parts.read(name) for name in parts.namelist()}
+    sheet = "xl/worksheets/sheet1.xml"
+    texts[sheet], count = re.subn(
+        rb'(<c r="B1")[^>]*><f>80\+5</f><v\s*(?:/>|></v>)', rb"\1 " + stored, texts[sheet]
+    )
+    assert count == 1
+    with zipfile.ZipFile(path, "w") as parts:
+        for name, text in texts.items():
+            parts.writestr(name, text)
+
+
+def test_a_csv_may_name_its_separator(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("sep=;\na;b\n1;2,3,4\n", encoding="utf-8")
+    rows = csv_cells(path)
+    assert rows[1:] == [
+        [Cell("a", "line 2, column 1"), Cell("b", "line 2, column 2")],
+        [Cell("1", "line 3, column 1"), Cell("2,3,4", "line 3, column 2")],
+    ]
+    assert not rows[0]
+
+
+@pytest.mark.parametrize("odd", ["\x85", "\u2028", "\x0b"])
+def test_a_csv_is_parted_at_line_ends_only(tmp_path: Path, odd: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"a,b\r\n1,x{odd}y\r\n", encoding="utf-8", newline="")
+    assert csv_cells(path)[1][1] == Cell(f"x{odd}y", "line 2, column 2")
+
+
+def test_a_list_that_was_not_quoted(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("a;b\n1;12;-15\n", encoding="utf-8")
+    with pytest.raises(ReadError) as info:
+        as_table(csv_cells(path), path, rows_of="one row per wire")
+    assert str(info.value) == (
+        f"{path}, line 2, column 3: expected a cell below a heading, found '-15'."
+        " Give its column a name in the first row, or empty the cell."
+        ' Put a list in quotes, "12;-15", and write a decimal point, no comma.'
+    )
+
+
+def _texts(sheet: Table) -> list[list[str]]:
+    return [[cell.text for cell in row] for row in (sheet.heading, *sheet.rows)]
+
+
+def _workbook(path: Path, rows: list[list[object]]) -> Path:
+    two_sheets = Workbook()
+    page = two_sheets.active
+    assert page is not None
+    for row in rows:
+        page.append(row)
+    two_sheets.save(path)
+    return path
+
+
+def test_a_workbook_as_a_person_sees_it(tmp_path: Path) -> None:
+    path = _workbook(
+        tmp_path / "a.xlsx",
+        [
+            [],
+            ["test", "sample", "date", "length (mm)", None],
+            ["A 1 ", 1, datetime.datetime(2026, 3, 4), 85.5, None],
+            [],
+            ["A2", "01", datetime.datetime(2026, 3, 4, 9, 58), None, None],
+        ],
+    )
+
+    sheet = read_campaign_sheet(path)
+
+    assert _texts(sheet) == [
+        ["test", "sample", "date", "length (mm)"],
+        ["A 1", "1", "2026-03-04", "85.5"],
+        ["A2", "01", "2026-03-04 09:58:00", ""],
+    ]
+    assert sheet.heading[1] == Cell("sample", "cell B2")
+    assert sheet.rows[1][1].place == "cell B5"
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_csv_however_it_is_parted(tmp_path: Path, separator: str, encoding: str) -> None:
+    path = tmp_path / "a.csv"
+    text = '\ntest|sample|because\nÄ1|01|"two\nlines"\n||\nA2|1||\n'.replace("|", separator)
+    path.write_text(text, encoding=encoding)
+
+    sheet = read_campaign_sheet(path)
+
+    assert _texts(sheet) == [
+        ["test", "sample", "because"],
+        ["Ä1", "01", "two\nlines"],
+        ["A2", "1", ""],
+    ]
+    assert sheet.rows[1][0] == Cell("A2", "line 6, column 1")
+
+
+@given(st.lists(st.text(alphabet="ab;, \"'1", min_size=1, max_size=8), min_size=2, max_size=4))
+def test_a_csv_of_any_text_reads_back(
+    tmp_path_factory: pytest.TempPathFactory, words: list[str]
+) -> None:
+    words = [f"x{word}" for word in words]
+    path = tmp_path_factory.mktemp("csv") / "a.csv"
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream).writerows([["h"] * len(words), words])
+
+    assert _texts(read_campaign_sheet(path))[1] == [word.strip() for word in words]
+
+
+def _refused(path: Path) -> str:
+    with pytest.raises(ReadError) as info:
+        read_campaign_sheet(path)
+    return str(info.value)
+
+
+@pytest.mark.parametrize(("text", "rows"), [("test,sample\n", 1), (",\n\n", 0)])
+def test_a_table_without_tests(tmp_path: Path, text: str, rows: int) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="utf-8")
+
+    assert _refused(path) == (
+        f"{path}: expected a heading and one row per test, found {rows} rows. Fill in the table."
+    )
+
+
+def test_a_csv_in_another_encoding(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes("test;type\nÄ;A\n".encode("cp1252"))
+
+    message = _refused(path)
+    assert message.startswith(f"{path}: expected a table as UTF-8 text, found a damaged one (")
+    assert message.endswith("Save it as 'CSV UTF-8'.")

@@ -1,3 +1,5 @@
+"""Arrays, texts and attributes in HDF5, as the library and h5py make them."""
+
 from __future__ import annotations
 
 import subprocess
@@ -12,15 +14,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from labpipe.records.quality import Reason
 from labpipe.store.datasets import (
     Target,
-    chunk_shape,
     fletcher32,
     same_content,
-    string_array,
 )
-from labpipe.store.hdf5_objects import LEVEL
-from labpipe.store.layout import Field
+from labpipe.store.hdf5_objects import (
+    LEVEL,
+    get_number,
+    get_text,
+    has_attribute,
+    is_empty,
+    make_dataset,
+    open_dataset,
+    set_number,
+    set_text,
+    set_texts,
+)
+from labpipe.store.layout import Field, link_name
+from labpipe.store.stored_parts import read_reasons
 
 
 def _hdf5_checksum(data: bytes, path: Path) -> int:
@@ -112,16 +125,92 @@ def test_threads_pack_the_same_bytes_alike() -> None:
         assert ran.stdout == "[]\n"
 
 
-def test_chunks_are_whole_rows_of_a_quarter_megabyte() -> None:
-    assert chunk_shape((3_180_000,), 8) == (32_768,)
-    assert chunk_shape((15_900, 8, 3), 8) == (1365, 8, 3)
-    assert chunk_shape((5,), 8) == (5,)
-    assert chunk_shape((0, 3), 8) == (1, 3)
-    assert chunk_shape((4, 1_000_000), 8) == (1, 1_000_000)
+@pytest.mark.parametrize("values", [np.zeros((5, 3)), np.arange(4), np.zeros((0, 2), np.uint8)])
+def test_datasets_are_those_of_h5py(values: np.ndarray, tmp_path: Path) -> None:
+    chunk = tuple(max(size, 1) for size in values.shape)
+    with h5py.File(tmp_path / "a.h5", "w") as root:
+        made = make_dataset(root, "made", values, chunk)
+        wanted = root.create_dataset(
+            "wanted",
+            shape=values.shape,
+            maxshape=tuple(size or None for size in values.shape),
+            dtype=values.dtype,
+            chunks=chunk,
+            shuffle=True,
+            compression="gzip",
+            compression_opts=LEVEL,
+            fletcher32=True,
+            track_times=False,
+        )
+        assert made.id.get_create_plist() == wanted.id.get_create_plist()
+        assert made.id.get_type() == wanted.id.get_type()
+        assert (made.shape, made.maxshape) == (wanted.shape, wanted.maxshape)
+        assert open_dataset(root, "made") == made
 
 
-def test_strings_are_as_long_as_their_bytes() -> None:
-    array = string_array(("ü", "", "abc"))
-    assert array.dtype.itemsize == 4
-    assert [bytes(text).decode() for text in array] == ["ü", "", "abc"]
-    assert string_array(()).dtype.itemsize == string_array(("x",)).dtype.itemsize == 2
+def test_texts_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as root:
+        root.attrs["text"] = "Größe"
+        root.attrs["nothing"] = ""
+        root.attrs["number"] = 3
+        root.attrs["texts"] = ["a", "b"]
+        root.attrs["fixed"] = np.bytes_(b"abc")
+        root.attrs.create("bad", np.array(b"A2\xff", dtype=h5py.string_dtype()))
+        assert [get_text(root, name) for name in ("text", "nothing")] == ["Größe", ""]
+        assert (get_text(root, "number"), get_text(root, "fixed")) == (3, b"abc")
+        assert list(get_text(root, "texts")) == ["a", "b"]
+        with pytest.raises(UnicodeDecodeError):
+            get_text(root, "bad")
+        with pytest.raises(KeyError):
+            get_text(root, "none")
+
+
+def test_attributes_come_back(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as root:
+        set_text(root, "text", "Größe\n" * 20_000)
+        set_text(root, "nothing", "")
+        set_texts(root, "texts", ("a", "", "線"))
+        set_texts(root, "none", ())
+        set_number(root, "whole", 3)
+        set_number(root, "broken", np.nan)
+    with h5py.File(tmp_path / "a.h5") as root:
+        found = root.attrs
+        assert (found["text"], found["nothing"]) == ("Größe\n" * 20_000, "")
+        assert (list(found["texts"]), list(found["none"])) == (["a", "", "線"], [])
+        assert (found["whole"], found["whole"].dtype) == (3, np.int64)
+        assert np.isnan(found["broken"])
+
+
+def test_numbers_lists_and_what_is_none(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as root:
+        root.attrs["value"] = -1.5
+        root.attrs["count"] = np.int64(7)
+        root.attrs["single"] = np.float32(0.5)
+        root.attrs["words"] = "x"
+        root.attrs["list"] = np.array([1.0, 2.0])
+        root.attrs.create("none", np.empty(0), dtype="f8")
+        assert [get_number(root, name) for name in ("value", "count", "single")] == [-1.5, 7.0, 0.5]
+        assert (is_empty(root, "none"), is_empty(root, "list")) == (True, False)
+        assert (has_attribute(root, "list"), has_attribute(root, "gone")) == (True, False)
+        with pytest.raises(ValueError, match="could not convert string"):
+            get_number(root, "words")
+        with pytest.raises(TypeError, match="only"):
+            get_number(root, "list")
+        for read in (get_number, is_empty):
+            with pytest.raises(KeyError):
+                read(root, "gone")
+
+
+@given(st.lists(st.text(max_size=8), max_size=8))
+def test_link_names_are_free_and_plain(names: list[str]) -> None:
+    taken: list[str] = ["time"]
+    for name in names:
+        taken.append(link_name(name, taken))
+    assert len(set(taken)) == len(taken)
+    assert not any("/" in name or " " in name or name in {"", "."} for name in taken)
+
+
+def test_reasons_of_schema_1_are_one_text(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "r.h5", "w") as root:
+        root.attrs["reason"] = "gap: 4 samples are missing"
+        assert read_reasons(root) == (Reason("gap", "4 samples are missing"),)

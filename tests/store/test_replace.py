@@ -1,3 +1,5 @@
+"""Files are replaced together or not at all, by one process at a time."""
+
 from __future__ import annotations
 
 import errno
@@ -11,10 +13,13 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import StoreError
+from labpipe.store import replace as lock
 from labpipe.store.replace import (
+    LOCK_FILE,
     finish_cut_off,
     is_cut_off,
     is_there,
+    locked,
     replacing,
     replacing_together,
     storing,
@@ -39,14 +44,6 @@ def test_any_way_out_leaves_the_old_file(tmp_path: Path) -> None:
         temporary.write_text(f"new {1 / 0}")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_no_folder(tmp_path: Path) -> None:
-    with (
-        pytest.raises(StoreError, match=r"x: expected a folder to write in, found no such folder"),
-        replacing(tmp_path / "none" / "x") as temporary,
-    ):
-        temporary.write_text("new")
 
 
 @pytest.mark.parametrize(
@@ -115,14 +112,6 @@ def test_what_a_killed_process_left_is_cleared_away(earlier: Path) -> None:
     assert contents(earlier) == {"a": "old", "figures/b": "old", "figures/c": "old"}
 
 
-def test_no_folder_for_files_together(tmp_path: Path) -> None:
-    with (
-        pytest.raises(StoreError, match=r"none: expected a folder to write in, found no such"),
-        replacing_together(tmp_path / "none"),
-    ):
-        pass
-
-
 def test_what_would_show_other_numbers_goes(earlier: Path) -> None:
     owned = ("a", "figures/b", "figures/c", "figures/d")
     with replacing_together(earlier, owned=owned) as stage:
@@ -143,15 +132,6 @@ def test_a_folder_in_the_place_of_a_file(earlier: Path, place: str) -> None:
         write_new(stage)
     assert contents(earlier) == before
     assert not list(earlier.glob(".*"))
-
-
-def test_a_file_in_the_place_of_a_folder(tmp_path: Path) -> None:
-    (tmp_path / "figures").write_text("old")
-    said = "expected a folder to write in, found a file in its place"
-    with pytest.raises(StoreError, match=said), replacing_together(tmp_path) as stage:
-        write_new(stage)
-    assert contents(tmp_path) == {"figures": "old"}
-    assert not list(tmp_path.glob(".*"))
 
 
 NEW = {"a": "new", "figures/b": "new", "figures/n": "new", "r.h5": "new"}
@@ -294,8 +274,77 @@ def test_what_somebody_else_prepared_moves_nothing_elsewhere(elsewhere: Path, go
     assert contents(elsewhere) == {"b": "own"}
 
 
-def test_a_link_is_nothing_to_be_finished(elsewhere: Path) -> None:
-    here = elsewhere.with_name("here")
-    (elsewhere / "files").mkdir()
-    (here / ".labpipe.commit").symlink_to(elsewhere)
-    assert not finish_cut_off(here)
+_HOLD = """
+import sys
+from pathlib import Path
+from labpipe.store.replace import locked
+with locked(Path(sys.argv[1])):
+    sys.stdout.write("held\\n"); sys.stdout.flush(); sys.stdin.read()
+"""
+
+
+def test_second_process_is_kept_out_until_the_first_ends(tmp_path: Path) -> None:
+    holder = subprocess.Popen(
+        [sys.executable, "-c", _HOLD, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    with holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with (
+            pytest.raises(StoreError, match=r"found another labpipe process at work in it\. Wait"),
+            locked(tmp_path),
+        ):
+            pass
+        holder.kill()  # a killed process leaves its lock file behind, but not its lock
+    with locked(tmp_path):
+        assert (tmp_path / LOCK_FILE).exists()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_is_made_and_error_gives_the_lock_back(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    with pytest.raises(ZeroDivisionError), locked(folder):
+        raise ZeroDivisionError
+    with locked(folder):
+        pass
+    assert list(folder.iterdir()) == []
+
+
+def test_lock_file_removed_by_its_last_owner_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    try_lock, tries = lock._try_lock, []
+
+    def removed_in_between(handle: int) -> bool:
+        tries.append(handle)
+        if len(tries) == 1:
+            (tmp_path / LOCK_FILE).unlink()
+        return try_lock(handle)
+
+    monkeypatch.setattr(lock, "_try_lock", removed_in_between)
+    with locked(tmp_path):
+        assert len(tries) == 2
+        assert (tmp_path / LOCK_FILE).exists()
+
+
+@pytest.mark.parametrize("folder", ["x", "x/y"])
+def test_file_in_place_of_the_folder(tmp_path: Path, folder: str) -> None:
+    (tmp_path / "x").write_text("")
+    said = f"{folder}: expected a folder to write in, found a file in its place. Choose another"
+    with pytest.raises(StoreError, match=said), locked(tmp_path / folder):
+        pass
+    assert (tmp_path / "x").read_text() == ""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links are another matter on Windows")
+def test_a_link_makes_no_file_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / LOCK_FILE).symlink_to(tmp_path / "elsewhere")
+    with (
+        pytest.raises(StoreError, match="found a link to another place"),
+        locked(tmp_path / "here"),
+    ):
+        pass
+    assert not (tmp_path / "elsewhere").exists()

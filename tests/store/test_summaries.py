@@ -1,8 +1,9 @@
+"""Summaries and failures as JSON."""
+
 from __future__ import annotations
 
 import json
 from dataclasses import replace
-from datetime import date
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from labpipe.errors import StoreError
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import Bundle, BundleWire
-from labpipe.records.result import Instrument, Result, Specimen
+from labpipe.records.result import InputFile, Result, Specimen
+from labpipe.store.failure_file import FAILURE_FILE, FailedTest, write_failure
+from labpipe.store.replace import locked
 from labpipe.store.summaries import summary, write_summary
 from tests.store.builders_result import build_result
 
@@ -95,26 +98,6 @@ def test_summary_of_a_bundle_with_labels() -> None:
     }
 
 
-def test_who_when_and_with_what() -> None:
-    cell = Instrument("force", ("force",), "LC-7", date(2026, 1, 2), date(2027, 1, 2), 0.005)
-    dated = replace(
-        build_result(half_cycle=0.5), date=date(2026, 3, 4), operator="lab", instruments=(cell,)
-    )
-    said = summary(dated)
-    assert (said["date"], said["operator"]) == ("2026-03-04", "lab")
-    assert said["instruments"] == [
-        {
-            "channel": "force",
-            "measures": ["force"],
-            "certificate": "LC-7",
-            "calibrated": "2026-01-02",
-            "due": "2027-01-02",
-            "uncertainty": 0.005,
-            "k": 2.0,
-        }
-    ]
-
-
 def test_no_number_that_json_cannot_say(tmp_path: Path) -> None:
     nan, infinite = float("nan"), float("inf")
     odd = Result("energy.1", nan, "J", Interval(-infinite, infinite))
@@ -125,6 +108,30 @@ def test_no_number_that_json_cannot_say(tmp_path: Path) -> None:
     assert [entry[key] for key in ("value", "lower", "upper")] == [None] * 3
 
 
-def test_folder_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="expected a folder to write in, found no such folder"):
-        write_summary(build_result(half_cycle=0.5), tmp_path / "none" / "summary.json")
+FAILED = FailedTest("T\udce9", "time_limit", "a \u20ac", "0a", (InputFile("force", "f", "1b", 7),))
+
+
+def test_what_is_known_of_a_failure(tmp_path: Path) -> None:
+    write_failure(FAILED, tmp_path / "p" / "T")
+    (file,) = (tmp_path / "p" / "T").iterdir()
+    assert file.name == FAILURE_FILE
+    said = json.loads(file.read_text("utf-8"))
+    assert list(said) == [
+        "schema", "labpipe", "test", "code", "reason", "run", "inputs", "made_of",
+    ]  # fmt: skip
+    assert said["test"] == "T\udce9"  # a name that no UTF-8 can say
+    assert said["reason"] == "a \u20ac"
+    assert said["inputs"] == [{"role": "force", "file": "f", "sha256": "1b"}]
+    assert said["made_of"] == {}
+
+
+def test_the_last_failure_counts(tmp_path: Path) -> None:
+    write_failure(FAILED, tmp_path)
+    write_failure(FailedTest("T", "in_time", ""), tmp_path)
+    assert json.loads((tmp_path / FAILURE_FILE).read_text("utf-8"))["code"] == "in_time"
+
+
+def test_none_while_another_process_writes(tmp_path: Path) -> None:
+    with locked(tmp_path), pytest.raises(StoreError, match="another labpipe process"):
+        write_failure(FAILED, tmp_path)
+    assert not list(tmp_path.iterdir())

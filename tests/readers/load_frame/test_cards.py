@@ -1,3 +1,5 @@
+"""Cards of dialects, and how an export finds its card."""
+
 from __future__ import annotations
 
 import re
@@ -9,26 +11,14 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers import load_frame, read_export
-from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards, shipped_names
-
-
-def test_cards_that_come_with_labpipe() -> None:
-    vendors = {name for name, card in shipped_cards().items() if not card.fallback}
-    assert vendors == {
-        *("mts-testsuite", "mts-793", "testresources", "bluehill", "instron-8800", "nexygen"),
-        *("testxpert-tra", "testxpert-xlsx", "trapezium", "dion", "catman", "microtest"),
-        "dma-q800",
-    }
-    assert "No real export was seen" in shipped_cards()["testresources"].about
-
-
-def test_names_of_labpipe_are_not_taken(tmp_path: Path) -> None:
-    (tmp_path / "bluehill.toml").write_text("about = 'a'", encoding="utf-8")
-    expected = (
-        r"bluehill\.toml: expected a name of its own, found 'bluehill', which is a card of lab"
-    )
-    with pytest.raises(ReadError, match=expected):
-        lab_cards(tmp_path)
+from labpipe.readers.load_frame.cards import (
+    Card,
+    lab_cards,
+    parse_card,
+    shipped_cards,
+)
+from labpipe.readers.load_frame.recognition import _Heads, chosen_card, recognised
+from tests.readers.load_frame.exports import bluehill, mts, written
 
 
 def test_a_card_that_is_not_in_utf_8(tmp_path: Path) -> None:
@@ -79,7 +69,200 @@ def test_the_example_of_the_documentation(
     assert recording.metadata["Prüfer"] == "lab"
 
 
-def test_cards_of_one_kind() -> None:
-    texts, workbooks = shipped_cards("text"), shipped_cards("workbook")
-    assert sorted([*texts, *workbooks]) == list(shipped_names()) == list(shipped_cards())
-    assert {card.kind for card in workbooks.values()} == {"workbook"}
+GOOD = """
+about = "a card"
+recognise = ["^ACME"]
+names = "above units"
+time = ["time"]
+"""
+
+
+def test_a_card() -> None:
+    card = parse_card(
+        GOOD + 'separators = ["blanks", ","]\n[units]\nF = "N"', name="acme", source="x"
+    )
+    assert (card.name, card.separators, card.units["F"]) == ("acme", (" ", ","), "N")
+    assert card.time[0].fullmatch("TIME")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("names =", r"acme\.toml: expected a card in TOML, found text that is none \(Invalid"),
+        (GOOD + "seperators = []", r"acme\.toml, key seperators: expected a key of a card, found "),
+        ('about = "a"', r"key recognise: expected this key, found none\. Add it to the card"),
+        (GOOD + 'separators = ["=="]', r'key separators: expected one sign, or "blanks", found'),
+        (GOOD + "separators = ','", r"key separators: expected a list in square brackets, found '"),
+        (GOOD + "layout = 'blocs'", r"key layout: expected one of .*'blocks', .* found 'blocs'\. "),
+        (GOOD + "version = '(a)(b)'", r"key version: expected a pattern with one group in round b"),
+        (GOOD + "start = '('", r"key start: expected a pattern, found '\(' \(missing \)"),
+        (GOOD + "blank = 1", r"key blank: expected true or false, found 1"),
+        (GOOD + "missing = ['a']", r"key missing: expected a number, found 'a'"),
+        (GOOD + f"missing = [{'9' * 400}]", r"key missing: expected a number, found 999"),
+        (GOOD + f"missing = [{'9' * 5000}]", r"expected a card in TOML, found text that is none"),
+        (GOOD + "a = " + 4000 * "[", r"acme\.toml: expected a card in TOML, found text that is no"),
+        (GOOD + "start = 'a{99999999999999}'", r"key start: expected a pattern, found 'a\{9999"),
+        (GOOD + "program = ''", r"key program: expected text, found ''"),
+        (GOOD + "encodings = ['utf-9']", r"key encodings: expected the name of an encoding, found"),
+        (GOOD + "units = 'N'", r"key units: expected a table of names, found 'N'"),
+        (GOOD + "[units]\nF = 1", r"key units\.F: expected text, found 1"),
+        (GOOD.replace("above units", "alone"), r"key header_words: expected this key, as names = "),
+        (GOOD.replace("above units", "listed"), r"key listed: expected this key \(and `start`\), "),
+        (GOOD.replace("above units", "with units"), r"key brackets: expected this key, as names ="),
+        (GOOD.replace('["^ACME"]', "[]"), r"key recognise: expected a pattern at least, found non"),
+    ],
+)  # fmt: skip
+def test_faults(text: str, said: str) -> None:
+    with pytest.raises(ReadError, match=said):
+        parse_card(text, name="acme", source="acme.toml")
+
+
+def test_all_faults_of_a_card_are_told_at_once() -> None:
+    with pytest.raises(ReadError) as refused:
+        parse_card("about = 1\nseperators = []\nnames = 'x'", name="acme", source="acme.toml")
+    assert [line.partition(":")[0] for line in str(refused.value).split("\n")] == [
+        f"acme.toml, key {key}" for key in ("about", "seperators", "names", "recognise", "time")
+    ]
+
+
+VENDORS = ("mts", "deben", "hbm_catman", "instron", "lloyd_nexygen", "shimadzu", "walter_bai")
+
+
+FOLDERS = (*VENDORS, "ta_dma", "zwick")
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_real_exports_fit_one_card(realdata: Path, folder: str) -> None:
+    files = [path for path in sorted((realdata / folder).rglob("*")) if path.is_file()]
+    assert files
+    for file in files:
+        heads = _Heads(file)
+        cards = [c for c in shipped_cards().values() if not c.fallback and heads.fit(c)]
+        assert len(cards) == 1, (file.name, [card.name for card in cards])
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("folder", ["motive", "dspace"])
+def test_exports_of_other_instruments_fit_none(realdata: Path, folder: str) -> None:
+    assert not [path.name for path in (realdata / folder).iterdir() if load_frame.recognise(path)]
+
+
+def test_the_wrong_dialect(tmp_path: Path) -> None:
+    file = mts(tmp_path / "a.txt")
+    expected = (
+        r"a\.txt: expected an export of the dialect bluehill, found one of the dialect mts-te"
+    )
+    with pytest.raises(ReadError, match=expected):
+        read_export(file, "load-frame", dialect=["bluehill"])
+    assert chosen_card(file, ["bluehill", "mts-testsuite"]).name == "mts-testsuite"
+
+
+def test_a_dialect_that_does_not_exist(tmp_path: Path) -> None:
+    file = mts(tmp_path / "a.txt")
+    expected = (
+        r"dialect 'bluhill': expected one of the 15 cards, found no such card\. Nearest: blueh"
+    )
+    with pytest.raises(ReadError, match=expected):
+        chosen_card(file, "bluhill")
+
+
+def test_no_card_fits(tmp_path: Path) -> None:
+    file = written(tmp_path / "a.txt", "a letter\n")
+    assert recognised(file) is None
+    with pytest.raises(
+        ReadError, match=r"expected an export of .* found one that no card recognises"
+    ):
+        chosen_card(file, None)
+
+
+@pytest.mark.parametrize("dialect", [None, ["table"]])
+def test_a_table_without_units_is_told_what_it_lacks(
+    tmp_path: Path, dialect: list[str] | None
+) -> None:
+    file = written(tmp_path / "a.txt", "Time,Extension,Load\n0,1,2\n")
+    expected = (
+        r"a\.txt, column 'Time': expected a unit of time such as s, found none\. Write it in a row"
+        r" below the names, or in brackets as in 'Time \(s\)', or say it in a card of your own"
+        r" \(time_unit\); see docs/how-to/new-dialect\.md\."
+    )
+    with pytest.raises(ReadError, match=expected):
+        read_export(file, "load-frame", dialect=dialect)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Time (s),Extension,Load\n0,1,2\n1,2,3\n",
+        "Time;Extension;Load\ns;;\n0;1;2\n1;2;3\n",
+        "sep=;\nTime, s;Extension;Load\n0;1;2\n1;2;3\n",
+    ],
+)
+def test_units_of_channels_may_be_left_to_the_protocol(tmp_path: Path, text: str) -> None:
+    recording = load_frame.read(written(tmp_path / "a.txt", text))
+    assert [(c.name, c.unit_in_file) for c in recording.channels] == [
+        ("Extension", ""),
+        ("Load", ""),
+    ]
+    assert recording.clocks[0].time.tolist() == [0.0, 1.0]
+    assert {"dialect_generic", "units_not_stated"} <= {note.code for note in recording.notes}
+
+
+@pytest.mark.parametrize("text", ["Time,Room\n0,1\n", "Time,Room\n1,2\nthe force of habit\n"])
+def test_a_table_of_something_else_fits_none(tmp_path: Path, text: str) -> None:
+    """Without units the names must speak of force or displacement; words elsewhere do not do."""
+    assert recognised(written(tmp_path / "a.txt", text)) is None
+
+
+@pytest.mark.parametrize("hint", ["sep=\t", "sep=;", '"sep=;"'])
+def test_a_hint_for_spreadsheets_in_line_1(tmp_path: Path, hint: str) -> None:
+    head = "Time (s)\tLoad (N)\tMachine Extension (mm)\r\n"
+    text = f"{hint}\r\n{head}0\t1\t2\r\n1\t2\t3\r\n"
+    recording = load_frame.read(written(tmp_path / "a.txt", text))
+    assert recording.metadata["dialect"] == "nexygen"
+    assert "lines" not in recording.metadata
+    assert recording.clocks[0].time.tolist() == [0.0, 1.0]
+
+
+SUITE = "Percorso: {}\nProva: x\nCiclo: 1\nData: {}\n\n\nTime\tLoad\nsec\tN\n0\t1\n1\t2\n"
+
+
+@pytest.mark.parametrize(
+    ("path", "date"),
+    [
+        ("C:\\lab\\a.txt   ", "7/3/2025 12:23:28 PM"),
+        ("\\\\server\\share\\a.txt", "28/07/2025 13.32.19"),
+        ("DAQ- Crosshead, … - (Timed).txt", "28.07.2025 13:32:19"),
+        ("/exports/pull/a.csv", "2025-07-28T13:32:19"),
+        ("a.txt", "28. 7. 2025 9.05.07"),
+    ],
+)
+def test_paths_and_dates_of_testsuite(tmp_path: Path, path: str, date: str) -> None:
+    card = recognised(written(tmp_path / "a.txt", SUITE.format(path, date)))
+    assert card is not None
+    assert card.name == "mts-testsuite"
+
+
+@pytest.mark.parametrize(
+    ("path", "date"), [("a.txt", "28.07.2025"), ("a.pdf", "28.07.2025 13:32:19"), ("", "1 13:32")]
+)
+def test_what_is_no_testsuite(tmp_path: Path, path: str, date: str) -> None:
+    card = recognised(written(tmp_path / "a.txt", SUITE.format(path, date)))
+    assert card is None or card.name != "mts-testsuite"
+
+
+def test_own_cards_come_first_and_must_not_both_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = 'about = "a"\nrecognise = ["^Time"]\ntime = ["Time"]\n'
+    text += 'names = "above units"\nbrackets = "()"\n'
+    (tmp_path / "dialects").mkdir()
+    monkeypatch.chdir(tmp_path)
+    file = bluehill(tmp_path / "a.csv")
+    (tmp_path / "dialects" / "own.toml").write_text(text, encoding="utf-8")
+    assert load_frame.read(file).metadata["dialect"] == "own"
+    (tmp_path / "dialects" / "other.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(
+        ReadError, match=r"one card recognises, found one that fits other and own\. Na"
+    ):
+        recognised(file)

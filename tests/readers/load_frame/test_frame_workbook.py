@@ -12,6 +12,8 @@ from labpipe.readers import load_frame
 from tests.readers.load_frame.exports import ROWS, specimen_sheet, workbook
 
 RESULTS: list[list[object]] = [["", "Specimen", "Fmax"], ["", "", "N"], ["", "", 9.5]]
+
+
 FORCE = [row[2] for row in ROWS]
 
 
@@ -71,14 +73,6 @@ def test_testresources(tmp_path: Path, head: list[list[object]]) -> None:
     assert [c.unit_in_file for c in recording.channels] == ["lbf", "in"]
 
 
-def test_testresources_without_its_name_is_found_by_words_or_asked_for(tmp_path: Path) -> None:
-    head: list[list[object]] = [["Time", "Force", "Displacement"], ["s", "lbf", "in"]]
-    file = workbook(tmp_path / "a.xlsx", {"Sheet1": [*head, *ROWS]})
-    assert "dialect_generic" in codes(load_frame.read(file))
-    recording = load_frame.read(file, dialect="testresources")
-    assert recording.program == "TestResources R-Controller"
-
-
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
@@ -128,24 +122,16 @@ def test_numbers_that_lost_their_signs(tmp_path: Path) -> None:
         load_frame.read(file)
 
 
-def test_numbers_written_as_text(tmp_path: Path) -> None:
-    rows = [("0.1", "-.5", 2.25), ("0.2", "1e-3", 4.5)]
-    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", rows)})
-    assert load_frame.read(file).channels[0].values.tolist() == [-0.5, 1e-3]
-
-
-def test_a_damaged_workbook(tmp_path: Path) -> None:
-    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A")})
-    file.write_bytes(file.read_bytes()[:-300])
-    assert not load_frame.recognise(file)
-    with pytest.raises(ReadError, match=r"expected a whole workbook, found a damaged one"):
-        load_frame.read(file, dialect="testxpert-xlsx")
-
-
 LONG = [(0.1 * i, 0.25 * i, 4.5 * i) for i in range(1, 21)]
+
+
 NUMBERS: list[list[object]] = [["Fmax", "Time at break"], ["N", "s"], [90.0, 2.0]]
 """One row for each specimen, as testXpert writes them."""
+
+
 Sheet = list[list[object]]
+
+
 EDITS: dict[str, Callable[[Sheet], Sheet]] = {
     "none": lambda rows: rows,
     "row of the specimen deleted": lambda rows: rows[1:],
@@ -171,21 +157,6 @@ def test_an_edited_workbook_of_testxpert(tmp_path: Path, edit: Callable[[Sheet],
     sheets = recording.metadata["sheets"]
     assert isinstance(sheets, dict)
     assert sheets["Results S1"][0] == ["Fmax", "Time at break"]
-
-
-def test_results_beside_samples_are_no_test_of_any_program(tmp_path: Path) -> None:
-    head: Sheet = [["Time (s)", "Load (N)", "Extension (mm)"]]
-    results: Sheet = [["Peak load (N)", "Time at peak (s)"], [90.0, 2.0], [91.0, 2.1]]
-    file = workbook(tmp_path / "a.xlsx", {"Data": [*head, *map(list, LONG)], "Summary": results})
-    recording = load_frame.read(file)
-    assert [channel.path for channel in recording.channels] == ["Load", "Extension"]
-    assert "sheets_left_out" in codes(recording)
-
-
-def test_an_aborted_specimen_beside_others_is_kept(tmp_path: Path) -> None:
-    sheets = {"A": specimen_sheet("A", LONG), "B": specimen_sheet("B", LONG[:3])}
-    recording = load_frame.read(workbook(tmp_path / "a.xlsx", sheets))
-    assert [len(clock.time) for clock in recording.clocks] == [20, 3]
 
 
 def test_words_and_statistics_of_a_sheet(tmp_path: Path) -> None:

@@ -1,3 +1,5 @@
+"""Text exports of load frames, by dialect."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -58,14 +60,6 @@ def test_testsuite(tmp_path: Path, head: str, body: str, ends: str) -> None:
     assert not codes(recording)
 
 
-def test_a_step_without_samples(tmp_path: Path) -> None:
-    recording = load_frame.read(written(tmp_path / "a.txt", "", "utf-8-sig"))
-    assert (recording.clocks, recording.channels) == ((), ())
-    assert [(note.code, note.severity.value) for note in recording.notes] == [
-        ("no_samples", "warning")
-    ]
-
-
 def test_specimens_side_by_side(tmp_path: Path) -> None:
     """Blank padding of the shorter one is no missing value; the file is Latin-1."""
     rows = [[*a, *b] for a, b in zip(ROWS, [*ROWS[:2], ("",) * 3, ("",) * 3], strict=True)]
@@ -91,14 +85,6 @@ def test_specimens_side_by_side(tmp_path: Path) -> None:
     expected = r"part 'C37': expected one of the 2 specimens .* found no such part\. Nearest: 'C3"
     with pytest.raises(ReadError, match=expected):
         load_frame.read(file, part="C37")
-
-
-def test_a_blank_column_between_specimens(tmp_path: Path) -> None:
-    text = '"A",,,"B",\n"Time","Force",,"Time","Force"\n"s","N",,"s","N"\n'
-    text += "".join(f'"{i}","{i}",,"{i}","{2 * i}"\n' for i in range(12))
-    recording = load_frame.read(written(tmp_path / "a.csv", text))
-    assert [channel.path for channel in recording.channels] == ["A/Force", "B/Force"]
-    assert recording.channels[1].values[-1] == 22.0
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 11])
@@ -152,12 +138,6 @@ def test_chinese_names(tmp_path: Path) -> None:
         text = "\r\n时间,位移,力\r\n(s),(mm),(N)\r\n" + lines(ROWS)
         recording = load_frame.read(written(tmp_path / "a.csv", text, encoding))
         holds(recording, ("位移", "mm", TRAVEL), ("力", "N", FORCE))
-
-
-def test_western_names_are_not_taken_for_chinese(tmp_path: Path) -> None:
-    text = "Temps,Déplacement,Force à la rupture\n(s),(mm),(N)\n" + lines(ROWS)
-    recording = load_frame.read(written(tmp_path / "a.csv", text, "cp1252"))
-    assert [channel.name for channel in recording.channels] == ["Déplacement", "Force à la rupture"]
 
 
 @pytest.mark.parametrize("mark", ["", "\ufeff"])
@@ -268,14 +248,6 @@ def test_dma(tmp_path: Path) -> None:
     assert recording.metadata["OrgMethod"] == ["1: a", "2: b"]
 
 
-def test_dma_without_its_marks(tmp_path: Path) -> None:
-    file = written(tmp_path / "a.txt", "Nsig\t1\n\nStartOfData\n1\t2\n")
-    with pytest.raises(ReadError, match=r"lines 1 to 2: expected names in lines .*, found none"):
-        load_frame.read(file)
-    with pytest.raises(ReadError, match=r"expected a line '\^StartOfData.* found none in 5 lines"):
-        load_frame.read(written(file, "Nsig\t1\nSig1\ta (s)\n1\t2\n\n"), dialect="dma-q800")
-
-
 def test_the_last_resort(tmp_path: Path) -> None:
     for text in (
         "Zeit [s];Weg [mm];Kraft [N]\n" + lines(ROWS, ";", comma=True),
@@ -284,13 +256,6 @@ def test_the_last_resort(tmp_path: Path) -> None:
         recording = load_frame.read(written(tmp_path / "a.txt", text))
         assert [c.unit_in_file for c in recording.channels] == ["mm", "N"]
         assert codes(recording) == {"dialect_generic"}
-
-
-def test_only_wanted_channels(tmp_path: Path) -> None:
-    file = mts(tmp_path / "a.txt")
-    holds(load_frame.read(file, channels=[("Kraft", "Load")]), ("Load", "N", FORCE))
-    with pytest.raises(ReadError, match=r"channel 'Loda': expected one of the 2 channels .*'Load'"):
-        load_frame.read(file, channels=["Loda"])
 
 
 @pytest.mark.parametrize(
@@ -312,8 +277,67 @@ def test_units_that_are_missing_or_wrong(tmp_path: Path, units: str, said: str) 
         load_frame.read(file)
 
 
-def test_bluehill_without_units(tmp_path: Path) -> None:
-    file = written(tmp_path / "a.csv", "Time,Extension,Load\n" + lines(ROWS))
-    expected = r"line 1: expected a row of units in \(\) above the numbers, found 'Time, Extension"
-    with pytest.raises(ReadError, match=expected):
-        load_frame.read(file, dialect="bluehill")
+BLOCK = "Datenerfassung\t\t\tZeit:\t1,5\ts\t28.01.2015 10:35:28\n"
+
+
+COLUMNS = "Laufzeit\tCh 1 Weg\tCh 1 Kraft\ns\tmm\tkN\n"
+
+
+@pytest.mark.parametrize(
+    "line", ["MTS793|MPT|DEU|1|2|,|.|:|49|1|1|A", "MTS793|MPT|DEU|x|x|,|.|:|49|1|1|A"]
+)
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8"])
+def test_blocks_of_793(tmp_path: Path, line: str, encoding: str) -> None:
+    """Two blocks of samples are one recording; a summary between them is none."""
+    mark = "ü" if encoding == "cp1252" else "\ufffd"
+    form = f"Bediener Information\nPr{mark}fer:\tKh\nBediener Information Ende\n"
+    first, second = lines(ROWS[:2], "\t", comma=True), lines(ROWS[2:], "\t", comma=True)
+    summary = BLOCK + "Ch 1 Kraft\tCh 1 Weg\nkN\tmm\n99,5\t0\n-1\t2\n"
+    parts = [line, form, BLOCK + COLUMNS + first, summary, BLOCK + COLUMNS + second]
+    recording = load_frame.read(written(tmp_path / "a.dat", "\n\n".join(parts), encoding))
+    holds(recording, ("Ch 1 Weg", "mm", TRAVEL), ("Ch 1 Kraft", "kN", FORCE))
+    assert recording.program == "MTS 793 MPT"
+    assert codes(recording) == {"summary_rows_left_out", "blocks_joined"}
+    assert recording.metadata["summaries"] == [{"Ch 1 Kraft": [99.5, -1.0], "Ch 1 Weg": [0.0, 2.0]}]
+    assert recording.metadata[f"Pr{mark}fer"] == "Kh"
+
+
+def test_blocks_with_other_columns_are_parts(tmp_path: Path) -> None:
+    other = BLOCK + "Laufzeit\tCh 2 Weg\ns\tmm\n1,5\t2,5\n2,5\t3,5\n"
+    parts = ["MTS793|MPT|DEU|1|2|,|.", BLOCK + COLUMNS + lines(ROWS, "\t", comma=True), other]
+    recording = load_frame.read(written(tmp_path / "a.dat", "\n\n".join(parts)))
+    assert [channel.path for channel in recording.channels] == [
+        "block 1/Ch 1 Weg",
+        "block 1/Ch 1 Kraft",
+        "block 2/Ch 2 Weg",
+    ]
+
+
+def test_names_and_columns_parted_by_blanks(tmp_path: Path) -> None:
+    names = "Ch 1 Displacement Ch 1 Force Time"
+    block = f"Data Acquisition: Timed\nStation Name: a\n{names}\nmm        kN        Sec\n"
+    body = lines([(travel, force, time) for time, travel, force in ROWS], " ")
+    text = f"MTS793|BTW|ENG|1|0|.|/|:|44|1|1|A\n\nData Header:   Time: 1 Sec\n{block}{body}\n"
+    recording = load_frame.read(written(tmp_path / "a.dat", text.replace("\n", "\r\n")))
+    assert [channel.name for channel in recording.channels] == ["Ch 1 Displacement", "Ch 1 Force"]
+    assert recording.metadata["Station Name"] == "a"
+
+
+EXTREMES = "Ch 1 Kraft\tCh 1 Weg\nkN\tmm\n99,5\t2\n-1\t0\n"
+
+
+def test_nothing_but_extremes(tmp_path: Path) -> None:
+    text = f"MTS793|MPT|DEU|1|2|,|.\n\n{BLOCK}{EXTREMES}"
+    recording = load_frame.read(written(tmp_path / "a.dat", text))
+    assert (recording.clocks, recording.channels) == ((), ())
+    assert codes(recording) == {"summary_rows_left_out", "no_samples"}
+    assert recording.metadata["summaries"] == [{"Ch 1 Kraft": [99.5, -1.0], "Ch 1 Weg": [2.0, 0.0]}]
+    (note,) = (note for note in recording.notes if note.code == "no_samples")
+    assert note.message == "all rows are a summary: the test took no samples"
+
+
+def test_only_wanted_channels(tmp_path: Path) -> None:
+    file = mts(tmp_path / "a.txt")
+    holds(load_frame.read(file, channels=[("Kraft", "Load")]), ("Load", "N", FORCE))
+    with pytest.raises(ReadError, match=r"channel 'Loda': expected one of the 2 channels .*'Load'"):
+        load_frame.read(file, channels=["Loda"])

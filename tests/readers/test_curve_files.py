@@ -1,8 +1,7 @@
-"""Curves from elsewhere: two columns, found by name or number, in units that somebody states."""
+"""Curves from elsewhere: two columns of a table, or what CalculiX prints of a tip."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,18 @@ import openpyxl
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.readers.curve_files import CurveColumn, read_curve
+from labpipe.readers.curve_files import CurveColumn, is_calculix, read_curve
+from tests.approved import Approve
 
 ACROSS, UP = CurveColumn("deflection", "m"), CurveColumn("force", "N")
+
+
 MM, NEWTON = (
     CurveColumn("deflection", "m", "1", "mm"),
     CurveColumn("force", "N", "2", "N"),
 )
+
+
 DEFLECTION, FORCE = [0.0, 0.01, 0.02, 0.0305], [0.0, 0.02, 0.035, 0.05]
 
 
@@ -148,99 +152,7 @@ def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
         read_curve(path, ACROSS, UP)
 
 
-def test_a_missing_file(tmp_path: Path) -> None:
-    said = refusal(tmp_path / "curve.csv")
-    assert said == (
-        "curve.csv: expected a file, found none of that name. Check the name and the folder."
-    )
-
-
 HEAD = "deflection / mm,force / N\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "curve.csv: expected a file with content, found an empty file (0 bytes)."),
-        ("deflection / mm,force / N\n", "curve.csv: expected rows of numbers, found none. Give"),
-        (
-            "time / s,forse / N\n0,0\n1,1\n2,2\n",
-            "curve.csv, line 1: expected a column 'deflection', found 'time / s', 'forse / N'. "
-            "Name it in the plan, such as deflection: {column: U2, unit: mm}.",
-        ),
-        (
-            "deflection / mm,forse / N\n0,0\n1,1\n2,2\n",
-            "curve.csv, line 1: expected a column 'force', found 'forse / N', 'deflection / mm'. "
-            "Name it in the plan, such as force: {column: U2, unit: N}.",
-        ),
-        (
-            "0,0\n1,1\n2,2\n",
-            "curve.csv, line 1: expected a row of names above the numbers, with a column "
-            "'deflection', found numbers alone. Number it in the plan, such as deflection: "
-            "{column: 1, unit: mm}.",
-        ),
-        (
-            "deflection,force / N\n0,0\n1,1\n2,2\n",
-            "curve.csv, line 1, column 1: expected a unit of the deflection, found none in "
-            "'deflection'. Write it in the heading (deflection / mm) or in the plan.",
-        ),
-        (
-            "deflection / mm,force_mm\n0,0\n1,1\n2,2\n",
-            "curve.csv, line 1: expected a column 'force', found 'force_mm', 'deflection / mm'.",
-        ),
-        (
-            "deflection / mm,force / mm\n0,0\n1,1\n2,2\n",
-            "curve.csv, line 1, column 2: expected a unit of the force, such as N, found 'mm'. "
-            "Correct the heading.",
-        ),
-        (
-            "deflection / mm,deflection / m,force / N\n0,0,0\n1,1,1\n2,2,2\n",
-            "curve.csv, line 1: expected one column 'deflection', found 2: columns 1, 2. Give the "
-            "number of the one that is meant.",
-        ),
-        (f"{HEAD}0,0\n1,1\n", "curve.csv: expected 3 points at least, found 2. Give more points"),
-        (
-            f"{HEAD}0,0\n1,nan\n2,2\n",
-            "curve.csv, line 3, column 2: expected a finite number, found 'nan'. Correct the row",
-        ),
-        (f"{HEAD}0,0\n1,1e999\n2,2\n", "line 3, column 2: expected a finite number, found '1e999'"),
-        (f"{HEAD}0,0\n1,\n2,2\n", "line 3, column 2: expected a finite number, found a blank cell"),
-        (
-            f"{HEAD}0,0\n1,1.234.567\n2,2\n",
-            "line 3, column 2: expected a finite number, found '1.234.567'. Write the file anew "
-            "without signs between thousands.",
-        ),
-        (
-            f"{HEAD}0,0\n1,1.2.3\n2,2\n",
-            "line 3, column 2: expected a finite number, found '1.2.3'.",
-        ),
-        (f"{HEAD}0,0\n1\n2,2\n", "line 3: expected a finite number, found a blank cell"),
-        (f"{HEAD}0,0\n1,1\nx,y\n2,2\n", "line 4, column 1: expected a finite number, found 'x'"),
-        (
-            f"{HEAD}0,0\n2,2\n1,1\n",
-            "curve.csv, line 4, column 1: expected a deflection above the one before (2 mm), found "
-            "1 mm. Keep the first loading alone, its points in order, each deflection once.",
-        ),
-        (f"{HEAD}0,0\n1,1\n1,2\n", "line 4, column 1: expected a deflection above the one before"),
-        (
-            f"{HEAD}0,0\n-1,1\n-2,2\n",
-            "curve.csv, line 3, column 1: expected a deflection above the one before (0 mm), found "
-            "-1 mm. If the file counts downwards, write 'sign: -1' for the deflection.",
-        ),
-        (
-            f"{HEAD}0,0\n1,-1\n2,-2\n",
-            "curve.csv, line 4, column 2: expected a largest force above zero, found -2 N. If the "
-            "file counts downwards, write 'sign: -1' for the force.",
-        ),
-        (
-            "deflection / mm;force / N\n0;0\n1,5;0.1\n2;2\n",
-            "curve.csv, line 3, column 1: expected a decimal point, as elsewhere in the file, "
-            "found '1,5'. Write the file anew with one decimal sign and no sign for thousands.",
-        ),
-    ],
-)
-def test_what_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    assert said in refusal(saved(tmp_path, text))
 
 
 def test_a_named_column_that_is_not_there(tmp_path: Path) -> None:
@@ -263,9 +175,110 @@ def test_plan_and_heading_must_agree(tmp_path: Path) -> None:
     assert across.tolist() == [0.0, 1.0, 2.0]
 
 
-def test_other_bytes(tmp_path: Path) -> None:
-    path = tmp_path / "curve.csv"
-    path.write_bytes(b"\x89HDF\r\n\x1a\n\0\0\1\2\3")
-    assert "expected a table as text, or an xlsx workbook, found other bytes" in refusal(path)
-    path.write_bytes(b"PK\x03\x04" + os.urandom(64))
-    assert "expected an xlsx workbook, found a damaged one" in refusal(path)
+SHARES = (0.25, 0.5, 0.75, 1.0)
+
+
+def pushed(share: float, name: str = "TIPHALF") -> str:
+    """The two blocks of one increment."""
+    time = f"{share:.7E}"
+    tip = 0.05 * share
+    return (
+        f"\n displacements (vx,vy,vz) for set {name} and time  {time}\n\n"
+        f"       392 -2.865725E-06  {tip:.6E}  0.000000E+00\n"
+        f"       393 -2.865729E-06  {tip:.6E}  8.783205-104\n"
+        f"\n total force (fx,fy,fz) for set {name} and time  {time}\n\n"
+        f"        2.285786E-09  {0.04 * share:.6E} -4.107773E-06\n"
+    )
+
+
+def saved_dat(folder: Path, text: str) -> Path:
+    path = folder / "wire.dat"
+    path.write_text(text, encoding="ascii")
+    return path
+
+
+def whole(name: str = "TIPHALF") -> str:
+    return "".join(pushed(share, name) for share in SHARES)
+
+
+def calculix_refusal(folder: Path, text: str, across: CurveColumn = ACROSS) -> str:
+    path = saved_dat(folder, text)
+    with pytest.raises(ReadError) as caught:
+        read_curve(path, across, UP)
+    return str(caught.value).replace(str(path), "wire.dat")
+
+
+@pytest.mark.parametrize(("name", "times"), [("TIPHALF", 2.0), ("TIP", 1.0)])
+def test_deflection_and_force_of_the_tip(tmp_path: Path, name: str, times: float) -> None:
+    deflection, force = read_curve(saved_dat(tmp_path, whole(name)), ACROSS, UP)
+    np.testing.assert_allclose(deflection, 0.05 * np.array(SHARES), rtol=1e-6)
+    np.testing.assert_allclose(force, times * 0.04 * np.array(SHARES), rtol=1e-6)
+
+
+def test_other_files_are_not_taken_for_it() -> None:
+    assert is_calculix(whole().splitlines())
+    assert not is_calculix(["deflection / m,force / N", "0,0"])
+    assert not is_calculix([])
+
+
+def test_signs_and_units_are_as_of_any_curve(tmp_path: Path) -> None:
+    turned = CurveColumn("deflection", "m", sign=-1)
+    text = calculix_refusal(tmp_path, whole(), turned)
+    assert text.startswith("wire.dat, line 13: expected a deflection above the one before")
+    in_inches = CurveColumn("deflection", "m", unit="in")
+    assert "expected 'in', as in the plan, found 'm'" in calculix_refusal(
+        tmp_path, whole(), in_inches
+    )
+
+
+def test_increments_in_another_order(tmp_path: Path) -> None:
+    u, rf = zip(*(pushed(share).split("\n total") for share in SHARES), strict=True)
+    swapped = "".join(u) + "".join(f"\n total{part}" for part in reversed(rf))
+    assert "expected displacements and total force in turn, found" in calculix_refusal(
+        tmp_path, swapped
+    )
+
+
+REFUSED = [
+    "",
+    "deflection / mm,force / N\n",
+    "time / s,forse / N\n0,0\n1,1\n2,2\n",
+    "deflection / mm,forse / N\n0,0\n1,1\n2,2\n",
+    "0,0\n1,1\n2,2\n",
+    "deflection,force / N\n0,0\n1,1\n2,2\n",
+    "deflection / mm,force_mm\n0,0\n1,1\n2,2\n",
+    "deflection / mm,force / mm\n0,0\n1,1\n2,2\n",
+    "deflection / mm,deflection / m,force / N\n0,0,0\n1,1,1\n2,2,2\n",
+    f"{HEAD}0,0\n1,1\n",
+    f"{HEAD}0,0\n1,nan\n2,2\n",
+    f"{HEAD}0,0\n1,1e999\n2,2\n",
+    f"{HEAD}0,0\n1,\n2,2\n",
+    f"{HEAD}0,0\n1,1.234.567\n2,2\n",
+    f"{HEAD}0,0\n1,1.2.3\n2,2\n",
+    f"{HEAD}0,0\n1\n2,2\n",
+    f"{HEAD}0,0\n1,1\nx,y\n2,2\n",
+    f"{HEAD}0,0\n2,2\n1,1\n",
+    f"{HEAD}0,0\n1,1\n1,2\n",
+    f"{HEAD}0,0\n-1,1\n-2,2\n",
+    f"{HEAD}0,0\n1,-1\n2,-2\n",
+    "deflection / mm;force / N\n0;0\n1,5;0.1\n2;2\n",
+]
+
+
+def test_what_is_refused(tmp_path: Path, approved: Approve) -> None:
+    approved(refusal(saved(tmp_path, text)) for text in REFUSED)
+
+
+def test_calculix_files_that_are_refused(tmp_path: Path, approved: Approve) -> None:
+    parts = [pushed(share) for share in (*SHARES, 1.25)]
+    moved = [part.partition("\n total")[0] for part in parts]
+    texts = [
+        whole() + pushed(1.25, "CLAMP"),
+        "".join(moved[:-1]),
+        whole() + moved[-1],
+        whole().replace("  2.500000E-02", "  *************", 1),
+        whole()[:-20],
+        whole() + "\n displacements (vx,vy,vz) for set TIPHALF and time  0.13E+01\n",
+        pushed(0.25) + pushed(0.5),
+    ]
+    approved(calculix_refusal(tmp_path, text) for text in texts)

@@ -1,10 +1,95 @@
+"""Files as bytes and text, and what a file appears to be that no reader takes."""
+
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
+from labpipe.errors import ReadError
+from labpipe.readers.raw_files import (
+    BROKEN,
+    as_content,
+    decode,
+    is_binary,
+    read_head,
+    reading,
+)
 from labpipe.readers.unknown_files import describe_unknown
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+def test_encodings(encoding: str) -> None:
+    content = as_content("Kraft\n1\n".encode(encoding))
+    assert content.data == b"Kraft\n1\n"
+    assert not is_binary(content)
+
+
+def test_other_bytes_are_binary() -> None:
+    assert is_binary(as_content(bytes(range(200)) * 4))
+
+
+def test_half_a_sign_at_the_end_is_left_out() -> None:
+    content = as_content("Größe".encode())
+    assert decode(content.data[:3], content, ("utf-8",), Path("a")) == "Gr"
+
+
+def test_the_encoding_may_be_left_open() -> None:
+    text = "Время испытания;Сила растяжения;Перемещение траверсы\n" * 20
+    content = as_content(text.encode("cp1251"))
+    assert decode(content.data, content, ("utf-8", "detect"), Path("a")) == text
+
+
+def test_none_fits() -> None:
+    content = as_content(b"\xff\xd6")
+    with pytest.raises(
+        ReadError, match=r"a\.csv: expected text in utf-8 or gb2312, found other by"
+    ):
+        decode(b"\xff\xd6\xff", content, ("utf-8", "gb2312"), Path("a.csv"))
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_every_library_error_names_the_file(tmp_path: Path, kind: type[Exception]) -> None:
+    with (
+        pytest.raises(ReadError, match=r"take\.csv: expected a table, found a damaged one \(tail"),
+        reading(tmp_path / "take.csv", "a table"),
+    ):
+        raise kind("tail missing")
+
+
+def test_what_cannot_be_opened_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ReadError, match=r"expected a file, found none of that name\. Check"):
+        read_head(tmp_path / "absent.csv")
+    with pytest.raises(ReadError, match=r"expected a file, found a folder\. Name one"):
+        read_head(tmp_path)
+    empty = tmp_path / "empty.csv"
+    empty.touch()
+    with pytest.raises(
+        ReadError, match=r"expected a file with content, found an empty file \(0 bytes\)"
+    ):
+        read_head(empty)
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("a" * 300, "File name too long"), ("loop", "Too many levels of symbolic links")],
+)
+def test_a_name_that_leads_nowhere(tmp_path: Path, name: str, why: str) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with pytest.raises(ReadError) as refused:
+        read_head(tmp_path / name)
+    assert str(refused.value) == (
+        f"{tmp_path / name}: expected a file, found one that cannot be opened ({why}). Check the"
+        " name and the folder."
+    )
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ReadError, match=r"expected a file, found a pipe or a device\. Name a pl"):
+        read_head(tmp_path / "pipe")
+
 
 CARD = "see docs/how-to/new-dialect.md."
 

@@ -1,0 +1,553 @@
+"""Recordings of ControlDesk: MAT, csv and MF4."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.io import loadmat, savemat
+
+from labpipe.errors import ReadError
+from labpipe.readers import dspace_csv, dspace_mat, dspace_mf4
+from labpipe.readers.controldesk import (
+    Export,
+    Trace,
+    day_of_saving,
+    load_export,
+    written_date,
+)
+from labpipe.readers.mat5 import parse_mat5
+from labpipe.records.recording import Recording
+from tests.builders.controldesk import (
+    Axis,
+    Signal,
+    write_csv,
+    write_mat_v5,
+    write_mat_v73,
+    write_mf4,
+)
+
+TIME = np.arange(200) * 0.001
+
+
+FORCE = Signal("Model Root/Load Cell", "In1", np.sin(TIME), unit="V")
+
+
+LASER = Signal("Model Root/Laser Sensor\\n", "In1", np.cos(TIME))
+
+
+WRITERS = [write_mat_v5, write_mat_v73]
+
+
+def by_path(recording: Recording) -> dict[str, Any]:
+    return {channel.path: channel for channel in recording.channels}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("write", WRITERS)
+@given(
+    data=hnp.arrays(
+        np.float64,
+        st.tuples(st.integers(2, 40), st.integers(1, 4)),
+        elements=st.floats(-1e9, 1e9),
+    )
+)
+def test_what_was_written_is_read(tmp_path_factory: Any, write: Any, data: np.ndarray) -> None:
+    file = tmp_path_factory.mktemp("mat") / "recording.mat"
+    time = np.arange(len(data)) * 0.5
+    signals = [Signal(f"Root/{i}", "In1", column) for i, column in enumerate(data.T)]
+    write(file, [Axis(time)], signals)
+    recording = dspace_mat.read(file)
+    np.testing.assert_array_equal(recording.clock("HostService").time, time)
+    np.testing.assert_array_equal([c.values for c in recording.channels], data.T)
+    assert [c.path for c in recording.channels] == [f"Root/{i}/In1" for i in range(data.shape[1])]
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_what_it_says_of_itself(tmp_path: Path, write: Any) -> None:
+    recording = dspace_mat.read(write(tmp_path / "other.mat", [Axis(TIME)], [FORCE, LASER]))
+    assert (recording.reader, recording.program) == ("dspace-mat", "ControlDesk")
+    assert recording.program_version == "7.4"
+    assert recording.metadata["variable"] == "recording"
+    assert recording.metadata["revision"] == "2.1"
+    force = by_path(recording)["Model Root/Load Cell/In1"]
+    assert (force.name, force.unit, force.unit_in_file) == ("In1", None, "V")
+    about: Any = recording.metadata["channels"]
+    assert about["Model Root/Laser Sensor\\n/In1"]["Min"] == "-inf"
+    assert {note.code for note in recording.notes} == {
+        *("variable_name_differs", "names_not_unique", "line_break_in_path", "units_not_stated"),
+    }
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_several_rasters_are_several_clocks(tmp_path: Path, write: Any) -> None:
+    slow = Axis(np.array([0.5, 2.0, 9.0]), "OnChange")
+    gain = Signal("Tunable Parameters", "gain", np.array([1.0, 2.0, 3.0]), axis=2)
+    file = write(tmp_path / "recording.mat", [Axis(TIME), slow], [FORCE, gain])
+    recording = dspace_mat.read(file)
+    assert by_path(recording)["Tunable Parameters/gain"].clock == "OnChange"
+    np.testing.assert_array_equal(recording.clock("OnChange").time, slow.time)
+    alone = dspace_mat.read(file, channels=["gain"])
+    assert [clock.name for clock in alone.clocks] == ["OnChange"]
+
+
+def test_revision_2_0_keeps_quoted_paths_and_small_integers(tmp_path: Path) -> None:
+    pulse = Signal("", '"Model Root"/"u1"/"Out1"', np.array([0, 5, 0], dtype=np.uint8))
+    axis = Axis(np.array([-1.0, -0.5, 0.0]))
+    recording = dspace_mat.read(
+        write_mat_v5(tmp_path / "recording.mat", [axis], [pulse], revision="2.0")
+    )
+    (channel,) = recording.channels
+    assert (channel.name, channel.path) == ("Out1", '"Model Root"/"u1"/"Out1"')
+    assert channel.values.dtype == np.float64
+    assert channel.values[0] - 1 == -1.0
+    assert recording.clocks[0].name == "time"
+    assert recording.metadata["revision"] == "2.0"
+
+
+def test_data_may_stand_in_columns(tmp_path: Path) -> None:
+    recording = dspace_mat.read(
+        write_mat_v5(tmp_path / "recording.mat", [Axis(TIME)], [FORCE], columns=True)
+    )
+    np.testing.assert_array_equal(recording.channels[0].values, FORCE.values)
+
+
+def test_an_unseen_revision_is_noted_or_refused(tmp_path: Path) -> None:
+    file = write_mat_v5(tmp_path / "recording.mat", [Axis(TIME)], [FORCE], revision="2.7")
+    messages = [n.message for n in dspace_mat.read(file).notes if n.code == "revision_unseen"]
+    assert messages == ["file format revision 2.7: only 2.0 and 2.1 are known"]
+    file = write_mat_v5(tmp_path / "new.mat", [Axis(TIME)], [FORCE], revision="3.0")
+    with pytest.raises(ReadError, match=r"Info: expected a file format revision 2\.x, found 3\.0"):
+        dspace_mat.read(file)
+
+
+def test_a_mat_file_of_something_else(tmp_path: Path) -> None:
+    file = tmp_path / "other.mat"
+    savemat(file, {"a": np.zeros(3), "b": "text"})
+    expected = r"other\.mat: expected one variable with the fields X and Y.*found only a, b\."
+    with pytest.raises(ReadError, match=expected):
+        dspace_mat.read(file)
+
+
+def test_two_recordings_in_one_file(tmp_path: Path) -> None:
+    file = tmp_path / "two.mat"
+    one = {"X": {"Data": TIME}, "Y": {"Data": TIME}}
+    savemat(file, {"a": one, "b": one})
+    with pytest.raises(ReadError, match=r"found 2 among the variables a, b\."):
+        dspace_mat.read(file)
+
+
+def test_structs_without_samples(tmp_path: Path) -> None:
+    file = tmp_path / "odd.mat"
+    savemat(file, {"a": {"X": {"Data": TIME}, "Y": {"Name": "F"}}})
+    with pytest.raises(ReadError, match=r"field Y: expected a struct with the field Data, found"):
+        dspace_mat.read(file)
+
+
+def test_a_channel_on_an_axis_that_does_not_exist(tmp_path: Path) -> None:
+    lost = Signal("Root", "F", TIME, axis=3)
+    file = write_mat_v5(tmp_path / "recording.mat", [Axis(TIME)], [lost])
+    expected = r"channel 'Root/F', XIndex: expected the number of a time axis, 1 to 1, found 3\."
+    with pytest.raises(ReadError, match=expected):
+        dspace_mat.read(file)
+
+
+def in_another_way(group: h5py.Group, name: str, how: str) -> None:
+    """In place of a data set one that other files hold, or none, for the most part."""
+    old = group[name]
+    labels, shape, kind = dict(old.attrs), old.shape, old.dtype
+    other = Path(group.file.filename).with_name("other.h5")
+    del group[name]
+    if how == "link":
+        group[name] = h5py.ExternalLink(str(other), "secret")
+        return
+    if how == "virtual":
+        layout = h5py.VirtualLayout(shape=shape, dtype=kind)
+        layout[:] = h5py.VirtualSource(str(other), "secret", shape=shape)
+        made = group.create_virtual_dataset(name, layout)
+    elif how == "external":
+        made = group.create_dataset(name, shape=shape, dtype=kind, external=[(other, 0, 10**6)])
+    else:
+        made = group.create_dataset(name, shape=(1, 10**6), dtype=kind, chunks=(1, 1000))
+        made[0, :10] = 1.0
+    made.attrs.update(labels)
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("link", "is a link into another file"),
+        ("virtual", "keeps its samples in another file"),
+        ("external", "keeps its samples in another file"),
+        ("sparse", "claims 8000000 bytes in a file of"),
+    ],
+)
+def test_samples_that_the_file_does_not_hold(tmp_path: Path, how: str, said: str) -> None:
+    file = write_mat_v73(tmp_path / "recording.mat", [Axis(TIME)], [FORCE, LASER])
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["secret"] = np.zeros((1, len(TIME)))
+    with h5py.File(file, "r+") as opened:
+        in_another_way(opened["recording/X"], "Data", how)
+    with pytest.raises(ReadError, match=rf"a whole MAT v7\.3 file, found a damaged one \(.*{said}"):
+        dspace_mat.read(file)
+
+
+@pytest.mark.parametrize("write", WRITERS)
+@pytest.mark.parametrize("part", [0.05, 0.3, 0.6, 0.95])
+def test_a_truncated_file(tmp_path: Path, write: Any, part: float) -> None:
+    file = write(tmp_path / "recording.mat", [Axis(TIME)], [FORCE, LASER])
+    content = file.read_bytes()
+    file.write_bytes(content[: int(part * len(content))])
+    with pytest.raises(ReadError, match=r"Export the recording"):
+        dspace_mat.read(file)
+
+
+CSV_TIME = np.arange(50) * 0.001
+
+
+CSV_FORCE = Signal("Model Root/Load Cell", "Out1", np.sin(CSV_TIME))
+
+
+MOTION = Signal("Model Root/Laser", "Out1", np.cos(CSV_TIME), unit="mm")
+
+
+@given(
+    data=hnp.arrays(
+        np.float64,
+        st.tuples(st.integers(1, 30), st.integers(1, 4)),
+        elements=st.one_of(st.floats(-1e9, 1e9), st.just(np.nan)),
+    ),
+    line_end=st.sampled_from(["\n", "\r\n"]),
+)
+def test_a_csv_that_was_written_is_read(
+    tmp_path_factory: Any, data: np.ndarray, line_end: str
+) -> None:
+    file = tmp_path_factory.mktemp("csv") / "r.csv"
+    time = np.arange(len(data)) * 0.5
+    signals = [Signal(f"Root/{i}", "In1", column) for i, column in enumerate(data.T)]
+    recording = dspace_csv.read(write_csv(file, Axis(time), signals, line_end=line_end))
+    np.testing.assert_array_equal(recording.clock("HostService").time, time)
+    np.testing.assert_allclose([c.values for c in recording.channels], data.T, rtol=1e-15)
+
+
+def test_what_a_csv_says_of_itself(tmp_path: Path) -> None:
+    recording = dspace_csv.read(write_csv(tmp_path / "r.csv", Axis(CSV_TIME), [CSV_FORCE, MOTION]))
+    assert (recording.reader, recording.program_version) == ("dspace-csv", "7.4")
+    assert recording.metadata["date"] == "2026-04-03"
+    assert [c.path for c in recording.channels] == [
+        "Model Root/Load Cell/Out1",
+        "Model Root/Laser/Out1",
+    ]
+    assert [c.unit_in_file for c in recording.channels] == ["", "mm"]
+    assert [note.code for note in recording.notes] == ["units_not_stated", "names_not_unique"]
+
+
+def test_a_wrong_stated_number_of_rows(tmp_path: Path) -> None:
+    file = write_csv(tmp_path / "r.csv", Axis(CSV_TIME), [CSV_FORCE], stated=80)
+    (note,) = (n for n in dspace_csv.read(file).notes if n.code == "rows_differ")
+    assert note.message == "the header states 80 rows, the file holds 50"
+
+
+def test_a_cut_in_the_header(tmp_path: Path) -> None:
+    file = write_csv(tmp_path / "r.csv", Axis(CSV_TIME), [CSV_FORCE])
+    content = file.read_bytes()
+    file.write_bytes(content[: content.find(b"trace_values") - 4])
+    with pytest.raises(ReadError, match=r"line 12: expected a line that begins with trace_values"):
+        dspace_csv.read(file)
+    file.write_bytes(b"descriptions,General,User,x\n" + content[content.find(b"trace_values") :])
+    with pytest.raises(ReadError, match=r"lines 1 to 1: expected a row trace_names with one cell"):
+        dspace_csv.read(file)
+
+
+def test_a_cut_in_mid_line(tmp_path: Path) -> None:
+    file = write_csv(tmp_path / "r.csv", Axis(CSV_TIME), [CSV_FORCE])
+    file.write_bytes(file.read_bytes()[:-9])
+    recording = dspace_csv.read(file)
+    assert len(recording.clocks[0].time) == 49
+    assert {"truncated", "rows_differ"} <= {note.code for note in recording.notes}
+
+
+def test_a_cell_that_is_no_number(tmp_path: Path) -> None:
+    file = write_csv(tmp_path / "r.csv", Axis(CSV_TIME), [CSV_FORCE])
+    file.write_bytes(file.read_bytes().replace(b",0.001,", b",O.001,", 1))
+    with pytest.raises(ReadError, match=r"line 14, column 'time': expected a number .* found 'O"):
+        dspace_csv.read(file)
+
+
+MF4_TIME = 1.25 + np.arange(300) * 0.001
+
+
+MF4_FORCE = Signal("Model Root/Load Cell", "In1", np.sin(MF4_TIME))
+
+
+MF4_MOTION = Signal("Model Root/Laser", "In1", np.cos(MF4_TIME), unit="mm")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return write_mf4(tmp_path / "r.mf4", Axis(MF4_TIME), [MF4_FORCE, MF4_MOTION])
+
+
+def test_an_mf4_that_was_written_is_read(file: Path) -> None:
+    recording = dspace_mf4.read(file)
+    assert [c.path for c in recording.channels] == [
+        "Model Root/Load Cell/In1",
+        "Model Root/Laser/In1",
+    ]
+    assert [c.name for c in recording.channels] == ["In1", "In1"]
+    assert [c.unit_in_file for c in recording.channels] == ["", "mm"]
+    np.testing.assert_array_equal(recording.clocks[0].time, MF4_TIME)
+    np.testing.assert_array_equal(recording.channels[0].values, MF4_FORCE.values)
+    np.testing.assert_array_equal(recording.channels[1].values, MF4_MOTION.values)
+    assert (recording.program, recording.program_version) == ("ControlDesk", "7.4")
+    assert recording.metadata["mdf"] == "4.10"
+
+
+def test_channels_are_chosen_by_path(file: Path) -> None:
+    (channel,) = dspace_mf4.read(file, channels=["Model Root/Laser/In1"]).channels
+    np.testing.assert_array_equal(channel.values, MF4_MOTION.values)
+    with pytest.raises(ReadError, match=r"found 2 channels of that name"):
+        dspace_mf4.read(file, channels=["In1"])
+
+
+@pytest.mark.parametrize("part", [0.05, 0.5])
+def test_a_truncated_mf4(file: Path, part: float) -> None:
+    content = file.read_bytes()
+    file.write_bytes(content[: int(part * len(content))])
+    with pytest.raises(ReadError, match=r"expected a whole MDF 4 file, found a damaged one"):
+        dspace_mf4.read(file)
+
+
+def damage(file: Path, old: bytes, new: bytes, *, behind: bytes) -> None:
+    """Put other bytes in the first place behind a mark where the old ones stand."""
+    content = file.read_bytes()
+    at = content.index(old, content.index(behind))
+    file.write_bytes(content[:at] + new + content[at + len(old) :])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "behind"),
+    [
+        (b"\x18\0\0\0", b"\x18\0\0\x7f", b"##CG"),  # a record of 24 bytes, or of 2 GB
+        (b"\x08\0\0\0\x40\0\0\0", b"\x08\0\0\x0f\x40\0\0\0", b"##CN"),  # a byte offset
+        (b"Model Root/Laser", 16 * b"\0", b"MDF"),  # a channel without a name
+    ],
+)
+def test_what_no_file_says(
+    file: Path, capfd: pytest.CaptureFixture[str], old: bytes, new: bytes, behind: bytes
+) -> None:
+    damage(file, old, new, behind=behind)
+    with pytest.raises(ReadError, match="found a damaged one"):
+        dspace_mf4.read(file)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_without_the_library_the_error_says_what_to_install(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    expected = (
+        r"r\.mf4: expected the package asammdf to read MF4, found it is not installed\."
+        r' Run: pip install "labpipe\[mf4\]", or export the recording as MAT\.'
+    )
+    with pytest.raises(ReadError, match=expected):
+        dspace_mf4.read(file)
+
+
+FIVE = np.arange(5.0)
+
+
+def trace(path: str, values: np.ndarray, *, clock: int = 0, unit: str = "") -> Trace:
+    return Trace(path.rsplit("/", 1)[-1], path, unit, clock, lambda: values, {})
+
+
+def load(
+    *traces: Trace, axes: int = 1, start: float | None = None, channels: Sequence[str] | None = None
+) -> Recording:
+    export = Export(
+        [("", lambda: FIVE)] * axes, traces, "ControlDesk version: 5.2", {}, start=start
+    )
+    return load_export(export, reader="dspace-mat", path=Path("force.mat"), channels=channels)
+
+
+def notes(recording: Recording) -> dict[str, str]:
+    return {note.code: note.message for note in recording.notes}
+
+
+def test_one_signal_on_two_rasters_keeps_two_paths() -> None:
+    recording = load(trace("A/In1", FIVE), trace("A/In1", FIVE, clock=1), axes=2)
+    assert [channel.path for channel in recording.channels] == ["A/In1 [1]", "A/In1 [2]"]
+    assert [channel.clock for channel in recording.channels] == ["time [1]", "time [2]"]
+    assert notes(recording)["several_clocks"] == "2 time axes: time [1], time [2]"
+
+
+def test_only_the_wanted_are_loaded_in_the_order_of_the_file() -> None:
+    def forbidden() -> object:
+        raise AssertionError
+
+    lazy = Trace("C", "A/C", "", 1, forbidden, {})
+    recording = load(
+        trace("A/B", FIVE), lazy, trace("A/D", FIVE), axes=2, channels=["D", "A/B", "B"]
+    )
+    assert [channel.path for channel in recording.channels] == ["A/B", "A/D"]
+    assert [clock.name for clock in recording.clocks] == ["time [1]"]
+    assert recording.program_version == "5.2"
+
+
+def test_numbers_that_are_none() -> None:
+    values = np.array([1.0, np.inf, np.nan, 4.0, -np.inf])
+    recording = load(trace("A/B", values))
+    np.testing.assert_array_equal(recording.channels[0].values, [1, np.nan, np.nan, 4, np.nan])
+    assert notes(recording)["not_finite"] == (
+        "3 of 5 samples are no numbers (2 of them infinite), the first at sample 2"
+    )
+    assert np.isinf(values).sum() == 2  # the export's own array is left alone
+
+
+def test_a_channel_of_another_length_than_its_axis() -> None:
+    expected = (
+        r"force\.mat, channel 'A/B': expected 5 samples as on its time axis 'time', found 3\."
+        r" Export the recording again; the file may have been edited"
+    )
+    with pytest.raises(ReadError, match=expected):
+        load(trace("A/B", np.zeros(3)))
+
+
+def test_notes_on_names_units_and_start() -> None:
+    found = notes(load(trace("A\\n/In1", FIVE), trace("B/In1", FIVE), start=-3.5))
+    assert found["names_not_unique"] == (
+        "of 2 channels 2 are called 'In1': tell them apart by path"
+    )
+    assert found["line_break_in_path"].endswith("backslash-n: 'A\\n/In1'")
+    assert found["units_not_stated"] == "the export states no units; the protocol must"
+    assert found["start_differs"] == (
+        "StartTimestamp says -3.5 s, the time axis begins at 0 s: kept"
+    )
+    quiet = notes(load(trace("A/In1", FIVE, unit="V"), start=1e-8))
+    assert quiet == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "near", "iso"),
+    [
+        ("10/31/2015 17:42:35", date(2015, 10, 31), "2015-10-31"),
+        ("4-5-2023 17:30:33", date(2023, 5, 4), "2023-05-04"),
+        ("2021/01/03 15:54:55", date(2021, 1, 3), "2021-01-03"),
+        ("5/1/2026 9:35:51 PM", date(2026, 5, 1), "2026-05-01"),
+        ("12/01/2026 11:00:26 a. m.", date(2026, 1, 12), "2026-01-12"),
+        ("12/01/2026 11:00:26 a. m.", date(2026, 6, 1), ""),
+        ("12/01/2026", None, ""),
+        ("yesterday", date(2026, 6, 1), ""),
+        ("99/99/2026", date(2026, 6, 1), ""),
+        ("1/1/99999999999999999999", date(2026, 6, 1), ""),
+        (f"1/{'9' * 5000}/2026", date(2026, 6, 1), ""),
+    ],
+)
+def test_the_day_of_saving_settles_the_order(text: str, near: date | None, iso: str) -> None:
+    assert written_date(text, near) == iso
+
+
+def test_the_day_in_a_mat_header() -> None:
+    header = "MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {} 17:31:15 2023"
+    assert day_of_saving(header.format("Thu May 04")) == date(2023, 5, 4)
+    assert day_of_saving(header.format("Fri May  5")) == date(2023, 5, 5)
+    assert day_of_saving(header.format("Fri May 45")) is None
+    assert day_of_saving(header.format("Don Mai 04")) is None
+    assert day_of_saving(header.format(f"Thu May {'9' * 5000}")) is None
+    assert day_of_saving("") is None
+
+
+def written(variables: dict[str, Any], *, compress: bool = False) -> bytes:
+    stream: Any = io.BytesIO()
+    savemat(stream, variables, do_compression=compress)
+    content: bytes = stream.getvalue()
+    return content
+
+
+@given(
+    array=hnp.arrays(
+        st.sampled_from(["f8", "f4", "i4", "i2", "i1", "u1", "u2", "u4", "i8", "u8"]),
+        st.tuples(st.integers(0, 5), st.integers(0, 5)),
+        elements={"allow_nan": False},
+    ),
+    compress=st.booleans(),
+)
+def test_numbers_are_those_of_scipy(array: np.ndarray, compress: bool) -> None:
+    content = written({"a": array}, compress=compress)
+    found = parse_mat5(content)["a"]
+    stream: Any = io.BytesIO(content)
+    wanted = loadmat(stream)["a"]
+    np.testing.assert_array_equal(found, wanted.ravel(order="F"))
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_structs_struct_arrays_and_cells(compress: bool) -> None:
+    pair = np.empty((1, 2), dtype=[("Name", object), ("Data", object)])
+    pair[0, 0], pair[0, 1] = ("one", 1.0), ("two", np.arange(3))
+    cells = np.empty((1, 2), dtype=object)
+    cells[0, 0], cells[0, 1] = "text", 7.0
+    variables = {"s": {"inner": {"x": 5}, "pair": pair, "cells": cells}, "t": "second"}
+    found = parse_mat5(written(variables, compress=compress))
+    (outer,) = found["s"]
+    assert outer["inner"][0]["x"].tolist() == [5]
+    assert [item["Name"] for item in outer["pair"]] == ["one", "two"]
+    assert outer["pair"][1]["Data"].tolist() == [0, 1, 2]
+    assert outer["cells"][0] == "text"
+    assert found["t"] == "second"
+
+
+def test_what_has_no_use_here_is_stepped_over() -> None:
+    from scipy.sparse import csc_array
+
+    found = parse_mat5(written({"z": np.array([1j]), "s": csc_array(np.eye(3)), "a": 1.0}))
+    assert found["z"] is None
+    assert found["s"] is None
+    assert found["a"].tolist() == [1.0]
+
+
+def test_big_endian_files() -> None:
+    name, values = b"a", np.array([1.5, -2.0], dtype=">f8").tobytes()
+    flags = np.array([6, 8, 6, 0], dtype=">u4").tobytes()
+    dims = np.array([5, 8, 1, 2], dtype=">u4").tobytes()
+    label = np.array([1, 1], dtype=">u4").tobytes() + name.ljust(8, b"\0")
+    data = np.array([9, 16], dtype=">u4").tobytes() + values
+    body = flags + dims + label + data
+    element = np.array([14, len(body)], dtype=">u4").tobytes() + body
+    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
+    assert parse_mat5(header + element)["a"].tolist() == [1.5, -2.0]
+
+
+CONTENT = written({"a": np.arange(100.0), "s": {"b": np.arange(3.0), "c": "text"}})
+
+
+@pytest.mark.parametrize(
+    ("at", "new", "message"),
+    [
+        (128, (14).to_bytes(4, "little") + (10**6).to_bytes(4, "little"), "1000000 bytes stands"),
+        (len(CONTENT) - 4, None, "stands where"),
+        (132 + 4, (99).to_bytes(4, "little"), "type 99 stands where numbers are due"),
+        (160, (7).to_bytes(4, "little"), "100 numbers stand where 700 are promised"),
+    ],
+)
+def test_damage_is_told(at: int, new: bytes | None, message: str) -> None:
+    damaged = CONTENT[:at] if new is None else CONTENT[:at] + new + CONTENT[at + len(new) :]
+    with pytest.raises(ValueError, match=message):
+        parse_mat5(damaged)
+
+
+def test_an_absurd_number_of_structs_is_refused_at_once() -> None:
+    content = written({"s": {"b": 1.0}})
+    at = content.index(np.array([1, 1], dtype="<i4").tobytes(), 128)
+    many = np.array([1, 2**30], dtype="<i4").tobytes()
+    with pytest.raises(ValueError, match="1073741824 parts are promised in"):
+        parse_mat5(content[:at] + many + content[at + 8 :])

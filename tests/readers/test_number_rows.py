@@ -1,0 +1,470 @@
+"""Rows of numbers in text: cells, words, cuts and lost decimal signs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from labpipe.errors import ReadError
+from labpipe.readers.number_rows import read_columns
+from labpipe.readers.table_body import Body, whole_lines
+from labpipe.readers.text_cells import (
+    are_units,
+    describe_cell,
+    is_closing,
+    is_number,
+    is_sample,
+    is_unit,
+    name_and_unit,
+    regrouped_at,
+    split_line,
+)
+from labpipe.records.arrays import Floats
+
+NAMES = ("Time", "Load")
+
+
+FILE = Path("a.csv")
+
+
+def body(
+    text: str, separator: str = ",", decimal: str = "auto", columns: tuple[int, ...] = (0, 1)
+) -> Body:
+    return Body(text.encode(), NAMES, columns, 3, separator, decimal)
+
+
+def codes(text: str, separator: str = ",") -> list[str]:
+    return [note.code for note in read_columns(body(text, separator), FILE)[1]]
+
+
+@given(
+    rows=st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size=1, max_size=20),
+    separator=st.sampled_from([",", ";", "\t", " "]),
+    comma=st.booleans(),
+    ends=st.sampled_from(["\n", "\r\n"]),
+)
+def test_what_was_written_is_read(
+    rows: list[tuple[float, float]], separator: str, comma: bool, ends: str
+) -> None:
+    quote = '"' if separator == "," and comma else ""
+    text = "".join(separator.join(f"{quote}{cell!r}{quote}" for cell in row) + ends for row in rows)
+    if comma:
+        text = text.replace(".", ",")
+    columns, _ = read_columns(body(text, separator), FILE)
+    np.testing.assert_allclose(np.transpose([columns[0], columns[1]]), rows, rtol=1e-14)
+
+
+def test_blank_cells_and_lines() -> None:
+    columns, notes = read_columns(body("1,\n,2\n3,4,,\n\n,,\n\n"), FILE)
+    np.testing.assert_array_equal(columns[0], [1, np.nan, 3])
+    assert not notes
+
+
+def test_short_lines() -> None:
+    (note,) = read_columns(body("1,2\n3\n4,5\n"), FILE)[1]
+    assert (note.code, note.message) == (
+        "lines_short",
+        "1 lines have too few cells, first line 4: what they lack counts as blank",
+    )
+    assert codes("1 2\n3\n4 5\n", " ") == ["lines_short"]
+
+
+@pytest.mark.parametrize("cell", ["1e999", "-1e400"])
+def test_a_number_too_large_is_not_missing(cell: str) -> None:
+    expected = rf"line 4, column 'Load': expected a number below 1\.8e308, found '{cell}', which is"
+    with pytest.raises(ReadError, match=expected):
+        read_columns(body(f"1,2\n2,{cell}\n"), FILE)
+
+
+@pytest.mark.parametrize("word", ["inf", "Infinity", "-INF"])
+def test_a_word_for_infinity_is_no_number(word: str) -> None:
+    expected = rf"line 4, column 'Load': expected a number with a decimal point, found '{word}'"
+    with pytest.raises(ReadError, match=expected):
+        read_columns(body(f"1,2\n2,{word}\n"), FILE)
+
+
+def test_signs_lost_between_thousands() -> None:
+    text = "0.1,999\n0.2,1063\n0.3,1110797\n0.4,1162\n"
+    with pytest.raises(ReadError, match=r"line 5, column 'Load': .* found '1110797' after '1063'"):
+        read_columns(body(text), FILE)
+    columns, _ = read_columns(body(text, columns=(0,)), FILE)
+    assert list(columns) == [0]
+    assert len(read_columns(body(text.replace("\n", ".0\n")), FILE)[0][1]) == 4
+
+
+@pytest.mark.parametrize(
+    ("cells", "said"),
+    [
+        (["nan", "2", "NaN"], "2 cells hold 'nan', 'NaN', the first in line 3"),
+        (["1", "NA", " n/a "], "2 cells hold 'NA', 'n/a', the first in line 4"),
+        (["1", "-", ""], "1 cells hold '-', the first in line 4"),
+        (["#N/A", "--", "#DIV/0!"], "3 cells hold '#N/A', '--', '#DIV/0!', the first in line 3"),
+        (["-1.#IND", "null", "-5"], "2 cells hold '-1.#IND', 'null', the first in line 3"),
+    ],
+)
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_words_for_missing_values(cells: list[str], said: str, separator: str) -> None:
+    text = "".join(f"{i}.5{separator}{cell}\n" for i, cell in enumerate(cells))
+    columns, notes = read_columns(body(text, separator), FILE)
+    assert np.isnan(columns[1]).tolist() == [not cell.strip("-").isdigit() for cell in cells]
+    assert columns[0].tolist() == [0.5, 1.5, 2.5]
+    assert [(note.code, note.where) for note in notes] == [("missing_words", "Load")]
+    assert notes[0].message.startswith(said)
+
+
+def test_a_word_for_missing_hides_no_bad_cell() -> None:
+    with pytest.raises(ReadError, match=r"line 4, column 'Load': .* found 'OVERFLOW'"):
+        read_columns(body("1,nan\n2,OVERFLOW\n3,4\n"), FILE)
+
+
+@pytest.mark.parametrize(
+    ("below", "rows", "line"),
+    [
+        ("Mean,1.5\nSD,0.5\n", 2, 6),
+        ("\nMean:,1.5\n\n[Maximum],3\n\n", 2, 7),
+        (",,\nEnd of test", 1, 7),
+        ("Results\nFmax (N),1e3\n", 2, 6),
+        (",Mean\n", 1, 6),
+        ("-- end --", 1, 6),
+    ],
+)
+def test_rows_of_words_below_the_samples(below: str, rows: int, line: int) -> None:
+    columns, notes = read_columns(body("1,2\n2,\n3,4\n" + below), FILE)
+    np.testing.assert_array_equal(columns[1], [2, np.nan, 4])
+    assert [note.code for note in notes] == ["summary_rows_left_out"]
+    assert notes[0].message.startswith(f"{rows} rows from line {line} on")
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("1,2\nMean,3\n4,5\n", "line 4, column 'Time': .* found 'Mean'.* between the samples"),
+        ("1,2\n2,Mean\n", "line 4, column 'Load': .* found 'Mean'"),
+        ("1,2\n2,3\nx,4\n", "line 5, column 'Time': .* found 'x'"),
+        ("1,2\n2,3\nInf,4\n", "line 5, column 'Time': .* found 'Inf'"),
+        ("Mean,3\nSD,3\n", "line 3, column 'Time': .* found 'Mean'"),
+    ],
+)
+def test_other_words_are_refused(text: str, found: str) -> None:
+    with pytest.raises(ReadError, match=found):
+        read_columns(body(text), FILE)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1,2.5\nO.2,3\n", r"a\.csv, line 4, column 'Time': expected a number with a decimal poin"),
+        ("1,2.5\n2,3.5,4\n", r"a\.csv, line 4: expected 2 cells as in the header, found 3"),
+        ("1,2.5,7\n2,3.5,8\n", r"a\.csv, line 3: expected 2 cells as in the header, found 3"),
+        ("0,5,2,25\n", r"line 3: expected 2 cells .* found 4 in '0,5,2,25'\. .* semicolons"),
+        ('1,2.5\n2,"3,5"\n', r"line 4, column 'Load': expected a number with a decimal point, fou"),
+    ],
+)  # fmt: skip
+def test_faults(text: str, said: str) -> None:
+    with pytest.raises(ReadError, match=said):
+        read_columns(body(text), FILE)
+
+
+def exported(text: str, *, stated: int | None = None) -> tuple[list[float], dict[str, str]]:
+    """Read what a recorder's program wrote: the last of three columns."""
+    names = ("Frame", "Time", "Force")
+    rows = Body(text.encode(), names, (0, 2), 8, ",", ".", stated_rows=stated, as_exported=True)
+    columns, notes = read_columns(rows, FILE)
+    return columns[2].tolist(), {note.code: note.message for note in notes}
+
+
+def test_words_for_numbers_in_exports_of_a_recorder() -> None:
+    values, notes = exported("1,x,2\r\n3,,\r\n4,,NAN\r\n5,,-Infinity\r\n6,,1110797\r\n7,,1063\r\n")
+    np.testing.assert_array_equal(values, [2, np.nan, np.nan, -np.inf, 1110797, 1063])
+    assert notes == {}
+    with pytest.raises(ReadError, match=r"line 9, column 'Force': expected a number .* found 'x'"):
+        exported("1,2,NaN\n4,5,x\n")
+
+
+def test_padding_of_a_spreadsheet_is_no_datum() -> None:
+    assert exported("1,2,3,,\n4,5,6,,\n,,,,\n") == ([3, 6], {})
+
+
+def test_a_whole_looking_last_line_is_not_trusted_where_rows_are_missing() -> None:
+    values, notes = exported("1,2,3\n4,5,6", stated=5)
+    assert len(values) == 1
+    assert notes["truncated"] == "the last line (9) is incomplete and was left out"
+    assert notes["rows_differ"] == "the header states 5 rows, the file holds 1"
+
+
+def test_a_number_that_lacks_decimals_was_cut() -> None:
+    assert exported("1,0,2.25\n2,0,3.5\n3,0,4.25\n4,0,5.5")[0] == [2.25, 3.5, 4.25]
+    assert exported("1,0,2.25\n2,0,3.25\n3,0,14.5")[0] == [2.25, 3.25]
+
+
+@given(cut=st.integers(0, 200))
+def test_a_cut_anywhere_loses_only_the_last_line(cut: int) -> None:
+    whole = "".join(f"{i},0,{i}.25\n" for i in range(20))
+    values, _ = exported(whole[:cut], stated=20)
+    lines = 20 if cut >= len(whole) - 1 else whole[:cut].count("\n")
+    np.testing.assert_array_equal(values, np.arange(lines) + 0.25)
+
+
+@pytest.mark.slow
+def test_a_large_file_is_read_straight(tmp_path: Path) -> None:
+    """A bad cell in a column that nobody asked for does no harm there either."""
+    text = "".join(f"{i}.25,{i}.5\n" for i in range(300_000)) + "1,O\n"
+    file = tmp_path / "a.csv"
+    file.write_text("Time,Load\ns,N\n" + text, encoding="utf-8")
+    data = file.read_bytes()
+    large = Body(data, NAMES, (0,), 3, ",", start=14, as_in_file=True, some_only=True)
+    columns, _ = read_columns(large, file)
+    np.testing.assert_array_equal(columns[0], [*(np.arange(300_000) + 0.25), 1.0])
+    with pytest.raises(ReadError, match=r"line 300003, column 'Load': .* found 'O'"):
+        read_columns(Body(data, NAMES, (0, 1), 3, ",", start=14, as_in_file=True), file)
+
+
+def is_whole(text: str) -> bool:
+    data = text.encode()
+    end, notes = whole_lines(Body(data, ("Time", "Load"), (0, 1), 3, ","))
+    assert end == len(data) or data[:end].endswith(b"\n")
+    return not notes
+
+
+@pytest.mark.parametrize("last", ["3", "3,", "3,4.", "3,4.2", "3,4.25e", "3,x"])
+def test_a_cut_last_line(last: str) -> None:
+    assert not is_whole(f"1,2.25\n2,3.25\n{last}")
+
+
+@pytest.mark.parametrize("last", ["3,4.25", "3,400", "3,4.25\n", "3,4.2,", "\r", ""])
+def test_a_whole_last_line(last: str) -> None:
+    assert is_whole(f"1,2.25\n2,3.25\n{last}")
+
+
+def test_a_cut_exponent() -> None:
+    assert not is_whole("1,2.25E-02\n2,3.25E-0")
+    assert not is_whole("1,2.25E-02\n2,3.25")
+    assert is_whole("1,2.25E-02\n2,3.25E-01")
+
+
+def test_zeros_at_the_end_that_are_not_written() -> None:
+    """A file whose numbers have now this many digits and now that may end in a short one."""
+    assert is_whole("1,2.25\n2,3.5\n3,3.125\n4,5.5")
+    assert is_whole("1,2.25\n2,3\n3,3.125\n4,5")
+    assert not is_whole("1,2.25\n2,3.5\n3,3.125\n4,5")
+
+
+def test_small_numbers_above_do_not_vouch_for_a_cut_one() -> None:
+    """Five digits each: 359.3 has few decimals, and 0.0 would be a number that was cut."""
+    assert not is_whole("1,359.35\n2,0.0022123\n3,0.0022456\n4,0.00")
+
+
+@given(seed=st.integers(0, 999), keep=st.integers(1, 300))
+def test_a_resaved_file_loses_nothing(seed: int, keep: int) -> None:
+    """Numbers written as short as they are, the last one no shorter than many others."""
+    values = np.random.default_rng(seed).integers(0, 10_000, keep + 30) / 100.0
+    shortest = values[np.argmin([len(f"{each:g}") for each in values[:-1]])]
+    values[-1] = shortest
+    values[-2] = shortest
+    text = "\n".join(f"{i},{each:g}" for i, each in enumerate(values))
+    assert is_whole(text)
+
+
+@pytest.mark.parametrize("cell", ["1", "-.5", "5e-005", " 1,25 ", "1,110,797", "+2."])
+def test_numbers(cell: str) -> None:
+    assert is_number(cell)
+
+
+@pytest.mark.parametrize("cell", ["", "-", "1 mm", "nan", "5e", "2,,5", "15:01"])
+def test_other_cells(cell: str) -> None:
+    assert not is_number(cell)
+
+
+def test_units() -> None:
+    assert all(map(is_unit, ("mm", "kN", "lbf", "sec", "°C", "mm/mm", "%")))
+    assert not any(map(is_unit, ("Time", "Force", "Standard travel")))
+    assert are_units(["(mm)", "", "[kN]", "s"])
+    assert not are_units(["", ""])
+
+
+def test_a_quote_that_is_not_closed() -> None:
+    assert split_line('a,"b,c', ",") == ["a", "b,c"]
+    assert split_line("1   2.5", " ") == ["1", "2.5"]
+
+
+@pytest.mark.parametrize(
+    ("cell", "parted"),
+    [
+        ("Force (N)", ("Force", "N")),
+        ("Force [ kN ]", ("Force", "kN")),
+        ("Strain 1 (mm (rel))", ("Strain 1", "mm (rel)")),
+        ("Force, N", ("Force", "N")),
+        ("Kraft / kN", ("Kraft", "kN")),
+        ("Load,lbf", ("Load", "lbf")),
+        ("Strain, %", ("Strain", "%")),
+        ("Load cell, left", None),
+        ("Channel, 1", None),
+        ("Force/Area", None),
+        ("Force", None),
+    ],
+)
+def test_a_unit_in_the_cell_of_the_name(cell: str, parted: tuple[str, str] | None) -> None:
+    assert name_and_unit(cell) == parted
+
+
+@pytest.mark.parametrize(
+    ("cell", "decimal", "found", "remedy"),
+    [
+        ("1,020.5", ".", "thousands", "no sign between thousands"),
+        ("1.020,5", ",", "thousands", "no sign between thousands"),
+        ("1 020,5", ",", "thousands", "no sign between thousands"),
+        ("1'020", ".", "thousands", "no sign between thousands"),
+        ("-12,5", ".", "a decimal comma", "one decimal sign"),
+        ("1,020", ".", "a decimal comma or a sign between thousands", "one decimal sign"),
+        ("1.020.500", ",", "1.020.500", "spreadsheet"),
+        ("10:00:00.250", ".", "time stamp", "seconds since the start"),
+        ("00:01.5", ".", "time stamp", "seconds since the start"),
+        ("3/4/2026 1:05 PM", ".", "time stamp", "seconds since the start"),
+        ("04-Mar-2026 10:00:00", ".", "time stamp", "seconds since the start"),
+        ("2026-03-04T10:00:00Z", ".", "time stamp", "seconds since the start"),
+        ("2026-03-04", ".", "time stamp", "a card of your own"),
+        ("OVERFLOW", ".", "'OVERFLOW'", "blank cell"),
+        ("1e999", ".", "too large", "again"),
+        ("O.2", ".", "'O.2'", "again"),
+        ("12.5 mm", ".", "'12.5 mm'", "again"),
+    ],
+)
+def test_why_a_cell_is_no_number(cell: str, decimal: str, found: str, remedy: str) -> None:
+    _, is_found, to_do = describe_cell(cell, decimal)
+    assert cell in is_found
+    assert found in is_found
+    assert remedy in to_do
+    assert ("thousands" in is_found) == ("thousands" in found)
+    assert ("time stamp" in is_found) == ("time stamp" in found)
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        (["1", "2,5"], True),
+        (["1", ""], True),
+        (["10:00:00", "nan", "2"], True),
+        (["1,020.5", "2"], True),
+        (["nan", "nan"], False),
+        (["2026-03-04", ""], False),
+        (["Mean", "2"], False),
+        (["", ""], False),
+    ],
+)
+def test_rows_of_samples(row: list[str], expected: bool) -> None:
+    assert is_sample(row) is expected
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        (["Mean", "2"], True),
+        (["", "Max.", "2"], True),
+        (["*** end ***"], True),
+        (["Écart type"], True),
+        (["nan", "2"], False),
+        (["N/A", "2"], False),
+        (["inf", "2"], False),
+        (["1", "Mean"], False),
+        (["O.2", "2"], False),
+        (["-inf", "2"], False),
+        (["", ""], False),
+    ],
+)
+def test_rows_that_close_a_table(row: list[str], expected: bool) -> None:
+    assert is_closing(row) is expected
+
+
+def lost(curve: Floats, decimals: list[int]) -> Floats:
+    """A curve written with so many decimals, and without its decimal signs."""
+    return np.array([float(f"{y:.{d}f}".replace(".", "")) for y, d in zip(curve, decimals)])  # noqa: B905
+
+
+def test_the_example_of_the_format() -> None:
+    assert regrouped_at(np.array([999.0, 1063.0, 1110797.0, 1162.0])) == (1, 2)
+    assert regrouped_at(np.array([935.0, np.nan, 1063.0, np.nan, 1110797.0, 1162.0])) == (2, 4)
+    assert regrouped_at(np.array([1110797.0, 1115.0, 1120334.0])) == (0, 1)
+    assert regrouped_at(np.array([0.5, 801.0, 1063.0, 1.11, 1110797.0, 1162.0])) == (2, 4)
+
+
+@given(
+    start=st.floats(0.1, 50.0),
+    step=st.floats(1e-4, 0.05),
+    seed=st.integers(0, 2**32 - 1),
+    down=st.booleans(),
+)
+def test_a_curve_that_lost_its_signs_is_found(
+    start: float, step: float, seed: int, down: bool
+) -> None:
+    """Three decimals or six, as zeros at the end were left out, in any mixture."""
+    curve = start + step * np.arange(300.0)
+    chance = np.random.default_rng(seed)
+    curve = (-curve if down else curve)[chance.integers(0, 200) :]
+    decimals = chance.choice([3, 6], len(curve), p=[0.9, 0.1])
+    decimals[[10, 11, 12]] = [3, 6, 3]
+    written = lost(np.round(curve, 6) + 1e-6, list(decimals))
+    assert regrouped_at(written) is not None
+
+
+@given(seed=st.integers(0, 2**32 - 1), size=st.floats(1.0, 1e7), spikes=st.integers(0, 5))
+def test_spikes_in_numbers_with_decimals_are_none(seed: int, size: float, spikes: int) -> None:
+    chance = np.random.default_rng(seed)
+    values: Floats = np.round(chance.standard_normal(400).cumsum(), 3)
+    values[chance.integers(0, 400, spikes)] *= size
+    values[0] = 0.5
+    assert regrouped_at(values) is None
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    level=st.floats(100.0, 1e6),
+    size=st.floats(2.0, 1e7),
+    digits=st.integers(3, 6),
+)
+def test_spikes_in_numbers_with_few_digits_are_none(
+    seed: int, level: float, size: float, digits: int
+) -> None:
+    """Numbers as %g writes them are whole where they are large, and some are in between.
+
+    Only of a spike of just a thousand could nobody tell that no sign was lost.
+    """
+    assume(not any(0.5 < size / factor < 2.0 for factor in (1e3, 1e6)))
+    chance = np.random.default_rng(seed)
+    values = level * (1.0 + 0.3 * chance.standard_normal(400).cumsum() / 20.0)
+    values[chance.integers(0, 400, 3)] *= size
+    written = np.array([float(f"{value:.{digits}g}") for value in values])
+    assert regrouped_at(written) is None
+
+
+@given(seed=st.integers(0, 2**32 - 1), top=st.sampled_from([2047, 32767, 65535, 8388607]))
+def test_an_overflow_of_a_counter_is_none(seed: int, top: int) -> None:
+    """Counts about a level, and one at the end of their range."""
+    chance = np.random.default_rng(seed)
+    level = int(chance.choice([7, 20, 300, 5000]))
+    counts = np.asarray(level + chance.integers(-3, 4, 400), dtype=np.float64)
+    counts[chance.integers(1, 399)] = top
+    assert regrouped_at(counts) is None
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.arange(1.0, 5000.0),
+        np.zeros(50),
+        np.array([1.0, 1000.0] * 20),
+        np.array([500.0, 500000.0] * 20),
+        np.array([3.0, 3001.0, 3.0] * 5),
+        np.array([1025.0, 1049601.0, 1025.0]),
+        np.array([200.0, 200123.0, 400123.0, 900.0]),
+        np.array([5.0, 5123.0]),
+        np.full(20, np.nan),
+        np.array([1063.0] * 30 + [1110797.0] * 30 + [1162.0]),
+    ],
+)
+def test_other_whole_numbers_are_none(values: Floats) -> None:
+    """Counters, codes, bits, steps that stay, numbers too few or too far apart."""
+    assert regrouped_at(values) is None
