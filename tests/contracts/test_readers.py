@@ -1,13 +1,13 @@
-"""What every reader owes: recognition by content, refusal in words, no other exception ever."""
+"""What every reader and dialect owes: recognition by content, refusal in words, nothing else."""
 
 from __future__ import annotations
 
-import ast
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
+from importlib import resources
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,11 @@ from hypothesis import strategies as st
 
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
+from labpipe.readers.load_frame import read, recognise
+from labpipe.readers.load_frame.cards import lab_cards, shipped_cards
+from labpipe.readers.load_frame.recognition import chosen_card, recognised
 from labpipe.records.arrays import Floats
-from labpipe.records.recording import EXPORT_FORMATS, Recording
+from labpipe.records.recording import Recording
 from tests.builders import load_frames as frames
 from tests.builders.controldesk import (
     Axis,
@@ -28,6 +31,7 @@ from tests.builders.controldesk import (
     write_mat_v73,
     write_mf4,
 )
+from tests.builders.load_frames import EXAMPLES
 from tests.builders.motive import (
     Layout,
     RowBody,
@@ -39,12 +43,20 @@ from tests.builders.motive import (
 )
 
 N = 60
+
+
 TIME: Floats = np.arange(float(N)) * 0.001
+
+
 SIGNALS = [
     Signal("Model Root/Load Cell", "Out1", np.sin(40.0 * TIME)),
     Signal("Model Root/Laser", "Out1", np.cos(40.0 * TIME)),
 ]
+
+
 TRACK = np.column_stack([np.sin(TIME), np.cos(TIME), TIME])
+
+
 COLUMNS = [*rigid_body("Clamp", TRACK, np.ones((N, 4))), *marker("Tip", TRACK)]
 
 
@@ -125,14 +137,6 @@ def test_a_file_of_another_format_is_refused(
         read_export(exports[kind], reader)
 
 
-def test_a_list_of_formats_allows_each_of_them(exports: dict[str, Path]) -> None:
-    allowed = ["motive-csv", "motive-xlsx"]
-    assert read_export(exports["xlsx"], allowed).reader == "motive-xlsx"
-    assert read_export(exports["table"], allowed).reader == "motive-csv"
-    with pytest.raises(ReadError, match=r"format motive-csv or motive-xlsx, found one of the form"):
-        read_export(exports["csv"], allowed)
-
-
 def test_what_no_reader_takes_is_named(tmp_path: Path) -> None:
     file = tmp_path / "walk.c3d"
     file.write_bytes(b"\x02\x50" + bytes(600))
@@ -176,26 +180,6 @@ def test_importing_the_readers_loads_no_heavy_library() -> None:
     code = f"import labpipe.readers, sys; print(sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
     assert done.stdout.strip() == "[]"
-
-
-def imports_of(module: str, known: set[str]) -> set[str]:
-    """Add to the known modules of labpipe.readers what a module imports, and what that imports."""
-    spec = find_spec(module)
-    origin = Path(str(spec.origin if spec else ""))
-    for file in origin.parent.glob("*.py") if origin.name == "__init__.py" else [origin]:
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            name = (node.module or "") if isinstance(node, ast.ImportFrom) else ""
-            if name.startswith("labpipe.readers.") and name not in known:
-                known.add(name)
-                imports_of(name, known)
-    return known
-
-
-@pytest.mark.parametrize("module", sorted({each.module for each in EXPORT_FORMATS}))
-def test_readers_do_not_import_each_other(module: str) -> None:
-    others = {each.module for each in EXPORT_FORMATS} - {module}
-    found = imports_of(module, set())
-    assert not {name for name in found if any(f"{name}.".startswith(f"{o}.") for o in others)}
 
 
 def read_or_refuse(file: Path) -> int | None:
@@ -263,3 +247,143 @@ def test_mutated_real_exports(realdata: Path, tmp_path: Path, folder: str) -> No
         for part in (0.9, 0.5, 0.2, 0.05, 0.01):
             file.write_bytes(content[: int(part * len(content))])
             read_or_refuse(file)
+
+
+FOLDER = resources.files("labpipe.readers.load_frame") / "dialects"
+
+
+CARDS = sorted(file.name for file in FOLDER.iterdir() if file.name.endswith(".toml"))
+
+
+@pytest.fixture(scope="module")
+def examples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One synthetic export for each card."""
+    written = {}
+    for dialect, (name, content) in EXAMPLES.items():
+        file = tmp_path_factory.mktemp(dialect) / name
+        file.write_bytes(content())
+        written[dialect] = file
+    return written
+
+
+def test_every_card_has_an_example() -> None:
+    assert {name.removesuffix(".toml") for name in CARDS} == set(EXAMPLES)
+    assert sorted(shipped_cards()) == sorted(EXAMPLES)
+
+
+@pytest.mark.parametrize("dialect", EXAMPLES)
+def test_every_card_is_documented(repository: Path, dialect: str) -> None:
+    pages = (repository / "docs").rglob("*.md")
+    assert any(f"`{dialect}`" in page.read_text(encoding="utf-8") for page in pages)
+
+
+@pytest.mark.parametrize("dialect", EXAMPLES)
+def test_an_example_is_recognised_by_its_own_card(examples: dict[str, Path], dialect: str) -> None:
+    """Two cards of one rank would be an error, so the one found is the only one."""
+    assert [r.name for r in READERS.values() if r.recognise(examples[dialect])] == ["load-frame"]
+    assert recognise(examples[dialect])
+    card = recognised(examples[dialect])
+    assert card is not None
+    assert card.name == dialect
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("asked", EXAMPLES)
+@pytest.mark.parametrize("dialect", sorted(EXAMPLES))
+def test_no_vendor_s_card_reads_another_s_export(
+    examples: dict[str, Path], dialect: str, asked: str
+) -> None:
+    """An export that only a card of last resort takes may be read by the card that is named."""
+    file = examples[dialect]
+    if asked == dialect:
+        assert read(file, dialect=asked).channels
+        return
+    if not shipped_cards()[dialect].fallback:
+        with pytest.raises(ReadError, match=f"dialect {asked}, found one of the dialect {dialect}"):
+            read(file, dialect=asked)
+        return
+    try:
+        assert read(file, dialect=[asked]).channels
+    except ReadError:
+        with pytest.raises(ReadError, match=r": expected .+, found .+\. .+\.$"):
+            read(file, dialect=[asked])
+
+
+def same(one: Recording, other: Recording, paths: list[str]) -> None:
+    """Whether `one` holds just these channels of `other`, sample by sample."""
+    assert sorted(each.path for each in one.channels) == sorted(paths)
+    whole = {each.path: each for each in other.channels}
+    for each in one.channels:
+        twin = whole[each.path]
+        assert (each.name, each.unit, each.unit_in_file) == (
+            *(twin.name, twin.unit, twin.unit_in_file),
+        )
+        np.testing.assert_array_equal(each.values, twin.values)
+        clock, its = one.clock(each.clock), other.clock(twin.clock)
+        assert clock.unit == its.unit
+        np.testing.assert_array_equal(clock.time, its.time)
+
+
+@pytest.mark.parametrize("dialect", EXAMPLES)
+def test_some_channels_are_the_same_as_all_and_choosing(
+    examples: dict[str, Path], dialect: str
+) -> None:
+    whole = read(examples[dialect])
+    paths = [channel.path for channel in whole.channels]
+    assert len(set(paths)) == len(paths) >= 2
+    for count in (1, 2):
+        for wanted in combinations(paths, count):
+            same(read(examples[dialect], channels=list(wanted)), whole, list(wanted))
+    same(read(examples[dialect], channels=paths[::-1]), whole, paths)
+
+
+@pytest.mark.parametrize("dialect", EXAMPLES)
+def test_reading_says_who_read(examples: dict[str, Path], dialect: str) -> None:
+    recording = read_export(examples[dialect])
+    assert recording.reader == "load-frame"
+    card = shipped_cards()[dialect]
+    assert card.program in recording.program
+    generic = {note.code for note in recording.notes} & {"dialect_generic"}
+    assert bool(generic) == card.fallback
+
+
+OWN = """\
+program = "Bench of the bench"
+about = "A synthetic card: names and units in one line, semicolons, decimal commas."
+recognise = ['\\A# bench 1$']
+separators = [";"]
+decimal = ","
+names = "with units"
+brackets = "()"
+time = ["t"]
+"""
+
+
+BENCH = b"# bench 1\nt (s);pull (N);way (mm)\n0,1;1,5;0,01\n0,2;2,5;0,02\n0,3;3,5;0,03\n"
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a card of its own and an export that only this card knows."""
+    (tmp_path / "dialects").mkdir()
+    (tmp_path / "dialects" / "bench.toml").write_text(OWN, encoding="utf-8")
+    (tmp_path / "pull.txt").write_bytes(BENCH)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_lab_adds_a_dialect_without_python(bench: Path) -> None:
+    assert [*lab_cards()] == ["bench"]
+    recording = read_export(bench / "pull.txt", "load-frame", dialect=["bench"])
+    assert recording.program == "Bench of the bench"
+    assert [each.name for each in recording.channels] == ["pull", "way"]
+    np.testing.assert_allclose(recording.clocks[0].time, [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(recording.channels[0].values, [1.5, 2.5, 3.5])
+    assert chosen_card(bench / "pull.txt", None).name == "bench"
+
+
+def test_a_lab_cannot_shadow_a_card_silently(bench: Path) -> None:
+    (bench / "dialects" / "bench.toml").rename(bench / "dialects" / "catman.toml")
+    expected = r"catman\.toml: expected a name of its own, found 'catman', which is a card of labp"
+    with pytest.raises(ReadError, match=expected):
+        read(bench / "pull.txt")

@@ -1,5 +1,3 @@
-"""A result file in programs that know nothing of labpipe: xarray, pandas, h5dump, Octave."""
-
 from __future__ import annotations
 
 import re
@@ -11,7 +9,6 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pandas as pd
 import pytest
 
 from labpipe.records.harness_bundle import Bundle, BundleWire
@@ -22,7 +19,11 @@ from tests.builders.measured_bending import some_bending
 from tests.store.builders_result import build_result, with_slips
 
 OCTAVE, H5DUMP = shutil.which("octave-cli"), shutil.which("h5dump")
+
+
 needs_octave = pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed")
+
+
 needs_h5dump = pytest.mark.skipif(H5DUMP is None, reason="h5dump is not installed")
 
 
@@ -108,14 +109,6 @@ def test_xarray_finds_values_by_their_axes(path: Path, result: TestResult) -> No
     np.testing.assert_array_equal(late, result.curve.force[result.curve.time >= 2.0])
 
 
-def test_pandas_reads_the_table(path: Path) -> None:
-    with h5py.File(path) as root:
-        columns = {name: each[()] for name, each in root["results/table"].items()}
-    table = pd.DataFrame(columns)
-    assert table["value"][table["name"] == b"peak_force.1"].tolist() == [0.62]
-    assert table["lower"].isna().tolist() == [False, True, True]
-
-
 @needs_h5dump
 def test_h5dump_shows_the_table(path: Path) -> None:
     command = [H5DUMP or "", "-y", "-g", "/results/table", str(path)]
@@ -154,16 +147,6 @@ def test_octave_loads_everything(path: Path, result: TestResult) -> None:
         f"3 {points}",
         f"{frames} aligned bending budgets curve quality raw results shape specimen",
     ]
-
-
-@needs_octave
-def test_octave_loads_a_test_that_came_to_nothing(result: TestResult, tmp_path: Path) -> None:
-    bare = replace(result, curve=None, slips=(), lines=(), results=(), quality=(), shape=None)
-    write_result(bare, tmp_path / "result.h5")
-    command = [OCTAVE or "", "--quiet", "--no-init-file", "--eval"]
-    command += ['d = load("result.h5"); printf("%d", size(d.results.table.value))']
-    ran = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert (ran.stdout, "unknown" in ran.stderr) == ("10", False)
 
 
 def snippets(repository: Path, language: str) -> list[str]:

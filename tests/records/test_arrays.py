@@ -1,7 +1,10 @@
+"""Arrays of records: read-only, of their type and shape."""
+
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -16,25 +19,22 @@ from labpipe.records.arrays import (
     Vector,
     frozen,
     median,
-    part_of,
     ratio,
     samples_of,
     stretches_of,
     times_of,
 )
-
-
-def test_read_only_without_a_copy() -> None:
-    values = np.zeros((4, 3))
-    view = frozen(values, shape=(None, 3))
-    assert np.shares_memory(view, values)
-    assert values.flags.writeable
-    with pytest.raises(ValueError, match="read-only"):
-        view[0, 0] = 1.0
-
-
-def test_becomes_float64() -> None:
-    assert frozen([1, 2], shape=(2,)).dtype == np.float64
+from labpipe.records.curve import AT_REST, ClockFit, Curve, Interval, Series, Shape
+from labpipe.records.drawn import DrawnLaw, DrawnShapes
+from labpipe.records.group import SampleCurve
+from labpipe.records.recording import Clock, MarkerTracks, RigidBody
+from labpipe.records.wire import WireLayout
+from labpipe.records.wire_calibration import (
+    PARAMETERS,
+    UNITS,
+    Prediction,
+    Profile,
+)
 
 
 @pytest.mark.parametrize("shape", [(None, 4), (5, None), (None,)])
@@ -48,10 +48,6 @@ def test_median_is_numpys(values: Floats) -> None:
     before = values.copy()
     np.testing.assert_array_equal(median(values), np.median(values))
     np.testing.assert_array_equal(values, before)
-
-
-def test_no_median_of_nothing() -> None:
-    assert np.isnan(median(np.empty(0)))
 
 
 def test_stretches() -> None:
@@ -114,14 +110,101 @@ def test_samples_that_follow_one_another_are_a_stretch() -> None:
     assert scattered.tolist() == [3, 5]
 
 
-def test_some_of_the_samples() -> None:
-    assert part_of(slice(10, 20), slice(2, 5)) == slice(12, 15)
-    some = part_of(np.array([1, 4, 6, 9]), slice(1, 3))
-    assert isinstance(some, np.ndarray)
-    assert some.tolist() == [4, 6]
-
-
 def test_nothing_to_divide_by_is_nan() -> None:
     found = ratio(np.array([1.0, 3.0]), np.array([[2.0], [0.0]]))
     np.testing.assert_array_equal(found, [[0.5, 1.5], [np.nan, np.nan]])
     assert ratio(np.array(6.0), np.array(4.0)) == 1.5
+
+
+NUMBERS = st.floats(-1e6, 1e6)
+
+
+@given(NUMBERS, st.floats(1e-9, 1e6))
+def test_interval_and_standard_error(value: float, error: float) -> None:
+    interval = Interval.normal_95(value, error)
+    assert interval.level == 0.95
+    assert interval.upper - value == pytest.approx(1.959964 * error, rel=1e-6, abs=1e-9)
+    assert interval.standard_error == pytest.approx(error, rel=1e-6, abs=1e-9)
+
+
+def clock_fit(offset: float, drift: float) -> ClockFit:
+    events = np.array([1.0, 2.0])
+    about = Interval(0.0, 1.0)
+    return ClockFit(offset, drift, about, about, 0.0, events, events, events, "made up")
+
+
+@given(st.floats(-10, 10), st.floats(-1e-3, 1e-3), st.floats(0, 1000))
+def test_clocks_there_and_back(offset: float, drift: float, time: float) -> None:
+    fit = clock_fit(offset, drift)
+    there = fit.to_force_time(np.array([time]))
+    assert there[0] == fit.to_force_seconds(time) == offset + (1 + drift) * time
+    assert fit.to_marker_time(there)[0] == pytest.approx(time, abs=1e-9)
+
+
+def some_curve() -> Curve:
+    n = 4
+    zeros, ints = np.zeros(n), np.full(n, AT_REST)
+    return Curve(np.arange(n, dtype=float), zeros, zeros, ints, ints + 1, ())
+
+
+@pytest.mark.parametrize("name", ["force", "displacement", "branch", "cycle"])
+def test_curve_of_uneven_lengths(name: str) -> None:
+    wrong: dict[str, Any] = {name: np.zeros(5)}
+    with pytest.raises(ValueError, match=r"expected .*shape"):
+        replace(some_curve(), **wrong)
+
+
+def some_shape() -> Shape:
+    return Shape(
+        time=np.zeros(3),
+        positions=np.zeros((3, 2, 3)),
+        names=("a", "b"),
+        flags=np.zeros((3, 2), dtype=np.uint8),
+        arc_length=np.zeros(2),
+        coefficients=np.zeros((3, 3, 0)),
+        length=1.0,
+        rotation_lab_to_specimen=np.eye(3),
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("positions", np.zeros((3, 3, 3))),
+        ("flags", np.zeros((2, 2), dtype=np.uint8)),
+        ("arc_length", np.zeros(3)),
+        ("coefficients", np.zeros((3, 2, 4))),
+        ("rotation_lab_to_specimen", np.eye(4)),
+    ],
+)
+def test_shape_of_the_wrong_shape(name: str, wrong: Any) -> None:
+    assert not some_shape().flags.flags.writeable
+    with pytest.raises(ValueError, match=r"expected .* of shape .*, found"):
+        replace(some_shape(), **{name: wrong})
+
+
+def test_every_parameter_has_a_unit() -> None:
+    assert tuple(UNITS) == PARAMETERS
+
+
+TWO, FIVE = np.zeros(2), np.zeros(5)
+
+
+UNEVEN: dict[str, Callable[[], object]] = {
+    "clock": lambda: Clock("time", np.zeros((3, 1))),
+    "series": lambda: Series(np.zeros((2, 2)), "N"),
+    "body": lambda: RigidBody("Clamp", np.zeros((5, 3)), np.zeros((4, 4)), FIVE),
+    "tracks": lambda: MarkerTracks(FIVE, FIVE, 1.0, ("a", "b", "c"), np.zeros((5, 2, 3))),
+    "drawn shapes": lambda: DrawnShapes(np.zeros(3), np.zeros((2, 5, 2))),
+    "drawn law": lambda: DrawnLaw(np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(3)),
+    "sample": lambda: SampleCurve(FIVE, np.zeros(6), FIVE),
+    "layout": lambda: WireLayout("packed", np.zeros(3), TWO, np.zeros(2, int), TWO, 1e-3, 2e-3),
+    "prediction": lambda: Prediction(TWO, TWO, TWO, TWO, TWO, np.zeros(3)),
+    "profile": lambda: Profile(np.zeros(3), TWO, 3.84, 20.0),
+}
+
+
+@pytest.mark.parametrize("make", UNEVEN.values(), ids=UNEVEN)
+def test_arrays_of_uneven_lengths_are_refused(make: Callable[[], object]) -> None:
+    with pytest.raises(ValueError, match=r"expected \w+ of shape .*, found"):
+        make()

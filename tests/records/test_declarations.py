@@ -1,3 +1,5 @@
+"""What steps, kinds of results and export formats are declared to be."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -5,12 +7,17 @@ from typing import Annotated, get_args
 
 import pytest
 
+from labpipe.protocol.source import MARKER_READERS
+from labpipe.protocol.source import READERS as NAMED_READERS
+from labpipe.readers import READERS
 from labpipe.records import declarations
 from labpipe.records.declarations import (
+    STEPS,
     ChannelName,
     Output,
     Quantity,
     StiffnessName,
+    Zero,
     defaults_of,
     existing_in,
 )
@@ -22,10 +29,6 @@ QUANTITIES = {
     for marker in get_args(kind)[1:]
     if isinstance(marker, Quantity)
 }
-
-
-def test_there_are_some() -> None:
-    assert {"Length", "Force", "Duration", "Share"} <= set(QUANTITIES)
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES.values(), ids=QUANTITIES)
@@ -52,3 +55,31 @@ def test_what_a_kind_of_result_is_called_and_rests_on() -> None:
     assert defaults_of(Ratio) == {"of": "stiffness", "name": "ratio"}
     assert Output("{of}_{name}", "1").name_in(Ratio, {"name": "x"}) == "stiffness_x"
     assert Output("{name}", "1", first=2).name_in(Ratio, {"name": 3}) == "3.2"
+
+
+def test_a_step_knows_its_place_which_is_no_setting() -> None:
+    step = Zero(channel="force", over=2.0)
+    third = step.numbered(2)
+    assert (step.key, third.key) == ("steps.0", "steps.2")
+    assert third == step
+
+
+def test_what_a_step_comes_after_is_a_step() -> None:
+    befores = {kind.after for kind in STEPS.values() if kind.after}
+    assert befores <= set(STEPS)
+    assert all(kind.on_markers for kind in STEPS.values() if kind.after)
+
+
+def test_what_steps_make() -> None:
+    made = {word: kind.makes for word, kind in STEPS.items() if kind.makes}
+    assert made == {
+        "specimen-frame": ("travel",),
+        "fit-shape": ("deflection",),
+        "three-point-shape": ("mid_span",),
+        "travel-from-speed": ("{channel}",),
+    }
+
+
+def test_protocols_can_name_just_the_readers_that_there_are() -> None:
+    assert set(NAMED_READERS) == set(READERS)
+    assert {"motive-csv", "motive-xlsx"} == MARKER_READERS

@@ -1,3 +1,5 @@
+"""Signals and their clocks."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -8,10 +10,15 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET, GRIP
 from labpipe.records.curve import ClockFit, Interval
+from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Clocks, Signal, Signals
 
 TIME: Floats = np.arange(0.0, 10.0)
+
+
 PULL = Signal(TIME, TIME + 1.0, "N", "force")
+
+
 WAY = Signal(TIME, 1e-3 * TIME, "m", "frame")
 
 
@@ -27,23 +34,6 @@ class Halved:
 def fit(offset: float, drift: float = 0.0, errors: tuple[float, ...] = (0.1,)) -> ClockFit:
     known, at = Interval(offset - 0.1, offset + 0.1), np.zeros(len(errors))
     return ClockFit(offset, drift, known, known, 0.0, at, at, np.array(errors), "")
-
-
-def test_a_signal_of_rows_has_no_time() -> None:
-    assert PULL.has_time
-    assert not replace(PULL, time_unit="1").has_time
-
-
-def test_quantities_of_the_curve() -> None:
-    assert Signals("pull", "way").quantities == {"pull": "force", "way": "displacement"}
-
-
-def test_what_is_new_is_raw_and_filtered() -> None:
-    signals = Signals().with_new("force", PULL)
-    assert signals.raw["force"] is signals.filtered["force"] is PULL
-    both = signals.with_new("displacement", WAY)
-    assert list(both.raw) == list(both.filtered) == ["force", "displacement"]
-    assert list(signals.raw) == ["force"]  # the record before stays as it was
 
 
 def test_what_was_filtered_leaves_the_raw_signal() -> None:
@@ -65,11 +55,6 @@ def test_a_level_is_taken_off_raw_and_filtered() -> None:
     assert zeroed.taken_off == {"force": 1.0}
     assert zeroed.without_level("force", 0.25, 0.1).taken_off == {"force": 1.25}
     np.testing.assert_array_equal(signals.raw["force"].values, TIME + 1.0)
-
-
-def test_a_level_of_what_was_not_filtered_leaves_one_signal() -> None:
-    signals = Signals().with_new("force", PULL).without_level("force", 1.0, 0.2)
-    assert signals.raw["force"] is signals.filtered["force"]
 
 
 def test_what_is_done_to_a_signal_is_done_to_all_that_it_may_have_been() -> None:
@@ -142,3 +127,15 @@ def test_one_event_moves_no_drift() -> None:
     assert clocks.drift_error == 0.0
     assert list(clocks.moved) == [CLOCK_OFFSET]
     assert Clocks("frame").moved == {}
+
+
+def tracks() -> MarkerTracks:
+    positions = np.zeros((5, 2, 3))
+    positions[1:3, 0, 2] = np.nan
+    body = RigidBody("Clamp", np.zeros((5, 3)), np.zeros((5, 4)), np.zeros(5))
+    time = np.arange(5.0)
+    return MarkerTracks(time, time, 1.0, ("a", "b"), positions, (body,))
+
+
+def test_frames_without_a_marker_are_counted() -> None:
+    assert tracks().missing == {"a": 2, "b": 0}

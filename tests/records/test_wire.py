@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.wire import AUTO, LAYOUTS, WireLayout, WireSpec
+from tests.builders.measured_bending import some_bending
 from tests.builders.wire_tables import wire_table
 
 SPEC = WireSpec("W", 1.6e-3, (1, 6), (0.32e-3,) * 2, (0.2,), 0.3e-3)
@@ -18,25 +19,6 @@ def test_a_silent_sheet_means_annealed_copper_in_a_soft_tube() -> None:
     assert (SPEC.tension, SPEC.orientation, SPEC.largest_curvature) == (0.0, 0.0, None)
     assert SPEC.layout == AUTO
     assert AUTO in LAYOUTS
-
-
-def test_arrays_of_a_table_are_frozen_and_of_one_length() -> None:
-    table = wire_table("A2")
-    for name in ("curvature", "moment", "slip_onsets", "tip_force"):
-        assert not getattr(table, name).flags.writeable
-    with pytest.raises(ValueError, match=r"expected \w+ of shape \(\d+,\), found \(3,\)"):
-        replace(table, moment=np.zeros(3))
-    with pytest.raises(ValueError, match=r"expected \w+ of shape"):
-        replace(table, tip_force=np.zeros(3))
-
-
-def test_a_layout_has_one_centre_for_each_strand() -> None:
-    layer = np.array([0, 1])
-    ones = np.ones(2)
-    layout = WireLayout("packed", ones, ones, layer, ones, 1e-3, 2e-3)
-    assert not layout.x.flags.writeable
-    with pytest.raises(ValueError, match=r"expected y of shape \(3,\), found \(2,\)"):
-        WireLayout("packed", np.ones(3), ones, layer, ones, 1e-3, 2e-3)
 
 
 @pytest.mark.parametrize(
@@ -63,3 +45,15 @@ def test_a_single_strand_has_nothing_to_slip_on() -> None:
     one = np.zeros(1)
     layout = WireLayout("hexagonal", one, one, np.array([0]), one + 1e-3, 1e-3, 2e-3)
     assert replace(table, layout=layout, slip_onsets=np.zeros(0)).slip_onset(0) == "none"
+
+
+def test_noise_of_a_cloud_holds_what_the_shape_may_be() -> None:
+    cloud = some_bending().cloud
+    both = replace(
+        cloud,
+        curvature_error=np.full((6, 3), 3.0),
+        curvature_systematic=np.full((6, 3), 4.0 * np.sqrt(3.0)),
+    )
+    assert both.noise == pytest.approx(np.full((6, 3), 5.0))
+    unknown = replace(both, curvature_systematic=np.full((6, 3), np.nan))
+    assert unknown.noise == pytest.approx(np.full((6, 3), 3.0))
