@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.markers.curve_fits import (
     EndConditions,
-    coupled_design,
     curve_basis,
     fit_frames,
 )
@@ -121,17 +120,6 @@ def test_other_offsets_make_other_tips() -> None:
         assert list(np.flatnonzero(np.isnan(found[cause]))) == [22, 23]
 
 
-def test_tips_move_as_the_slope_there_has_it() -> None:
-    """By the sine of 58 degrees along the wire, and 1 - cosine across."""
-    markers, angle = take(bent("elastic", 58)), np.radians(58)
-    usual = deflection(fit(markers).shape, rest=REST)[20]
-    moved = fit(markers, uncertainties=Offsets(pull=1e-4, centre=1e-4)).tip_moved
-    change = {cause: tip[20] - tip[0] - usual for cause, tip in moved.items()}
-    assert list(change) == ["pull offset", "centre offset"]
-    assert change["pull offset"] == pytest.approx(1e-4 * np.sin(angle), rel=0.01)
-    assert change["centre offset"] == pytest.approx(1e-4 * (1 - np.cos(angle)), rel=0.1)
-
-
 @pytest.mark.parametrize("law", list(LAWS))
 def test_one_more_term_shows_the_systematic_error(law: str) -> None:
     wire = bent(law, 58)
@@ -208,38 +196,9 @@ def test_shapes_that_cannot_be_fitted() -> None:
         fit(markers)
 
 
-@pytest.mark.parametrize(
-    ("clamped", "free_tip", "unknowns"),
-    [(True, True, 4), (True, False, 5), (False, True, 6), (False, False, 7)],
-)
-def test_a_basis_obeys_its_ends(clamped: bool, free_tip: bool, unknowns: int) -> None:
-    basis = curve_basis(terms=7, length=0.085, clamped=clamped, free_tip=free_tip)
-    assert basis.unknowns == unknowns
-    start, power = np.zeros(1), np.arange(7)
-    assert bool(np.allclose(basis.value(start), 0)) is clamped
-    assert bool(np.allclose(basis.slope(start), 0, atol=1e-9)) is clamped
-    assert bool(np.allclose((power * (power - 1.0)) @ basis.matrix, 0, atol=1e-9)) is free_tip
-
-
-def test_slope_is_the_derivative_of_value() -> None:
-    basis = curve_basis(terms=6, length=0.085, clamped=True, free_tip=True)
-    s, step = np.linspace(0.01, 0.08, 5), 1e-6
-    numeric = (basis.value(s + step) - basis.value(s - step)) / (2 * step)
-    np.testing.assert_allclose(basis.slope(s), numeric, rtol=1e-6, atol=1e-6)
-
-
 def test_conditions_that_leave_nothing_are_refused() -> None:
     with pytest.raises(ValueError, match=r"terms=3: expected at least 4"):
         curve_basis(terms=3, length=0.085, clamped=True, free_tip=True)
-
-
-def test_the_offset_of_the_markers_couples_x_and_y() -> None:
-    basis = curve_basis(terms=4, length=0.1, clamped=False, free_tip=False)
-    s = np.array([0.02, 0.07])
-    design = coupled_design(basis, s, 0.001)
-    np.testing.assert_allclose(design[:2, :4], basis.value(s))
-    np.testing.assert_allclose(design[:2, 4:], -0.001 * basis.slope(s))
-    np.testing.assert_allclose(design[2:, :4], 0.001 * basis.slope(s))
 
 
 def sagging(offset: float) -> tuple[Floats, Floats]:

@@ -65,20 +65,6 @@ def test_any_permutation_of_labels_is_undone(data: st.DataObject) -> None:
     np.testing.assert_array_equal(repaired.flags == PointFlag.RELABELLED, moved)
 
 
-@pytest.mark.parametrize("stop", [400, 600])
-def test_a_label_switch_is_undone_and_told(stop: int) -> None:
-    take = wire_take()
-    mixed = take.tracks.positions.copy()
-    mixed[150:stop, [2, 3]] = mixed[150:stop, [3, 2]]
-    repaired = repair(with_positions(take, mixed))
-    np.testing.assert_array_equal(repaired.positions, take.tracks.positions)
-    assert codes(repaired) == ["label_switch"]
-    assert message(repaired, "label_switch") == (
-        f"M3 was labelled as M4, M4 was labelled as M3, frames 150 to {stop - 1} "
-        f"(3.000 s to {(stop - 1) / 50:.3f} s); label switch undone"
-    )
-
-
 @pytest.mark.parametrize(("start", "stop"), [(0, 300), (200, 350), (250, 600)])
 @pytest.mark.parametrize("name", ["Unlabeled 1364"])
 def test_an_unlabelled_track_is_given_back_to_its_marker(start: int, stop: int, name: str) -> None:

@@ -135,17 +135,6 @@ def test_reversal_is_exact_without_noise() -> None:
     assert reversal.corner.value == pytest.approx(TOP, abs=2e-6)
 
 
-def test_many_samples_are_averaged_and_nan_left_out() -> None:
-    time = np.arange(2.0, 6.0, 1e-4)
-    force = TOP - 0.02 * np.abs(time - REVERSAL)
-    force += np.random.default_rng(2).normal(0.0, 5e-4, len(time))
-    force[::7] = np.nan
-    reversal = fit_reversal(time, force, near=4.1, window=1.0)
-    assert reversal is not None
-    assert abs(reversal.corner.time - REVERSAL) < 2.6 * reversal.corner.time_error < 0.01
-    assert reversal.corner.n == np.count_nonzero(~np.isnan(force) & (np.abs(time - 4.1) <= 1.0))
-
-
 def test_no_corner() -> None:
     time = np.arange(2.0, 6.0, 5e-3)
     assert fit_reversal(time, np.ones_like(time), near=4.0, window=1.0) is None

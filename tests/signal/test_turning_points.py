@@ -51,28 +51,11 @@ def test_any_number_of_cycles(cycles: int) -> None:
     assert time[strokes[-1].stop] == pytest.approx(5.0 + 106.0 * cycles, abs=0.1)
 
 
-def test_noise_makes_no_stroke_that_ends_before_it_begins() -> None:
-    """As a column of force makes that was taken for the displacement."""
-    time = np.arange(0.0, 120.0, 0.1)
-    noise = 1.5e-3 * np.random.default_rng(2).standard_normal(len(time))
-    strokes = find_strokes(time, noise, min_stroke=5e-3)
-    assert strokes
-    assert all(stroke.start < stroke.stop for stroke in strokes)
-
-
 def test_a_partial_last_cycle_is_a_stroke() -> None:
     time, motion = ramps((0, 0), (20, 20), (40, 0), (52, 12))
     strokes = find_strokes(time, motion, min_stroke=5e-3)
     assert [stroke.sign for stroke in strokes] == [1, -1, 1]
     assert strokes[-1].stop == len(time) - 1
-
-
-def test_dwell_belongs_to_neither_branch() -> None:
-    corners = [(0.0, 0.0), (5.0, 0.0), (25.0, 20.0), (35.0, 20.0), (55.0, 0.0), (60.0, 0.0)]
-    time, motion = ramps(*corners, noise=1e-5)
-    first, second = find_strokes(time, motion, min_stroke=5e-3)
-    assert time[first.stop] == pytest.approx(25.0, abs=0.1)
-    assert time[second.start] == pytest.approx(35.0, abs=0.1)
 
 
 def test_a_smooth_reversal_is_no_dwell() -> None:
@@ -149,13 +132,6 @@ def test_a_record_that_ends_under_load_has_no_turn() -> None:
     force += np.random.default_rng(1).normal(0.0, 0.02, len(time))
 
     assert sharpest_turn(time, force, width=1.0) is None
-
-
-def test_noise_has_no_turn() -> None:
-    time = np.arange(0.0, 40.0, 0.01)
-    noise = np.random.default_rng(1).normal(0.0, 1.0, len(time))
-
-    assert sharpest_turn(time, noise, width=1.0) is None
 
 
 @pytest.mark.parametrize("dwell", [0.0, 0.2, 1.0, 5.0])

@@ -17,14 +17,11 @@ from labpipe.statistics.group_budgets import SCATTER, group_budget
 from labpipe.statistics.group_division import Part, divide
 from labpipe.statistics.group_fields import (
     differing_fields,
-    shared_fields,
-    varying_fields,
 )
 from labpipe.statistics.group_fields import in_order as field_order
 from labpipe.statistics.group_notes import (
     grouping_notes,
     method_notes,
-    mixed,
     otherwise_made,
     sample_notes,
 )
@@ -184,13 +181,6 @@ def test_dimensions_differ_by_more_than_a_percent() -> None:
     assert differing_fields(first, of(None, dimensions={})) == {"length": ("100 mm", "not said")}
 
 
-def test_what_varies_within_a_group_is_no_difference() -> None:
-    mixed = group(bundle_sample(bundle_of("7 B1"), 1), bundle_sample(bundle_of("12 B2"), 2))
-    assert varying_fields(mixed) == ("type", "composition")
-    assert differing_fields(mixed, of(bundle_of("7 B1", tape="PET"))) == {"tape": ("PVC", "PET")}
-    assert shared_fields([]) == {}
-
-
 def test_tests_of_one_name_are_both_kept() -> None:
     one, two = samples()[:2]
     group = built([replace(one, source="a/result.h5"), replace(two, test=one.test, source="b")])
@@ -299,15 +289,6 @@ def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
 
 def test_the_way_of_the_first_test_counts_where_two_are_as_frequent() -> None:
     assert list(otherwise_made(samples_of(LONG, SHORT))["stiffness"]) == ["b"]
-
-
-def test_what_is_made_of_a_number_goes_with_it() -> None:
-    modulus = result("modulus", "stiffness x length / area", "stiffness")
-    samples = samples_of(SHORT, LONG, SHORT, modulus=modulus, energy=result("energy", "area"))
-    assert mixed(samples) == {
-        name: {SHORT: ["a", "c"], LONG: ["b"]} for name in ("stiffness", "modulus")
-    }
-    assert list(otherwise_made(samples)["modulus"]) == ["b"]
 
 
 def marked(sample: Sample) -> Sample:

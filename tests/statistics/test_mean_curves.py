@@ -36,16 +36,6 @@ def test_only_where_every_curve_has_data() -> None:
     np.testing.assert_allclose(shared.force[1], 2e3 * shared.displacement, rtol=1e-12)
 
 
-def test_a_gap_is_not_bridged() -> None:
-    path, force = line(1e3, n=41)
-    force = force.copy()
-    force[10:13] = np.nan
-    shared = common_curves([(path, force), line(1e3)])
-    inside = (shared.displacement > path[9]) & (shared.displacement < path[13])
-    assert not inside.any()
-    assert shared.displacement[-1] == path[-1]
-
-
 def test_two_curves_have_a_pointwise_band_only() -> None:
     band = mean_band(common_curves([line(1e3), line(1.2e3)]), over="spool means")
     np.testing.assert_allclose(band.upper - band.mean, 12.7062 * 100 * band.displacement, rtol=1e-5)

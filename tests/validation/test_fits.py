@@ -13,10 +13,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
-from labpipe.fits.grip_slips import find_slips
 from labpipe.fits.two_segments import Hinges, Segments
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import SlipDecision
 from labpipe.uncertainty.linear_fits import fit_linear
 from tests.builders.pulls import pulled
 
@@ -100,35 +98,6 @@ def test_two_segments_quick(share: float, widest: float) -> None:
     for each in hits:
         assert_covers(each, may_be_wide=True)
     assert max(wide) < widest
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("memory", [0.0, 2.0, 10.0])
-def test_slips(memory: float) -> None:
-    """The case of the corrugated tube; position and drop, and no slip where there is none."""
-    d = np.linspace(0.0, 0.05, 600)
-    smooth = 45.0 * (1.0 - np.exp(-d / 0.02)) / (1.0 - np.exp(-2.5))
-    hits, alarms, missed = np.zeros(2, dtype=np.int64), 0, 0
-    for seed in range(500):
-        jitter = np.random.default_rng(seed + 10_000).uniform(-1.5, 1.5) * d[1]
-        clean = smooth + 0.05 * noise(seed, len(d), memory)
-        slipped = clean - 0.47 * (d > 0.01875 + jitter) - 0.81 * (d > 0.03085)
-        none, found = (
-            find_slips(d, force, min_drop=0.2, decision=SlipDecision.REPAIRED)
-            for force in (clean, slipped)
-        )
-        assert isinstance(none, tuple)
-        assert isinstance(found, tuple)
-        alarms += len(none) > 0
-        if len(found) != 2:
-            missed += 1
-            continue
-        place, drop = found[0].position_interval, found[0].drop_interval
-        hits += [place.lower <= 0.01875 + jitter <= place.upper, drop.lower <= 0.47 <= drop.upper]
-    assert alarms <= 5
-    assert missed <= 15
-    for hit in hits:
-        assert_covers(int(hit), 500 - missed)
 
 
 def curve(seed: int) -> tuple[Floats, Floats]:
