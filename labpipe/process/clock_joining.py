@@ -266,7 +266,8 @@ def _judged(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
             f"the clocks drift by {1e6 * fit.drift:.4g} ppm, known to {1e6 * known_to:.3g} ppm, "
             f"the protocol allows {1e6 * align.max_drift:.4g} ppm"
         )
-        yield doubtful("alignment_drift", "align", message, "clock")
+        # instruments keep time to parts in a million: these may be recordings of two tests
+        yield doubtful("alignment_drift", "align", message, "clock", "displacement", "force")
     if len(fit.event_times_motion) == 1:
         message = "only one turning point was seen by both: the drift is taken as zero"
         yield doubtful("alignment_one_event", "align", message, "clock")

@@ -19,6 +19,7 @@ from datetime import date
 from labpipe.process.calibrated_signals import Prepared, calibrated, check_channels
 from labpipe.process.certificates import check_due
 from labpipe.process.clock_joining import join_clocks
+from labpipe.process.consistency import check_consistency
 from labpipe.process.curve_corrections import (
     aligned,
     correct_curve,
@@ -198,6 +199,7 @@ def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveB
     if curve is None:
         return replace(test, findings=findings)
     findings += check_zeros(test.signals, test.clocks, curve, findings)
+    findings += check_consistency(test.signals.force, curve)
     test, found = correct_curve(replace(test, curve=curve), block)
     findings += found
     has_slack = isinstance(test.slack, Measured)

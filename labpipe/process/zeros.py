@@ -178,8 +178,8 @@ def _zero_again(
 
 _MOST = 2
 """Jumps of a force; what jumps again and again is the specimen."""
-_MOSTLY = 0.5
-"""Share of the range that a displacement jumps by when it is zeroed."""
+_BREAKS = 0.3
+"""Of the largest force: a fall in the step in which a displacement jumps as the specimen breaks."""
 _TURN = 3
 """Samples beside a turn at which a steep fall belongs to the specimen."""
 _RETURNED = 0.02
@@ -221,17 +221,18 @@ def check_zeros(
 
 
 def _displacement_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Finding]:
-    """A crosshead that is zeroed in mid-record: what looks like the largest stroke is none."""
+    """A machine moves steadily: what jumps is its zero, its encoder, the record, or a break."""
+    largest = float(np.nanmax(np.abs(curve.force)))
     jumps = _jumps(curve, curve.displacement, thawed)
-    if len(jumps) != 1:
+    falls = [abs(curve.force[sample - 1]) - abs(curve.force[sample]) for sample, _ in jumps]
+    if not jumps or (len(jumps) == 1 and falls[0] > _BREAKS * largest):
         return
-    ((sample, size),) = jumps
-    if abs(size) < _MOSTLY * float(np.ptp(_known(curve.displacement))):
-        return
+    sample, size = max(jumps, key=lambda jump: abs(jump[1]))
+    often = "" if len(jumps) == 1 else f", the largest of {len(jumps)} jumps"
     message = (
         f"the displacement jumps by {1e3 * size:.4g} mm from one sample to the next at "
-        f"{_at(curve, sample)}: zeroed in mid-record? Branches are not where they seem to be; "
-        "export the test without what came before"
+        f"{_at(curve, sample)}{often}: zeroed, wrapped round or lost in mid-record? Branches may "
+        "not be where they seem to be; export the test without what came before"
     )
     yield doubtful("zero_jump", where, message, "displacement", "force")
 

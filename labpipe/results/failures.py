@@ -44,7 +44,7 @@ class FailureResult(Kind):
 
     result: ClassVar = "failure"
     outputs: ClassVar = (
-        Output("failure_displacement", "m", "Displacement at failure", ("displacement",)),
+        Output("failure_displacement", "m", "Displacement at failure", ("displacement", "force")),
         Output("failure_force", "N", "Force at failure", ("force",), is_raised_by_slips=True),
     )
     needs: ClassVar = Needs(branches=True, correction="failure")

@@ -1,0 +1,285 @@
+"""Whether a record contradicts itself: cycle against cycle, force against displacement.
+
+Each check compares one statistic with one threshold. The thresholds are multiples of what real
+cyclic tests and simulated ones reach at most (docs/explanations/consistency.md), so that a clean
+record fails a check in fewer than one case in fifty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.fits.loops import sense_of_loading
+from labpipe.records.arrays import Floats, median, stretches_of
+from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.quality import Finding, doubtful
+from labpipe.signal.turning_points import noise_level
+
+POINTS, BLOCKS = 40, 400
+"""Places on a branch at which cycles are compared; means that a branch is reduced to before."""
+MIN_SAMPLES = 5
+"""Samples of a branch below which it is not compared."""
+MIN_OVERLAP = 0.5
+"""Share of the travel that two cycles must have in common."""
+SCALE_RATIO = 3.0
+"""Misfit of two cycles as recorded over that after a change of scale or level: at most 2.0 in 246
+pairs of real cycles and of simulated ones, whose changes of the material alter the shape."""
+UNLOADING_SCALE_RATIO, UNLOADING_LEVEL_RATIO = 5.5, 8.0
+"""The same of unloading alone: at most 4.0 and 6.2 there."""
+MIN_SCALE, MIN_LEVEL = 0.008, 0.008
+"""Change of scale, and of level in shares of the largest force, that matter."""
+MAX_LAG_GROWTH = 0.007
+"""Of the largest force: median growth behind the turns; at most 0.006 in 13 real tests."""
+MAX_TURN_JUMP = 0.03
+"""Of the largest force: growth behind one turn."""
+SURE = 8.0
+"""Standard deviations of the noise that a growth must exceed."""
+MIN_LOSS = -0.05
+"""Energy of a loop over that of its loading; less than 0 is no material, friction or damper."""
+NOTHING, SOMETHING = 0.05, 0.5
+"""Of the force of the first loading: a broken specimen carries less, a whole one more."""
+BROKEN_WAY = 0.8
+"""Share of the way back over which a broken specimen carries nothing."""
+REPEATED = 40
+"""Samples in a row, all different, that no recording repeats to the last digit."""
+MAX_TABLE = 200_000
+"""Samples of a record that may have gone through a spreadsheet, where rows are copied."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cycle:
+    """Force over displacement of a whole cycle, each branch sorted by displacement."""
+
+    loading: Branch
+    unloading: Branch
+    paths: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
+
+
+def check_consistency(where: str, curve: Curve) -> Iterator[Finding]:
+    """Compare the parts of a record with each other.
+
+    Parameters
+    ----------
+    where : name of the force
+    curve : of unfiltered force, with branches
+
+    Yields
+    ------
+    Of each check that fails: which cycle, when, how much, and what it makes doubtful.
+    """
+    if not curve.branches:
+        return
+    largest = float(np.nanmax(np.abs(curve.force), initial=0.0))
+    cycles = list(_cycles(curve))
+    yield from _repeated(where, curve)
+    if largest > 0.0:
+        yield from _unlike_cycles(where, curve, cycles, largest)
+        yield from _turns(where, curve, largest)
+        yield from _loops(where, curve, cycles)
+        yield from _carries_again(where, curve, cycles)
+
+
+def _cycles(curve: Curve) -> Iterator[Cycle]:
+    for first, second in pairwise(curve.branches):
+        if first.direction is not Direction.LOADING or second.cycle != first.cycle:
+            continue
+        paths = _path(curve, first), _path(curve, second)
+        if min(len(path[0]) for path in paths) >= MIN_SAMPLES:
+            yield Cycle(first, second, paths)
+
+
+def _path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
+    part = slice(branch.start, branch.stop)
+    both = np.stack([curve.displacement[part], curve.force[part]])
+    both = both[:, ~np.isnan(both).any(axis=0)]
+    size = max(1, both.shape[1] // BLOCKS)
+    means = both[:, : both.shape[1] // size * size].reshape(2, -1, size).mean(axis=2)
+    displacement, force = means[:, np.argsort(means[0], kind="stable")]
+    return displacement, force
+
+
+def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
+    """Forces of some paths at the same displacements; empty where they hardly overlap."""
+    low, high = max(path[0][0] for path in paths), min(path[0][-1] for path in paths)
+    span = max(path[0][-1] for path in paths) - min(path[0][0] for path in paths)
+    if not high - low > MIN_OVERLAP * span:
+        return ()
+    places = np.linspace(low, high, POINTS + 2)[1:-1]
+    return tuple(np.interp(places, *path) for path in paths)
+
+
+def _unlike_cycles(
+    where: str, curve: Curve, cycles: list[Cycle], largest: float
+) -> Iterator[Finding]:
+    """A change of scale or level that is the same in all of a cycle is one of the instruments.
+
+    Conditioning, hardening, fatigue and a set alter loading and unloading differently; a first
+    loading is like no other, so that unloading is compared alone as well.
+    """
+    for before, after in pairwise(cycles):
+        change = _change(before, after, largest)
+        if change is None:
+            continue
+        code, what, remedy = change
+        message = (
+            f"from cycle {after.loading.cycle} on ({_at(curve, after.loading.start)}) {what}, in "
+            f"loading and unloading alike, as no specimen changes: {remedy}"
+        )
+        quantities = ["force"] if code == "cycle_level" else ["force", "displacement"]
+        during = (float(curve.time[before.unloading.stop - 1]), float(curve.time[-1]))
+        yield doubtful(code, where, message, *quantities, during=during)
+
+
+def _change(before: Cycle, after: Cycle, largest: float) -> tuple[str, str, str] | None:
+    """Code, words and remedy of what the instruments changed between two cycles."""
+    forces = _common(*before.paths, *after.paths)
+    if not forces:
+        return None
+    old, new = np.concatenate(forces[:2]), np.concatenate(forces[2:])
+    wholly = slice(None), SCALE_RATIO, SCALE_RATIO
+    unloading = slice(POINTS, None), UNLOADING_SCALE_RATIO, UNLOADING_LEVEL_RATIO
+    for part, scale_ratio, level_ratio in (wholly, unloading):
+        first, second = old[part], new[part]
+        recorded = _rms(second - first)
+        scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
+        left, left_level = _rms(second - scale * first), _rms(second - level - first)
+        if left < left_level and abs(scale - 1.0) > MIN_SCALE and recorded > scale_ratio * left:
+            words = f"the force over displacement is {scale:.4g} times that of the cycle before"
+            return "cycle_scale", words, "look for a change of range, gain or encoder"
+        if abs(level) > MIN_LEVEL * largest and recorded > level_ratio * left_level:
+            words = f"the force is {level:+.4g} N off that of the cycle before"
+            return "cycle_level", words, "look for a new zero of the load cell"
+    first_back, back = before.paths[1], after.paths[1]
+    stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
+    scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
+    recorded = _rms(new[POINTS:] - old[POINTS:])
+    if abs(stretch - 1.0) < MIN_SCALE or not scaled:
+        return None
+    if recorded < SCALE_RATIO * _rms(scaled[1] - scaled[0]):
+        return None
+    words = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
+    return "cycle_scale", words, "look for a change of the encoder or its scale"
+
+
+def _turns(where: str, curve: Curve, largest: float) -> Iterator[Finding]:
+    """A force that goes on growing when the motion has turned back is late, or has jumped."""
+    sense = sense_of_loading(curve.force[curve.branches[0].start : curve.branches[0].stop])
+    sure = SURE * noise_level(curve.force)
+    growths = []
+    for before, after in pairwise(curve.branches):
+        if before.direction is after.direction:
+            continue
+        way = sense if before.direction is Direction.LOADING else -sense
+        ends = [_tenth(curve, before, at_end=True), _tenth(curve, after, at_end=False)]
+        width = max(1, min(map(len, ends)) // 10)
+        if min(map(len, ends)) >= 3:
+            last, first = (float(_means(way * end, width).max()) for end in ends)
+            growths.append((after, first - last))
+    if not growths:
+        return
+    usual = median(np.array([growth for _, growth in growths]))
+    if usual > max(MAX_LAG_GROWTH * largest, sure):
+        message = (
+            f"the force grows by {usual:.3g} N, {usual / largest:.1%} of the largest, after the "
+            "motion has turned back: force and displacement were not recorded at the same time"
+        )
+        yield doubtful("force_late", where, message, "clock")
+        return
+    branch, most = max(growths, key=lambda turn: turn[1])
+    if most > max(MAX_TURN_JUMP * largest, sure):
+        message = (
+            f"the force jumps by {most:.4g} N where the motion turns back at "
+            f"{_at(curve, branch.start)} (cycle {branch.cycle}), against the way it should go: "
+            "look at the cable and at the tare of the load cell"
+        )
+        during = (float(curve.time[branch.start]), float(curve.time[-1]))
+        yield doubtful("turn_jump", where, message, "force", during=during)
+
+
+def _loops(where: str, curve: Curve, cycles: list[Cycle]) -> Iterator[Finding]:
+    """No passive specimen gives back more energy than was put into it."""
+    for cycle in cycles:
+        forces = _common(*cycle.paths)
+        if not forces:
+            continue
+        loading, unloading = forces
+        sense = sense_of_loading(curve.force[cycle.loading.start : cycle.loading.stop])
+        put_in = float(np.mean(np.abs(loading)))
+        loss = sense * float(np.mean(loading - unloading)) / put_in if put_in else 0.0
+        if loss < MIN_LOSS:
+            message = (
+                f"in cycle {cycle.loading.cycle} the specimen gives back {-loss:.0%} more energy "
+                "than was put into it: the record runs backwards, columns are exchanged, or the "
+                "force is late"
+            )
+            quantities = ("force", "displacement", "clock")
+            yield doubtful("energy_gained", where, message, *quantities)
+            return
+
+
+def _carries_again(where: str, curve: Curve, cycles: list[Cycle]) -> Iterator[Finding]:
+    """A specimen that carried nothing on the whole way back is broken; what carries is another."""
+    for before in cycles:
+        later = [branch for branch in curve.branches if branch.start >= before.unloading.stop]
+        if not later or later[0].stop - later[0].start < MIN_SAMPLES:
+            continue
+        forces = _common(*before.paths, _path(curve, later[0]))
+        if not forces:
+            continue
+        first, back, second = (float(np.quantile(np.abs(force), BROKEN_WAY)) for force in forces)
+        if back < NOTHING * first and second > SOMETHING * first:
+            message = (
+                f"the specimen is broken at the end of cycle {before.loading.cycle} (it carries "
+                f"{back:.3g} N on the way back), and cycle {later[0].cycle} carries "
+                f"{second:.4g} N: a second specimen in one record? Export them apart"
+            )
+            yield doubtful("second_specimen", where, message, "force", "displacement")
+            return
+
+
+def _repeated(where: str, curve: Curve) -> Iterator[Finding]:
+    """Measured samples never repeat in a row to the last digit, unless rows were copied."""
+    force, displacement = curve.force, curve.displacement
+    if not 4 * REPEATED <= len(force) <= MAX_TABLE:
+        return
+    rows = np.stack([force[:-1], force[1:], displacement[:-1], displacement[1:]])
+    keys = np.array([1.0, np.e, np.pi, np.sqrt(2.0)]) @ rows  # equal for equal rows
+    order = np.argsort(keys, kind="stable")
+    lags = np.diff(order)[np.diff(keys[order]) == 0.0]
+    if len(lags) < REPEATED:
+        return
+    lag = int(np.argmax(np.bincount(np.abs(lags))))
+    same = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
+    runs = [run for run in stretches_of(same) if len(np.unique(force[slice(*run)])) >= REPEATED]
+    if runs:
+        start, stop = runs[0]
+        message = (
+            f"{stop - start} samples in a row from {_at(curve, start)} on stand again, to "
+            f"the last digit, {lag} samples later: were rows copied? Export the recording again"
+        )
+        yield doubtful("samples_repeated", where, message, "force", "displacement")
+
+
+def _tenth(curve: Curve, branch: Branch, *, at_end: bool) -> Floats:
+    size = max(3, (branch.stop - branch.start) // 10)
+    part = slice(max(branch.start, branch.stop - size), branch.stop)
+    if not at_end:
+        part = slice(branch.start, min(branch.stop, branch.start + size))
+    values = curve.force[part]
+    return values[~np.isnan(values)]
+
+
+def _means(values: Floats, width: int) -> Floats:
+    return np.convolve(values, np.ones(width) / width, "valid")
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _at(curve: Curve, sample: int) -> str:
+    return f"{curve.time[sample]:.3f} s" if curve.time_unit == "s" else f"sample {sample + 1}"
