@@ -103,6 +103,9 @@ def truth(table: Table) -> dict[str, float]:
     return numbers
 
 
+Accident = Callable[[Table, np.random.Generator], None]
+
+
 def _later_cycle(table: Table, rng: np.random.Generator) -> slice:
     return table.from_cycle(int(rng.integers(2, len(table.turns) // 2 + 1)))
 
@@ -163,11 +166,11 @@ def columns_exchanged(table: Table, rng: np.random.Generator) -> None:
 
 
 def rows_copied(table: Table, rng: np.random.Generator) -> None:
-    """A stretch of the first loading is pasted over the same stretch of the next."""
+    """A stretch of the first cycle is pasted over the same stretch of the second."""
     length, begin = int(rng.integers(60, 120)), table.turns[0] + 20
     later = begin + table.turns[2] - table.turns[0]
-    table.force[later : later + length] = table.force[begin : begin + length]
-    table.travel[later : later + length] = table.travel[begin : begin + length]
+    for values in (table.force, table.travel):
+        values[later : later + length] = values[begin : begin + length]
 
 
 def second_specimen(table: Table, rng: np.random.Generator) -> None:
@@ -192,10 +195,10 @@ def missing_words(table: Table, rng: np.random.Generator) -> None:
     table.force[start : start + 5] = -9999.0
 
 
-CYCLIC: tuple[Callable[[Table, np.random.Generator], None], ...] = (
+CYCLIC: tuple[Accident, ...] = (
     *(force_zeroed, range_switched, force_stepped_at_the_top, travel_stepped_at_a_turn),
     *(encoder_scaled, encoder_wrapped, travel_stepped_twice, rows_of_zeros, force_late),
-    *(turned_in_time, columns_exchanged),
+    *(turned_in_time, columns_exchanged, rows_copied),
 )
 PULLED = (second_specimen, second_specimen_after_return, missing_words)
 
@@ -218,7 +221,7 @@ def export(table: Table) -> str:
 
 
 def made(
-    accident: Callable[[Table, np.random.Generator], None] | None,
+    accident: Accident | None,
     seed: int,
     *,
     pulled: bool = False,
