@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -179,3 +180,33 @@ def test_tare_and_gain() -> None:
     record = record_frame(path, np.random.default_rng(6))
     np.testing.assert_allclose(record.force, 1.004 * path.force(record.time) + 2.7, rtol=1e-12)
     np.testing.assert_allclose(record.displacement, path.displacement(record.time) + 12e-6)
+
+
+TUBE_TEST, TWIST_TEST = corrugated_tube("CT-10-1"), twist_tube("1a")
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: BilinearLaw(0.0, 1.0, 10e-3), "stiffness_first=0.0 must be above"),
+        (lambda: BilinearLaw(1.0, -1.0, 10e-3), "stiffness_second=-1.0 not"),
+        (lambda: BilinearLaw(2e3, 1e3, 10e-3, slack=-1e-3), r"slack=-0\.001, toe=0\.0: not neg"),
+        (lambda: BilinearLaw(2e3, 1e3, 10e-3, toe=11e-3, knee=10e-3), "toe and knee overlap"),
+        (
+            lambda: replace(TUBE_TEST, slips=(GripSlip(30e-3, 0.5), GripSlip(20e-3, 0.5))),
+            "must be in order",
+        ),
+        (lambda: replace(TUBE_TEST, slips=(GripSlip(60e-3, 0.5),)), r"before 0\.05 m"),
+        (
+            lambda: replace(TWIST_TEST, frame=replace(TWIST_TEST.frame, stroke=10e-3)),
+            r"within the stroke of 0\.01 m",
+        ),
+        (
+            lambda: replace(TWIST_TEST, frame=replace(TWIST_TEST.frame, unloads=True)),
+            "that has failed is not unloaded",
+        ),
+    ],
+)
+def test_tests_that_cannot_be(make: Callable[[], object], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        make()
