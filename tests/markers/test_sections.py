@@ -12,7 +12,7 @@ from labpipe.markers.rings import (
     ring_centres,
     section_twist,
 )
-from labpipe.markers.three_point_axis import fit_bent_axis, fit_span
+from labpipe.markers.three_point_axis import _linearised, fit_bent_axis, fit_span
 from labpipe.markers.track_repair import RepairedTracks
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import PointFlag
@@ -208,3 +208,11 @@ def test_too_few_sections(count: int, message: str) -> None:
     bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
     with pytest.raises(ValueError, match=message):
         fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=bent_most)
+
+
+def test_beyond_its_grid_an_axis_goes_on_straight() -> None:
+    """A sine of 0.6 is a slope of 0.75 everywhere."""
+    grid = np.linspace(-1.0, 1.0, 11)
+    x = np.array([[-1.1, -1.0, 0.0, 0.55, 1.0, 1.2]])
+    _, y = _linearised(np.array([[0.6, 0.2]]), np.ones((11, 1)), grid, x)
+    assert y == pytest.approx(0.2 + 0.75 * x)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.markers.curve_fits import (
     EndConditions,
+    curve_at_rest,
     curve_basis,
     fit_frames,
 )
@@ -244,3 +245,20 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
             together.coefficients[frame], alone.coefficients[0], rtol=1e-9, atol=1e-12
         )
         np.testing.assert_allclose(together.gain[frame], alone.gain[0])
+
+
+def sagging(offset: float) -> tuple[Floats, Floats]:
+    """Markers on an arc of 0.5 m radius that leaves the clamp at 0.1 rad."""
+    s = np.linspace(0.008, 0.081, 8)
+    angle = 0.1 - 2 * s
+    axis = np.column_stack([np.sin(0.1) - np.sin(angle), np.cos(angle) - np.cos(0.1), 0 * s]) / 2
+    normal = np.column_stack([-np.sin(angle), np.cos(angle), 0 * s])
+    return s, axis + offset * normal
+
+
+def test_without_a_clamp_arc_length_starts_at_the_first_marker() -> None:
+    s, markers = sagging(0.0)
+    found = curve_at_rest(
+        markers, grip_offset=None, pull_offset=0.0, centre_offset=0.0, free_tip=False
+    )
+    np.testing.assert_allclose(found.arc_length, s - s[0], atol=1e-7)
