@@ -247,15 +247,6 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
         np.testing.assert_allclose(together.gain[frame], alone.gain[0])
 
 
-def sagging(offset: float) -> tuple[Floats, Floats]:
-    """Markers on an arc of 0.5 m radius that leaves the clamp at 0.1 rad."""
-    s = np.linspace(0.008, 0.081, 8)
-    angle = 0.1 - 2 * s
-    axis = np.column_stack([np.sin(0.1) - np.sin(angle), np.cos(angle) - np.cos(0.1), 0 * s]) / 2
-    normal = np.column_stack([-np.sin(angle), np.cos(angle), 0 * s])
-    return s, axis + offset * normal
-
-
 def test_without_a_clamp_arc_length_starts_at_the_first_marker() -> None:
     s, markers = sagging(0.0)
     found = curve_at_rest(
