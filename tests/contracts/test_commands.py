@@ -152,37 +152,15 @@ def test_json_of_process(run: Run, small_lab: Lab, tmp_path: Path) -> None:
     said = json.loads(ran.out)
     assert said == json.loads((tmp_path / "T1" / "summary.json").read_text(encoding="utf-8"))
     assert set(said) == {
-        "schema",
-        "test",
-        "specimen",
-        "protocol",
-        "labpipe",
-        "inputs",
-        "results",
-        "quality",
-        "run",
-        "made_of",
-        "date",
-        "operator",
-        "instruments",
+        *("schema", "test", "specimen", "protocol", "labpipe", "inputs"),
+        *("results", "quality", "run", "made_of", "date", "operator", "instruments"),
     }
     assert said["schema"] == 2
     assert set(said["inputs"][0]) == {"role", "file", "sha256"}
     for result in said["results"]:
         assert set(result) == {
-            "name",
-            "value",
-            "unit",
-            "lower",
-            "upper",
-            "level",
-            "estimate",
-            "code",
-            "reason",
-            "status",
-            "reasons",
-            "method",
-            "budget",
+            *("name", "value", "unit", "lower", "upper", "level"),
+            *("estimate", "code", "reason", "status", "reasons", "method", "budget"),
         }
         assert re.fullmatch(r"[a-z][a-z0-9_]*(\.\d+)?", result["name"])
         for reason in result["reasons"]:

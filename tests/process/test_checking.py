@@ -76,13 +76,6 @@ def messages(lab: Path, *changes: Change) -> list[str]:
     return [finding.message.replace(os.sep, "/") for finding in check_paths().findings]
 
 
-def test_a_lab_in_order(lab: Path) -> None:
-    checked = check_paths()
-    assert checked.findings == ()
-    assert checked.protocols == (Path(WIRE),)
-    assert checked.tests == (Path(TEST),)
-
-
 @pytest.mark.parametrize(
     ("path", "protocols", "tests"),
     [(WIRE, 1, 0), ("raw/campaign/A1", 0, 1), (TEST, 0, 1), ("raw", 0, 1), (".", 1, 1)],
@@ -161,6 +154,8 @@ protocol: three-point-bend
 specimen: {type: A, spool: s, sample: 1}
 files: {frame: bend.txt}
 """
+
+
 FAULTS: dict[str, tuple[Callable[[Path], None], Change | None]] = {
     "name of the file": (nothing, (WIRE, "name: wire", "name: other")),
     "channel": (nothing, (WIRE, "Model/Load/Out1", "Model/Load/Out")),
@@ -270,9 +265,3 @@ def test_plans_are_no_protocols(lab: Path, name: str, right: str, wrong: str, sa
     plan.write_text(wrong, encoding="utf-8")
     (finding,) = check_paths().findings
     assert said in finding.message
-
-
-def test_a_misspelt_protocol_is_no_plan(lab: Path) -> None:
-    plan = Path("raw/campaign/plan.yaml")
-    plan.write_text("version: 1\nname: plan\nsource: {}\n", encoding="utf-8")
-    assert check_paths().protocols[-1] == plan

@@ -52,19 +52,6 @@ def take(tmp_path: Path) -> Path:
     return write_table(tmp_path / "synthetic.csv", columns, frames, Layout())
 
 
-def test_streams_of_a_recording(recording: Path) -> None:
-    found = facts(recording)
-    assert set(found) >= {"file", "reader", "program", "version", "streams", "markers", "notes"}
-    assert (found["program"], found["version"]) == ("ControlDesk", "7.4")
-    assert found["markers"] is None
-    (stream,) = found["streams"]
-    assert (stream["clock"], stream["samples"], stream["start"]) == ("HostService", 497, 0.0)
-    assert stream["end"] == pytest.approx(0.499)
-    assert stream["step_median"] == pytest.approx(0.001)
-    (hole,) = stream["holes"]
-    assert (hole["at"], hole["length"]) == (pytest.approx(0.199), pytest.approx(0.004))
-
-
 def test_channels_of_a_recording(recording: Path) -> None:
     force, laser, clock = facts(recording)["streams"][0]["channels"]
     assert force == {

@@ -146,18 +146,6 @@ def test_a_folder_that_cannot_be_made(table: Path, tmp_path: Path) -> None:
         new_from_sheet(table, tmp_path / "raw")
 
 
-def test_exports_that_a_table_names_and_that_are_not_there(tmp_path: Path) -> None:
-    table = tmp_path / "c.csv"
-    rows = (
-        "test,protocol,type,spool,sample,force,markers\nt,wire-cantilever,A,s,1,a.mat;b.mat,c.csv\n"
-    )
-    table.write_text(rows, encoding="utf-8")
-    (tmp_path / "raw" / "t").mkdir(parents=True)
-    (tmp_path / "raw" / "t" / "a.mat").write_bytes(b"x")
-    made = new_from_sheet(table, tmp_path / "raw")
-    assert dict(made.absent) == {tmp_path / "raw" / "t" / "test.yaml": ("b.mat", "c.csv")}
-
-
 FAULTS_OF_A_TABLE = {
     "lenght": (("Length (mm)", "lenght"),),
     "a column twice": (("type;spool", "spool;spool"),),
@@ -448,14 +436,6 @@ def test_a_take_alone(protocols: list[Protocol]) -> None:
     assert names(fitting([take()], protocols, Known())) == ["markers-only"]
 
 
-def test_what_fits_alike_is_not_chosen_from(protocols: list[Protocol]) -> None:
-    exports = [cell(), take(length=0.1)]
-    assert names(fitting(exports, protocols, Known(length=0.1))) == [
-        "taped-bundle",
-        "wire-cantilever",
-    ]
-
-
 @pytest.mark.parametrize(
     ("of_type", "of_campaign", "expected"),
     [
@@ -511,24 +491,6 @@ def test_parts_of_one_recording_are_of_one_role(protocols: list[Protocol]) -> No
         assert not fit.unclear
 
 
-def test_several_that_are_no_parts_are_unclear(protocols: list[Protocol]) -> None:
-    several = [frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, name="2.txt")]
-    fits = fitting(several, protocols, Known())
-    assert {fit.unclear for fit in fits} == {frozenset({"frame"})}
-    named = fitting(several, protocols, Known(roles={"frame": ("2.txt",)}))
-    assert {fit.files["frame"] for fit in named} == {("2.txt",)}
-    assert not any(fit.unclear for fit in named)
-
-
-def test_a_channel_of_another_name_is_said(protocols: list[Protocol]) -> None:
-    other = Channel("ADC", "Model Root/ADC", np.sin(TIME))
-    recording = Recording("dspace-mat", "", "", (Clock("time", TIME),), (other,))
-    wire = [each for each in protocols if each.name == "wire-cantilever"]
-    (fit,) = fitting([SeenExport(Path("f.mat"), recording), take(body="Grip")], wire, Known())
-    assert "Name the right one with 'sources.force.channel" in fit.faults[0]
-    assert fit.faults[1] == "the take has no rigid body 'Clamp', which 'markers.clamp' names"
-
-
 def test_nothing_fits_what_lacks_a_role(protocols: list[Protocol]) -> None:
     wire = [each for each in protocols if each.name == "wire-cantilever"]
     assert fitting([cell()], wire, Known()) == []
@@ -539,3 +501,12 @@ def test_real_parts_of_a_load_frame(protocols: list[Protocol], realdata: Path) -
     folder = next((realdata / "mts" / "MTS_data").glob("*/Test Run 4*"))
     fits = fitting(look_into(folder).exports, protocols, Known())
     assert {len(fit.files["frame"]) for fit in fits} == {6}  # one of them is empty
+
+
+def test_a_sheet_that_is_there_is_not_seen_again(tmp_path: Path) -> None:
+    path = tmp_path / "t" / "test.yaml"
+    path.parent.mkdir()
+    path.write_text("mine", encoding="utf-8")
+    with pytest.raises(UsageError, match="found one that is there already"):
+        list(new_seen(tmp_path / "t", {}))
+    assert path.read_text(encoding="utf-8") == "mine"

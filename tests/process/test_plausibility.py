@@ -17,7 +17,6 @@ from labpipe.process.certificates import (
     check_due,
     day_of_test,
     instruments_of,
-    operator_of_test,
 )
 from labpipe.process.motion import Motion
 from labpipe.process.plausibility import check_rest, check_rig, check_signs, cut_at, file_is_cut
@@ -108,24 +107,6 @@ def test_a_string_cannot_push(protocol: Protocol) -> None:
     why = doubted(looked_at(seen(SHARP, pull), protocol, SHARP))["force"]
     assert why.startswith("force_negative: the force falls to -0.2")
     assert "a string cannot push: the zero is wrong or drifts" in why
-
-
-def test_what_presses_on_two_supports_cannot_pull(repository: Path) -> None:
-    path = repository / "protocols" / "conduit-bundle.yaml"
-    text = path.read_text(encoding="utf-8").replace("speed: 0.5 mm/s", "speed: 1 mm/s")
-    text = text.replace("  section:", "  span: 152.4 mm\n  section:")
-    bending = parse_protocol(text, "conduit-bundle.yaml")
-    load = np.clip(200.0 * (SHARP - 0.005), 0.0, None)
-    for drift, doubtful in ((-1e-4, False), (-0.01, True)):
-        made = seen(SHARP, load + drift * TIME)
-        made = made.with_new("displacement", made.raw["travel"])
-        why = doubted(looked_at(made, bending, SHARP))
-        assert ("force" in why) is doubtful
-    assert re.fullmatch(
-        r"force_negative: the force falls to -0\.4\d+ N, but what presses on a specimen between "
-        r"supports cannot pull at it: the zero is wrong or drifts",
-        why["force"],
-    )
 
 
 def test_a_slack_string_may_lose_the_counterweight(protocol: Protocol) -> None:
@@ -355,10 +336,6 @@ def test_what_has_no_wrong_sign() -> None:
         assert not checked(record)
 
 
-def test_signs_that_are_meant() -> None:
-    assert not checked(turned(up_and_down()), AS_MEANT)
-
-
 def test_a_sign_turned_by_mistake() -> None:
     """The signals are turned already."""
     assert doubted(checked(turned(up_and_down()), DOWN))["force_sign"].endswith(
@@ -496,12 +473,6 @@ def test_a_force_that_is_full_in_each_cycle() -> None:
     assert "samples stand at 0.7 N to the last digit, in 2 stretches, and none" in note.message
 
 
-def test_a_force_that_is_full_for_most_of_the_record() -> None:
-    record = up_and_down(rest=0.5)
-    found = doubtful(replace(record, force=np.minimum(record.force, 0.3)))
-    assert set(found) == {"peak_force.1", "peak_force.2", "energy.1", "energy.2"}
-
-
 def test_a_frozen_force_is_doubted_then() -> None:
     record = up_and_down(rate=50.0)
     held = (record.time > 13.5) & (record.time < 15.5)  # in the second loading
@@ -535,13 +506,6 @@ def test_a_peak_that_was_passed_when_the_record_ended() -> None:
     assert set(doubtful(record)) == {"peak_force.1", "peak_displacement.1", "energy.1"}
     record.force[record.time > 5.0] *= 0.5  # it gives way at 60 % of the stroke
     assert set(doubtful(record)) == {"peak_displacement.1", "energy.1"}
-
-
-def test_cycles_that_end_where_the_last_one_did() -> None:
-    """The first begins at zero, the others end on a load: the last one is whole."""
-    record = up_and_down(cycles=3, rest=0.0)
-    kept = (record.displacement > 1.02e-3) | (record.time < 1.0)
-    assert ended(record.where(kept)) == np.inf
 
 
 def held(record: PlainRecord) -> str:
@@ -710,11 +674,3 @@ def test_instruments_are_those_with_a_certificate() -> None:
     (cameras,) = instruments_of(certified(CAMERAS))
     assert (cameras.channel, cameras.measures) == ("markers", ("mid_span", "displacement"))
     assert (cameras.uncertainty, cameras.k) == (None, 2.0)
-
-
-@pytest.mark.parametrize(
-    ("sheet", "operator"),
-    [("operator: Zoë", "Zoë"), ("operator:", ""), ("operator: [a]", ""), ("test: a", ""), ("", "")],
-)
-def test_operator_is_who_the_sheet_says(sheet: str, operator: str) -> None:
-    assert operator_of_test(sheet) == operator

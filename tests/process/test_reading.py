@@ -58,17 +58,6 @@ def test_only_named_channels_in_si(tmp_path: Path) -> None:
     assert len(recording.clocks) == 1
 
 
-def test_missing_channel_names_the_nearest(tmp_path: Path) -> None:
-    source = protocol("{reader: dspace-mat, channel: Model/Otu2, unit: N}").sources["force"]
-    path = export(tmp_path)
-    said = (
-        r"Model/Otu2.*'Model/Out2'.* Name the right one with 'sources\.force\.channel: "
-        r"\{value: \.\.\., because: \.\.\.\}' under 'overrides' in test\.yaml\.$"
-    )
-    with pytest.raises(ReadError, match=said):
-        read_role(path, source)
-
-
 def test_fingerprints(pristine: Lab) -> None:
     sheet_path = pristine.raw / "test.yaml"
     sheet = load_test_sheet(sheet_path)
@@ -96,12 +85,6 @@ def test_parts_are_joined_in_time() -> None:
     np.testing.assert_array_equal(whole.clocks[0].time, expected)
     np.testing.assert_array_equal(whole.channels[0].values, expected)
     assert whole.channels[0].clock == whole.clocks[0].name
-
-
-def test_parts_that_overlap() -> None:
-    said = r"b.mat, time: expected a start after 4.000000 s, where a.mat ends, found 3.0"
-    with pytest.raises(ReadError, match=said):
-        join_parts([part(0.0), part(3.0)], ["a.mat", "b.mat"])
 
 
 EMPTY = Recording(
@@ -166,20 +149,6 @@ def test_a_test_without_any_sample(
     )
     with pytest.raises(ReadError, match=said):
         read_parts(*parts)
-
-
-def test_a_part_that_lacks_the_channel_is_not_taken_for_empty(read_parts: ReadParts) -> None:
-    other = replace(part(10.0), channels=(replace(part(10.0).channels[0], path="x", name="x"),))
-    with pytest.raises(ReadError, match=r"b\.mat, channel 'Model/Out1': expected one of the 1 cha"):
-        read_parts(part(0.0), other)
-
-
-def test_the_first_of_several_names_that_an_export_has(tmp_path: Path) -> None:
-    source = protocol(
-        "{reader: dspace-mat, channel: [Model/Load, Model/Out2, Model/Out1], unit: N}"
-    )
-    recording = read_role(export(tmp_path), source.sources["force"])
-    assert recording.channels[0].path == "Model/Out2"
 
 
 def test_a_channel_that_is_spelt_otherwise_is_told(tmp_path: Path) -> None:
@@ -335,13 +304,6 @@ def test_calibrated_signal_and_notes() -> None:
     assert made.take.tracks is None
 
 
-def test_markers() -> None:
-    made, _ = calibrated(take(np.zeros((5, 2, 3)), np.zeros((5, 3))), PROTOCOL)
-    assert made.take.tracks is not None
-    assert made.take.role == "markers"
-    assert made.take.scale_error == 5e-4
-
-
 def test_missing_samples_are_doubted() -> None:
     values = np.arange(10.0)
     values[3] = np.nan
@@ -461,3 +423,10 @@ def test_impossibly_large_positions() -> None:
     away[2] = [np.nan, 1e7, 0.0]
     with pytest.raises(ProcessingError, match=r"markers, rigid body 'Clamp', sample 3: "):
         calibrated(take(positions, away), PROTOCOL)
+
+
+def test_a_part_without_samples() -> None:
+    nothing = Recording("dspace-mat")
+    said = r"b.mat: expected a part of a recording: channels on one clock, found 0 clocks"
+    with pytest.raises(ReadError, match=said):
+        join_parts([part(0.0), nothing], ["a.mat", "b.mat"])

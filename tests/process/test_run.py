@@ -261,16 +261,6 @@ def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
         process_test(lab.result, figures=False)
 
 
-@pytest.mark.parametrize(
-    ("name", "found"), [("none", "found nothing of that name"), ("empty", "found neither")]
-)
-def test_no_test_there(tmp_path: Path, name: str, found: str) -> None:
-    (tmp_path / "empty").mkdir()
-    said = f"expected a test.yaml, a folder that holds one, or a result.h5, {found}"
-    with pytest.raises(UsageError, match=said):
-        find_tests([tmp_path / name])
-
-
 def test_an_export_is_no_test(tmp_path: Path) -> None:
     export = tmp_path / "force.mat"
     export.write_bytes(b"MATLAB")
@@ -405,20 +395,6 @@ def test_all_but_the_first_are_copies() -> None:
     found = find_copies(list(zip(files, (1, 2, 1, 1), strict=True)))
     assert list(found) == [str(files[2]), str(files[3])]
     assert f"found the same exports, byte for byte, as in {files[0]}." in found[str(files[3])]
-
-
-def test_exports_are_known_by_their_content(lab: Lab) -> None:
-    (lab.raw / "force.mat").rename(lab.raw / "take 7.txt")
-    (lab.raw / "notes.md").write_text("of the test", encoding="utf-8")
-    (lab.raw / ".hidden").write_text("x", encoding="utf-8")
-
-    found = look_into(lab.raw)
-
-    assert {each.name: each.reader for each in found.exports} == {
-        "take 7.txt": "dspace-mat",
-        "take.csv": "motive-csv",
-    }
-    assert found.others == {"truth.json": "JSON"}
 
 
 @pytest.mark.parametrize(

@@ -135,20 +135,6 @@ def test_spans_where_there_are_only_rows(span: str, kind: str) -> None:
         in_rows(step)
 
 
-def test_rows_are_smoothed_by_counting() -> None:
-    step = "{step: smooth, channel: force, method: moving-average, span: 21 samples}"
-    test = in_rows(step)
-    np.testing.assert_allclose(
-        test.signals.filtered["force"].values, Smoothing(21)(VALUES), atol=1e-12
-    )
-    assert test.notes[0].message == "moving average over 21 samples"
-    assert (
-        not in_rows("{step: decimate, channel: force, factor: 4}")
-        .signals.filtered["force"]
-        .has_time
-    )
-
-
 @pytest.mark.parametrize("at", ["start", "end"])
 def test_a_stretch_of_a_quick_recorder_is_widened_for_a_slow_one(at: str) -> None:
     """What holds two samples becomes one of three, and says so."""
@@ -248,15 +234,6 @@ def test_a_measured_displacement_goes_before_it() -> None:
 
     assert "displacement_from_speed" not in {note.code for note in test.findings.notes}
     assert test.signals.raw["displacement"].clock == "frame"
-
-
-def test_a_start_that_nobody_saw_is_said() -> None:
-    test, _ = reduced(BendingRecord(), without=ALONE)
-
-    (note,) = (note for note in test.findings.notes if note.code == "start_not_seen")
-    assert note.message == (
-        "the force was not seen to rise from rest, so that nothing checks the start"
-    )
 
 
 def test_a_zero_that_was_taken_under_load() -> None:

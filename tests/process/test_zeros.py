@@ -300,11 +300,6 @@ FAILURE = (
 NOISE = 0.005
 
 
-@pytest.mark.parametrize("noise", [0.0, NOISE])
-def test_a_test_whose_zero_stays(noise: float) -> None:
-    assert not doubted(reduced(*loop(noise=noise))[0])
-
-
 @pytest.mark.parametrize("size", [0.1, -0.1])
 def test_a_force_that_jumps_is_doubted_from_there_on(size: float) -> None:
     """A tenth of the peak, in the second unloading."""

@@ -6,76 +6,19 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 from unittest.mock import patch
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from labpipe.errors import Fault, ProtocolError
-from labpipe.protocol.faults import faults_of, one_of
-from labpipe.protocol.grammar import Block, block_of, validated
+from labpipe.protocol.grammar import validated
 from labpipe.protocol.yaml_text import Spot, _quickly_composed, parse_yaml, read_text
 from labpipe.records.declarations import Above, Distance, Key, Length, Snake, Span, Tagged
-
-
-class Inner(Block):
-    kind: Literal["inner"]
-    width: str
-    depth: str | None = None
-
-
-class Outer(Block):
-    inner: Inner
-    words: tuple[str, ...] = Field((), alias="terms")
-    nothing: str | None
-
-    @classmethod
-    def between(cls, data: object) -> list[Fault]:
-        return [Fault(("terms",), "no terms", "some")] if "terms" in dict(data or {}) else []  # type: ignore[call-overload]
-
-
-def _faults(data: object) -> list[tuple[object, ...]]:
-    with pytest.raises(ValidationError) as info:
-        Outer.model_validate(data)
-    faults = faults_of(info.value, data=data, keys=())
-    return [(each.path, each.expected, each.found, each.remedy, each.at) for each in faults]
-
-
-def test_faults_at_all_levels_come_together_in_our_words() -> None:
-    data = {"inner": {"kind": "iner", "withd": "1"}, "terms": ["a"], "nothing": None}
-
-    assert _faults(data) == [
-        (("inner", "kind"), "one of 'inner'", "'iner'", "Did you mean 'inner'?", "value"),
-        (("inner",), "the key 'width'", "no such key", "Add the key 'width'.", "value"),
-        (
-            ("inner", "withd"),
-            "one of the keys 'width', 'kind', 'depth'",
-            "'withd'",
-            "Did you mean 'width'?",
-            "key",
-        ),
-        (("terms",), "no terms", "some", "", "value"),
-    ]
-
-
-def test_a_fault_between_parts_is_not_told_where_the_part_itself_is_wrong() -> None:
-    data = {"inner": {"kind": "inner", "width": "1"}, "terms": "a", "nothing": None}
-
-    assert _faults(data) == [(("terms",), "a list", "'a'", "", "value")]
-
-
-def test_what_nobody_said_is_not_written_but_what_must_be_said_is() -> None:
-    outer = Outer.model_validate({"inner": {"kind": "inner", "width": "1"}, "nothing": None})
-
-    assert outer.model_dump(by_alias=True) == {
-        "inner": {"kind": "inner", "width": "1"},
-        "terms": (),
-        "nothing": None,
-    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,14 +60,6 @@ Entry = Annotated[Line | Stretch, Tagged("kind")]
 ENTRIES: TypeAdapter[Any] = TypeAdapter(validated(tuple[Entry, ...]))
 
 
-def _refused(*entries: Mapping[str, object]) -> list[tuple[object, ...]]:
-    data = list(entries)
-    with pytest.raises(ValidationError) as info:
-        ENTRIES.validate_python(data)
-    faults = faults_of(info.value, data=data, keys=())
-    return [(each.path, each.expected, each.found, each.at) for each in faults]
-
-
 def test_plain_settings_come_out_of_yaml_and_go_back() -> None:
     line = {"kind": "line", "from": "1 mm", "to": "2 mm", "grip": {"jaw": "5 mm"}}
     found = ENTRIES.validate_python([line, {"kind": "stretch", "over": "51 samples"}])
@@ -138,35 +73,6 @@ def test_plain_settings_come_out_of_yaml_and_go_back() -> None:
         {"kind": "line", "from": "1 mm", "to": "2 mm", "name": "line", "grip": {"jaw": "5 mm"}},
         {"kind": "stretch", "over": "51 samples"},
     ]
-
-
-def test_all_faults_of_plain_settings_are_told_at_once() -> None:
-    line = {"kind": "line", "from": "2 mm", "to": "1 mm", "name": "span", "number": 1}
-
-    assert _refused(line, {"kind": "lien"}, {"kind": "line", "from": "2"}) == [
-        ((0, "to"), "more than 'from' (2 mm)", "'1 mm'", "value"),
-        ((0, "number"), "one of the keys 'name', 'from', 'grip', 'kind', 'to'", "'number'", "key"),
-        ((0, "name"), "another name", "'span'", "value"),
-        ((1, "kind"), "one of 'line', 'stretch'", "'lien'", "value"),
-        ((2, "from"), "a quantity with a unit such as mm", "'2'", "value"),
-        ((2,), "the key 'to'", "no such key", "value"),
-    ]
-
-
-def test_plain_settings_are_described_for_editors() -> None:
-    schema = block_of(Line, "kind").model_json_schema()
-
-    assert schema["description"] == "A straight line."
-    assert schema["required"] == ["kind", "from", "to"]
-    assert schema["properties"]["to"]["description"] == "Where it ends"
-    assert schema["properties"]["kind"]["const"] == "line"
-    assert "number" not in schema["properties"]
-
-
-def test_valid_words_come_nearest_first_and_not_all_of_many() -> None:
-    assert one_of("bet", ["alpha", "beta"]) == "'beta', 'alpha'"
-    assert one_of("c3", [f"c{i}" for i in range(9)]).startswith("'c3', ")
-    assert one_of("c3", [f"c{i}" for i in range(9)]).endswith(", ...")
 
 
 def test_unquoted_words_stay_text() -> None:
@@ -209,15 +115,6 @@ def test_a_file_that_is_no_text(tmp_path: Path) -> None:
         read_text(path)
     assert str(info.value) == (
         f"{path}, byte 8: expected UTF-8 text, found the byte 0xff. Save it as UTF-8."
-    )
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ProtocolError) as info:
-        read_text(tmp_path / "x.yaml")
-    assert str(info.value) == (
-        f"{tmp_path / 'x.yaml'}: expected a YAML file, found no such file or directory."
-        " Check the name and the folder."
     )
 
 

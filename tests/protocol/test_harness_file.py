@@ -151,10 +151,6 @@ def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
         load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))
 
 
-def test_many_turns_may_be_made_in_enough_steps(tmp_path: Path) -> None:
-    assert load(tmp_path, BETWEEN_CLIPS.replace("250 mm, 0 mm]", "250 mm, 0 mm], turn: 1080 deg"))
-
-
 def test_a_line_that_all_let_go_falls(tmp_path: Path) -> None:
     """One without weight, with a table, or with one that holds on, does not."""
     loose = BETWEEN_CLIPS.replace("direction: [0, 1, 0]}", "direction: [0, 1, 0], release: 9}")

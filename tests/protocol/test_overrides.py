@@ -73,16 +73,6 @@ def test_the_span_of_a_test_goes_before_that_of_its_protocol(
     assert specimen.span == (None if span is None else pytest.approx(span))
 
 
-def test_a_span_is_given_once(tell: Tell) -> None:
-    sheet = SHEET.replace("length: 80 mm", "span: 5 in")
-
-    assert tell(f"{sheet}overrides:\n  specimen.span: {{value: 6 in, because: x}}\n") == [
-        f"{Path('test', 'test.yaml')}, line 7, column 26 (overrides.specimen.span.value):"
-        " expected 'specimen.span' once, found '6 in' beside '5 in' in 'specimen'. Keep the one in"
-        " 'specimen'."
-    ]
-
-
 def test_a_test_names_its_channels_and_dialect(lab: Path, tube: str) -> None:
     (lab / "protocols" / "tube.yaml").write_text(tube, encoding="utf-8")
     path = lab / "test" / "test.yaml"
@@ -142,27 +132,6 @@ def test_a_result_is_found_by_number_name_or_kind(
     )
 
     assert found == number
-
-
-TWO = """\
-  - {result: stiffness, from: 1 mm, to: 8 mm}
-  - {result: stiffness, name: stiffness_second, from: 10 mm, to: 20 mm}
-"""
-
-
-def test_results_of_one_name_or_kind_need_their_number(lab: Path, tell: Tell, wire: str) -> None:
-    two = TWO.replace("stiffness, from", "stiffness, name: stiffness_first, from")
-    (lab / "protocols" / "wire.yaml").write_text(
-        wire.replace("report:", f"{two}report:"), encoding="utf-8"
-    )
-
-    lines = tell(f"{SHEET}overrides:\n  results.stiffness.to: {{value: 6 mm, because: x}}\n")
-    (misspelt,) = tell(
-        f"{SHEET}overrides:\n  results.stifness_first.to: {{value: 6 mm, because: x}}\n"
-    )
-
-    assert lines[0].endswith("that one item of the list has, found 'stiffness'. Use its number.")
-    assert misspelt.endswith("found 'stifness_first'. Did you mean 'stiffness_first'?")
 
 
 def test_a_whole_block_can_be_overridden(lab: Path, write: Callable[[str], Path]) -> None:
@@ -276,17 +245,6 @@ def test_what_is_taken_out_is_not_shown_first(
     assert protocol.groups.main == ("peak_force.1", "slack")
 
 
-def test_a_step_is_taken_out_and_the_others_keep_their_keys(
-    lab: Path, tube: str, write: Callable[[str], Path]
-) -> None:
-    step = "  - {step: smooth, channel: force, method: moving-average, span: 5 samples}\n"
-    tube = tube.replace("curve:\n", f"{step}curve:\n", 1)
-    protocol = tube_of(lab, tube, write, "steps.zero: {value: null, because: none}")
-
-    (left,) = protocol.steps
-    assert (left.step, left.key) == ("smooth", "steps.1")
-
-
 def test_a_result_that_others_are_made_of_stays(
     lab: Path, tube: str, write: Callable[[str], Path]
 ) -> None:
@@ -315,14 +273,6 @@ def steps(protocol: Protocol) -> list[str]:
     return [f"{step.step} {getattr(step, 'channel', '')}".strip() for step in protocol.steps]
 
 
-def test_a_measured_displacement_goes_before_the_speed(whole: Protocol) -> None:
-    kept = without_absent(whole, ["force", "frame", "markers"])
-
-    assert "travel-from-speed displacement" not in steps(kept)
-    assert set(kept.sources) == {"force", "frame", "markers"}
-    assert kept.results == whole.results
-
-
 def test_without_a_frame_the_displacement_is_made_on_one_clock(whole: Protocol) -> None:
     kept = without_absent(whole, ["force"])
 
@@ -330,18 +280,6 @@ def test_without_a_frame_the_displacement_is_made_on_one_clock(whole: Protocol) 
     assert kept.align == AlignNone()
     assert "clock" not in [each.result for each in kept.results]
     assert list(absent_faults(kept, whole)) == []
-
-
-def test_without_cameras_shape_and_twist_are_not_asked_for(whole: Protocol) -> None:
-    kept = without_absent(whole, ["force", "frame"])
-
-    asked = {each.result for each in kept.results}
-    assert not {"mid-span", "twist"} & asked
-    assert "clock" in asked
-    drawn = ("force-displacement", "stiffness-lines", "timeline", "uncertainty-budget")
-    assert kept.report.figures == drawn
-    assert "mid_span_bending_stiffness" not in kept.groups.main
-    assert kept.markers is None
 
 
 @pytest.mark.parametrize("roles", [["force"], ["force", "frame"], ["force", "markers"]])
@@ -579,18 +517,6 @@ def test_a_test_or_a_protocol_widens_a_range(
     assert resolve(load_test_sheet(path), path, lab / "protocols").specimen.length == 1e5
 
 
-def test_a_message_names_the_override_that_lets_a_test_through(
-    lab: Path, write: Callable[[str], Path], tell: Tell
-) -> None:
-    long = SHEET.replace(LENGTH, "length: 100 km")
-    (message,) = tell(long)
-    override = message.partition("write '")[2].partition("' under")[0].replace("...", "x")
-
-    path = write(f"{long}overrides:\n  {override}\n")
-
-    assert resolve(load_test_sheet(path), path, lab / "protocols").specimen.length == 1e5
-
-
 @pytest.mark.parametrize(
     ("written", "place", "expected"),
     [
@@ -675,14 +601,6 @@ def test_a_certificate_states_k_times_the_standard_uncertainty(
     assert (force.certificate.date, force.certificate.due) == (date(2026, 1, 10), date(2027, 1, 10))
 
 
-def test_a_certificate_may_leave_the_uncertainty_to_the_calibration(wire: str) -> None:
-    text = wire.replace(FORCE, f"{FORCE}    certificate: {{number: 7, date: 2026-01-10}}\n")
-    force = kept(parse_protocol(text, "p.yaml")).channels["force"]
-    assert force.gain_uncertainty == 0.002
-    assert force.certificate is not None
-    assert force.certificate.due is None
-
-
 def test_a_certificate_that_says_the_same_as_the_calibration(wire: str) -> None:
     """0.2 % of the gain and 0.15 % of the scale make 0.25 %, which is 0.5 % with k = 2."""
     more = f"{FORCE}    scale_uncertainty: 0.15 %\n    certificate: {CERTIFICATE}\n"
@@ -745,3 +663,30 @@ def test_a_test_has_uncertainties_of_its_own(
 
     assert found is not None
     assert found.stated == {"length": 0.001, "wall": 1e-6}
+
+
+def test_an_item_of_a_list_that_the_protocol_leaves_out(
+    lab: Path, tube: str, write: Callable[[str], Path]
+) -> None:
+    bare = re.sub(r"steps:\n.*\n", "", tube)
+    assert "steps" not in bare
+    with pytest.raises(ProtocolError) as refused:
+        tube_of(lab, bare, write, "steps.0.over: {value: 1 s, because: x}")
+    assert str(refused.value).endswith(
+        "(overrides.steps.0.over): expected a key of the protocol, which has no 'steps', found"
+        " 'steps.0.over'. Override 'steps' as a whole."
+    )
+
+
+def test_neither_frame_nor_a_step_that_makes_the_displacement(
+    tell_of_conduit: Callable[..., str],
+) -> None:
+    text = CONDUIT.read_text(encoding="utf-8")
+    step = next(line for line in text.splitlines() if "travel-from-speed" in line)
+
+    found = tell_of_conduit("force: a.mat", (f"{step}\n", ""))
+
+    assert found.partition(": ")[2] == (
+        "expected a file in the role 'frame', which gives 'displacement', found none. Add it to "
+        "'files', or add the step 'travel-from-speed' to the protocol."
+    )

@@ -48,25 +48,6 @@ def test_the_schema_takes_and_refuses_as_labpipe_does(wire: str) -> None:
     assert _refused(data | {"report": {"figures": ["wire-shape"]}})
 
 
-def test_the_schema_takes_and_refuses_tensile_tests_as_labpipe_does(tube: str) -> None:
-    data: dict[str, Any] = yaml.safe_load(tube)
-
-    def frame(**more: object) -> dict[str, Any]:
-        return data | {"sources": {"frame": data["sources"]["frame"] | more}}
-
-    assert not _refused(data)
-    assert not _refused(frame(dialect="own"))
-    assert not _refused(frame(channels={"force": {"channel": 1}}))
-    assert _refused(frame(dialect=[]))
-    assert _refused(frame(channels={"force": {"channel": []}}))
-    assert _refused(frame(channels={"force": {"channel": ""}}))
-    assert _refused(frame(channels={"force": {"channel": "a", "plausible_peak": "2 kN"}}))
-    assert _refused(data | {"curve": data["curve"] | {"slips": {"decision": "marked"}}})
-    assert _refused(data | {"curve": data["curve"] | {"failure": {"force_below": "5 N"}}})
-    assert _refused(data | {"results": [{"result": "modulus", "of": "stiffness"}]})
-    assert _refused(data | {"groups": {"margin": "1 mm"}})
-
-
 def test_a_test_sheet_fits_its_schema() -> None:
     sheet = {
         "test": "A1",
@@ -85,44 +66,11 @@ def test_a_test_sheet_fits_its_schema() -> None:
     )
 
 
-def test_a_bundle_fits_the_schema_of_a_test_sheet() -> None:
-    validator = jsonschema.Draft202012Validator(
-        json.loads(json_schema(SCHEMAS["test-sheet.schema.json"]))
-    )
-
-    def takes(bundle: object, **more: object) -> bool:
-        specimen = {"type": "A", "spool": "s", "sample": 1, "bundle": bundle, **more}
-        sheet = {"test": "A1", "protocol": "w", "specimen": specimen, "files": {"force": "a.mat"}}
-        return bool(validator.is_valid(sheet))
-
-    wires = {"B1": 10, "B2": {"number": 9, "diameter": "1.6 mm"}}
-    assert takes({"wires": wires, "number": 19, "arrangement": "symmetric"})
-    assert takes({"wires": "10 B1 + 9 B2", "tape": "PVC", "taping": "half-lap"})
-    assert takes({"wires": {"B1": 1}, "positions": [["0 mm", "1 mm"]]}, labels={"cured": "24 h"})
-    assert not takes({"wires": ["B1"]})
-    assert not takes({"wires": {"B1": "ten"}})
-    assert not takes({"wires": wires, "taping": "halflap"})
-    assert not takes({"wires": wires, "positions": [["0 mm"]]})
-
-
 @pytest.mark.parametrize("name", PAGES)
 def test_the_tables_of_a_page_are_fresh(name: str, repository: Path) -> None:
     kept = (repository / "docs" / "reference" / name).read_text(encoding="utf-8")
 
     assert kept == with_tables(kept), "run: make reference"
-
-
-def test_a_stale_table_is_written_afresh() -> None:
-    page = "before\n\n<!-- table: bundles -->\n| old |\n<!-- end of table -->\n\nafter\n"
-    written = with_tables(page)
-
-    head, *rows = written.splitlines()[3:-3]
-    assert head == "| code | severity | meaning |"
-    assert rows[1].startswith("| `copper_yields` | info | beyond which curvature")
-    assert written.startswith("before\n")
-    assert written.endswith("\nafter\n")
-    assert "| old |" not in written
-    assert with_tables(written) == written
 
 
 @pytest.mark.parametrize(

@@ -49,12 +49,6 @@ def test_a_specimen_may_be_a_bundle_and_have_labels() -> None:
     )
 
 
-def test_keys_left_blank_say_nothing() -> None:
-    sheet = checked(TestSheet, parse_yaml(SHEET + "date:\noperator:\noverrides:\n", "x"))
-
-    assert (sheet.date, sheet.operator, sheet.overrides) == (None, "", {})
-
-
 DATA: dict[str, object] = {
     "test": "0333",
     "protocol": "wire",
@@ -261,20 +255,6 @@ def test_words_of_a_bundle() -> None:
     found = bundle_in_words("10 B1 + 9 B2 (1.25 mm)", arrangement="symmetric")
     assert found == Bundle(wires, "symmetric")
     assert bundle_in_words("7 B1") == Bundle((BundleWire("B1", 7),))
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("B1", r"""^B1: expected wires by type, .*, found 'B1'\. Write it like "10 B1 \+ 9"""),
-        ("7 B1 + 3 B1", r": expected each type once, found .*\. Add the numbers of 'B1'"),
-        ("0 B1", r"^0 B1: expected a whole number from 1 to 1000, found '0'\. Write it like"),
-        ("7 B1 (thick)", r"^7 B1 \(thick\): expected a quantity with a unit .*, found 'thick'\."),
-    ],
-)  # fmt: skip
-def test_words_that_are_no_bundle(words: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        bundle_in_words(words)
 
 
 def test_an_arrangement_that_there_is_not() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from labpipe.protocol.load import (
     protocol_folders,
     shipped_folder,
 )
-from labpipe.protocol.outline import RESULTS, result_names
+from labpipe.protocol.outline import result_names
 from labpipe.protocol.schema import (
     AlignNone,
     AlignTurningPoints,
@@ -31,8 +30,6 @@ from labpipe.protocol.schema import (
     Slips,
 )
 from labpipe.records.declarations import Smooth, Span
-from labpipe.results import KINDS
-from labpipe.results.kinds import Kind
 from tests.protocol.conftest import SHEET, TUBE, WIRE, Tell
 
 
@@ -211,12 +208,6 @@ report: {figures: [timelin]}
     ]
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "- a\n", "word\n"])
-def test_a_file_that_is_no_block_of_keys(text: str) -> None:
-    with pytest.raises(ProtocolError, match=r"p\.yaml, line 1, column 1: expected a block of keys"):
-        parse_protocol(text, "p.yaml")
-
-
 def _length(unit: str = "mm", least: float = 1e-6, most: float = 1e6) -> st.SearchStrategy[str]:
     return st.floats(least, most, allow_subnormal=False).map(lambda number: f"{number!r} {unit}")
 
@@ -302,25 +293,6 @@ def test_a_tensile_protocol_written_reads_back_equal(data: dict[str, Any]) -> No
     assert dump_protocol(parse_protocol(dumped, "result.h5")) == dumped
 
 
-def test_all_faults_of_a_test_come_at_once(tell: Tell) -> None:
-    lines = tell(
-        SHEET.replace("markers: [take.csv]", "frame: a.csv")
-        + "overrides:\n  rig.cycles: {value: no, because: x}\n  steps.x: {value: 1, because: x}\n"
-    )
-
-    assert [line.split(": expected")[0] for line in lines] == [
-        f"test{os.sep}test.yaml, line 5, column 8 (files)",
-        f"test{os.sep}test.yaml, line 5, column 27 (files.frame)",
-        f"test{os.sep}test.yaml, line 7, column 23 (rig.cycles)",
-        f"test{os.sep}test.yaml, line 8, column 3 (overrides.steps.x)",
-    ]
-    assert "expected a file in the role 'markers', found none. Add it to 'files'." in lines[0]
-    assert (
-        "expected a role of the protocol: 'force', 'markers', found 'frame'. Did you mean 'force'?"
-        in lines[1]
-    )
-
-
 def test_a_protocol_that_is_wrong_itself_is_not_blamed_on_the_test(
     lab: Path, tell: Tell, wire: str
 ) -> None:
@@ -385,59 +357,6 @@ def test_a_path_is_sought_beside_the_sheet_and_then_from_here(
         "'no/own.yaml'",
         f"There is none at {beside / 'no/own.yaml'} or {Path('no/own.yaml')}.",
     )
-
-
-def test_a_lab_without_any_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labpipe.protocol.load.known_protocols", lambda _: {})
-
-    assert find_protocol("wire", beside=tmp_path, protocols=tmp_path) == Fault(
-        ("protocol",), "a protocol", "'wire'", "There is no folder 'protocols' here."
-    )
-
-
-def test_two_clocks_without_a_block_align() -> None:
-    text = """\
-version: 1
-name: p
-sources:
-  force: {reader: dspace-mat, channel: a, unit: N}
-  frame: {reader: dspace-mat, channels: {displacement: {channel: b, unit: mm}}}
-curve: {force: force, displacement: displacement}
-"""
-
-    with pytest.raises(
-        Exception, match=r"line 6, column 8 \(curve\): expected a method that joins"
-    ):
-        parse_protocol(text, "p.yaml")
-
-
-def test_no_channel_at_all() -> None:
-    text = """\
-version: 1
-name: p
-sources: {markers: {reader: motive-csv}}
-curve: {force: f, displacement: d}
-"""
-
-    with pytest.raises(
-        Exception, match=r"expected a channel, found 'f'. No source gives a channel."
-    ):
-        parse_protocol(text, "p.yaml")
-
-
-def _tag(entry: type[Kind]) -> str:
-    return entry.result
-
-
-def test_no_two_results_share_a_tag_or_a_name() -> None:
-    tags = [_tag(entry) for entry in KINDS]
-    assert tags == list(RESULTS)
-    # Both make a bending stiffness; a protocol that asks for both gives one of them another name.
-    alike = [tag for tag in tags if tag != "bending-stiffness"]
-    names = [name for tag in alike for name in result_names(tag, {"of": "stiffness"})]
-
-    assert len(tags) == len(set(tags))
-    assert len(names) == len(set(names))
 
 
 @pytest.mark.parametrize(

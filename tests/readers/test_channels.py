@@ -64,31 +64,6 @@ def test_a_wrong_name_brings_the_nearest_first() -> None:
         find_channel("Out1", [], "force.mat")
 
 
-@pytest.mark.parametrize(
-    ("wanted", "index"),
-    [
-        (("ADC", "Out1"), 3),
-        (("Out1", "ADC"), 0),
-        (("Load", "Force", "ADC"), 3),
-        (("adc", "Out1"), 0),
-        (("Nothing", "Model Root/Load Cell/In1", "In1"), 2),
-        (("Out1",), 0),
-    ],
-)
-def test_of_several_names_the_first_that_is_there_counts(
-    wanted: tuple[str, ...], index: int
-) -> None:
-    assert find_channel(wanted, KNOWN, "force.mat") == index
-
-
-def test_the_nearest_are_listed_once_and_not_all_of_many() -> None:
-    known = [(f"Load {number}", f"Load {number}") for number in range(9)]
-    with pytest.raises(ReadError, match="expected one of the 9 channels") as info:
-        find_channel(("Load", "Load x"), known, "frame.csv")
-    nearest = str(info.value).split("Nearest: ")[1].split(". `labpipe")[0].split(", ")
-    assert len(nearest) == len(set(nearest)) == 5
-
-
 OF_FRAMES = [
     (name, name)
     for name in ("Ch 1 Kraft", "Ch 1 Kraft Sollwert", "C_1_Déplacement", "_Load", "Traverse abs.")
@@ -109,12 +84,6 @@ OF_FRAMES = [
 )
 def test_a_name_that_a_program_puts_more_before(wanted: str | tuple[str, ...], index: int) -> None:
     assert find_channel(wanted, OF_FRAMES, "frame.csv") == index
-
-
-def test_a_name_as_written_goes_before_one_that_is_nearly_so() -> None:
-    known = [("_Load", "_Load"), ("Kraft", "Kraft"), ("load", "load")]
-    assert find_channel(("Load", "Kraft"), known, "frame.csv") == 1
-    assert find_channel("load", known, "frame.csv") == 2
 
 
 def test_two_that_are_nearly_so() -> None:

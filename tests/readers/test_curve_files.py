@@ -63,15 +63,6 @@ def test_encodings(tmp_path: Path, encoding: str) -> None:
     np.testing.assert_allclose(across, DEFLECTION, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "text", ["0,0\n10,0.02\n20,0.035\n30.5,0.05\n", "0,0 0,0\n10,0 0,02\n20,0 0,035\n30,5 0,05\n"]
-)
-def test_numbered_columns_need_no_names(tmp_path: Path, text: str) -> None:
-    across, up = read_curve(saved(tmp_path, text), MM, NEWTON)
-    np.testing.assert_allclose(across, DEFLECTION, rtol=1e-12)
-    np.testing.assert_allclose(up, FORCE, rtol=1e-12)
-
-
 FIXED = "deflection / mm;force / N\n0.000;0.000\n6.000;10.250\n12.000;20.500"
 
 

@@ -115,27 +115,12 @@ def test_revision_2_0_keeps_quoted_paths_and_small_integers(tmp_path: Path) -> N
     assert recording.metadata["revision"] == "2.0"
 
 
-def test_data_may_stand_in_columns(tmp_path: Path) -> None:
-    recording = dspace_mat.read(
-        write_mat_v5(tmp_path / "recording.mat", [Axis(TIME)], [FORCE], columns=True)
-    )
-    np.testing.assert_array_equal(recording.channels[0].values, FORCE.values)
-
-
 def test_an_unseen_revision_is_noted_or_refused(tmp_path: Path) -> None:
     file = write_mat_v5(tmp_path / "recording.mat", [Axis(TIME)], [FORCE], revision="2.7")
     messages = [n.message for n in dspace_mat.read(file).notes if n.code == "revision_unseen"]
     assert messages == ["file format revision 2.7: only 2.0 and 2.1 are known"]
     file = write_mat_v5(tmp_path / "new.mat", [Axis(TIME)], [FORCE], revision="3.0")
     with pytest.raises(ReadError, match=r"Info: expected a file format revision 2\.x, found 3\.0"):
-        dspace_mat.read(file)
-
-
-def test_a_mat_file_of_something_else(tmp_path: Path) -> None:
-    file = tmp_path / "other.mat"
-    savemat(file, {"a": np.zeros(3), "b": "text"})
-    expected = r"other\.mat: expected one variable with the fields X and Y.*found only a, b\."
-    with pytest.raises(ReadError, match=expected):
         dspace_mat.read(file)
 
 
@@ -218,9 +203,6 @@ CSV_TIME = np.arange(50) * 0.001
 CSV_FORCE = Signal("Model Root/Load Cell", "Out1", np.sin(CSV_TIME))
 
 
-MOTION = Signal("Model Root/Laser", "Out1", np.cos(CSV_TIME), unit="mm")
-
-
 @given(
     data=hnp.arrays(
         np.float64,
@@ -238,18 +220,6 @@ def test_a_csv_that_was_written_is_read(
     recording = dspace_csv.read(write_csv(file, Axis(time), signals, line_end=line_end))
     np.testing.assert_array_equal(recording.clock("HostService").time, time)
     np.testing.assert_allclose([c.values for c in recording.channels], data.T, rtol=1e-15)
-
-
-def test_what_a_csv_says_of_itself(tmp_path: Path) -> None:
-    recording = dspace_csv.read(write_csv(tmp_path / "r.csv", Axis(CSV_TIME), [CSV_FORCE, MOTION]))
-    assert (recording.reader, recording.program_version) == ("dspace-csv", "7.4")
-    assert recording.metadata["date"] == "2026-04-03"
-    assert [c.path for c in recording.channels] == [
-        "Model Root/Load Cell/Out1",
-        "Model Root/Laser/Out1",
-    ]
-    assert [c.unit_in_file for c in recording.channels] == ["", "mm"]
-    assert [note.code for note in recording.notes] == ["units_not_stated", "names_not_unique"]
 
 
 def test_a_wrong_stated_number_of_rows(tmp_path: Path) -> None:
@@ -389,19 +359,6 @@ def test_one_signal_on_two_rasters_keeps_two_paths() -> None:
     assert [channel.path for channel in recording.channels] == ["A/In1 [1]", "A/In1 [2]"]
     assert [channel.clock for channel in recording.channels] == ["time [1]", "time [2]"]
     assert notes(recording)["several_clocks"] == "2 time axes: time [1], time [2]"
-
-
-def test_only_the_wanted_are_loaded_in_the_order_of_the_file() -> None:
-    def forbidden() -> object:
-        raise AssertionError
-
-    lazy = Trace("C", "A/C", "", 1, forbidden, {})
-    recording = load(
-        trace("A/B", FIVE), lazy, trace("A/D", FIVE), axes=2, channels=["D", "A/B", "B"]
-    )
-    assert [channel.path for channel in recording.channels] == ["A/B", "A/D"]
-    assert [clock.name for clock in recording.clocks] == ["time [1]"]
-    assert recording.program_version == "5.2"
 
 
 def test_numbers_that_are_none() -> None:
@@ -551,3 +508,11 @@ def test_an_absurd_number_of_structs_is_refused_at_once() -> None:
     many = np.array([1, 2**30], dtype="<i4").tobytes()
     with pytest.raises(ValueError, match="1073741824 parts are promised in"):
         parse_mat5(content[:at] + many + content[at + 8 :])
+
+
+def test_text_in_the_place_of_numbers(tmp_path: Path) -> None:
+    file = write_mat_v5(
+        tmp_path / "recording.mat", [Axis(TIME)], [Signal("Root", "F", np.array(["a"]))]
+    )
+    with pytest.raises(ReadError, match=r"expected the samples of Root/F, found a damaged one"):
+        dspace_mat.read(file)

@@ -19,7 +19,7 @@ from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
 from labpipe.readers.motive_rows import RowExport, parse_rows
 from labpipe.readers.motive_table import Header, derived_rate, parse_header, unique_names
-from labpipe.readers.tracking import blank, longest, runs, track_notes, unchanged
+from labpipe.readers.tracking import longest, runs, track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
 from tests.builders.motive import (
@@ -127,18 +127,6 @@ def test_bodies_and_measured_markers(tmp_path: Path, version: str) -> None:
     assert set(notes(recording)) == {"fitted_markers", "unlabelled_markers"}
 
 
-def test_the_order_of_columns_does_not_matter(tmp_path: Path) -> None:
-    order = np.random.default_rng(3).permutation(len(COLUMNS))
-    shuffled = [COLUMNS[i] for i in order]
-    one = tracks(motive_takes.read(write_table(tmp_path / "a.csv", COLUMNS, FRAMES, LAYOUT)))
-    other = tracks(motive_takes.read(write_table(tmp_path / "b.csv", shuffled, FRAMES, LAYOUT)))
-    for name in one.names:
-        np.testing.assert_array_equal(
-            one.positions[:, one.names.index(name)], other.positions[:, other.names.index(name)]
-        )
-    np.testing.assert_array_equal(one.bodies[0].rotation, other.bodies[0].rotation)
-
-
 @pytest.mark.parametrize(
     ("unit", "factor"), [("Meters", 1.0), ("Centimeters", 0.01), ("Millimeters", 0.001)]
 )
@@ -229,22 +217,6 @@ def test_row_style_is_read_through_the_same_door(tmp_path: Path) -> None:
     assert len(tracks(recording).time) == 4
 
 
-@pytest.mark.parametrize(
-    ("content", "is_motive"),
-    [
-        (b"Format Version,1.23", True),
-        (b'\xef\xbb\xbf"Format Version",1.23', True),
-        (b"comment,text", True),
-        (b"commentary on a test", False),
-        (b"time,force\n", False),
-    ],
-)
-def test_recognised_by_the_first_words(tmp_path: Path, content: bytes, is_motive: bool) -> None:
-    file = tmp_path / "take.mat"
-    file.write_bytes(content)
-    assert motive_takes.recognise(file) is is_motive
-
-
 def test_a_workbook_of_something_else(tmp_path: Path) -> None:
     file = tmp_path / "other.xlsx"
     book = Workbook()
@@ -288,21 +260,6 @@ def test_a_column_of_times_that_contradicts_is_kept(tmp_path: Path) -> None:
     assert notes["time_column_differs"] == (
         "the column of times is up to 500 ms off frame / rate: kept"
     )
-
-
-def test_a_cut_file_starts_elsewhere(tmp_path: Path) -> None:
-    take, notes = read(tmp_path, marker("Tip", TRACK), replace(LAYOUT, first_frame=600))
-    assert (take.frames[0], take.time[0]) == (600.0, 5.0)
-    assert set(notes) == {"time_start_not_zero"}
-
-
-def test_frames_that_jump_are_holes(tmp_path: Path) -> None:
-    file = write_table(tmp_path / "synthetic.csv", marker("Tip", TRACK), TABLE_FRAMES, LAYOUT)
-    lines = file.read_text().splitlines()
-    file.write_text("\n".join(lines[:15] + lines[25:]) + "\n")
-    recording = motive_takes.read(file)
-    (note,) = (n for n in recording.notes if n.code == "time_holes")
-    assert "about 10 samples lost" in note.message
 
 
 def test_a_missing_rate_is_derived_and_noted(tmp_path: Path) -> None:
@@ -415,15 +372,6 @@ def parse(*lines: str) -> Header:
     return parse_header([line.split(",") if line else [] for line in lines], FILE)
 
 
-def test_columns_are_found_by_words() -> None:
-    header = parse(*WHOLE)
-    (group,) = header.groups
-    assert (group.type, group.name, group.id) == ("Marker", "A", "1")
-    assert group.axes("Position", "XYZ") == [2, 3, 4]
-    assert group.axes("Rotation", "XYZW") is None
-    assert (header.time_column, header.width, header.rows) == (1, 5, 7)
-
-
 def test_rows_without_words_are_taken_in_order() -> None:
     wordless = [line.replace("Type", "").replace("Name", "").replace("ID", "") for line in LABELS]
     header = parse(LINE_1, "", *wordless, QUANTITY, "Frame,Time,X,Y,Z")
@@ -450,13 +398,6 @@ def test_a_comma_inside_a_value_of_line_1() -> None:
     header = parse(line, *WHOLE[1:])
     assert header.about["Take Notes"] == "wet, cold"
     assert header.rate == 120.0
-
-
-@pytest.mark.parametrize(
-    ("text", "rate"), [("120.000000", 120.0), ("120", 120.0), ("", None), ("0", None), ("x", None)]
-)
-def test_the_rate(text: str, rate: float | None) -> None:
-    assert parse(LINE_1.replace("120.000000", text), *WHOLE[1:]).rate == rate
 
 
 @pytest.mark.parametrize(
@@ -638,14 +579,6 @@ def test_runs_are_the_flags(flags: list[bool]) -> None:
     assert longest(stretches) == max(len(s) for s in "".join("01"[f] for f in flags).split("0"))
 
 
-def test_blank_and_unchanged() -> None:
-    track = moving(6)
-    track[2, 1] = np.nan
-    track[5] = track[4]
-    assert blank(track).tolist() == [False, False, True, False, False, False]
-    assert unchanged(track).tolist() == [False, False, False, False, True]
-
-
 def test_gaps_and_markers_never_seen() -> None:
     track = moving()
     track[[3, 4, 9]] = np.nan
@@ -679,3 +612,9 @@ def test_a_label_switch() -> None:
     )
     assert notes["unlabelled_markers markers"] == "2 of 3 markers have no label of their own"
     assert sum(key.startswith("label_switch") for key in notes) == 1
+
+
+def test_a_take_without_frames_is_refused(tmp_path: Path) -> None:
+    file = write_row_style(tmp_path / "take.csv", TIMES[:0], [body()])
+    with pytest.raises(ReadError, match=r"lines 1 to 7: expected lines that begin with frame, fou"):
+        parse_file(file)

@@ -13,15 +13,10 @@ from labpipe.errors import ReadError
 from labpipe.readers.number_rows import read_columns
 from labpipe.readers.table_body import Body, whole_lines
 from labpipe.readers.text_cells import (
-    are_units,
     describe_cell,
     is_closing,
-    is_number,
-    is_sample,
-    is_unit,
     name_and_unit,
     regrouped_at,
-    split_line,
 )
 from labpipe.records.arrays import Floats
 
@@ -189,13 +184,6 @@ def test_padding_of_a_spreadsheet_is_no_datum() -> None:
     assert exported("1,2,3,,\n4,5,6,,\n,,,,\n") == ([3, 6], {})
 
 
-def test_a_whole_looking_last_line_is_not_trusted_where_rows_are_missing() -> None:
-    values, notes = exported("1,2,3\n4,5,6", stated=5)
-    assert len(values) == 1
-    assert notes["truncated"] == "the last line (9) is incomplete and was left out"
-    assert notes["rows_differ"] == "the header states 5 rows, the file holds 1"
-
-
 def test_a_number_that_lacks_decimals_was_cut() -> None:
     assert exported("1,0,2.25\n2,0,3.5\n3,0,4.25\n4,0,5.5")[0] == [2.25, 3.5, 4.25]
     assert exported("1,0,2.25\n2,0,3.25\n3,0,14.5")[0] == [2.25, 3.25]
@@ -269,28 +257,6 @@ def test_a_resaved_file_loses_nothing(seed: int, keep: int) -> None:
     assert is_whole(text)
 
 
-@pytest.mark.parametrize("cell", ["1", "-.5", "5e-005", " 1,25 ", "1,110,797", "+2."])
-def test_numbers(cell: str) -> None:
-    assert is_number(cell)
-
-
-@pytest.mark.parametrize("cell", ["", "-", "1 mm", "nan", "5e", "2,,5", "15:01"])
-def test_other_cells(cell: str) -> None:
-    assert not is_number(cell)
-
-
-def test_units() -> None:
-    assert all(map(is_unit, ("mm", "kN", "lbf", "sec", "°C", "mm/mm", "%")))
-    assert not any(map(is_unit, ("Time", "Force", "Standard travel")))
-    assert are_units(["(mm)", "", "[kN]", "s"])
-    assert not are_units(["", ""])
-
-
-def test_a_quote_that_is_not_closed() -> None:
-    assert split_line('a,"b,c', ",") == ["a", "b,c"]
-    assert split_line("1   2.5", " ") == ["1", "2.5"]
-
-
 @pytest.mark.parametrize(
     ("cell", "parted"),
     [
@@ -345,23 +311,6 @@ def test_why_a_cell_is_no_number(cell: str, decimal: str, found: str, remedy: st
 @pytest.mark.parametrize(
     ("row", "expected"),
     [
-        (["1", "2,5"], True),
-        (["1", ""], True),
-        (["10:00:00", "nan", "2"], True),
-        (["1,020.5", "2"], True),
-        (["nan", "nan"], False),
-        (["2026-03-04", ""], False),
-        (["Mean", "2"], False),
-        (["", ""], False),
-    ],
-)
-def test_rows_of_samples(row: list[str], expected: bool) -> None:
-    assert is_sample(row) is expected
-
-
-@pytest.mark.parametrize(
-    ("row", "expected"),
-    [
         (["Mean", "2"], True),
         (["", "Max.", "2"], True),
         (["*** end ***"], True),
@@ -408,15 +357,6 @@ def test_a_curve_that_lost_its_signs_is_found(
     decimals[[10, 11, 12]] = [3, 6, 3]
     written = lost(np.round(curve, 6) + 1e-6, list(decimals))
     assert regrouped_at(written) is not None
-
-
-@given(seed=st.integers(0, 2**32 - 1), size=st.floats(1.0, 1e7), spikes=st.integers(0, 5))
-def test_spikes_in_numbers_with_decimals_are_none(seed: int, size: float, spikes: int) -> None:
-    chance = np.random.default_rng(seed)
-    values: Floats = np.round(chance.standard_normal(400).cumsum(), 3)
-    values[chance.integers(0, 400, spikes)] *= size
-    values[0] = 0.5
-    assert regrouped_at(values) is None
 
 
 @given(

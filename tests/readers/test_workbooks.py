@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import datetime
 import gc
 import re
@@ -11,12 +10,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from openpyxl import Workbook
 
 from labpipe.errors import ReadError
-from labpipe.readers import read_export
+from labpipe.readers import read_export, recognise_export
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.readers.sheet_cells import (
     Cell,
@@ -416,25 +413,6 @@ def test_a_csv_may_name_its_separator(tmp_path: Path) -> None:
     assert not rows[0]
 
 
-@pytest.mark.parametrize("odd", ["\x85", "\u2028", "\x0b"])
-def test_a_csv_is_parted_at_line_ends_only(tmp_path: Path, odd: str) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text(f"a,b\r\n1,x{odd}y\r\n", encoding="utf-8", newline="")
-    assert csv_cells(path)[1][1] == Cell(f"x{odd}y", "line 2, column 2")
-
-
-def test_a_list_that_was_not_quoted(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text("a;b\n1;12;-15\n", encoding="utf-8")
-    with pytest.raises(ReadError) as info:
-        as_table(csv_cells(path), path, rows_of="one row per wire")
-    assert str(info.value) == (
-        f"{path}, line 2, column 3: expected a cell below a heading, found '-15'."
-        " Give its column a name in the first row, or empty the cell."
-        ' Put a list in quotes, "12;-15", and write a decimal point, no comma.'
-    )
-
-
 def _texts(sheet: Table) -> list[list[str]]:
     return [[cell.text for cell in row] for row in (sheet.heading, *sheet.rows)]
 
@@ -489,18 +467,6 @@ def test_a_csv_however_it_is_parted(tmp_path: Path, separator: str, encoding: st
     assert sheet.rows[1][0] == Cell("A2", "line 6, column 1")
 
 
-@given(st.lists(st.text(alphabet="ab;, \"'1", min_size=1, max_size=8), min_size=2, max_size=4))
-def test_a_csv_of_any_text_reads_back(
-    tmp_path_factory: pytest.TempPathFactory, words: list[str]
-) -> None:
-    words = [f"x{word}" for word in words]
-    path = tmp_path_factory.mktemp("csv") / "a.csv"
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream).writerows([["h"] * len(words), words])
-
-    assert _texts(read_campaign_sheet(path))[1] == [word.strip() for word in words]
-
-
 def _refused(path: Path) -> str:
     with pytest.raises(ReadError) as info:
         read_campaign_sheet(path)
@@ -524,3 +490,15 @@ def test_a_csv_in_another_encoding(tmp_path: Path) -> None:
     message = _refused(path)
     assert message.startswith(f"{path}: expected a table as UTF-8 text, found a damaged one (")
     assert message.endswith("Save it as 'CSV UTF-8'.")
+
+
+def test_other_archives(tmp_path: Path) -> None:
+    path = tmp_path / "exports.zip"
+    with zipfile.ZipFile(path, "w") as parts:
+        parts.writestr("a.csv", "synthetic")
+    with pytest.raises(ReadError) as refused:
+        recognise_export(path)
+    assert str(refused.value) == (
+        f"{path}: expected an xlsx workbook, found a zip archive of something else. Unpack it, and"
+        " name the export in it."
+    )

@@ -28,9 +28,6 @@ from labpipe.store.hdf5_objects import (
     is_empty,
     make_dataset,
     open_dataset,
-    set_number,
-    set_text,
-    set_texts,
 )
 from labpipe.store.layout import Field, link_name
 from labpipe.store.stored_parts import read_reasons
@@ -81,18 +78,6 @@ def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
         other[-1, -1, -1] += 1e-9
         assert not same_content(dataset, other)
         assert not same_content(dataset, array[:-1])
-
-
-def test_the_same_array_is_deflated_once(tmp_path: Path) -> None:
-    array = np.random.default_rng(0).normal(size=40_000)
-    seen = {"one": array, "again": array.view(), "part": array[:30_000], "turned": array[::-1]}
-    with h5py.File(tmp_path / "a.h5", "w") as root, ThreadPoolExecutor(2) as pool:
-        target = Target(root, pool)
-        for name, each in seen.items():
-            target.array(name, each, Field(("a",), "m"))
-        assert len(target.packed) == 3
-        for name, each in seen.items():
-            np.testing.assert_array_equal(root[name][()], each)
 
 
 PACKS = """
@@ -163,22 +148,6 @@ def test_texts_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
             get_text(root, "bad")
         with pytest.raises(KeyError):
             get_text(root, "none")
-
-
-def test_attributes_come_back(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "a.h5", "w") as root:
-        set_text(root, "text", "Größe\n" * 20_000)
-        set_text(root, "nothing", "")
-        set_texts(root, "texts", ("a", "", "線"))
-        set_texts(root, "none", ())
-        set_number(root, "whole", 3)
-        set_number(root, "broken", np.nan)
-    with h5py.File(tmp_path / "a.h5") as root:
-        found = root.attrs
-        assert (found["text"], found["nothing"]) == ("Größe\n" * 20_000, "")
-        assert (list(found["texts"]), list(found["none"])) == (["a", "", "線"], [])
-        assert (found["whole"], found["whole"].dtype) == (3, np.int64)
-        assert np.isnan(found["broken"])
 
 
 def test_numbers_lists_and_what_is_none(tmp_path: Path) -> None:

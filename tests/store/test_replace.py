@@ -20,30 +20,9 @@ from labpipe.store.replace import (
     is_cut_off,
     is_there,
     locked,
-    replacing,
     replacing_together,
     storing,
 )
-
-
-def test_new_file_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
-    path = tmp_path / "x"
-    path.write_text("old")
-    with replacing(path) as temporary:
-        assert temporary.parent == tmp_path
-        temporary.write_text("new")
-        assert path.read_text() == "old"
-    assert path.read_text() == "new"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_any_way_out_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "x"
-    path.write_text("old")
-    with pytest.raises(ZeroDivisionError), replacing(path) as temporary:
-        temporary.write_text(f"new {1 / 0}")
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(

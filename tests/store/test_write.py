@@ -138,29 +138,6 @@ def test_layout_is_the_documented_one(result: TestResult, tmp_path: Path) -> Non
         assert root["quality/code"][0] == b"marker_filled"
 
 
-def test_slips_and_lines_are_columns_that_say_their_units(
-    result: TestResult, tmp_path: Path
-) -> None:
-    write_result(result, tmp_path / "result.h5")
-    with h5py.File(tmp_path / "result.h5") as root:
-        slips, lines = root["curve/slips"], root["curve/lines"]
-        assert {name: each.attrs["unit"] for name, each in slips.items()} == {
-            "position": "m",
-            "drop": "N",
-            "position_lower": "m",
-            "position_upper": "m",
-            "drop_lower": "N",
-            "drop_upper": "N",
-            "decision": "text",
-            "start": "sample",
-            "stop": "sample",
-        }
-        assert {each.attrs["axes"] for each in slips.values()} == {"slip"}
-        assert (slips["decision"][0], slips["drop"][1]) == (b"repaired", 0.7)
-        assert lines["slope"].attrs["unit"] == "N/m"
-        assert lines["result"][1] == b"stiffness_second"
-
-
 def test_the_table_of_results_says_what_the_results_say(result: TestResult, tmp_path: Path) -> None:
     write_result(result, tmp_path / "result.h5")
     with h5py.File(tmp_path / "result.h5") as root:
@@ -179,12 +156,6 @@ def test_the_table_of_results_says_what_the_results_say(result: TestResult, tmp_
         "level": [0.95, np.nan, np.nan],
     }.items():
         np.testing.assert_array_equal(rows[name], wanted)
-
-
-def test_a_result_may_be_called_table(result: TestResult, tmp_path: Path) -> None:
-    renamed = replace(result, results=(replace(result.results[0], name="table"),))
-    write_result(renamed, tmp_path / "result.h5")
-    assert read_result(tmp_path / "result.h5").results == renamed.results
 
 
 def test_who_when_and_with_what_come_back(result: TestResult, tmp_path: Path) -> None:
@@ -271,20 +242,6 @@ _NAMES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0
 _TINY = build_result(half_cycle=0.1, cycles=1, force_rate=50.0)
 
 
-def test_one_clock_is_called_time(tmp_path: Path) -> None:
-    one = Recording(
-        "dspace-csv",
-        clocks=(Clock("raster 1", np.arange(3.0)),),
-        channels=(Channel("F/x", "p", np.arange(3.0), "raster 1", ""),),
-    )
-    given_result = replace(_TINY, recordings={"frame": one})
-    write_result(given_result, tmp_path / "result.h5")
-    assert differences(given_result, read_result(tmp_path / "result.h5")) == []
-    with h5py.File(tmp_path / "result.h5") as root:
-        assert root["raw/frame/time"].attrs["clock"] == "raster 1"
-        assert root["raw/frame/F_x"].attrs["name"] == "F/x"
-
-
 @settings(max_examples=15)
 @given(
     names=st.lists(_NAMES, max_size=5),
@@ -340,30 +297,3 @@ def test_a_bundle_and_labels_come_back_as_they_were(tmp_path: Path) -> None:
 
     for read in (read_raw, read_outcome, read_result):
         assert differences(TAPED, read(path).specimen) == []
-
-
-def test_the_layout_of_a_bundle_is_the_documented_one(tmp_path: Path) -> None:
-    with h5py.File(write_specimen(TAPED, tmp_path)) as root:
-        group, bundle = root["specimen"], root["specimen/bundle"]
-        assert list(group.attrs["labels"]) == ["cured", "lot"]
-        assert list(group.attrs["label_words"]) == ["24 h", "07"]
-        assert {name: bundle.attrs[name] for name in ("arrangement", "tape", "taping")} == {
-            "arrangement": "asymmetric",
-            "tape": "PVC",
-            "taping": "half-lap",
-        }
-        assert (bundle.attrs["conduit_bore"], bundle.attrs["conduit_bore_unit"]) == (0.0107, "m")
-        assert list(bundle["wire_types"]) == [b"B1", b"B2"]
-        assert list(bundle["wire_numbers"]) == [2, 1]
-        assert bundle["wire_diameters"][0] == 0.0011
-        assert np.isnan(bundle["wire_diameters"][1])
-        units = {name: found.attrs["unit"] for name, found in bundle.items()}
-        assert units == {
-            "wire_types": "text",
-            "wire_numbers": "1",
-            "wire_diameters": "m",
-            "positions": "m",
-            "wire": "1",
-            "xy": "text",
-        }
-        assert bundle["positions"].attrs["axes"] == "wire, xy"

@@ -167,29 +167,6 @@ def test_a_dialect_that_does_not_exist(tmp_path: Path) -> None:
         chosen_card(file, "bluhill")
 
 
-def test_no_card_fits(tmp_path: Path) -> None:
-    file = written(tmp_path / "a.txt", "a letter\n")
-    assert recognised(file) is None
-    with pytest.raises(
-        ReadError, match=r"expected an export of .* found one that no card recognises"
-    ):
-        chosen_card(file, None)
-
-
-@pytest.mark.parametrize("dialect", [None, ["table"]])
-def test_a_table_without_units_is_told_what_it_lacks(
-    tmp_path: Path, dialect: list[str] | None
-) -> None:
-    file = written(tmp_path / "a.txt", "Time,Extension,Load\n0,1,2\n")
-    expected = (
-        r"a\.txt, column 'Time': expected a unit of time such as s, found none\. Write it in a row"
-        r" below the names, or in brackets as in 'Time \(s\)', or say it in a card of your own"
-        r" \(time_unit\); see docs/how-to/new-dialect\.md\."
-    )
-    with pytest.raises(ReadError, match=expected):
-        read_export(file, "load-frame", dialect=dialect)
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -266,3 +243,10 @@ def test_own_cards_come_first_and_must_not_both_fit(
         ReadError, match=r"one card recognises, found one that fits other and own\. Na"
     ):
         recognised(file)
+
+
+def test_the_name_of_a_card() -> None:
+    with pytest.raises(
+        ReadError, match=r"expected a name of small letters, digits and hyphens, fo"
+    ):
+        parse_card(GOOD, name="Acme Frame", source="Acme Frame.toml")

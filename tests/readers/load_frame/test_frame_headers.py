@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -14,10 +12,7 @@ from labpipe.readers.load_frame.frame_recording import (
     Export,
     Table,
     assemble,
-    choose_part,
-    preamble,
     time_column,
-    without_codes,
 )
 
 
@@ -137,48 +132,6 @@ def test_names_that_cannot_be_told_apart(names: str, found: str) -> None:
         together(names, 4)
 
 
-def test_names_anyhow() -> None:
-    card = shipped_cards()["table"]
-    assert find_header(["Time,Force", "1,2"], card, "a").units == ("", "")
-    assert find_header(["Time (s),Force [kN]", "1,2"], card, "a").units == ("s", "kN")
-    assert find_header(["Time,Force", "(s),(kN)", "1,2"], card, "a").names == ("Time", "Force")
-    assert find_header(["Time, s;Force, N", "1;2"], card, "a").units == ("s", "N")
-
-
-def test_specimens_above_the_names() -> None:
-    rows = ["x,", '"A",,"B",', "Time,Force,Time,Force", "s,N,s,N", "1,2,3,4"]
-    found = find_header(rows, shipped_cards()["trapezium"], "a")
-    assert found.specimens == ("A", "", "B", "")
-    assert list(found.above) == [["x", ""]]
-
-
-def test_preamble() -> None:
-    rows = [
-        ["Date: 7/3/2025 12:23"],
-        ["General : Label", "a b", "mm", ""],
-        ["C:\\x"],
-        [""],
-        ["Form:"],
-    ]
-    rows += [["Method", "1"], ["Method", "2"]]
-    assert preamble(rows) == {
-        "Date": "7/3/2025 12:23",
-        "General : Label": "a b mm",
-        "lines": ["C:\\x"],
-        "Form": "",
-        "Method": ["1", "2"],
-    }
-
-
-def test_the_most_wanted_time_counts() -> None:
-    card = shipped_cards()["mts-testsuite"]
-    assert time_column(["Video Time", "Running Time", "Time"], ["sec"] * 3, card) == 2
-    assert time_column(["Video Time", "Load"], ["", "N"], card) is None
-    dated = replace(card, words=("Time",))
-    assert time_column(["Time", "Running Time"], ["", "sec"], dated) == 1
-    assert time_column(["Time", "Load"], ["sec", "N"], dated) is None
-
-
 @pytest.mark.parametrize(
     ("names", "units", "found"),
     [
@@ -195,23 +148,6 @@ def test_the_most_wanted_time_counts() -> None:
 )
 def test_time_under_other_names(names: list[str], units: list[str], found: int | None) -> None:
     assert time_column(names, units, shipped_cards()["mts-testsuite"]) == found
-
-
-def test_codes_of_missing_values() -> None:
-    table = Table("", ("F",), ("N",), {0: np.array([1.0, -1e6])})
-    values = without_codes(table, shipped_cards()["catman"]).columns[0]
-    np.testing.assert_array_equal(values, [1.0, np.nan])
-    assert without_codes(table, shipped_cards()["dion"]) is table
-
-
-def test_parts() -> None:
-    tables = [Table(part, (), (), {}, also=f"Values {part}") for part in ("A", "B")]
-    assert choose_part(tables, None, "a") == tuple(tables)
-    assert choose_part(tables, "Values B", "a") == (tables[1],)
-    with pytest.raises(
-        ReadError, match=r"a, part 'C': .* Leave `part` out: the export does not na"
-    ):
-        choose_part([Table("", (), (), {})], "C", "a")
 
 
 N = 12

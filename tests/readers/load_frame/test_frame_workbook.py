@@ -53,26 +53,6 @@ def test_a_sheet_for_each_specimen(tmp_path: Path) -> None:
         load_frame.read(file, part="A-3")
 
 
-def test_an_aborted_test(tmp_path: Path) -> None:
-    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", [(0.0, 0.0, 823.0)] * 3)})
-    (few,) = (note for note in load_frame.read(file).notes if note.code == "few_samples")
-    assert few.message.startswith("only 3 samples: the test was not carried through")
-
-
-@pytest.mark.parametrize(
-    "head",
-    [
-        [["TestResources R-Controller"], ["Time", "Force", "Displacement"], ["s", "lbf", "in"]],
-        [["TestResources R-Controller"], ["Time (s)", "Force (lbf)", "Displacement (in)"]],
-    ],
-)
-def test_testresources(tmp_path: Path, head: list[list[object]]) -> None:
-    file = workbook(tmp_path / "a.xlsx", {"Sheet1": [*head, *ROWS]})
-    recording = load_frame.read(file)
-    assert recording.metadata["dialect"] == "testresources"
-    assert [c.unit_in_file for c in recording.channels] == ["lbf", "in"]
-
-
 @pytest.mark.parametrize(
     ("rows", "said"),
     [

@@ -248,16 +248,6 @@ def test_dma(tmp_path: Path) -> None:
     assert recording.metadata["OrgMethod"] == ["1: a", "2: b"]
 
 
-def test_the_last_resort(tmp_path: Path) -> None:
-    for text in (
-        "Zeit [s];Weg [mm];Kraft [N]\n" + lines(ROWS, ";", comma=True),
-        "some bench\nTime,Travel,Force\ns,mm,N\n" + lines(ROWS),
-    ):
-        recording = load_frame.read(written(tmp_path / "a.txt", text))
-        assert [c.unit_in_file for c in recording.channels] == ["mm", "N"]
-        assert codes(recording) == {"dialect_generic"}
-
-
 @pytest.mark.parametrize(
     ("units", "said"),
     [
@@ -302,17 +292,6 @@ def test_blocks_of_793(tmp_path: Path, line: str, encoding: str) -> None:
     assert recording.metadata[f"Pr{mark}fer"] == "Kh"
 
 
-def test_blocks_with_other_columns_are_parts(tmp_path: Path) -> None:
-    other = BLOCK + "Laufzeit\tCh 2 Weg\ns\tmm\n1,5\t2,5\n2,5\t3,5\n"
-    parts = ["MTS793|MPT|DEU|1|2|,|.", BLOCK + COLUMNS + lines(ROWS, "\t", comma=True), other]
-    recording = load_frame.read(written(tmp_path / "a.dat", "\n\n".join(parts)))
-    assert [channel.path for channel in recording.channels] == [
-        "block 1/Ch 1 Weg",
-        "block 1/Ch 1 Kraft",
-        "block 2/Ch 2 Weg",
-    ]
-
-
 def test_names_and_columns_parted_by_blanks(tmp_path: Path) -> None:
     names = "Ch 1 Displacement Ch 1 Force Time"
     block = f"Data Acquisition: Timed\nStation Name: a\n{names}\nmm        kN        Sec\n"
@@ -341,3 +320,16 @@ def test_only_wanted_channels(tmp_path: Path) -> None:
     holds(load_frame.read(file, channels=[("Kraft", "Load")]), ("Load", "N", FORCE))
     with pytest.raises(ReadError, match=r"channel 'Loda': expected one of the 2 channels .*'Load'"):
         load_frame.read(file, channels=["Loda"])
+
+
+def test_a_decimal_sign_that_is_not_stated(tmp_path: Path) -> None:
+    file = written(tmp_path / "a.dat", f"MTS793|MPT\n\n{BLOCK}{COLUMNS}{lines(ROWS)}")
+    expected = r"a\.dat, line 1: expected the decimal sign that this program states, found 'MTS793"
+    with pytest.raises(ReadError, match=expected):
+        load_frame.read(file)
+
+
+def test_blocks_without_samples(tmp_path: Path) -> None:
+    file = written(tmp_path / "a.dat", "MTS793|MPT|DEU|1|2|,|.\n\nBediener Information\n")
+    with pytest.raises(ReadError, match=r"lines 1 to 4: expected a block of names, units and num"):
+        load_frame.read(file)
