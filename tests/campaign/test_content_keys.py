@@ -2,25 +2,20 @@ from __future__ import annotations
 
 import hashlib
 import os
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labpipe.campaign import content_keys
 from labpipe.campaign.content_keys import (
     Content,
     ContentKeys,
-    Stamp,
     changes,
     parse_content,
     stamp_of,
 )
 from labpipe.process.run import process_test
-from labpipe.protocol.load import resolve
-from labpipe.protocol.schema import Protocol
 from tests.builders.kept_campaigns import KeptCampaign
 from tests.builders.pulls import broken, pull
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -119,16 +114,6 @@ def test_a_change_that_leaves_size_and_time_as_they_were(folder: Path) -> None:
     assert keys.content_of(sheet, first).key != first.key
 
 
-def test_a_file_of_the_future_is_always_read(folder: Path, read: list[str]) -> None:
-    keys, sheet = ContentKeys(), folder / "test.yaml"
-    ahead = time.time() + 1e6
-    os.utime(folder / "frame.csv", (ahead, ahead))
-    first = sure(keys.content_of(sheet))
-    read.clear()
-    keys.content_of(sheet, first)
-    assert read == ["frame.csv"]
-
-
 def test_touched_files_keep_their_key(folder: Path) -> None:
     keys, sheet = ContentKeys(), folder / "test.yaml"
     first = sure(keys.content_of(sheet))
@@ -136,19 +121,6 @@ def test_touched_files_keep_their_key(folder: Path) -> None:
     again = keys.content_of(sheet, first)
     assert (again.key, again.inputs) == (first.key, first.inputs)
     assert again.stamps != first.stamps
-
-
-def test_another_version_of_the_code_or_of_a_protocol_makes_the_key_anew(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sheet = folder / "test.yaml"
-    first = sure(ContentKeys().content_of(sheet))
-    monkeypatch.setattr(content_keys, "_code", lambda: "another")
-    again = ContentKeys().content_of(sheet, first)
-    assert again.key == first.key  # it rests on the resolved protocol, which is the same
-    assert again.rests_on != first.rests_on
-    monkeypatch.setattr("labpipe.process.run.PROCESSING_VERSION", -1)
-    assert ContentKeys().content_of(sheet).key != first.key
 
 
 def test_a_protocol_of_the_lab_goes_before_the_shipped_one(
@@ -164,28 +136,6 @@ def test_a_protocol_of_the_lab_goes_before_the_shipped_one(
     assert ContentKeys().content_of(sheet, first).key != first.key
 
 
-def test_tests_that_say_the_same_share_a_resolved_protocol(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kept = KeptCampaign(tmp_path)
-    sheets = [kept.add(f"T{n}") / "test.yaml" for n in range(5)]
-    other = sheets[3]
-    other.write_text(other.read_text("utf-8").replace("114.3 mm", "100 mm"), "utf-8")
-    resolved = []
-
-    def counted(*given: Any, **more: Any) -> Protocol:
-        resolved.append(given)
-        return resolve(*given, **more)
-
-    monkeypatch.setattr(content_keys, "resolve", counted)
-    keys = ContentKeys()
-    contents = [keys.content_of(sheet) for sheet in sheets]
-    assert len(resolved) == 2
-    assert len({each.protocol for each in contents}) == 2
-    alone = ContentKeys().content_of(sheets[4])
-    assert alone.key == contents[4].key
-
-
 @pytest.mark.parametrize(
     "text",
     ["", "test: [", "test: T1\n", "\x00", "{name}: x", "overrides: {a.b: {value: 1, because: x}}"],
@@ -197,20 +147,6 @@ def test_a_sheet_that_is_wrong_has_a_key_of_its_own(folder: Path, text: str) -> 
     first, again = (ContentKeys().content_of(sheet) for _ in range(2))
     assert first.key == again.key != good.key
     assert first.inputs == ()
-
-
-def test_a_protocol_that_is_not_there_and_then_is(
-    folder: Path, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    sheet = folder / "test.yaml"
-    sheet.write_text(sheet.read_text("utf-8").replace("corrugated-tube", "own"), "utf-8")
-    first = sure(ContentKeys().content_of(sheet))
-    assert ContentKeys().content_of(sheet, first) == first
-    (tmp_path / "protocols").mkdir()
-    text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
-    (tmp_path / "protocols" / "own.yaml").write_text(text, "utf-8")
-    assert ContentKeys().content_of(sheet, first).inputs
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
@@ -253,9 +189,3 @@ def test_what_changed_is_said(
     inputs: tuple[tuple[str, str, str], ...], sheet: str, protocol: str, said: str
 ) -> None:
     assert changes(inputs=inputs, sheet=sheet, protocol=protocol, now=NOW) == said
-
-
-def test_a_stamp_is_sure_a_tick_after_the_last_change() -> None:
-    stamp = Stamp(1, 0, 0, 0, 2_000_000_001, "x")
-    assert stamp.is_sure
-    assert not replace(stamp, changed=1).is_sure

@@ -1,13 +1,16 @@
+"""Decisions on tests: what counts, what is carried over, what a page saved."""
+
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import shutil
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labpipe.campaign.catalog import DOUBTFUL, OK, REJECTED, STALE
+from labpipe.campaign.catalog import OK, REJECTED, STALE
 from labpipe.campaign.decisions import (
     Decision,
     add_decisions,
@@ -19,8 +22,11 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.campaign.outcome_rows import ResultRow
 from labpipe.campaign.running import decide, look, rebuild
+from labpipe.campaign.saved_decisions import take_in, take_in_file
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
+from tests.builders.pulled_campaigns import decision_on, make_pulls
+from tests.builders.small_tests import Run
 
 REJECT = Decision("", "", "reject", "slipped in the grip", "A. Tester")
 ACCEPT = Decision("", "", "accept", "looks right", "A. Tester")
@@ -55,13 +61,6 @@ def test_a_rejected_test_says_by_whom_why_and_when(kept: KeptCampaign) -> None:
     }
     kept.run()
     assert kept.stand_in.processed == []
-
-
-def test_the_last_decision_counts(kept: KeptCampaign) -> None:
-    decide(kept.folders, "T2", REJECT)
-    assert decide(kept.folders, "T2", ACCEPT).state == DOUBTFUL
-    overview = look(kept.folders)
-    assert [counts for _, counts in overview.decisions] == [False, True]
 
 
 def test_a_decision_counts_for_its_key_alone(kept: KeptCampaign) -> None:
@@ -219,16 +218,73 @@ def test_the_largest_move(after: ResultRow, moved: float) -> None:
     assert carried_over(REJECT, "b", [ROW], [replace(ROW, value=10.21)]) is None
 
 
-def test_decisions_are_found_from_the_results(kept: KeptCampaign) -> None:
-    files = [kept.processed / name / "result.h5" for name in ("T1", "T2")]
-    assert decisions_on(files) == {}
-    row = decide(kept.folders, "T1", REJECT)
-    found = decisions_on(files)
-    assert [each.run for each in found[files[0]]] == [row.run]
-    assert found[files[1]] == ()
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_pulls(tmp_path_factory.mktemp("done"))
 
 
-def test_a_folder_of_decisions_is_written_by_one_process_at_a_time(tmp_path: Path) -> None:
-    for number in range(3):
-        add_decisions(tmp_path, "C", [replace(REJECT, test=f"T{number}", run="r")])
-    assert [each.test for each in read_decisions(tmp_path).decisions] == ["T0", "T1", "T2"]
+@pytest.fixture
+def processed(done: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / "lab" / "processed" / done.name
+    shutil.copytree(done, folder)
+    return folder
+
+
+def saved(path: Path, *decisions: Decision, campaign: str = "c") -> Path:
+    entries = [{key: value for key, value in asdict(each).items() if value} for each in decisions]
+    path.write_text(json.dumps({"schema": 1, "campaign": campaign, "decisions": entries}), "utf-8")
+    return path
+
+
+def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -> None:
+    mine, accepted = decision_on(processed, "T-1"), decision_on(processed, "T-2", "accept")
+    add_decisions(processed, "c", [mine])
+    other = replace(mine, run="0" * 64)
+    stray = replace(mine, test="../c/T-1")
+    file = saved(tmp_path / "decisions (1).json", mine, accepted, accepted, other, stray)
+    taken, faults = take_in_file(processed, "c", file)
+    assert taken.added == [accepted]
+    assert taken.known == 1
+    assert [(each.test, why.split(":")[0]) for each, why in taken.left] == [
+        ("T-1", "it was made on another key"),
+        ("../c/T-1", "there is no such test"),
+    ]
+    assert faults == ()
+    assert read_decisions(processed).decisions == (mine, accepted)
+    assert take_in_file(processed, "c", file)[0].added == []
+
+
+def test_a_test_below_a_nearer_file_is_decided_on_there(processed: Path) -> None:
+    inner = processed / "inner"
+    inner.mkdir()
+    (processed / "T-3").rename(inner / "T-3")
+    add_decisions(inner, "c/inner", [])
+    said = decision_on(processed, "inner/T-3")
+    assert take_in(processed, "c", [said]).added == [said]
+    assert read_decisions(inner).decisions == (replace(said, test="T-3"),)
+    assert not (processed / "decisions.json").exists()
+    later = replace(said, test="T-3", when="2026-03-11")  # as the page names it from now on
+    assert take_in(processed, "c", [said, later]).known == 1
+    assert len(read_decisions(inner).decisions) == 2
+
+
+def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path) -> None:
+    file = tmp_path / "saved.json"
+    with pytest.raises(
+        UsageError, match="expected a file that a page saved, found nothing of that name"
+    ):
+        take_in_file(processed, "c", file)
+    file.write_text("{", "utf-8")
+    with pytest.raises(UsageError, match="line 1, column 2: expected decisions in JSON"):
+        take_in_file(processed, "c", file)
+    own = saved(processed / "decisions.json", decision_on(processed, "T-1"))
+    with pytest.raises(UsageError, match=r"found the campaign's own\. What stands in it counts"):
+        take_in_file(processed, "c", own)
+    saved(file, decision_on(processed, "T-2"), campaign="other")
+    ran = run("campaign", "decide", processed, "--from", file)
+    assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err
+    assert "1 decision taken in" in ran.out
+    ran = run("campaign", "decide", processed, "T-2", "accept", "--from", file)
+    assert "--from: expected nothing but the folder beside it, found T-2" in ran.err
+    ran = run("campaign", "decide", processed)
+    assert "expected a test and accept or reject, found none. Or name a file that a page" in ran.err

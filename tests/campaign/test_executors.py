@@ -1,16 +1,35 @@
+"""Processes that do tests: crashes, time limits, order, and what comes of each test."""
+
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from labpipe.campaign.executors import Outcome, Task, executor_of, local
-from labpipe.errors import UsageError
+from labpipe.campaign.batches import Batch, Unseen, do_here, versions
+from labpipe.campaign.executors import executor_of, local
+from labpipe.campaign.outcomes import Outcome, outcome_of, settled
+from labpipe.campaign.runs import process_tests, run_jobs
+from labpipe.campaign.standing_worker import StandingWorker
+from labpipe.campaign.workers import Crew, Died, Raised, in_processes
+from labpipe.errors import CODES, ProcessingError, UsageError
+from labpipe.process.attempts import Refused, Task
+from labpipe.process.run import Processed, process_test
 from tests.builders.other_processes import Spoiled, spoil
 from tests.builders.pulls import broken, pull
+from tests.builders.small_pulls import small_pulls
+from tests.builders.small_tests import Lab
 from tests.builders.tensile_tests import TensileLab, write_pull
 
 
@@ -28,20 +47,6 @@ def outcomes_of(labs: list[TensileLab], *, jobs: int, limit: float | None = None
     tasks = [Spoiled(lab.sheet, lab.processed, figures=False, run="0a") for lab in labs]
     found = {each.sheet: each for each in local(jobs, limit=limit)(tasks)}
     return [found[lab.sheet] for lab in labs]
-
-
-@pytest.mark.slow
-def test_each_test_has_an_outcome(labs: list[TensileLab]) -> None:
-    labs[1].export.unlink()
-    first, second, third, _ = outcomes_of(labs, jobs=2)
-    assert first.folder == labs[0].processed
-    assert first.run == labs[0].summary["run"]
-    assert first.seconds > 0.0
-    doubted = [each for each in labs[2].results.values() if each["status"] != "ok"]
-    assert third.state == ("doubtful" if doubted else "ok")
-    assert third.code == (doubted[0]["reasons"][0]["code"] if doubted else "")
-    assert (second.state, second.code) == ("failed", "missing_export")
-    assert "expected a file, found none of that name" in second.reason
 
 
 @pytest.mark.slow
@@ -101,8 +106,295 @@ def test_no_executor_of_that_name(text: str) -> None:
         executor_of(text)
 
 
+@pytest.fixture
+def tests(tmp_path: Path) -> list[Path]:
+    """Three pulls, of which the second lacks its export."""
+    labs = [TensileLab(tmp_path, name) for name in ("P-1", "P-2", "P-3")]
+    for seed, lab in enumerate(labs):
+        travel, force = pull(slack=0.001, seed=seed)
+        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+    labs[1].export.unlink()
+    return [lab.sheet for lab in labs]
+
+
 @pytest.mark.slow
-def test_executors_by_name(labs: list[TensileLab]) -> None:
-    (done,) = executor_of("local")([Task(labs[0].sheet, labs[0].processed, figures=False)])
-    assert done.state != "failed"
-    assert not list(executor_of("dask://nowhere:1")([]))  # it does not connect for nothing
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_in_order_and_a_bad_one_does_not_stop_the_others(tests: list[Path], jobs: int) -> None:
+    told: list[tuple[str, str]] = []
+
+    def begin(test: Path) -> partial[None]:
+        def say(name: str, stage: str) -> None:
+            told.append((name, stage))
+
+        return partial(say, test.parent.name)
+
+    done = list(process_tests(tests, figures=lambda _: False, jobs=jobs, begin=begin))
+    first, second, third = done
+    assert isinstance(first, Processed)
+    assert isinstance(third, Processed)
+    assert (first.result.test, third.result.test) == ("P-1", "P-3")
+    assert isinstance(second, Refused)
+    assert second.test == tests[1]
+    assert "expected a file, found none of that name" in second.reason
+    assert told == [("P-1", "wait"), ("P-2", "wait"), ("P-3", "wait")]
+    assert not first.result.recordings
+    assert first.result.curve is None
+    assert (first.folder / "result.h5").is_file()
+
+
+@pytest.mark.slow
+def test_several_at_a_time_give_the_same(tests: list[Path], tmp_path: Path) -> None:
+    told: list[str] = []
+    said = {}
+    for many in (tests[:1], tests):
+        out = tmp_path / f"of-{len(many)}"
+        list(process_tests(many, out=out, figures=lambda _: False, begin=lambda _: told.append))
+        said[len(many)] = (out / "P-1" / "result.h5").read_bytes()
+    assert said[1] == said[3]
+    assert told == ["read", "process", "write", "wait", "wait", "wait"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_two_tests_that_would_go_to_one_folder(
+    tests: list[Path], tmp_path: Path, jobs: int
+) -> None:
+    text = tests[2].read_text("utf-8").replace("test: P-3", "test: p-1")
+    tests[2].write_text(text, "utf-8")
+    out = tmp_path / "out"
+    said = (
+        "P-3.test.yaml: expected one test for each folder of results, found a second for .*out.p-1"
+    )
+    with pytest.raises(UsageError, match=said):
+        list(process_tests(tests, out=out, jobs=jobs))
+    assert not out.exists()
+    done = list(process_tests(tests[:1] + tests[2:], figures=lambda _: False, jobs=jobs))
+    assert [type(each) for each in done] == [Processed, Processed]  # each beside its exports
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
+def test_a_job_that_is_killed_is_told() -> None:
+    killed = partial(signal.raise_signal, signal.SIGKILL)
+    calls: list[Callable[[], Any]] = [partial(int, "1"), killed]
+    with pytest.raises(ProcessingError, match=r"labpipe: expected a process .* by the signal"):
+        run_jobs(calls, jobs=2)
+
+
+def test_outcomes_come_in_the_order_of_the_calls() -> None:
+    calls = [partial(max, number, 0) for number in range(7)]
+    assert list(in_processes(calls, jobs=3)) == list(range(7))
+    assert list(in_processes(calls[:1], jobs=3)) == [0]
+    assert list(in_processes([], jobs=3)) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_process_that_dies_costs_its_call_alone(jobs: int) -> None:
+    calls: list[Callable[[], Any]] = [
+        partial(int, "1"),
+        partial(signal.raise_signal, signal.SIGTERM),
+        partial(signal.raise_signal, signal.SIGKILL),
+        partial(int, "4"),
+        partial(os._exit, 3),
+        partial(int, "6"),
+    ]
+    found = list(in_processes(calls, jobs=jobs))
+    died = Died(-signal.SIGTERM), Died(-signal.SIGKILL), Died(3)
+    assert found == [1, died[0], died[1], 4, died[2], 6]
+    assert [each.how for each in died] == [
+        "by the signal SIGTERM",
+        "by the signal SIGKILL",
+        "with exit code 3",
+    ]
+    assert Died(-63).how == "by the signal 63"
+
+
+def test_what_a_call_raises_is_raised() -> None:
+    found = in_processes([partial(int, "1"), partial(int, "x"), partial(int, "3")], jobs=2)
+    assert next(found) == 1
+    with pytest.raises(ValueError, match="invalid literal"):
+        next(found)
+
+
+def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> None:
+    work = [f"sleep 0.2; echo > '{tmp_path}/{number}'" for number in range(3)]
+    found = in_processes([partial(int, "1"), *(partial(os.system, each) for each in work)], jobs=1)
+    assert next(found) == 1
+    found.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["0"]
+
+
+def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
+    calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
+    late, second = in_processes(calls, jobs=2, limit=1.0)
+    assert isinstance(late, Died)
+    assert late.limit == 1.0
+    assert second == 2
+
+
+def test_what_is_printed_and_read_there_is_no_message_of_ours() -> None:
+    calls: list[Callable[[], Any]] = [
+        partial(print, "x" * 100_000),
+        partial(os.system, "echo y"),
+        partial(os.read, 0, 5),
+        partial(int, "4"),
+    ]
+    assert list(in_processes(calls, jobs=1)) == [None, 0, b"", 4]
+
+
+def test_a_process_that_dies_between_two_calls_costs_none() -> None:
+    crew: Crew[str, int] = Crew(int, jobs=1)
+    try:
+        assert list(crew.as_they_end(["1"])) == [("1", 1)]
+        (worker,) = crew._workers
+        assert worker.process is not None
+        worker.process.kill()
+        worker.process.wait()
+        assert list(crew.as_they_end(["2", "3"])) == [("2", 2), ("3", 3)]
+    finally:
+        crew.leave()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
+def test_where_memory_is_short_a_test_goes_and_not_the_run() -> None:
+    file = Path("/proc/self/oom_score_adj")
+    assert list(in_processes([file.read_text], jobs=1)) == ["500\n"]
+    assert int(file.read_text()) < 500
+
+
+ORPHANS = """
+import os, time
+from functools import partial
+from pathlib import Path
+from labpipe.campaign.workers import as_they_end
+ended = as_they_end(eval, ["__import__('os').getpid()", "__import__('time').sleep(60)"], jobs=1)
+print(next(ended)[1], flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of processes")
+def test_processes_go_with_the_one_that_started_them() -> None:
+    command = [sys.executable, "-c", ORPHANS]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child = os.pidfd_open(int(process.stdout.readline()))
+        process.kill()
+    select.select([child], [], [])  # until it has ended
+    os.close(child)
+
+
+def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
+    lab = small_pulls(tmp_path, 1)[0]
+    said = outcome_of(Task(lab.sheet, figures=False))
+    assert (said.folder, said.run) == (lab.processed, lab.summary["run"])
+    first = next(each for each in lab.results.values() if each["status"] != "ok")
+    reason = first["reasons"][0]
+    assert said.state == "doubtful"
+    assert said.code == reason["code"]
+    assert said.reason == f"{first['name']}: {reason['message']}"
+    assert said.seconds > 0.0
+
+
+def test_what_came_of_a_process(tmp_path: Path) -> None:
+    task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
+    died = settled(task, Died(-signal.SIGTERM))
+    assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
+    late = settled(task, Died(-signal.SIGTERM, 120.0))
+    assert late.code == "time_limit"
+    assert "expected an end within 2 minutes, found none" in late.reason
+    assert {died.code, late.code} <= CODES.keys()
+    done = Outcome(task.sheet, None, "ok")
+    assert settled(task, done) is done
+    with pytest.raises(ZeroDivisionError):
+        settled(task, Raised(ZeroDivisionError()))
+
+
+@pytest.fixture
+def batch(tmp_path: Path) -> Batch:
+    """Three tests by relative paths, of which the second is not there."""
+    labs = small_pulls(tmp_path, 3)
+    sheets = [lab.sheet.relative_to(tmp_path) for lab in labs]
+    labs[1].sheet.unlink()
+    tasks = [Task(sheet, Path("out", sheet.parent.name), figures=False) for sheet in sheets]
+    return Batch(("run", "1"), tuple(tasks), tmp_path, None, versions())
+
+
+@pytest.mark.slow
+def test_tests_of_a_batch_in_their_order(batch: Batch) -> None:
+    first, second, third = do_here(batch)
+    assert isinstance(first, Outcome)
+    assert isinstance(third, Outcome)
+    assert second == Unseen()
+    assert [first.sheet, third.sheet] == [batch.tasks[0].sheet, batch.tasks[2].sheet]
+    assert (batch.home / "out" / "S-0002" / "result.h5").is_file()
+
+
+def test_a_folder_that_is_not_there(batch: Batch) -> None:
+    assert do_here(replace(batch, home=batch.home / "none")) == [Unseen()] * 3
+
+
+@pytest.fixture(scope="module")
+def worker() -> Iterator[StandingWorker]:
+    made = StandingWorker()
+    made.warm()
+    yield made
+    made.leave()
+
+
+def refuse() -> None:
+    message = "no"
+    raise UsageError(message)
+
+
+@pytest.mark.slow
+def test_calls_are_done_in_one_process_that_stays(worker: StandingWorker) -> None:
+    first, second = (worker.call(os.getpid, about="x") for _ in range(2))
+    assert first == second != os.getpid()
+    with pytest.raises(UsageError, match="no"):
+        worker.call(refuse, about="x")
+    assert worker.call(os.getpid, about="x") == first
+
+
+@pytest.mark.slow
+def test_numbers_first_and_figures_behind(worker: StandingWorker, lab: Lab) -> None:
+    (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
+    assert outcome.folder == lab.processed
+    assert not (lab.processed / "figures").exists()
+    before = lab.result.read_bytes()
+
+    worker.draw(lab.processed)
+    worker.call(os.getpid, about="x")  # waits for them
+
+    drawn = {path.name: path.read_bytes() for path in (lab.processed / "figures").iterdir()}
+    assert lab.result.read_bytes() == before
+    usual = process_test(lab.sheet, out=lab.home / "out")
+    assert drawn == {path.name: path.read_bytes() for path in usual.figures}
+
+
+def test_a_process_that_dies_costs_one_call(worker: StandingWorker) -> None:
+    with pytest.raises(ProcessingError, match=r"x: .* ended with exit code 3"):
+        worker.call(partial(os._exit, 3), about="x")
+    assert worker.call(os.getpid, about="x") != os.getpid()
+
+
+def test_a_process_that_dies_in_a_test_is_an_outcome(
+    worker: StandingWorker, lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("labpipe.campaign.standing_worker.outcome_of", die)
+    (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
+    assert (outcome.state, outcome.code) == ("failed", "process_died")
+
+
+def die(_: Task) -> Outcome:
+    os._exit(3)
+
+
+def test_a_test_and_its_own_result(tests: list[Path]) -> None:
+    (done,) = process_tests(tests[:1], figures=lambda _: False)
+    assert isinstance(done, Processed)
+    with pytest.raises(
+        UsageError, match=r"result\.h5: expected one test for each folder of results"
+    ):
+        list(process_tests([tests[0], done.folder / "result.h5"]))

@@ -1,21 +1,42 @@
+"""Groups of samples, their names, differences between them, and settings that differ."""
+
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from labpipe.campaign.grouping import (
+    OTHERS,
+    QUESTIONS,
     Key,
     check_fields,
     division,
+    find_differences,
     group_names,
     in_turn,
     key_of,
+    setting_notes,
+    settings_of,
+    unlike_words,
     with_own_spools,
     without,
 )
 from labpipe.errors import UsageError
-from tests.builders.bundle_campaigns import bundle_of, bundle_sample, grouped
+from labpipe.protocol.load import dump_protocol, find_protocol, load_protocol, parse_protocol
+from labpipe.protocol.schema import Groups, Protocol
+from labpipe.records.group import Verdict
+from tests.builders.bundle_campaigns import (
+    MAIN,
+    PROTOCOL,
+    bundle_campaign,
+    bundle_of,
+    bundle_sample,
+    conduit_cases,
+    grouped,
+    three_of,
+)
 
 SEVEN = bundle_sample(bundle_of("7 B1"), 1, spool="s1", labels={"cured": "24 h"})
 TWELVE = bundle_sample(bundle_of("12 B1"), 2, spool="s1")
@@ -37,11 +58,6 @@ def test_keys_and_names() -> None:
     ]
     assert without(keys[1], by) == ["cured"]
     assert without(keys[0], by) == []
-
-
-def test_two_protocols_stand_in_the_name() -> None:
-    keys = [Key(("A2",), "one"), Key(("A2",), "two"), Key(("A3",), "two")]
-    assert list(group_names(keys, ("type",)).values()) == ["A2, one", "A2, two", "A3"]
 
 
 def test_order_of_groups() -> None:
@@ -72,10 +88,6 @@ def test_spools_of_one_name_belong_to_their_types() -> None:
     assert with_own_spools([SEVEN, again]) == ([SEVEN, again], [])
 
 
-def test_groups_without_a_field_are_groups_too() -> None:
-    assert [group.name for group in grouped([SEVEN, TUBE], "wire")] == ["without wire", "wire B1"]
-
-
 def test_lengths_of_one_type_are_two_groups_unless_asked_otherwise() -> None:
     sizes = [{"length": 0.085}, {"length": 0.1}, {"length": 0.085}]
     samples = [bundle_sample(None, at, dimensions=own) for at, own in enumerate(sizes)]
@@ -85,10 +97,111 @@ def test_lengths_of_one_type_are_two_groups_unless_asked_otherwise() -> None:
     assert list(division(samples, ["type"])) == [Key(("tube",), "taped-bundle")]
 
 
-def test_a_protocol_is_named_once_where_a_type_is_divided() -> None:
-    length = (("length", "85 mm"),), (("length", "100 mm"),)
-    keys = [Key(("A2",), name, more) for name in ("one", "two") for more in length]
-    assert list(group_names(keys, ["type"]).values()) == [
-        "A2, one, 85 mm", "A2, one, 100 mm", "A2, two, 85 mm", "A2, two, 100 mm",
-    ]  # fmt: skip
-    assert list(group_names(keys[:2], ["type"]).values()) == ["A2, 85 mm", "A2, 100 mm"]
+NONE = bundle_of("19 B2", conduit="corrugated-tube", tape="none", taping="none")
+HALF_LAP = bundle_of("19 B2", conduit="corrugated-tube")
+
+
+def test_questions_come_first_and_count_from_less_to_more() -> None:
+    found = bundle_campaign(conduit_cases()).differences
+    asked = [each.question for each in found]
+    assert list(dict.fromkeys(asked)) == ["wire", "number", "taping", "conduit", ""]
+    assert {each.family for each in found if not each.question} == {""}
+    assert {each.verdict for each in found if not each.question} == {Verdict.NOT_ASKED}
+    first = [each for each in found if each.family == QUESTIONS]
+    assert {each.name for each in first} == {MAIN[0]}
+    assert {each.name for each in found if each.family == OTHERS} == {MAIN[1]}
+    assert {each.tests for each in first} == {len(first)}
+    assert asked == sorted(asked, key=list(dict.fromkeys(asked)).index)
+    taping = [each.fields["taping"] for each in found if each.question == "taping"]
+    assert set(taping) == {("none", "coarse"), ("none", "half-lap"), ("coarse", "half-lap")}
+    (number,) = {each.fields["number"] for each in found if each.question == "number"}
+    assert number == ("12", "19")
+    assert all(each.difference.mean > 0 for each in found if each.question == "number")
+
+
+def test_half_lap_against_none_that_are_equal_within_two_percent() -> None:
+    """Truly 1.5 % apart, scatter 1 %, margin 10 %: equivalent, and said with numbers."""
+    for seed in range(20):
+        samples = [
+            *three_of(NONE, seed=seed),
+            *(bundle_sample(HALF_LAP, at, scale=1.015, seed=seed) for at in (1, 2, 3)),
+        ]
+        (stiffness, _) = bundle_campaign(samples).differences
+        assert stiffness.fields == {"taping": ("none", "half-lap")}
+        assert stiffness.verdict is Verdict.EQUIVALENT
+        assert "within 10 %: p = " in stiffness.why
+        assert stiffness.p_equivalent < 0.05
+
+
+def test_twenty_percent_apart_is_different() -> None:
+    samples = [*three_of(NONE), *three_of(HALF_LAP, scale=1.2)]
+    (stiffness, _) = bundle_campaign(samples).differences
+    assert stiffness.verdict is Verdict.DIFFERENT
+    assert stiffness.difference.interval is not None
+    truth = 0.2 * 19 * 1.4e-3
+    assert stiffness.difference.interval.lower < truth < stiffness.difference.interval.upper
+
+
+def test_only_one_question() -> None:
+    groups = grouped(conduit_cases())
+    wishes = {PROTOCOL: Groups(main=MAIN)}
+    settings: dict[str, dict[str, str]] = {
+        sample.source: {} for group in groups for sample in group.samples
+    }
+    found = find_differences(groups, wishes, settings, by=("type",), alone="taping")
+    assert {each.question for each in found.shown} == {"taping"}
+    assert (len(found.shown), found.pairs_not_shown) == (6, 25)
+
+
+def test_tests_that_were_processed_otherwise_are_told() -> None:
+    samples = [*three_of(NONE), *three_of(HALF_LAP)]
+    groups = grouped(samples)
+    wishes = {PROTOCOL: Groups(main=MAIN)}
+    settings = {each.source: {"results.kink.to": "5 mm"} for each in samples}
+    settings[samples[0].source] = {"results.kink.to": "4 mm"}
+    found = find_differences(groups, wishes, settings, by=("type",))
+    assert found.shown[0].words.endswith(
+        "; the tests were processed otherwise: results.kink.to differ"
+    )
+
+
+@pytest.fixture(scope="module")
+def tube() -> Protocol:
+    path = find_protocol("twist-tube", beside=Path())
+    assert isinstance(path, Path)
+    return load_protocol(path)
+
+
+def changed(protocol: Protocol, old: str, new: str) -> Protocol:
+    text = dump_protocol(protocol)
+    assert old in text
+    return parse_protocol(text.replace(old, new, 1), "synthetic")
+
+
+def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
+    own = dict(settings_of(tube))
+    other = settings_of(changed(tube, "force_below: 50 %", "force_below: 20 %"))
+    (note,) = setting_notes({"a": own, "b": own, "c": other})
+    assert (note.code, note.where) == ("protocols_differ", "curve.failure.force_below")
+    assert note.message == "set otherwise from test to test: 20 % (c) and 50 % (a, b)"
+    assert unlike_words({"a": own, "c": other}) == (
+        "the tests were processed otherwise: curve.failure.force_below differ",
+    )
+    assert not unlike_words({"a": own, "b": own})
+    bare = settings_of(tube.model_copy(update={"steps": (), "results": (), "branches": None}))
+    assert unlike_words({"a": own, "b": bare}) == (
+        "the tests were processed otherwise: steps, branches, results differ",
+    )
+
+
+def test_a_block_that_differs_in_many_settings_is_told_once(tube: Protocol) -> None:
+    """A conduit bundle without the frame's export has other steps and another way to align."""
+    own = dict(settings_of(tube))
+    less = {key: said for key, said in own.items() if not key.startswith("curve.")}
+    other = less | {f"align.a{number}": "x" for number in range(5)}
+    notes = setting_notes({"with": own | {f"align.a{k}": "y" for k in range(5)}, "without": other})
+    (align,) = [note for note in notes if note.where == "align"]
+    assert align.message == (
+        "set otherwise from test to test: 5 settings, the first align.a0: y (with) and x (without)"
+    )
+    assert not [note for note in notes if note.where.startswith("align.")]

@@ -1,17 +1,15 @@
+"""Exports become tests: files that stand still, names that are paired, sheets that are written."""
+
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
 import pytest
 
-from labpipe.campaign.pairing import (
-    Candidate,
-    given_by,
-    list_candidates,
-    pair_test,
-    plan_of,
-)
+from labpipe.campaign.pairing import Candidate, list_candidates, pair_test, plan_of
+from labpipe.campaign.standing_files import StandingFiles
 from labpipe.errors import ProtocolError, StoreError, UsageError
 from labpipe.protocol.load import load_test_sheet
 from tests.builders.small_tests import Lab, state
@@ -48,18 +46,6 @@ def campaign(lab: Lab) -> Path:
 def only(folder: Path) -> Candidate:
     (candidate,) = list_candidates(folder, plan_of(folder)).candidates
     return candidate
-
-
-def test_exports_of_one_folder_are_paired_by_their_names(campaign: Path) -> None:
-    candidate = only(campaign)
-
-    assert candidate.folder == campaign / "A2-085-3"
-    assert {role: path.name for role, path in candidate.files.items()} == {
-        "force": "A2-085-3_Force.mat",
-        "markers": "A2-085-3.csv",
-    }
-    assert candidate.values == {"type": "A2", "length": "85 mm", "sample": "3"}
-    assert given_by(plan_of(campaign), candidate)["spool"] == "A2-s1"
 
 
 def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
@@ -177,17 +163,6 @@ def refuses(sheet: Path) -> bool:
     return True
 
 
-def test_folders_in_folders(lab: Lab) -> None:
-    folder = lab.raw.parent
-    (folder / "monday").mkdir()
-    lab.raw.rename(folder / "monday" / "T1")
-    (folder / "monday" / "T1" / "figures").mkdir()
-    (folder / "monday" / "T1" / "figures" / "x.svg").write_text("x", encoding="utf-8")
-    assert [each.folder for each in list_candidates(folder, plan_of(folder)).candidates] == [
-        folder / "monday" / "T1"
-    ]
-
-
 def test_folders_by_their_pattern(lab: Lab) -> None:
     folder = lab.raw.parent
     lab.sheet.unlink()
@@ -262,32 +237,10 @@ def test_a_force_alone_waits_for_what_the_other_tests_need(
     assert (written.sheet is None) is bool(missing)
 
 
-def test_roles_that_are_waited_for(lab: Lab) -> None:
-    folder = lab.raw.parent
-    lab.sheet.unlink()
-    (lab.raw / "take.csv").unlink()
-    plan = "version: 1\nprotocol: conduit-bundle\nwait_for: [force, markers]\n"
-    (folder / "campaign.yaml").write_text(plan, encoding="utf-8")
-    assert pair_test(only(folder), plan_of(folder), waited=1e6).missing == ("markers",)
-
-
 def test_a_sheet_by_hand_waits_for_the_exports_that_it_names(lab: Lab) -> None:
     (lab.raw / "take.csv").unlink()
     written = pair_test(only(lab.raw.parent), plan_of(lab.raw.parent))
     assert (written.sheet, written.missing) == (None, ("take.csv",))
-
-
-def test_labels_of_names_stand_beside_those_of_the_plan(campaign: Path) -> None:
-    plan = campaign / "campaign.yaml"
-    plan.write_text(
-        BY_NAME.replace("{type}", "{labels.oven}").replace(
-            "spool: A2-s1", "spool: A2-s1, type: A2"
-        ),
-        encoding="utf-8",
-    )
-    written = pair_test(only(campaign), plan_of(campaign))
-    assert written.sheet is not None
-    assert load_test_sheet(written.sheet).specimen.labels == {"cured": "24 h", "oven": "A2"}
 
 
 def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
@@ -298,3 +251,51 @@ def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
     plan.write_text(BY_NAME.replace("wire-cantilever", "wire-cantilver"), encoding="utf-8")
     with pytest.raises(UsageError, match="Did you mean 'wire-cantilever'"):
         pair_test(only(campaign), plan_of(campaign))
+
+
+class Clock:
+    """A clock that goes when it is told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def test_a_file_stands_still_once_it_did_not_change_for_long_enough(
+    tmp_path: Path, clock: Clock
+) -> None:
+    files, path = StandingFiles(clock, 2.0), tmp_path / "x"
+    assert files.look(path) == "gone"
+    path.write_bytes(b"1")
+    assert files.look(path) == "growing"
+    clock.now += 1.9
+    assert files.look(path) == "growing"
+    path.write_bytes(b"12")
+    assert files.look(path) == "growing"
+    clock.now += 1.9
+    assert files.look(path) == "growing"
+    assert files.moving_for(path) == pytest.approx(3.8)
+    clock.now += 0.1
+    assert files.look(path) == "still"
+    assert clock.now - files.since([path]) == pytest.approx(2.0)
+    path.unlink()
+    assert files.look(path) == "gone"
+    assert files.mark(path) is None
+
+
+def test_a_file_that_changes_at_the_same_size_grows(tmp_path: Path, clock: Clock) -> None:
+    files, path = StandingFiles(clock, 2.0), tmp_path / "x"
+    path.write_bytes(b"1")
+    files.look(path)
+    clock.now += 5.0
+    assert files.look(path) == "still"
+    os.utime(path, (1.0, 1.0))
+    assert files.look(path) == "growing"
+    assert files.moving_for(path) == 0.0  # it stood still before

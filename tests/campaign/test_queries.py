@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import string
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -77,11 +76,6 @@ def test_conditions(catalog: Catalog, where: str, tests: list[str]) -> None:
     assert [row["test"] for row in asked(catalog, where)] == tests
 
 
-def test_a_test_that_another_process_is_at_work_on(catalog: Catalog) -> None:
-    catalog.claim("T2")
-    assert [row["test"] for row in asked(catalog, "state = 'running'")] == ["T2"]
-
-
 ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) select max(i) from n)"
 
 
@@ -116,17 +110,6 @@ def written(catalog: Catalog, form: str, where: str = "") -> str:
     with answered(catalog, where) as answer:
         write_answer(answer, form, out)
     return out.getvalue()
-
-
-def test_a_table_for_a_terminal(catalog: Catalog) -> None:
-    lines = written(catalog, "table", "value > 0").splitlines()
-    assert lines[0].split() == [
-        "test", "state", "type", "spool", "sample", "name", "value", "unit", "level", "estimate",
-        "status", "date", "=odd\\x07", "length", "cured", "room", "temperature",
-    ]  # fmt: skip
-    assert lines[1].split()[:8] == ["T1", "ok", "A1", "s", "1", "peak_force.1", "1.5", "N"]
-    assert len(lines) == 3
-    assert not any(ord(sign) < 32 or sign == "\u202e" for line in lines for sign in line)
 
 
 def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
@@ -208,17 +191,12 @@ def test_rows_are_written_as_they_are_read(catalog: Catalog) -> None:
         assert write_answer(answer, "csv", Counted()) == 1999
 
 
-@pytest.mark.slow
-def test_a_million_rows(catalog: Catalog) -> None:
-    import tracemalloc
-
-    many(catalog, 10_000, 100)
-    begun, out = time.process_time(), Counted()
-    tracemalloc.start()
-    with answered(catalog, "type = 'A3'") as answer:
-        assert write_answer(answer, "csv", out) == 1_000_000
-    _, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert out.lines == 1_000_001
-    assert most < 20e6
-    assert time.process_time() - begun < 120
+def test_a_table_for_a_terminal(catalog: Catalog) -> None:
+    lines = written(catalog, "table", "value > 0").splitlines()
+    assert lines[0].split() == [
+        "test", "state", "type", "spool", "sample", "name", "value", "unit", "level", "estimate",
+        "status", "date", "=odd\\x07", "length", "cured", "room", "temperature",
+    ]  # fmt: skip
+    assert lines[1].split()[:8] == ["T1", "ok", "A1", "s", "1", "peak_force.1", "1.5", "N"]
+    assert len(lines) == 3
+    assert not any(ord(sign) < 32 or sign == "\u202e" for line in lines for sign in line)

@@ -1,15 +1,17 @@
-"""From results on disk to the groups of a report."""
+"""From results on disk to the samples, groups and pages of a report."""
 
 from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
+from labpipe.campaign.report_samples import frames_at_steps, sample_of
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
     Beside,
@@ -18,13 +20,24 @@ from labpipe.campaign.reporting import (
     make_campaign,
     report_tests,
 )
+from labpipe.campaign.stated import number_kinds, with_sizes
+from labpipe.campaign.test_pages import page_of_test, pages_of
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.process.run import process_test
 from labpipe.process.targets import find_results
+from labpipe.protocol.load import known_protocols, load_protocol
+from labpipe.protocol.schema import Section, SpecimenBlock
+from labpipe.records.group import Campaign, Sample
+from labpipe.records.result import Specimen, TestResult
 from labpipe.report.lab_report import Letterhead
+from labpipe.report.page_facts import report_id
+from labpipe.store.read import Drawable, read_result
+from labpipe.store.write import write_result
 from tests.builders.bundles import EXAMPLES
+from tests.builders.campaigns import build_group
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
+from tests.store.builders_result import build_result
 
 KINDS = {"T-1": ("tube", 5e3), "T-2": ("tube", 5.1e3), "H-1": ("hose", 4e3), "H-2": ("hose", 4.1e3)}
 
@@ -66,15 +79,6 @@ def test_groups(done: Path) -> None:
     assert not campaign.left_out
 
 
-def test_what_speaks_of_one_test_has_no_mean(done: Path) -> None:
-    """The first slip of one sample is no other sample's first slip."""
-    tube = make_campaign(find_results([done]), "").groups[1]
-    assert not [number.name for number in tube.numbers if number.name.startswith("slip_")]
-    assert [len(sample.slips) for sample in tube.samples] == [0, 1]
-    names = {each.name for each in tube.samples[1].results}
-    assert {"slip_position.1", "slip_drop.1"} <= names
-
-
 def stored_protocol(results: Path, old: str, new: str) -> None:
     """Change the protocol that every result has stored."""
     import h5py
@@ -99,15 +103,6 @@ def test_main_numbers_come_first_and_are_compared(results: Path) -> None:
     assert (difference.first, difference.second) == ("hose", "tube")
     assert difference.difference.mean == pytest.approx(1000.0, rel=0.05)
     assert difference.margin == pytest.approx(0.05 * 4050.0, rel=0.01)
-
-
-def test_a_result_that_cannot_be_read_is_left_out(results: Path) -> None:
-    bad = results / "c" / "T-1" / "result.h5"
-    bad.write_bytes(b"nothing")
-    campaign = make_campaign(find_results([results]), "")
-    assert [len(group.samples) for group in campaign.groups] == [2, 1]
-    assert list(campaign.left_out) == [str(bad)]
-    assert "expected a result file, found a file that is not HDF5" in campaign.left_out[str(bad)]
 
 
 def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
@@ -160,25 +155,6 @@ def test_a_report_without_readable_decisions_is_refused(results: Path) -> None:
         add_decisions(results / "c", "c", [decision])
     with pytest.raises(UsageError, match=r"H-1.*: rejected: all slipped"):
         report_tests([results])
-
-
-def test_no_result_can_be_read(results: Path) -> None:
-    files = find_results([results])
-    for file in files:
-        file.write_bytes(b"nothing")
-    with pytest.raises(UsageError, match=r"H-1.*\n.*H-2.*\n.*T-1.*\n.*T-2"):
-        make_campaign(files, "")
-
-
-def test_a_report_lies_beside_the_tests(results: Path) -> None:
-    reported = report_tests([results])
-    assert reported.folder == results / "c" / "report"
-    assert reported.campaign.title == "c"
-    assert reported.files[0] == reported.folder / "report.html"
-    assert all(file.is_file() for file in reported.files)
-    one = report_tests([results / "c" / "T-1"], title="One")
-    assert one.folder == results / "c" / "report"
-    assert one.campaign.title == "One"
 
 
 def labelled(results: Path, labels: dict[str, str]) -> None:
@@ -239,17 +215,6 @@ def test_only_pairs_that_differ_in_one_field(results: Path) -> None:
     assert (campaign.compared, campaign.pairs_not_shown) == ("cured", 2)
 
 
-def test_a_field_that_no_sheet_has(done: Path) -> None:
-    files = find_results([done])
-    for wanted, option in ((Wanted(by=("tipe",)), "--by"), (Wanted(alone="tipe"), "--compare")):
-        with pytest.raises(UsageError) as told:
-            make_campaign(files, "", wanted=wanted)
-        assert str(told.value).startswith(
-            f"{option}: expected fields of these test sheets, which are type, spool"
-        )
-        assert str(told.value).endswith("found 'tipe'. Write type, or another of them.")
-
-
 def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
     campaign = make_campaign(find_results([done]), "", wanted=Wanted(wires=EXAMPLES))
     assert (campaign.wire_sheet, campaign.places) == ("wires.xlsx", ())
@@ -257,15 +222,6 @@ def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
     with pytest.raises(LabpipeError, match=r"none\.xlsx"):
         make_campaign(find_results([done]), "", said.append, Wanted(wires=Path("none.xlsx")))
     assert not said
-
-
-def test_spools_of_several_types_are_told_apart(results: Path) -> None:
-    labelled(results, dict.fromkeys(KINDS, "24 h"))
-    (group,) = make_campaign(find_results([results]), "", wanted=Wanted(by=("cured",))).groups
-    spools = {sample.specimen.spool for sample in group.samples}
-    assert len(spools) == 2
-    assert all(spool.startswith(("hose ", "tube ")) for spool in spools)
-    assert "spools_renamed" in [note.code for note in group.notes]
 
 
 def test_what_a_killed_process_left_is_no_sample(results: Path) -> None:
@@ -307,3 +263,112 @@ def test_a_recording_is_counted_once(results: Path) -> None:
         f" in {results / 'c' / 'T-1' / 'result.h5'}. Look at `files` in both test sheets, or leave"
         " the copy out."
     }
+
+
+@pytest.fixture(scope="module")
+def pulls(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two pulls until they broke, the second with a slip."""
+    home = tmp_path_factory.mktemp("done")
+    for seed, name in enumerate(("T-1", "T-2")):
+        lab = TensileLab(home, name)
+        travel, force = pull(stiffness=5e3, slack=0.001, seed=seed)
+        force = slipped(travel, force, (0.012, 3.0)) if name == "T-2" else force
+        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+        lab.sheet.write_text(lab.sheet.read_text("utf-8").replace("synthetic", "tube"), "utf-8")
+        lab.override("curve.slips.decision", "repaired")
+        process_test(lab.sheet, figures=False)
+    return home / "processed"
+
+
+def kept(result: TestResult, source: str = "") -> Sample:
+    return sample_of(Drawable(result, None, None), source=source)
+
+
+def read(pulls: Path, name: str) -> TestResult:
+    return read_result(pulls / "c" / name / "result.h5")
+
+
+def test_a_sample_keeps_thinned_branches_up_to_the_failure(pulls: Path) -> None:
+    result = read(pulls, "T-1")
+    sample = kept(result, "here")
+    assert (sample.test, sample.source, sample.specimen.type) == ("T-1", "here", "tube")
+    (branch,) = sample.loading
+    assert not sample.unloading
+    assert 400 < len(branch.displacement) <= 1000
+    assert (np.diff(branch.displacement) > 0.0).all()
+    failure = next(each.value for each in result.results if each.name == "failure_displacement")
+    assert failure is not None
+    assert branch.displacement[-1] == pytest.approx(failure, abs=4e-5)
+    assert branch.force.min() > -0.1
+    line = 5e3 * np.maximum(branch.displacement, 0.0)
+    np.testing.assert_allclose(branch.force, line, atol=0.15)
+    np.testing.assert_array_equal(branch.force, branch.as_measured)
+
+
+def test_a_repaired_slip_is_seen_in_the_force_as_measured(pulls: Path) -> None:
+    sample = kept(read(pulls, "T-2"))
+    (branch,), (slip,) = sample.loading, sample.slips
+    added = branch.force - branch.as_measured
+    at = branch.displacement
+    assert np.abs(added[at < slip.position - 1e-4]).max() == 0.0
+    np.testing.assert_allclose(added[at > slip.position + 1e-4], slip.drop)
+
+
+def test_unloading_grows_too(pulls: Path) -> None:
+    result = read(pulls, "T-1")
+    curve = result.curve
+    assert curve is not None
+    back = replace(curve.branches[0], direction=type(curve.branches[0].direction).UNLOADING)
+    turned = replace(curve, displacement=-curve.displacement, branches=(back,))
+    sample = kept(replace(result, curve=turned))
+    assert not sample.loading
+    assert (np.diff(sample.unloading[0].displacement) > 0.0).all()
+
+
+def test_frames_at_round_steps_of_the_first_loading(pulls: Path) -> None:
+    result = read(pulls, "T-1")
+    assert result.curve is not None
+    time = np.arange(result.curve.time[0], result.curve.time[-1], 0.02)
+    frames, deflection = frames_at_steps(result, time)
+    steps = np.diff(deflection)
+    assert 4 <= len(frames) <= 7
+    np.testing.assert_allclose(deflection, 0.005 * np.arange(len(frames)), atol=1e-4)
+    assert (steps > 0.0).all()
+    assert len(frames_at_steps(replace(result, curve=None), time)[0]) == 0
+
+
+def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them() -> None:
+    section = Section.model_validate({"width": "18.8 mm", "area": "5 mm^2"})
+    said = SpecimenBlock.model_validate({"length": "300 mm", "section": section})
+    specimen = with_sizes(Specimen("tape", "s1", "1", {"length": 0.25}), said)
+    assert specimen.dimensions == {"length": 0.25, "width": 0.0188}
+    bare = Specimen("tape", "s1", "1")
+    assert with_sizes(bare, SpecimenBlock()) == bare
+
+
+@pytest.mark.parametrize(
+    ("name", "signed", "is_set"),
+    [
+        ("conduit-bundle", {"clock_offset", "clock_drift", "end_slope"}, True),
+        ("pet-tape", {"slack"}, False),
+    ],
+)
+def test_numbers_that_the_rig_sets_and_that_can_be_negative(
+    name: str, signed: set[str], is_set: bool
+) -> None:
+    found = number_kinds(load_protocol(known_protocols()[name]))
+    assert found.signed == signed
+    assert found.set_by_rig == ({"peak_displacement"} if is_set else set())
+
+
+def test_a_page_for_each_test_with_the_id_of_the_report(tmp_path: Path) -> None:
+    file = tmp_path / "result.h5"
+    write_result(replace(build_result(half_cycle=1.0), figures=()), file)
+    sample = sample_of(Drawable(read_result(file), None, None), source=str(file), label="c/<x>")
+    group = replace(build_group("A", []), samples=(sample,))
+    campaign = Campaign("S", (group,), rejected_samples=(replace(sample, label="c/y"),))
+    pages = pages_of(campaign)
+    assert list(pages) == ["tests/c__<x>.html", "tests/c__y.html"]
+    for page in pages.values():
+        assert f"report {report_id(campaign)}" in page.replace("\\20 ", " ")
+    assert f"<h1>{sample.test}</h1>" in page_of_test(file)

@@ -1,22 +1,33 @@
+"""Runs of a campaign: what is processed, what comes of it, and a catalog that a rebuild repeats."""
+
 from __future__ import annotations
 
 import json
-import os
+import random
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from labpipe.campaign.campaign_folders import find_campaign, look_at_outcome
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE
-from labpipe.campaign.claims import own_claim
+from labpipe.campaign.decisions import Decision
+from labpipe.campaign.file_accounts import account_for
+from labpipe.campaign.outcome_rows import StoredOutcome, plain, read_outcome_files
 from labpipe.campaign.refreshing import opened_campaign
-from labpipe.campaign.running import clear_failures, look, rebuild, run_some
-from labpipe.errors import StoreError, UsageError
+from labpipe.campaign.running import clear_failures, decide, look, rebuild, run_some
+from labpipe.errors import LabpipeError, StoreError, UsageError
+from labpipe.process.run import process_test
+from labpipe.store.failure_file import FailedTest, write_failure
 from tests.builders.kept_campaigns import KeptCampaign, content_of
+from tests.builders.small_tests import Lab
 
 
 @pytest.fixture
@@ -46,14 +57,6 @@ def test_new_tests_are_processed_once(kept: KeptCampaign) -> None:
     assert kept.stand_in.processed == []
 
 
-def test_touched_files_are_not_processed(kept: KeptCampaign) -> None:
-    kept.run()
-    for file in kept.raw.rglob("*.*"):
-        os.utime(file)
-    kept.run()
-    assert kept.stand_in.processed == []
-
-
 def test_what_changed_is_processed_and_nothing_else(kept: KeptCampaign) -> None:
     kept.run()
     (kept.raw / "T2" / "frame.csv").write_text("63.5", encoding="utf-8")
@@ -70,15 +73,6 @@ def test_what_changed_is_processed_and_nothing_else(kept: KeptCampaign) -> None:
     kept.add("T4")
     kept.run()
     assert kept.stand_in.processed == ["T1", "T4"]
-
-
-def test_a_failed_test_is_processed_again_when_its_export_is_another(kept: KeptCampaign) -> None:
-    kept.run()
-    (kept.raw / "T3" / "frame.csv").write_text("61.5", encoding="utf-8")
-    kept.run()
-    assert kept.stand_in.processed == ["T3"]
-    assert states(kept)["T3"] == OK
-    assert not (kept.processed / "T3" / "failure.json").exists()
 
 
 def test_a_missing_export_fails_until_it_is_there(kept: KeptCampaign) -> None:
@@ -134,11 +128,6 @@ def test_exports_that_were_taken_away(kept: KeptCampaign) -> None:
     assert kept.stand_in.processed == []
     shutil.rmtree(kept.processed / "T2")
     assert set(states(kept)) == {"T1", "T3"}
-
-
-def test_only_some(kept: KeptCampaign) -> None:
-    kept.run(only=["T2"])
-    assert kept.stand_in.processed == ["T2"]
 
 
 def test_failures_are_cleared_by_code(kept: KeptCampaign) -> None:
@@ -210,23 +199,6 @@ def test_another_run_meanwhile(kept: KeptCampaign) -> None:
     assert first.overview.counts == {OK: 1, DOUBTFUL: 1, FAILED: 1}
 
 
-def test_a_test_that_an_orphan_still_writes_is_tried_again(
-    kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("labpipe.campaign.running._PAUSE", 0.01)
-    (kept.raw / "T1" / "frame.csv").write_text("fail in_use", "utf-8")
-    tries: list[str] = []
-
-    def before(name: str) -> None:
-        tries.append(name)
-        if tries.count("T1") == 3:
-            (kept.raw / "T1" / "frame.csv").write_text("60.5", "utf-8")
-
-    kept.stand_in.before = before
-    ran = kept.run()
-    assert (tries.count("T1"), ran.elsewhere, states(kept)["T1"]) == (3, [], STALE)
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), StoreError("the scheduler is gone")])
 def test_what_ends_a_run_gives_its_claims_back(kept: KeptCampaign, error: BaseException) -> None:
     def before(name: str) -> None:
@@ -242,29 +214,6 @@ def test_what_ends_a_run_gives_its_claims_back(kept: KeptCampaign, error: BaseEx
     kept.stand_in.before = lambda _: None
     kept.run()
     assert kept.stand_in.processed == ["T2", "T3"]
-
-
-def test_a_claim_of_a_process_that_died(kept: KeptCampaign) -> None:
-    kept.run()
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    with opened_campaign(kept.folders) as keeper:
-        sql = "insert into running values ('T1', ?, ?, '', ?)"
-        host = own_claim().host
-        keeper.catalog._connection.execute(sql, (host, ended.pid, time.time()))
-        assert keeper.catalog.claims() == {}
-    kept.run(again=["T1"])
-    assert kept.stand_in.processed == ["T1"]
-
-
-def test_a_rebuild_gives_the_same_rows(kept: KeptCampaign) -> None:
-    kept.run()
-    before = content_of(kept)
-    assert {len(rows) for rows in before.values()} == {0, 2, 3}
-    overview = rebuild(kept.folders)
-    assert overview.notes == []
-    assert content_of(kept) == before
-    assert not list(kept.processed.glob("catalog.sqlite.*"))
 
 
 def test_no_rebuild_while_a_process_is_at_work(kept: KeptCampaign) -> None:
@@ -325,21 +274,6 @@ def killed_after(kept: KeptCampaign, seconds: float, tree: Path) -> None:
     process.stdout.close()
 
 
-@pytest.mark.slow
-def test_two_processes_at_a_time_share_the_tests(kept: KeptCampaign, repository: Path) -> None:
-    for number in range(20):
-        kept.add(f"K{number:02d}")
-    program = KILLED.format(tree=str(repository), home=str(kept.home))
-    program += "print(*kept.stand_in.processed)\n"
-    both = [
-        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    processed = [each.communicate()[0].split()[1:] for each in both]
-    assert [each.returncode for each in both] == [0, 0]
-    assert sorted(processed[0] + processed[1]) == sorted(look(kept.folders).rows)
-
-
 def kill_again_and_again(kept: KeptCampaign, times: list[float], tree: Path) -> None:
     for number in range(20):
         kept.add(f"K{number:02d}", f"{60 + number / 10}")
@@ -363,11 +297,6 @@ def test_killed_now_and_then(kept: KeptCampaign, repository: Path) -> None:
     kill_again_and_again(kept, [0.01, 0.2, 0.35], repository)
 
 
-@pytest.mark.slow
-def test_killed_at_fifty_moments(kept: KeptCampaign, repository: Path) -> None:
-    kill_again_and_again(kept, [0.02 * (n % 25) for n in range(50)], repository)
-
-
 def test_some_tests_alone(kept: KeptCampaign) -> None:
     told: list[str] = []
     ran = run_some(kept.folders, kept.stand_in, ["T2"], told=lambda folder, _: told.append(folder))
@@ -388,40 +317,283 @@ def test_a_failure_is_tried_again_once_the_export_is_another(kept: KeptCampaign)
     assert row.state == OK
 
 
-SECOND_RUN = """
-import resource, sys
-from labpipe.cli import main
-status = main(["campaign", "run", sys.argv[1]])
-used = resource.getrusage(resource.RUSAGE_SELF)
-print("cpu", used.ru_utime + used.ru_stime)
-sys.exit(status)
-"""
+@pytest.fixture
+def two_tests(tmp_path: Path) -> KeptCampaign:
+    two_tests = KeptCampaign(tmp_path)
+    for name in ("T1", "T2"):
+        two_tests.add(name)
+    two_tests.run()
+    return two_tests
+
+
+def test_what_looks_the_same_is_not_opened(
+    two_tests: KeptCampaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with opened_campaign(two_tests.folders) as keeper:
+        keeper.refresh()
+
+        def refuse(*_: object) -> None:
+            raise AssertionError
+
+        monkeypatch.setattr("labpipe.campaign.refreshing.read_outcome_files", refuse)
+        assert keeper.refresh().counts == {OK: 2}
+
+
+def test_odd_names_are_kept(two_tests: KeptCampaign) -> None:
+    """Names of folders with every printable character that a system takes, and some others."""
+    odd = [
+        "a b",
+        "a'b\"c",
+        "%;--",
+        "T[1]{2}",
+        "\x07bell\x1b[31m",
+        "new\nline",
+        "ü ½ 漢字 😀",
+        "~$x",
+        "C:x",
+    ]
+    for name in odd:
+        two_tests.add(f"x{name}")
+    sheet = two_tests.raw / "x\x07bell\x1b[31m" / "test.yaml"
+    for name in odd:
+        sheet = two_tests.raw / f"x{name}" / "test.yaml"
+        sheet.write_text(
+            sheet.read_text("utf-8").replace(f"test: x{name}\n", "test: odd\n"), "utf-8"
+        )
+    two_tests.run()
+    assert sorted(two_tests.stand_in.processed) == sorted(f"x{name}" for name in odd)
+    assert look(two_tests.folders).counts == {OK: 2 + len(odd)}
+    two_tests.run()
+    assert two_tests.stand_in.processed == []
+
+
+NAMES = [f"T{number}" for number in range(5)]
+
+
+class Accidents:
+    """Things that happen to a campaign, one by one, at random."""
+
+    def __init__(self, kept: KeptCampaign, seed: int) -> None:
+        self.kept, self.chance = kept, random.Random(seed)
+        self.said: list[str] = []
+
+    def happen(self) -> None:
+        happening = self.chance.choice(
+            [self.run, self.run, self.export, self.no_export, self.sheet, self.odd_sheet,
+             self.no_sheet, self.no_results, self.half_results, self.decision, self.replay,
+             self.again]
+        )  # fmt: skip
+        name = self.chance.choice(NAMES)
+        self.said.append(f"{happening.__name__} {name}")
+        with suppress(FileNotFoundError):
+            happening(name)
+
+    def run(self, _: str) -> None:
+        self.kept.run()
+
+    def export(self, name: str) -> None:
+        text = self.chance.choice(["60", "61", "doubt", "fail disk_full", "fail process_died"])
+        (self.kept.raw / name / "frame.csv").write_text(text, "utf-8")
+
+    def no_export(self, name: str) -> None:
+        (self.kept.raw / name / "frame.csv").unlink()
+
+    def sheet(self, name: str) -> None:
+        self._write(name, lambda text: f"{text}# {self.chance.random()}\n")
+
+    def odd_sheet(self, name: str) -> None:
+        odd = ["test: [", "protocol: corrugated-tube", "\x00"]
+        self._write(name, lambda _: self.chance.choice(odd))
+
+    def _write(self, name: str, change: Callable[[str], str]) -> None:
+        path = self.kept.raw / name / "test.yaml"
+        path.write_text(change(path.read_text("utf-8")), "utf-8")
+
+    def no_sheet(self, name: str) -> None:
+        here, away = self.kept.raw / name / "test.yaml", self.kept.home / f"{name}.yaml"
+        here.rename(away) if here.exists() else away.rename(here)
+
+    def no_results(self, name: str) -> None:
+        shutil.rmtree(self.kept.processed / name)
+
+    def half_results(self, name: str) -> None:
+        (self.kept.processed / name / "summary.json").write_text("{", "utf-8")
+
+    def decision(self, name: str) -> None:
+        word = self.chance.choice(["accept", "reject"])
+        with suppress(LabpipeError):  # it was not processed yet
+            decide(self.kept.folders, name, Decision("", "", word, "as it is", "A. Tester"))
+
+    def replay(self, _: str) -> None:
+        with suppress(LabpipeError):  # there is none
+            clear_failures(self.kept.folders, self.chance.choice(["", "disk_full"]))
+
+    def again(self, name: str) -> None:
+        shutil.rmtree(self.kept.raw / name)
+        self.kept.add(name, self.chance.choice(["60", "doubt"]))
+
+
+def follow(home: Path, seed: int, steps: int) -> None:
+    kept = KeptCampaign(home)
+    for name in NAMES:
+        kept.add(name)
+    accidents = Accidents(kept, seed)
+    for _ in range(steps):
+        accidents.happen()
+        look(kept.folders)
+        before = content_of(kept)
+        rebuild(kept.folders)
+        assert content_of(kept) == before, accidents.said[-6:]
+    kept.run()
+    kept.run()
+    assert kept.stand_in.processed == []
+
+
+def test_some_accidents(tmp_path: Path) -> None:
+    follow(tmp_path, 1, 25)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="the time of the processor is asked of POSIX")
-def test_ten_thousand_tests_that_are_done_take_three_seconds(
-    tmp_path: Path, repository: Path
-) -> None:
-    """Of the processor, from start to end of the process; and again when all are touched."""
+@pytest.mark.parametrize("seed", range(2, 10))
+def test_many_accidents(tmp_path: Path, seed: int) -> None:
+    follow(tmp_path, seed, 150)
+
+
+def test_every_file_is_used_waiting_failed_or_unknown(tmp_path: Path) -> None:
     kept = KeptCampaign(tmp_path)
-    for number in range(10_000):
-        kept.add(f"T{number:05d}", f"{60 + number % 7}.{number:05d} {'x' * 300}")
+    kept.add("T1")
+    kept.add("T2", "fail bad_sheet")
     kept.run()
-    assert len(kept.stand_in.processed) == 10_000
-    environment = {**os.environ, "PYTHONPATH": str(repository), "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", SECOND_RUN, str(kept.raw)]
+    kept.add("more/T3")
+    (kept.add("T4") / "test.yaml").write_text("test: [", "utf-8")
+    (kept.raw / "campaign.yaml").write_text("", "utf-8")
+    (kept.raw / "T1" / "photo.jpg").write_text("", "utf-8")
+    (kept.raw / "notes \x07.txt").write_text("", "utf-8")
+    with opened_campaign(kept.folders) as keeper:
+        files = account_for(keeper, keeper.refresh())
+    assert files == {
+        "used": ["T1/frame.csv", "T1/test.yaml", "campaign.yaml"],
+        "waiting": ["T4/test.yaml", "more/T3/frame.csv", "more/T3/test.yaml"],
+        "failed": ["T2/frame.csv", "T2/test.yaml"],
+        "unknown": ["T1/photo.jpg", "T4/frame.csv", "notes \x07.txt"],
+    }
 
-    def again() -> float:
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=True, cwd=repository
-        )
-        assert "processed 0 of 10000" in done.stdout
-        return float(done.stdout.rpartition("cpu ")[2])
 
-    again()  # hashes of files that were young when they were taken
-    assert again() < 3.0
-    for file in kept.raw.rglob("*.*"):
-        os.utime(file)
-    again()
-    assert again() < 3.0
+PAIRED = """\
+version: 1
+pair: {by: name, from: incoming, exports: {frame: "{test}_frame.csv"}}
+"""
+
+
+def test_files_that_a_campaign_yaml_pairs(tmp_path: Path) -> None:
+    kept = KeptCampaign(tmp_path)
+    kept.add("T1")
+    kept.run()
+    (kept.raw / "campaign.yaml").write_text(PAIRED, "utf-8")
+    (kept.raw / "incoming").mkdir()
+    for name in ("T1_frame.csv", "T2_frame.csv", "x.csv"):
+        (kept.raw / "incoming" / name).write_text("", "utf-8")
+
+    with opened_campaign(kept.folders) as keeper:
+        files = account_for(keeper, keeper.refresh())
+
+    assert "campaign.yaml" in files["used"]
+    assert "incoming/T1_frame.csv" in files["used"]
+    assert files["waiting"] == ["incoming/T2_frame.csv"]
+    assert files["unknown"] == ["incoming/x.csv"]
+
+
+@pytest.fixture
+def one_test(tmp_path: Path) -> KeptCampaign:
+    one_test = KeptCampaign(tmp_path)
+    one_test.add("T1")
+    one_test.run()
+    return one_test
+
+
+def outcome(one_test: KeptCampaign) -> StoredOutcome:
+    return read_outcome_files(look_at_outcome(one_test.folders, "T1"))
+
+
+def changed(one_test: KeptCampaign, **values: Any) -> StoredOutcome:
+    path = one_test.processed / "T1" / "summary.json"
+    path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | values), "utf-8")
+    return outcome(one_test)
+
+
+def test_of_a_real_test(lab: Lab) -> None:
+    made = process_test(lab.sheet, figures=False).result
+    found = read_outcome_files(look_at_outcome(find_campaign(lab.raw.parent), lab.name))
+    assert (found.test, found.run, found.protocol) == (made.test, made.run, made.protocol)
+    assert found.specimen["length"] == 0.085
+    assert found.date == str(made.date)
+    assert [each.name for each in found.results] == [each.name for each in made.results]
+    for mine, its in zip(found.results, made.results, strict=True):
+        assert (mine.value, mine.unit, mine.status) == (its.value, its.unit, its.status)
+    assert found.inputs == tuple((i.role, i.file, i.sha256) for i in made.inputs)
+    assert not found.has_failed
+
+
+def test_a_failure_beside_earlier_results(one_test: KeptCampaign) -> None:
+    before = outcome(one_test)
+    failure = FailedTest("T1", "process_died", "it was ended", "f" * 64, made_of={"sheet": "5e"})
+    write_failure(failure, one_test.processed / "T1")
+    found = outcome(one_test)
+    assert (found.has_failed, found.code, found.reason) == (True, "process_died", "it was ended")
+    assert (found.run, found.failed_run, found.attempt) == (before.run, "f" * 64, "f" * 64)
+    assert (found.sheet, found.protocol_text, found.inputs) == ("5e", "", ())
+    assert found.results == before.results
+
+
+def test_a_failure_of_the_key_that_the_results_have_is_over(one_test: KeptCampaign) -> None:
+    before = outcome(one_test)
+    write_failure(
+        FailedTest("T1", "process_died", "it was ended", before.run), one_test.processed / "T1"
+    )
+    assert outcome(one_test) == before
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"made_of": 1, "inputs": [1]}', '{"inputs": {}}'])
+def test_a_failure_that_cannot_be_read_is_one(one_test: KeptCampaign, text: str) -> None:
+    (one_test.processed / "T1" / "failure.json").write_text(text, "utf-8")
+    found = outcome(one_test)
+    assert (found.has_failed, found.code) == (True, "unknown")
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"results": [{"name": "x"}]},
+        {"results": 5},
+        {"specimen": None},
+        {"inputs": [1]},
+        {"results": [{"name": "x", "value": "many"}]},
+    ],
+)
+def test_a_summary_that_lacks_something(one_test: KeptCampaign, values: dict[str, Any]) -> None:
+    found = changed(one_test, **values)
+    assert found.unreadable.startswith("summary.json lacks something (")
+    assert (found.run, found.results) == ("", ())
+
+
+def test_half_characters_are_written_out(one_test: KeptCampaign) -> None:
+    assert plain("a\ud800b ü") == "a\\ud800b ü"
+    found = changed(one_test, test="a\ud800", operator="\udfff")
+    assert (found.test, found.operator) == ("a\\ud800", "\\udfff")
+
+
+def test_a_test_that_an_orphan_still_writes_is_tried_again(
+    kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("labpipe.campaign.running._PAUSE", 0.01)
+    (kept.raw / "T1" / "frame.csv").write_text("fail in_use", "utf-8")
+    tries: list[str] = []
+
+    def before(name: str) -> None:
+        tries.append(name)
+        if tries.count("T1") == 3:
+            (kept.raw / "T1" / "frame.csv").write_text("60.5", "utf-8")
+
+    kept.stand_in.before = before
+    ran = kept.run()
+    assert (tries.count("T1"), ran.elsewhere, states(kept)["T1"]) == (3, [], STALE)

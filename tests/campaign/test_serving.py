@@ -9,7 +9,7 @@ import struct
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from http.client import HTTPConnection, HTTPException
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,6 @@ import pytest
 from labpipe.campaign.decisions import add_decisions, read_decisions
 from labpipe.campaign.serving import ReportServer, Site
 from labpipe.errors import UsageError
-from labpipe.store.read import read_run
 from tests.builders.pulled_campaigns import WHEN, decision_on, make_pulls
 
 PAGE = "<head><meta content=\"connect-src 'none'\"></head><body>ü</body>"
@@ -230,32 +229,6 @@ def test_a_browser_that_goes_away(
     asked.server.shutdown()
     asked.server.server_close()
     assert capfd.readouterr() == ("", "")
-
-
-def test_a_fault_is_shown_where_the_server_was_started(
-    asked: Asked, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("labpipe.campaign.serving._file_at", lambda *_: 1 / 0)
-    with pytest.raises(HTTPException):
-        asked.get("report/none")
-    asked.server.shutdown()
-    assert "ZeroDivisionError" in capfd.readouterr().err
-
-
-def test_ten_thousand_decisions(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each result is opened once, and not for each decision."""
-    opened: list[Path] = []
-
-    def counted(file: Path) -> str:
-        opened.append(file)
-        return read_run(file)
-
-    monkeypatch.setattr("labpipe.campaign.saved_decisions.read_run", counted)
-    entry = asdict(decision_on(asked.site.folder, "T-1"))
-    sent = [entry | {"because": f"reason {number}"} for number in range(10_000)]
-    answer = asked.post("report/decisions", {"schema": 1, "decisions": sent})
-    assert len(answer.said["decisions"]) == len(sent)
-    assert len(opened) == 1
 
 
 @pytest.mark.parametrize("when", ["9999999-99", "yesterday", "2026-13-01", 10_000 * "9"])

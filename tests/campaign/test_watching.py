@@ -1,21 +1,35 @@
-"""A watch with a clock of its own, on real files."""
+"""The watch on a campaign: real files with a clock of its own, a process of its own, verdicts."""
 
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Iterable
+import os
+import queue
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from labpipe.campaign.executors import Outcome
+from labpipe.campaign.campaign_folders import find_campaign
+from labpipe.campaign.executors import Outcome, local
 from labpipe.campaign.pairing import pair_test
-from labpipe.campaign.standing_files import StandingFiles
+from labpipe.campaign.running import look
+from labpipe.campaign.verdicts import GroupsSoFar, Shown, actions, actions_for, refused, verdict
+from labpipe.campaign.watched_campaign import WatchedCampaign
 from labpipe.campaign.watching import Watcher
-from labpipe.errors import ProtocolError, StoreError
-from tests.builders.small_tests import Lab
+from labpipe.errors import CODES, ProcessingError, ProtocolError, StoreError
+from labpipe.protocol.reference import kinds_of_notes
+from labpipe.records.quality import Severity
+from tests.approved import Approve
+from tests.builders.small_tests import Lab, state
 
 PLAN = """\
 version: 1
@@ -172,21 +186,6 @@ def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_c
     assert "WELL" in bench.go(3)
 
 
-def test_a_file_that_grows_for_an_hour_is_said_once(
-    bench: Bench, exports: dict[str, bytes]
-) -> None:
-    folder = put(bench, "A2-085-1", exports, "take.csv")
-    said = []
-    for minute in range(130):
-        (folder / "force.mat").write_bytes(bytes(minute + 1))
-        said.append(bench.go(60, step=60))
-    assert [each for each in said if each] == [
-        "A2-085-1: force.mat is still being written after an hour; waited for"
-    ]
-    (folder / "force.mat").write_bytes(exports["force.mat"])
-    assert "WELL" in bench.go(3)
-
-
 def test_a_locked_file_is_waited_for(
     bench: Bench, exports: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,30 +331,238 @@ def test_the_newest_test_comes_first(bench: Bench, exports: dict[str, bytes]) ->
     assert bench.campaign.asked == ["A2-085-2", "A2-085-3", "A2-085-1"]
 
 
-def test_tests_of_long_ago_are_looked_at_now_and_then(
-    bench: Bench, exports: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for number in range(5):
-        put(bench, f"A2-085-{number}", exports)
-    bench.go(120)
-    looks: list[Path] = []
-    look = StandingFiles.look
-
-    def counted(files: StandingFiles, path: Path) -> str:
-        looks.append(path)
-        return look(files, path)
-
-    monkeypatch.setattr(StandingFiles, "look", counted)
-    assert bench.go(40 * 0.5) == ""
-    assert len(looks) == 5 * 3  # each file once in 40 looks
-    sheet = bench.campaign.raw / "A2-085-3" / "test.yaml"
-    sheet.write_text(sheet.read_text("utf-8") + "# later\n", "utf-8")
-    bench.go(40 * 0.5 + 2.0)
-    assert bench.campaign.asked[5:] == ["A2-085-3"]
+PLAN_OF_ONE = """\
+version: 1
+protocol: wire-cantilever
+specimen: {type: A2, spool: A2-s1, sample: 1, length: 85 mm}
+overrides:
+  rig.stroke: {value: 12 mm, because: a short stroke}
+  rig.cycles: {value: 2, because: set so}
+  rig.crosshead_speed: {value: 4 mm/s, because: set so}
+"""
+_COMMAND = (
+    "import signal, sys; from labpipe.cli import main;"
+    " signal.signal(signal.SIGINT, signal.default_int_handler);"  # a job in the background
+    " sys.exit(main(sys.argv[1:]))"
+)
 
 
-def test_a_test_that_is_taken_away_is_forgotten(bench: Bench, exports: dict[str, bytes]) -> None:
-    folder = put(bench, "A2-085-1", exports, "force.mat")
-    bench.go(3)
-    shutil.rmtree(folder)
-    assert bench.go(10) == ""
+class Watch:
+    """`labpipe campaign watch` in a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", _COMMAND, "campaign", "watch", str(folder)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )
+        self.lines: queue.Queue[str] = queue.Queue()
+        self.said: list[str] = []
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        for line in self.process.stdout or ():
+            self.lines.put(line.rstrip("\n"))
+
+    def wait_for(self, words: str, seconds: float = 120.0) -> str:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            try:
+                line = self.lines.get(timeout=0.1)
+            except queue.Empty:
+                assert self.process.poll() is None, "\n".join(self.said)
+                continue
+            self.said.append(line)
+            if words in line:
+                return line
+        raise AssertionError(f"no {words!r} in {self.said}")
+
+    def interrupt(self) -> int:
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(60)
+
+
+@pytest.fixture
+def begun() -> Iterator[list[Watch]]:
+    """Watches that are ended with the test."""
+    watches: list[Watch] = []
+    yield watches
+    for each in watches:
+        if each.process.poll() is None:
+            each.process.kill()
+        each.process.wait(10)
+        if each.process.stdout is not None:
+            each.process.stdout.close()
+
+
+def put_in_pieces(source: Path, goal: Path, names: tuple[str, ...], *, pieces: int) -> float:
+    """Write exports as a program does; gives the time at which the last one ends."""
+    goal.mkdir(parents=True)
+    for name in names:
+        data = (source / name).read_bytes()
+        with (goal / name).open("wb") as stream:
+            for start in range(0, len(data), len(data) // pieces + 1):
+                stream.write(data[start : start + len(data) // pieces + 1])
+                stream.flush()
+                time.sleep(0.05)
+    return time.monotonic()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
+def test_from_the_end_of_a_recording_to_figures(lab: Lab, begun: list[Watch]) -> None:
+    campaign = lab.raw.parent
+    exports = lab.raw.rename(lab.home / "exports")
+    (campaign / "campaign.yaml").write_text(PLAN_OF_ONE, encoding="utf-8")
+    begun.append(Watch(campaign))
+    begun[0].wait_for("; Ctrl-C ends it")
+
+    put_in_pieces(exports, campaign / "T7", ("force.mat", "take.csv"), pieces=10)
+
+    begun[0].wait_for("T7: wrote T7/test.yaml")
+    assert "WELL" in begun[0].wait_for("T7: ")
+    assert begun[0].wait_for("peak_force.1 ").endswith("; the first of its group")
+    begun[0].wait_for("  nothing to look at: the specimen can come off")
+    figures = lab.home / "processed" / "c" / "T7" / "figures"
+    until = time.monotonic() + 60.0
+    while not figures.exists() and time.monotonic() < until:
+        time.sleep(0.1)
+    assert begun[0].interrupt() == 130
+    begun[0].wait_for("labpipe: interrupted; earlier results are as they were")
+    assert len(list(figures.iterdir())) == 6
+    overview = look(find_campaign(campaign))
+    assert {name: row.state for name, row in overview.rows.items()} == {"T7": "ok"}
+
+    before = state(lab.home / "processed" / "c" / "T7")
+    begun.append(Watch(campaign))
+    put_in_pieces(exports, campaign / "T8", ("take.csv", "force.mat"), pieces=10)
+    begun[1].wait_for("T8: WELL")
+    begun[1].wait_for("nothing to look at")
+    assert begun[1].interrupt() == 130
+    assert not [line for line in begun[1].said if "T7: " in line]
+    assert state(lab.home / "processed" / "c" / "T7") == before
+
+
+Summary = dict[str, Any]
+MM = Shown({"force": "mN"}, ("peak_force.1",))
+
+
+def summary(
+    peak: float = 1.0, *, status: str = "ok", codes: Sequence[str] = (), length: float = 0.085
+) -> Summary:
+    reasons = [{"code": code, "message": "x"} for code in codes]
+    energy = {"name": "energy.1", "value": 2.0, "unit": "J", "status": "ok", "reasons": []}
+    force = {
+        "name": "peak_force.1",
+        "value": None if status == "failed" else peak,
+        "unit": "N",
+        "status": status,
+        "reasons": reasons,
+    }
+    specimen = {"type": "A", "spool": "s", "sample": str(peak), "length": length}
+    return {
+        "protocol": "p",
+        "specimen": specimen,
+        "results": [energy, force, force | {"name": "peak_force.2"}],
+        "quality": [],
+    }
+
+
+def put_summary(folder: Path, said: Summary) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "summary.json").write_text(json.dumps(said), encoding="utf-8")
+    return folder
+
+
+def lines(tmp_path: Path, said: Summary, before: Sequence[Summary] = ()) -> list[str]:
+    groups = GroupsSoFar()
+    groups.read({put_summary(tmp_path / f"T{i}", each): "run" for i, each in enumerate(before)})
+    return verdict("T", tmp_path / "T", said, groups.group_of(said), MM)
+
+
+def test_a_number_outside_the_spread_so_far(tmp_path: Path) -> None:
+    before = [summary(1.0 + 0.01 * i) for i in range(-3, 4)]
+    head, numbers, last = lines(tmp_path, summary(1.2), before)
+    assert head == "T: LOOK, 3 ok, outside the group: peak_force.1"
+    # 1 +- t(6 degrees, 1 - 0.05 / 6) * 0.0216 * sqrt(1 + 1 / 7), with t = 3.2875
+    assert "peak_force.1 1200 mN (OUTSIDE 924.1 to 1076); " in numbers
+    assert numbers.endswith("; n = 7 so far")
+    assert last.startswith("  while it is mounted: compare the set-up with that of the other tests")
+    assert "(within 924.1 to 1076)" in lines(tmp_path, summary(1.07), before)[1]
+
+
+def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -> None:
+    groups = GroupsSoFar()
+    folders = [put_summary(tmp_path / f"T{i}", summary(i)) for i in range(3)]
+    put_summary(tmp_path / "L", summary(9.0, length=0.1))
+    put_summary(tmp_path / "D", summary(9.0, status="doubtful", codes=["gap"]))
+    others = dict.fromkeys([tmp_path / "L", tmp_path / "D", tmp_path / "none"], "1")
+    groups.read(dict.fromkeys(folders, "1") | others)
+
+    group = groups.group_of(summary())
+    assert sorted(group.of("peak_force.1", but=folders[1])) == [0.0, 2.0]
+
+    put_summary(folders[0], summary(7.0))  # processed again
+    groups.read(dict.fromkeys(folders, "1"))
+    assert sorted(group.of("peak_force.1", but=folders[1])) == [0.0, 2.0]
+    groups.read({folders[0]: "2", folders[1]: "1"})  # the third is rejected
+    assert sorted(group.of("peak_force.1", but=folders[1])) == [7.0]
+    groups.read({folders[0]: "2", folders[1]: "1", folders[2]: "1"})
+    assert sorted(group.of("peak_force.1", but=folders[1])) == [2.0, 7.0]
+
+
+def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None:
+    doubting = {
+        each.code
+        for each in kinds_of_notes()
+        if each.origin == "processing" and (each.doubts or Severity.ERROR in each.severities)
+    }
+    page = (repository / "docs" / "reference" / "results.md").read_text(encoding="utf-8")
+    table = page.partition("## Reason codes of failed results")[2].partition("In a [report]")[0]
+    failing = set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE))
+    said = set(re.findall(r"`(\w+)`", table))
+
+    missing = (doubting | failing | set(CODES)) - set(actions()) - {"mid_span", "code"}
+    assert not missing
+    known = {each.code for each in kinds_of_notes()} | said | set(CODES)
+    assert not set(actions()) - known  # no action for a code that there is not
+
+
+def test_words_of_verdicts(tmp_path: Path, approved: Approve) -> None:
+    doubtful = summary(status="doubtful", codes=["zero_not_at_rest", "slip_in_window"])
+    some = [summary(peak) for peak in (1.0, 1.1, 0.9)]
+    unlike = [summary(), summary(status="doubtful", codes=["gap"])]
+    cases: list[tuple[Summary, list[Summary]]] = [
+        (summary(), []), (doubtful, []), (summary(status="failed", codes=["no_cycle"]), []),
+        (summary(5.0), some), (summary(), unlike),
+    ]  # fmt: skip
+    told = [
+        line
+        for number, (said, before) in enumerate(cases)
+        for line in lines(tmp_path / str(number), said, before)
+    ]
+    told += refused("T", "unreadable_export", "f.mat: expected a, found b. Do.\nmore")
+    approved([*told, actions_for(["slack_unknown", "no_break", "gap", "saturation", "cut", "gap"])])
+
+
+@pytest.mark.slow
+def test_a_test_that_another_labpipe_processes_is_tried_again(lab: Lab) -> None:
+    folders = find_campaign(lab.raw.parent)
+    watched = WatchedCampaign(folders, local(1))
+    from labpipe.campaign.refreshing import opened_campaign
+
+    with opened_campaign(folders) as keeper:
+        keeper.refresh()
+        assert keeper.catalog.claim("T1")
+        with pytest.raises(ProcessingError, match=r"another labpipe at work on it"):
+            watched.process(lab.sheet)
+        keeper.catalog.release("T1")
+    outcome = watched.process(lab.sheet)
+    assert outcome is not None
+    assert outcome.state == "ok"
+    assert watched.process(lab.sheet) is None
+    assert watched.process(lab.sheet, again=True) is not None
+    assert watched.unprocessed([lab.sheet]) == []
+    assert list(watched.results()) == [lab.processed.resolve()]

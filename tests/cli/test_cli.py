@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-import gc
-import json
 import os
 import re
 import subprocess
 import sys
+import webbrowser
 from pathlib import Path
 
 import pytest
 
-from labpipe.cli import DONE, main
+from labpipe.campaign.serving import ReportServer
+from labpipe.cli import BAD_INPUT, DONE, main
 from labpipe.errors import LabpipeError
+from labpipe.virtual_lab import CantileverScenario
+from tests.builders.pulled_campaigns import make_pulls
 from tests.builders.small_tests import Lab, Run
-
-
-def test_any_other_exception_is_a_bug_and_shows(
-    run: Run, lab: Lab, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*arguments: object, **more: object) -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr("labpipe.process.run.reduce_recordings", broken)
-    with pytest.raises(ZeroDivisionError):
-        main(["process", str(lab.raw)])
 
 
 def test_message_names_the_command(
@@ -59,16 +50,6 @@ def test_reader_of_a_pipe_that_goes_away(pristine: Lab) -> None:
     assert ended.stdout == "{"
     assert ended.stderr == ""
     assert ended.returncode == DONE
-
-
-def test_collector_works_again_once_all_is_imported(
-    lab: Lab, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["labpipe", "check", str(lab.raw)])
-    assert main() == 0
-    assert gc.isenabled()
-    assert gc.get_freeze_count() > 0
-    gc.unfreeze()
 
 
 def test_check(run: Run, lab: Lab) -> None:
@@ -120,13 +101,6 @@ def test_new_sees_what_lies_there(run: Run, lab: Lab) -> None:
     assert run("check", folder).status == DONE
 
 
-def test_new_for_a_campaign(run: Run, lab: Lab) -> None:
-    (lab.raw / "test.yaml").unlink()
-    campaign = lab.raw.parent
-    assert run("new", campaign).out.startswith(f"wrote {lab.raw / 'test.yaml'}\n")
-    assert run("new", campaign).out.startswith(f"kept  {lab.raw / 'test.yaml'}: ")
-
-
 def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     sheet = tmp_path / "campaign.csv"
     sheet.write_text(
@@ -141,21 +115,6 @@ def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     assert ran.out.count("  not there yet: force.mat, take.csv\n") == 2
     ran = run("new", tmp_path / "raw", "--from", sheet)
     assert ran.out.count("kept ") == 2
-
-
-@pytest.mark.slow
-def test_several_tests_as_json(run: Run, lab: Lab) -> None:
-    one = lab.raw / "test.yaml"
-    out = lab.home / "out"
-    run("process", one, "--out", out, "--no-figures")
-    ran = run("process", one, out / "T1" / "result.h5", "--no-figures", "--json")
-    assert [each["test"] for each in json.loads(ran.out)] == ["T1", "T1"]
-
-
-def test_nothing_is_printed_when_every_test_is_refused(run: Run, lab: Lab) -> None:
-    (lab.raw / "force.mat").unlink()
-    ran = run("process", lab.raw, "--json")
-    assert (ran.status, ran.out) == (2, "")
 
 
 @pytest.mark.parametrize("command", ["inspect", "check", "process", "report", "model"])
@@ -191,20 +150,6 @@ def test_memory_that_is_used_up(run: Run, tmp_path: Path, monkeypatch: pytest.Mo
     assert ran.err.startswith("labpipe inspect: expected data that go into the memory, found that")
 
 
-@pytest.mark.slow
-def test_a_name_that_the_terminal_cannot_show(lab: Lab) -> None:
-    text = lab.sheet.read_text(encoding="utf-8").replace("test: T1", "test: T\u529b1")
-    lab.sheet.write_text(text, encoding="utf-8")
-    program = "import sys; from labpipe.cli import main; sys.exit(main(sys.argv[1:]))"
-    ended = subprocess.run(
-        [sys.executable, "-c", program, "process", str(lab.raw), "--no-figures"],
-        capture_output=True,
-        check=False,
-        env=os.environ | {"PYTHONIOENCODING": "ascii"},
-    )
-    assert (ended.returncode, ended.stdout[:10]) == (0, b"T\\u529b1  ")
-
-
 @pytest.mark.skipif(os.name == "nt", reason="names of files are Unicode there")
 def test_a_name_that_the_system_cannot_write(lab: Lab) -> None:
     text = re.sub(r"files: {\w+: ", "\\g<0>\xe4", lab.sheet.read_text(encoding="utf-8"))
@@ -221,10 +166,195 @@ def test_a_name_that_the_system_cannot_write(lab: Lab) -> None:
     assert b"whose encoding is ascii, found '\\xe4'. Choose a locale of UTF-8" in ended.stderr
 
 
-@pytest.mark.parametrize("command", ["process", "report", "bundle", "model", "inspect", "check"])
-def test_a_path_that_no_system_takes(run: Run, command: str) -> None:
-    ran = run(command, "x" * 300)
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "powershell"])
+def test_a_script_for_each_shell(run: Run, shell: str) -> None:
+    ran = run("completion", shell)
+    assert ran.status == DONE
+    assert "labpipe" in ran.out
+    assert "ARGCOMPLETE" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("labpipe rep", {"report"}),
+        ("labpipe campaign re", {"replay", "rebuild"}),
+        ("labpipe report --ti", {"--title"}),
+        ("labpipe simulate --kind ta", {"taped-bundle"}),
+        ("labpipe inspect ta", {"take.csv"}),
+    ],
+)
+def test_completes_commands_actions_options_and_files(
+    tmp_path: Path, repository: Path, typed: str, offered: set[str]
+) -> None:
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    (lab / "take.csv").touch()
+    answer = tmp_path / "answer"
+    asked = {
+        **{
+            "_ARGCOMPLETE": "1",
+            "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+            "_ARGCOMPLETE_IFS": "\n",
+        },
+        **{"COMP_LINE": typed, "COMP_POINT": str(len(typed)), "COMP_TYPE": "9"},
+    }
+    command = [sys.executable, "-c", "from labpipe.cli import main; main()"]
+    environment = os.environ | asked | {"PYTHONPATH": str(repository)}
+    subprocess.run(command, cwd=lab, env=environment, check=True, stdout=subprocess.DEVNULL)
+    words = answer.read_text(encoding="utf-8").split("\n")
+    assert {word.strip() for word in words} == offered
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def test_copies_what_a_lab_starts_from(run: Run, repository: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "lab"
+    ran = run("examples", folder)
+    assert (ran.status, ran.err) == (DONE, "")
+    expected = contents(repository / "examples") | {
+        f"protocols/{name}": text for name, text in contents(repository / "protocols").items()
+    }
+    assert contents(folder) == expected
+    assert ran.out.count("wrote ") == len(expected)
+    assert run("examples", folder).status == DONE, "the same again does no harm"
+
+
+def test_a_file_of_ones_own_is_never_replaced(run: Run, tmp_path: Path) -> None:
+    own = tmp_path / "protocols" / "tensile.yaml"
+    own.parent.mkdir()
+    own.write_text("mine", encoding="utf-8")
+    ran = run("examples", tmp_path)
+    assert ran.status == BAD_INPUT
+    assert ran.err == (
+        f"labpipe examples: {own}: expected the example as it comes with labpipe, or no such file,"
+        " found another one. Move it away, or name another folder; nothing was written.\n"
+    )
+    assert contents(tmp_path) == {"protocols/tensile.yaml": b"mine"}
+
+
+def test_examples_are_not_copied_onto_themselves(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("examples/wires.xlsx", "protocols/own.yaml"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(name, encoding="utf-8")
+    monkeypatch.setattr("labpipe.cli.examples.shipped_folder", tmp_path.__truediv__)
+    ran = run("examples", tmp_path / "examples")
+    assert ran.status == DONE
+    assert "wires.xlsx" not in ran.out
+    assert (tmp_path / "examples" / "protocols" / "own.yaml").read_text() == "protocols/own.yaml"
+
+
+def test_table_and_progress(run: Run, lab: Lab) -> None:
+    ran = run("process", lab.raw, "--no-figures")
+    assert ran.status == 0
+    assert ran.err == "1/1 T1\n"
+    heading, first, *rest = ran.out.splitlines()
+    assert heading == f"T1  (wire-cantilever): 15 ok  ->  {lab.processed}"
+    assert first.split()[:1] == ["clock_offset"]
+    assert first.split()[2:4] == ["s", "95"]
+    assert len(rest) == 14
+    assert not (lab.processed / "figures").exists()
+
+
+def test_doubtful_results_are_status_0_and_told(run: Run, lab: Lab) -> None:
+    lab.override("markers.along", "all")
+    lab.override("steps.specimen-frame.max_out_of_plane", "1 um")
+    ran = run("process", lab.raw, "--no-figures")
+    assert ran.status == 0
+    assert "? peak_displacement.1 " in ran.out
+    assert "doubtful: out_of_plane: " in ran.out
+    assert "warning: markers leave their plane by " in ran.out
+
+
+def test_writes_exports_sheet_and_truth(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scenario that the options ask for reaches the virtual lab."""
+    asked: list[tuple[CantileverScenario, Path, int]] = []
+
+    def simulate(scenario: CantileverScenario, folder: Path, seed: int) -> Path:
+        asked.append((scenario, folder, seed))
+        return folder
+
+    monkeypatch.setattr("labpipe.cli.simulate.simulate_test", simulate)
+    ran = run(
+        *("simulate", "--out", tmp_path, "--name", "S7", "--rate", "1 kHz"),
+        *("--fps", "120 Hz", "--cycles", "2", "--seed", "9"),
+    )
+    assert ran.status == 0
+    (scenario, folder, seed), *_ = asked
+    assert (folder, seed, scenario.name) == (tmp_path / "S7", 9, "S7")
+    assert (scenario.clocks.rate, scenario.clocks.fps) == (1000.0, 120.0)
+    assert scenario.mechanics.cycles == 2
+    assert ran.out == (
+        f"wrote {tmp_path / 'S7'}: exports, test.yaml, truth.json (synthetic, seed 9)\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        (("--kind", "taped-bundle", "--type", "CWB-1"), "type=CWB-1 of a taped-bundle"),
+        (("--kind", "conduit-bundle", "--cycles", "2"), "cycles=2 of a conduit bundle"),
+        (("--type", "CWB-1"), "type=CWB-1 of a wire"),
+    ],
+)
+def test_what_a_kind_does_not_have(
+    run: Run, tmp_path: Path, options: tuple[str, ...], found: str
+) -> None:
+    ran = run("simulate", "--out", tmp_path, *options)
     assert ran.status == 2
-    assert "Traceback" not in ran.err
-    said = "File name too long|file name too long|nothing of that name|expected wires by type"
-    assert re.search(said, ran.err)
+    assert ran.err == (
+        'labpipe simulate: options: expected --rate and --fps such as "10 kHz" and "50 Hz", a '
+        f"cycle, a plain name, a type and cycles that the kind has, found {found}. See `labpipe "
+        f"simulate --help`.\n"
+    )
+
+
+@pytest.fixture(scope="module")
+def processed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_pulls(tmp_path_factory.mktemp("done"), ("T-1", "T-2"))
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Addresses that a browser would open; the server is ended at once, as by Ctrl+C."""
+
+    def interrupted(_: ReportServer) -> None:
+        raise KeyboardInterrupt
+
+    addresses: list[str] = []
+    monkeypatch.setattr(ReportServer, "serve_forever", interrupted)
+    monkeypatch.setattr(webbrowser, "open", addresses.append)
+    return addresses
+
+
+def test_it_makes_the_report_and_opens_it(run: Run, processed: Path, opened: list[str]) -> None:
+    page = processed / "report" / "report.html"
+    ran = run("serve", processed, "--port", "0", "--title", "Tubes")
+    assert ran.status == 0
+    assert "Tubes" in page.read_text("utf-8")
+    (address,) = opened
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{32}/", address)
+    assert ran.out.splitlines() == [
+        f"Tubes: {address}",
+        "Only this machine can open it. Ctrl+C ends it.",
+        "",
+    ]
+    page.write_text("as it was", "utf-8")
+    run("serve", processed, "--port", "0", "--no-browser")
+    assert page.read_text("utf-8") == "as it was"
+    assert len(opened) == 1
+
+
+def test_bad_input(run: Run, tmp_path: Path, opened: list[str]) -> None:
+    ran = run("serve", tmp_path)
+    assert ran.status == BAD_INPUT
+    assert "expected a result.h5, or a folder with processed tests" in ran.err
+    assert "expected a whole number, found 'x'" in run("serve", tmp_path, "--port", "x").err
+    assert opened == []

@@ -1,22 +1,46 @@
+"""Tables of numbers, notes and progress on a terminal."""
+
 from __future__ import annotations
 
 import math
-import sys
+import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from labpipe.campaign.reporting import Reported
+from labpipe.cli import BAD_INPUT, DONE, main
+from labpipe.cli.bundle import bundle_table
+from labpipe.cli.calibrate import calibration_table, comparison_lines
+from labpipe.cli.model import model_table
 from labpipe.cli.process import table
 from labpipe.cli.report import report_table
-from labpipe.cli.terminal import counting, progress, reading
+from labpipe.cli.terminal import counting, progress
 from labpipe.process.run import Processed
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, GroupNumber
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Specimen, Status, TestResult
+from labpipe.records.wire import WireTable
+from labpipe.records.wire_calibration import Calibration, Identified, ParameterChoice
+from labpipe.store.write import write_result
+from labpipe.studies.bundle_bounds import Conduit, ModelledBundle
+from labpipe.studies.calibration_study import Calibrated
+from labpipe.studies.first_loadings import FirstLoading
+from labpipe.studies.validation import compare
+from labpipe.studies.wire_models import Modelled
+from labpipe.wire.bundle_model import bundle_model
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from tests.approved import Approve
+from tests.builders.bent_bundles import bent_bundle
+from tests.builders.bundles import EXAMPLES, bundle, example_wires
 from tests.builders.campaigns import build_group, build_number, six_samples, troubled_samples
+from tests.builders.external_curves import external_comparison, unmodelled, untested
+from tests.builders.loading_tests import measured, wire_of
+from tests.builders.small_tests import Run
+from tests.builders.wire_tables import wire_table
 
 TESTS = [Path("raw/A/test.yaml"), Path("raw/B/test.yaml")]
 EMPTY = TestResult(
@@ -74,18 +98,6 @@ def test_notes_that_matter() -> None:
     ]
 
 
-def test_the_place_of_a_note_stands_once() -> None:
-    of_marker = "W:M2: no position, frames 1 to 3"
-    notes = (
-        QualityNote("c", Severity.WARNING, "W:M2, frames 1 to 3", of_marker),
-        QualityNote("c", Severity.WARNING, "W:M3, frames 1 to 3", "no position"),
-    )
-    assert told(quality=notes)[1:] == [
-        f"  warning: {of_marker}",
-        "  warning: W:M3, frames 1 to 3: no position",
-    ]
-
-
 def test_the_largest_share_stands_beside_the_interval() -> None:
     budget = (Contribution("noise", 0.3), Contribution("pull offset", -0.4))
     found = Result("a", 53.43, "mm", Interval(53.32, 53.54), budget=budget)
@@ -136,18 +148,6 @@ def test_a_line_per_test_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err == "1/2 A\n2/2 B\n"
 
 
-def test_a_bar_on_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with progress(2) as begin:
-        for test in TESTS:
-            say = begin(test)
-            for stage in ("read", "process", "write", "draw"):
-                say(stage)
-    assert "1/2" not in capsys.readouterr().err
-
-
 def of_group(*numbers: GroupNumber) -> list[str]:
     """What is said of a report with one group of six samples from two spools."""
     group = replace(build_group("tube", six_samples()), numbers=numbers)
@@ -161,16 +161,6 @@ def test_what_ended_is_counted_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> 
         say("B: ok")
         say("A: failed")
     assert capsys.readouterr().err == "1/2 B: ok\n2/2 A: failed\n"
-
-
-def test_what_ended_moves_a_bar_on_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with counting("test") as (begin, say):
-        begin(2)
-        say("B: ok")
-    assert "\n1/2" not in capsys.readouterr().err
 
 
 def test_means_in_the_display_unit() -> None:
@@ -201,22 +191,138 @@ def test_means_of_some_samples_and_of_none() -> None:
     assert missing.split()[:3] == ["!", "slack", "-"]
 
 
-def test_one_of_each_is_singular() -> None:
-    group = build_group("tube", six_samples()[:1])
-    campaign = Campaign("Synthetic", (group,))
-    said = report_table(Reported(Path("r"), campaign, ()))
-    assert "tube  (twist-tube): 1 sample from 1 spool\n" in said
-    assert said.endswith("report: nothing written")
+def test_a_processed_bundle_predicts_its_cycles(run: Run, tmp_path: Path) -> None:
+    write_result(bent_bundle(), tmp_path / "result.h5")
+    out = ("--wire", EXAMPLES, "--out", tmp_path / "out", "--no-figures")
+    ran = run("bundle", tmp_path, *out)
+    assert ran.status == DONE, ran
+    lines = ran.out.splitlines()
+    assert lines[0] == "TWB-1: 7 B1, packed"
+    assert any(line.startswith("  error of what was left out, of the peak force") for line in lines)
+    assert any(line.startswith("  work lost over the cycles left out") for line in lines)
+    write_result(replace(bent_bundle(), results=()), tmp_path / "result.h5")
+    ran = run("bundle", tmp_path, *out)
+    assert "  no loop is predicted: the test has no kink (kink_displacement" in ran.out
 
 
-def test_reading_is_shown_on_a_terminal_only(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("bore", ["10.7", "0 mm", "-3 mm", "2 N"])
+def test_a_bore_that_is_none(run: Run, tmp_path: Path, bore: str) -> None:
+    ran = run("bundle", "7 B1", "--wire", EXAMPLES, f"--bore={bore}", "--out", tmp_path / "x")
+    assert ran.status == BAD_INPUT
+    assert ran.err == (
+        'labpipe bundle: --bore: expected a length above zero with its unit, such as "10.7 mm", '
+        f"found {bore!r}. Write the inner diameter of the conduit.\n"
+    )
+    assert not (tmp_path / "x").exists()
+
+
+def bundle_lines(*conduits: Conduit, bore: float | None = None, **wires: int) -> list[str]:
+    made = bundle(*wires.items(), arrangement="asymmetric", conduit_bore=bore)
+    model = bundle_model(made, example_wires())
+    return bundle_table(ModelledBundle("T1", model, conduits, 3.478e-3, Path("out"))).splitlines()
+
+
+@pytest.fixture(scope="module")
+def done() -> Calibrated:
+    curves = measured("A2")
+    found = calibrate(wire_of("A2"), curves, Settings())
+    assert isinstance(found, Calibration)
+    loadings = [FirstLoading(curve, 0.0, ()) for curve in curves]
+    groups = compare(found, {"A2": wire_of("A2")}, loadings)
+    return Calibrated(Path("processed/calibration"), found, groups, {}, ())
+
+
+def test_rejected_tests_are_not_handed_over(
+    done: Calibrated, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with reading(2) as say:
-        say("A")
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with reading(2) as say:
-        say("A")
-        say("B")
-    assert "\n1/2" not in capsys.readouterr().err
+    one, two = Path("processed/A2/A2-1/result.h5"), Path("processed/A2/A2-2/result.h5")
+    taken: list[object] = []
+
+    def take(targets: object, **_: object) -> Calibrated:
+        taken.append(targets)
+        return done
+
+    monkeypatch.setattr("labpipe.cli.calibrate.find_results", lambda _: [one, two])
+    monkeypatch.setattr("labpipe.cli.calibrate.calibrate_tests", take)
+    for rejected, left in (({}, [Path("processed/A2")]), ({one: "slipped (A. Tester)"}, [two])):
+        monkeypatch.setattr(
+            "labpipe.cli.calibrate.without_rejected", lambda _, r=rejected: ([two], r)
+        )
+        assert main(["calibrate", "processed/A2"]) == DONE
+        assert taken[-1] == left
+    said = capsys.readouterr().err
+    assert said == "labpipe calibrate: rejected: processed/A2/A2-1: slipped (A. Tester)\n"
+
+
+def model_lines(*tables: WireTable, refused: dict[str, str] | None = None) -> list[str]:
+    modelled = Modelled(Path("wires.xlsx"), Path("processed/wires"), tables, refused or {}, ())
+    return model_table(modelled).splitlines()
+
+
+def test_numbers_are_those_of_the_table() -> None:
+    table = wire_table("A2")
+    name, strands, kind, stick, slip, onset, end, force = model_lines(table)[2].split()
+    assert (name, strands, kind) == ("A2", "7", "hexagonal")
+    assert float(stick) == float(f"{1e6 * table.stick_stiffness:.5g}")
+    assert float(slip) == float(f"{1e6 * table.slip_stiffness:.5g}")
+    assert float(onset) == float(f"{table.slip_onsets[0]:.3g}")
+    assert float(end) == float(f"{table.curvature[-1]:.4g}")
+    at = 0.3 * table.spec.length
+    assert np.isclose(float(force), np.interp(at, table.tip_deflection, table.tip_force), rtol=1e-3)
+
+
+def test_table_of_bundles(approved: Approve) -> None:
+    offered = (Conduit(3e-3, 1.05, False), Conduit(5e-3, 0.38, True))
+    lines = [*bundle_lines(B1=7), *bundle_lines(*offered, bore=5e-3, B1=4, B2=3)]
+    lines += bundle_lines(B1=2)
+    approved(re.sub(r"\(\d+ deg from x\)", "(# deg from x)", line) for line in lines)
+
+
+def test_table_of_wires(approved: Approve) -> None:
+    """A curve that ends early, slip at once and beyond the range, notes of some and of all."""
+    table = wire_table("A2")
+    taken = QualityNote("defaults_taken", Severity.INFO, "sheet", "poisson 0.34 taken")
+    cut = QualityNote("cantilever_cut", Severity.WARNING, "cantilever", "it stops")
+    short = replace(table, tip_deflection=table.tip_deflection[:3], tip_force=table.tip_force[:3])
+    odd = (
+        short,
+        replace(table, slip_onsets=np.zeros(1)),
+        replace(table, slip_onsets=np.array([np.inf])),
+    )
+    many = [
+        replace(table, name=f"W{number}", notes=(taken, cut) if number < 12 else (taken,))
+        for number in range(13)
+    ]
+    approved([*model_lines(*odd, refused={"X1": "too thick"}), *model_lines(*many)])
+
+
+def test_table_of_a_calibration(done: Calibrated, approved: Approve) -> None:
+    """Digits of fitted values are left out."""
+    first, second, third = done.calibration.parameters
+    (group,) = done.groups
+    reason = Reason("no_prediction", "too deep")
+    lost = replace(group, prediction=None, errors=None, reason=reason)
+    note = QualityNote("test_doubtful", Severity.WARNING, "T1", "taken as it is: gap")
+    silent = replace(first, value=float("nan"), intervals=(), verdict=Identified.FIXED)
+    parts = (Interval(0.6, 1.8), Interval(4.0, 9.0))
+    two = replace(third, intervals=parts, verdict=Identified.TWO)
+    odd = (
+        (replace(first, is_open_below=True), second, replace(third, intervals=())),
+        (silent, second, two),
+    )
+    told = [calibration_table(done), calibration_table(replace(done, groups=(lost,)))]
+    for parameters in odd:
+        calibration = replace(done.calibration, parameters=parameters, notes=(note,), n_samples=1)
+        told.append(calibration_table(replace(done, calibration=calibration)))
+    prior = ParameterChoice(1.1, factor=1.2, source="tensile tests of strands")
+    found = calibrate(wire_of("A2"), measured("A2"), Settings({"copper_scale": prior}))
+    assert isinstance(found, Calibration)
+    told.append(calibration_table(replace(done, calibration=found)))
+    lines = [
+        re.sub(r"\d[\d.]*( x 10\^?[-\d]+|e[-+]\d+)?", "#", " ".join(line.split()))
+        for text in told
+        for line in text.splitlines()
+    ]
+    curves = [external_comparison("n" * 40), external_comparison(), untested(), unmodelled()]
+    assert comparison_lines([]) == []
+    approved([*lines, *comparison_lines(curves)])

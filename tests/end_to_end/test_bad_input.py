@@ -1,27 +1,36 @@
-"""Every kind of bad input that a bench can make: told in one message, and nothing is touched."""
+"""Bad input that a bench can make: refused in one message or told as doubtful; nothing is touched.
+
+Messages, statuses and codes are approved texts; numbers are asserted against the truth.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 import pytest
+from tests.builders.lab_folders import LabFolder
 
+from labpipe.virtual_lab.tensile_scenarios import twist_tube
+from tests.approved import Approve
 from tests.builders import bad_input
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
-from tests.builders.reasons import why
-from tests.builders.small_tests import Lab, Run, make_lab, small_scenario
+from tests.builders.small_tests import Lab, Run, make_lab, small_scenario, state
+from tests.builders.tensile_tests import TensileLab, make_tensile
 
 LOAD_CELL = "Model Root/Load Cell"
 Rows = list[list[str]]
 Change = Callable[[Lab], object]
-Refused: TypeAlias = bad_input.Refused[Lab]
-Told: TypeAlias = bad_input.Told[Lab]
+Pull = Callable[[TensileLab], object]
+ROLES = "{force: force.mat, markers: take.csv}"
+HEAD = 8
+"""Lines above the numbers in the export of a pull."""
 
 
 @pytest.fixture
@@ -30,75 +39,119 @@ def lab(processed: Lab, tmp_path: Path) -> Lab:
     return processed.copy(tmp_path)
 
 
-@pytest.fixture
-def refused(lab: Lab, run: Run) -> Refused:
-    return bad_input.Refused(lab, run)
+@pytest.fixture(scope="module")
+def pulled(tmp_path_factory: pytest.TempPathFactory) -> TensileLab:
+    """A twist tube with earlier results; not to be changed."""
+    from labpipe.process.run import process_test
+
+    lab = make_tensile(tmp_path_factory.mktemp("done"), twist_tube("1b"))
+    process_test(lab.sheet, figures=False)
+    assert len(state(lab.home / "processed")) == 2
+    return lab
 
 
 @pytest.fixture
-def told(lab: Lab, run: Run) -> Told:
-    return bad_input.Told(lab, run)
+def pull(pulled: TensileLab, tmp_path: Path) -> TensileLab:
+    return pulled.copy(tmp_path)
 
 
-def change_take(lab: Lab, change: Callable[[Rows], Rows]) -> None:
-    path = lab.raw / "take.csv"
-    rows = list(csv.reader(io.StringIO(path.read_text("utf-8"))))
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="\r\n").writerows(change(rows))
-    path.write_text(stream.getvalue(), encoding="utf-8", newline="")
+def take(change: Callable[[Rows], Rows]) -> Change:
+    """Change the rows of the take."""
+
+    def changed(lab: Lab) -> None:
+        path = lab.raw / "take.csv"
+        rows = list(csv.reader(io.StringIO(path.read_text("utf-8"))))
+        stream = io.StringIO()
+        csv.writer(stream, lineterminator="\r\n").writerows(change(rows))
+        path.write_text(stream.getvalue(), encoding="utf-8", newline="")
+
+    return changed
 
 
 def names_of(rows: Rows) -> list[str]:
     return next(row for row in rows if len(row) > 1 and row[1] == "Name")
 
 
-def without(*prefixes: str) -> Callable[[Rows], Rows]:
+def without(*prefixes: str) -> Change:
     """Leave out the columns of some names."""
 
     def change(rows: Rows) -> Rows:
-        names = names_of(rows)
-        kept = [not name.startswith(prefixes) for name in names]
+        kept = [not name.startswith(prefixes) for name in names_of(rows)]
         return [
-            row if len(row) != len(names) else [c for c, k in zip(row, kept, strict=True) if k]
+            row if len(row) != len(kept) else [c for c, k in zip(row, kept, strict=True) if k]
             for row in rows
         ]
 
-    return change
+    return take(change)
 
 
-def blank(*names: str) -> Callable[[Rows], Rows]:
-    """Empty the columns of some names in every frame."""
+def fill(name: str, cell: str, first: int = 7, last: int | None = None) -> Change:
+    """Write one text into the columns of a name, in some rows of the take."""
 
     def change(rows: Rows) -> Rows:
-        known = names_of(rows)
-        return [
-            ["" if name in names else cell for cell, name in zip(row, known, strict=True)]
-            if row and row[0].isdecimal()
-            else row
-            for row in rows
-        ]
+        columns = [column for column, known in enumerate(names_of(rows)) if known == name]
+        for row in rows[first:last]:
+            for column in columns:
+                row[column] = cell
+        return rows
 
-    return change
+    return take(change)
+
+
+def hold_clamp(start: float, stop: float) -> Change:
+    """Hold the pose of the clamp for some seconds, as a body that is lost and kept."""
+
+    def change(rows: Rows) -> Rows:
+        columns = [column for column, name in enumerate(names_of(rows)) if name == "Clamp"]
+        frames = [row for row in rows if row and row[0].isdecimal()]
+        held = [row for row in frames if start <= float(row[1]) <= stop]
+        for row in held[1:]:
+            for column in columns:
+                row[column] = held[0][column]
+        return rows
+
+    return take(change)
+
+
+def swap_rows(rows: Rows) -> Rows:
+    rows[300], rows[301] = rows[301], rows[300]
+    return rows
 
 
 def force(lab: Lab) -> tuple[np.ndarray, np.ndarray]:
     from scipy.io import loadmat
 
-    found = loadmat(lab.raw / "force.mat", simplify_cells=True)["force"]
-    y = found["Y"]
+    recording = loadmat(lab.raw / "force.mat", simplify_cells=True)["force"]
+    y = recording["Y"]
     signals = [y] if isinstance(y, dict) else y
-    volts = next(each["Data"] for each in signals if each["Path"] == LOAD_CELL)
-    return np.array(found["X"]["Data"]), np.array(volts)
+    volts = next(signal["Data"] for signal in signals if signal["Path"] == LOAD_CELL)
+    return np.array(recording["X"]["Data"]), np.array(volts)
 
 
-def write_force(lab: Lab, clock: np.ndarray, volts: np.ndarray, name: str = "Out1") -> None:
-    write_mat_v5(lab.raw / "force.mat", [Axis(clock)], [Signal(LOAD_CELL, name, volts)])
+def write_force(lab: Lab, clock: np.ndarray, volts: np.ndarray, name: str = "force.mat") -> None:
+    write_mat_v5(lab.raw / name, [Axis(clock)], [Signal(LOAD_CELL, "Out1", volts)])
 
 
-def change_force(lab: Lab, change: Callable[[np.ndarray, np.ndarray], None]) -> None:
-    clock, volts = force(lab)
-    change(clock, volts)
-    write_force(lab, clock, volts)
+def volts(at: slice | int, value: float) -> Change:
+    """Set some samples of the force."""
+
+    def change(lab: Lab) -> None:
+        clock, samples = force(lab)
+        samples[at] = value
+        write_force(lab, clock, samples)
+
+    return change
+
+
+def swap_times(lab: Lab) -> None:
+    clock, samples = force(lab)
+    clock[[700, 701]] = clock[[701, 700]]
+    write_force(lab, clock, samples)
+
+
+def rest_alone(lab: Lab) -> None:
+    clock, samples = force(lab)
+    write_force(lab, clock[:400], samples[:400])
 
 
 def cut(name: str, share: float) -> Change:
@@ -109,340 +162,164 @@ def cut(name: str, share: float) -> Change:
     return change
 
 
-# Exports that cannot be read
+def sheet(old: str, new: str) -> Change:
+    return lambda lab: lab.edit("test.yaml", old, new)
+
+
+def override(key: str, value: str) -> Callable[[LabFolder], object]:
+    return lambda lab: lab.override(key, value)
+
+
+REFUSED: dict[str, Change] = {
+    "take cut before its header": cut("take.csv", 0.0),
+    "take cut in its header": cut("take.csv", 0.0005),
+    "no rigid body": without("Clamp"),
+    "body without a pose": fill("Clamp", ""),
+    "two markers": without(*(f"Wire:Marker{number}" for number in range(3, 9))),
+    "clamp that stands still": take(
+        lambda rows: rows[:7] + [[*row[:2], *rows[7][2:]] for row in rows[7:]]
+    ),
+    "no sample is a number": volts(slice(None), np.nan),
+    "force time runs backwards": swap_times,
+    "frames run backwards": take(swap_rows),
+    "misspelt channel": override("sources.force.channel", "Model Root/Laod Cell/Out1"),
+    "gain without volts": override("sources.force.calibration.gain", "0.5 N"),
+    "gain in mm": override("sources.force.calibration.gain", "0.5 mm/V"),
+    "channel in mm": override("sources.force.unit", "mm"),
+    "path out of the folder": sheet("force: force.mat", "force: '../../other/force.mat'"),
+    "absolute path": sheet("force: force.mat", "force: '/etc/hostname'"),
+    "path of Windows": sheet("force: force.mat", "force: 'C:\\lab\\force.mat'"),
+    "no file": lambda lab: (lab.raw / "force.mat").unlink(),
+    "files in each other's role": sheet(ROLES, "{force: take.csv, markers: force.mat}"),
+    "role without a file": sheet(", markers: take.csv}", "}"),
+    "role that the protocol does not know": sheet("markers: take.csv", "frame: take.csv"),
+    "three parts that are one file": sheet(
+        "force: force.mat", "force: [force.mat, force.mat, force.mat]"
+    ),
+    "parts of a take": sheet("markers: take.csv", "markers: [take.csv, take.csv]"),
+    "misspelt protocol": sheet("wire-cantilever", "wire-cantilver"),
+}
+
+
+def faults(lab: LabFolder, message: str) -> list[str]:
+    code = json.loads((lab.processed / "failure.json").read_text("utf-8"))["code"]
+    return [code, message]
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused(lab: Lab, run: Run, name: str, approved: Approve) -> None:
+    count = 2 if name == "role that the protocol does not know" else 1
+    approved(faults(lab, bad_input.Refused(lab, run)(REFUSED[name], count)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.6, 0.999])
-def test_truncated_mat(refused: Refused, share: float) -> None:
-    message = refused(cut("force.mat", share))
-    assert "force.mat" in message
+def test_truncated_mat(lab: Lab, run: Run, share: float) -> None:
+    assert "force.mat" in bad_input.Refused(lab, run)(cut("force.mat", share))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.0005, 0.002])
-def test_take_cut_in_its_header(refused: Refused, share: float) -> None:
-    assert "take.csv" in refused(cut("take.csv", share))
+def test_sheet_that_is_no_yaml(lab: Lab, run: Run) -> None:
+    assert "test.yaml" in bad_input.Refused(lab, run)(sheet("files: {", "files: [{"))
 
 
-def test_take_without_the_rigid_body(refused: Refused) -> None:
-    message = refused(lambda lab: change_take(lab, without("Clamp")))
-    assert "markers, rigid bodies: expected the clamp 'Clamp', found no rigid body" in message
-    assert "markers.clamp" in message
-
-
-def test_body_without_a_pose(refused: Refused) -> None:
-    message = refused(lambda lab: change_take(lab, blank("Clamp")))
-    assert "rigid body 'Clamp': expected positions, found blanks in every frame" in message
-
-
-def test_fewer_than_three_markers(refused: Refused) -> None:
-    gone = [f"Wire:Marker{number}" for number in range(3, 9)]
-    message = refused(lambda lab: change_take(lab, without(*gone)))
-    assert "expected at least 3 markers along the specimen, found 2: Wire:Marker1" in message
-
-
-def test_all_samples_blank(refused: Refused) -> None:
-    def nothing(clock: np.ndarray, volts: np.ndarray) -> None:
-        volts[:] = np.nan
-
-    message = refused(lambda lab: change_force(lab, nothing))
-    assert f"channel '{LOAD_CELL}/Out1': expected numbers, found none" in message
-
-
-def test_force_time_runs_backwards(refused: Refused) -> None:
-    def swap(clock: np.ndarray, volts: np.ndarray) -> None:
-        clock[[700, 701]] = clock[[701, 700]]
-
-    message = refused(lambda lab: change_force(lab, swap))
-    assert "force.mat" in message
-    assert "expected time that increases from sample to sample" in message
-
-
-def test_frames_run_backwards(refused: Refused) -> None:
-    def swap(rows: Rows) -> Rows:
-        rows[300], rows[301] = rows[301], rows[300]
-        return rows
-
-    message = refused(lambda lab: change_take(lab, swap))
-    assert "take.csv" in message
-
-
-def test_wrong_channel_name_says_the_nearest(refused: Refused) -> None:
-    message = refused(
-        lambda lab: lab.override(
-            "sources.force.channel", f"{LOAD_CELL.replace('Load', 'Laod')}/Out1"
-        )
-    )
-    assert "Model Root/Laod Cell/Out1" in message
-    assert "'Model Root/Load Cell/Out1'" in message
-
-
-@pytest.mark.parametrize("gain", ["0.5 N", "0.5 mm/V", "0.5"])
-def test_unit_of_the_wrong_dimension(refused: Refused, gain: str) -> None:
-    message = refused(lambda lab: lab.override("sources.force.calibration.gain", gain))
-    assert "test.yaml, line " in message
-    assert f"found '{gain}'" in message or f"found {gain}" in message or gain in message
-
-
-def test_channel_of_the_wrong_dimension(refused: Refused) -> None:
-    message = refused(lambda lab: lab.override("sources.force.unit", "mm"))
-    assert "(sources.force.calibration.gain): expected " in message
-    assert "test.yaml changes.)" in message
-
-
-@pytest.mark.parametrize("name", ["../../other/force.mat", "/etc/hostname", "C:\\lab\\force.mat"])
-def test_path_that_leaves_the_folder(refused: Refused, name: str) -> None:
-    message = refused(lambda lab: lab.edit("test.yaml", "force: force.mat", f"force: '{name}'"))
-    assert "expected a file inside the folder of the test" in message
-    assert "Copy the export into the folder" in message
-
-
-def test_link_that_leaves_the_folder(
-    refused: Refused, tmp_path_factory: pytest.TempPathFactory
+def test_links_are_followed_on_demand(
+    lab: Lab, run: Run, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    outside = tmp_path_factory.mktemp("outside") / "force.mat"
+    outside = tmp_path_factory.mktemp("store") / "0001.mat"
 
     def link(lab: Lab) -> None:
         shutil.move(lab.raw / "force.mat", outside)
         (lab.raw / "force.mat").symlink_to(outside)
 
-    message = refused(link)
+    message = bad_input.Refused(lab, run)(link)
     assert "a link out of it" in message
-    assert "--follow-links" in message
+    for command, *options in (("check",), ("process", "--no-figures")):
+        assert run(command, lab.raw, *options).status == 2
+        assert run(command, lab.raw, *options, "--follow-links").status == 0
 
 
-@pytest.mark.parametrize("command", ["check", "process"])
-def test_links_into_a_store_are_followed_on_demand(
-    lab: Lab, run: Run, tmp_path_factory: pytest.TempPathFactory, command: str
-) -> None:
-    outside = tmp_path_factory.mktemp("store") / "0001.mat"
-    shutil.move(lab.raw / "force.mat", outside)
-    (lab.raw / "force.mat").symlink_to(outside)
-    options = ["--no-figures"] if command == "process" else []
-    assert run(command, lab.raw, *options).status == 2
-    assert run(command, lab.raw, *options, "--follow-links").status == 0
+def cut_in_line(*, is_late: bool) -> Change:
+    """Cut the take within the first number of a line, or its last, which still reads as one."""
 
-
-def test_file_that_is_not_there(refused: Refused) -> None:
-    message = refused(lambda lab: (lab.raw / "force.mat").unlink())
-    assert "force.mat" in message
-
-
-def test_files_in_each_others_role(refused: Refused) -> None:
-    message = refused(
-        lambda lab: lab.edit(
-            "test.yaml",
-            "{force: force.mat, markers: take.csv}",
-            "{force: take.csv, markers: force.mat}",
-        )
-    )
-    assert "take.csv: expected a file of the format dspace-mat" in message
-    assert "found one of the format motive-csv" in message
-
-
-def test_role_that_has_no_file(refused: Refused) -> None:
-    message = refused(lambda lab: lab.edit("test.yaml", ", markers: take.csv}", "}"))
-    assert "expected a file in the role 'markers', found none" in message
-
-
-def test_role_that_the_protocol_does_not_know(refused: Refused) -> None:
-    message = refused(
-        lambda lab: lab.edit("test.yaml", "markers: take.csv", "frame: take.csv"), faults=2
-    )
-    assert "'frame'" in message
-    assert "'markers'" in message
-
-
-def test_three_parts_that_are_one_file_thrice(refused: Refused) -> None:
-    message = refused(
-        lambda lab: lab.edit(
-            "test.yaml", "force: force.mat", "force: [force.mat, force.mat, force.mat]"
-        )
-    )
-    assert "force.mat, time: expected a start after" in message
-
-
-def test_takes_have_no_parts(refused: Refused) -> None:
-    message = refused(
-        lambda lab: lab.edit("test.yaml", "markers: take.csv", "markers: [take.csv, take.csv]")
-    )
-    assert "take.csv: expected a part of a recording: channels on one clock" in message
-
-
-def test_sheet_that_is_no_yaml(refused: Refused) -> None:
-    assert "test.yaml" in refused(lambda lab: lab.edit("test.yaml", "files: {", "files: [{"))
-
-
-def test_protocol_that_does_not_exist(refused: Refused) -> None:
-    message = refused(lambda lab: lab.edit("test.yaml", "wire-cantilever", "wire-cantilver"))
-    assert "wire-cantilever" in message
-
-
-# Recordings that can be read, but do not hold what was asked for
-
-
-@pytest.mark.parametrize("cells", [0, 1])
-def test_take_cut_in_mid_line(told: Told, cells: int) -> None:
-    """Within the first number of a line, and within its last, which still reads as a number."""
-
-    def cut_off(lab: Lab) -> None:
+    def change(lab: Lab) -> None:
         path = lab.raw / "take.csv"
         content = path.read_bytes()
         line = content.rindex(b"\n", 0, int(0.66 * len(content)))
-        end = content.index(b"\r\n", line + 1) - 2 if cells else line + 3
+        end = content.index(b"\r\n", line + 1) - 2 if is_late else line + 3
         path.write_bytes(content[:end])
-
-    lab = told(cut_off)
-    notes = {note["code"]: note["message"] for note in lab.summary["quality"]}
-    assert "is incomplete and was left out" in notes["truncated"]
-    assert notes["rows_differ"].startswith("the header states 851 rows, the file holds ")
-    assert lab.results["peak_force.1"]["status"] == "ok"
-    for name in ("peak_force.2", "peak_displacement.2"):
-        assert lab.results[name]["status"] == "doubtful"
-        assert "partial_cycle: the record ends at " in why(lab.results[name])
-        assert why(lab.results[name]).endswith("while still loading")
-    for name in ("unloading_stiffness.2", "energy.2", "residual_displacement.2"):
-        assert why(lab.results[name]).startswith("partial_cycle: ")
-        assert lab.results[name]["status"] == "failed"
-
-
-def test_take_cut_while_unloading(told: Told) -> None:
-    lab = told(lambda lab: change_take(lab, lambda rows: rows[:660]))
-    assert lab.results["energy.2"]["status"] == "doubtful"
-    assert why(lab.results["energy.2"]).endswith("while still unloading")
-    assert lab.results["peak_force.2"]["status"] == "ok"
-
-
-def freeze_clamp(start: float, stop: float) -> Callable[[Rows], Rows]:
-    """Hold the pose of the clamp for some seconds, as a body that is lost and kept."""
-
-    def change(rows: Rows) -> Rows:
-        columns = [i for i, name in enumerate(names_of(rows)) if name == "Clamp"]
-        frames = [row for row in rows if row and row[0].isdecimal()]
-        held = [row for row in frames if start <= float(row[1]) <= stop]
-        for row in held[1:]:
-            for column in columns:
-                row[column] = held[0][column]
-        return rows
 
     return change
 
 
-def test_a_pose_frozen_late_leaves_earlier_results_alone(told: Told) -> None:
-    lab = told(lambda lab: change_take(lab, freeze_clamp(9.6, 10.5)))
-    assert "clamp_frozen" in lab.notes
-    doubtful = {name for name, each in lab.results.items() if each["status"] != "ok"}
-    assert doubtful == {"energy.2"}  # in the second loading, far from its peak
+def holes(lab: Lab) -> None:
+    clock, samples = force(lab)
+    samples[1500:1510], samples[2000] = np.nan, np.inf
+    write_force(lab, clock, samples)
 
 
-def test_take_with_a_marker_missing_throughout(told: Told) -> None:
-    lab = told(lambda lab: change_take(lab, blank("Wire:Marker3")))
-    assert "marker_missing" in {note["code"] for note in lab.summary["quality"]}
-    peak = lab.results["peak_displacement.1"]
-    assert peak["status"] == "doubtful"
-    assert why(peak).startswith("marker_missing: ")
-    assert peak["value"] == pytest.approx(lab.truth["cycles"][0]["peak_deflection"], abs=1e-3)
-    assert lab.results["peak_force.1"]["status"] == "ok"
+TOLD: dict[str, Change] = {
+    "take cut in the first number of a line": cut_in_line(is_late=False),
+    "take cut in the last number of a line": cut_in_line(is_late=True),
+    "take cut while unloading": take(lambda rows: rows[:660]),
+    "pose held in the second loading": hold_clamp(9.6, 10.5),
+    "marker missing throughout": fill("Wire:Marker3", ""),
+    "constant force": volts(slice(None), 0.25),
+    "no common time": rest_alone,
+    "some samples missing": holes,
+    "nothing moves": take(lambda rows: rows[:100]),
+}
 
 
-def test_constant_force(told: Told) -> None:
-    def constant(clock: np.ndarray, volts: np.ndarray) -> None:
-        volts[:] = 0.25
-
-    lab = told(lambda lab: change_force(lab, constant))
-    for name in ("clock_offset", "clock_drift", "peak_force.1", "energy.1"):
-        assert lab.results[name]["value"] is None
-        assert lab.results[name]["status"] == "failed"
-        assert why(lab.results[name]).startswith("constant_channel: the force is constant at")
-
-
-def test_force_and_motion_that_do_not_overlap(told: Told) -> None:
-    def only_rest(lab: Lab) -> None:
-        clock, volts = force(lab)
-        write_force(lab, clock[:400], volts[:400])
-
-    lab = told(only_rest)
-    assert why(lab.results["clock_offset"]).startswith("no_common_peak: ")
-    assert lab.results["energy.1"]["status"] == "failed"
+def told(lab: LabFolder) -> list[str]:
+    """Each result with its status and the codes of its reasons; codes of the notes."""
+    codes = sorted({note["code"] for note in lab.summary["quality"]})
+    return [
+        *(
+            " ".join((name, found["status"], *(reason["code"] for reason in found["reasons"])))
+            for name, found in lab.results.items()
+        ),
+        f"notes: {', '.join(codes)}",
+    ]
 
 
-def test_some_samples_missing(told: Told) -> None:
-    def holes(clock: np.ndarray, volts: np.ndarray) -> None:
-        volts[1500:1510] = np.nan
-        volts[2000] = np.inf
-
-    lab = told(lambda lab: change_force(lab, holes))
-    reasons = {n: why(each) for n, each in lab.results.items() if each["status"] != "ok"}
-    assert all(why.startswith("missing_samples: 11 of ") for why in reasons.values()), reasons
-    assert set(reasons) == {  # soon after the first turn, and in the second loading
-        *("peak_force.1", "peak_force.2", "unloading_stiffness.1", "energy.1", "energy.2"),
-        "residual_displacement.1",
-    }
+@pytest.mark.parametrize("name", TOLD)
+def test_told(lab: Lab, run: Run, name: str, approved: Approve) -> None:
+    approved(told(bad_input.Told(lab, run)(TOLD[name])))
+    peak, truth = lab.results["peak_displacement.1"], lab.truth["cycles"][0]
+    if peak["value"] is not None:
+        assert peak["value"] == pytest.approx(truth["peak_deflection"], abs=1e-3)
     assert "Infinity" not in (lab.processed / "summary.json").read_text("utf-8")
 
 
 def test_marker_at_infinity(lab: Lab, run: Run) -> None:
-    def far(rows: Rows) -> Rows:
-        column = names_of(rows).index("Wire:Marker2")
-        for row in rows[300:320]:
-            row[column] = "inf"
-        return rows
-
-    change_take(lab, far)
+    fill("Wire:Marker2", "inf", 300, 320)(lab)
     ran = run("process", lab.raw, "--no-figures")
-    assert ran.status in (0, 1, 2)
     assert "Traceback" not in ran.err
     if ran.status == 0:
         truth = lab.truth["cycles"][0]["peak_deflection"]
         assert lab.results["peak_displacement.1"]["value"] == pytest.approx(truth, abs=2e-4)
         assert lab.summary["quality"]
     else:
+        assert ran.status in (1, 2)
         assert "take.csv" in ran.err
 
 
-def test_one_cycle(tmp_path: Path, run: Run) -> None:
+def test_one_cycle(tmp_path: Path, run: Run, approved: Approve) -> None:
     lab = make_lab(tmp_path, small_scenario(cycles=1))
     assert run("process", lab.raw, "--no-figures").status == 1
-    assert why(lab.results["clock_drift"]).startswith("one_event: ")
-    assert lab.results["clock_offset"]["status"] == "doubtful"
-    assert why(lab.results["clock_offset"]).startswith("alignment_one_event: ")
-    assert lab.results["peak_force.1"]["status"] == "ok"
-    assert "peak_force.2" not in lab.results
+    approved(told(lab))
     truth = lab.truth["cycles"][0]
     assert lab.results["peak_force.1"]["value"] == pytest.approx(truth["peak_force"], abs=3e-3)
-
-
-def only_rest(rows: Rows) -> Rows:
-    return rows[:100]
-
-
-def test_nothing_moves(told: Told) -> None:
-    lab = told(lambda lab: change_take(lab, only_rest))
-    for name in ("clock_offset", "peak_force.1", "energy.1", "initial_stiffness"):
-        assert lab.results[name]["status"] == "failed"
-        assert why(lab.results[name]).startswith("no_motion: the motion spans")
-
-
-def test_nothing_moves_at_all(refused: Refused) -> None:
-    """A clamp that stands still to the last digit."""
-
-    def still(rows: Rows) -> Rows:
-        return rows[:7] + [[*row[:2], *rows[7][2:]] for row in rows[7:]]
-
-    message = refused(lambda lab: change_take(lab, still))
-    assert "steps.1 (specimen-frame): " in message
-    assert "expected a clamp that moves, found one that stands still. Look at the" in message
 
 
 @pytest.mark.slow
 def test_two_parts_of_one_recording(lab: Lab, run: Run) -> None:
     assert run("process", lab.raw, "--no-figures").status == 0
     whole = lab.results
-    clock, volts = force(lab)
+    clock, samples = force(lab)
     for number, part in enumerate((slice(0, 1500), slice(1500, None))):
-        signal = Signal(LOAD_CELL, "Out1", volts[part])
-        write_mat_v5(lab.raw / f"part{number}.mat", [Axis(clock[part])], [signal])
-    lab.edit("test.yaml", "force: force.mat", "force: [part0.mat, part1.mat]")
+        write_force(lab, clock[part], samples[part], f"part{number}.mat")
+    sheet("force: force.mat", "force: [part0.mat, part1.mat]")(lab)
     assert run("process", lab.raw, "--no-figures").status == 0
     assert lab.results == whole
 
@@ -455,3 +332,88 @@ def test_a_bad_test_does_not_stop_the_others(lab: Lab, run: Run) -> None:
     assert ran.status == 2
     assert "T0" in ran.err
     assert "T1  (wire-cantilever): 15 ok" in ran.out
+
+
+def lines(change: Callable[[list[str]], list[str]]) -> Pull:
+    """Change the lines of the export of a pull."""
+
+    def changed(lab: TensileLab) -> None:
+        text = change(lab.export.read_bytes().decode("utf-8-sig").split("\r\n"))
+        lab.export.write_bytes("\r\n".join(text).encode("utf-8-sig"))
+
+    return changed
+
+
+def swap(old: str, new: str) -> Pull:
+    return lambda lab: lab.edit(lab.export.name, old, new)
+
+
+def comma(text: list[str]) -> list[str]:
+    return [*text[:60], text[60].replace(".", ","), *text[61:]]
+
+
+def files_line(lab: TensileLab, names: str) -> None:
+    text = lab.sheet.read_text("utf-8")
+    lab.sheet.write_text(f"{text[: text.index('files:')]}files: {{frame: {names}}}\n", "utf-8")
+
+
+def twice(lab: TensileLab) -> None:
+    (lab.raw / "again.txt").write_bytes(lab.export.read_bytes())
+    files_line(lab, "[again.txt, 'DAQ- Crosshead, … - (Timed).txt']")
+
+
+def without_units(lab: TensileLab) -> None:
+    """A table of three columns whose names do not belong to the numbers below them."""
+    export = lab.export.read_text("utf-8-sig").splitlines()[HEAD:]
+    rows = [[float(cell) for cell in line.split("\t")] for line in export]
+    lab.export.unlink()
+    body = [f"{time},{travel},{1e3 * load}" for travel, load, time in rows]
+    (lab.raw / "pull.csv").write_text("\n".join(["Time (s),Load,Crosshead", *body, ""]), "utf-8")
+    files_line(lab, "pull.csv")
+    lab.override("sources.frame.channels.force.unit", "N")
+    lab.override("sources.frame.channels.displacement.unit", "mm")
+
+
+PULLS_REFUSED: dict[str, Pull] = {
+    "another dialect": override("sources.frame.dialect", "bluehill"),
+    "misspelt dialect": override("sources.frame.dialect", "testsuit"),
+    "mixed decimal signs": lines(comma),
+    "no row of units": lines(lambda text: text[: HEAD - 1] + text[HEAD:]),
+    "columns swapped beside their units": swap("Crosshead \tLoad ", "Load \tCrosshead "),
+    "no such channel": swap("Crosshead \tLoad ", "Crosshead \tLast "),
+    "three rows": lines(lambda text: [*text[: HEAD + 3], ""]),
+    "byte order mark alone": lambda lab: lab.export.write_bytes(b"\xef\xbb\xbf"),
+    "part given twice": twice,
+    "part that is missing": lambda lab: lab.export.unlink(),
+    "unit that contradicts the export": override("sources.frame.channels.force.unit", "N"),
+}
+PULLS_TOLD: dict[str, Pull] = {
+    "kilonewtons taken for newtons": swap("mm\tkN\tsec", "mm\tN\tsec"),
+    "columns swapped without units": without_units,
+    "never failed": lines(lambda text: [*text[:480], ""]),
+    "window beyond the travel": override("results.stiffness_second.to", "80 mm"),
+    "modulus without sizes": override(
+        "results.8", "{result: modulus, of: stiffness_first, area: stated}"
+    ),
+    "stroke too long": override("branches.min_stroke", "200 mm"),
+}
+
+
+@pytest.mark.parametrize("name", PULLS_REFUSED)
+def test_pull_refused(pull: TensileLab, run: Run, name: str, approved: Approve) -> None:
+    approved(faults(pull, bad_input.Refused(pull, run)(PULLS_REFUSED[name])))
+
+
+@pytest.mark.parametrize("name", PULLS_TOLD)
+def test_pull_told(pull: TensileLab, run: Run, name: str, approved: Approve) -> None:
+    approved(told(bad_input.Told(pull, run)(PULLS_TOLD[name])))
+
+
+def test_a_unit_in_the_export_that_is_said_to_be_wrong(pull: TensileLab, run: Run) -> None:
+    process = bad_input.Told(pull, run)
+    newtons = process(lambda _: None, 0).results["peak_force.1"]["value"]
+    pull.override("sources.frame.channels.force.unit", "lbf")
+    pull.override("sources.frame.channels.force.wrong_unit_in_file", "kN")
+    pounds = process(lambda _: None).results["peak_force.1"]["value"]
+    assert pounds == pytest.approx(newtons * 4.4482216152605 / 1e3, rel=0.01)
+    assert re.match("the export says 'kN', the protocol 'lbf'", pull.notes["unit_overridden"])

@@ -1,9 +1,11 @@
-"""``labpipe calibrate``: from processed tests to a calibrated wire and what it predicts."""
+"""``labpipe calibrate``: from processed tests to a calibrated wire, predictions, and refusals."""
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,15 +13,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labpipe.cli import main
+from labpipe.records.result import TestResult
+from labpipe.store.read import read_result
+from labpipe.store.write import write_result
 from labpipe.studies.validation import STEPS, bent_shapes
 from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.virtual_lab.tensile_scenarios import corrugated_tube
 from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.wire_table import build, wire_table
-from tests.builders.small_tests import Run, state
-from tests.builders.wire_lab import processed_wires
-
-pytestmark = pytest.mark.slow
+from tests.approved import Approve
+from tests.builders.small_tests import Ran, Run, state
+from tests.builders.tensile_tests import make_tensile
+from tests.builders.wire_lab import processed_rest, processed_wires
 
 TRUTH = {"radial_friction": 0.0465, "insulation_modulus": 1e9, "copper_scale": 1.0}
 
@@ -121,15 +128,6 @@ def test_tests_beyond_the_range_of_the_insulation_are_told(
     assert values[1] == pytest.approx(values[0], rel=0.01)
 
 
-def test_figures_are_drawn(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
-    asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(tmp_path / "out"))
-    assert run("calibrate", str(campaign), "--wire", sheet, *asked).status == 0
-    drawn = {path.suffix for path in (tmp_path / "out" / "figures").iterdir()}
-    assert drawn == {".svg"}
-    names = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
-    assert names == {"calibration", "validation-1", "shapes-1"}
-
-
 def test_the_model_is_bent_as_far_as_the_sample(campaign: Path, repository: Path) -> None:
     sheet = read_wire_sheet(repository / "examples" / "wires.xlsx")
     made = build(next(spec for spec in sheet if spec.name == "A2"))
@@ -143,93 +141,6 @@ def test_the_model_is_bent_as_far_as_the_sample(campaign: Path, repository: Path
             # Scatter of the sample and of its markers; a wrong frame or sign is many times that.
             assert np.abs(shape.fit[-1] - shape.model[-1]).max() < 0.5e-3
             assert len(shape.markers) == 8
-
-
-def test_one_wire_needs_no_plan(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
-    out = tmp_path / "out"
-    alone = [str(campaign / f"A2-085-{number}") for number in (1, 2)]
-    done = run("calibrate", *alone, "--wire", sheet, "--out", str(out), "--no-figures")
-    assert done.status == 0, done.err
-    assert done.out.startswith("A2: ")
-
-
-def refused(run: Run, folder: Path, *arguments: str) -> str:
-    """A calibration that ends with one message and leaves earlier results alone."""
-    out = folder / "earlier"
-    out.mkdir()
-    (out / "calibration.json").write_text("{}", encoding="utf-8")
-    before = state(out)
-    done = run("calibrate", *arguments, "--out", str(out))
-    assert done.status == 2
-    assert "Traceback" not in done.err
-    assert state(out) == before
-    return done.err
-
-
-def test_mixed_wires_ask_for_one(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
-    said = refused(run, tmp_path, str(campaign), "--wire", sheet)
-    assert "expected tests of one wire, found tests of 2 wires: A2, B1. Name the one to" in said
-
-
-def test_a_plan_for_a_wire_without_tests(
-    campaign: Path, sheet: str, tmp_path: Path, run: Run
-) -> None:
-    asked = plan(tmp_path, "wire: A3\n")
-    said = refused(run, tmp_path, str(campaign), "--wire", sheet, "--plan", asked)
-    assert "plan.yaml, wire: expected tests of 'A3', found usable tests of A2, B1 alone" in said
-
-
-def test_a_sheet_without_the_wire(campaign: Path, tmp_path: Path, run: Run) -> None:
-    other = tmp_path / "wires.csv"
-    other.write_text(
-        "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg,insulation_thickness_mm\n"
-        "A22,1.6,7,0.32,12,0.3\n",
-        encoding="utf-8",
-    )
-    tests = str(campaign / "A2-085-1")
-    said = refused(run, tmp_path, tests, "--wire", str(other))
-    assert "expected a row for 'A2', the specimen type of test A2-085-1, found rows for A22" in said
-
-
-def test_no_sheet_at_all(
-    campaign: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    said = refused(run, tmp_path, str(campaign))
-    assert "expected a wire sheet, or wires.xlsx or wires.csv in the working folder" in said
-
-
-def test_fewer_points_than_parameters(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
-    asked = plan(tmp_path, "wire: A2\nup_to: 0.5 mm\npoints: 20\n")
-    said = refused(run, tmp_path, str(campaign), "--wire", sheet, "--plan", asked)
-    assert "points of the first loading lie between 0 and 0.5 mm: 20 at least are needed" in said
-
-
-def test_a_broken_result_is_left_out_and_told(
-    campaign: Path, sheet: str, tmp_path: Path, run: Run
-) -> None:
-    tests = tmp_path / "tests"
-    shutil.copytree(campaign, tests)
-    (tests / "A2-085-2" / "result.h5").write_bytes(b"no HDF5")
-    asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(tmp_path / "out"))
-    done = run("calibrate", str(tests), "--wire", sheet, *asked, "--no-figures")
-    assert done.status == 2
-    assert "left out: " in done.err
-    assert "A2-085-2" in done.err
-    assert (tmp_path / "out" / "calibration.json").is_file()
-
-
-def test_a_prior_that_contradicts_the_tests(
-    campaign: Path, sheet: str, tmp_path: Path, run: Run
-) -> None:
-    text = (
-        "wire: A2\nparameters:\n"
-        "  insulation_modulus: {enters: prior, value: 3 GPa, factor: 1.2, because: a data sheet}\n"
-    )
-    asked = ("--plan", plan(tmp_path, text), "--out", str(tmp_path / "out"), "--no-figures")
-    done = run("calibrate", str(campaign), "--wire", sheet, *asked)
-    assert done.status == 0
-    assert "standard errors of both together below the prior" in done.out
 
 
 def test_a_curve_from_elsewhere_is_compared_with_tests_and_model(
@@ -261,14 +172,157 @@ def test_a_curve_from_elsewhere_is_compared_with_tests_and_model(
     assert (out / "figures" / "external-curves.svg").is_file()
 
 
-def test_a_curve_that_cannot_be_read_ends_a_calibration_before_it_begins(
-    campaign: Path, sheet: str, tmp_path: Path, run: Run
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def calibrate(sheet: str, tmp_path: Path, run: Run) -> Callable[..., Ran]:
+    """Calibrate tests, by a plan where one is given; without one, earlier results stay."""
+
+    def calibrated(*tests: Path, text: str = "") -> Ran:
+        asked = ("--plan", plan(tmp_path, text)) if text else ()
+        out = tmp_path / "out"
+        out.mkdir(exist_ok=True)
+        (out / "calibration.json").write_text("{}", encoding="utf-8")
+        before = state(out)
+        done = run("calibrate", *tests, "--wire", sheet, "--no-figures", "--out", out, *asked)
+        assert "Traceback" not in done.err
+        assert (state(out) == before) == (done.out == "")
+        return done
+
+    return calibrated
+
+
+def changed(test: Path, folder: Path, change: Callable[[TestResult], TestResult]) -> Path:
+    """Write another result file, of a processed test to which something was done."""
+    file = folder / test.name / "result.h5"
+    file.parent.mkdir(parents=True)
+    write_result(change(read_result(test / "result.h5")), file)
+    return file.parent
+
+
+def blocked(result: TestResult) -> TestResult:
+    return replace(result, curve=None, aligned=None, shape=None, bending=None)
+
+
+def without_length(result: TestResult) -> TestResult:
+    bare = re.sub(r"specimen:\n(  .*\n)+", "specimen: {}\n", result.protocol_yaml)
+    assert bare != result.protocol_yaml
+    return replace(result, specimen=replace(result.specimen, dimensions={}), protocol_yaml=bare)
+
+
+PLANS = {
+    "a wire without tests": "wire: A3\n",
+    "two wires": "",
+    "fewer points than parameters": "wire: A2\nup_to: 0.5 mm\npoints: 20\n",
+    "a value outside the bounds": "wire: A2\nparameters:\n"
+    "  copper_scale: {enters: prior, value: 100, factor: 2, because: a slip}\n",
+    "a curve that cannot be read": "wire: A2\ncomparisons:\n"
+    "  - {name: fe, file: fe.csv, wire: A2, length: 85 mm, because: made}\n",
+}
+
+
+def test_plans_that_cannot_be_followed(
+    campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran], approved: Approve
 ) -> None:
     (tmp_path / "fe.csv").write_text("deflection_mm,force\n0,0\n1,1\n2,2\n", encoding="utf-8")
-    asked = plan(
-        tmp_path,
-        "wire: A2\ncomparisons:\n"
-        "  - {name: fe, file: fe.csv, wire: A2, length: 85 mm, because: made}\n",
+    told = []
+    for name, text in PLANS.items():
+        done = calibrate(campaign, text=text)
+        assert (done.status, done.out) == (2, "")
+        told.append(f"{name}: {done.err.strip()}".replace(str(campaign), "CAMPAIGN"))
+    approved(told)
+
+
+def test_wire_sheets_that_are_missing(
+    campaign: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, approved: Approve
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    alone = run("calibrate", campaign)
+    (tmp_path / "wires.csv").write_text(
+        "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg,insulation_thickness_mm\n"
+        "A22,1.6,7,0.32,12,0.3\n",
+        encoding="utf-8",
     )
-    said = refused(run, tmp_path, str(campaign), "--wire", sheet, "--plan", asked)
-    assert "fe.csv, line 1, column 2: expected a unit of the force, found none in 'force'. " in said
+    other = run("calibrate", campaign / "A2-085-1")
+    assert (alone.status, other.status) == (2, 2)
+    approved([alone.err, other.err])
+
+
+def test_tests_that_cannot_be_taken(
+    campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran], approved: Approve
+) -> None:
+    """Alone they end a calibration; beside another test they are left out and named."""
+    lab = make_tensile(tmp_path / "pulled", corrugated_tube("CT-10-3"), 1)
+    assert main(["process", str(lab.raw), "--no-figures"]) == 0
+    first = campaign / "A2-085-1"
+    broken = tmp_path / "broken" / "A2-085-2"
+    shutil.copytree(campaign / "A2-085-2", broken)
+    (broken / "result.h5").write_bytes(b"no HDF5")
+    tests = {
+        "blocked": changed(campaign / "A2-085-2", tmp_path / "blocked", blocked),
+        "no cantilever": lab.processed,
+        "no free length": changed(campaign / "A2-085-2", tmp_path / "bare", without_length),
+        "slack string": processed_rest(tmp_path / "slack", 1.5e-3),
+        "hanging wire": processed_rest(tmp_path / "hanging", 0.0),
+        "broken file": broken,
+    }
+    told = []
+    for name, test in tests.items():
+        alone, beside = calibrate(test), calibrate(first, test)
+        assert (alone.status, alone.out) == (2, ""), name
+        assert (beside.status, beside.out[:4]) == (2, "A2: "), name
+        assert " points of 1 sample, rms" in beside.out
+        found = json.loads((tmp_path / "out" / "calibration.json").read_text("utf-8"))
+        assert [Path(file).parent for file in found["left_out"]] == [test], name
+        told += [f"{name}: {alone.err.strip()}", f"  {beside.err.strip()}"]
+    approved(re.sub(r"\d+\.\d+ ", "# ", line) for line in told)
+
+
+def test_two_tests_of_one_name_and_half_of_a_third(
+    campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran]
+) -> None:
+    again = changed(campaign / "A2-085-1", tmp_path, lambda result: result)
+    done = calibrate(campaign / "A2-085-1", campaign / "A2-085-2", again)
+    assert (done.status, done.out) == (2, "")
+    assert "expected one test for each name, found a second for 'A2-085-1'" in done.err
+    half = again / ".labpipe.new" / "result.h5"
+    half.parent.mkdir()
+    half.write_bytes((again / "result.h5").read_bytes()[:1000])
+    done = calibrate(again)
+    assert (done.status, done.err) == (0, "")
+    assert "one sample: how samples scatter is not known" in done.out
+
+
+@pytest.mark.parametrize(
+    ("copper", "words"),
+    [
+        ("fixed, value: 100", "the modulus of the insulation is not identified"),
+        ("free", "mu_s, mu_p and F_rad are not identified, they cannot be told apart: 1 of 3"),
+    ],
+)
+def test_what_is_not_identified(
+    campaign: Path, calibrate: Callable[..., Ran], copper: str, words: str
+) -> None:
+    """Copper a hundred times too strong leaves nothing for the insulation."""
+    text = f"parameters:\n  copper_scale: {{enters: {copper}, because: a slip of the pen}}\n"
+    done = calibrate(campaign / "A2-085-1", text=text if "100" in copper else "wire: A2\n")
+    assert done.status == 0
+    assert words in done.out
+
+
+@pytest.mark.parametrize(("value", "side"), [("3000 MPa", "below"), ("300 MPa", "above")])
+def test_a_prior_that_contradicts_the_tests(
+    value: str, side: str, campaign: Path, calibrate: Callable[..., Ran]
+) -> None:
+    text = (
+        "wire: A2\nparameters:\n"
+        f"  insulation_modulus: {{enters: prior, value: {value}, factor: 1.2, because: a sheet}}\n"
+    )
+    done = calibrate(campaign, text=text)
+    assert done.status == 0
+    (row,) = [line for line in done.out.splitlines() if line.startswith("? insulation_modulus")]
+    assert row.endswith("contradicts its prior")
+    (said,) = [line for line in done.out.splitlines() if "contradicts the tests" in line]
+    assert f"the prior of the modulus of the insulation, {value} within a factor of 1.2" in said
+    assert f"standard errors of both together {side} the prior" in said

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import random
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.builders.small_tests import Lab, Run, state
-from tests.end_to_end.test_real_process import PULLED, SOFT_ARM, made
 
 Mutation = Callable[[bytes, random.Random], bytes]
 NUMBERS = (b"nan", b"inf", b"-1e308", b"", b"0", b"1e999", b"x", b"-1", b"\xff", b"9" * 400)
@@ -123,20 +121,3 @@ def test_synthetic_at_length(lab: Lab, run: Run, seed: int) -> None:
     chance = random.Random(seed)
     names = ["force.mat", "take.csv", "test.yaml"]
     survives(lab, run, chance.sample(names, chance.choice([1, 1, 2])), seed)
-
-
-REAL = {
-    "force-displacement": (PULLED, "dspace/0103_3_3.mat", "0103_3_3.mat"),
-    "markers-only": (SOFT_ARM, "motive/softarm_sim-fk-400-2_1.23.csv", "take.csv"),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.realdata
-@pytest.mark.parametrize("kind", sorted(REAL))
-@pytest.mark.parametrize("seed", range(25))
-def test_real(realdata: Path, tmp_path: Path, run: Run, kind: str, seed: int) -> None:
-    sheet, source, name = REAL[kind]
-    lab = made(tmp_path, sheet, realdata / source, name)
-    survives(lab, run, [name], seed)
-    shutil.rmtree(tmp_path)

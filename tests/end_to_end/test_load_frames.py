@@ -1,10 +1,11 @@
-"""Layouts of load-frame exports, each in a small synthetic file: read as it was written."""
+"""Load-frame exports, each in a small synthetic file: read as written, or refused in words."""
 
 from __future__ import annotations
 
 import json
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.process.reading import read_role
 from labpipe.protocol.source import Source
-from labpipe.readers import load_frame, read_export
+from labpipe.readers import load_frame, read_export, recognise_export
+from tests.approved import Approve
 from tests.builders import load_frames as frames
-from tests.builders.load_frames import FORCE, TIME, TRAVEL, N
+from tests.builders.load_frames import EXAMPLES, FORCE, TIME, TRAVEL, N
 from tests.builders.readings import Written, about, channel, codes, holds, refused, time
 from tests.builders.small_tests import Run
 
@@ -60,19 +62,6 @@ PULLS: dict[str, tuple[bytes, tuple[str, str, float], tuple[str, str, float]]] =
 }
 
 
-@pytest.mark.parametrize("kind", PULLS)
-def test_the_pull_is_read_as_it_was_written(write: Written, kind: str) -> None:
-    content, force, travel = PULLS[kind]
-    holds(read_export(write(content)), force=force, travel=travel)
-
-
-@pytest.mark.parametrize("preamble", range(12))
-def test_bluehill_names_at_any_line(write: Written, preamble: int) -> None:
-    recording = read_export(write(frames.bluehill(preamble=preamble)))
-    holds(recording, force=("Load", "N", 1), travel=("Extension", "mm", 1))
-    assert about(recording).count("Synthetic") == preamble
-
-
 def test_bluehill_of_two_columns_only(write: Written) -> None:
     rows = frames.pull(TRAVEL, FORCE)
     content = frames.bluehill(names=("Extension", "Load"), units=("(mm)", "(N)"), rows=rows)
@@ -80,14 +69,6 @@ def test_bluehill_of_two_columns_only(write: Written) -> None:
     assert [each.name for each in recording.channels] == ["Extension", "Load"]
     assert recording.clocks[0].unit == "1"
     assert "no_time" in codes(recording)
-
-
-@pytest.mark.parametrize("encoding", ["gbk", "utf-8", "utf-8-sig"])
-def test_bluehill_in_chinese(write: Written, encoding: str) -> None:
-    content = frames.bluehill(preamble=0, names=("时间", "位移", "力"), encoding=encoding)
-    blank_first = content if encoding == "utf-8-sig" else b"\r\n" + content
-    recording = read_export(write(blank_first))
-    holds(recording, force=("力", "N", 1), travel=("位移", "mm", 1))
 
 
 def test_bluehill_cycles_with_counters_and_small_steps(write: Written) -> None:
@@ -117,33 +98,12 @@ def test_two_specimens_side_by_side(write: Written) -> None:
     np.testing.assert_allclose(channel(one, "Force").values, 2 * FORCE[:25])
 
 
-def test_the_short_specimen_may_come_first(write: Written) -> None:
-    recording = read_export(write(frames.trapezium((5, N))))
-    assert [len(clock.time) for clock in recording.clocks] == [5, N]
-
-
-@pytest.mark.parametrize("extremes", ["before", "after"])
-@pytest.mark.parametrize("split_at", [None, 15])
-def test_rows_of_extremes_are_no_samples(
-    write: Written, extremes: str, split_at: int | None
-) -> None:
-    recording = read_export(write(frames.mts_793(split_at=split_at, extremes=extremes)))
-    holds(recording, force=("Ch 1 Kraft", "kN", 1e-3), travel=("Ch 1 Weg", "mm", 1))
-    assert "summary_rows_left_out" in codes(recording)
-
-
 def test_nothing_but_extremes_leaves_no_samples(write: Written) -> None:
     block = frames.mts_block("Datenerfassung", frames.EXTREMES, ",")
     recording = read_export(write(f"MTS793|MPT|DEU|1|2|,|.|:|49|1|1|A\r\n\r\n{block}".encode()))
     assert (recording.clocks, recording.channels) == ((), ())
     assert codes(recording) == {"summary_rows_left_out", "no_samples"}
     assert "0.131" in about(recording)
-
-
-def test_793_with_umlauts_lost(write: Written) -> None:
-    content = frames.mts_793().replace(b"Pr\xfcfer", b"Pr\xef\xbf\xbdfer")
-    recording = read_export(write(content))
-    holds(recording, force=("Ch 1 Kraft", "kN", 1e-3), travel=("Ch 1 Weg", "mm", 1))
 
 
 @pytest.mark.parametrize("mark", [False, True])
@@ -165,52 +125,6 @@ def test_the_last_row_of_microtest_is_left_out_and_said(write: Written) -> None:
     assert "10,0" in about(recording)
 
 
-def test_microtest_stopped_in_mid_test_keeps_its_last_row(write: Written) -> None:
-    """Only a row of zeros with the stop code is no sample."""
-    content = b"\n".join(frames.microtest().split(b"\n")[:-2]) + b"\n"
-    recording = read_export(write(content))
-    assert len(time(recording)) == N
-    assert "last_row_left_out" not in codes(recording)
-
-
-ENGLISH_NAMES = {
-    "Ch 1 Count Ch 1 Displacement Ch 1 Force Time": ("Ch 1 Count", "Ch 1 Displacement"),
-    "Axial Count Axial Displacement Axial Force Running Time": (
-        *("Axial Count", "Axial Displacement"),
-    ),
-}
-
-
-@pytest.mark.parametrize("names", ENGLISH_NAMES)
-def test_793_english_with_a_counter(write: Written, names: str) -> None:
-    """Names are separated by single blanks and hold blanks; there are as many as units."""
-    lines = frames.mts_793_english(names).decode().splitlines()
-    at = lines.index(names)
-    lines[at + 1] = f"segments        {lines[at + 1]}"
-    lines[at + 2 :] = [f"{2 * i} {line}" if line else "" for i, line in enumerate(lines[at + 2 :])]
-    recording = read_export(write("\r\n".join(lines).encode()))
-    assert [each.name for each in recording.channels][:2] == list(ENGLISH_NAMES[names])
-    np.testing.assert_allclose(time(recording), TIME)
-
-
-def test_793_english_names_that_cannot_be_told_apart(write: Written) -> None:
-    """Names that no list knows may be refused or told, never replaced without a word."""
-    names = "Ch 1 Displacement Deflectometer Ch 1 Force Time"
-    lines = frames.mts_793_english(names).decode().splitlines()
-    at = lines.index(names)
-    lines[at + 1] = f"mm        {lines[at + 1]}"
-    lines[at + 2 :] = [f"0.5 {line}" if line else "" for line in lines[at + 2 :]]
-    file = write("\r\n".join(lines).encode())
-    try:
-        recording = read_export(file, "load-frame")
-    except ReadError:
-        refused(file, "names")
-        return
-    found = {each.name for each in recording.channels}
-    said = {note.code for note in recording.notes if note.severity.value != "info"}
-    assert found == {"Ch 1 Displacement", "Deflectometer", "Ch 1 Force"} or said
-
-
 def test_793_blocks_of_other_columns_are_not_joined(write: Written) -> None:
     """Column by name: a second block in another order does not swap force and travel."""
     rows = frames.pull(TIME, FORCE / 1e3, TRAVEL)
@@ -224,20 +138,6 @@ def test_793_blocks_of_other_columns_are_not_joined(write: Written) -> None:
     for name, truth in (("Ch 1 Kraft", FORCE / 1e3), ("Ch 1 Weg", TRAVEL)):
         parts = [each.values for each in recording.channels if each.name == name]
         np.testing.assert_allclose(np.concatenate(parts), truth, rtol=1e-6)
-
-
-def test_microtest_codes_of_direction_changes_are_samples(write: Written) -> None:
-    rows = frames.microtest().decode().split("\n")
-    for at, code in ((10, "3"), (15, "4"), (20, "99")):
-        rows[at] = rows[at].replace(",0,100,", f",{code},100,")
-    recording = read_export(write("\n".join(rows).encode()))
-    assert len(time(recording)) == N
-    assert {3.0, 4.0, 99.0} <= {*channel(recording, "Code").values}
-
-
-def test_suite_exported_to_a_server(write: Written) -> None:
-    content = frames.mts_suite().replace(b"C:\\Synthetic", b"\\\\server\\share")
-    assert read_export(write(content)).program == "MTS TestSuite"
 
 
 TITLES: dict[str, list[list[object]]] = {
@@ -265,26 +165,6 @@ def test_a_workbook_in_pounds_and_inches(
     assert (force["unit"], travel["unit"]) == ("N", "m")
     assert force["max"] == pytest.approx(4.4482216152605 * FORCE.max())
     assert travel["last"] == pytest.approx(0.0254 * TRAVEL[-1])
-
-
-def test_a_workbook_that_says_no_units_is_refused_not_assumed(write: Written) -> None:
-    rows = frames.pull(TIME, FORCE, TRAVEL)
-    sheet: list[frames.Row] = [["Time", "Load", "Position"], *rows]
-    file = write(frames.workbook({"Sheet1": sheet}), "synthetic.xlsx")
-    refused(file, "unit", dialect=["testresources"])
-
-
-@pytest.mark.parametrize("dialect", [None, ["table-workbook"]])
-def test_a_workbook_without_units_is_told_where_they_belong(
-    write: Written, dialect: list[str] | None
-) -> None:
-    rows = frames.pull(TIME, FORCE, TRAVEL)
-    sheet: list[frames.Row] = [["Time", "Load", "Position"], *rows]
-    file = write(frames.workbook({"Sheet1": sheet}), "synthetic.xlsx")
-    refused(
-        *(file, "column 'Time'", "unit", "a row below the names", "in brackets", "time_unit"),
-        dialect=dialect,
-    )
 
 
 def test_units_that_a_protocol_and_a_card_say(
@@ -330,14 +210,6 @@ def test_units_behind_a_comma_or_a_slash(write: Written, mark: str) -> None:
     holds(read_export(write(f"sep=;\r\n{text}".encode())), **held)
 
 
-def test_catman_code_for_no_sensor(write: Written) -> None:
-    recording = read_export(write(frames.catman()))
-    assert [each.name for each in recording.channels] == ["Kraft", "Weg", "Pyrometer"]
-    assert np.isnan(channel(recording, "Pyrometer").values).all()
-    assert channel(recording, "Pyrometer").unit_in_file == "°C"
-    assert any("-1000000" in note.message for note in recording.notes)
-
-
 @pytest.mark.parametrize("micro", ["µ", "μ", "u"])  # micro sign, Greek mu, and the makeshift
 def test_micrometres(write: Written, run: Run, micro: str) -> None:
     file = write(frames.dma_q800(length_unit=f"{micro}m"))
@@ -375,38 +247,245 @@ def test_sheets_that_are_no_test_are_left_out(write: Written) -> None:
     refused(file, "part", "'S3'", "S1", part="S3")
 
 
-def test_an_aborted_test_of_three_rows(write: Written, run: Run) -> None:
-    """Inspected with a warning or worse; refused or read whole for processing, never padded."""
-    file = write(frames.zwick_workbook(samples=3), "aborted.XLSX")
-    ran = run("inspect", file, "--json")
-    assert ran.status == 0
-    facts = json.loads(ran.out)
-    assert [stream["samples"] for stream in facts["streams"]] == [3]
-    assert any(note["severity"] != "info" for note in facts["notes"])
+WORKBOOKS = {"testxpert-xlsx", "testresources", "table-workbook"}
+TEXTS = sorted(set(EXAMPLES) - WORKBOOKS)
+REGROUPED = [
+    *([0.0, "0.5", 1.0], [0.1, "801", 2.0], [0.2, "1,063", 3.0]),
+    *([0.3, "1,110,797", 4.0], [0.4, "1,162", 5.0]),
+]
 
 
-@pytest.mark.parametrize("mark", [b"\xef\xbb\xbf", b"\xff\xfe"])
-def test_a_byte_order_mark_and_nothing_else(write: Written, run: Run, mark: bytes) -> None:
-    file = write(mark, "DAQ- Crosshead, … - (Timed)2.txt")
-    recording = read_export(file)
-    assert (recording.clocks, recording.channels) == ((), ())
-    assert codes(recording) == {"no_samples"}
-    assert run("inspect", file).status == 0
+def test_a_spike_is_no_regrouped_number(write: Written) -> None:
+    rows = frames.pull(TIME, TRAVEL, FORCE)
+    rows[20][2] = 1000 * FORCE[20]
+    recording = read_export(write(frames.bluehill(preamble=0, rows=rows)))
+    assert channel(recording, "Load").values[20] == pytest.approx(1000 * FORCE[20])
 
 
-def test_names_and_no_sample(write: Written) -> None:
-    """A part whose acquisition started and took nothing."""
-    file = write(frames.mts_suite(rows=[]))
+@pytest.mark.parametrize("dialect", sorted(EXAMPLES))
+def test_the_wrong_dialect_is_named(write: Written, dialect: str) -> None:
+    other = "catman" if dialect != "catman" else "bluehill"
+    name, content = EXAMPLES[other]
+    text = refused(write(content(), name), dialect=[dialect])
+    assert dialect in text
+    assert other in text
+
+
+@pytest.mark.parametrize("dialect", TEXTS)
+def test_cut_off_in_a_number(write: Written, dialect: str) -> None:
+    """A last line that is cut is told or refused, never read as a sample of its own."""
+    name, content = EXAMPLES[dialect]
+    whole = content()
+    wide = 2 if whole[1:2] == b"\0" or whole.startswith(b"\xff\xfe") else 1
+    body = whole.rstrip(b"\r\n\0") if wide == 1 else whole[: -2 * (not whole.endswith(b"\n\0"))]
+    ends = "\n".encode("utf-16-le") if wide == 2 else b"\n"
+    last = body.rstrip(b"\r\n\0").rfind(ends) + len(ends)
+    cut = whole[: last + 3 * wide]
+    rows = max(len(clock.time) for clock in read_export(write(whole, name)).clocks)
     try:
-        recording = read_export(file, "load-frame")
+        recording = read_export(write(cut, name), "load-frame")
     except ReadError:
-        refused(file, "sample")
+        refused(write(cut, name))
+        return
+    assert max(len(clock.time) for clock in recording.clocks) <= rows
+    warned = [note for note in recording.notes if note.severity.value != "info"]
+    assert warned, "a row with fewer cells than names is worth a warning"
+
+
+def test_resaved_without_a_line_end_and_without_zeros_loses_no_sample(write: Written) -> None:
+    """Numbers as short as they can be written: the last one may have fewer digits than others."""
+    rows = frames.pull(TIME, TRAVEL, np.round(FORCE, 2))
+    rows[10][2] = rows[-1][2] = 40.5
+    whole = frames.bluehill(preamble=0, rows=rows).replace(b'"', b"").rstrip(b"\r\n")
+    recording = read_export(write(whole))
+    assert len(time(recording)) == N
+    assert "truncated" not in codes(recording)
+    cut = read_export(write(whole.removesuffix(b"0.5")))
+    assert len(time(cut)) == N - 1
+    assert "truncated" in codes(cut)
+
+
+@pytest.mark.parametrize("dialect", sorted(EXAMPLES))
+def test_nul_bytes_in_the_middle(write: Written, dialect: str) -> None:
+    """A block of zeros, as a full disk or a pulled stick leaves."""
+    name, content = EXAMPLES[dialect]
+    whole = content()
+    half = len(whole) // 2 // 2 * 2
+    refused(write(whole[:half] + bytes(200) + whole[half + 200 :], name))
+
+
+@pytest.mark.parametrize("dialect", TEXTS)
+def test_time_that_runs_backwards_is_refused(write: Written, dialect: str) -> None:
+    """Not read as another clock, nor sorted: two rows changed places."""
+    name, content = EXAMPLES[dialect]
+    whole = content()
+    wide = whole[1:2] == b"\0" or whole.startswith(b"\xff\xfe")
+    text = whole.decode("utf-16-le" if wide else "latin-1")
+    rows = text.split("\n")
+    at = len(rows) - 20
+    rows[at], rows[at + 4] = rows[at + 4], rows[at]
+    swapped = "\n".join(rows).encode("utf-16-le" if wide else "latin-1")
+    refused(write(swapped, name), "expected time that increases")
+
+
+def test_two_columns_of_one_name(write: Written) -> None:
+    """Told apart by their paths, or refused; never one in the place of the other."""
+    rows = frames.pull(TIME, TRAVEL, 2 * TRAVEL, FORCE)
+    names = ("Time", "Extension", "Extension", "Load")
+    content = frames.bluehill(names=names, units=("(s)", "(mm)", "(mm)", "(N)"), rows=rows)
+    recording = read_export(write(content))
+    paths = [each.path for each in recording.channels]
+    assert len(set(paths)) == 3
+    with pytest.raises(ReadError, match="only one channel"):
+        read_export(write(content), "load-frame", channels=["Extension"])
+
+
+PULLS |= {
+    f"bluehill, names in line {preamble}": (
+        frames.bluehill(preamble=preamble), ("Load", "N", 1), ("Extension", "mm", 1)
+    )
+    for preamble in (0, 1, 11)
+}  # fmt: skip
+PULLS |= {
+    f"bluehill in Chinese, {encoding}": (
+        (b"" if encoding == "utf-8-sig" else b"\r\n")
+        + frames.bluehill(preamble=0, names=("时间", "位移", "力"), encoding=encoding),
+        *(("力", "N", 1), ("位移", "mm", 1)),
+    )
+    for encoding in ("gbk", "utf-8", "utf-8-sig")
+}
+PULLS["793 with umlauts lost"] = (
+    frames.mts_793().replace(b"Pr\xfcfer", b"Pr\xef\xbf\xbdfer"),
+    *(("Ch 1 Kraft", "kN", 1e-3), ("Ch 1 Weg", "mm", 1)),
+)
+EXTREMES: dict[str, tuple[bytes, tuple[str, str, float], tuple[str, str, float]]] = {
+    f"extremes {place}, split at {split_at}": (
+        frames.mts_793(split_at=split_at, extremes=place),
+        *(("Ch 1 Kraft", "kN", 1e-3), ("Ch 1 Weg", "mm", 1)),
+    )
+    for place in ("before", "after")
+    for split_at in (None, 15)
+}
+
+
+@pytest.mark.parametrize("kind", PULLS | EXTREMES)
+def test_the_pull_is_read_as_it_was_written(write: Written, kind: str) -> None:
+    content, force, travel = (PULLS | EXTREMES)[kind]
+    recording = read_export(write(content))
+    holds(recording, force=force, travel=travel)
+    assert ("summary_rows_left_out" in codes(recording)) == (kind in EXTREMES)
+
+
+def test_names_of_793_english_that_cannot_be_told_apart(write: Written) -> None:
+    """Names that no list knows may be refused, never replaced without a note."""
+    names = "Ch 1 Displacement Deflectometer Ch 1 Force Time"
+    lines = frames.mts_793_english(names).decode().splitlines()
+    at = lines.index(names)
+    lines[at + 1] = f"mm        {lines[at + 1]}"
+    lines[at + 2 :] = [f"0.5 {line}" if line else "" for line in lines[at + 2 :]]
+    refused(write("\r\n".join(lines).encode()), "names")
+
+
+def bluehill(at: int = 0, cell: object = None, column: int = 2) -> bytes:
+    """A pull one of whose cells is changed."""
+    rows = frames.pull(TIME, TRAVEL, FORCE)
+    rows[at][column] = rows[at][column] if cell is None else cell
+    return frames.bluehill(preamble=0, rows=rows)
+
+
+def regrouped(separator: str, sign: str) -> bytes:
+    """Digits are lost: 1,063 was 1.063 or 1063, and 1,110,797 was neither."""
+    decimal = "," if sign == "." and separator != "," else "."
+    grouped = [0.5, f"1{sign}063", f"1{sign}110{sign}797", f"1{sign}162"]
+    rows = [[0.1 * i, cell, 1.0 + i] for i, cell in enumerate(grouped)]
+    head = frames.lines([["Time", "Extension", "Load"], ["(s)", "(mm)", "(N)"]], separator)
+    return (head + frames.lines(rows, separator, decimal=decimal)).encode()
+
+
+def far_down() -> bytes:
+    rows: list[list[object]] = [[0.1 * i, f"{0.001 * i:.3f}", 1.0] for i in range(3000)]
+    return frames.bluehill(preamble=0, rows=[*rows, [300.0, "1,110,797", 1.0]])
+
+
+def suite_with_a_comma(separator: str) -> bytes:
+    rows = frames.pull(TRAVEL, FORCE, TIME)
+    rows[20][1] = "12,5"
+    return frames.mts_suite(separator, rows=rows)
+
+
+def italian_with_a_point(row: int) -> bytes:
+    rows = [[frames.number(cell, ",") for cell in cells] for cells in frames.pull(FORCE, TIME)]
+    rows[row][0] = "12.5"
+    content = frames.italian_suite().decode("utf-8-sig").split("Traversa")[0]
+    content += "Carico ;Tempo \r\nN;sec\r\n" + frames.lines(rows, ";")
+    return content.encode("utf-8-sig")
+
+
+def book(*rows: list[Any]) -> bytes:
+    return frames.workbook({"Sheet1": [*rows]})
+
+
+UNITS = ["Time (s)", "Extension (mm)", "Load (N)"]
+WHOLE: list[list[object]] = [
+    [0.1 * i, cell, 1.5] for i, cell in enumerate([935, 999, 1063, 1110797, 1162])
+]
+"""Whole numbers that jump a thousandfold and back, as zeros at their ends are not written."""
+BAD: dict[str, bytes] = {
+    "regrouped thousands": frames.bluehill(preamble=2, rows=REGROUPED),
+    "regrouped far down": far_down(),
+    **{
+        f"regrouped by {sign}, separated by {word}": regrouped(separator, sign)
+        for word, separator in (("comma", ","), ("semicolon", ";"), ("tab", "\t"))
+        for sign in ",."
+    },
+    "regrouped, signs gone": frames.bluehill(preamble=0, rows=WHOLE),
+    "regrouped, signs gone.xlsx": book(UNITS, *WHOLE),
+    "regrouped.xlsx": book(UNITS, [0.1, "1,063", 1.0], [0.2, "1,110,797", 2.0]),
+    "too large a number": bluehill(20, "1e999"),
+    "word among numbers": bluehill(9, "overload"),
+    "point among commas, near the top": italian_with_a_point(2),
+    "point among commas": italian_with_a_point(30),
+    "comma among points, tabs": suite_with_a_comma("\t"),
+    "comma among points, semicolons": suite_with_a_comma(";"),
+    "no row of units": frames.mts_suite().replace(b"mm\tN\tsec\r\n", b""),
+    "no row of units, bluehill": bluehill().replace(b"(s),(mm),(N)\r\n", b""),
+    "no units, testresources.xlsx": book(["Time", "Load"], *frames.pull(TIME, FORCE)),
+    "no units.xlsx": book(["Time", "Load"], *frames.pull(TIME, FORCE)),
+    "nothing": b"",
+    "unknown dialect": frames.catman(),
+    "letter.csv": b"Dear Sir,\r\nthe force was 12 N at the time, see page 3.\r\n",
+    "addresses.csv": b"name,street,town\r\nsynthetic,1,nowhere\r\n",
+    "no names.csv": b"1,2,3\r\n4,5,6\r\n",
+    "blanks.csv": b"\r\n \r\n\r\n",
+    "words.csv": "time,force\r\nnever,none\r\n".encode("utf-16"),
+    "binary.csv": bytes(range(256)) * 4,
+    "addresses.xlsx": frames.workbook({"Addresses": [["name", "town"], ["synthetic", "nowhere"]]}),
+}
+ASKED = {
+    "no row of units, bluehill": ["bluehill"],
+    "no units, testresources.xlsx": ["testresources"],
+    "unknown dialect": ["catmann"],
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_refused(write: Written, run: Run, name: str, approved: Approve) -> None:
+    """By its name or its content; a file that is no export at all by the command, too."""
+    file = write(BAD[name], name if name.endswith(("csv", "xlsx")) else "synthetic.csv")
+    if name.endswith(".csv") or name == "addresses.xlsx":
+        with pytest.raises(ReadError) as refusal:
+            recognise_export(file)
+        approved(str(refusal.value))
+        ran = run("inspect", file)
+        assert ran.status == 2
+        assert "Traceback" not in ran.err
+        assert ": expected " in ran.err
     else:
-        assert sum(len(clock.time) for clock in recording.clocks) == 0
-        assert "no_samples" in codes(recording)
+        approved(refused(file, dialect=ASKED.get(name)))
 
 
-def test_a_counter_whose_unit_repeats_its_name(write: Written) -> None:
-    recording = read_export(write(frames.underscored_suite()))
-    assert channel(recording, "_Cycle").unit_in_file == ""
-    assert recording.clocks[0].unit == "s"
+@pytest.mark.parametrize("dialect", sorted(WORKBOOKS))
+def test_half_a_workbook(write: Written, dialect: str) -> None:
+    name, content = EXAMPLES[dialect]
+    whole = content()
+    refused(write(whole[: len(whole) // 2], name))

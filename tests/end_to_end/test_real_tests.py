@@ -1,9 +1,10 @@
-"""The main job on two real exports, with numbers taken straight from the files."""
+"""Real exports through the command, against numbers that stand in the files and their README."""
 
 from __future__ import annotations
 
 import csv
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from labpipe.records.curve import PointFlag
 from labpipe.store.read import read_result
 from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, state
+from tests.builders.tensile_tests import TensileLab
 
 pytestmark = [pytest.mark.realdata, pytest.mark.slow]
-
 SOFT_ARM = """\
 test: T1
 protocol: markers-only
@@ -40,7 +41,7 @@ overrides:
 """
 
 
-def made(home: Path, sheet: str, source: Path, name: str) -> Lab:
+def real_lab(home: Path, sheet: str, source: Path, name: str) -> Lab:
     lab = Lab(home)
     lab.raw.mkdir(parents=True)
     (lab.raw / "test.yaml").write_text(sheet, encoding="utf-8")
@@ -71,7 +72,7 @@ def channels(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 def pulled(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> Lab:
     """0103_3_3.mat, processed once."""
     source = realdata / "dspace" / "0103_3_3.mat"
-    lab = made(tmp_path_factory.mktemp("pulled"), PULLED, source, source.name)
+    lab = real_lab(tmp_path_factory.mktemp("pulled"), PULLED, source, source.name)
     raw = state(lab.home / "raw")
     assert main(["process", str(lab.raw)]) in (0, 1)
     assert state(lab.home / "raw") == raw
@@ -167,7 +168,7 @@ def take_columns(path: Path) -> tuple[list[str], np.ndarray, np.ndarray]:
 def soft_arm(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> Lab:
     """The take of a soft arm, processed once."""
     source = realdata / "motive" / "softarm_sim-fk-400-2_1.23.csv"
-    lab = made(tmp_path_factory.mktemp("arm"), SOFT_ARM, source, "take.csv")
+    lab = real_lab(tmp_path_factory.mktemp("arm"), SOFT_ARM, source, "take.csv")
     raw = state(lab.home / "raw")
     assert main(["process", str(lab.raw)]) == 0
     assert state(lab.home / "raw") == raw
@@ -238,3 +239,200 @@ def test_labels_that_switch_are_undone_and_flagged(soft_arm: Lab) -> None:
         )
     merged = {note["message"] for note in soft_arm.summary["quality"]}
     assert set(said) <= merged
+
+
+LLOYD = "lloyd_nexygen/tensile_22awg_{}_50mm.txt"
+TIMED = "DAQ- Crosshead, … - (Timed).csv"
+
+
+@dataclass(frozen=True)
+class Real:
+    """One export, the length between its grips (from its name), and what is known of it."""
+
+    file: str
+    length: str
+    rows: int
+    status: int
+    peak: float | None = None
+    cycles: int = 1
+    window: tuple[str, str] | None = None
+    failed: tuple[str, ...] = ()
+
+
+NOT_BROKEN = ("failure_displacement", "failure_force", "energy_to_break")
+TESTS = {
+    # Copper at 0.1 mm a row: neither toe nor 0.5 mm hold eight samples.
+    "copper-1": Real(
+        LLOYD.format("copper_1"), "50 mm", 88, 1, 76.678, failed=("slack", "stiffness")
+    ),
+    "copper-1a": Real(
+        *(LLOYD.format("copper_1a"), "50 mm", 81, 1),
+        failed=("slack", "stiffness", *NOT_BROKEN),
+    ),
+    "copper-2": Real(LLOYD.format("copper_2"), "50 mm", 88, 1, failed=("slack", "stiffness")),
+    # Steepest where they begin, and not broken.
+    "silicone-1": Real(
+        *(LLOYD.format("silicone_1"), "50 mm", 98, 1),
+        window=("2 mm", "12 mm"),
+        failed=("slack", *NOT_BROKEN),
+    ),
+    "silicone-2": Real(
+        *(LLOYD.format("silicone_2"), "50 mm", 86, 1),
+        window=("2 mm", "12 mm"),
+        failed=("slack", *NOT_BROKEN),
+    ),
+    "cable-ld": Real(f"mts/REU/SteelCableLD_200mm_Trial3/{TIMED}", "200 mm", 635, 0, 504.26132),
+    "cable-sd": Real(f"mts/REU/SteelCableSD_100mm_Trial1/{TIMED}", "100 mm", 297, 0, 180.28583),
+    "cable-cycles": Real(
+        *(f"mts/REU/Hysteresis_SteelCableSD_Trial1/{TIMED}", "100 mm", 3888, 1, 105.39071),
+        cycles=15,
+        failed=NOT_BROKEN,
+    ),
+}
+
+
+def tensile_lab(home: Path, name: str, realdata: Path) -> TensileLab:
+    lab, test = TensileLab(home, name), TESTS[name]
+    lab.raw.mkdir(parents=True)
+    source = realdata / test.file
+    shutil.copy(source, lab.raw / source.name)
+    lab.sheet.write_text(
+        f"test: {name}\nprotocol: tensile\n"
+        f'specimen: {{type: {name}, spool: "1", sample: "1", length: {test.length}}}\n'
+        f'files: {{frame: "{source.name}"}}\n',
+        encoding="utf-8",
+    )
+    if test.window is not None:
+        lab.override("results.stiffness.from", test.window[0])
+        lab.override("results.stiffness.to", test.window[1])
+    return lab
+
+
+@pytest.fixture(scope="module")
+def pulls(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, TensileLab]:
+    labs = {name: tensile_lab(tmp_path_factory.mktemp("real"), name, realdata) for name in TESTS}
+    for name, lab in labs.items():
+        raw = state(lab.home / "raw")
+        assert main(["process", str(lab.raw)]) == TESTS[name].status, name
+        assert state(lab.home / "raw") == raw
+    return labs
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TESTS)
+def test_results(pulls: dict[str, TensileLab], name: str) -> None:
+    results, test = pulls[name].results, TESTS[name]
+    failed = {each for each, found in results.items() if found["status"] == "failed"}
+    assert failed == set(test.failed)
+    peaks = [each for each in results if each.startswith("peak_force.")]
+    assert len(peaks) == test.cycles
+    for each in set(results) - failed:
+        assert results[each]["lower"] <= results[each]["estimate"] <= results[each]["upper"]
+
+
+@pytest.mark.parametrize("name", [name for name, test in TESTS.items() if test.peak is not None])
+def test_peaks(pulls: dict[str, TensileLab], name: str) -> None:
+    found = [
+        each["value"]
+        for each_name, each in pulls[name].results.items()
+        if each_name.startswith("peak_force.")
+    ]
+    assert max(found) == pytest.approx(TESTS[name].peak, rel=1e-6)
+    recording = read_result(pulls[name].result).recordings["frame"]
+    (force,) = (channel.values for channel in recording.channels if channel.name == "force")
+    assert len(force) == TESTS[name].rows
+    assert np.nanmax(force) == pytest.approx(TESTS[name].peak, rel=1e-6)
+
+
+def test_every_cycle_has_its_peak(pulls: dict[str, TensileLab]) -> None:
+    """Force-controlled, to 105 N: the largest samples lie between 104.5 N and 105.4 N."""
+    for number in range(1, 16):
+        found = pulls["cable-cycles"].results[f"peak_force.{number}"]
+        assert found["status"] == "ok"
+        assert found["value"] == pytest.approx(105.0, abs=0.8)
+
+
+def test_silicone_has_no_toe(pulls: dict[str, TensileLab]) -> None:
+    reason = why(pulls["silicone-1"].results["slack"])
+    assert reason.startswith("no_toe: the line meets zero force at -4.596 mm, before the first ")
+    # 1.736 N at 13.105 mm and 0.457 N at 2.418 mm
+    found = pulls["silicone-1"].results["stiffness"]["value"]
+    assert found == pytest.approx((1.7352 - 0.45677) / (13.105e-3 - 2.4177e-3), rel=0.05)
+
+
+SPANS = {
+    "1": "12.8 mm",
+    "1b": "12.8 mm",
+    "2": "12.8 mm",
+    "3": "73.6 mm",
+    "4": "40 mm",
+    "5": "57.6 mm",
+    "6": "76.8 mm",
+    "7": "96 mm",
+}
+"""By group, as the README of the exports says; 1b is taken to be as 1."""
+STRAIGHT = {"2_test1", "3_test1", "4_test1", "5_test1", "5_test2", "5_test3"}
+"""No bend in the first 4 mm (a quarter of the shortest span) that two segments would be told by."""
+SEGMENTS = ("segment_stiffness_first", "segment_stiffness_second", "break_point")
+PEAKS = {"1_test1": 0.83469, "1_test2": 0.78565, "1_test3": 0.69346, "4_test1": 0.97611}
+
+
+def bend_lab(home: Path, source: Path, span: str, *changes: str) -> TensileLab:
+    lab = TensileLab(home, source.stem.replace(" ", "_"))
+    lab.raw.mkdir(parents=True)
+    shutil.copy(source, lab.raw / source.name)
+    lab.sheet.write_text(
+        f"test: {lab.raw.name}\nprotocol: three-point-bend\n"
+        f'specimen: {{type: bundle, spool: "1", sample: "1", span: {span}}}\n'
+        f'files: {{frame: "{source.name}"}}\n',
+        encoding="utf-8",
+    )
+    for change in changes:
+        key, _, value = change.partition("=")
+        lab.override(key, value)
+    return lab
+
+
+@pytest.fixture(scope="module")
+def bends(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, TensileLab]:
+    labs = {}
+    for source in sorted((realdata / "lloyd_nexygen").glob("3pb_*.txt")):
+        name = source.stem.removeprefix("3pb_hm3_")
+        span = SPANS[name.partition("_")[0]]
+        change = ("results.two-segments.to=3.2 mm",) if span == "12.8 mm" else ()
+        labs[name] = bend_lab(tmp_path_factory.mktemp("real"), source, span, *change)
+        raw = state(labs[name].home / "raw")
+        assert main(["process", str(labs[name].raw)]) == (1 if name in STRAIGHT else 0), name
+        assert state(labs[name].home / "raw") == raw
+    return labs
+
+
+def test_two_segments_or_the_reason_why_not(bends: dict[str, TensileLab]) -> None:
+    for name, lab in bends.items():
+        found = lab.results
+        for each in (*SEGMENTS, "bending_stiffness"):
+            if name in STRAIGHT:
+                assert found[each]["status"] == "failed"
+                continue
+            own = found[each]
+            assert own["lower"] < own["estimate"] < own["upper"], (name, each)
+        if name in STRAIGHT:
+            assert why(found["break_point"]).startswith("no_bend: ")
+        else:
+            assert found["segment_stiffness_first"]["value"] > found[SEGMENTS[1]]["value"]
+
+
+def test_bending_stiffness_is_that_of_a_beam(bends: dict[str, TensileLab]) -> None:
+    """K L^3 / 48, and what an elastic rod on knife edges gets softer by up to a sixth of a span."""
+    for name, lab in bends.items():
+        if name in STRAIGHT:
+            continue
+        span = float(SPANS[name.partition("_")[0]].split()[0]) * 1e-3
+        plain = lab.results[SEGMENTS[0]]["value"] * span**3 / 48.0
+        assert 1.0 < lab.results["bending_stiffness"]["value"] / plain < 1.35, name
+        assert "large-deflection" in lab.results["bending_stiffness"]["method"]
+
+
+def test_peaks_are_the_largest_sample(bends: dict[str, TensileLab]) -> None:
+    for name, peak in PEAKS.items():
+        assert bends[name].results["peak_force.1"]["value"] == pytest.approx(peak, rel=1e-6)

@@ -1,0 +1,357 @@
+"""``labpipe campaign``, ``report``, ``demo`` and ``harness``, as typed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import openpyxl
+import pytest
+
+from labpipe.campaign.reporting import Reported
+from labpipe.cli import BAD_INPUT, DONE, SOME_FAILED
+from labpipe.cli.demo import CALIBRATED_WORDS, CAMPAIGNS, FIRST_LOOK, SHEET_WORDS
+from labpipe.cli.report import status_of
+from labpipe.records.group import Campaign
+from labpipe.virtual_lab import Campaign as VirtualCampaign
+from labpipe.virtual_lab.sheet_texts import protocol_of
+from tests.approved import Approve
+from tests.builders.campaigns import build_group, six_samples, troubled_samples
+from tests.builders.harness_files import EXAMPLES, STIFFNESS, arch, pushed, written
+from tests.builders.kept_campaigns import KeptCampaign
+from tests.builders.pulls import broken, pull
+from tests.builders.small_tests import Run, make_lab, small_scenario
+from tests.builders.tensile_tests import TensileLab, write_pull
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> KeptCampaign:
+    kept = KeptCampaign(tmp_path)
+    for name, export in (("T1", "62.5"), ("T2", "doubt"), ("T3", "fail unreadable_export")):
+        kept.add(name, export)
+    kept.run()
+    return kept
+
+
+@pytest.mark.parametrize("action", ["run", "status", "query", "rebuild"])
+def test_a_folder_that_is_not_there(run: Run, action: str) -> None:
+    ran = run("campaign", action, "nowhere")
+    assert ran.status == BAD_INPUT
+    assert ran.err.startswith(
+        "labpipe campaign: nowhere: expected the folder of a campaign, found nothing of that name."
+    )
+
+
+@pytest.mark.slow
+def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
+    """Two pulls, of which one lacks its export: processed once, and again when it is there."""
+    labs = [TensileLab(tmp_path, name) for name in ("P-1", "P-2")]
+    for seed, lab in enumerate(labs):
+        travel, force = pull(slack=0.001, seed=seed)
+        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+    missing = labs[1].export
+    export = missing.read_bytes()
+    missing.unlink()
+    raw = labs[0].raw.parent
+    ran = run("campaign", "run", raw, "--no-figures", "--jobs", "1")
+    assert ran.status == BAD_INPUT
+    assert "processed 2 of 2" in ran.out
+    assert "failed  P-2  missing_export: " in ran.out
+    missing.write_bytes(export)
+    ran = run("campaign", "run", raw, "--no-figures", "--jobs", "1")
+    assert ran.status in {DONE, 1}
+    assert "1/1 P-2: " in ran.err
+    assert "processed 1 of 2" in ran.out
+    assert "processed 0 of 2" in run("campaign", "run", raw).out
+    shown = run("campaign", "query", raw, "--where", "name = 'peak_force.1'", "--out", "json")
+    assert [row["test"] for row in json.loads(shown.out)] == ["P-1", "P-2"]
+    assert "2 rows" in shown.err
+    said = run("campaign", "rebuild", labs[0].processed.parent).out
+    assert said.startswith("c: ")
+
+
+def test_status_lists_what_needs_a_look(run: Run, kept: KeptCampaign) -> None:
+    (kept.raw / "photo.jpg").write_text("", "utf-8")
+    run("campaign", "decide", kept.raw, "T2", "reject", "--because", "slipped", "--by", "A. Tester")
+    (kept.raw / "T1" / "frame.csv").write_text("63", "utf-8")
+    kept.add("T4")
+    ran = run("campaign", "status", kept.raw)
+    assert ran.status == BAD_INPUT  # one failed
+    lines = ran.out.splitlines()
+    assert lines[0].startswith("C: 1 pending, 1 failed, 1 stale, 1 rejected  ->  ")
+    assert "  T3  unreadable_export: a unreadable_export of an export" in lines
+    assert "  T1  export changed (frame.csv)" in lines
+    assert any(line.startswith("  T2  slipped (A. Tester, 20") for line in lines)
+    assert lines[-2:] == ["unknown files (1)", "  photo.jpg"]
+
+
+def test_query_into_files(run: Run, kept: KeptCampaign, tmp_path: Path) -> None:
+    ran = run("campaign", "query", kept.raw, "--out", "xlsx")
+    assert ran.status == BAD_INPUT
+    assert "--out xlsx: expected a file to write, found none. Add --file results.xlsx." in ran.err
+    for form in ("csv", "xlsx", "json", "table"):
+        file = tmp_path / f"out.{form}"
+        assert run("campaign", "query", kept.raw, "--out", form, "--file", file).status == DONE
+    with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["test"] for row in rows] == ["T1", "T2", "T3"]
+    assert openpyxl.load_workbook(tmp_path / "out.xlsx")["results"].max_row == 4
+    assert len(json.loads((tmp_path / "out.json").read_text("utf-8"))) == 3
+    shown = run("campaign", "query", kept.raw, "--out", "csv").out
+    assert list(csv.DictReader(io.StringIO(shown))) == rows
+
+
+def test_decide_and_a_decision_that_does_not_count(run: Run, kept: KeptCampaign) -> None:
+    command = ("campaign", "decide", kept.raw, "T1", "reject", "--by", "A. Tester", "--because")
+    assert run(*command, " ").status == BAD_INPUT
+    assert run(*command, "slipped").out == "T1: rejected\n"
+    (kept.raw / "T1" / "frame.csv").write_text("63", "utf-8")
+    kept.run()
+    out = run("campaign", "status", kept.raw).out
+    assert "decisions that do not count (1)" in out
+    assert "it was made on another key" in out
+
+
+def reported(*groups: object, **more: object) -> Reported:
+    campaign = replace(Campaign("Synthetic", groups), **more)  # type: ignore[arg-type]
+    return Reported(Path("report"), campaign, (Path("report/report.html"),))
+
+
+@pytest.fixture
+def processed(tmp_path: Path, run: Run) -> Path:
+    for seed, name in enumerate(("P-1", "P-2")):
+        lab = TensileLab(tmp_path, name)
+        travel, force = pull(slack=0.001, seed=seed)
+        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+    assert run("process", tmp_path / "raw", "--out", tmp_path / "out", "--no-figures").status == 0
+    return tmp_path / "out"
+
+
+@pytest.mark.slow
+def test_options_and_what_is_said(run: Run, processed: Path, tmp_path: Path) -> None:
+    goal = tmp_path / "told"
+    ran = run("report", processed / "P-1", processed, "--out", goal, "--title", "Two pulls")
+    assert (ran.status, ran.err) == (0, "")
+    heading, first, *_ = ran.out.splitlines()
+    assert heading == "synthetic  (tensile): 2 samples from 1 spool"
+    assert first.split()[0] == "peak_force.1"
+    assert first.split()[2] == "N"
+    assert "95 %:" in first
+    assert ran.out.splitlines()[-1].endswith("report.html")
+    assert "<title>Two pulls" in (goal / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_letterhead_figures_and_pages_as_they_are_asked_for(
+    run: Run, processed: Path, tmp_path: Path
+) -> None:
+    goal = tmp_path / "told"
+    words = ("--lab", "Bench <3>", "--customer", "Somebody", "--order", "42")
+    ran = run("report", processed, "--out", goal, *words, "--pages", "--figures", "svg,pdf")
+    assert (ran.status, ran.err) == (0, "")
+    page = (goal / "report.html").read_text(encoding="utf-8")
+    assert "<dt>Lab</dt><dd>Bench &lt;3&gt;</dd>" in page
+    assert "<dt>Order</dt><dd>42</dd>" in page
+    assert sorted(each.name for each in (goal / "tests").iterdir()) == ["P-1.html", "P-2.html"]
+    assert {each.suffix for each in (goal / "figures").iterdir()} == {".svg", ".pdf"}
+
+
+def simulated(make: Callable[[Path], None] | list[Callable[[Path], None]], raw: Path) -> list[Path]:
+    before = set(raw.glob("*/"))
+    for each in make if isinstance(make, list) else [make]:
+        each(raw)
+    return sorted(set(raw.glob("*/")) - before)
+
+
+@pytest.fixture
+def quick_campaign(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two small tests, two pulls and a short line in place of the campaigns and examples."""
+
+    def simulate(folder: Path) -> None:
+        small = small_scenario()
+        straight = replace(small.mechanics, slack=None)
+        for seed, name in enumerate(("T1", "T2"), start=1):
+            home = folder.parent.parent / "made" / name
+            made = make_lab(home, replace(small, mechanics=straight), seed)
+            goal = folder / name
+            goal.mkdir(parents=True)
+            for path in made.raw.iterdir():
+                text = path.read_bytes()
+                if path.name == "test.yaml":
+                    text = text.replace(b"test: T1", f"test: {name}".encode())
+                (goal / path.name).write_bytes(text)
+
+    def simulate_tensile(folder: Path) -> None:
+        for seed, name in enumerate(("P-1", "P-2")):
+            lab = TensileLab(folder.parent.parent / "pulls", name)
+            travel, force = pull(slack=0.001, seed=seed)
+            write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+            shutil.copytree(lab.raw, folder / name)
+
+    campaigns = {"wires": simulate, "tensile": simulate_tensile}
+    monkeypatch.setattr("labpipe.cli.demo.CAMPAIGNS", campaigns)
+    monkeypatch.setattr("labpipe.cli.demo.FIRST_LOOK", (simulate_tensile,))
+    monkeypatch.setattr("labpipe.cli.demo.simulate_campaigns", simulated)
+    examples = tmp_path / "examples"
+    examples.mkdir()
+    written(examples, pushed(SHEET_WORDS), name="harness-push.yaml")
+    monkeypatch.setattr("labpipe.cli.demo.shipped_folder", {"examples": examples}.__getitem__)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_campaign")
+def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Path) -> None:
+    ran = run("demo", tmp_path, "--full", "--no-figures", "--jobs", 1)
+    assert ran.status == 0
+    assert ran.err.startswith("making synthetic campaigns in ")
+    done = tmp_path / "processed" / "demo"
+    for name in ("wires/T1", "wires/T2", "tensile/P-1", "tensile/P-2"):
+        assert (done / name / "summary.json").is_file()
+        assert f"{name.partition('/')[2]}  (" in ran.out
+    one, other = (ran.out.index(f"{name}  (tensile): ") for name in ("P-1", "P-2"))
+    assert "failure_displacement" in ran.out[one:other]
+    assert "failure_displacement" not in ran.out[other:]
+    for name in ("wires", "tensile"):
+        page = done / name / "report" / "report.html"
+        assert f"Synthetic demo campaign: {name}" in page.read_text(encoding="utf-8")
+        assert f"  {page}\n" in ran.out
+    assert "radial_friction" in ran.out
+    line = json.loads((done / "lines" / "harness-push" / "summary.json").read_text())
+    assert [each["role"] for each in line["inputs"]] == ["harness", "wires", "calibration"]
+    assert line["bands"]["kind"] == "pointwise 95 %", "it has the law that was calibrated"
+    assert "\nharness-push: " in ran.out
+    assert (done / "wires" / "calibration" / "calibration.json").is_file()
+    assert "figures to look at" not in ran.out
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_campaign")
+def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
+    ran = run("demo", tmp_path, "--png", "--jobs", 1)
+    assert ran.status == 0
+    folder = tmp_path / "processed" / "demo" / "one-of-each"
+    out = ran.out.replace(f"{tmp_path}{os.sep}", "").replace(os.sep, "/")
+    assert "failure_displacement" in out.partition("P-2  (tensile)")[0], "numbers of the first test"
+    assert "failure_displacement" not in out.partition("P-2  (tensile)")[2]
+    shown = out.partition("open in a browser, the report first:\n")[2].partition("\n\n")[0]
+    assert [line.removeprefix("processed/demo/one-of-each/") for line in shown.split()] == [
+        "report/report.html",
+        "P-1/figures/stiffness-lines.svg",
+        "P-2/figures/stiffness-lines.svg",
+    ]
+    assert (folder / "P-2" / "figures" / "stiffness-lines.png").is_file()
+    assert (tmp_path / out.partition("labpipe inspect ")[2].splitlines()[0]).is_file()
+    page = (folder / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Synthetic demo campaign: one-of-each" in page
+    assert not (tmp_path / "processed" / "demo" / "wires").exists()
+
+
+def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
+    def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
+        return Counter(protocol_of(test) for each in campaigns for test, _ in each.scenarios())
+
+    first = kinds(FIRST_LOOK)
+    assert set(first) == set(kinds(each for several in CAMPAIGNS.values() for each in several))
+    assert set(first.values()) == {1}
+
+
+def test_an_example_is_of_the_wire_that_the_demo_calibrates() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in EXAMPLES.glob("harness-*.yaml")]
+    assert len(texts) == 4
+    assert sum(SHEET_WORDS in text for text in texts) == 1
+    assert CALIBRATED_WORDS.startswith(SHEET_WORDS[:-1])
+
+
+NO_WAY = """\
+version: 1
+line: {length: 100 mm, elements: 8, section: %s}
+boundaries:
+  - {kind: clip, name: one, at: start, position: [0 mm, 0 mm, 0 mm], direction: [1, 0, 0]}
+  - kind: grip
+    name: knot
+    at: 1 mm
+    path: [{step: 4, direction: [-1, 0, 0]}]
+steps: 4
+"""
+"""A grip that turns a millimetre of a line right round."""
+
+
+@pytest.mark.slow
+def test_numbers_and_where_they_are(run: Run, tmp_path: Path) -> None:
+    file, out = written(tmp_path, pushed()), tmp_path / "out"
+    ran = run("harness", file, "--out", out, "--no-figures")
+    assert ran.status == DONE, ran
+    lines = ran.out.splitlines()
+    assert lines[0] == "line: 3 ok, 6 doubtful; 100 mm of A2, 12 elements, 10 steps"
+    assert lines[1].startswith("  smallest_bend_radius ")
+    assert any(line.startswith("  springback.gripper ") for line in lines)
+    assert (
+        "  allowed bend radius 8 mm (assumed: 5 times the outer diameter of 1.6 mm): kept" in lines
+    )
+    assert lines[-1] == f"results: {out}"
+    assert not (out / "figures").exists()
+    ran = run("harness", file, "--out", out, "--json", "--no-figures")
+    assert json.loads(ran.out) == json.loads((out / "summary.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
+def test_a_line_that_cannot_follow_is_a_failure(run: Run, tmp_path: Path) -> None:
+    file, out = written(tmp_path, NO_WAY % STIFFNESS), tmp_path / "out"
+    ran = run("harness", file, "--out", out)
+    assert ran.status == SOME_FAILED
+    assert ran.out.startswith("line: failed; 100 mm of stiffness 150 N mm^2, ")
+    assert "earlier results stay" in ran.out
+    assert ran.err.startswith(f"labpipe harness: {file}: ")
+    assert ": step " in ran.err
+    assert [path.name for path in out.iterdir()] == ["failure.json"]
+
+
+def test_statuses_of_a_report() -> None:
+    fine, troubled = build_group("tube", six_samples()), build_group("tube", troubled_samples())
+    left_out = {"a/result.h5": "a/result.h5: expected this, found that. Do so."}
+    assert status_of(reported(fine)) == 0
+    assert status_of(reported(troubled)) == 1
+    assert status_of(reported(troubled, left_out=left_out)) == 2
+
+
+def test_bad_input(
+    run: Run, kept: KeptCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, approved: Approve
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    place = Path("raw") / "C"
+    (tmp_path / "taken").write_text("mine", "utf-8")
+    harnesses = {
+        "far": arch().replace("180 mm", "280 mm"),
+        "bare": arch().replace("200 mm", "200"),
+        "wire": arch("{wire: A22}"),
+        "soft": arch(STIFFNESS.replace("150 N", "0 N")),
+        "range": arch(STIFFNESS.replace("largest_curvature: 80 1/m, ", "")),
+    }
+    commands: list[tuple[object, ...]] = [
+        ("campaign", "query", place, "--where", "forse > 1"),
+        ("campaign", "query", place, "--out", "xlsx"),
+        ("campaign", "replay", place, "--failed", "disk_full"),
+        ("campaign", "run", place, "--executor", "cloud"),
+        *(("campaign", action, "nowhere") for action in ("run", "status", "query", "rebuild")),
+        ("report", "processed", "--figures", "svg,jpg"),
+        ("report", "processed", "--logo", "taken"),
+        ("harness", "none.yaml"),
+        *(
+            ("harness", written(tmp_path, text, name=f"{name}.yaml"))
+            for name, text in harnesses.items()
+        ),
+    ]
+    told = []
+    for command in commands:
+        ran = run(*command)
+        assert (ran.status, ran.out) == (BAD_INPUT, ""), command
+        assert "Traceback" not in ran.err
+        told.append(ran.err)
+    approved(told)
