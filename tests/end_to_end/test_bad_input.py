@@ -15,13 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.builders.lab_folders import LabFolder
 
 from labpipe.virtual_lab.tensile_scenarios import twist_tube
 from tests.approved import Approve
 from tests.builders import bad_input
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
-from tests.builders.small_tests import Lab, Run, make_lab, small_scenario, state
+from tests.builders.small_tests import Lab, LabFolder, Run, make_lab, small_scenario, state
 from tests.builders.tensile_tests import TensileLab, make_tensile
 
 LOAD_CELL = "Model Root/Load Cell"
