@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +18,7 @@ DECISIONS: Final = "decisions.json"
 SCHEMA: Final = 1
 ACCEPT, REJECT = "accept", "reject"
 NO_SUCH_TEST: Final = "there is no such test"
+OPEN_AGAIN: Final = "open again: exports, sheet, protocol or labpipe changed since"
 OTHER_KEY: Final = "it was made on another key: exports, sheet, protocol or labpipe changed"
 _TEXTS = ("test", "run", "decision", "because", "by", "when")
 _NEEDED = ("test", "run", "decision", "because", "by")
@@ -202,12 +203,19 @@ def by_test_and_run(decisions: Iterable[Decision]) -> dict[tuple[str, str], Deci
 def in_force(decisions: Iterable[Decision], *, run: str) -> Decision | None:
     """Find the decision that counts for a test: the last one on its key.
 
+    A test that was rejected on another key stays out until a person decides again.
+
     Parameters
     ----------
     decisions : on the test, in order
     run : key of its results
     """
-    return next((each for each in reversed([*decisions]) if each.run == run), None)
+    newest_first = [*decisions][::-1]
+    own = next((decision for decision in newest_first if decision.run == run), None)
+    if own is None and newest_first and newest_first[0].decision == REJECT:
+        last = newest_first[0]
+        return replace(last, because=f"{last.because} ({OPEN_AGAIN})")
+    return own
 
 
 def not_applied(

@@ -42,6 +42,7 @@ from labpipe.campaign.decisions import (
     add_decisions,
     by_test_and_run,
     carried_over,
+    in_force,
     read_decisions,
 )
 from labpipe.campaign.outcome_rows import NEWER_RESULT, StoredOutcome, plain, read_outcome_files
@@ -245,6 +246,9 @@ class Keeper:
         campaign = self.campaign
         self._decisions = read_decisions(campaign.processed, campaign.name)
         self._in_force = by_test_and_run(self._decisions.decisions)
+        self._on_test: dict[str, list[Decision]] = {}
+        for decision in self._decisions.decisions:
+            self._on_test.setdefault(decision.test, []).append(decision)
 
     def _overview(self, rows: dict[str, TestRow], raw: RawFolder) -> Overview:
         runs = {folder: row.attempt for folder, row in rows.items()}
@@ -298,7 +302,7 @@ class Keeper:
         return row.state == REJECTED and said == (row.why, row.decided_by, row.decided)
 
     def _rejection(self, folder: str, run: str) -> Decision | None:
-        decision = self._in_force.get((folder, run))
+        decision = in_force(self._on_test.get(folder, ()), run=run)
         return decision if decision is not None and decision.decision == REJECT else None
 
     def _decision_on(
@@ -309,11 +313,11 @@ class Keeper:
             return self._rejection(folder, outcome.attempt)
         old = self._in_force.get((folder, row.run))
         if old is None or not outcome.run or not self._is_made_of_the_same(row, outcome):
-            return None
+            return self._rejection(folder, outcome.attempt)
         before = self.catalog.results_of(folder)
         carried = carried_over(old, outcome.run, before, outcome.results)
         if carried is None or self.catalog.in_memory:
-            return None
+            return self._rejection(folder, outcome.attempt)
         add_decisions(self.campaign.processed, self.campaign.name, [carried])
         self.read_decisions()
         return self._rejection(folder, outcome.run)

@@ -189,6 +189,7 @@ def _after_run(campaign: CampaignFolders, ran: Ran) -> str:
     lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_SHOWN]]
     if len(failed) > _SHOWN:
         lines.append(f"  ... {len(failed) - _SHOWN} more: labpipe campaign status")
+    lines += _open_decisions(ran.overview)
     return "\n".join(map(escaped, lines))
 
 
@@ -211,14 +212,19 @@ def _lists(overview: Overview, files: dict[str, list[str]]) -> list[str]:
     for state, say in says.items():
         rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
         lines += _listed(state, [f"{row.folder}  {say(row)}".rstrip() for row in rows])
-    runs = {folder: row.attempt for folder, row in overview.rows.items()}
-    left = not_applied([each for each, _ in overview.decisions], runs)
-    lines += _listed(
-        "decisions that do not count",
-        [f"{each.test}  {each.decision} ({each.by}, {each.when}): {why}" for each, why in left],
-    )
+    lines += _open_decisions(overview)
     lines += _listed("unknown files", files["unknown"])
     return lines
+
+
+def _open_decisions(overview: Overview) -> list[str]:
+    """Decisions whose test has changed since, or is gone."""
+    runs = {folder: row.attempt for folder, row in overview.rows.items()}
+    decisions = not_applied([decision for decision, _ in overview.decisions], runs)
+    return _listed(
+        "decisions that are open again",
+        [f"{one.test}  {one.decision} ({one.by}, {one.when}): {why}" for one, why in decisions],
+    )
 
 
 def _who(overview: Overview, folder: str) -> str:

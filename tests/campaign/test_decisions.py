@@ -63,18 +63,21 @@ def test_a_rejected_test_says_by_whom_why_and_when(kept: KeptCampaign) -> None:
     assert kept.stand_in.processed == []
 
 
-def test_a_decision_counts_for_its_key_alone(kept: KeptCampaign) -> None:
+def test_a_rejected_test_that_changed_stays_out_until_a_person_decides(kept: KeptCampaign) -> None:
     decide(kept.folders, "T1", REJECT)
     export = kept.raw / "T1" / "frame.csv"
     export.write_text("99", "utf-8")
     assert look(kept.folders).rows["T1"].state == STALE
     kept.run()
     overview = look(kept.folders)
-    assert overview.rows["T1"].state == OK
+    assert overview.rows["T1"].state == REJECTED
+    assert "slipped in the grip (open again: " in overview.rows["T1"].why
     runs = {folder: row.attempt for folder, row in overview.rows.items()}
     ((left, why),) = not_applied([each for each, _ in overview.decisions], runs)
     assert left.because == "slipped in the grip"
     assert why.startswith("it was made on another key")
+    decide(kept.folders, "T1", replace(REJECT, decision="accept"))
+    assert look(kept.folders).rows["T1"].state == OK
     export.write_text("62.5", "utf-8")
     kept.run()
     assert look(kept.folders).rows["T1"].state == REJECTED
@@ -144,7 +147,7 @@ def test_decisions_of_another_campaign_count_by_their_keys(kept: KeptCampaign) -
     assert overview.rows["T1"].state == REJECTED
     document["decisions"][0]["run"] = "0" * 64
     path.write_text(json.dumps(document), "utf-8")
-    assert look(kept.folders).rows["T1"].state == OK
+    assert "(open again: " in look(kept.folders).rows["T1"].why
 
 
 NASTY = "<script>alert(1)</script> \x1b[31m =cmd() \u202e ü \\ ' \" \n\t"
@@ -189,7 +192,7 @@ def test_a_decision_is_not_carried_over_where_numbers_moved(
     monkeypatch.setattr("labpipe.campaign.content_keys._code", lambda: "newer")
     kept.stand_in.shift = 0.11
     kept.run()
-    assert look(kept.folders).rows["T1"].state == OK
+    assert "(open again: " in look(kept.folders).rows["T1"].why
     assert len(written(kept)["decisions"]) == 1
 
 

@@ -115,7 +115,7 @@ def test_decide_and_a_decision_that_does_not_count(run: Run, kept: KeptCampaign)
     (kept.raw / "T1" / "frame.csv").write_text("63", "utf-8")
     kept.run()
     out = run("campaign", "status", kept.raw).out
-    assert "decisions that do not count (1)" in out
+    assert "decisions that are open again (1)" in out
     assert "it was made on another key" in out
 
 
