@@ -74,13 +74,6 @@ def test_what_another_process_knows_better_stays(catalog: Catalog) -> None:
     assert catalog.row_of("T1") == newer.row
 
 
-def test_what_is_forgotten_is_gone(catalog: Catalog) -> None:
-    catalog.put([ENTRY])
-    catalog.put_time("T1", "now", 1.0)
-    catalog.forget(["T1"])
-    assert catalog.content() == {"tests": [], "results": [], "inputs": [], "decisions": []}
-
-
 def test_nothing_of_several_changes_is_kept_when_one_fails(catalog: Catalog) -> None:
     bad = replace(ENTRY, row=replace(ENTRY.row, folder="T2", state=None))  # type: ignore[arg-type]
     with pytest.raises(StoreError, match="NOT NULL constraint failed"):
@@ -234,14 +227,6 @@ def campaign(tmp_path: Path) -> CampaignFolders:
     (tmp_path / "raw" / "C" / "notes.txt").write_text("", "utf-8")
     (tmp_path / "processed" / "C").mkdir(parents=True)
     return find_campaign(tmp_path / "raw" / "C")
-
-
-def test_both_folders_by_either(campaign: CampaignFolders) -> None:
-    assert campaign.name == "C"
-    assert campaign.processed.relative_to(campaign.raw.parents[1]) == Path("processed/C")
-    assert find_campaign(campaign.processed) == campaign
-    deeper = find_campaign(campaign.raw / "more")
-    assert (deeper.name, deeper.processed) == ("C/more", campaign.processed / "more")
 
 
 def test_folders_that_are_no_campaign(tmp_path: Path) -> None:

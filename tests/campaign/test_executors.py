@@ -10,14 +10,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labpipe.campaign.batches import Batch, Unseen, do_here, versions
 from labpipe.campaign.executors import executor_of, local
 from labpipe.campaign.outcomes import Outcome, outcome_of, settled
 from labpipe.campaign.runs import process_tests, run_jobs
@@ -143,18 +141,6 @@ def test_in_order_and_a_bad_one_does_not_stop_the_others(tests: list[Path], jobs
 
 
 @pytest.mark.slow
-def test_several_at_a_time_give_the_same(tests: list[Path], tmp_path: Path) -> None:
-    told: list[str] = []
-    said = {}
-    for many in (tests[:1], tests):
-        out = tmp_path / f"of-{len(many)}"
-        list(process_tests(many, out=out, figures=lambda _: False, begin=lambda _: told.append))
-        said[len(many)] = (out / "P-1" / "result.h5").read_bytes()
-    assert said[1] == said[3]
-    assert told == ["read", "process", "write", "wait", "wait", "wait"]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_two_tests_that_would_go_to_one_folder(
     tests: list[Path], tmp_path: Path, jobs: int
@@ -207,13 +193,6 @@ def test_a_process_that_dies_costs_its_call_alone(jobs: int) -> None:
         "with exit code 3",
     ]
     assert Died(-63).how == "by the signal 63"
-
-
-def test_what_a_call_raises_is_raised() -> None:
-    found = in_processes([partial(int, "1"), partial(int, "x"), partial(int, "3")], jobs=2)
-    assert next(found) == 1
-    with pytest.raises(ValueError, match="invalid literal"):
-        next(found)
 
 
 def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> None:
@@ -309,30 +288,6 @@ def test_what_came_of_a_process(tmp_path: Path) -> None:
     assert settled(task, done) is done
     with pytest.raises(ZeroDivisionError):
         settled(task, Raised(ZeroDivisionError()))
-
-
-@pytest.fixture
-def batch(tmp_path: Path) -> Batch:
-    """Three tests by relative paths, of which the second is not there."""
-    labs = small_pulls(tmp_path, 3)
-    sheets = [lab.sheet.relative_to(tmp_path) for lab in labs]
-    labs[1].sheet.unlink()
-    tasks = [Task(sheet, Path("out", sheet.parent.name), figures=False) for sheet in sheets]
-    return Batch(("run", "1"), tuple(tasks), tmp_path, None, versions())
-
-
-@pytest.mark.slow
-def test_tests_of_a_batch_in_their_order(batch: Batch) -> None:
-    first, second, third = do_here(batch)
-    assert isinstance(first, Outcome)
-    assert isinstance(third, Outcome)
-    assert second == Unseen()
-    assert [first.sheet, third.sheet] == [batch.tasks[0].sheet, batch.tasks[2].sheet]
-    assert (batch.home / "out" / "S-0002" / "result.h5").is_file()
-
-
-def test_a_folder_that_is_not_there(batch: Batch) -> None:
-    assert do_here(replace(batch, home=batch.home / "none")) == [Unseen()] * 3
 
 
 @pytest.fixture(scope="module")

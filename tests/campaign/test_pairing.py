@@ -185,17 +185,6 @@ def test_folders_by_their_pattern(lab: Lab) -> None:
     )
 
 
-def test_optional_exports_are_waited_for_a_while(lab: Lab) -> None:
-    folder = lab.raw.parent
-    lab.sheet.unlink()
-    (lab.raw / "take.csv").unlink()
-    plan = "version: 1\nprotocol: conduit-bundle\nspecimen: {span: 152.4 mm}\npatience: 30 s\n"
-    (folder / "campaign.yaml").write_text(plan, encoding="utf-8")
-    early = pair_test(only(folder), plan_of(folder), waited=29.0)
-    assert early.missing == ("frame", "markers")
-    assert pair_test(only(folder), plan_of(folder), waited=30.0).sheet is not None
-
-
 SIBLING = """\
 test: {0}
 protocol: {1}

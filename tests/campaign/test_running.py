@@ -110,15 +110,6 @@ def test_a_changed_protocol_runs_its_tests_again(
     assert kept.stand_in.processed == ["P-a"]
 
 
-def test_results_that_were_taken_away(kept: KeptCampaign) -> None:
-    kept.run()
-    shutil.rmtree(kept.processed / "T1")
-    (kept.processed / "T2" / "result.h5").unlink()
-    assert look(kept.folders).rows["T2"].why == "result.h5 is gone"
-    kept.run()
-    assert kept.stand_in.processed == ["T1", "T2"]
-
-
 def test_exports_that_were_taken_away(kept: KeptCampaign) -> None:
     kept.run()
     shutil.rmtree(kept.raw)
@@ -308,15 +299,6 @@ def test_some_tests_alone(kept: KeptCampaign) -> None:
     assert kept.stand_in.processed == ["T2"]  # not again
 
 
-def test_a_failure_is_tried_again_once_the_export_is_another(kept: KeptCampaign) -> None:
-    run_some(kept.folders, kept.stand_in, ["T3"])
-    export = kept.raw / "T3" / "frame.csv"
-    export.write_text(export.read_text("utf-8").replace("fail unreadable_export", "62.5"), "utf-8")
-    (row,) = run_some(kept.folders, kept.stand_in, ["T3"]).values()
-    assert row is not None
-    assert row.state == OK
-
-
 @pytest.fixture
 def two_tests(tmp_path: Path) -> KeptCampaign:
     two_tests = KeptCampaign(tmp_path)
@@ -324,19 +306,6 @@ def two_tests(tmp_path: Path) -> KeptCampaign:
         two_tests.add(name)
     two_tests.run()
     return two_tests
-
-
-def test_what_looks_the_same_is_not_opened(
-    two_tests: KeptCampaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with opened_campaign(two_tests.folders) as keeper:
-        keeper.refresh()
-
-        def refuse(*_: object) -> None:
-            raise AssertionError
-
-        monkeypatch.setattr("labpipe.campaign.refreshing.read_outcome_files", refuse)
-        assert keeper.refresh().counts == {OK: 2}
 
 
 def test_odd_names_are_kept(two_tests: KeptCampaign) -> None:

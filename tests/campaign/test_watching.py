@@ -25,7 +25,7 @@ from labpipe.campaign.running import look
 from labpipe.campaign.verdicts import GroupsSoFar, Shown, actions, actions_for, refused, verdict
 from labpipe.campaign.watched_campaign import WatchedCampaign
 from labpipe.campaign.watching import Watcher
-from labpipe.errors import CODES, ProcessingError, ProtocolError, StoreError
+from labpipe.errors import CODES, ProcessingError, ProtocolError
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.records.quality import Severity
 from tests.approved import Approve
@@ -236,14 +236,6 @@ def test_exports_that_vanish_while_they_are_processed_are_no_failure(
     assert "A2-085-1: WELL" in bench.go(10)
 
 
-def test_trouble_with_the_catalog_is_tried_again(bench: Bench, exports: dict[str, bytes]) -> None:
-    bench.campaign.trouble = [StoreError("catalog.sqlite: locked.")]
-    put(bench, "A2-085-1", exports)
-    said = bench.go(10)
-    assert "A2-085-1: catalog.sqlite: locked." in said
-    assert "A2-085-1: WELL" in said
-
-
 def test_a_test_that_fails_is_said_and_processed_again_once_it_changed(
     bench: Bench, exports: dict[str, bytes]
 ) -> None:
@@ -318,17 +310,6 @@ def test_what_is_not_used_is_said_once(bench: Bench, exports: dict[str, bytes]) 
     assert "A2-085-1: WELL" in said
     assert bench.go(200, step=2) == ""
     assert (folder / "a\nb\x1b[2J.csv").read_bytes() == exports["take.csv"]
-
-
-def test_the_newest_test_comes_first(bench: Bench, exports: dict[str, bytes]) -> None:
-    for number in (1, 3, 2):
-        put(bench, f"A2-085-{number}", exports)
-        bench.watcher.look()
-        bench.now += 0.1
-    bench.now += 10.0
-    while bench.watcher.look():
-        pass
-    assert bench.campaign.asked == ["A2-085-2", "A2-085-3", "A2-085-1"]
 
 
 PLAN_OF_ONE = """\

@@ -40,15 +40,6 @@ def kept(tmp_path: Path) -> KeptCampaign:
     return kept
 
 
-@pytest.mark.parametrize("action", ["run", "status", "query", "rebuild"])
-def test_a_folder_that_is_not_there(run: Run, action: str) -> None:
-    ran = run("campaign", action, "nowhere")
-    assert ran.status == BAD_INPUT
-    assert ran.err.startswith(
-        "labpipe campaign: nowhere: expected the folder of a campaign, found nothing of that name."
-    )
-
-
 @pytest.mark.slow
 def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     """Two pulls, of which one lacks its export: processed once, and again when it is there."""

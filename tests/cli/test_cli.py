@@ -32,14 +32,6 @@ def test_message_names_the_command(
     assert (ran.status, ran.out) == (2, "")
 
 
-def test_interrupt(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(path: Path) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("labpipe.process.inspection.inspect_export", stopped)
-    assert run("inspect", tmp_path).status == 130
-
-
 @pytest.mark.skipif(os.name == "nt", reason="pipes are another matter on Windows")
 def test_reader_of_a_pipe_that_goes_away(pristine: Lab) -> None:
     command = (
@@ -236,19 +228,6 @@ def test_a_file_of_ones_own_is_never_replaced(run: Run, tmp_path: Path) -> None:
     assert contents(tmp_path) == {"protocols/tensile.yaml": b"mine"}
 
 
-def test_examples_are_not_copied_onto_themselves(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("examples/wires.xlsx", "protocols/own.yaml"):
-        (tmp_path / name).parent.mkdir()
-        (tmp_path / name).write_text(name, encoding="utf-8")
-    monkeypatch.setattr("labpipe.cli.examples.shipped_folder", tmp_path.__truediv__)
-    ran = run("examples", tmp_path / "examples")
-    assert ran.status == DONE
-    assert "wires.xlsx" not in ran.out
-    assert (tmp_path / "examples" / "protocols" / "own.yaml").read_text() == "protocols/own.yaml"
-
-
 def test_table_and_progress(run: Run, lab: Lab) -> None:
     ran = run("process", lab.raw, "--no-figures")
     assert ran.status == 0
@@ -259,16 +238,6 @@ def test_table_and_progress(run: Run, lab: Lab) -> None:
     assert first.split()[2:4] == ["s", "95"]
     assert len(rest) == 14
     assert not (lab.processed / "figures").exists()
-
-
-def test_doubtful_results_are_status_0_and_told(run: Run, lab: Lab) -> None:
-    lab.override("markers.along", "all")
-    lab.override("steps.specimen-frame.max_out_of_plane", "1 um")
-    ran = run("process", lab.raw, "--no-figures")
-    assert ran.status == 0
-    assert "? peak_displacement.1 " in ran.out
-    assert "doubtful: out_of_plane: " in ran.out
-    assert "warning: markers leave their plane by " in ran.out
 
 
 def test_writes_exports_sheet_and_truth(

@@ -16,7 +16,6 @@ from labpipe.door.data_frames import (
     Units,
     budget_frame,
     curve_frame,
-    quality_frame,
     results_frame,
     shape_frame,
 )
@@ -97,12 +96,6 @@ def test_fields_that_are_asked_for_come_first_and_sort(campaign: Path) -> None:
     assert list(frame)[:3] == ["test", "length", "type"]
     assert frame["length"].tolist() == [*[0.085] * 3, *[0.1] * 3, 0.1143]
     assert {str(name) for name in frame} == {*KINDS}
-
-
-def test_a_field_that_no_sheet_has(campaign: Path) -> None:
-    said = r"by: expected a field of the test sheets: length, .*found 'lenght'\. Choose one of th"
-    with pytest.raises(UsageError, match=said):
-        table(campaign, by=["lenght"])
 
 
 def test_summaries_of_earlier_versions(tmp_path: Path) -> None:
@@ -275,15 +268,6 @@ def test_shapes(result: TestResult) -> None:
     shown = shape_frame(shape, SHOWN)
     np.testing.assert_allclose(shown["pull"]["x"], 1e3 * shape.positions[:, -1, 0])
     assert shown.attrs["units"]["position"] == "mm"
-
-
-def test_notes(result: TestResult) -> None:
-    frame = quality_frame(result.quality)
-    assert kinds(frame) == dict.fromkeys(("code", "severity", "where", "message"), "str")
-    assert list(frame.loc[0]) == [
-        *("marker_filled", "warning", "wire:Marker3", "26 frames were filled.")
-    ]
-    assert kinds(quality_frame([])) == kinds(frame)
 
 
 def test_recordings_have_a_table_for_each_clock_and_body(result: TestResult) -> None:

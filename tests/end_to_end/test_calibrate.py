@@ -294,23 +294,6 @@ def test_two_tests_of_one_name_and_half_of_a_third(
     assert "one sample: how samples scatter is not known" in done.out
 
 
-@pytest.mark.parametrize(
-    ("copper", "words"),
-    [
-        ("fixed, value: 100", "the modulus of the insulation is not identified"),
-        ("free", "mu_s, mu_p and F_rad are not identified, they cannot be told apart: 1 of 3"),
-    ],
-)
-def test_what_is_not_identified(
-    campaign: Path, calibrate: Callable[..., Ran], copper: str, words: str
-) -> None:
-    """Copper a hundred times too strong leaves nothing for the insulation."""
-    text = f"parameters:\n  copper_scale: {{enters: {copper}, because: a slip of the pen}}\n"
-    done = calibrate(campaign / "A2-085-1", text=text if "100" in copper else "wire: A2\n")
-    assert done.status == 0
-    assert words in done.out
-
-
 @pytest.mark.parametrize(("value", "side"), [("3000 MPa", "below"), ("300 MPa", "above")])
 def test_a_prior_that_contradicts_the_tests(
     value: str, side: str, campaign: Path, calibrate: Callable[..., Ran]

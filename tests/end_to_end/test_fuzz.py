@@ -109,13 +109,6 @@ def survives(lab: Lab, run: Run, names: list[str], seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["force.mat", "take.csv", "test.yaml"])
-@pytest.mark.parametrize("seed", range(10))
-def test_synthetic(lab: Lab, run: Run, name: str, seed: int) -> None:
-    survives(lab, run, [name], seed)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 400))
 def test_synthetic_at_length(lab: Lab, run: Run, seed: int) -> None:
     chance = random.Random(seed)

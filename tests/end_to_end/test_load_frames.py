@@ -71,20 +71,6 @@ def test_bluehill_of_two_columns_only(write: Written) -> None:
     assert "no_time" in codes(recording)
 
 
-def test_bluehill_cycles_with_counters_and_small_steps(write: Written) -> None:
-    """Segment changes add rows a millisecond after the one before."""
-    moments = np.sort(np.append(TIME, [1.001, 2.001]))
-    rows: list[list[object]] = [
-        [float(t), float(i // 14 + 1), 0.0, float(i), -float(i)] for i, t in enumerate(moments)
-    ]
-    names = ("Time", "Segment ID", "Total Cycle Count", "Extension", "Load")
-    content = frames.bluehill(names=names, units=("(sec)", "", "", "(mm)", "(N)"), rows=rows)
-    recording = read_export(write(content))
-    np.testing.assert_allclose(time(recording), moments)
-    assert [each.name for each in recording.channels] == list(names[1:])
-    np.testing.assert_array_equal(channel(recording, "Load").values, -np.arange(42.0))
-
-
 def test_two_specimens_side_by_side(write: Written) -> None:
     file = write(frames.trapezium((N, 25, 3)))
     recording = read_export(file)
@@ -208,16 +194,6 @@ def test_units_behind_a_comma_or_a_slash(write: Written, mark: str) -> None:
     text = frames.lines([names, *rows], ";")
     holds(read_export(write(text.encode())), **held)
     holds(read_export(write(f"sep=;\r\n{text}".encode())), **held)
-
-
-@pytest.mark.parametrize("micro", ["µ", "μ", "u"])  # micro sign, Greek mu, and the makeshift
-def test_micrometres(write: Written, run: Run, micro: str) -> None:
-    file = write(frames.dma_q800(length_unit=f"{micro}m"))
-    ran = run("inspect", file, "--json")
-    (stream,) = json.loads(ran.out)["streams"]
-    travel = next(each for each in stream["channels"] if each["name"] == "Displacement")
-    assert (stream["start"], stream["end"]) == (pytest.approx(0.1), pytest.approx(4.0))
-    assert (travel["unit"], travel["first"]) == ("m", pytest.approx(-0.25e-3))
 
 
 def test_q800_that_lacks_one_of_its_names(write: Written) -> None:
@@ -374,16 +350,6 @@ def test_the_pull_is_read_as_it_was_written(write: Written, kind: str) -> None:
     recording = read_export(write(content))
     holds(recording, force=force, travel=travel)
     assert ("summary_rows_left_out" in codes(recording)) == (kind in EXTREMES)
-
-
-def test_names_of_793_english_that_cannot_be_told_apart(write: Written) -> None:
-    """Names that no list knows may be refused, never replaced without a note."""
-    names = "Ch 1 Displacement Deflectometer Ch 1 Force Time"
-    lines = frames.mts_793_english(names).decode().splitlines()
-    at = lines.index(names)
-    lines[at + 1] = f"mm        {lines[at + 1]}"
-    lines[at + 2 :] = [f"0.5 {line}" if line else "" for line in lines[at + 2 :]]
-    refused(write("\r\n".join(lines).encode()), "names")
 
 
 def bluehill(at: int = 0, cell: object = None, column: int = 2) -> bytes:

@@ -202,14 +202,6 @@ def words(folder: Path) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page(folder)))
 
 
-def change_sheet(test: Path, old: str, new: str) -> None:
-    """Change the sheet of a test that has not been processed yet."""
-    path = test / "test.yaml"
-    text = path.read_text(encoding="utf-8")
-    assert text.count(old) == 1, (old, text)
-    path.write_text(text.replace(old, new), encoding="utf-8")
-
-
 @pytest.mark.slow
 def test_a_campaign(reported: Reported) -> None:
     assert (reported.status, reported.err) == (0, "")
@@ -245,30 +237,6 @@ def test_a_damaged_result_among_good_ones(tests: Path, run: Run) -> None:
     assert "twist-tube-10  (twist-tube): 2 samples from 2 spools\n" in ran.out
     assert "twist-tube-1a" in words(tests / "report")
     assert "expected a whole result file" in words(tests / "report")
-
-
-@pytest.mark.slow
-def test_two_protocols_for_one_type(run: Run, tmp_path: Path) -> None:
-    simulated(tmp_path / "raw", twist_tube("1a"), twist_tube("1b"))
-    change_sheet(tmp_path / "raw" / "twist-tube-1b", "protocol: twist-tube", "protocol: tensile")
-    processed(tmp_path / "raw", tmp_path / "processed")
-    ran = run("report", tmp_path / "processed")
-    assert ran.status == 0
-    assert "twist-tube-10, tensile  (tensile): 1 sample from 1 spool\n" in ran.out
-    assert "twist-tube-10, twist-tube  (twist-tube): 1 sample from 1 spool\n" in ran.out
-
-
-def test_a_second_report_over_the_first(tests: Path, run: Run) -> None:
-    run("report", tests)
-    (tests / "report" / "notes.txt").write_text("mine", encoding="utf-8")
-    first = {name: digest for name, (digest, _) in state(tests / "report").items()}
-    assert run("report", tests).status == 0
-    second = {name: digest for name, (digest, _) in state(tests / "report").items()}
-    assert set(first) == set(second)
-    assert first["report.html"] == second["report.html"]
-    assert first["notes.txt"] == second["notes.txt"]
-    assert main(["report", str(tests), "--title", "Another <title> & more"]) == 0
-    assert "Another &lt;title&gt; &amp; more" in page(tests / "report")
 
 
 def test_sheets_that_are_refused_leave_earlier_results(

@@ -150,18 +150,6 @@ def killed_after(moves: int, *arguments: object) -> None:
 
 
 @pytest.mark.slow
-def test_figures_of_other_numbers_do_not_stay(lab: Lab, run: Run) -> None:
-    own = lab.processed / "figures" / "own.png"
-    own.write_bytes(b"a photograph")
-    before = state(lab.processed / "figures")
-    assert run("process", lab.raw, "--no-figures").status == 0
-    assert state(lab.processed / "figures") == before
-    lab.override("branches.min_stroke", "3 mm")
-    assert run("process", lab.raw, "--no-figures").status == 0
-    assert list((lab.processed / "figures").iterdir()) == [own]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("moves", [1, 4, 6])
 def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None:
     (first,) = runs(lab.processed)
@@ -333,9 +321,3 @@ def killed_and_looked_at(home: Path, *, tests: int, kills: int) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of children")
 def test_killed_at_random_moments(tmp_path: Path) -> None:
     killed_and_looked_at(tmp_path, tests=3, kills=4)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of children")
-def test_killed_fifty_times(tmp_path: Path) -> None:
-    killed_and_looked_at(tmp_path, tests=6, kills=50)

@@ -373,17 +373,6 @@ def test_recordings(recording: Any, name: str) -> None:
     assert all(channel["missing"] == 0 for channel in channels)
 
 
-def test_row_style_1_1(take: Any) -> None:
-    facts = take(ROWS_11)
-    assert facts["metadata"]["frames_without_body"] == 20
-    assert facts["metadata"]["visible_markers"] == {"least": 2, "most": 4}
-    assert facts["metadata"]["rigid_bodies"]["Rigid Body 1"]["markers"] == 5
-    (body,) = facts["markers"]["rigid_bodies"]
-    assert body["missing"] == 20
-    assert {f"Rigid Body 1-Marker {i}" for i in range(1, 6)} <= {*facts["markers"]["names"]}
-    assert {"unit_assumed", "frames_without_body"} <= {*notes(facts)}
-
-
 def test_row_style_1_0(take: Any) -> None:
     facts = take(ROWS_10)
     markers = facts["markers"]
@@ -404,16 +393,6 @@ def test_a_cut_take_with_jumps(take: Any) -> None:
     assert all(body["has_error"] for body in markers["rigid_bodies"])
     assert notes(facts)["rows_differ"] == "the header states 190951 rows, the file holds 934"
     assert "time_holes" in notes(facts)
-
-
-def test_frozen_poses_of_a_resaved_take(take: Any) -> None:
-    facts = take(POOL)
-    bodies = facts["markers"]["rigid_bodies"]
-    assert [body["missing"] for body in bodies] == [0] * 5
-    assert [body["frozen_steps"] for body in bodies] == [3278, 2461, 3650, 920, 3371]
-    assert [body["longest_frozen_run"] for body in bodies] == [152, 202, 278, 83, 323]
-    frozen = [note for note in facts["notes"] if note["code"] == "frozen_pose"]
-    assert [note["severity"] for note in frozen] == ["warning"] * 5
 
 
 def test_the_label_switch_of_the_soft_arm(take: Any) -> None:
@@ -457,19 +436,6 @@ def test_the_mf4_holds_the_same_samples_as_the_mat(recording: Any) -> None:
     mat, mf4 = recording("exp1_003.mat")["streams"], recording("rec1_003.mf4")["streams"]
     assert mat == mf4
     assert recording("rec1_003.mf4")["metadata"]["start_time"].endswith("+04:00")
-
-
-@pytest.mark.parametrize(
-    ("name", "date"),
-    [
-        ("exp1_003.mat", "2026-05-01"),
-        ("exp1_030.mat", "2023-05-04"),
-        ("rec1_001.csv", "2026-01-12"),
-        ("u1_impulse.mat", "2015-10-31"),
-    ],
-)
-def test_day_and_month_are_told_apart(recording: Any, name: str, date: str) -> None:
-    assert recording(name)["metadata"]["date"] == date
 
 
 def test_ten_holes_of_50_ms(recording: Any) -> None:

@@ -137,15 +137,6 @@ def test_cycles_of_the_real_curve(pulled: Lab) -> None:
         assert least <= found <= 0.88 * load[begin : end + 20].min()
 
 
-def test_record_that_breaks_off_is_told(pulled: Lab) -> None:
-    last = list(pulled.results)[-1]
-    assert last.startswith("energy.")
-    assert pulled.results[last]["status"] == "doubtful"
-    assert why(pulled.results[last]).startswith("partial_cycle: the record ends at 20.48")
-    others = [each for name, each in pulled.results.items() if name != last]
-    assert {each["status"] for each in others} == {"ok"}
-
-
 def take_columns(path: Path) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Names, frame times and positions (frames, tracks, 3) of a take's marker columns."""
     with path.open(encoding="utf-8-sig", newline="") as stream:

@@ -26,16 +26,11 @@ from labpipe.report.calibration_card import (
     seen,
     smooth,
 )
-from labpipe.report.calibration_figures import calibration_drawings, shapes_figure
+from labpipe.report.calibration_figures import shapes_figure
 from labpipe.report.calibration_shown import BentShape, CalibrationReport
 from labpipe.report.figure_page import finish_layout, style
 from tests.approved import Approve
-from tests.builders.external_curves import (
-    external_comparison,
-    third_group,
-    unmodelled,
-    untested,
-)
+from tests.builders.external_curves import external_comparison, third_group, unmodelled, untested
 from tests.report.builders_calibrations import (
     group,
     predicted,
@@ -56,15 +51,6 @@ def _in_style() -> Iterator[None]:
 
 def compared(*comparisons: ExternalCurveComparison) -> CalibrationReport:
     return CalibrationReport(usual(), (third_group(),), comparisons=comparisons)
-
-
-def test_pages_of_six() -> None:
-    many = [
-        replace(each, curve=replace(each.curve, length=0.08 + 0.01 * number))
-        for number, each in enumerate([untested()] * 8)
-    ]
-    assert [len(page) for page in external_pages(compared(*many))] == [6, 2]
-    assert external_pages(compared()) == []
 
 
 REASON = Reason("deflection_too_large", "the curve ends at 40 mm")
@@ -139,15 +125,6 @@ def test_profile_with_thresholds_value_and_interval() -> None:
     assert axes.get_xlabel() == "Insulation modulus (MPa)"
 
 
-def test_prior_from_its_own_centre() -> None:
-    parameter, axes = troubled().parameter("copper_scale"), panel()
-    plot_profile(parameter, axes)
-    prior = axes.lines[-1]
-    x, y = np.asarray(prior.get_data())
-    assert x[np.argmin(y)] == pytest.approx(1.6, rel=2e-3)
-    assert np.interp(1.6 / 1.05, x, y) == pytest.approx(1.96**2, rel=0.01)
-
-
 def test_smooth_profile_passes_through_its_points() -> None:
     logs = np.array([-2.0, -1.0, 0.0, 3.0])
     profile = Profile(np.exp(logs), logs**2, 4.0, 4.0)
@@ -176,15 +153,6 @@ def test_two_valleys_and_two_parts() -> None:
         np.testing.assert_allclose(np.interp(profile.value, values, deviance), profile.deviance)
     assert seen(parameter)[0] < parameter.intervals[0].lower
     assert seen(parameter)[1] > parameter.intervals[1].upper
-
-
-def test_names_of_figures() -> None:
-    names = [drawing.name for drawing in calibration_drawings(report())]
-    assert names == ["calibration", "validation-1", "shapes-1"]
-    many = replace(report(), groups=(group(),) * 7, shapes={"a": (), "b": ()})
-    names = [drawing.name for drawing in calibration_drawings(many)]
-    assert names == ["calibration", "validation-1", "validation-2", "shapes-1", "shapes-2"]
-    assert [each.name for each in calibration_drawings(CalibrationReport(usual()))] == names[:1]
 
 
 def test_words_of_agreement(approved: Approve) -> None:

@@ -18,12 +18,9 @@ from labpipe.report.calibration_shown import (
     sentences,
     typeset,
 )
-from labpipe.report.calibration_workbook import (
-    comparison_tables,
-    tables_of,
-)
+from labpipe.report.calibration_workbook import comparison_tables, tables_of
 from tests.approved import Approve
-from tests.builders.external_curves import UNTESTED, external_comparison, unmodelled, untested
+from tests.builders.external_curves import external_comparison, unmodelled, untested
 from tests.report.builders_calibrations import (
     group,
     one_sample,
@@ -129,14 +126,6 @@ def test_forces_of_samples_and_model() -> None:
     assert own[0]["mean sample, lower (N)"] is None
     bare = rows(CalibrationReport(usual(), (LOST,)), "forces")
     assert "model" not in {row["what"] for row in bare}
-
-
-def test_external_curves_have_sheets_and_notes() -> None:
-    own = replace(report(), comparisons=(untested(),))
-    assert len(rows(own, "external curves")) == 2
-    assert len(rows(own, "external curves, points")) == 6
-    (told,) = [row for row in rows(own, "notes") if row["code"] == "external_curve_untested"]
-    assert (told["of"], told["what"]) == ("external curve 'paper'", UNTESTED.message)
 
 
 def test_a_row_for_each_solution() -> None:

@@ -14,12 +14,10 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group
 from labpipe.records.result import Contribution, Result, TestResult
 from labpipe.report.budget_figures import (
-    Bar,
     budgets_to_draw,
     draw_budget,
     draw_group_budgets,
     half_width,
-    plot_bars,
 )
 from labpipe.report.figure_page import style
 from labpipe.report.page_comparisons import questions
@@ -83,17 +81,6 @@ def pieces(axes: Axes) -> list[tuple[float, float, bool]]:
         for each in found
         if each is not axes.patch
     ]
-
-
-def test_small_causes_stand_together_at_the_end() -> None:
-    axes = Figure().subplots()
-    bars = [
-        Bar("a", {"slack": 0.01, "noise": 0.975, "pull offset": 0.015}),
-        Bar("b", {"length": 1}),
-    ]
-    plot_bars(bars, axes)
-    assert pieces(axes) == [(0.0, 97.5, False), (97.5, 2.5, False), (0.0, 100.0, False)]
-    assert axes.get_ylim() == (1.5, -0.5)
 
 
 def test_half_widths_in_the_display_unit() -> None:

@@ -154,17 +154,6 @@ def test_decisions_outlive_the_page_and_end_when_a_report_knows_them(
         assert bar(seen) == "Nothing decided here"
 
 
-def test_what_is_decided_already_is_said_and_not_decided_anew(
-    browser: Browser, twelve: Path
-) -> None:
-    with shown(browser, twelve) as seen:
-        row(seen, "T-2").get_by_role("button", name="reject").click()
-        assert seen.said() == "T-2 is rejected already: bent <i>before</i> (B. Tester)"
-        assert bar(seen) == "Nothing decided here"
-        row(seen, "T-2").get_by_role("button", name="accept").click()  # takes it back
-        assert pressed(seen, "T-2") == ["accept"]
-
-
 @pytest.fixture
 def processed(tmp_path: Path) -> Path:
     return make_pulls(tmp_path, ("T-1", "T-2", "T-3"))

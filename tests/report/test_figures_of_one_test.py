@@ -13,21 +13,16 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Aligned, Bending, FittedLine, Interval, Slip, SlipDecision
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, TestResult
-from labpipe.report.bending_figure import draw_moment_curvature, plot_cloud, plot_stiffness
+from labpipe.report.bending_figure import draw_moment_curvature, plot_cloud
 from labpipe.report.curve_figures import (
     Treatment,
     draw_force_displacement,
     draw_stiffness_lines,
-    plot_raw,
     treatment,
     treatment_of_force,
 )
 from labpipe.report.figure_page import style
-from labpipe.report.timeline_figure import (
-    draw_timeline,
-    motion,
-    plot_residuals,
-)
+from labpipe.report.timeline_figure import draw_timeline, motion, plot_residuals
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud, some_law
 from tests.report.figure_words import all_words
@@ -37,20 +32,6 @@ from tests.store.builders_result import DRIFT, OFFSET, build_result
 @pytest.fixture(scope="module")
 def result() -> TestResult:
     return build_result(half_cycle=4.0)
-
-
-def test_raw_shows_all_of_the_noise(result: TestResult) -> None:
-    axes = Figure().subplots()
-    long = build_result(half_cycle=53.0, cycles=1, force_rate=10.0)
-    plot_raw(long, axes)
-    assert long.aligned is not None
-    assert long.curve is not None
-    branch = long.curve.branches[0]
-    force = long.aligned.series["force"].values[branch.start : branch.stop + 1]
-    drawn = np.asarray(axes.lines[0].get_ydata())
-    assert drawn.max() == force.max()
-    assert drawn.min() == force.min()
-    assert len(drawn) < len(force) / 3
 
 
 LINE = FittedLine("stiffness_first", slope=2000.0, level=1.0, start=0.002, stop=0.008)
@@ -125,17 +106,6 @@ def test_points_begin_where_the_law_was_at_rest(bent: TestResult) -> None:
     assert loading.get_markerfacecolor() == loading.get_color()
     np.testing.assert_allclose(np.asarray(law.get_ydata()), 1e3 * some_law().moment)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Curvature (1/m)", "Bending moment (N·mm)")
-
-
-def test_tangents_stand_at_the_knots_of_the_law_with_their_intervals(bent: TestResult) -> None:
-    axes = Figure().subplots()
-    plot_stiffness(bent, axes)
-    bars: Any = axes.containers[0]
-    drawn = np.asarray(bars.lines[0].get_ydata(), dtype=np.float64)
-    law = some_law()
-    assert 1 <= len(drawn) <= len(law.knots)
-    assert set(drawn.round(9)) <= set((1e6 * law.tangent).round(9))
-    assert bars.lines[0].get_linestyle() == "None"
 
 
 FILTERED = build_result(half_cycle=0.5, cycles=1, force_rate=50.0)

@@ -9,29 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
-from labpipe.records.curve import FittedLine, Interval
+from labpipe.records.curve import FittedLine
 from labpipe.records.drawn import DrawnLaw, DrawnShapes
 from labpipe.records.group import Group, Outlier
 from labpipe.report.figure_page import style
-from labpipe.report.group_dots import MOST_ROWS, draw_dots, numbers_to_draw, plot_dots, rows_of
+from labpipe.report.group_dots import MOST_ROWS, draw_dots, numbers_to_draw, rows_of
 from labpipe.report.group_figures import MOST_PANELS, draw_slips, drawings, stems
 from labpipe.report.group_plots import (
-    POINTS,
     draw_curves,
     draw_lines,
     draw_scaled,
     has_lines,
     seen,
-    thin,
 )
-from labpipe.report.group_shapes import (
-    draw_group_laws,
-    draw_group_shapes,
-    has_laws,
-    has_shapes,
-)
+from labpipe.report.group_shapes import draw_group_laws, draw_group_shapes, has_laws, has_shapes
 from labpipe.report.saving import save_report_figures
 from labpipe.statistics.mean_curves import without_band
 from tests.approved import Approve
@@ -79,21 +71,6 @@ def test_rows_are_samples_spool_means_and_the_mean() -> None:
     assert rows[-1].value == number.mean.chosen.mean
 
 
-def test_dots_that_differ_by_less_than_their_intervals_stay_close() -> None:
-    group = build_group("A", six_samples())
-    ends = Interval(4999.0, 5001.0)
-    values = {
-        test: replace(result, value=5000.0 + 1e-3 * at, interval=ends)
-        for at, (test, result) in enumerate(group.numbers[1].values.items())
-    }
-    number = replace(group.numbers[1], values=values, mean=None)
-    axes = Figure().subplots()
-    plot_dots(group, number, axes)
-    low, high = axes.get_xlim()
-    assert high - low >= 2e-3
-    assert not axes.xaxis.get_offset_text().get_text()
-
-
 def test_samples_of_large_groups_share_a_row() -> None:
     samples = [build_sample(f"s{n % 2}", str(n), seed=n) for n in range(MOST_ROWS + 2)]
     group = build_group("A", samples)
@@ -103,13 +80,6 @@ def test_samples_of_large_groups_share_a_row() -> None:
     assert all(abs(row.height) < 0.5 and row.interval is None for row in rows[:half])
     assert rows[half].height == 1.0
     assert rows[-1].height == 4.0
-
-
-def test_later_cycles_are_left_to_the_tables() -> None:
-    group = build_group("A", six_samples())
-    later = replace(group.numbers[0], name="peak_force.2")
-    names = [each.name for each in numbers_to_draw(replace(group, numbers=(later, *group.numbers)))]
-    assert names[0] == "peak_force.1"
 
 
 @pytest.fixture(autouse=True)
@@ -127,14 +97,6 @@ def test_the_axis_follows_curves_and_pointwise_band() -> None:
     near = replace(group.band, upper_all=group.band.upper + 9.0, lower_all=group.band.lower - 9.0)
     assert seen(group, near)[1] > near.upper_all.max()
     assert seen(group, near)[0] < near.lower_all.min() < low
-
-
-def test_thin_curves_keep_their_ends_and_peak() -> None:
-    curve = build_sample("s1", "a").loading[0]
-    x, y = thin(curve, curve.force)
-    assert len(x) <= POINTS
-    assert (x[0], x[-1]) == (curve.displacement[0], curve.displacement[-1])
-    assert y.max() == curve.force.max()
 
 
 X = np.linspace(0.0, 0.08, 5)

@@ -103,22 +103,6 @@ def test_steps_are_equal_round_and_of_the_first_loading(result: TestResult) -> N
     assert steps.word == "tip deflection"
 
 
-def test_between_two_supports_nothing_is_a_tip(result: TestResult) -> None:
-    assert result.shape is not None
-    flags = result.shape.flags.copy()
-    flags[:, 0] = PointFlag.MEASURED
-    assert choose_frames(result, replace(result.shape, flags=flags)).word == "deflection"
-
-
-def test_excursion_is_measured_from_the_first_position(result: TestResult) -> None:
-    assert result.shape is not None
-    steps = choose_frames(replace(result, curve=None), result.shape)
-    tip = result.shape.positions[:, -1]
-    way = np.linalg.norm(tip[steps.frames] - tip[0], axis=1)
-    assert (way >= steps.levels - 1e-12).all()
-    assert (way - steps.levels < 4e-4).all()
-
-
 def test_words(result: TestResult, approved: Approve) -> None:
     assert result.shape is not None
     measured = np.full_like(result.shape.flags, PointFlag.MEASURED)

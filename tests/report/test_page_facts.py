@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import date
 
-from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Decision, Outlier
 from labpipe.records.quality import Reason
-from labpipe.records.result import Contribution, Instrument, Status
-from labpipe.report.first_screen import answers, count_words, fold, key_blocks, to_decide
+from labpipe.records.result import Instrument, Status
+from labpipe.report.first_screen import answers, count_words, key_blocks, to_decide
 from labpipe.report.group_tables import Table, slip_table, spool_means
 from labpipe.report.page_facts import (
     PageTests,
@@ -22,8 +21,6 @@ from labpipe.report.page_facts import (
 )
 from labpipe.report.page_groups import (
     about_group,
-    budget_causes,
-    budget_drawing,
     number_table,
     result_cell,
     samples_tables,
@@ -141,24 +138,6 @@ def test_many_samples_are_rows() -> None:
     assert first.rows[0][3].mark == "?"
 
 
-def test_the_budget_is_drawn_with_its_causes() -> None:
-    parts = (Contribution("noise", 3.0, False), Contribution("scale of the force", 4.0, True))
-    samples = [
-        replace(each, results=tuple(replace(one, budget=parts) for one in each.results))
-        for each in six_samples()[:1]
-    ]
-    group = build_group("A <b>", samples)
-    drawing = str(budget_drawing(group))
-    assert "A &lt;b&gt;" in drawing
-    assert ">36<" in drawing
-    assert ">64<" in drawing
-    assert [(cause, shared) for cause, _, shared in budget_causes(group)] == [
-        ("noise", False), ("scale of the force", True),
-    ]  # fmt: skip
-    bare = replace(group, numbers=())
-    assert budget_drawing(bare) is None
-
-
 def test_pairs_are_folded_by_their_question() -> None:
     found = {each.field: each for each in answers(bundle_campaign(conduit_cases()))}
     number = found["wire"]
@@ -203,29 +182,6 @@ def test_what_is_to_be_decided_until_somebody_did() -> None:
     settled = replace(campaign, groups=(replace(first, samples=tuple(decided)),))
     assert not to_decide(find_causes(settled), PageTests(settled, ["a"]))
     assert count_words(settled, []).endswith(" 0 to decide")
-
-
-def test_the_screen_holds_what_there_is_room_for() -> None:
-    groups = tuple(build_group(f"A{n}", [build_sample("s", "a")]) for n in range(2))
-    blocks = key_blocks(Campaign("S", groups), ["a", "b"])
-    assert fold(5, blocks, 1).groups >= 19
-    crowded = fold(40, blocks, 30)
-    assert (crowded.answers, crowded.decisions) == (8, 4)
-    assert 3 <= crowded.groups < fold(0, blocks, 0).groups
-
-
-def test_an_estimate_that_stands_apart_is_in_the_tooltip() -> None:
-    group = build_group("A", six_samples()[:3])
-    number = group.numbers[0]
-    assert number.mean is not None
-    chosen = replace(
-        number.mean.chosen, mean=140.0, interval=Interval(130.0, 132.0), estimate=131.0
-    )
-    odd = replace(number, mean=replace(number.mean, chosen=chosen))
-    (block,) = key_blocks(Campaign("S", (replace(group, numbers=(odd,)),)), ["a"])
-    (cell,) = block.rows[0].numbers
-    assert cell.text == "140.0 (130.0 to 132.0)"
-    assert cell.tip == "interval of the estimate 131.0"
 
 
 def with_decisions(*decisions: Decision) -> Table:

@@ -219,9 +219,6 @@ def drawn(seen: Shown) -> Drawn:
     return Drawn(seen, figure, figure.locator("svg.area").evaluate(script))
 
 
-WHOLE = [0.0, 0.0, 65535.0, 65535.0]
-
-
 @pytest.mark.slow
 def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, six: Path) -> None:
     """Along the curve of one sample, by keyboard, against the samples it was drawn of."""
@@ -242,36 +239,6 @@ def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, six: Path) ->
     # The curve was drawn to 1/65535 of its axes, and its values are read to four figures.
     gap = np.abs(np.interp(x * MM, curve.displacement, curve.force) - force)
     assert gap.max() < 0.003 * float(np.ptp(curve.force))
-
-
-def test_zoom_by_mouse_and_back(browser: Browser, six: Path) -> None:
-    with shown(browser, six) as seen:
-        plot = drawn(seen)
-        before = {axis: plot.ticks(axis) for axis in "xy"}
-        seen.page.mouse.move(*plot.at(0.25, 0.25))
-        seen.page.mouse.down()
-        seen.page.mouse.move(*plot.at(0.5, 0.75), steps=3)
-        seen.page.mouse.up()
-        x, y, width, height = plot.view()
-        assert [x, y, width, height] == pytest.approx(
-            [0.25 * 65535, 0.25 * 65535, 0.25 * 65535, 0.5 * 65535], abs=200
-        )
-        span = {axis: plot.ticks(axis) for axis in "xy"}
-        for axis in "xy":
-            assert len(span[axis]) >= 3
-            assert min(before[axis]) <= min(span[axis]) < max(span[axis]) <= max(before[axis])
-        inside = seen.page.evaluate(
-            """(box) => [...document.querySelectorAll("figure.plot[data-kind=curves]")][0]
-            && [...document.querySelectorAll("figure.plot[data-kind=curves]")[0]
-            .querySelectorAll(".x-axis .tick path")].every((tick) => {
-              const x = tick.getBoundingClientRect().x;
-              return x > box.x - 2 && x < box.x + box.width + 2; })""",
-            dict(plot.box),
-        )
-        assert inside
-        seen.page.mouse.dblclick(*plot.at(0.5, 0.5))
-        assert plot.view() == WHOLE
-        assert {axis: plot.ticks(axis) for axis in "xy"} == before
 
 
 if TYPE_CHECKING:

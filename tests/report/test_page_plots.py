@@ -109,17 +109,6 @@ def looks(plot: Plot) -> list[str]:
     return [line.look for line in plot.lines]
 
 
-def test_curves_of_all_samples_with_mean_band_slips_and_failure() -> None:
-    plot = panels(build_group("A", six_samples(cycles=2)))["curves"]
-    assert looks(plot)[:3] == ["band", "whole", "whole"]
-    assert [line.test for line in plot.lines if line.look.startswith("curve")] == [*range(6)]
-    assert {"mean", "measured", "slip", "failure", "window"} <= set(looks(plot))
-    assert "unloading c0" in looks(plot)
-    assert plot.x.label == "Displacement (mm)"
-    colours = [line.look for line in plot.lines if line.look.startswith("curve")]
-    assert colours == ["curve c0"] * 3 + ["curve c1"] * 3
-
-
 def test_curves_are_drawn_where_they_are() -> None:
     sample = build_sample("s1", "a")
     plot = panels(build_group("A", [sample], scaled=False))["curves"]
@@ -129,15 +118,6 @@ def test_curves_are_drawn_where_they_are() -> None:
     force = np.interp(line.x / 1e3, curve.displacement, curve.force)
     np.testing.assert_allclose(line.y, force, atol=1e-9)
     assert "mean" not in looks(plot)
-
-
-def test_a_rejected_test_is_grey() -> None:
-    samples = six_samples(slips=0)
-    group = replace(build_group("A", samples[1:]), fields={"type": "twist-tube-10"})
-    plot = panels(group, samples[0])["curves"]
-    (line,) = (each for each in plot.lines if each.look == "rejected")
-    assert line.test == 5
-    assert any(key.words == "rejected: in no mean" for key in plot.keys)
 
 
 def test_shapes_have_one_scale_and_laws_their_intervals() -> None:

@@ -50,15 +50,6 @@ def test_one_sheet_for_each_question(book: Workbook) -> None:
     assert listed[-8:] == book.sheetnames[1:]
 
 
-def test_twelve_sheets_at_the_most_however_many_groups(tmp_path: Path) -> None:
-    campaign = bundle_campaign(conduit_cases())
-    place = BundlePlace(campaign.groups[0].name, "", 0.006, None, 0.0015, 0.0045, 0.15)
-    book = saved(replace(campaign, places=(place,)), tmp_path)
-    assert len(campaign.groups) == 8
-    assert len(book.sheetnames) <= 12
-    assert book.sheetnames[1] == "answers"
-
-
 def test_day_operator_and_decision_of_tests_and_rejected_ones_last(tmp_path: Path) -> None:
     first, second, *_ = six_samples()
     known = replace(first, date=date(2026, 3, 2), operator="A. Lab", run="k1")
@@ -145,35 +136,12 @@ def test_a_sheet_is_a_table_with_filters_and_heads_that_stay(tmp_path: Path) -> 
     assert book.active is page
 
 
-def test_the_first_sheet_leads_to_the_others(tmp_path: Path) -> None:
-    book = saved_sheets(tmp_path, Sheet("a-b", ("x",), [(1,)], asks="What is x?"))
-    page = book["read me"]
-    assert [page["A1"].value, page["A2"].value] == ["Synthetic & odd", "How to read it."]
-    assert (page["A5"].value, page["B5"].value) == ("a-b", "What is x?")
-    assert page["A5"].hyperlink.location == "'a-b'!A1"
-
-
 def test_digits_that_are_seen(tmp_path: Path) -> None:
     rows = [(Shown(52.2841, "0.0"), 12.3456789), (None, 0.1)]
     page = saved_sheets(tmp_path, Sheet("one", ("a", "b"), rows))["one"]
     assert (page["A2"].value, page["A2"].number_format) == (52.2841, "0.0")
     assert (page["B2"].value, page["B2"].number_format) == (12.3456789, "0.000")
     assert page["B3"].number_format == "0.000"
-
-
-def test_printed_landscape_with_heads_and_the_report_at_the_foot(tmp_path: Path) -> None:
-    rows = [("x", "y" * 90, 1.0)] * 3
-    sheet = Sheet("one", ("a", "b", "c"), rows, wrapped=("b",), printed="b", printed_rows=2)
-    page: Any = saved_sheets(tmp_path, sheet)["one"]
-    assert (page.page_setup.orientation, page.page_setup.fitToHeight) == ("landscape", 0)
-    assert page.sheet_properties.pageSetUpPr.fitToPage
-    assert page.print_title_rows == "$1:$1"
-    assert page.print_area == "'one'!$A$1:$B$3"
-    footer = page.oddFooter
-    assert footer.left.text.endswith("Synthetic && odd  ·  report 7")
-    assert "page" in footer.right.text
-    assert page["B2"].alignment.wrap_text
-    assert page.row_dimensions[2].height == pytest.approx(45.0)
 
 
 def test_charts_take_their_numbers_from_cells(tmp_path: Path) -> None:

@@ -67,16 +67,6 @@ def test_each_figure_of_a_report_says_what_it_is(tmp_path: Path) -> None:
     assert "<dc:description>How to\ufffd read it.</dc:description>" in drawn
 
 
-def test_png_and_pdf_on_request(tmp_path: Path) -> None:
-    wanted = [FigureToSave("one", page)]
-    for formats in (("svg",), ("svg", "pdf"), ("png",)):
-        (tmp_path / "-".join(formats)).mkdir()
-        (one,) = save_report_figures(wanted, tmp_path / "-".join(formats), formats=formats)
-        endings = {file.suffix[1:] for file in one.files}
-        assert endings == {"svg", *formats}
-        assert {file.suffix[1:] for file in one.files[0].parent.iterdir()} == endings
-
-
 def test_words_are_as_wide_in_pixels_as_in_an_svg() -> None:
     """Else they would leave the room that they were given, or the page."""
     with style():

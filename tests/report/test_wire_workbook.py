@@ -71,15 +71,6 @@ def test_summary_has_refused_wires_first_and_numbers_as_numbers(book: Workbook) 
     assert second["warnings"] == CUT.message
 
 
-def test_notes_with_what_is_worst_first(book: Workbook) -> None:
-    assert [(row["wire"], row["kind"], row["code"]) for row in rows(book, "notes")] == [
-        ("Z1", "not modelled", "refused"),
-        ("A1", "warning", "insulation_doubtful"),
-        ("A3", "warning", "cantilever_cut"),
-        ("A3", "info", "defaults_taken"),
-    ]
-
-
 def test_law_of_a_wire_and_what_belongs_to_it(book: Workbook) -> None:
     table = wire_table("A1")
     law = of_wire(book, "laws", "A1")
@@ -143,17 +134,6 @@ def test_numbers_of_a_wire_in_the_units_of_the_headings() -> None:
     assert row["range, bending radius (mm)"] == pytest.approx(10.5)
     assert row["cantilever length (mm)"] == pytest.approx(85.0)
     assert row["moment at the end (N·mm)"] == pytest.approx(1e3 * wire_table("C4").moment[-1])
-
-
-def test_onsets_outside_the_range_are_not_told() -> None:
-    table = wire_table("A1")
-    columns = {column.heading: column.value for column in SUMMARY}
-    beyond = replace(table, slip_onsets=np.array([0.03, np.inf]))
-    assert columns["last slip (1/m)"](beyond) == pytest.approx(0.03)
-    never = replace(table, slip_onsets=np.array([np.inf]))
-    assert columns["first slip (1/m)"](never) == "beyond"
-    assert columns["last slip (1/m)"](never) == "beyond"
-    assert columns["first slip (1/m)"](replace(table, slip_onsets=np.zeros(1))) == "at once"
 
 
 def test_force_on_the_curve_and_none_beyond_its_end() -> None:
