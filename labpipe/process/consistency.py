@@ -104,6 +104,8 @@ def _path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
 
 def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
     """Forces of some paths at the same displacements; empty where they hardly overlap."""
+    if min(len(path[0]) for path in paths) < MIN_SAMPLES:
+        return ()
     low, high = max(path[0][0] for path in paths), min(path[0][-1] for path in paths)
     span = max(path[0][-1] for path in paths) - min(path[0][0] for path in paths)
     if not high - low > MIN_OVERLAP * span:

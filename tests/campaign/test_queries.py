@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import string
 from collections.abc import Iterator
 from pathlib import Path
@@ -93,15 +94,17 @@ ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) sele
         (f"{'(' * 5000}1{')' * 5000}", "found "),
         ("'\ud800' = name", "found "),
         (f"{ENDLESS} > 0", r"found one without an end\. A recursive part needs a limit"),
-        (f"{ENDLESS.replace('union all', 'union')} > 0", "found one without an end"),
     ],
 )
-def test_a_condition_that_is_none(catalog: Catalog, where: str, said: str) -> None:
+def test_a_condition_that_is_none(
+    catalog: Catalog, where: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("labpipe.campaign.queries._MOST_STEPS", 100)
     with pytest.raises(
         UsageError, match=r"(?s)^--where, .*: expected a condition in SQL"
     ) as caught:
         asked(catalog, where)
-    assert __import__("re").search(said, str(caught.value))
+    assert re.search(said, str(caught.value))
     assert len(asked(catalog, "")) == 4
 
 
