@@ -284,8 +284,9 @@ def kill_again_and_again(kept: KeptCampaign, times: list[float], tree: Path) -> 
 
 
 @pytest.mark.slow
-def test_killed_now_and_then(kept: KeptCampaign, repository: Path) -> None:
-    kill_again_and_again(kept, [0.01, 0.2, 0.35], repository)
+@pytest.mark.parametrize("moments", [[0.01, 0.2, 0.35], [0.02 * (n % 25) for n in range(50)]])
+def test_killed_now_and_then(kept: KeptCampaign, repository: Path, moments: list[float]) -> None:
+    kill_again_and_again(kept, moments, repository)
 
 
 def test_some_tests_alone(kept: KeptCampaign) -> None:
