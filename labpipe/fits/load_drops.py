@@ -295,6 +295,9 @@ def _measured(
     drop = fit_linear(design, f, weighted=True, beside=_beside(pull, window)).estimate(0)
     if drop.interval is None or drop.interval.upper >= 0.0:
         return None
+    around_it = slice(max(first - 1, window.low), last + 1)
+    if float(np.diff(pull.f[around_it]).min(initial=0.0)) >= 0.0:
+        return None  # the force rises at every sample: its slope changes, nothing falls
     both = fit_linear(np.column_stack([np.ones(len(rows)), x, after, x * after, inside]), f)
     before, change = float(both.coefficients[1]), float(both.coefficients[3])
     return LoadDrop(

@@ -319,5 +319,6 @@ def killed_and_looked_at(home: Path, *, tests: int, kills: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of children")
-def test_killed_at_random_moments(tmp_path: Path) -> None:
-    killed_and_looked_at(tmp_path, tests=3, kills=4)
+@pytest.mark.parametrize(("tests", "kills"), [(3, 4), (6, 50)])
+def test_killed_at_random_moments(tmp_path: Path, tests: int, kills: int) -> None:
+    killed_and_looked_at(tmp_path, tests=tests, kills=kills)
