@@ -1,0 +1,321 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pytest
+
+from labpipe.decks.deck_law import linear_range
+from labpipe.decks.mujoco import mujoco_deck
+from labpipe.decks.mujoco_line import line_deck
+from labpipe.law.plays import LinearLaw
+from labpipe.protocol.load import load_harness
+from labpipe.records.arrays import Floats
+from labpipe.rod import boundaries as rod
+from labpipe.rod.statics import follow
+from labpipe.studies.harness_line import Laid, laid
+from labpipe.studies.harness_section import material_of
+from labpipe.wire.cantilever import bend_under_force, straight
+from tests.builders.harness_files import STIFFNESS, arch, pushed, written
+from tests.builders.wire_tables import LENGTH, wire_table
+
+
+def settled(deck: str, load: float) -> tuple[Floats, Any]:
+    """Hang a load on the tip, wait, and give back where the tip is."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(deck)
+    data = mujoco.MjData(model)
+    tip = int(model.sensor("tip").objid[0])
+    data.xfrc_applied[tip, 1] = load
+    steps = re.search(r"at rest after (\d+) steps", deck)
+    assert steps is not None
+    for _ in range(int(steps[1])):
+        mujoco.mj_step(model, data)
+    assert not any(warning.number for warning in data.warning)
+    assert float(np.max(np.abs(data.qvel))) < 1e-6
+    return np.array(data.sensor("tip").data), data
+
+
+def bent(stiffness: float, length: float, load: float) -> tuple[float, float]:
+    law = LinearLaw(stiffness)
+    shape = bend_under_force(law, straight(law), length, np.array([0.0, load]))
+    return float(shape.x[-1]), float(shape.y[-1])
+
+
+@pytest.mark.parametrize("name", ["A1", "C5"])
+@pytest.mark.parametrize(("length", "edges"), [(LENGTH, 40), (0.3, 20)])
+def test_a_small_load_bends_the_cable_as_the_wire_model_says(
+    name: str, length: float, edges: int
+) -> None:
+    table = wire_table(name)
+    stiffness = table.stick_stiffness
+    close = linear_range(table, stiffness)
+    assert close is not None
+    load = 0.5 * close[1] * stiffness / length
+    tip, _ = settled(mujoco_deck(table, length=length, edges=edges), load)
+    _, deflection = bent(stiffness, length, load)
+    assert tip[1] == pytest.approx(deflection, rel=0.005)
+    assert tip[1] == pytest.approx(load * length**3 / (3.0 * stiffness), rel=0.005)
+    # up to there, it is the wire itself that bends so
+    assert load * length < np.interp(close[1], table.curvature, table.moment)
+
+
+def test_a_large_load_bends_it_along_the_elastica() -> None:
+    table = wire_table("A2")
+    stiffness = 1.2e-3
+    load = 2.0 * stiffness / LENGTH**2
+    tip, _ = settled(mujoco_deck(table, stiffness=stiffness), load)
+    x, y = bent(stiffness, LENGTH, load)
+    assert tip[:2] == pytest.approx([x, y], rel=0.01)
+    assert tip[2] == pytest.approx(0.0, abs=1e-9)
+    # alpha = 2 of the table of the elastica
+    assert tip[1] / LENGTH == pytest.approx(0.493457, rel=0.01)
+
+
+@pytest.mark.parametrize("edges", [20, 120])
+def test_the_cable_keeps_its_length(edges: int) -> None:
+    table = wire_table("A2")
+    load = 5.0 * table.stick_stiffness / LENGTH**2
+    tip, data = settled(mujoco_deck(table, edges=edges), load)
+    vertices = np.array(data.flexvert_xpos)
+    length = np.sum(np.linalg.norm(np.diff(vertices, axis=0), axis=1))
+    assert length * (edges - 0.5) / edges == pytest.approx(LENGTH, rel=2e-3)
+    # alpha = 5 of the table of the elastica
+    assert tip[1] / LENGTH == pytest.approx(0.713792, rel=0.005)
+
+
+def test_the_deflection_does_not_depend_on_the_mass() -> None:
+    load, tables = 1e-3, [replace(wire_table("A2"), mass_per_length=mass) for mass in (2e-3, 50e-3)]
+    tips = [settled(mujoco_deck(table), load)[0][1] for table in tables]
+    assert tips[0] == pytest.approx(tips[1], rel=1e-6)
+
+
+def test_the_clamp_is_where_the_deck_says() -> None:
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(mujoco_deck(wire_table(), edges=10))
+    places = model.flex_vert0
+    assert model.nflexvert == 11 == len(places)
+    assert model.flex_radius[0] == pytest.approx(0.8e-3)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    x = np.array(data.flexvert_xpos)[:, 0]
+    assert x[0] + x[1] == pytest.approx(0.0, abs=1e-12)
+    assert x[-1] == pytest.approx(LENGTH)
+
+
+def test_numbers_of_the_model() -> None:
+    table = wire_table("A2")
+    root = Xml.fromstring(mujoco_deck(table))  # our own text
+    flex = root.find("worldbody/flexcomp")
+    assert flex is not None
+    elasticity = flex.find("elasticity")
+    assert elasticity is not None
+    circle = np.pi / 4.0 * float(flex.attrib["radius"]) ** 4
+    assert float(elasticity.attrib["young"]) * circle == pytest.approx(table.stick_stiffness)
+    twist = float(elasticity.attrib["shear"]) * 2.0 * circle
+    assert twist == pytest.approx(table.torsional_stiffness)
+    points = np.array(flex.attrib["point"].split(), dtype=np.float64).reshape(-1, 3)
+    mass_per_length = float(flex.attrib["mass"]) / len(points) / (points[1, 0] - points[0, 0])
+    assert mass_per_length == pytest.approx(table.mass_per_length, rel=1e-6)
+
+
+def test_the_deck_says_where_its_linear_law_holds() -> None:
+    table = wire_table("A2")
+    said = mujoco_deck(table)
+    first, last = linear_range(table, table.stick_stiffness) or (1.0, 0.0)
+    assert first == 0.0
+    assert f"within 5 % of the wire's law at curvatures from 0 to {last:.4g} 1/m." in said
+    assert "Nothing in the model stops there." in said
+    assert "Mass 0.006856 kg/m, strands and insulation: for the way to rest only" in said
+    assert "Beyond this range the deck is not valid." in said
+    soft = mujoco_deck(table, stiffness=1e-4)
+    assert "bending stiffness 0.0001 N m2 (as given), nowhere within 5 % of the wire's law" in soft
+
+
+def test_by_default_the_stiffness_is_the_slope_of_the_law_at_zero() -> None:
+    table = wire_table("A2")
+    said = mujoco_deck(table)
+    assert "N m2 (the slope of the law at zero, while all strands stick), within 5 %" in said
+    slipping = replace(
+        table,
+        slip_onsets=np.zeros(1),
+        moment=table.moment / 5.0,
+        secant_stiffness=table.secant_stiffness / 5.0,
+    )
+    slope = slipping.secant_stiffness[1]
+    assert slope < table.stick_stiffness / 4.0
+    assert (
+        f"bending stiffness {slope:.6g} N m2 (the slope of the law at zero, its first secant, as"
+        " strands slip at once), within 5 % of the wire's law at curvatures from 0 to "
+    ) in mujoco_deck(slipping)
+
+
+@pytest.mark.parametrize("name", ["<A & B>", 'say "A2" -- twice', "x" * 300, "two\nlines", "-->"])
+def test_a_name_breaks_nothing(name: str) -> None:
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(mujoco_deck(replace(wire_table(), name=name), edges=3))
+    assert model.nflex == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stiffness": 0.0}, r"stiffness=0\.0: allowed are finite numbers > 0"),
+        ({"stiffness": float("nan")}, r"stiffness=nan: allowed"),
+        ({"length": -1.0}, r"length=-1\.0: allowed are finite numbers > 0"),
+        ({"edges": 2}, r"edges=2: allowed are numbers >= 3"),
+    ],
+)
+def test_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        mujoco_deck(wire_table(), **changes)
+
+
+def ready(folder: Path, text: str) -> Laid:
+    file = written(folder, text)
+    harness = load_harness(file)
+    return laid(harness, material_of(harness, file).sections[0]({}), {})
+
+
+def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 600) -> Floats:
+    """Where MuJoCo has the chain in the end, shape (places, 3), evenly along it."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
+    model = mujoco.MjModel.from_xml_string(deck)
+    data = mujoco.MjData(model)
+    weight = model.opt.gravity.copy()
+    paths: dict[str, Floats] = {}
+    releases: dict[str, Floats] = {}
+    for number in range(model.nnumeric):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_NUMERIC, number)
+        begin, size = model.numeric_adr[number], model.numeric_size[number]
+        kind, _, of = name.partition("_")
+        values = model.numeric_data[begin : begin + size]
+        (paths if kind == "path" else releases)[of] = values
+    for step in range(steps):
+        for move in range(moves):
+            share = (move + 1) / moves
+            model.opt.gravity[:] = weight * min(1.0, step + share)
+            for name, path in paths.items():
+                rows = path.reshape(-1, 7)
+                row = (1.0 - share) * rows[step] + share * rows[step + 1]
+                body = model.body(name).mocapid[0]
+                data.mocap_pos[body], data.mocap_quat[body] = row[:3], row[3:]
+                if releases[name][0] == step + 1:
+                    data.eq_active[model.equality(f"hold_{name}").id] = 0
+            mujoco.mj_step(model, data)
+    for _ in range(rest):
+        mujoco.mj_step(model, data)
+    nodes = np.round(np.linspace(1, 30, places)).astype(int)
+    return np.array([data.body(f"node_{node}").xpos for node in nodes])
+
+
+def along_rod(found: Laid, steps: int, places: int) -> Floats:
+    """The same places of the rod: bodies begin at (i - 1/2) / 30 of the length."""
+    path = follow(found.line, found.boundaries, steps=steps)
+    nodes = np.round(np.linspace(1, 30, places)).astype(int)
+    at = (nodes - 0.5) / 30.0 * found.line.length
+    return np.column_stack([np.interp(at, found.line.stations, x) for x in path.last.positions.T])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("section", [STIFFNESS, "{wire: A2}"])
+def test_mujoco_has_the_shape_of_the_rod(tmp_path: Path, section: str) -> None:
+    """An arch in its plane: within 1.5 % of the length."""
+    found = ready(tmp_path, arch(section).replace("elements: 16", "elements: 30"))
+    deck = line_deck(found.line, found.boundaries, title="arch")
+    assert moved(deck, 8, 7) == pytest.approx(along_rod(found, 8, 7), abs=3e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("weight", "place"),
+    [
+        ("", "79.9 mm, 0 mm, 1.5 mm"),
+        ("", "79.7 mm, 0 mm, 3 mm"),
+        ("", "79.4 mm, 0 mm, 6 mm"),
+        ("none", "77 mm, 0 mm, 15 mm"),
+        ("", "60 mm, 0 mm, 45 mm"),
+    ],
+)
+def test_what_is_let_go_springs_back_in_mujoco_too(tmp_path: Path, weight: str, place: str) -> None:
+    """Brought down before it is let go, or from on high: within 0.2 % of the length.
+
+    Some come free at once (3 mm), others fall (6 mm).
+    """
+    down = f"position: [60 mm, 0 mm, 45 mm]}}, {{step: 14, position: [{place}]}}]"
+    text = pushed().replace("elements: 12", "elements: 30").replace("steps: 10", "steps: 16")
+    text = text.replace("release: 9", "release: 15")
+    found = ready(tmp_path, text.replace("position: [60 mm, 0 mm, 45 mm]}]", down))
+    if weight == "none":
+        found = replace(found, boundaries=found.boundaries[:-1])
+    deck = line_deck(found.line, found.boundaries, title="pushed")
+    assert moved(deck, 16, 7) == pytest.approx(along_rod(found, 16, 7), abs=2e-4)
+
+
+def test_the_model_begins_as_the_line_lies(tmp_path: Path) -> None:
+    """A curled line, by the places of the bodies before anything moves."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
+    curl = "  spool: {curvature: 5 1/m, towards: [0, 1, 0]}\n"
+    found = ready(tmp_path, arch(line=curl).replace("elements: 16", "elements: 30"))
+    model = mujoco.MjModel.from_xml_string(line_deck(found.line, found.boundaries, title="curl"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    last = data.body("node_30")
+    end = last.xpos + last.xmat.reshape(3, 3)[:, 0] * 0.5 * 0.2 / 30
+    assert end == pytest.approx(found.line.positions[-1], abs=2e-3)
+
+
+def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
+    text = (
+        arch()
+        .replace("left", "'a \"b\" <c>'")
+        .replace("right", "'g,h é'")
+        .replace(
+            "steps:",
+            "  - {kind: string, name: thread, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], "
+            "length: 95 mm}\n"
+            "  - {kind: load, name: weight, at: 77 mm, force: [0 N, 0 N, -1 N]}\n"
+            "  - {kind: ring, name: guide, position: [50 mm, 0 mm, 0 mm], direction: [1, 0, 0]}\n"
+            "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:",
+        )
+    )
+    found = ready(tmp_path, text)
+    deck = line_deck(found.line, found.boundaries, title="all -- kinds")
+    root = ET.fromstring(deck)
+    names = {each.get("name") for each in root.iter() if each.get("name")}
+    assert names >= {
+        *('a "b" <c>', "g,h é", 'path_a "b" <c>', "release_g,h é", "hold_g,h é"),
+        *("thread", "anchor_thread", "weight_x", "weight_z", "at_weight"),
+    }
+    assert "Left out, as this chain touches nothing: guide, table." in deck
+    spatial = root.find(".//spatial")
+    assert spatial is not None
+    assert spatial.get("range") == "0 0.095"
+
+
+def test_a_clip_may_be_called_as_the_chain_calls_its_bodies(tmp_path: Path) -> None:
+    found = ready(tmp_path, arch().replace("right", "node_3"))
+    bodies = [each.get("name") for each in ET.fromstring(deck_of(found)).iter("body")]
+    assert "node_3" in bodies
+    assert len(set(bodies)) == len(bodies)
+
+
+def deck_of(found: Laid) -> str:
+    return line_deck(found.line, found.boundaries, title="a line")
+
+
+def test_a_line_that_may_fall_is_free_in_space(tmp_path: Path) -> None:
+    found = ready(tmp_path, arch())
+    held = [each for each in found.boundaries if isinstance(each, rod.Held)]
+    loose = line_deck(found.line, held[1:], title="loose")
+    fixed = line_deck(found.line, held, title="fixed")
+    assert loose.count("<freejoint />") == 1
+    assert "freejoint" not in fixed

@@ -1,0 +1,811 @@
+from __future__ import annotations
+
+import io
+import json
+import re
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from labpipe import __version__
+from labpipe.decks import deck_law as deck_facts
+from labpipe.decks import deck_texts, write_decks
+from labpipe.decks.abaqus import abaqus_deck
+from labpipe.decks.ansys import MOST_POINTS, ansys_deck, shear_stiffness
+from labpipe.decks.calculix import TIP, BarMesh, calculix_deck, half_bar
+from labpipe.decks.deck_files import DECKS
+from labpipe.decks.deck_law import (
+    abaqus_label,
+    ansys_name,
+    file_stem,
+    linear_range,
+    on_one_line,
+    skew_excess,
+    solid_area,
+)
+from labpipe.decks.deck_losses import percent
+from labpipe.decks.lookup import COLUMNS, lookup_csv, lookup_json
+from labpipe.decks.slider_table import sliders_csv, sliders_json
+from labpipe.law.equivalent_material import equivalent_material
+from labpipe.law.loss_card import turn_loss
+from labpipe.law.table_sliders import sliders_of
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire import WireTable
+from tests.builders.stranded_wires import wire
+from tests.builders.wire_tables import loss_card, wire_table
+
+
+@dataclass
+class Block:
+    keyword: str
+    parameters: dict[str, str]
+    data: list[list[float]] = field(default_factory=list)
+
+
+def parsed(text: str) -> list[Block]:
+    """Blocks of an input file, by the syntax rules of its guide."""
+    blocks: list[Block] = []
+    lines = [line for line in text.splitlines() if not line.startswith("**")]
+    while lines:
+        line = lines.pop(0)
+        assert line.isascii()
+        assert len(line) <= 256
+        if not line.startswith("*"):
+            blocks[-1].data.append([float(value) for value in line.split(",")])
+            continue
+        while line.rstrip().endswith(","):
+            line += lines.pop(0)
+        keyword, *parameters = (part.strip() for part in line.split(","))
+        pairs = (part.partition("=") for part in parameters)
+        blocks.append(Block(keyword, {key.strip(): value.strip() for key, _, value in pairs}))
+    return blocks
+
+
+def law_of(blocks: list[Block], keyword: str) -> tuple[Floats, Floats]:
+    block = next(block for block in blocks if block.keyword == keyword)
+    assert block.parameters == {}
+    moment, curvature = np.array(block.data).T
+    return curvature, moment
+
+
+def comments(text: str) -> str:
+    return "\n".join(line for line in text.splitlines() if line.startswith("**"))
+
+
+def test_the_blocks_and_their_order() -> None:
+    blocks = parsed(abaqus_deck(wire_table()))
+    assert [block.keyword for block in blocks] == [
+        "*BEAM GENERAL SECTION",
+        *("*AXIAL", "*M1", "*M2", "*TORQUE"),
+    ]
+    section, axial, _, _, torque = blocks
+    assert set(section.parameters) == {"SECTION", "ELSET", "DENSITY"}
+    assert section.parameters["SECTION"] == "NONLINEAR GENERAL"
+    assert section.parameters["ELSET"] == "A2"
+    assert axial.parameters == torque.parameters == {"LINEAR": ""}
+
+
+def test_the_section_lines() -> None:
+    table = wire_table()
+    section = parsed(abaqus_deck(table))[0]
+    (area, i11, i12, i22, torsion), direction = section.data
+    assert area == pytest.approx(solid_area(table), rel=1e-8)
+    assert (i12, i11) == (0.0, i22)
+    assert torsion == pytest.approx(2.0 * i11)
+    assert direction == [0.0, 0.0, -1.0]
+
+
+def test_the_constant_stiffnesses() -> None:
+    table = wire_table()
+    blocks = {block.keyword: block for block in parsed(abaqus_deck(table))}
+    assert blocks["*AXIAL"].data == [[pytest.approx(table.axial_stiffness, rel=1e-8)]]
+    assert blocks["*TORQUE"].data == [[pytest.approx(table.torsional_stiffness, rel=1e-8)]]
+
+
+@pytest.mark.parametrize("most", [None, 40, 7])
+@pytest.mark.parametrize("keyword", ["*M1", "*M2"])
+def test_the_law_is_kept_within_what_is_stated(keyword: str, most: int | None) -> None:
+    table = wire_table()
+    text = abaqus_deck(table, most_points=most)
+    curvature, moment = law_of(parsed(text), keyword)
+    assert (curvature[0], moment[0]) == (0.0, 0.0)
+    assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
+    assert most is None or len(curvature) <= most
+    off = np.interp(table.curvature[1:], curvature, moment) / table.moment[1:] - 1.0
+    stated = float(comments(text).partition("within ")[2].split()[0])
+    # stated with two digits
+    assert np.max(np.abs(off)) == pytest.approx(stated, rel=0.05, abs=1e-11)
+    assert np.all(np.diff(np.diff(moment) / np.diff(curvature)) < 0.0)
+
+
+def test_density_gives_the_mass_per_length() -> None:
+    table = wire_table()
+    section = parsed(abaqus_deck(table))[0]
+    area = section.data[0][0]
+    assert float(section.parameters["DENSITY"]) * area == pytest.approx(
+        table.mass_per_length, rel=1e-8
+    )
+
+
+def test_the_comments_say_range_and_limits() -> None:
+    said = comments(abaqus_deck(wire_table()))
+    for words in (
+        "Beyond this range the deck is not valid.",
+        "curvature from 0 to 125 1/m",
+        "elastic-plastic",
+        "too stiff",
+        "Units: m, N",
+    ):
+        assert words in said
+
+
+@pytest.mark.parametrize("name", ['say "A2"', "*M1\n*STEP", "0,35 mm²", "x" * 300])
+def test_a_name_breaks_nothing(name: str) -> None:
+    table: WireTable = replace(wire_table(), name=name)
+    text = abaqus_deck(table)
+    assert text.isascii()
+    assert max(map(len, text.splitlines())) <= 256
+    usual = parsed(abaqus_deck(wire_table()))
+    assert [block.data for block in parsed(text)] == [block.data for block in usual]
+
+
+COMPONENTS = ("BSAX", "BSM1", "BSM2", "BSTQ", "BSS1", "BSS2")
+
+
+def parsed_of_ansys(text: str) -> list[tuple[str, list[str]]]:
+    """Commands and their fields; what follows ``!`` is a comment."""
+    commands = []
+    for line in text.splitlines():
+        assert line.isascii()
+        assert len(line) <= 80
+        command = line.partition("!")[0].strip()
+        if command:
+            name, *fields = command.split(",")
+            commands.append((name.upper(), fields))
+    return commands
+
+
+def law_of_of_ansys(text: str, component: str) -> tuple[Floats, Floats]:
+    """Strain and force, with the origin that the program understands."""
+    points = [
+        [float(v) for v in fields] for name, fields in parsed_of_ansys(text) if name == component
+    ]
+    strain, force = np.array([[0.0, 0.0], *points]).T
+    return strain, force
+
+
+def test_a_plastic_general_section_is_opened_first() -> None:
+    name, fields = parsed_of_ansys(ansys_deck(wire_table(), section=7))[0]
+    assert (name, fields) == ("SECTYPE", ["7", "GENB", "PLASTIC", "A2"])
+
+
+@pytest.mark.parametrize("component", COMPONENTS)
+@pytest.mark.parametrize("wire", ["A1", "A2", "A3", "C5"])
+def test_every_component_keeps_the_rules_of_the_program(wire: str, component: str) -> None:
+    strain, force = law_of_of_ansys(ansys_deck(wire_table(wire)), component)
+    assert 2 <= len(strain) - 1 <= MOST_POINTS
+    assert np.all(np.diff(strain) > 0.0)
+    slopes = np.diff(force) / np.diff(strain)
+    if component in ("BSM1", "BSM2"):
+        assert np.all(np.diff(slopes) < 0.0)
+    else:
+        assert np.allclose(slopes, slopes[0], rtol=1e-8)
+
+
+@pytest.mark.parametrize("component", ["BSM1", "BSM2"])
+@pytest.mark.parametrize("wire", ["A1", "A2", "A3", "C5"])
+def test_bending_is_kept_within_the_stated_error(wire: str, component: str) -> None:
+    table = wire_table(wire)
+    text = ansys_deck(table)
+    curvature, moment = law_of_of_ansys(text, component)
+    assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
+    off = np.interp(table.curvature[1:], curvature, moment) / table.moment[1:] - 1.0
+    stated = float(text.partition("within ")[2].split()[0])
+    # stated with two digits
+    assert np.max(np.abs(off)) == pytest.approx(stated, rel=0.05)
+
+
+def test_constant_stiffnesses_have_the_range_that_is_stated() -> None:
+    table = wire_table()
+    text = ansys_deck(table)
+    for component, stiffness, end in (
+        ("BSAX", table.axial_stiffness, 0.01),
+        ("BSTQ", table.torsional_stiffness, 100.0),
+        ("BSS1", shear_stiffness(table), 0.1),
+    ):
+        strain, force = law_of_of_ansys(text, component)
+        assert strain[-1] == end
+        assert force[-1] / strain[-1] == pytest.approx(stiffness, rel=1e-8)
+    assert "to a strain of 0.01" in text
+    assert "to 100 rad/m" in text
+
+
+def test_shear_adds_a_thousandth_to_ten_diameters() -> None:
+    table = wire_table()
+    length = 10.0 * table.spec.wire_diameter
+    bending = length**3 / (3.0 * table.stick_stiffness)
+    assert length / shear_stiffness(table) == pytest.approx(1e-3 * bending)
+
+
+def test_the_mass_stands_at_the_end() -> None:
+    table = wire_table()
+    name, (value,) = parsed_of_ansys(ansys_deck(table))[-1]
+    assert name == "BSMD"
+    assert float(value) == pytest.approx(table.mass_per_length, rel=1e-8)
+
+
+def test_the_comments_say_range_and_limits_of_ansys() -> None:
+    said = ansys_deck(wire_table())
+    for words in (
+        "Beyond this range the deck is not valid.",
+        "Beyond the last point the program has no stiffness",
+        "at most 20 allowed",
+        "too stiff",
+        "not the wire's, which is not known",
+    ):
+        assert words in said
+
+
+@pytest.mark.parametrize("name", ["! no", "/EOF\n/EXIT", "0,35 mm²", "x" * 300, '"A2"'])
+def test_a_name_breaks_nothing_of_ansys(name: str) -> None:
+    text = ansys_deck(replace(wire_table(), name=name))
+    usual = parsed_of_ansys(ansys_deck(wire_table()))
+    assert parsed_of_ansys(text)[0][1][:3] == ["1", "GENB", "PLASTIC"]
+    assert parsed_of_ansys(text)[1:] == usual[1:]
+
+
+def test_sections_are_counted_from_one() -> None:
+    with pytest.raises(ValueError, match=r"section=0: allowed are whole numbers >= 1"):
+        ansys_deck(wire_table(), section=0)
+
+
+def blocks_of(text: str) -> list[tuple[str, list[str]]]:
+    """Keyword lines, each with its data lines."""
+    blocks: list[tuple[str, list[str]]] = []
+    for line in text.splitlines():
+        assert line.isascii()
+        assert len(line) <= 132
+        if line.startswith("**"):
+            assert not blocks
+        elif line.startswith("*"):
+            blocks.append((line, []))
+        else:
+            blocks[-1][1].append(line)
+    return blocks
+
+
+def numbers(lines: list[str]) -> list[list[float]]:
+    return [[float(part) for part in line.split(",") if part.strip()] for line in lines]
+
+
+def test_the_blocks_and_their_order_of_calculix() -> None:
+    keywords = [keyword for keyword, _ in blocks_of(calculix_deck(wire_table()))]
+    assert keywords == [
+        "*NODE, NSET=ALL",
+        "*ELEMENT, TYPE=C3D20R, ELSET=WIRE",
+        *(f"*NSET, NSET={name}" for name in ("CLAMP", "HINGE", "CUT", TIP)),
+        "*BOUNDARY",
+        *("*MATERIAL, NAME=WIRE", "*ELASTIC", "*PLASTIC", "*DENSITY"),
+        "*SOLID SECTION, ELSET=WIRE, MATERIAL=WIRE",
+        *("*STEP, NLGEOM, INC=8000", "*STATIC", "*BOUNDARY"),
+        *(f"*NODE PRINT, NSET={TIP}", f"*NODE PRINT, NSET={TIP}, TOTALS=ONLY"),
+        "*END STEP",
+    ]
+
+
+def test_nodes_and_elements_are_numbered_without_gaps() -> None:
+    blocks = dict(blocks_of(calculix_deck(wire_table(), n_along=3))[:6])
+    nodes = numbers(blocks["*NODE, NSET=ALL"])
+    assert [row[0] for row in nodes] == list(range(1, len(nodes) + 1))
+    lines = blocks["*ELEMENT, TYPE=C3D20R, ELSET=WIRE"]
+    whole = numbers([first + second for first, second in zip(lines[::2], lines[1::2], strict=True)])
+    assert {len(row) for row in whole} == {21}
+    assert [row[0] for row in whole] == list(range(1, 19))
+    tip = [int(n) for row in numbers(blocks[f"*NSET, NSET={TIP}"]) for n in row]
+    assert {nodes[n - 1][1] for n in tip} == {0.085}
+    assert {nodes[n - 1][2] for n in tip} == {0.0}
+
+
+def test_the_material() -> None:
+    table = wire_table("A3")
+    blocks = dict(blocks_of(calculix_deck(table)))
+    diameter = 2.0 * table.layout.wire_radius
+    expected = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
+    assert numbers(blocks["*ELASTIC"]) == [[pytest.approx(expected.modulus, rel=1e-8), 0.3]]
+    stress, strain = np.array(numbers(blocks["*PLASTIC"])).T
+    assert stress == pytest.approx(expected.stress, rel=1e-8)
+    assert strain == pytest.approx(expected.plastic_strain, rel=1e-7)
+    assert strain[0] == 0.0
+    [[density]] = numbers(blocks["*DENSITY"])
+    assert density * np.pi / 4.0 * diameter**2 == pytest.approx(table.mass_per_length, rel=1e-8)
+
+
+def test_the_tip_goes_to_six_tenths_of_the_length() -> None:
+    step = blocks_of(calculix_deck(wire_table(), n_steps=40))[-5:]
+    assert numbers(step[0][1]) == [[0.025, 1.0, 1e-8, 0.025]]
+    assert step[1][1] == [f"{TIP}, 2, 2, 0.051"]
+
+
+def test_the_tip_goes_no_further_than_the_law() -> None:
+    table = wire_table()
+    short = replace(table, tip_deflection=table.tip_deflection[:20], tip_force=table.tip_force[:20])
+    text = calculix_deck(short)
+    reach = f"{table.tip_deflection[19]:.6g}"
+    assert f"{TIP}, 2, 2, {table.tip_deflection[19]:.9g}" in text
+    assert f"** Free length 0.085 m, tip deflection to {reach} m." in text
+
+
+def test_a_wire_without_a_cantilever_gets_the_reason_alone() -> None:
+    note = QualityNote("cantilever_cut", Severity.WARNING, "row 2", "no curve: the law stiffens")
+    table = replace(wire_table(), tip_deflection=np.zeros(1), tip_force=np.zeros(1), notes=(note,))
+    text = calculix_deck(table)
+    assert text == comments(text) + "\n"
+    assert text.endswith("** No model of it:\n** no curve: the law stiffens\n")
+    silent = calculix_deck(replace(table, notes=()))
+    assert silent.endswith("** No model of it:\n** the table has no cantilever\n")
+
+
+def test_the_comments_say_range_and_error() -> None:
+    text = comments(calculix_deck(wire_table()))
+    assert "** Wire A2, made by labpipe" in text
+    assert "** Range: curvature from 0 to 125 1/m" in text
+    assert "** Diameter 0.0016 m. Linear up to 0.25 1/m:" in text
+    assert " % below the wire's (at 0.0125 1/m)." in text
+    assert " 1/m to the end of the range it is within 1 %." in text
+    assert "Computed, not measured" in text
+
+
+def test_a_law_that_the_bar_cannot_follow_is_told() -> None:
+    table = wire_table()
+    stiffening = replace(table, moment=1e-6 * table.curvature**2)
+    text = comments(calculix_deck(stiffening))
+    assert "% above the wire's (at " in text
+    assert "Nowhere up to the end of the range is it within 1 % of the wire's moment." in text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"n_steps": 0}, "n_steps=0: allowed"), ({"n_along": 0}, "n_along=0: allowed")],
+)
+def test_numbers_out_of_range(options: dict[str, int], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        calculix_deck(wire_table(), **options)
+
+
+RADIUS, LENGTH = 0.8e-3, 85e-3
+
+
+NATURAL = np.array(
+    [
+        *[(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)],
+        *[(-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)],
+        *[(0, -1, -1), (1, 0, -1), (0, 1, -1), (-1, 0, -1)],
+        *[(0, -1, 1), (1, 0, 1), (0, 1, 1), (-1, 0, 1)],
+        *[(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)],
+    ]
+)
+
+
+"""Places of the twenty nodes in a brick from -1 to 1 (CalculiX CrunchiX User's Manual)."""
+
+
+def shapes(at: Floats) -> tuple[Floats, Floats]:
+    """Shape functions of the twenty-node brick at a point, (20,), and their slopes, (20, 3)."""
+    powers = np.array(
+        [(i, j, k) for i in range(3) for j in range(3) for k in range(3) if (i, j, k).count(2) < 2]
+    )
+
+    def terms(points: Floats) -> Floats:
+        values: Floats = np.prod(points[:, np.newaxis, :] ** powers, axis=2)
+        return values
+
+    to_nodes = np.linalg.inv(terms(NATURAL.astype(float)))
+    step = 1e-6 * np.eye(3)
+    slopes = (terms(at + step) - terms(at - step)) / 2e-6
+    return (terms(at[np.newaxis]) @ to_nodes)[0], (slopes @ to_nodes).T
+
+
+def integrals(mesh: BarMesh) -> Floats:
+    """Volume and integral of y^2, with the eight points at which C3D20R is integrated."""
+    total = np.zeros(2)
+    for point in NATURAL[:8] / np.sqrt(3.0):
+        values, slopes = shapes(point)
+        for brick in mesh.bricks:
+            corners = mesh.nodes[brick - 1]
+            volume = np.linalg.det(corners.T @ slopes)
+            assert volume > 0.0
+            total += volume * np.array([1.0, (values @ corners)[1] ** 2])
+    return total
+
+
+def test_every_brick_is_right_way_round_and_the_section_is_a_half_circle() -> None:
+    volume, second = integrals(half_bar(RADIUS, LENGTH, n_along=2))
+    assert volume == pytest.approx(0.5 * np.pi * RADIUS**2 * LENGTH, rel=1e-3)
+    assert second == pytest.approx(0.5 * np.pi / 4.0 * RADIUS**4 * LENGTH, rel=2e-3)
+
+
+def test_every_node_is_used_and_has_a_place_of_its_own() -> None:
+    mesh = half_bar(RADIUS, LENGTH, n_along=3)
+    assert sorted(set(mesh.bricks.ravel().tolist())) == list(range(1, len(mesh.nodes) + 1))
+    assert len(np.unique(mesh.nodes.round(12), axis=0)) == len(mesh.nodes)
+    assert mesh.bricks.shape == (18, 20)
+
+
+def test_mid_sides_are_between_their_corners() -> None:
+    mesh = half_bar(RADIUS, LENGTH, n_along=1)
+    ends = [
+        (0, 1),
+        (1, 2),
+        (2, 3),
+        (3, 0),
+        (4, 5),
+        (5, 6),
+        (6, 7),
+        (7, 4),
+        *((i, i + 4) for i in range(4)),
+    ]
+    for brick in mesh.bricks:
+        at = mesh.nodes[brick - 1]
+        for middle, (one, other) in enumerate(ends, start=8):
+            apart = np.linalg.norm(at[middle] - 0.5 * (at[one] + at[other]))
+            assert apart < 0.1 * RADIUS
+
+
+def test_the_planes() -> None:
+    mesh = half_bar(RADIUS, LENGTH, n_along=4)
+    assert np.ptp(mesh.nodes[mesh.clamp, 0]) == 0.0
+    assert mesh.nodes[mesh.tip, 0] == pytest.approx(LENGTH)
+    assert np.count_nonzero(mesh.tip & mesh.middle) == 5
+    assert (mesh.nodes[:, 2] >= -1e-12).all()
+    assert mesh.nodes[mesh.cut, 1].min() == pytest.approx(-RADIUS)
+    on_circle = np.hypot(*mesh.nodes[:, 1:].T) > 0.999 * RADIUS
+    assert np.count_nonzero(on_circle & mesh.tip) == 9
+
+
+def test_a_bar_without_bricks_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^n_along=0: allowed are whole numbers >= 1$"):
+        half_bar(RADIUS, LENGTH, n_along=0)
+
+
+def test_every_deck_of_every_wire(tmp_path: Path) -> None:
+    tables = [wire_table("A1"), wire_table("A2")]
+    written = write_decks(tables, tmp_path)
+    names = [path.relative_to(tmp_path).as_posix() for path in written]
+    assert names == [f"decks/{wire}.{ending}" for wire in ("A1", "A2") for ending in DECKS]
+    for path, make in zip(written[len(DECKS) :], DECKS.values(), strict=True):
+        assert path.read_bytes() == make(tables[1]).encode()
+
+
+def test_decks_are_written_again_in_place(tmp_path: Path) -> None:
+    first = write_decks([wire_table("A1")], tmp_path)
+    content = [path.read_bytes() for path in first]
+    assert [path.read_bytes() for path in write_decks([wire_table("A1")], tmp_path)] == content
+
+
+def test_a_name_cannot_leave_the_folder(tmp_path: Path) -> None:
+    written = write_decks([replace(wire_table(), name="../../up")], tmp_path)
+    assert {path.parent for path in written} == {tmp_path / "decks"}
+    assert all(path.is_file() for path in written)
+
+
+def test_a_law_that_no_deck_can_hold_is_told_with_the_deck() -> None:
+    table = wire_table("A1")
+    with pytest.raises(ValueError, match=r"^its deck abaqus.inp cannot be made: the law does not"):
+        deck_texts(replace(table, moment=table.moment[::-1]))
+
+
+def table_of(curvature: list[float], moment: list[float]) -> WireTable:
+    zeros = np.zeros(len(curvature))
+    return replace(
+        wire_table(),
+        curvature=np.array(curvature),
+        moment=np.array(moment),
+        stick=zeros,
+        slip=zeros,
+        bending=zeros,
+        plastic=zeros,
+        insulation=zeros,
+        tangent_stiffness=zeros,
+        secant_stiffness=zeros,
+        lowest_moment=zeros,
+        highest_moment=zeros,
+    )
+
+
+def test_every_deck_says_name_version_units_range_and_law() -> None:
+    said = " ".join(deck_facts.facts(wire_table("A2"), "A2"))
+    assert f"Wire A2, made by labpipe {__version__}." in said
+    assert "curvature from 0 to 125 1/m (bending radius 0.008 m and more)" in said
+    assert "Beyond this range the deck is not valid." in said
+    assert "Units: m, N, kg, s, rad" in said
+    assert "first loading" in said
+
+
+def test_a_linear_law_is_good_up_to_the_point_where_it_is_off_by_the_tolerance() -> None:
+    table = table_of([0.0, 1.0, 2.0], [0.0, 1.0, 1.5])
+    # kappa = 1.05 (0.5 + 0.5 kappa)
+    assert linear_range(table, 1.0) == pytest.approx((0.0, 0.525 / 0.475))
+    # 0.97 kappa = 1.05 (0.5 + 0.5 kappa): it starts below the law and leaves above it
+    assert linear_range(table, 0.97) == pytest.approx((0.0, 0.525 / (0.97 - 0.525)))
+
+
+def test_a_softer_linear_law_is_good_on_a_stretch() -> None:
+    table = table_of([0.0, 1.0, 2.0, 9.0], [0.0, 1.0, 1.5, 5.0])
+    # 0.8 kappa = (1 -+ 0.05) (0.5 + 0.5 kappa)
+    first, last = linear_range(table, 0.8) or (0.0, 0.0)
+    assert first == pytest.approx(0.475 / (0.8 - 0.475))
+    assert last == pytest.approx(0.525 / (0.8 - 0.525))
+
+
+def test_a_linear_law_may_leave_below() -> None:
+    table = table_of([0.0, 1.0, 2.0], [0.0, 1.0, 3.0])
+    # 0.98 kappa = 0.95 (-1 + 2 kappa)
+    assert linear_range(table, 0.98) == pytest.approx((0.0, 0.95 / (1.9 - 0.98)))
+
+
+def test_a_linear_law_may_be_good_throughout_or_nowhere() -> None:
+    table = table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])
+    assert linear_range(table, 1.04) == (0.0, 2.0)
+    assert linear_range(table, 1.06) is None
+
+
+def test_a_stretch_between_two_points_is_found() -> None:
+    table = table_of([0.0, 1.0, 9.0], [0.0, 1.0, 1.08])
+    first, last = linear_range(table, 0.5) or (0.0, 0.0)
+    assert 1.0 < first < last < 9.0
+    for at, ratio in ((first, 0.95), (last, 1.05)):
+        assert 0.5 * at / (0.99 + 0.01 * at) == pytest.approx(ratio)
+
+
+@pytest.mark.parametrize("name", ["A1", "A3", "C5"])
+@pytest.mark.parametrize("curvature", [0.0, 20.0])
+def test_at_the_ends_of_the_range_a_wire_is_off_by_five_per_cent(
+    name: str, curvature: float
+) -> None:
+    table = wire_table(name)
+    stiffness = float(np.interp(curvature, table.curvature, table.secant_stiffness))
+    first, last = linear_range(table, stiffness) or (0.0, 0.0)
+    assert first <= curvature < last
+    for at, ratio in ((first, 0.95), (last, 1.05)):
+        moment = float(np.interp(at, table.curvature, table.moment))
+        inside_table = 0.0 < at < table.curvature[-1]
+        assert not inside_table or stiffness * at / moment == pytest.approx(ratio, rel=1e-9)
+
+
+def test_bending_askew_of_a_linear_law_is_right() -> None:
+    assert skew_excess(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_bending_askew_of_a_plateau_is_too_stiff_by_root_two() -> None:
+    curvature = [0.0, 1e-3, 10.0]
+    excess = skew_excess(table_of(curvature, [0.0, 1.0, 1.0 + 1e-9]))
+    assert excess == pytest.approx(np.sqrt(2.0) - 1.0, rel=1e-6)
+
+
+def test_area_and_second_moment_are_those_of_the_section() -> None:
+    table, section = wire_table("A2"), wire("A2")
+    assert section.insulation is not None
+    tube = np.pi * (0.8e-3**2 - 0.5e-3**2)
+    strands = 7 * np.pi / 4.0 * 0.32e-3**2
+    assert deck_facts.solid_area(table) == pytest.approx(strands + tube)
+    # six strands around one: 7 pi d^4 / 64 + 6 A d^2 / 2
+    own = 7 * np.pi / 64.0 * 0.32e-3**4 + 3.0 * np.pi / 4.0 * 0.32e-3**4
+    ring = np.pi / 4.0 * (0.8e-3**4 - 0.5e-3**4)
+    assert deck_facts.second_moment(table) == pytest.approx(own + ring)
+
+
+names = st.text(min_size=1, max_size=200)
+
+
+HARD = ['say "A2"', "0.35", "a/b\\c", "..", "Käbel 0,35 mm²", "x" * 300, "two\nlines", "*M1", "--"]
+
+
+@pytest.mark.slow
+@given(names)
+@example('say "A2"')
+@example("*M1, ELSET=x")
+def test_abaqus_labels_are_letters_digits_and_two_signs(name: str) -> None:
+    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,79}", abaqus_label(name))
+
+
+@given(names)
+@example("0.35")
+@example("²³")
+def test_ansys_names_are_eight_letters_and_digits(name: str) -> None:
+    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,7}", ansys_name(name))
+
+
+@given(names)
+@example("../../etc")
+@example("aux")
+@example("A2.")
+def test_file_names_stay_in_their_folder(name: str) -> None:
+    stem = file_stem(name)
+    assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._ +-]{0,99}", stem)
+    assert not stem.endswith((".", " "))
+    assert stem.lower() not in {"con", "prn", "aux", "nul", "com1", "lpt9"}
+
+
+@given(names)
+@example("two\nlines\rand\x00 more")
+def test_a_comment_stays_on_its_line(name: str) -> None:
+    assert re.fullmatch(r"[ -~]{0,32}", on_one_line(name, 32))
+
+
+@pytest.mark.parametrize("name", ["A2", "FLRY-B", "wire_7"])
+def test_good_names_are_kept(name: str) -> None:
+    assert {abaqus_label(name), file_stem(name)} == {name}
+
+
+def test_different_names_keep_different_labels() -> None:
+    for make in (abaqus_label, file_stem):
+        assert len({make(name) for name in [*HARD, "A 1", "A_1", "A/1", "A+1"]}) == len(HARD) + 4
+
+
+def test_a_label_that_is_cut_ends_in_a_sum() -> None:
+    label = abaqus_label("x" * 81)
+    assert len(label) == 80
+    assert re.fullmatch(r"x{71}_[0-9a-f]{8}", label)
+
+
+def test_accents_are_left_out() -> None:
+    assert on_one_line("Käbel 0,35 mm²", 32) == "Kabel 0,35 mm2"
+    assert on_one_line("a name of more than thirty-two letters", 32).endswith("...")
+
+
+OTHERS = "constant stiffness 83 %, Dahl 18 %, 4 sliders 1.8 %, 6 sliders 0.86 %, 8 sliders 0.52 %"
+
+
+def words_of(deck: str) -> str:
+    """The text of a deck on one line, without signs of comments."""
+    return " ".join(re.sub(r"<!--|-->|(?m:^\s*(\*\*|!|#))", " ", deck).split())
+
+
+@pytest.mark.parametrize("ending", [ending for ending in DECKS if not ending.endswith("json")])
+def test_every_deck_says_what_forms_of_law_lose(ending: str) -> None:
+    assert OTHERS in words_of(DECKS[ending](wire_table("A2")))
+
+
+@pytest.mark.parametrize(
+    ("ending", "said"),
+    [
+        ("csv", "This deck: first loading within 0 % of the wire's moment. Straightened again"),
+        ("csv", "off by up to 108 % of the moment at the turn (from 0.072 1/m): a curve forgets"),
+        ("abaqus.inp", "This deck: first loading within 0 % of the wire's moment."),
+        (
+            "abaqus.inp",
+            "off by up to 176 % of the moment at the turn (from 62 1/m): if it hardens alike",
+        ),
+        ("ansys.inp", "This deck: first loading within 0.2 % of the wire's moment."),
+        ("ansys.inp", "176 % of the moment at the turn (from 62 1/m): isotropic hardening."),
+        ("calculix.inp", "moment from 0.25 1/m on, within 75 % below it."),
+        ("mujoco.xml", "This deck: up to 988 % of the moment off over its range, and it forgets"),
+    ],
+)
+def test_a_deck_says_what_it_loses_itself(ending: str, said: str) -> None:
+    assert said in words_of(DECKS[ending](wire_table("A2")))
+
+
+def test_the_constant_stiffness_by_hand() -> None:
+    """988 %: the sticking wire's slope against the last secant."""
+    table = wire_table("A2")
+    assert table.stick_stiffness / table.secant_stiffness[-1] - 1.0 == pytest.approx(
+        9.882, abs=0.01
+    )
+
+
+def test_numbers_in_both_jsons() -> None:
+    table = wire_table("A2")
+    card = loss_card(table.curvature, table.moment)
+    turn = turn_loss(table.curvature, table.moment)
+    for ending in ("json", "sliders.json"):
+        found = json.loads(DECKS[ending](table))["loss_card"]
+        assert found["constant"]["error"] == card.constant
+        assert found["sliders"]["12"] == dict(card.sliders)[12]
+        assert found["directions"]["16"] == dict(card.directions)[16] < found["directions"]["4"]
+        assert found["way_back"] == asdict(turn)
+
+
+def test_a_law_that_sliders_cannot_have() -> None:
+    table = wire_table("A2")
+    stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
+    for ending in ("csv", "abaqus.inp", "ansys.inp", "calculix.inp", "mujoco.xml"):
+        words = words_of(DECKS[ending](stiff))
+        assert "This deck:" in words
+        assert "No loss card of other forms: the law stiffens at curvature=12.3562 1/m" in words
+    found = json.loads(DECKS["json"](stiff))["loss_card"]
+    assert found["reason"].startswith("the law stiffens")
+    assert found["way_back"]["curve"] > 0.0
+
+
+def test_shares_in_words() -> None:
+    shares = (1e-12, 0.00213, 0.0496, 0.83, 0.997, 19.95)
+    assert [percent(share) for share in shares] == [
+        *("0 %", "0.21 %", "5 %", "83 %", "100 %", "1995 %")
+    ]
+
+
+def test_the_csv_gives_the_whole_table_back_to_the_last_digit() -> None:
+    table = wire_table()
+    frame = pd.read_csv(io.StringIO(lookup_csv(table)), comment="#")
+    assert list(frame.columns) == [f"{name} [{unit}]" for name, unit in COLUMNS.items()]
+    for name, unit in COLUMNS.items():
+        assert np.array_equal(frame[f"{name} [{unit}]"].to_numpy(), getattr(table, name))
+
+
+def test_the_csv_says_name_range_and_constants() -> None:
+    table = wire_table()
+    heading = [line for line in lookup_csv(table).splitlines() if line.startswith("#")]
+    said = " ".join(heading)
+    assert "Wire A2" in said
+    assert "curvature from 0 to 125 1/m" in said
+    assert "Beyond this range the deck is not valid." in said
+    assert f"Stick stiffness {table.stick_stiffness:.9g} N m^2" in said
+
+
+@pytest.mark.parametrize("name", ["two\nlines", "a # b", '"quoted", name', "Käbel"])
+def test_a_name_breaks_no_table(name: str) -> None:
+    text = lookup_csv(replace(wire_table(), name=name))
+    frame = pd.read_csv(io.StringIO(text), comment="#")
+    assert frame.shape == (len(wire_table().curvature), len(COLUMNS))
+
+
+def test_the_json_table() -> None:
+    table = wire_table()
+    read = json.loads(lookup_json(table))
+    assert read["wire"] == "A2"
+    assert read["labpipe"] == __version__
+    assert read["range"] == {"curvature": [0.0, table.curvature[-1]], "beyond": "not valid"}
+    assert read["curvature"] == table.curvature.tolist()
+    assert read["moment"] == table.moment.tolist()
+    for name in (
+        *("stick_stiffness", "axial_stiffness", "torsional_stiffness", "mass_per_length"),
+        *("free_torsional_stiffness", "stretch_twist_coupling"),
+    ):
+        assert read[name] == getattr(table, name)
+    assert read["diameter"] == pytest.approx(table.spec.wire_diameter)
+    assert read["length"] == table.spec.length
+
+
+def test_every_number_of_the_json_has_a_unit() -> None:
+    read = json.loads(lookup_json(wire_table()))
+    words = {"schema", "labpipe", "wire", "range", "law", "torsion", "units", "doubtful_beyond"}
+    assert set(read["units"]) == set(read) - words - {"loss_card"}
+
+
+def test_rows_of_the_csv_make_the_law() -> None:
+    table = wire_table("A2")
+    lines = sliders_csv(table).splitlines()
+    rows = [line for line in lines if not line.startswith("#")]
+    assert rows[0] == "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]"
+    numbers = np.array([row.split(",") for row in rows[1:]], dtype=np.float64)
+    assert numbers[0, 1:].tolist() == [np.inf, np.inf]
+    bent = np.array([0.5, 5.0, 50.0])
+    moment = np.minimum(bent[:, None], numbers[:, 1]) @ numbers[:, 0]
+    assert moment == pytest.approx(np.interp(bent, table.curvature, table.moment), rel=0.003)
+    assert numbers[1:, 2] == pytest.approx(numbers[1:, 0] * numbers[1:, 1])
+    assert any("Loss card" in line for line in lines)
+    assert any(f"Mass {table.mass_per_length:.9g} kg/m, torsional" in line for line in lines)
+
+
+def test_numbers_of_the_json() -> None:
+    table = wire_table("A2")
+    found, law = json.loads(sliders_json(table)), sliders_of(table)
+    assert found["stiffnesses"] == law.stiffnesses.tolist()
+    assert found["slip_curvatures"] == law.slip_curvatures.tolist()
+    assert found["error"] == law.error < 0.003
+    assert found["doubtful_beyond"] == table.doubtful_curvature == pytest.approx(37.5)
+    assert found["mass_per_length"] == table.mass_per_length
+    assert found["loss_card"]["sliders"]["12"] == law.error
+    dahl, bent = found["dahl"], table.curvature[1:]
+    moment = dahl["stiffness"] * bent + dahl["moment"] * -np.expm1(-bent / dahl["decay"])
+    off = np.max(np.abs(moment / table.moment[1:] - 1.0))
+    assert off == pytest.approx(found["loss_card"]["dahl"], rel=0.05)
+    assert found["scalar_sliders"]["directions"] == 4
+    assert set(found["units"]) >= {"stiffness", "slip_curvatures", "slip_moments", "decay"}

@@ -1,0 +1,352 @@
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import binomtest
+
+from labpipe.fits.failure_point import (
+    LossOfForce,
+    final_loss,
+    lost_earlier,
+)
+from labpipe.fits.grip_slips import _fineness, _stands_alone, add_back, find_slips, samples_before
+from labpipe.fits.load_drops import LoadDrop, PullCurve, fit_load_drop
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval, Slip, SlipDecision
+from labpipe.records.estimates import Failure
+
+RULE: Final = LossOfForce(force_below=0.5, loss=0.1, within=0.05)
+
+
+SPEED = 1e-3
+
+
+D = np.linspace(0.0, 0.03, 301)
+
+
+TIME = D / SPEED
+
+
+F = np.where(D <= 0.02, 5000.0 * D, 3.0)
+
+
+def test_the_sample_before_the_loss() -> None:
+    assert final_loss(TIME, F, RULE) == 200
+
+
+@pytest.mark.parametrize(("low", "is_lost"), [(45.0, True), (46.0, False)])
+def test_a_loss_of_just_the_share_is_one(low: float, *, is_lost: bool) -> None:
+    """A sample a second, 5 N slower each, and 10 % of 100 N on the way below half of it."""
+    force = np.array([0.0, 50.0, 100.0, *np.arange(95.0, 54.0, -5.0), low, 42.0, 41.0])
+    found = final_loss(np.arange(float(len(force))), force, RULE)
+    assert found == 11 if is_lost else isinstance(found, Failure)
+
+
+def test_missing_samples_are_left_out() -> None:
+    force = F.copy()
+    force[50], force[198] = np.nan, np.nan
+    assert final_loss(TIME, force, RULE) == 200
+
+
+def broken(rate: float, *, takes: float = 0.004, neck: float = 0.0) -> tuple[Floats, Floats]:
+    """Up to 100 N in 20 s, a smooth fall to 100 N - neck in 2 s, then lost in a few ms."""
+    time = np.arange(0.0, 25.0, 1.0 / rate)
+    rising = np.minimum(5.0 * time, 100.0)
+    necked = neck * np.clip((time - 20.0) / 2.0, 0.0, 1.0) ** 2
+    left = np.clip(1.0 - (time - 22.0) / takes, 0.0, 1.0)
+    return time, (rising - necked) * left + 1.0 * (1.0 - left)
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0, 100.0, 1000.0, 10_000.0])
+@pytest.mark.parametrize("neck", [0.0, 10.0, 40.0])
+def test_a_break_is_found_at_any_rate_behind_the_necking(rate: float, neck: float) -> None:
+    time, force = broken(rate, neck=neck)
+    sample = final_loss(time, force, RULE)
+    assert isinstance(sample, int)
+    assert 22.0 - 0.1 <= time[sample] <= 22.0 + 0.004
+    assert force[sample] == pytest.approx(100.0 - neck, rel=0.05)
+
+
+def test_a_slow_fall_is_no_break() -> None:
+    time = np.arange(0.0, 40.0, 0.01)
+    relaxed = np.where(time < 10.0, 10.0 * time, 100.0 * np.exp(-(time - 10.0) / 10.0))
+    found = final_loss(time, relaxed, RULE)
+    assert isinstance(found, Failure)
+    assert found.code == "no_break"
+    assert "slowly" in found.message
+
+
+def test_a_yarn_that_breaks_fibre_by_fibre_has_no_single_break() -> None:
+    steps = 100.0 - 5.0 * np.floor(np.arange(200) / 10.0)
+    found = final_loss(0.1 * np.arange(200.0), np.maximum(steps, 0.0), RULE)
+    assert isinstance(found, Failure)
+    assert found.code == "no_break"
+
+
+def test_rows_without_time_lose_their_force_in_one_step() -> None:
+    rows = np.arange(301.0)
+    assert final_loss(rows, F, RULE) == 200
+
+
+def test_says_why_not() -> None:
+    held = final_loss(TIME[:200], F[:200], RULE)
+    assert held == Failure(
+        "no_break", "the force ends at 99.5 N, 100% of its peak 99.5 N; below 50% counts as lost"
+    )
+
+
+def test_a_force_that_goes_down_as_the_frame_goes_back_is_not_lost() -> None:
+    force = np.concatenate([F[:200], F[:200][::-1]])
+    time = 0.1 * np.arange(400.0)
+    found = final_loss(time, force, RULE, np.arange(400) >= 200)
+    assert found == Failure("no_break", "the force goes down while the displacement goes back")
+
+
+@pytest.mark.parametrize(("force", "most"), [(-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")])
+def test_no_tension(force: Floats, most: str) -> None:
+    assert final_loss(TIME, force, RULE) == Failure(
+        "no_tension", f"the force is nowhere above zero, at most {most} N"
+    )
+
+
+@pytest.mark.parametrize(
+    ("lost", "comes_back_to", "share"), [(30.0, 65.0, 0.0), (30.0, 40.0, 1 / 3), (5.0, 50.0, 0.0)]
+)
+def test_what_was_lost_before(lost: float, comes_back_to: float, share: float) -> None:
+    """60 N are carried, then some are lost at once; only what never comes back counts."""
+    parts = [np.linspace(0.0, 60.0, 121), np.linspace(60.0 - lost, comes_back_to, 80)]
+    force = np.concatenate(parts).astype(np.float64)
+    found = lost_earlier(0.1 * np.arange(float(len(force))), force, RULE)
+    assert found == pytest.approx(share)
+    force[::9] = np.nan
+    assert lost_earlier(0.1 * np.arange(float(len(force))), force, RULE) == pytest.approx(
+        share, abs=0.01
+    )
+
+
+D_SLIPS = np.linspace(0.0, 0.05, 600)
+
+
+SMOOTH = 45.0 * (1.0 - np.exp(-D_SLIPS / 0.02)) / (1.0 - np.exp(-2.5))
+
+
+def noise(seed: int = 0) -> Floats:
+    return np.random.default_rng(seed).normal(0.0, 0.05, len(D_SLIPS))
+
+
+def found(force: Floats, min_drop: float = 0.2) -> tuple[Slip, ...]:
+    slips = find_slips(D_SLIPS, force, min_drop=min_drop, decision=SlipDecision.REPAIRED)
+    assert isinstance(slips, tuple)
+    return slips
+
+
+def test_the_two_slips_of_the_source() -> None:
+    force = SMOOTH - 0.47 * (D_SLIPS > 0.01875) - 0.81 * (D_SLIPS > 0.03085) + noise()
+    one, two = found(force)
+    assert one.position == pytest.approx(0.01875, abs=2 * D_SLIPS[1])
+    assert two.position == pytest.approx(0.03085, abs=2 * D_SLIPS[1])
+    for slip, drop in ((one, 0.47), (two, 0.81)):
+        assert slip.drop_interval.lower < drop < slip.drop_interval.upper
+        assert slip.position_interval.lower <= slip.position <= slip.position_interval.upper
+        assert D_SLIPS[slip.start] <= slip.position <= D_SLIPS[slip.stop]
+        ends = slip.position_interval.lower, slip.position_interval.upper
+        assert ends == pytest.approx((D_SLIPS[slip.start], D_SLIPS[slip.stop]), abs=2 * D_SLIPS[1])
+    repaired = add_back(force, (one, two))
+    assert np.abs(repaired - SMOOTH - noise()).max() < 0.3
+
+
+def test_a_fall_of_several_samples_and_missing_ones() -> None:
+    fall = np.interp(np.arange(600), [300, 304], [0.0, 1.0])
+    force = SMOOTH - 1.5 * fall + noise(1)
+    force[100] = np.nan
+    (slip,) = found(force)
+    assert (slip.start, slip.stop) == (300, 304)
+    assert slip.drop == pytest.approx(1.5, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_no_slip(seed: int) -> None:
+    kink = np.where(D_SLIPS < 0.02, 2000.0 * D_SLIPS, 40.0 + 400.0 * (D_SLIPS - 0.02))
+    spike = np.where(np.arange(600) == 300, -8.0, 0.0)
+    dip = np.where(np.arange(600) == 200, -0.8, 0.0)
+    gone = np.where(D_SLIPS > 0.045, 0.05 * SMOOTH, SMOOTH)
+    for force in (SMOOTH, kink, SMOOTH + spike, SMOOTH + dip, gone):
+        assert found(force + noise(seed)) == ()
+
+
+def test_small_drops_are_not_looked_at() -> None:
+    assert found(SMOOTH - 0.47 * (D_SLIPS > 0.02) + noise(), min_drop=1.0) == ()
+
+
+def test_a_force_that_never_changes() -> None:
+    for force in (0.0, 3.0):
+        assert found(np.full(len(D_SLIPS), force)) == ()
+
+
+def test_too_few_samples() -> None:
+    few = find_slips(D_SLIPS[:20], SMOOTH[:20], min_drop=0.2, decision=SlipDecision.MARKED)
+    assert few == Failure("too_few_samples", "20 samples in the branch, 64 are needed")
+
+
+def ledger(start: int, stop: int, drop: float) -> Slip:
+    here = Interval(0.0, 1.0)
+    return Slip(0.5, drop, here, here, SlipDecision.CUT, start, stop)
+
+
+def test_losses_add_up_and_samples_inside_lie_on_a_line() -> None:
+    force = np.array([0.0, 1.0, 0.7, 1.0, 2.0, 2.5, 3.5])
+    repaired = add_back(force, (ledger(1, 3, 1.0), ledger(4, 5, 0.5)))
+    assert repaired == pytest.approx([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
+    force[2] = np.nan
+    assert np.isnan(add_back(force, (ledger(1, 3, 1.0),))[2])
+
+
+def test_a_cut_curve_ends_before_its_first_slip() -> None:
+    assert samples_before((ledger(4, 5, 0.5), ledger(1, 3, 1.0)), 7) == 2
+    assert samples_before((), 7) == 7
+
+
+@pytest.mark.parametrize("rate", [20, 50, 100, 200, 1000])
+def test_what_is_found_does_not_depend_on_the_sampling_rate(rate: int) -> None:
+    """Falls over 0.1 s at 5 mm/s, and at once."""
+    d = np.arange(0.0, 0.05, 5e-3 / rate)
+    for width in (5e-4, 1e-9):
+        falls = [np.clip((d - at) / width, 0.0, 1.0) for at in (0.015, 0.0315)]
+        jitter = np.random.default_rng(rate).normal(0.0, 0.05, len(d))
+        force = 900.0 * d - 0.8 * falls[0] - 1.2 * falls[1] + jitter
+        slips = find_slips(d, force, min_drop=0.2, decision=SlipDecision.REPAIRED)
+        assert isinstance(slips, tuple)
+        for slip, at, drop in zip(slips, (0.015, 0.0315), (0.8, 1.2), strict=True):
+            assert slip.position == pytest.approx(at + 0.5 * width, abs=4e-4)
+            assert slip.drop == pytest.approx(drop, abs=0.2)
+
+
+def test_a_long_fall_is_a_yield() -> None:
+    fall = np.clip((D_SLIPS - 0.02) / 0.003, 0.0, 1.0)
+    assert found(SMOOTH - 1.5 * fall + noise()) == ()
+
+
+@pytest.mark.parametrize(("rate", "memory"), [(50, 15.0), (100, 10.0), (20, 12.0)])
+def test_a_clear_slip_in_slow_noise(rate: int, memory: float) -> None:
+    d, factor = np.arange(0.0, 0.05, 5e-3 / rate), np.exp(-1.0 / memory)
+    seen = 0
+    for seed in range(10):
+        kicks = np.random.default_rng(seed).normal(0.0, 0.05, len(d)) * np.sqrt(1.0 - factor**2)
+        force = 900.0 * d - 0.6 * (d > 0.02) + lfilter([1.0], [1.0, -factor], kicks)
+        slips = find_slips(d, force, min_drop=0.2, decision=SlipDecision.MARKED)
+        assert isinstance(slips, tuple)
+        seen += len(slips) == 1 and abs(slips[0].position - 0.02) < 1.1 * d[1]
+    assert seen >= 9
+
+
+def test_a_tear_is_no_slip() -> None:
+    force = 2000.0 * D_SLIPS - 0.3 * 50.0 * (D_SLIPS > 0.025) + noise()
+    assert found(force) == ()
+    told = find_slips(D_SLIPS, force, min_drop=0.2, decision=SlipDecision.MARKED, largest_share=0.4)
+    assert isinstance(told, tuple)
+    assert [slip.drop for slip in told] == pytest.approx([15.0], abs=0.2)
+
+
+def test_slips_of_a_force_of_millinewtons() -> None:
+    force = SMOOTH - 0.81 * (D_SLIPS > 0.03085) + noise()
+    (large,), (small,) = found(force), found(1e-3 * force, min_drop=0.2e-3)
+    assert (small.start, small.stop) == (large.start, large.stop)
+    assert small.drop == pytest.approx(1e-3 * large.drop)
+
+
+@pytest.mark.parametrize(("travel", "longest"), [(0.02, 0.4e-3), (0.04, 0.8e-3), (0.2, 1e-3)])
+def test_a_slip_is_at_most_a_fiftieth_of_the_travel_and_a_millimetre_long(
+    travel: float, longest: float
+) -> None:
+    d = np.linspace(0.0, travel, 20_001)
+    assert _fineness(d, None) == _fineness(d, longest) != _fineness(d, 1.4 * longest)
+
+
+@pytest.mark.parametrize(("deviations", "stands"), [(4.5, False), (7.5, True)])
+def test_a_sample_six_deviations_of_the_steps_off_stands_alone(
+    deviations: float, *, stands: bool
+) -> None:
+    force = np.random.default_rng(5).normal(0.0, 1.0, 400)
+    steps = np.diff(force)
+    force[200] = deviations * 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    force[[198, 199, 201, 202]] = 0.0
+    assert bool(_stands_alone(force)[200]) is stands
+
+
+COUNT, STEP = 400, 1e-4
+
+
+NUMBER = np.arange(COUNT, dtype=np.float64)
+
+
+def noise_of_drops(seed: int, memory: float, deviation: float = 0.04) -> Floats:
+    factor = np.exp(-1.0 / memory) if memory > 0.0 else 0.0
+    kicks = np.random.default_rng(seed).normal(size=COUNT + 100) * np.sqrt(1.0 - factor**2)
+    slow = np.asarray(lfilter([1.0], [1.0, -factor], kicks)[100:], dtype=np.float64)
+    return deviation * slow
+
+
+def pull(begin: float, length: float, drop: float, extra: Floats) -> PullCurve:
+    lost = drop * np.clip((NUMBER - begin) / length, 0.0, 1.0)
+    return PullCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, most=10, blurred=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("length", [0.01, 1.0, 2.5])
+@pytest.mark.parametrize("memory", [0.0, 6.0])
+def test_the_drop_covers(length: float, memory: float) -> None:
+    """Slow and white noise_of_drops, and falls that begin anywhere between two samples."""
+    hits = 0
+    for seed in range(120):
+        begin = 200.0 + float(np.random.default_rng(seed).uniform())
+        both = noise_of_drops(seed, memory, 0.03) + noise_of_drops(seed + 1000, 0.0, 0.02)
+        found = fit_load_drop(pull(begin, length, 0.65, both), 202)
+        assert isinstance(found, LoadDrop)
+        hits += found.drop_interval.lower <= 0.65 <= found.drop_interval.upper
+    assert binomtest(hits, 120, 0.95).pvalue > 0.01 / 6, hits
+
+
+def test_start_and_stop_are_the_samples_around_the_fall() -> None:
+    found = fit_load_drop(pull(200.25, 2.5, 2.0, noise_of_drops(3, 0.0, 0.005)), 205)
+    assert found is not None
+    assert (found.start, found.stop) == (200, 203)
+    assert found.earliest <= found.start + 1
+    assert found.latest >= found.stop - 1
+
+
+def test_noise_is_no_fall() -> None:
+    """At its deepest place in noise_of_drops of either kind."""
+    for memory in (0.0, 3.0, 10.0):
+        for seed in range(8):
+            extra = noise_of_drops(seed, memory)
+            place = int(np.argmin(np.diff(extra)[30:-30])) + 30
+            assert fit_load_drop(pull(0.0, 1.0, 0.0, extra), place) is None
+
+
+def test_a_long_fall_is_none() -> None:
+    assert fit_load_drop(pull(195.0, 16.0, 1.5, noise_of_drops(1, 0.0)), 200) is None
+
+
+def test_no_room_on_a_side() -> None:
+    whole = pull(3.0, 0.5, 1.0, noise_of_drops(1, 0.0))
+    assert fit_load_drop(whole, 3) is None
+    assert fit_load_drop(whole, COUNT - 3) is None
+
+
+def test_added_back() -> None:
+    curve = pull(200.25, 2.5, 2.0, 0.0 * NUMBER)
+    found = fit_load_drop(curve, 201)
+    assert found is not None
+    mended = curve.without([found])
+    assert mended.f == pytest.approx(0.1 * NUMBER, abs=1e-6)
+    assert curve.f[300] == pytest.approx(28.0)
+
+
+def test_a_coarse_converter_is_no_fall() -> None:
+    """Around the place nothing moves at all, and elsewhere in steps of twelve samples."""
+    force = 1.2 * np.round(0.1 * NUMBER / 1.2)
+    force[150:260] = force[150]
+    assert fit_load_drop(PullCurve(STEP * NUMBER, force, most=10, blurred=0), 205) is None

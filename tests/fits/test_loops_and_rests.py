@@ -1,0 +1,458 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.fits.loops import energy_of, secant_stiffness, sense_of_loading
+from labpipe.fits.one_path import OnePath, known_samples
+from labpipe.fits.residual_displacement import (
+    AtRest,
+    FollowedToZero,
+    ThroughZero,
+    Unloaded,
+    unloaded,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.estimates import Estimate, Failure
+from tests.builders.noise_rows import KINDS, Number, noise_rows, spreads
+
+STIFFNESS = 20.0
+
+
+def value(found: Estimate | Failure) -> Estimate:
+    assert isinstance(found, Estimate), found
+    return found
+
+
+def test_stiffness_is_exact_on_a_line() -> None:
+    time = np.arange(0.0, 4.0, 0.02)
+    found = value(
+        secant_stiffness(time, 1e-3 * time, 0.02 * time + 1.0, np.ones(len(time), dtype=bool))
+    )
+    assert found.value == pytest.approx(STIFFNESS, rel=1e-12)
+    assert found.n == 200
+
+
+def test_stiffness_is_not_made_small_by_a_noisy_displacement() -> None:
+    time, pulls, slopes, plain = np.arange(0.0, 4.0, 0.02), [], [], []
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        path = 1e-3 * time + rng.normal(0, 3e-4, len(time))
+        force = 0.02 * time + rng.normal(0, 1e-3, len(time))
+        found = value(secant_stiffness(time, path, force, np.ones(len(time), dtype=bool)))
+        pulls.append((found.value - STIFFNESS) / found.error)
+        slopes.append(found.value)
+        plain.append(float(np.polyfit(path, force, 1)[0]))
+    assert np.mean(slopes) == pytest.approx(STIFFNESS, rel=5e-3)
+    assert np.mean(plain) < 0.95 * STIFFNESS
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.12)
+
+
+def test_stiffness_says_why_not() -> None:
+    time = np.arange(0.0, 4.0, 0.02)
+    none = np.zeros(len(time), dtype=bool)
+    found = secant_stiffness(time, time, time, none)
+    assert found == Failure("too_few_samples", "0 samples in the stretch, 8 are needed")
+    still = secant_stiffness(time, np.ones_like(time), time, ~none)
+    assert still == Failure("no_travel", "the displacement does not change over the stretch")
+
+
+def loop() -> tuple[Floats, Floats, Floats]:
+    """An ellipse of half axes 10 mm and 0.5 N: its area is pi 0.01 0.5 J."""
+    time = np.linspace(0.0, 100.0, 5001)
+    phase = 2 * np.pi * time / 100.0
+    return time, -1e-2 * np.cos(phase), 0.5 * np.sin(phase)
+
+
+def test_energy_is_the_area_of_the_loop() -> None:
+    _, path, force = loop()
+    assert energy_of(path, force) == pytest.approx(np.pi * 1e-2 * 0.5, rel=1e-6)
+
+
+def test_a_loop_of_few_samples_has_its_area() -> None:
+    """A triangle of 2 m and 3 N below another one, by hand: 1.5 + 3.5 - 2.5 - 0.5 J."""
+    d, f = np.array([0.0, 1.0, 2.0, 1.0, 0.0]), np.array([0.0, 3.0, 4.0, 1.0, 0.0])
+    assert energy_of(d, f) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "sense"),
+    [
+        ([0.0, 50.0, 100.0, 0.0], 1.0),
+        ([0.0, -50.0, -100.0], -1.0),
+        ([50.0, 75.0, 100.0, 0.0], 1.0),
+        ([np.nan, -20.0, 15.0], 1.0),
+        ([np.nan], 1.0),
+    ],
+)
+def test_sense_of_loading(values: list[float], sense: float) -> None:
+    assert sense_of_loading(np.array(values)) == sense
+
+
+def test_energy_of_many_rows_is_the_trapezoid_of_each() -> None:
+    rng = np.random.default_rng(3)
+    d, f = rng.normal(size=(2, 3, 40))
+    expected = [float(np.trapezoid(force, path)) for path, force in zip(d, f, strict=True)]
+    np.testing.assert_allclose(energy_of(d, f), expected, rtol=1e-12)
+    exact = [float(np.trapezoid(force, d[0])) for force in f]
+    np.testing.assert_allclose(energy_of(d[0], f), exact, rtol=1e-12)
+    # 1 N over 2 mm, then 3 N over 1 mm, halfway from one to the other in between
+    assert energy_of(np.array([0.0, 2e-3, 3e-3]), np.array([1.0, 1.0, 3.0])) == pytest.approx(4e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_energy_of_replicates_scatters_as_tests_do(kind: str) -> None:
+    _, path, force = loop()
+    shape = (200, len(path))
+    paths = path + noise_rows(kind, 5e-5, shape, seed=1)
+    forces = force + noise_rows(kind, 1e-3, shape, seed=2)
+    tests, replicates = spreads(lambda _d, _f: energy_of, paths, forces)
+    assert replicates == pytest.approx(tests, rel=1e-9)
+    if kind == "white":
+        # By hand: noise of each sample times half the step of the other over two samples, and
+        # times the noise of that.
+        steps, rises = np.gradient(path), np.gradient(force)
+        parts = 1e-3 * steps, 5e-5 * rises, np.full(len(path), 1e-3 * 5e-5 / np.sqrt(2.0))
+        assert replicates == pytest.approx(np.linalg.norm(np.concatenate(parts)), rel=0.15)
+
+
+D = np.linspace(1e-3, 5e-3, 201)
+
+
+ALL = np.arange(len(D))
+
+
+def test_a_sample_moved_along_the_curve_keeps_its_place_on_it() -> None:
+    moved = D + np.random.default_rng(0).normal(0.0, 2e-5, (3, len(D)))
+    bent, curvature = 800.0 * D - 2e4 * D**2, 2 * 2e4
+    found = OnePath.of(D, bent, ALL).force(800.0 * moved - 2e4 * moved**2, moved)
+    second_order = 0.5 * curvature * (moved - D) ** 2
+    assert np.abs(800.0 * (moved - D)).max() > 0.02
+    # Slopes at the ends are read from one side: off by the curvature over half of four steps.
+    one_sided = curvature * 2 * (D[1] - D[0]) * np.abs(moved - D)
+    assert (np.abs(found - bent) <= second_order + one_sided + 1e-12).all()
+
+
+def test_slopes_are_local() -> None:
+    kinked = np.where(D < 3e-3, 900.0, 300.0) * (D - 3e-3)
+    slope = OnePath.of(D, kinked, ALL).slope
+    assert slope[:90] == pytest.approx(900.0)
+    assert slope[110:] == pytest.approx(300.0)
+    assert slope[100] == pytest.approx(600.0)
+
+
+def test_where_the_frame_stands_the_slope_is_that_of_the_stretch() -> None:
+    d = np.concatenate([D[:100], np.full(40, D[100]), D[100:]])
+    slope = OnePath.of(d, 500.0 * d, np.arange(len(d))).slope
+    assert np.isfinite(slope).all()
+    assert slope == pytest.approx(500.0)
+
+
+def test_some_samples_in_another_order() -> None:
+    force, d = 900.0 * D, D.copy()
+    force[4] = d[9] = np.nan
+    assert known_samples(d, force).tolist() == np.delete(ALL, [4, 9]).tolist()
+    mixed = np.random.default_rng(0).permutation(known_samples(d, force))
+    kinked = np.where(D < 3e-3, 900.0, 300.0) * (D - 3e-3)
+    path, plain = OnePath.of(d, kinked, mixed), OnePath.of(D, kinked, ALL)
+    assert path.slope[D[mixed] < 2.8e-3] == pytest.approx(900.0)
+    assert path.displacement.tolist() == D[mixed].tolist()
+    curves = kinked + np.array([[0.0], [2.0]])
+    assert path.force(curves, D + 1e-5) == pytest.approx(
+        plain.force(curves, D + 1e-5)[:, mixed], abs=2e-3
+    )
+    assert path.force(curves).tolist() == curves[:, mixed].tolist()
+
+
+def test_the_same_displacements_change_nothing() -> None:
+    path = OnePath.of(D, 900.0 * D, ALL)
+    force = np.array([900.0 * D, 5.0 + 0.0 * D])
+    assert path.force(force) is force
+    assert path.force(force, D) is force
+    moved = path.force(force, D + np.where(ALL == 3, 1e-3, 0.0))
+    assert (force - moved)[:, [2, 3]] == pytest.approx(np.array([[0.0, 0.9], [0.0, 0.9]]))
+
+
+TIME = np.arange(0.0, 53.0, 0.02)
+
+
+PATH = 0.053 - 1e-3 * TIME
+
+
+LEFT = 0.012
+
+
+FORCE = 24.0 * (PATH - LEFT)
+
+
+LIMIT = 5e-3
+
+
+WAYS = {
+    ThroughZero: (PATH, FORCE),
+    AtRest: (np.maximum(PATH, LEFT), np.maximum(FORCE, 0.0)),
+    FollowedToZero: (PATH, np.maximum(FORCE, 0.0)),
+}
+
+
+"""The three ways to end, at 12 mm: through zero, with a string that gets slack, and followed."""
+
+
+def decided(path: Floats, force: Floats, like: Unloaded | None = None) -> Unloaded:
+    found = unloaded(TIME, path, force, force_below=LIMIT, like=like)
+    assert not isinstance(found, Failure), found
+    return found
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_it_is_where_the_force_is_back_at_zero(way: type[Unloaded]) -> None:
+    path, force = WAYS[way]
+    found = decided(path, force)
+    assert isinstance(found, way)
+    assert found.of(path, force) == pytest.approx(LEFT, abs=1e-12)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_rows_are_as_each_alone(way: type[Unloaded]) -> None:
+    path, force = WAYS[way]
+    rng = np.random.default_rng(1)
+    paths, forces = (each + rng.normal(0, 1e-5, (3, len(TIME))) for each in (path, force))
+    found = decided(path, force)
+    alone = [found.of(d, f) for d, f in zip(paths, forces, strict=True)]
+    np.testing.assert_allclose(found.of(paths, forces), alone, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("way", "moved"), [(ThroughZero, 1e-4), (FollowedToZero, 1e-4), (AtRest, 0)]
+)
+def test_a_force_that_is_too_high_by_so_much_is_zero_so_much_later(
+    way: type[Unloaded], moved: float
+) -> None:
+    """2.4 mN over 24 N/m: 0.1 mm less; a string at rest is not asked for its force."""
+    path, force = WAYS[way]
+    found = decided(path, force)
+    higher = force + np.where(force > 0.0, 2.4e-3, 0.0)
+    if way is ThroughZero:
+        higher = force + 2.4e-3
+    assert found.of(path, higher) - found.of(path, force) == pytest.approx(-moved, abs=1e-9)
+
+
+def test_through_zero_by_hand() -> None:
+    """A force 5 (t - t_0) + 2 (t - t_0)^2, and a displacement that is 4 mm then."""
+    after = TIME - 41.013
+    force = -0.05 * after + 2e-4 * after**2
+    path = 0.004 - 1e-3 * after + 1e-5 * after**2
+    found = decided(path, force)
+    assert isinstance(found, ThroughZero)
+    assert found.of(path, force) == pytest.approx(0.004, abs=1e-12)
+
+
+def test_a_foot_that_no_longer_falls_is_no_number() -> None:
+    path, force = WAYS[FollowedToZero]
+    found = decided(path, force)
+    rows = found.of(path, np.array([force, force[::-1]]))
+    assert np.isnan(rows).tolist() == [False, True]
+
+
+def test_a_foot_of_few_samples_is_not_followed() -> None:
+    """The force is lost between two samples: the displacement is that of the last one above."""
+    force = np.where(TIME < 40.0, 1.0, 0.0)
+    found = decided(PATH, force)
+    assert isinstance(found, FollowedToZero)
+    assert not found.is_line
+    rows = found.of(np.array([PATH, PATH + 0.001]), force)
+    np.testing.assert_allclose(rows, [PATH[1999], PATH[1999] + 0.001], atol=1e-12)
+
+
+def test_gaps_are_passed_over() -> None:
+    for path, force in WAYS.values():
+        holes = force.copy()
+        holes[::9] = np.nan
+        assert decided(path, holes).of(path, holes) == pytest.approx(LEFT, abs=1e-9)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_curve_without_noise_ends_as_the_one_that_was_measured(way: type[Unloaded]) -> None:
+    path, force = WAYS[way]
+    rng = np.random.default_rng(2)
+    noisy = path + rng.normal(0, 1e-5, len(TIME)), force + rng.normal(0, 2e-3, len(TIME))
+    measured = decided(*noisy)
+    again = decided(path, force, like=measured)
+    assert type(again) is type(measured) is way
+    assert again.limit == measured.limit
+    # Shown a rest that creeps by more than no noise at all, it is a rest all the same.
+    creeping = path - np.where(path <= LEFT, 1e-8 * TIME, 0.0)
+    assert type(decided(creeping, force, like=measured)) is way
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_foot_decided_for_each_row(kind: str) -> None:
+    """Rows with gaps, one that does not come back to zero, one that never is above the limit."""
+    path, force = WAYS[FollowedToZero]
+    force = force + noise_rows(kind, 2e-4, (40, len(TIME)), seed=1)
+    path = path + noise_rows(kind, 1e-5, force.shape, seed=2)
+    force[:10, 2000:2008] = np.nan
+    path[:, 1900::7] = np.nan
+    force[20] += 0.1
+    force[21] -= 1.0
+    force[22, 2045:] += 0.006
+    found = decided(path[10], force[10])
+    assert isinstance(found, FollowedToZero)
+    for d, f, each in zip(path[10:], force[10:], found.of_each(path[10:], force[10:]), strict=True):
+        alone = unloaded(TIME, d, f, force_below=LIMIT, like=found)
+        if isinstance(alone, Failure):
+            assert np.isnan(each)
+        else:
+            assert each == pytest.approx(float(alone.of(d, f)), rel=1e-9)
+    assert np.isfinite(found.of_each(path[:10], force[:10])).all()
+
+
+@pytest.mark.parametrize(("kind", "deviation"), [("white", 4e-3), ("remembering", 1e-3)])
+def test_a_foot_that_ends_in_noise_is_off_as_tests_are(kind: str, deviation: float) -> None:
+    """The last sample beyond the limit is the one that noise lifted."""
+    path, force = WAYS[FollowedToZero]
+    shape = (200, len(TIME))
+    tests = []
+    paths = path + noise_rows(kind, 1e-5, shape, seed=1)
+    forces = force + noise_rows(kind, deviation, shape, seed=2)
+    for d, f in zip(paths, forces, strict=True):
+        found = decided(d, f)
+        assert isinstance(found, FollowedToZero)
+        tests.append(float(found.of(d, f)))
+    smooth = decided(path, force, like=found)
+    assert isinstance(smooth, FollowedToZero)
+    off = smooth.of_each(
+        path + noise_rows(kind, 1e-5, shape, seed=3),
+        force + noise_rows(kind, deviation, shape, seed=4),
+    ) - float(smooth.of(path, force))
+    # Quantiles, as a sample of the rest that noise lifts beyond the limit leads far astray.
+    low, middle, high = np.quantile(np.array(tests) - LEFT, (0.1, 0.5, 0.9))
+    below, centre, above = np.quantile(off, (0.1, 0.5, 0.9))
+    assert above - below == pytest.approx(high - low, rel=0.25)
+    assert centre == pytest.approx(middle, abs=0.15 * float(high - low))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("way", WAYS)
+def test_replicates_scatter_as_tests_do(way: type[Unloaded], kind: str) -> None:
+    path, force = WAYS[way]
+    shape = (200, len(TIME))
+    paths = path + noise_rows(kind, 1e-5, shape, seed=1)
+    forces = force + noise_rows(kind, 2e-4, shape, seed=2)
+
+    def decide(d: Floats, f: Floats) -> Number:
+        found = decided(d, f)
+        assert isinstance(found, way)
+        return found.of
+
+    tests, replicates = spreads(decide, paths, forces)
+    assert replicates == pytest.approx(tests, rel=0.2)
+
+
+def test_a_weak_force_is_not_followed_from_far_off() -> None:
+    """22 mN at the most, curved, through zero: a straight line from 5 mN would end at 20 mm."""
+    beyond = PATH - LEFT
+    force = 0.27 * beyond + 5.5 * beyond**2
+    found = decided(PATH, force)
+    assert found.of(PATH, force) == pytest.approx(LEFT, abs=1e-4)
+
+
+def test_a_string_that_is_slack_only_for_a_moment() -> None:
+    """A quick test: half a second of slack after a fall at 4 mm/s."""
+    time = np.arange(0.0, 3.0, 0.02)
+    path = np.maximum(0.0107 - 4e-3 * time, 0.0007)
+    force = 20.0 * (path - 0.0007)
+    found = unloaded(time, path, force, force_below=LIMIT)
+    assert isinstance(found, AtRest)
+    assert found.of(path, force) == pytest.approx(0.0007, abs=1e-5)
+    brief = time < 2.7
+    found = unloaded(time[brief], path[brief], force[brief], force_below=LIMIT)
+    assert isinstance(found, FollowedToZero)
+    assert found.of(path[brief], force[brief]) == pytest.approx(0.0007, abs=5e-5)
+
+
+def test_it_is_not_extrapolated() -> None:
+    found = unloaded(TIME[:1500], PATH[:1500], FORCE[:1500], force_below=LIMIT)
+    assert isinstance(found, Failure)
+    assert found.code == "force_not_zero"
+    assert "above the limit of 0.005 N" in found.message
+
+
+def test_a_weak_force_that_does_not_come_back_is_no_zero() -> None:
+    """4 mN are below the limit of the protocol, but a fifth of what the specimen bore."""
+    beyond = PATH - 0.01
+    kept = beyond > 0.012
+    force = (0.27 * beyond + 5.5 * beyond**2)[kept]
+    found = unloaded(TIME[kept], PATH[kept], force, force_below=LIMIT)
+    assert isinstance(found, Failure)
+    assert found.code == "force_not_zero"
+    assert found.message.startswith("the force ends at 0.004")
+
+
+def test_too_few() -> None:
+    few = np.linspace(0.0, 1.0, 10)
+    found = unloaded(few, few, 1.0 - few, force_below=LIMIT)
+    assert found == Failure("too_few_samples", "10 samples, 16 are needed")
+    many, noise = np.linspace(0.0, 1.0, 40), np.tile([0.01, -0.01], 20)
+    found = unloaded(many, many, noise, force_below=LIMIT)
+    assert found == Failure("too_few_samples", "40 samples, none above 0.04322 N")
+    sparse = np.arange(0.0, 60.0, 1.0)
+    path, fallen = 0.053 - 1e-3 * sparse, np.maximum(50.0 - sparse, 0.0)
+    found = unloaded(sparse, path, fallen, force_below=LIMIT)
+    assert found == Failure("too_few_samples", "2 samples in the 1 s to 49.000 s")
+
+
+def test_how_far_around_zero_force_is_looked_at() -> None:
+    """A tenth of 53 s on each side of 41 s, 50 samples a second."""
+    found = decided(*WAYS[ThroughZero])
+    assert isinstance(found, ThroughZero)
+    assert found.n == 529
+    assert found.time[-1] == pytest.approx(5.3, abs=0.02)
+
+
+def test_the_foot_is_from_five_limits_to_one() -> None:
+    """From 25 mN to 5 mN at 24 mN a second."""
+    found = decided(*WAYS[FollowedToZero])
+    assert isinstance(found, FollowedToZero)
+    assert found.limit == found.least == LIMIT
+    assert -found.foot_time[0] == pytest.approx(20.0 / 24.0, abs=0.03)
+    assert found.foot_time[-1] == 0.0
+
+
+@pytest.mark.parametrize(("lasts", "way"), [(0.5, FollowedToZero), (0.8, AtRest)])
+def test_a_rest_is_seen_once_the_line_were_three_limits_lower(
+    lasts: float, way: type[Unloaded]
+) -> None:
+    """15 mN at 24 mN a second are 0.625 s."""
+    path, force = WAYS[AtRest]
+    part = lasts + 41.0 >= TIME
+    assert isinstance(unloaded(TIME[part], path[part], force[part], force_below=LIMIT), way)
+
+
+@pytest.mark.parametrize(("pulls", "creeps"), [(0.0, 0.0), (-0.0125, 0.0), (0.0, 2e-6)])
+def test_a_string_that_pulls_or_a_specimen_that_creeps_is_not_at_rest(
+    pulls: float, creeps: float
+) -> None:
+    """Two and a half limits below zero for some seconds; 2 um in 12 s, under 0.1 um of noise."""
+    path, force = WAYS[AtRest]
+    after = np.maximum(TIME - 41.0, 0.0)
+    force = force + np.where((after > 4.0) & (after < 8.0), pulls, 0.0)
+    noise = np.random.default_rng(4).normal(0.0, 1e-7, len(TIME))
+    found = decided(path - creeps * after / 12.0 + noise, force)
+    assert isinstance(found, AtRest if pulls == creeps == 0.0 else FollowedToZero)
+
+
+def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
+    """A record of no noise beside noisy ones: its foot ends at the protocol's limit."""
+    path, force = WAYS[FollowedToZero]
+    force = force + noise_rows("white", 1.5e-3, (4, len(TIME)), seed=1)
+    force[3] = WAYS[FollowedToZero][1] + 1e-4 * (TIME - 41.5) * (TIME < 41.0)
+    found = decided(path, force[0])
+    assert isinstance(found, FollowedToZero)
+    assert found.limit > found.least == LIMIT
+    alone = decided(path, force[3])
+    assert isinstance(alone, FollowedToZero)
+    assert alone.limit == LIMIT
+    paths = path + 1e-3 * (TIME - 41.0) ** 2 * (TIME < 41.0) + np.zeros((4, 1))
+    each = found.of_each(paths, force)[3]
+    assert each == pytest.approx(float(alone.of(paths[3], force[3])), rel=1e-9)

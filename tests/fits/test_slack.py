@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.fits.least_squares import zero_of_line
+from labpipe.fits.slack import TakeUp, take_up, toe_line
+from labpipe.records.arrays import Floats
+from labpipe.records.estimates import Failure
+from labpipe.uncertainty.noise import limits_by_noise
+from tests.builders.noise_rows import KINDS, Number, noise_rows, spreads
+
+D = np.concatenate([np.full(100, 0.002), np.linspace(0.002, 0.012, 500)])
+
+
+"""A string gets taut first, then pulls."""
+
+
+F: Floats = 500.0 * (D - 0.002)
+
+
+def test_slack_then_taut() -> None:
+    force = F + np.random.default_rng(0).normal(0.0, 0.004, len(D))
+    found = take_up(D, force)
+    assert isinstance(found, TakeUp)
+    assert found.of(D, force) == pytest.approx(0.002, abs=1e-5)
+    assert 99 <= found.sample <= 103
+
+
+def test_from_the_other_side() -> None:
+    """The force passes zero on its way."""
+    path = np.linspace(-0.003, 0.01, 400)
+    force = 500.0 * (path - 0.001) + 0.001 * np.sin(np.arange(400.0))
+    found = take_up(path, force)
+    assert isinstance(found, TakeUp)
+    assert found.of(path, force) == pytest.approx(0.001, abs=1e-5)
+
+
+def test_missing_samples_are_passed_over() -> None:
+    force = F.copy()
+    force[::7] = np.nan
+    found = take_up(D, force)
+    assert isinstance(found, TakeUp)
+    assert found.of(D, force) == pytest.approx(0.002, abs=1e-6)
+    assert force[found.sample] > 0.0
+
+
+def test_a_branch_that_begins_just_above_zero() -> None:
+    found = take_up(D[103:], F[103:])
+    assert isinstance(found, TakeUp)
+    assert found.of(D[103:], F[103:]) == pytest.approx(0.002, abs=1e-6)
+    assert found.sample == 0
+
+
+def test_says_why_not() -> None:
+    assert take_up(D[:10], F[:10]) == Failure("too_few_samples", "10 samples, 16 are needed")
+    noise = np.random.default_rng(0).normal(0.0, 0.004, len(D))
+    flat = take_up(D, noise)
+    assert isinstance(flat, Failure)
+    assert flat.code == "no_force"
+    assert flat.message.startswith("the force reaches 0.01")
+    loaded = take_up(D, F + 3.0 + noise)
+    assert isinstance(loaded, Failure)
+    assert loaded.code == "not_unloaded"
+    assert loaded.message.startswith("the branch begins at 3.")
+
+
+def test_take_up_of_many_rows() -> None:
+    """0.5 N less over 500 N/m: 1 mm later. A row that falls has no place."""
+    found = take_up(D, F)
+    assert isinstance(found, TakeUp)
+    rows = found.of(D, np.array([F, F - 0.5, -F]))
+    np.testing.assert_allclose(rows, [0.002, 0.003, np.nan], atol=1e-12)
+    moved = found.of(D + np.array([[0.0], [0.004]]), F)
+    np.testing.assert_allclose(moved, [0.002, 0.006], atol=1e-12)
+
+
+def test_take_up_without_a_line_is_at_the_first_sample() -> None:
+    path = np.full(40, 0.001)
+    found = take_up(path, np.where(np.arange(40) < 30, 0.0, 5.0))
+    assert isinstance(found, TakeUp)
+    assert not found.is_line
+    assert found.of(path + np.array([[0.0], [1.0]]), path).tolist() == [0.001, 1.001]
+
+
+def test_take_up_of_a_curve_without_noise() -> None:
+    """What passes for zero on the curve that was measured passes for it here too."""
+    measured = take_up(D, F + np.random.default_rng(1).normal(0.0, 0.004, len(D)))
+    assert isinstance(measured, TakeUp)
+    assert measured.limit == pytest.approx(4 * 0.004, rel=0.2)
+    again = take_up(D, F, limit=measured.limit)
+    assert isinstance(again, TakeUp)
+    assert F[again.sample - 1] <= measured.limit < F[again.sample]
+    last = np.arange(len(D))[again.foot][-1]
+    assert last - again.sample == 7 or F[last] <= 5.0 * measured.limit < F[last + 1]
+
+
+@pytest.mark.parametrize("limit", [0.08, 0.01])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("gaps", [slice(0), slice(None, None, 7)])
+def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> None:
+    """Rows with gaps, rows that begin under load, and one that never takes up.
+
+    The foot has some thirty samples, or the least that it may have.
+    """
+    force = F + noise_rows(kind, 0.25 * limit, (60, len(D)), seed=1)
+    force[20:30, :100] += 3.0
+    force[30] = limit * (0.6 - np.linspace(0.0, 0.1, len(D)))
+    path = D + noise_rows(kind, 1e-5, force.shape, seed=2)
+    force[:, 250:260] = np.nan
+    path[:, gaps] = np.nan
+    found = take_up(path[0], force[0], limit=limit)
+    assert isinstance(found, TakeUp)
+    places, samples = found.of_each(path, force)
+    limits = limits_by_noise(limit, force[:, found.known])
+    for d, f, own, place, sample in zip(path, force, limits, places, samples, strict=True):
+        alone = take_up(d, f, limit=float(own))
+        if isinstance(alone, TakeUp):
+            assert sample == alone.sample
+            assert place == pytest.approx(float(alone.of(d, f)), rel=1e-9)
+    assert np.isfinite(places).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_take_up_of_replicates_scatters_as_tests_do(kind: str) -> None:
+    shape = (200, len(D))
+    force = F + noise_rows(kind, 0.02, shape, seed=1)
+    path = D + np.zeros(shape)
+    alone = [take_up(d, f) for d, f in zip(path, force, strict=True)]
+    tests = [
+        float(each.of(D, f))
+        for each, f in zip(alone, force, strict=True)
+        if isinstance(each, TakeUp)
+    ]
+    measured = alone[-1]
+    assert isinstance(measured, TakeUp)
+    smooth = take_up(D, F, limit=measured.limit)
+    assert isinstance(smooth, TakeUp)
+    replicates, _ = smooth.of_each(path, F + noise_rows(kind, 0.02, shape, seed=2))
+    assert np.std(replicates) == pytest.approx(np.std(tests), rel=0.25)
+    assert np.mean(replicates) == pytest.approx(np.mean(tests), abs=0.2 * float(np.std(tests)))
+
+
+@pytest.mark.parametrize(("load", "code"), [(0.05, ""), (0.5, "not_unloaded")])
+def test_how_far_a_line_is_followed_back(load: float, code: str) -> None:
+    """0.1 mm before the first sample, or 1 mm, of a branch of 10 mm."""
+    found = take_up(D[100:], F[100:] + load)
+    if code:
+        assert isinstance(found, Failure)
+        assert found.code == code
+    else:
+        assert isinstance(found, TakeUp)
+        assert found.of(D[100:], F[100:] + load) == pytest.approx(0.0019)
+
+
+D_TOE = np.linspace(0.0, 0.02, 401)
+
+
+F_TOE = 5000.0 * np.maximum(D_TOE - 0.002, 0.0)
+
+
+def test_foot_of_the_line() -> None:
+    region = toe_line(D_TOE, F_TOE, start_share=0.1, stop_share=0.3)
+    assert not isinstance(region, Failure)
+    assert zero_of_line(D_TOE[region], F_TOE[region]) == pytest.approx(0.002, rel=1e-9)
+
+
+def test_says_why_not_of_toe() -> None:
+    few = toe_line(D_TOE[:5], F_TOE[:5], start_share=0.1, stop_share=0.3)
+    assert few == Failure("too_few_samples", "5 samples, 8 are needed")
+    late = toe_line(D_TOE[150:], F_TOE[150:], start_share=0.1, stop_share=0.3)
+    assert late == Failure("not_reached", "the branch begins at 27.5 N, above 10% of 90 N")
+    coarse = toe_line(D_TOE[::40], F_TOE[::40], start_share=0.1, stop_share=0.3)
+    assert coarse == Failure("too_few_samples", "2 samples in the linear region, 8 are needed")
+    newtons = np.arange(41.0)  # from 4 N to less than 12 N
+    assert toe_line(newtons, newtons, start_share=0.1, stop_share=0.3) == slice(4, 12)
+    eight = toe_line(newtons[:8], newtons[:8], start_share=0.1, stop_share=0.3)
+    assert eight == coarse
+
+
+def test_the_line_goes_through_the_samples_between_the_shares() -> None:
+    """90 N at the most, 0.25 N a sample from 40 on: 9.09 N lie behind 76, 27.09 N behind 148."""
+    assert toe_line(D_TOE, F_TOE, start_share=0.101, stop_share=0.301) == slice(77, 149)
+    holes = F_TOE.copy()
+    holes[100] = np.nan
+    region = toe_line(D_TOE, holes, start_share=0.101, stop_share=0.301)
+    assert isinstance(region, np.ndarray)
+    assert region.tolist() == [each for each in range(77, 149) if each != 100]
+    flat = np.repeat([0.0, 1.0, 2.0], [10, 20, 10])
+    steps = toe_line(np.zeros(40), flat, start_share=0.1, stop_share=0.9)
+    assert steps == Failure("not_rising", "the force does not rise in the linear region")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_slack_of_replicates_scatters_as_tests_do(kind: str) -> None:
+    shape = (200, len(D_TOE))
+    force = F_TOE + noise_rows(kind, 0.1, shape, seed=1)
+
+    def decide(d: Floats, f: Floats) -> Number:
+        region = toe_line(d, f, start_share=0.1, stop_share=0.3)
+        assert not isinstance(region, Failure)
+        return lambda d, f: zero_of_line(d[..., region], f[..., region])
+
+    tests, replicates = spreads(decide, D_TOE + np.zeros(shape), force)
+    assert replicates == pytest.approx(tests, rel=0.2)
+    if kind == "white":
+        # By hand: 0.1 N over 5000 N/m, at 3.6 mm before the middle of 72 samples of 0.05 mm.
+        lever = (D_TOE[76:148] - D_TOE[76:148].mean()) ** 2
+        at = D_TOE[76:148].mean() - 0.002
+        assert replicates == pytest.approx(2e-5 * np.sqrt(1 / 72 + at**2 / lever.sum()), rel=0.15)

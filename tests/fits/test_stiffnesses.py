@@ -1,0 +1,445 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.fits.beam_stiffness import Rollers, beam_factor, path_of_load, stiffness_ratio
+from labpipe.fits.cycle_stiffness import (
+    LoadingSlope,
+    UnloadingSlope,
+    WindowSlope,
+    loading_slope,
+    turn_at,
+    unloading_slope,
+    window_slope,
+)
+from labpipe.fits.least_squares import polynomial_weights, slope_of_line, zero_of_line
+from labpipe.fits.slack import TakeUp, take_up
+from labpipe.fits.straight_lines import (
+    annulus_area,
+    compliance_window,
+    correct_displacement,
+    rectangle_area,
+    thin_wall_area,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Direction
+from labpipe.records.estimates import Failure
+from tests.builders.noise_rows import KINDS, Number, noise_rows, spreads
+
+TIME = np.arange(0.0, 40.0, 0.05)
+
+
+UP = 1e-3 * TIME
+
+
+"""1 mm/s up to 40 mm."""
+
+
+def windowed(path: Floats, force: Floats, low: float, high: float) -> WindowSlope:
+    found = window_slope(TIME, path, force, path, low=low, high=high)
+    assert isinstance(found, WindowSlope), found
+    return found
+
+
+def test_slope_is_exact_on_a_line() -> None:
+    force = 20.0 * UP + 1.0
+    found = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
+    assert found.of(UP, force) == pytest.approx(20.0, rel=1e-12)
+    assert found.window == slice(80, 181)  # 4.00 to 9.00 mm in steps of 0.05 mm
+
+
+def test_slope_is_that_of_the_definition() -> None:
+    """On a parabola, k between a and b is 2 c times their middle: here 2 x 300 x 6.5 mm."""
+    force = 300.0 * UP**2
+    found = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
+    assert found.of(UP, force) == pytest.approx(3.9, rel=1e-9)
+    # and one that lies 10 mm later, 2 x 300 x 10 mm more
+    assert found.of(UP, force, 0.01) == pytest.approx(9.9, rel=1e-9)
+    rows = found.of(UP, force, np.array([0.0, 0.01, 0.02]))
+    np.testing.assert_allclose(rows, [3.9, 9.9, 15.9], rtol=1e-9)
+
+
+def test_rows_are_as_each_alone() -> None:
+    rng = np.random.default_rng(1)
+    path = UP + rng.normal(0, 1e-4, (3, len(UP)))
+    force = 20.0 * UP + rng.normal(0, 1e-2, (3, len(UP)))
+    path[:, 200:203] = np.nan
+    found, later = windowed(path[0], force[0], 0.008, 0.02), np.array([0.0, 1e-3, -2e-3])
+    alone = [found.of(d, f, shift) for d, f, shift in zip(path, force, later, strict=True)]
+    np.testing.assert_allclose(found.of(path, force, later), alone, rtol=1e-12)
+    assert np.isfinite(alone).all()
+
+
+def test_slope_is_not_made_small_by_a_noisy_displacement() -> None:
+    rng = np.random.default_rng(2)
+    path = UP + rng.normal(0, 3e-3, (400, len(UP)))
+    force = 20.0 * UP + rng.normal(0, 1e-3, path.shape)
+    found = windowed(UP, 20.0 * UP, 0.01, 0.02)
+    assert np.median(found.of(path, force)) == pytest.approx(20.0, rel=0.03)
+    inside = slice(200, 400)
+    plain = [
+        float(np.polyfit(d[inside], f[inside], 1)[0]) for d, f in zip(path, force, strict=True)
+    ]
+    assert np.median(plain) < 0.6 * 20.0
+
+
+def test_the_window_ends_where_it_is_first_left() -> None:
+    """Up to 10 mm, back, and up again: the second way up has another stiffness."""
+    path = np.concatenate([UP[:200], UP[:200][::-1], UP[:400]])
+    time = np.arange(0.0, 0.05 * len(path), 0.05)
+    force = np.concatenate([20.0 * UP[:200], np.zeros(200), 50.0 * UP[:400]])
+    found = window_slope(time, path, force, path, low=0.002, high=0.008)
+    assert isinstance(found, WindowSlope)
+    assert found.of(path, force) == pytest.approx(20.0, rel=1e-9)
+
+
+def test_too_few_samples_for_a_row_are_no_number() -> None:
+    found = windowed(UP, UP, 0.005, 0.02)
+    assert np.isnan(found.of(UP, UP, np.array([0.03496, 1.0]))).tolist() == [True, True]
+    assert np.isfinite(found.of(UP, UP, 0.03))
+
+
+def test_slope_says_why_not() -> None:
+    wanted = window_slope(TIME, UP, UP, UP, low=0.005, high=0.05)
+    message = "the branch reaches 0.03995 m, 0.05 m is asked"
+    assert wanted == Failure("not_reached", message)
+    few = window_slope(TIME, UP, UP, UP, low=0.00501, high=0.0053)
+    assert few == Failure("too_few_samples", "5 samples in the stretch, 8 are needed")
+    still = window_slope(TIME, np.ones_like(UP), UP, UP, low=0.005, high=0.009)
+    assert still == Failure("no_travel", "the displacement does not change over the stretch")
+    blank = window_slope(
+        TIME, np.full_like(UP, np.nan), UP, np.full_like(UP, np.nan), low=0, high=1
+    )
+    assert isinstance(blank, Failure)
+    assert blank.code == "not_reached"
+
+
+def test_value_at_a_turn_is_that_of_the_parabola() -> None:
+    """Of 800 samples the first 50; time counts from the turn, in mid-step."""
+    values = 3.0 + 0.5 * (TIME - 0.03) - 2.0 * (TIME - 0.03) ** 2
+    turn = turn_at(TIME, values, at=0.03, first=0, stop=len(TIME))
+    assert turn.samples == slice(1, 51)
+    assert turn.of(values) == pytest.approx(3.0, abs=1e-12)
+    np.testing.assert_allclose(turn.of(np.array([values, 2.0 * values])), [3.0, 6.0])
+    values[5] = np.nan
+    assert turn_at(TIME, values, at=0.03, first=0, stop=len(TIME)).of(values) == pytest.approx(3.0)
+
+
+def test_a_short_branch_begins_at_its_first_sample() -> None:
+    turn = turn_at(TIME, UP, at=TIME[10], first=10, stop=60)
+    assert turn.of(UP) == UP[10]
+
+
+BRANCH = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.0, float(TIME[-1]))
+
+
+def unloading(sense: float) -> tuple[UnloadingSlope, Floats, Floats]:
+    """Back from 50 mm, under 300 (d - 10 mm)^2; read from 1 to 10 mm off the turn."""
+    path, force = sense * (0.05 - UP), sense * 300.0 * (0.05 - UP - 0.01) ** 2
+    found = unloading_slope(TIME, path, force, BRANCH, over=0.01, sense=sense)
+    assert isinstance(found, UnloadingSlope), found
+    return found, path, force
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_unloading_is_read_behind_its_turn(sense: float) -> None:
+    """In the middle 5.5 mm off the turn: 2 x 300 x 34.5 mm."""
+    found, path, force = unloading(sense)
+    assert found.turn.of(path) == pytest.approx(sense * 0.05)
+    assert found.of(path, force) == pytest.approx(20.7, rel=1e-3)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_window_of_a_row_follows_its_turn(sense: float) -> None:
+    """A turn seen 0.8 mm further up, to whose window 20.7 + 2 x 300 x 0.8 mm belong."""
+    found, path, force = unloading(sense)
+    weights = 1.016 * found.turn.weights
+    higher = replace(found, turn=replace(found.turn, weights=weights))
+    assert higher.of(path, force) == pytest.approx(20.7 + 0.48, rel=1e-3)
+
+
+def test_a_row_that_is_higher_throughout_is_read_from_the_same_samples() -> None:
+    found, path, force = unloading(1.0)
+    rows = path + np.array([[0.0], [0.003], [-0.02]])
+    np.testing.assert_allclose(found.of(rows, force), found.of(path, force), rtol=1e-9)
+    begun = loading_slope(TIME, UP, taking_up(UP), over=0.005)
+    assert isinstance(begun, LoadingSlope)
+    rows = UP + np.array([[0.0], [0.003], [-0.02]])
+    one = begun.of(UP, taking_up(UP))
+    np.testing.assert_allclose(begun.of(rows, taking_up(UP)), one, rtol=1e-9)
+
+
+def test_the_window_of_a_row_follows_its_take_up() -> None:
+    """80 mN less move the zero of 20 N/m by 4 mm, to where there are 800 x 4 mm more N/m."""
+    begun = loading_slope(TIME, UP, taking_up(UP), over=0.005)
+    assert isinstance(begun, LoadingSlope)
+    one, lower = begun.of(UP, taking_up(UP) - np.array([[0.0], [0.08]]))
+    assert lower - one == pytest.approx(3.2, rel=0.03)
+
+
+def taking_up(path: Floats) -> Floats:
+    """Slack up to 5 mm, then 20 N/m that grow by 0.8 N/m each mm."""
+    beyond = np.maximum(path - 0.005, 0.0)
+    return 20.0 * beyond + 400.0 * beyond**2
+
+
+def test_loading_is_read_behind_the_take_up() -> None:
+    """Of 20 x + 400 x^2 over 5 mm: 20 + 800 x 2.5 mm."""
+    found = loading_slope(TIME, UP, taking_up(UP), over=0.005)
+    assert isinstance(found, LoadingSlope)
+    assert found.take_up.of(UP, taking_up(UP)) == pytest.approx(0.005, abs=2e-4)
+    assert found.of(UP, taking_up(UP)) == pytest.approx(22.0, rel=5e-3)
+    assert isinstance(loading_slope(TIME, UP, -UP, over=0.005), Failure)
+
+
+def test_a_curve_without_noise_takes_zero_from_the_one_measured() -> None:
+    noisy = taking_up(UP) + np.random.default_rng(3).normal(0, 2e-3, len(UP))
+    measured = loading_slope(TIME, UP, noisy, over=0.005)
+    assert isinstance(measured, LoadingSlope)
+    again = loading_slope(TIME, UP, taking_up(UP), over=0.005, like=measured)
+    assert isinstance(again, LoadingSlope)
+    assert again.take_up.limit == measured.take_up.limit > 0.0
+    assert again.take_up.sample == pytest.approx(measured.take_up.sample, abs=8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_loading_of_replicates_is_off_as_tests_are(kind: str) -> None:
+    """They scatter as much, and are off as much on average, for what noise hides of the foot."""
+    time, over = np.arange(0.0, 20.0, 0.01), 0.005
+    up, shape = 1e-3 * time, (200, len(time))
+    force = 40.0 * np.minimum(np.maximum(up - 0.005, 0.0), 0.002) + taking_up(up)
+    path = up + noise_rows(kind, 2e-5, shape, seed=1)
+    forces = force + noise_rows(kind, 2e-3, shape, seed=2)
+    alone = [loading_slope(time, d, f, over=over) for d, f in zip(path, forces, strict=True)]
+    tests = [
+        float(each.of(d, f))
+        for each, d, f in zip(alone, path, forces, strict=True)
+        if isinstance(each, LoadingSlope)
+    ]
+    assert len(tests) == 200
+    measured = alone[-1]
+    assert isinstance(measured, LoadingSlope)
+    smooth = loading_slope(time, up, force, over=over, like=measured)
+    assert isinstance(smooth, LoadingSlope)
+    off = smooth.of_each(
+        up + noise_rows(kind, 2e-5, shape, seed=3), force + noise_rows(kind, 2e-3, shape, seed=4)
+    ) - float(smooth.of(up, force))
+    x = np.linspace(0.0, over, 5001)
+    lever = x - x.mean()
+    true = lever @ (40.0 * np.minimum(x, 0.002) + 20.0 * x + 400.0 * x**2) / (lever @ x)
+    assert np.std(off) == pytest.approx(np.std(tests), rel=0.25)
+    assert np.mean(off) == pytest.approx(np.mean(tests) - true, abs=0.35 * float(np.std(tests)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_unloading_of_replicates_scatters_as_tests_do(kind: str) -> None:
+    shape = (200, len(UP))
+    path = 0.05 - UP + noise_rows(kind, 2e-5, shape, seed=3)
+    force = 300.0 * (0.05 - UP) ** 2 + noise_rows(kind, 5e-3, shape, seed=4)
+
+    def decide(d: Floats, f: Floats) -> Number:
+        found = unloading_slope(TIME, d, f, BRANCH, over=0.01, sense=1.0)
+        assert isinstance(found, UnloadingSlope)
+        return found.of
+
+    tests, replicates = spreads(decide, path, force)
+    assert replicates == pytest.approx(tests, rel=0.2)
+
+
+def test_samples_at_rest_in_the_window_are_counted() -> None:
+    """100 of 200 samples wait where the force takes up; without them two in a hundred are there."""
+    path = np.concatenate(
+        [np.zeros(100), np.linspace(0.0, 0.005, 100, endpoint=False), [0.006] * 9]
+    )
+    time = np.arange(0.0, float(len(path)))
+    for first, share in ((0, 0.51), (100, 0.02)):
+        part = slice(first, None)
+        slope = window_slope(time[part], path[part], path[part], path[part], low=0.0, high=0.00495)
+        assert isinstance(slope, WindowSlope)
+        taut = take_up(UP, taking_up(UP))
+        assert isinstance(taut, TakeUp)
+        found = LoadingSlope(taut, first, slope, 0.0)
+        assert found.share_at_rest == pytest.approx(share, abs=0.03)
+
+
+@pytest.mark.parametrize("count", [9, 10, 11, 12])
+def test_a_branch_of_fewer_samples_than_the_path_is_averaged_over(count: int) -> None:
+    path = np.arange(float(count))
+    found = window_slope(path, path, 2.0 * path, path, low=0.0, high=count - 1.5)
+    assert not isinstance(found, Failure)
+    assert float(found.of(path, 2.0 * path)) == pytest.approx(2.0)
+
+
+def test_between_samples_the_window_begins_with_the_motion() -> None:
+    """Six samples at rest under 2 mN, which are beyond the noise, lie in the window by samples.
+
+    The line through the foot is zero 53 um before the motion, a sample at this speed. From there
+    over 5 mm the force rises by 52.66 N/m: 60 - 2 x 1500 x 2.447e-3, in the middle.
+    """
+    way = 1e-3 * np.maximum(np.arange(400.0) * 0.05 - 0.301, 0.0)
+    force = 60.0 * way - 1.5e3 * way**2
+    force += np.where(way > 0.0, 0.0, 2e-3) * (np.arange(400) > 0)
+    time = 0.05 * np.arange(400.0)
+    found = loading_slope(time, way, force, over=0.005)
+    assert isinstance(found, LoadingSlope)
+    assert found.first == 1
+    assert float(found.of(way, force)) > 52.8
+    at = np.arange(16 * 399 + 1) / 16.0
+    fine = [np.interp(at, np.arange(400), each) for each in (time, way, force)]
+    between = loading_slope(*fine, over=0.005, like=found, steps=16)
+    assert isinstance(between, LoadingSlope)
+    assert between.first / 16 == pytest.approx(6.02 - 1.06, abs=0.1)
+    assert float(between.of(*fine[1:])) == pytest.approx(52.66, abs=0.06)
+
+
+@pytest.mark.parametrize(("support", "divisor"), [("cantilever", 3.0), ("three-point", 48.0)])
+def test_textbook(support: str, divisor: float) -> None:
+    """A beam of known EI: K = divisor x EI / L^3."""
+    bending, length = 0.12, 0.1143
+    stiffness = divisor * bending / length**3
+    assert stiffness * beam_factor(length, support) == pytest.approx(bending, rel=1e-12)
+
+
+def test_wrong_words_and_lengths() -> None:
+    with pytest.raises(ValueError, match="a support out of cantilever, three-point, found 'wall'"):
+        beam_factor(0.1, "wall")
+    with pytest.raises(ValueError, match=r"expected a length above 0, found length=0.0"):
+        beam_factor(0.0, "cantilever")
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+@pytest.mark.parametrize("radius", [0.0, 0.005])
+def test_small_deflections_are_those_of_a_straight_beam(radius: float, friction: float) -> None:
+    rollers = Rollers(0.1, radius, friction)
+    assert stiffness_ratio(rollers, low=0.0, high=1e-5) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_knife_edges_soften_rollers_and_friction_stiffen() -> None:
+    ratios = [
+        stiffness_ratio(rollers, low=0.002, high=0.02)
+        for rollers in (Rollers(0.1524), Rollers(0.1524, 0.012), Rollers(0.1524, 0.012, 0.2))
+    ]
+    assert not any(isinstance(each, Failure) for each in ratios)
+    knife, round_, rough = (float(each) for each in ratios if not isinstance(each, Failure))
+    assert knife < 1.0
+    assert knife < round_ < rough
+
+
+def test_the_load_on_knife_edges_has_a_largest_value() -> None:
+    """Beyond it the beam slips through between the supports under a dead load."""
+    deflection, load = path_of_load(Rollers(1.0))
+    top = int(np.argmax(load))
+    assert deflection[top] == pytest.approx(0.238, abs=2e-3)
+    assert load[top] == pytest.approx(6.672, abs=2e-3)
+    assert (np.diff(deflection) > 0.0).all()
+
+
+def test_beyond_what_an_elastic_beam_can_do() -> None:
+    found = stiffness_ratio(Rollers(0.1), low=0.0, high=0.2)
+    assert isinstance(found, Failure)
+    assert found.code == "beyond_elastica"
+    assert found.message == (
+        "an elastic beam on this span slips through at 61.76 mm, the stiffness goes up to 200 mm"
+    )
+
+
+def test_a_stretch_in_which_geometry_decides() -> None:
+    found = stiffness_ratio(Rollers(0.1), low=0.01, high=0.03)
+    assert isinstance(found, Failure)
+    assert found.code == "beyond_elastica"
+    assert found.message.startswith("from 10 mm to 30 mm the load on an elastic beam rises 0.2")
+    assert found.message.endswith(" times as fast as at first, 0.5 is the least that is corrected")
+
+
+def test_areas() -> None:
+    assert rectangle_area(0.01879, 0.28e-3) == pytest.approx(5.2612e-6)
+    assert annulus_area(0.0141, 0.0107) == pytest.approx(np.pi * 0.0062 * 2 * 0.0017)
+    assert thin_wall_area(0.0141, 0.00027) == pytest.approx(np.pi * 0.01383 * 0.00027)
+
+
+F = np.linspace(0.0, 1000.0, 201)
+
+
+D = 1e-4 * (1.0 - np.exp(-F / 30.0)) + 2e-7 * F
+
+
+def test_slope_over_the_window() -> None:
+    window = compliance_window(D, F, start=300.0, stop=900.0)
+    assert not isinstance(window, Failure)
+    assert slope_of_line(F[window], D[window]) == pytest.approx(2e-7, rel=1e-3)
+    assert len(F[window]) == 121
+
+
+def test_missing_samples_are_left_out() -> None:
+    holes = D.copy()
+    holes[100] = np.nan
+    window = compliance_window(holes, F, start=300.0, stop=900.0)
+    assert isinstance(window, np.ndarray)
+    assert window.tolist() == [each for each in range(60, 181) if each != 100]
+
+
+def test_says_why_not() -> None:
+    assert compliance_window(D, F, start=300.0, stop=2000.0) == Failure(
+        "not_reached", "the force reaches 1000 N, the window ends at 2000 N"
+    )
+    assert compliance_window(D[:0], F[:0], start=1.0, stop=2.0) == Failure(
+        "not_reached", "the force reaches 0 N, the window ends at 2 N"
+    )
+    few = compliance_window(D[::50], F[::50], start=300.0, stop=900.0)
+    assert few == Failure("too_few_samples", "3 samples in the stretch, 8 are needed")
+    flat = compliance_window(np.linspace(0.0, 1.0, 20), np.ones(20), start=0.5, stop=1.0)
+    assert isinstance(flat, Failure)
+    assert flat.code == "too_few_samples"
+
+
+def test_correction_takes_the_machine_off() -> None:
+    force = np.array([0.0, 100.0, np.nan])
+    corrected = correct_displacement(np.array([0.0, 1e-3, 2e-3]), force, compliance=1e-6)
+    assert corrected[:2] == pytest.approx([0.0, 0.9e-3])
+    assert np.isnan(corrected[2])
+
+
+def test_compliance_of_many_rows() -> None:
+    """Steps of 5 N: 300 N are in sample 60, 900 N in 180."""
+    window = compliance_window(D, F, start=300.0, stop=900.0)
+    assert window == slice(60, 181)
+    straight = 2e-7 * F
+    rows = slope_of_line(F[window], np.array([straight, 3.0 * straight + 1e-4])[:, window])
+    np.testing.assert_allclose(rows, [2e-7, 6e-7])
+    held = compliance_window(D, np.repeat([0.0, 500.0], [100, 101]), start=400.0, stop=450.0)
+    assert isinstance(held, Failure)
+    assert held.code == "too_few_samples"
+
+
+def test_slope_by_hand() -> None:
+    """Levers -1, 0, 1: (6 - 1) / 2."""
+    x, y = np.array([4.0, 5.0, 6.0]), np.array([1.0, 2.0, 6.0])
+    assert slope_of_line(x, y) == pytest.approx(2.5)
+    assert slope_of_line(x + 1e3, y - 7.0) == pytest.approx(2.5)
+
+
+def test_every_row_has_its_own_line() -> None:
+    x = np.array([[0.0, 1.0, 2.0], [0.0, 2.0, 4.0]])
+    y = np.array([[1.0, 2.0, 6.0], [1.0, 2.0, 6.0]])
+    np.testing.assert_allclose(slope_of_line(x, y), [2.5, 1.25])
+    np.testing.assert_allclose(slope_of_line(x, y[0]), [2.5, 1.25])
+    np.testing.assert_allclose(slope_of_line(x[0], y[np.newaxis]), [[2.5, 2.5]])
+    # means 1 and 3 of x and y: 1 - 3 / 2.5, and 2 - 3 / 1.25
+    np.testing.assert_allclose(zero_of_line(x, y), [-0.2, -0.4])
+
+
+def test_no_travel_and_no_rise_are_no_number() -> None:
+    x, y = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 2.0]]), np.array([3.0, 2.0, 1.0])
+    np.testing.assert_array_equal(slope_of_line(x, y), [np.nan, -1.0])
+    assert np.isnan(zero_of_line(x, y)).all()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_weights_give_the_polynomial_of_numpy(degree: int) -> None:
+    rng = np.random.default_rng(degree)
+    x, rows = np.sort(rng.uniform(-0.3, 1.1, 40)), rng.normal(size=(3, 40))
+    expected = np.polynomial.polynomial.polyfit(x, rows.T, degree)
+    np.testing.assert_allclose(polynomial_weights(x, degree=degree) @ rows.T, expected, rtol=1e-9)

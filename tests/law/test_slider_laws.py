@@ -1,0 +1,450 @@
+from __future__ import annotations
+
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+
+from labpipe.law.plays import respond, virgin_plays
+from labpipe.law.slider_directions import TURNS, in_directions, turned
+from labpipe.law.sliders import (
+    SliderLaw,
+    as_plays,
+    fit_sliders,
+    linear_moment_law,
+    slide,
+    slide_vector,
+    slider_moment,
+    slip_moments,
+    virgin_rests,
+)
+from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
+from labpipe.law.thinning import thin
+from labpipe.records.arrays import Floats
+from tests.builders.wire_tables import wire_table
+
+LAW = SliderLaw(2.0, np.array([6.0, 3.0, 1.0]), np.array([0.5, 2.0, 4.0]), 0.1, 10.0)
+
+
+CURVATURE = np.linspace(0.0, 10.0, 401)
+
+
+def root(curvature: Floats) -> Floats:
+    """A smooth concave law."""
+    return 1e-3 * ((1.0 + curvature) ** 0.4 - 1.0 + 0.1 * curvature)
+
+
+def test_first_loading_by_hand() -> None:
+    bent = np.array([0.25, 1.0, 3.0, 5.0, -1.0])
+    by_hand = [
+        0.25 * 12.0,
+        2.0 + 3.0 + 3.0 + 1.0,
+        6.0 + 3.0 + 6.0 + 3.0,
+        10.0 + 3.0 + 6.0 + 4.0,
+        -9.0,
+    ]
+    assert slider_moment(LAW, bent) == pytest.approx(by_hand)
+    assert LAW.first_stiffness == 12.0
+    assert slip_moments(LAW).tolist() == [3.0, 6.0, 4.0]
+
+
+def test_a_loop_by_hand() -> None:
+    """To 3 1/m and back: everything holds at first, the first slider lets go after 1 1/m."""
+    top = slide(LAW, np.array([3.0]), virgin_rests(LAW, 1))
+    assert top.moment == pytest.approx(18.0)
+    assert top.stiffness == pytest.approx(3.0)
+    back = slide(LAW, np.array([2.5]), top.rests)
+    assert back.moment == pytest.approx(18.0 - 0.5 * 12.0)
+    assert back.stiffness == pytest.approx(12.0)
+    further = slide(LAW, np.array([1.0]), back.rests)
+    assert further.moment == pytest.approx(18.0 - 2.0 * 2.0 - 1.0 * 6.0 - 2.0 * 3.0 - 2.0 * 1.0)
+    again = slide(LAW, np.array([3.0]), further.rests)
+    assert again.moment == pytest.approx(18.0)  # loops close
+
+
+@settings(max_examples=30, deadline=None)
+@given(turns=st.lists(st.floats(-9.0, 9.0), min_size=2, max_size=6))
+def test_masing_against_plays(turns: list[float]) -> None:
+    """The dual form: what the sliders answer bends the plays by what bent the sliders."""
+    plays = as_plays(LAW)
+    rests, history = virgin_rests(LAW, 1), virgin_plays(plays, 1)
+    for turn in turns:
+        found = slide(LAW, np.array([turn]), rests)
+        answer = respond(plays, found.moment, history)
+        assert answer.curvature == pytest.approx(turn, abs=1e-9)
+        rests, history = found.rests, answer.plays
+
+
+def test_work_over_a_loop_is_lost_by_the_sliders() -> None:
+    """Each slider that is pulled through loses 4 K kappa_j (kappa_max - kappa_j)."""
+    path = 3.0 * np.sin(np.linspace(0.5 * np.pi, 2.5 * np.pi, 20001))
+    rests = slide(LAW, np.array([3.0]), virgin_rests(LAW, 1)).rests
+    moments = []
+    for bent in path:
+        found = slide(LAW, np.array([bent]), rests)
+        rests = found.rests
+        moments.append(float(found.moment[0]))
+    lost = sum(4.0 * k * y * max(3.0 - y, 0.0) for k, y in ((6.0, 0.5), (3.0, 2.0), (1.0, 4.0)))
+    assert np.trapezoid(moments, path) == pytest.approx(lost, rel=1e-4)
+
+
+@settings(max_examples=20, deadline=None)
+@given(turn=st.floats(-np.pi, np.pi), turns=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=4))
+def test_vector_sliders_in_a_plane_are_plain_ones(turn: float, turns: list[float]) -> None:
+    towards = np.array([np.cos(turn), np.sin(turn)])
+    plain, vector = virgin_rests(LAW, 1), virgin_rests(LAW, 1, is_vector=True)
+    for bent in turns:
+        one = slide(LAW, np.array([bent]), plain)
+        two = slide_vector(LAW, bent * towards[None], vector)
+        assert two.moment[0] == pytest.approx(one.moment[0] * towards, abs=1e-9)
+        plain, vector = one.rests, two.rests
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_tangent_against_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rests = slide_vector(LAW, rng.normal(scale=3.0, size=(1, 2)), np.zeros((1, 3, 2))).rests
+    bent = rng.normal(scale=3.0, size=(1, 2))
+    found = slide_vector(LAW, bent, rests).stiffness[0]
+    step = 1e-6
+    for axis in range(2):
+        off = step * np.eye(2)[axis]
+        up, down = (slide_vector(LAW, bent + way * off, rests).moment[0] for way in (1.0, -1.0))
+        assert found[:, axis] == pytest.approx((up - down) / (2.0 * step), abs=2e-5)
+    assert found == pytest.approx(found.T)
+    assert np.all(np.linalg.eigvalsh(found) >= LAW.stiffness - 1e-12)
+
+
+def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
+    angle = np.linspace(0.0, 4.0 * np.pi, 4001)
+    path = np.column_stack([3.0 * np.cos(angle), 3.0 * np.sin(angle)])
+    rests = slide_vector(LAW, path[:1], virgin_rests(LAW, 1, is_vector=True)).rests
+    moments = []
+    for bent in path:
+        found = slide_vector(LAW, bent[None], rests)
+        rests = found.rests
+        moments.append(found.moment[0])
+    steps = np.diff(path, axis=0)
+    work = np.cumsum(np.sum(0.5 * (np.array(moments)[1:] + np.array(moments)[:-1]) * steps, axis=1))
+    second = work[-1] - work[len(work) // 2 - 1]
+    # On a circle of radius r a slider follows all along at the distance kappa_j, on a circle of
+    # radius sqrt(r^2 - kappa_j^2), and loses K kappa_j times its way.
+    lost = sum(2.0 * np.pi * k * y * np.sqrt(9.0 - y**2) for k, y in ((6.0, 0.5), (3.0, 2.0)))
+    assert second == pytest.approx(lost, rel=2e-3)
+
+
+@pytest.mark.parametrize("number", [4, 8, 12])
+def test_errors_of_a_smooth_law(number: int) -> None:
+    law = fit_sliders(CURVATURE, root(CURVATURE), number, first=0.1)
+    fine = np.linspace(0.1, 10.0, 5000)
+    off = slider_moment(law, fine) / np.interp(fine, CURVATURE, root(CURVATURE)) - 1.0
+    assert np.max(np.abs(off)) == pytest.approx(law.error, rel=1e-3)
+    assert len(law.stiffnesses) == number
+    assert off.max() == pytest.approx(-off.min(), rel=1e-3)  # as much above as below
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "most"), [(4, 0.03), (8, 0.008), (12, 0.004)])
+@pytest.mark.parametrize("name", ["A2", "A3", "C5"])
+def test_example_wires_against_least_squares_on_a_grid(name: str, number: int, most: float) -> None:
+    """Non-negative least squares with as many sliders as it likes, thinned to as many as here."""
+    table = wire_table(name)
+    law = fit_sliders(table.curvature, table.moment, number)
+    assert law.error < most
+    x, y = table.curvature[1:], table.moment[1:]
+    grid = np.geomspace(x[0], x[-1], 200)[:-1]
+    for _ in range(200):
+        columns = np.column_stack([x, np.minimum(x[:, None], grid)]) / y[:, None]
+        found = nnls(columns, np.ones(len(x)))[0]
+        used = found[1:] > 0.0
+        if used.all() and len(grid) <= number:
+            break
+        grid = grid[used] if not used.all() else np.delete(grid, np.argmin(found[1:] * grid))
+    off = float(np.max(np.abs(columns @ found - 1.0)))
+    assert law.error < off
+
+
+def test_a_law_with_fewer_corners_is_met() -> None:
+    x = np.array([0.0, 1.0, 3.0, 10.0])
+    law = fit_sliders(x, np.array([0.0, 3.0, 5.0, 6.0]), 8)
+    assert len(law.stiffnesses) == 2
+    assert law.error < 1e-12
+    assert law.slip_curvatures.tolist() == [1.0, 3.0]
+
+
+def test_a_constant_stiffness_has_no_sliders() -> None:
+    law = linear_moment_law(0.5, 10.0)
+    assert slider_moment(law, np.array([2.0])).tolist() == [1.0]
+    found = slide(law, np.array([2.0]), virgin_rests(law, 1))
+    assert (found.moment.tolist(), found.stiffness.tolist()) == ([1.0], [0.5])
+    answer = respond(as_plays(law), np.array([1.0]), virgin_plays(as_plays(law), 1))
+    assert answer.curvature == pytest.approx(2.0)
+
+
+def test_a_law_that_softens_or_stiffens() -> None:
+    x = np.linspace(0.0, 10.0, 11)
+    with pytest.raises(ValueError, match=r"^the law softens before curvature=7 1/m: allowed is a"):
+        fit_sliders(x, np.where(x > 6.0, 5.0, x), 4)
+    with pytest.raises(
+        ValueError,
+        match=r"^the law stiffens at curvature=1 1/m: a law that never does is 9e\+02 % above it, "
+        r"allowed is 1 %$",
+    ):
+        fit_sliders(x, x**2, 4)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "said"),
+    [
+        (5.0, 5.0, r"^first=5\.0, last=5\.0: allowed is a range of curvatures above zero$"),
+        (0.1, 20.0, r"^last=20 1/m: the law ends at 10 1/m$"),
+        (0.1, np.nan, r"allowed is a range of curvatures above zero$"),
+    ],
+)
+def test_a_range_of_zero_or_beyond_the_law(first: float, last: float, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        fit_sliders(CURVATURE, root(CURVATURE), 4, first=first, last=last)
+
+
+def test_fewer_sliders_than_the_loss_allows() -> None:
+    table = wire_table("A2")
+    with pytest.raises(
+        ValueError,
+        match=r"^4 sliders lose 1\.\d+ % of the moment, allowed is 0\.5 %: 9 are enough$",
+    ):
+        fit_sliders(table.curvature, table.moment, 4, allowed=0.005)
+    assert fit_sliders(table.curvature, table.moment, 9, allowed=0.005).error <= 0.005
+    with pytest.raises(ValueError, match=r"allowed is 0\.0001 %: 64 are not enough$"):
+        fit_sliders(table.curvature, table.moment, 4, allowed=1e-6)
+
+
+@pytest.mark.parametrize("number", [0, 65])
+def test_number_of_sliders(number: int) -> None:
+    with pytest.raises(ValueError, match=rf"^n_sliders={number}: allowed are numbers from 1 to 64"):
+        fit_sliders(CURVATURE, root(CURVATURE), number)
+
+
+def test_points_that_do_not_fit_together() -> None:
+    with pytest.raises(ValueError, match=r"^3 curvatures and 2 moments: allowed are as many of"):
+        fit_sliders(np.arange(3.0), np.arange(2.0), 4)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ((-1.0, [1.0], [1.0]), r"^stiffness=-1\.0: allowed are finite numbers >= 0$"),
+        ((1.0, [0.0], [1.0]), r"^stiffnesses=\[0\.0\]: allowed are finite numbers > 0$"),
+        ((1.0, [1.0, 1.0], [2.0, 1.0]), r"^slip_curvatures=\[2\.0, 1\.0\]: allowed are positive"),
+    ],
+)
+def test_sliders_that_cannot_be(numbers: tuple[float, list[float], list[float]], said: str) -> None:
+    stiffness, stiffnesses, slips = numbers
+    with pytest.raises(ValueError, match=said):
+        SliderLaw(stiffness, np.array(stiffnesses), np.array(slips), 0.1, 10.0)
+
+
+@pytest.mark.parametrize("directions", [2, 3, 4, 6])
+def test_a_spring_is_alike_in_every_direction(directions: int) -> None:
+    found = in_directions(SliderLaw(0.5, np.zeros(0), np.zeros(0), 0.1, 10.0), directions)
+    assert found.error < 1e-12
+    assert found.sideways < 1e-12
+    assert found.stiffness == pytest.approx(2.0 * 0.5 / directions)
+
+
+def test_one_slider_that_slides_all_along() -> None:
+    """Four directions: the moment of sliders that all slide goes from 0.98 to 1.05 of the mean."""
+    law = SliderLaw(0.0, np.array([1.0]), np.array([1.0]), 50.0, 100.0)
+    found = in_directions(law, 4)
+    assert found.error == pytest.approx(0.05, abs=0.02)
+    moments = found.stiffnesses * found.slip_curvatures
+    assert moments.sum() == pytest.approx(np.pi / 8.0, rel=0.03)  # pi K kappa_j / 2 D
+
+
+@pytest.mark.parametrize("name", ["A2", "C5"])
+def test_errors_by_the_sliders_themselves(name: str) -> None:
+    """Each direction by the planar sliders, some curvatures and angles; no more than is stated."""
+    table = wire_table(name)
+    law = fit_sliders(table.curvature, table.moment, 8)
+    found = in_directions(law, 4)
+    assert len(found.stiffnesses) <= 16
+    assert found.error < 0.06
+    one = SliderLaw(found.stiffness, found.stiffnesses, found.slip_curvatures, 0.1, 10.0)
+    for angle in (0.0, 0.2, np.pi / 8.0, 1.0):
+        towards = np.array([np.cos(angle), np.sin(angle)])
+        for size in (0.2, 3.0, 40.0):
+            bent = size * found.normals @ towards
+            held = slide(one, bent, np.zeros((4, len(one.stiffnesses)))).moment
+            moment = held @ found.normals
+            wanted = slider_moment(law, np.array([size]))[0]
+            assert moment @ towards == pytest.approx(wanted, rel=1.05 * found.error)
+            aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
+            assert aside <= 1.05 * found.sideways * wanted
+
+
+def test_more_directions_lose_less() -> None:
+    table = wire_table("A2")
+    law = fit_sliders(table.curvature, table.moment, 8, first=0.1, last=10.0)
+    errors = [in_directions(law, number).error for number in (2, 3, 4, 6)]
+    assert errors == sorted(errors, reverse=True)
+    assert len(in_directions(law, 4, most=5).stiffnesses) <= 5
+
+
+@pytest.mark.parametrize("name", ["A2", "C5"])
+def test_nodes_that_are_turned_are_more_alike_together(name: str) -> None:
+    """The mean of four nodes, each by its own sliders: within what is stated, closer than one."""
+    table = wire_table(name)
+    law = fit_sliders(table.curvature, table.moment, 8)
+    alone = in_directions(law, 4)
+    together = turned(law, alone)
+    assert together.directions == 16
+    assert together.sideways < 0.2 * alone.sideways
+    assert together.error < alone.error
+    one = SliderLaw(alone.stiffness, alone.stiffnesses, alone.slip_curvatures, 0.1, 10.0)
+    for angle in np.linspace(0.0, 1.5, 7):
+        towards = np.array([np.cos(angle), np.sin(angle)])
+        moment = np.zeros(2)
+        for share in TURNS:
+            normals = alone.turned_normals(share)
+            held = slide(one, 5.0 * normals @ towards, np.zeros((4, len(one.stiffnesses))))
+            moment += held.moment @ normals / len(TURNS)
+        wanted = slider_moment(law, np.array([5.0]))[0]
+        assert moment @ towards == pytest.approx(wanted, rel=1.05 * together.error)
+        aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
+        assert aside <= 1.1 * together.sideways * wanted + 1e-12
+
+
+def test_numbers_that_are_too_small() -> None:
+    law = linear_moment_law(1.0, 10.0)
+    with pytest.raises(ValueError, match=r"^directions=1: allowed are numbers >= 2$"):
+        in_directions(law, 1)
+    with pytest.raises(ValueError, match=r"^most=0: allowed are numbers >= 1$"):
+        in_directions(law, 2, most=0)
+
+
+def test_sliders_follow_the_table_and_their_card_says_how_well() -> None:
+    table = wire_table("A2")
+    law, bent = sliders_of(table), table.curvature[1:]
+    off = np.abs(slider_moment(law, bent) / table.moment[1:] - 1.0)
+    assert len(law.stiffnesses) == SLIDERS
+    assert float(off.max()) == pytest.approx(dict(table_card(table).sliders)[SLIDERS], rel=1e-6)
+    assert len(sliders_of(table, 4).stiffnesses) == 4
+    assert sliders_of(table) is sliders_of(table, sliders=SLIDERS)  # fitted once
+
+
+ROUNDING = 1e-12
+
+
+def worst(x: Floats, y: Floats, curvature: Floats, moment: Floats, between: int = 7) -> float:
+    """Largest relative distance of two polygons, looked for also between the points."""
+    fine = np.concatenate([np.linspace(a, b, between) for a, b in pairwise(curvature)])
+    law = np.interp(fine, curvature, moment)
+    lines = np.interp(fine, x, y)
+    return float(np.max(np.abs(lines - law)[law > 0.0] / law[law > 0.0]))
+
+
+def by_trying_all(curvature: Floats, moment: Floats, most: int) -> float:
+    inner = range(1, len(curvature) - 1)
+    choices = (
+        [0, *some, len(curvature) - 1]
+        for count in range(most - 1)
+        for some in combinations(inner, count)
+    )
+    return min(worst(curvature[c], moment[c], curvature, moment, 2) for c in choices)
+
+
+def concave(count: int, seed: int) -> tuple[Floats, Floats]:
+    rng = np.random.default_rng(seed)
+    slopes = np.sort(rng.uniform(0.05, 1.0, count - 1))[::-1]
+    steps = 10.0 ** rng.uniform(-2.0, 0.5, count - 1)
+    x = np.concatenate([[0.0], np.cumsum(steps)])
+    return x, np.concatenate([[0.0], np.cumsum(slopes * steps)])
+
+
+positive = st.floats(1e-3, 1e3)
+
+
+laws = st.lists(st.tuples(positive, positive), min_size=1, max_size=40).map(
+    lambda steps: (
+        np.concatenate([[0.0], np.cumsum([across for across, _ in steps])]),
+        np.concatenate([[0.0], np.cumsum([up for _, up in steps])]),
+    )
+)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("most", [2, 3, 4, 6])
+def test_no_other_choice_has_a_smaller_error(seed: int, most: int) -> None:
+    curvature, moment = concave(9, seed)
+    thinned = thin(curvature, moment, most=most)
+    assert len(thinned.curvature) <= most
+    # the search stops at a millionth of the error
+    assert thinned.error == pytest.approx(by_trying_all(curvature, moment, most), rel=2e-6)
+
+
+@given(law=laws, most=st.integers(2, 25))
+def test_the_stated_error_is_true_and_slopes_fall(law: tuple[Floats, Floats], most: int) -> None:
+    curvature, moment = law
+    thinned = thin(curvature, moment, most=most)
+    x, y = thinned.curvature, thinned.moment
+    assert 2 <= len(x) <= most
+    assert (x[0], y[0], x[-1], y[-1]) == (0.0, 0.0, curvature[-1], moment[-1])
+    assert set(zip(x, y, strict=True)) <= set(zip(curvature, moment, strict=True))
+    slopes = np.diff(y) / np.diff(x)
+    assert np.all(slopes[1:] < slopes[:-1])
+    assert np.all(slopes[1:] < slopes[0])
+    assert worst(x, y, curvature, moment) == pytest.approx(thinned.error, rel=1e-9, abs=ROUNDING)
+
+
+def test_more_points_never_lose() -> None:
+    table = wire_table("A3")
+    errors = [thin(table.curvature, table.moment, most=most).error for most in range(2, 40)]
+    assert np.all(np.diff(errors) <= 0.0)
+
+
+def test_a_law_of_few_corners_stays_as_it_is() -> None:
+    curvature, moment = concave(6, 1)
+    thinned = thin(curvature, moment, most=6)
+    assert thinned.error == 0.0
+    assert np.array_equal(thinned.curvature, curvature)
+    assert np.array_equal(thinned.moment, moment)
+
+
+def test_points_on_a_straight_line_are_not_needed() -> None:
+    curvature = np.linspace(0.0, 1.0, 50)
+    thinned = thin(curvature, 3e-3 * curvature, most=20)
+    assert thinned.curvature.tolist() == [0.0, 1.0]
+    assert thinned.error < 1e-14
+
+
+def test_twenty_points_hold_a_wire_within_a_quarter_of_a_per_cent() -> None:
+    for name in ("A1", "A2", "A3", "C5"):
+        table = wire_table(name)
+        assert thin(table.curvature, table.moment, most=21).error < 0.0025
+
+
+def test_what_a_law_that_stiffens_loses_is_stated() -> None:
+    curvature, moment = np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 3.0])
+    thinned = thin(curvature, moment, most=3)
+    assert thinned.curvature.tolist() == [0.0, 2.0]
+    assert thinned.error == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("curvature", "moment", "most", "message"),
+    [
+        ([0.0, 1.0], [0.0, 1.0], 1, r"most=1: allowed are numbers of points >= 2"),
+        ([0.0], [0.0], 2, r"1 curvatures and 1 moments: .* at least 2"),
+        ([0.0, 1.0], [0.0], 2, r"2 curvatures and 1 moments"),
+        ([0.0, np.nan], [0.0, 1.0], 2, r"point 2 of the law is not finite"),
+        ([1.0, 2.0], [1.0, 2.0], 2, r"does not go from zero"),
+        ([0.0, 2.0, 1.0], [0.0, 1.0, 2.0], 2, r"does not go from zero"),
+        ([0.0, 1.0, 2.5], [0.0, 1.0, 0.9], 2, r"softens before curvature=2\.5 1/m"),
+    ],
+)
+def test_refused(curvature: list[float], moment: list[float], most: int, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        thin(np.array(curvature), np.array(moment), most=most)

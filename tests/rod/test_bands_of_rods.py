@@ -1,0 +1,241 @@
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import stdtrit
+
+from labpipe.law.sliders import SliderLaw
+from labpipe.records.wire_calibration import Calibration
+from labpipe.rod.bands import bands_of, bent
+from labpipe.rod.beliefs import Belief, calibrated_beliefs, joined, known
+from labpipe.rod.boundaries import Gravity, Held, Load
+from labpipe.rod.line import Line, Section
+from labpipe.rod.path import RodPath
+from labpipe.rod.statics import follow
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.calibration.scatter_mixture import quantiles
+from labpipe.wire.law_family import LAW_FACTOR
+from tests.builders.loading_tests import measured, wire_of
+from tests.builders.rods import straight_line
+
+LENGTH, NODES, STEPS = 0.2, 10, 6
+
+
+LAW = SliderLaw(2e-4, np.array([3e-4, 2e-4]), np.array([1.0, 4.0]), 0.0, 50.0)
+
+
+BELIEF = joined(
+    [
+        known("law_factor", 0.08, draws=2048),
+        known("length_factor", 0.01, draws=2048),
+        known("free_curvature", 0.3, draws=2048, seed=4),
+    ]
+)
+
+
+def pushed(inputs: Mapping[str, float]) -> RodPath:
+    """A cantilever under its weight, loaded at its end and unloaded again."""
+    factor = float(np.exp(inputs.get("law_factor", 0.0)))
+    law = replace(LAW, stiffness=factor * LAW.stiffness, stiffnesses=factor * LAW.stiffnesses)
+    section = Section(law, 3e-4, mass_per_length=0.006)
+    length = LENGTH * float(np.exp(inputs.get("length_factor", 0.0)))
+    line = straight_line(length, NODES, section)
+    natural = np.tile([0.0, inputs.get("free_curvature", 0.0), 0.0], (NODES - 1, 1))
+    line = Line(line.lengths, section, line.positions, line.frames, natural)
+    share = np.interp(np.arange(STEPS + 1), [0, 4, STEPS], [0.0, 1.0, 0.0])
+    force = share[:, None] * np.array([0.0, 0.0, -0.025])
+    held = Held(0, np.zeros(3), line.frames[0])
+    return follow(line, (held, Load(-1, force), Gravity()), steps=STEPS)
+
+
+def solved(belief: Belief, count: int) -> list[RodPath]:
+    return [pushed(belief.inputs(amounts)) for amounts in belief.amounts[:count]]
+
+
+@pytest.mark.slow
+def test_bands_hold_as_many_draws_as_they_say() -> None:
+    bands = bands_of(pushed, [BELIEF], at=(4, -1))
+    assert bands is not None
+    assert not bands.notes
+    held, free = bands.states
+    paths = solved(BELIEF, 40)
+    tips = np.array([path.states[4].positions[-1, 2] for path in paths])
+    inside = (tips > held.positions.lower[-1, 2]) & (tips < held.positions.upper[-1, 2])
+    assert inside.mean() >= 0.85
+    most = np.array([np.linalg.norm(bent(path.states[4]), axis=-1).max() for path in paths])
+    radius = held.smallest_bend_radius
+    assert np.mean((1.0 / most > radius.lower) & (1.0 / most < radius.upper)) >= 0.85
+    assert radius.value == pytest.approx(1.0 / held.curvature.value.max())
+    back = np.array([path.last.positions[-1, 2] for path in paths])
+    width = free.positions.upper[-1, 2] - free.positions.lower[-1, 2]
+    assert width == pytest.approx(np.ptp(np.quantile(back, [0.025, 0.975])), rel=0.3)
+
+
+def test_shares_are_of_the_causes() -> None:
+    bands = bands_of(pushed, [BELIEF])
+    assert bands is not None
+    shares = bands.states[0].shares["positions"]
+    assert set(shares) == {"law_factor", "length_factor", "free_curvature"}
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["free_curvature"] > shares["length_factor"]
+
+
+def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
+    def stiffer(inputs: Mapping[str, float]) -> RodPath:
+        return pushed({**inputs, "law_factor": inputs["law_factor"] + 0.5})
+
+    one, other, both = (
+        bands_of(solve, [BELIEF] * count, at=(4,))
+        for solve, count in ((pushed, 1), (stiffer, 1), ([pushed, stiffer], 2))
+    )
+    assert one is not None
+    assert other is not None
+    assert both is not None
+    ends = [
+        (each.states[0].positions.lower[-1, 2], each.states[0].positions.upper[-1, 2])
+        for each in (one, other, both)
+    ]
+    assert ends[2] == (min(ends[0][0], ends[1][0]), max(ends[0][1], ends[1][1]))
+    assert both.states[0].positions.value[-1, 2] == one.states[0].positions.value[-1, 2]
+
+
+def test_a_line_beyond_what_was_tested_is_doubtful() -> None:
+    bands = bands_of(pushed, [known("law_factor", 0.05)], tested_curvature=2.0)
+    assert bands is not None
+    assert [note.code for note in bands.notes] == ["beyond_tested"]
+    assert bands.notes[0].where == "step 4, node 0"
+
+
+def test_sides_without_equilibrium_are_told() -> None:
+    def torn(inputs: Mapping[str, float]) -> RodPath:
+        path = pushed(inputs)
+        return replace(path, status="failed") if inputs["law_factor"] > 0.0 else path
+
+    bands = bands_of(torn, [known("law_factor", 0.05)])
+    assert bands is not None
+    assert [note.code for note in bands.notes] == ["one_sided"]
+    nowhere = bands_of(torn, [known("law_factor", 0.05, centre=0.2)])
+    assert nowhere is None
+
+
+def test_jumps_at_other_steps_are_told() -> None:
+    def jumping(inputs: Mapping[str, float]) -> RodPath:
+        path = pushed(inputs)
+        return replace(path, snapped=(0, 3) if inputs["law_factor"] < 0.0 else (0,))
+
+    bands = bands_of(jumping, [known("law_factor", 0.05)])
+    assert bands is not None
+    assert [note.code for note in bands.notes] == ["jumps"]
+
+
+def test_curvature_as_the_line_lies_has_that_at_rest() -> None:
+    """A line without weight and load lies as it was at rest."""
+    line = straight_line(LENGTH, NODES, Section(LAW, 3e-4))
+    natural = np.tile([0.0, 2.5, 0.0], (NODES - 1, 1))
+    line = Line(line.lengths, line.section, line.positions, line.frames, natural)
+    state = follow(line, (Held(0, np.zeros(3), line.frames[0]),), steps=1).last
+    assert np.linalg.norm(bent(state), axis=-1)[1:-1] == pytest.approx(
+        np.full((NODES - 1, 2), 2.5), rel=1e-3
+    )
+
+
+def test_bands_want_a_belief() -> None:
+    with pytest.raises(ValueError, match="at least one"):
+        bands_of(pushed, [])
+
+
+MANY = 32_768
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    found = calibrate(wire_of("A3"), measured("A3", (0.12,), seed=1), Settings(gain=0.005))
+    assert isinstance(found, Calibration)
+    return found
+
+
+def drawn(belief: Belief, direction: dict[str, float]) -> np.ndarray:
+    weights = np.array([direction.get(name, 0.0) for name in belief.names])
+    return np.asarray(belief.amounts @ belief.steps.T @ weights)
+
+
+def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> None:
+    beliefs = calibrated_beliefs(calibration.solutions, calibration.widening, specimen=LAW_FACTOR)
+    assert len(beliefs) == 2
+    for belief, solution in zip(beliefs, calibration.solutions, strict=True):
+        assert belief.inputs()["copper_scale"] == pytest.approx(np.log(solution.values[2]))
+        assert belief.inputs()[LAW_FACTOR] == 0.0
+    far = replace(calibration.solutions[1], rise=2.0 * calibration.solutions[1].limit)
+    assert len(calibrated_beliefs([calibration.solutions[0], far])) == 1
+
+
+@pytest.mark.parametrize("one_more", [0.0, 1.0])
+def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_more: float) -> None:
+    solution = calibration.solutions[0]
+    belief = calibrated_beliefs([replace(solution, rise=0.0)], specimen=LAW_FACTOR, draws=MANY)[0]
+    for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.2, 0.5, 0.3)):
+        direction = dict(zip(belief.names, weights, strict=False)) | {LAW_FACTOR: one_more}
+        found = np.quantile(drawn(belief, direction), [0.025, 0.975])
+        whole = np.array([[*weights, 0.0]])
+        want = np.ravel(quantiles(solution.mixture, whole, np.array([one_more])))
+        assert found == pytest.approx(want, rel=0.02)
+
+
+def test_as_many_draws_as_usual_say_where_a_band_ends(calibration: Calibration) -> None:
+    """By chance alone widths would differ by 2 % here and there."""
+    widths = []
+    for seed in range(16):
+        belief = calibrated_beliefs(calibration.solutions, specimen=LAW_FACTOR, seed=seed)[0]
+        moved = drawn(belief, {"copper_scale": 0.3, LAW_FACTOR: 1.0})
+        widths.append(np.ptp(np.quantile(moved, [0.025, 0.975])))
+    assert np.std(widths) < 0.012 * np.mean(widths)
+
+
+def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
+    solution = calibration.solutions[0]
+    half = replace(solution, rise=0.75 * solution.limit)
+    one, other = calibrated_beliefs([replace(solution, rise=0.0), half])
+    ratio = np.std(other.amounts @ other.steps.T, axis=0) / np.std(
+        one.amounts @ one.steps.T, axis=0
+    )
+    assert ratio == pytest.approx([0.5, 0.5, 0.5], rel=0.2)
+    assert LAW_FACTOR not in one.names
+
+
+def test_what_is_fixed_does_not_move(calibration: Calibration) -> None:
+    solution = calibration.solutions[0]
+    mixture = solution.mixture
+    shift, covariance = mixture.shift.copy(), mixture.covariance.copy()
+    shift[:, 0], covariance[:, 0, :], covariance[:, :, 0] = 0.0, 0.0, 0.0
+    fixed = replace(solution, mixture=replace(mixture, shift=shift, covariance=covariance))
+    belief = calibrated_beliefs([fixed])[0]
+    assert len(belief.causes) == 2
+    assert np.ptp(drawn(belief, {"radial_friction": 1.0})) < 1e-9
+
+
+def test_a_stated_deviation_is_drawn_from_students_t() -> None:
+    for freedom, quantile in ((np.inf, 1.96), (4.0, float(stdtrit(4.0, 0.975)))):
+        belief = known("mass_factor", 0.02, freedom=freedom, draws=MANY)
+        assert belief.inputs(np.ones(1)) == {"mass_factor": 0.02}
+        assert np.quantile(drawn(belief, {"mass_factor": 1.0}), 0.975) == pytest.approx(
+            0.02 * quantile, rel=1e-3
+        )
+
+
+def test_an_impossible_deviation_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"length_factor: deviation=0\.0"):
+        known("length_factor", 0.0)
+
+
+def test_causes_of_one_input_add() -> None:
+    both = joined(
+        [known("law_factor", 0.03, cause="specimen"), known("law_factor", 0.04, cause="spool")]
+    )
+    assert both.names == ("law_factor",)
+    assert both.causes == ("specimen", "spool")
+    assert np.std(drawn(both, {"law_factor": 1.0})) == pytest.approx(0.05, rel=0.05)
+    specimen, spool = both.amounts.T
+    assert abs(float(np.mean(specimen * spool))) < 0.05

@@ -1,0 +1,403 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from labpipe.law.sliders import SliderLaw, linear_moment_law
+from labpipe.records.arrays import Floats
+from labpipe.rod.assembly import Shape
+from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane, Ring, String
+from labpipe.rod.directions import directions_of, lent_directions
+from labpipe.rod.line import Line, Section, line_along
+from labpipe.rod.rotations import (
+    conjugate,
+    cross,
+    frame_from_axes,
+    from_rotation_vectors,
+    matrices,
+    multiply,
+    rotation_vectors,
+    shortest_turns,
+    skew,
+    tangent_factors,
+    unit,
+)
+from labpipe.rod.schedule import Schedule
+from labpipe.rod.supports import END_SHARE, supports_of
+from tests.builders.rods import linear_section, sliding_section, straight_line
+
+SECTION = linear_section()
+
+
+def arc(n: int, radius: float = 0.1, angle: float = 1.5) -> Floats:
+    t = np.linspace(0.0, angle, n + 1)
+    return np.stack([radius * np.sin(t), radius * (1.0 - np.cos(t)), 0.0 * t], axis=1)
+
+
+def test_a_straight_line() -> None:
+    line = straight_line(2.0, 4, SECTION, start=(1.0, 0.0, 0.0), direction=(0.0, 3.0, 0.0))
+    np.testing.assert_allclose(line.positions[-1], [1.0, 2.0, 0.0])
+    assert line.length == pytest.approx(2.0)
+    assert line.stations == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0])
+    axes = matrices(line.frames)
+    np.testing.assert_allclose(axes[:, :, 2], np.tile([0.0, 1.0, 0.0], (4, 1)), atol=1e-15)
+    np.testing.assert_allclose(axes[:, :, 0], np.tile([0.0, 0.0, 1.0], (4, 1)), atol=1e-15)
+
+
+def test_a_line_along_points_is_not_twisted() -> None:
+    t = np.linspace(0.0, 6.0, 61)
+    helix = np.stack([np.cos(t), np.sin(t), 0.3 * t], axis=1)
+    line = line_along(helix, SECTION, is_formed=True)
+    np.testing.assert_allclose(line.natural[:, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(line.natural, axis=1), 1.0 / (1.0 + 0.3**2), rtol=1e-3
+    )
+    steps = np.diff(helix, axis=0)
+    np.testing.assert_allclose(
+        matrices(line.frames)[:, :, 2], steps / np.linalg.norm(steps, axis=1)[:, None], atol=1e-14
+    )
+    assert not np.any(line_along(helix, SECTION).natural)
+
+
+def test_a_line_knows_its_frames_at_the_nodes() -> None:
+    """Of an arc: its tangents, at the ends as well."""
+    line = line_along(arc(15), SECTION, is_formed=True)
+    angles = 0.1 * np.arange(16)
+    for node in range(16):
+        direction = matrices(line.frame_at(node))[:, 2]
+        np.testing.assert_allclose(
+            direction, [np.cos(angles[node]), np.sin(angles[node]), 0.0], atol=1e-12
+        )
+    np.testing.assert_array_equal(line.frame_at(-1), line.frame_at(15))
+
+
+def test_frames_at_the_nodes_share_a_turn_by_the_lengths() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.5, 0.0]])
+    line = line_along(points, SECTION)
+    whole = rotation_vectors(multiply(conjugate(line.frames[0]), line.frames[1]))
+    part = rotation_vectors(multiply(conjugate(line.frames[0]), line.frame_at(1)))
+    share = line.lengths[0] / line.lengths.sum()
+    np.testing.assert_allclose(part, share * whole, atol=1e-14)
+
+
+def test_sections_that_do_not_resist_are_refused() -> None:
+    nothing = SliderLaw(0.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
+    with pytest.raises(ValueError, match="neither a stiffness nor sliders"):
+        Section(nothing, 1e-3)
+    law = linear_moment_law(1e-3, 10.0)
+    with pytest.raises(ValueError, match=r"torsional_stiffness=0.0: .* > 0"):
+        Section(law, 0.0)
+    with pytest.raises(ValueError, match=r"axial_stiffness=-1\.0"):
+        Section(law, 1e-3, axial_stiffness=-1.0)
+    with pytest.raises(ValueError, match=r"coupling=1.0: .*sqrt"):
+        Section(law, 1e-3, axial_stiffness=100.0, coupling=1.0)
+    with pytest.raises(ValueError, match=r"mass_per_length=nan: .* >= 0"):
+        Section(law, 1e-3, mass_per_length=np.nan)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"lengths": np.array([0.1, 0.0])}, "lengths"),
+        ({"natural": np.zeros((2, 3))}, "2 curvatures at rest"),
+        ({"positions": np.full((3, 3), np.nan)}, "positions: allowed are finite"),
+        ({"frames": 2.0 * np.ones((2, 4))}, "frames: allowed are quaternions"),
+    ],
+)
+def test_lines_that_are_none_are_refused(change: dict[str, Floats], said: str) -> None:
+    plain = straight_line(0.2, 2, sliding_section())
+    parts = {
+        "lengths": plain.lengths,
+        "positions": plain.positions,
+        "frames": plain.frames,
+        "natural": plain.natural,
+    } | change
+    with pytest.raises(ValueError, match=said):
+        Line(section=plain.section, **parts)
+
+
+def test_points_on_one_another_are_refused() -> None:
+    with pytest.raises(ValueError, match="positions 1 and 2: allowed are points apart"):
+        line_along(np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]), SECTION)
+    with pytest.raises(ValueError, match=r"positions of shape \(1, 3\)"):
+        line_along(np.zeros((1, 3)), SECTION)
+
+
+FRAME = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def test_one_row_stands_for_what_does_not_move() -> None:
+    held = Held(0, np.array([1.0, 2.0, 3.0]), FRAME)
+    assert held.position.shape == (1, 3)
+    assert held.frame is not None
+    assert held.frame.shape == (1, 4)
+    with pytest.raises(ValueError, match="read-only"):
+        held.position[0, 0] = 0.0
+
+
+def test_directions_are_of_length_one() -> None:
+    assert Plane(np.zeros(3), np.array([0.0, 3.0, 4.0])).normal == pytest.approx([0.0, 0.6, 0.8])
+    assert Ring(np.zeros(3), np.array([0.0, 0.0, 2.0])).direction == pytest.approx([0.0, 0.0, 1.0])
+    assert Gravity().vector == pytest.approx(np.array([[0.0, 0.0, -9.81]]))
+
+
+def test_a_plane_is_raised_along_its_normal() -> None:
+    table = Plane(np.array([1.0, 0.0, 0.0]), np.array([0.0, 3.0, 4.0]), 0.3, "table").raised(0.5)
+    assert table.point == pytest.approx([1.0, 0.3, 0.4])
+    assert (table.friction, table.name) == (0.3, "table")
+    assert table.normal == pytest.approx([0.0, 0.6, 0.8])
+
+
+def test_faults_are_said() -> None:
+    with pytest.raises(ValueError, match=r"position of shape \(2, 2\): allowed is \(steps \+ 1, 3"):
+        Held(0, np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="force, row 1: allowed are finite"):
+        Load(0, np.array([[0.0, 0, 0], [np.nan, 0, 0]]))
+    with pytest.raises(ValueError, match="moment, row 0"):
+        Moment(0, np.array([np.inf, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="frame: allowed are quaternions"):
+        Held(0, np.zeros(3), 2.0 * FRAME)
+    with pytest.raises(ValueError, match="release=0: allowed are steps from 1"):
+        Held(0, np.zeros(3), release=0)
+    with pytest.raises(ValueError, match=r"length=0\.0"):
+        String(0, np.zeros(3), 0.0)
+    with pytest.raises(ValueError, match=r"friction=-0\.1"):
+        Plane(np.zeros(3), friction=-0.1)
+    with pytest.raises(ValueError, match=r"normal=\[0.0, 0.0, 0.0\]: allowed is one direction"):
+        Plane(np.zeros(3), np.zeros(3))
+
+
+LINE = straight_line(1.0, 4, linear_section(mass=0.1))
+
+
+START = Shape(LINE.positions, LINE.frames, np.zeros(4), np.zeros((4, 3)))
+
+
+def schedule(*boundaries: Boundary, steps: int = 2) -> Schedule:
+    return Schedule(LINE, boundaries, steps, START)
+
+
+def test_paths_go_straight_between_their_rows() -> None:
+    force = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0], [0.0, 2.0, 3.0]])
+    plan = schedule(Load(-1, force))
+    asked = [plan.demands(time, ()).forces[4] for time in (-1.0, -0.5, 0.0, 0.5, 1.5, 2.0)]
+    assert [force[1] for force in asked] == pytest.approx([0.0, 0.0, 0.0, 0.0, 1.0, 2.0])
+    assert [force[2] for force in asked] == pytest.approx([0.0, 0.5, 1.0, 2.0, 3.0, 3.0])
+
+
+def test_weight_is_shared_by_the_nodes() -> None:
+    forces = schedule(Gravity(np.array([0.0, 0.0, -10.0]))).demands(0.0, ()).forces
+    assert forces[:, 2] == pytest.approx([-0.125, -0.25, -0.25, -0.25, -0.125])
+
+
+def test_a_line_is_laid_in_gradually() -> None:
+    frame = multiply(LINE.frames[0], from_rotation_vectors(np.array([0.0, 0.0, 0.6])))
+    plan = schedule(Held(0, np.array([0.0, 0.2, 0.0]), frame))
+    half = plan.demands(-0.5, (0,))
+    np.testing.assert_allclose(half.held, [[0.0, 0.1, 0.0]])
+    turned = matrices(LINE.frames[0]).T @ matrices(half.clamps)[0]
+    assert np.arccos((np.trace(turned) - 1.0) / 2.0) == pytest.approx(0.3)
+    np.testing.assert_allclose(plan.demands(0.0, (0,)).clamps, [frame])
+
+
+def test_moments_turn_the_elements_at_their_node() -> None:
+    moments = schedule(Moment(1, np.array([0.0, 0.0, 2.0])), Moment(-1, np.array([3.0, 0, 0])))
+    asked = moments.demands(0.0, ()).moments
+    assert asked[:, 2] == pytest.approx([1.0, 1.0, 0.0, 0.0])
+    assert asked[:, 0] == pytest.approx([0.0, 0.0, 0.0, 3.0])
+
+
+def test_what_lets_go_holds_up_to_its_step() -> None:
+    plan = schedule(Held(2, LINE.positions[2], release=2))
+    assert [plan.grips(step) for step in (0, 1, 2)] == [(0,), (0,), ()]
+
+
+def test_anchors_and_rings() -> None:
+    anchor = np.linspace([0.0, 0.0, 1.0], [0.0, 0.0, 2.0], 3)
+    plan = schedule(String(4, anchor, 0.5), Ring(np.array([0.4, 0.02, 0.0])))
+    asked = plan.demands(0.5, ())
+    np.testing.assert_allclose(asked.anchors, [[0.0, 0.0, 1.25]])
+    np.testing.assert_allclose(asked.rings, [[0.4, 0.02, 0.0]])
+    assert plan.start_places == pytest.approx([1.6])
+    np.testing.assert_allclose(plan.demands(-0.5, ()).rings, [[0.4, 0.01, 0.0]], atol=1e-12)
+
+
+def test_rings_that_cannot_be_are_refused() -> None:
+    with pytest.raises(ValueError, match="eye: near=9: allowed are 0 to 4"):
+        schedule(Ring(np.zeros(3), near=9, name="eye"))
+
+
+def test_the_size_of_the_forces() -> None:
+    own = 1e-3 / 1.0**2
+    assert schedule().force_scale() == pytest.approx(own)
+    pulled = schedule(Load(0, np.array([[0.0, 0, 0], [3.0, 4.0, 0], [1.0, 0, 0]])))
+    assert pulled.force_scale() == pytest.approx(5.0 + own)
+
+
+def uneven() -> Line:
+    plain = straight_line(1.0, 4, linear_section())
+    lengths = np.array([0.1, 0.2, 0.3, 0.4])
+    return Line(lengths, plain.section, plain.positions, plain.frames, np.arange(9.0).reshape(3, 3))
+
+
+def test_a_free_line_has_cells_at_its_inner_nodes() -> None:
+    supports = supports_of(uneven(), ((0, False), (4, False)))
+    assert supports.nodes.tolist() == [1, 2, 3]
+    assert supports.lengths == pytest.approx([0.15, 0.25, 0.35])
+    assert supports.sides[0] == pytest.approx([0.05 / 0.15, 0.1 / 0.15])
+    assert supports.held.tolist() == [0, 4]
+    assert len(supports.ends) == 0
+
+
+def test_clamps_part_cells() -> None:
+    supports = supports_of(uneven(), ((2, True), (0, True)))
+    assert supports.nodes.tolist() == [0, 1, 2, 2, 3]
+    assert supports.before.tolist() == [-2, 0, 1, -1, 2]
+    assert supports.behind.tolist() == [0, 1, -1, 2, 3]
+    assert supports.lengths == pytest.approx([0.05, 0.15, 0.1, 0.15, 0.35])
+    assert supports.natural[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
+    assert supports.ends.tolist() == [0, 1, 2]
+    assert supports.own == pytest.approx([1.0 - END_SHARE] * 3)
+
+
+def test_an_element_between_two_clamps_has_a_share_of_both() -> None:
+    supports = supports_of(uneven(), ((1, True), (2, True)))
+    at = supports.ends.tolist().index(1)
+    assert supports.own[at] == pytest.approx(1.0 - 2.0 * END_SHARE)
+    assert sorted(supports.lent[supports.lent[:, 0] == at, 1].tolist()) == [0, 1]
+
+
+def test_cells_make_up_the_line_between_clamps() -> None:
+    line = uneven()
+    assert supports_of(line, ((0, True), (4, True))).lengths.sum() == pytest.approx(line.length)
+    open_ends = supports_of(line, ()).lengths.sum()
+    assert open_ends == pytest.approx(line.length - 0.5 * (0.1 + 0.4))
+
+
+def some_vectors(number: int = 40) -> Floats:
+    """Rotation vectors from nothing to nearly a half turn, rad."""
+    random = np.random.default_rng(3)
+    directions = unit(random.normal(size=(number, 3)))
+    return np.asarray(np.linspace(0.0, 3.1, number)[:, None] * directions)
+
+
+def other(frames: Floats) -> Rotation:
+    return Rotation.from_quat(np.roll(frames, -1, axis=1))
+
+
+def test_rotation_vectors_there_and_back() -> None:
+    vectors = some_vectors()
+    frames = from_rotation_vectors(vectors)
+    np.testing.assert_allclose(rotation_vectors(frames), vectors, atol=1e-14)
+    np.testing.assert_allclose(rotation_vectors(-frames), vectors, atol=1e-14)
+    np.testing.assert_allclose(other(frames).as_rotvec(), vectors, atol=1e-14)
+
+
+def test_products_and_matrices_are_those_of_scipy() -> None:
+    first, second = (
+        from_rotation_vectors(some_vectors()),
+        from_rotation_vectors(some_vectors()[::-1]),
+    )
+    product = multiply(first, conjugate(second))
+    np.testing.assert_allclose(
+        matrices(product), (other(first) * other(second).inv()).as_matrix(), atol=1e-14
+    )
+
+
+def test_vector_products() -> None:
+    u, v = some_vectors(), some_vectors()[::-1]
+    np.testing.assert_allclose(cross(u, v), np.cross(u, v), atol=1e-15)
+    np.testing.assert_allclose(np.einsum("nxy,ny->nx", skew(u), v), np.cross(u, v), atol=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_frame_points_along_and_its_first_axis_up(seed: int) -> None:
+    direction, up = np.random.default_rng(seed).normal(size=(2, 3))
+    axes = matrices(frame_from_axes(direction, up))
+    np.testing.assert_allclose(axes[:, 2], unit(direction), atol=1e-14)
+    assert axes[:, 0] @ up > 0.0
+    assert axes[:, 1] @ up == pytest.approx(0.0, abs=1e-14)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+
+
+def test_up_along_the_direction_is_refused() -> None:
+    with pytest.raises(ValueError, match="not along one line"):
+        frame_from_axes(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, -1.0]))
+
+
+def test_shortest_turns_turn_one_into_the_other_opposites_too() -> None:
+    before = unit(np.random.default_rng(1).normal(size=(5, 3)))
+    behind = np.concatenate([unit(np.random.default_rng(2).normal(size=(4, 3))), -before[4:]])
+    turns = shortest_turns(before, behind)
+    turned = np.einsum("nxy,ny->nx", matrices(turns), before)
+    np.testing.assert_allclose(turned, behind, atol=1e-14)
+    along = np.einsum("nk,nk->n", rotation_vectors(turns), before)
+    np.testing.assert_allclose(along, 0.0, atol=1e-14)
+
+
+def test_tangent_map_is_the_derivative_of_the_rotation_vector() -> None:
+    psi = some_vectors()[1:]
+    angles = np.linalg.norm(psi, axis=1)
+    factor = tangent_factors(angles)[0][:, None, None]
+    tangent = np.eye(3) + 0.5 * skew(psi) + factor * skew(psi) @ skew(psi)
+    step = 1e-6
+    for axis in np.eye(3):
+        ahead = multiply(from_rotation_vectors(psi), from_rotation_vectors(step * axis[None]))
+        back = multiply(from_rotation_vectors(psi), from_rotation_vectors(-step * axis[None]))
+        found = (rotation_vectors(ahead) - rotation_vectors(back)) / (2.0 * step)
+        np.testing.assert_allclose(found[:-2], (tangent @ axis)[:-2], rtol=1e-7, atol=1e-8)
+
+
+def test_series_and_closed_forms_of_the_tangent_meet() -> None:
+    first, second = tangent_factors(np.array([0.3 - 1e-9, 0.3 + 1e-9]))
+    assert first[0] == pytest.approx(first[1], rel=1e-10)
+    assert second[0] == pytest.approx(second[1], rel=1e-9)
+
+
+ANGLES = np.linspace(0.0, 1.2, 7)
+
+
+ARC = np.stack([np.sin(ANGLES), 1.0 - np.cos(ANGLES), 0.0 * ANGLES], axis=1)
+
+
+def test_clamps_that_leave_a_formed_line_as_it_is_lend_it_nothing_new() -> None:
+    line = line_along(ARC, linear_section(), is_formed=True)
+    supports = supports_of(line, ((0, True), (3, True), (6, True)))
+    clamps = np.array([line.frame_at(node) for node in (0, 3, 6)])
+    frames = matrices(line.frames)
+    lent = lent_directions(supports, clamps)
+    way = directions_of(supports, frames, lent, np.zeros((6, 3)))
+    np.testing.assert_allclose(way.along, frames[:, :, 2], atol=1e-12)
+
+
+def test_directions_turn_with_the_frame_by_its_share() -> None:
+    line = line_along(ARC, linear_section())
+    supports = supports_of(line, ((0, True),))
+    clamps = multiply(line.frames[:1], from_rotation_vectors(np.array([[0.1, 0.0, 0.0]])))
+    lent = lent_directions(supports, clamps)
+    way = directions_of(supports, matrices(line.frames), lent, np.zeros((6, 3)))
+    turned = np.arccos(way.along[0] @ matrices(line.frames)[0, :, 2])
+    assert turned == pytest.approx(0.1 * END_SHARE, rel=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(way.along, axis=1), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(way.along[1:], matrices(line.frames)[1:, :, 2], atol=1e-15)
+
+
+def test_pull_and_stiffness_are_derivatives() -> None:
+    line = line_along(ARC, linear_section())
+    supports = supports_of(line, ((0, True), (6, True)))
+    random = np.random.default_rng(4)
+    clamps = multiply(line.frames[[0, -1]], from_rotation_vectors(random.normal(size=(2, 3)) * 0.3))
+    pulls = random.normal(size=(6, 3))
+    lent = lent_directions(supports, clamps)
+    plain = directions_of(supports, matrices(line.frames), lent, pulls)
+    for axis in np.eye(3):
+        values = []
+        for step in (1e-4, 0.0, -1e-4):
+            frames = multiply(line.frames, from_rotation_vectors(step * axis[None]))
+            way = directions_of(supports, matrices(frames), lent, pulls)
+            values.append(-np.einsum("nk,nk->n", way.along, pulls))
+        first = (values[0] - values[2]) / 2e-4
+        second = (values[0] - 2.0 * values[1] + values[2]) / 1e-8
+        np.testing.assert_allclose(plain.pull @ axis, first, atol=1e-7)
+        np.testing.assert_allclose(plain.stiff @ axis @ axis, second, atol=1e-6)
