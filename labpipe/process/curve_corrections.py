@@ -112,7 +112,7 @@ def correct_curve(test: Evidence, block: CurveBlock) -> Corrected:
         None if rule is None else final_loss_of(test, rule)
     )  # seen on the unfiltered force, which no filter has blurred
     test, found = _filtered_in_pieces(test, lost), list[Finding]()
-    if block.compliance is not None:
+    if block.compliance is not None and block.compliance.value > 0.0:
         test, found = _without_compliance(test, block.compliance)
     if rule is not None and test.curve is not None:
         test = replace(test, failure=_failure(test.curve, lost, rule))

@@ -227,6 +227,7 @@ def _evidence(
         centre_offset=0.0 if words is None else words.centre_offset,
         offset_uncertainty=0.0 if words is None else words.offset_uncertainty,
         centre_uncertainty=0.0 if words is None else words.centre_uncertainty,
+        compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
         free_tip=any(isinstance(x, FitShape) and x.tip == "free" for x in protocol.steps),
     )
     return Evidence(

@@ -148,7 +148,7 @@ Drift: TypeAlias = Annotated[float, Quantity("1", "ppm", "40 ppm", least=-0.01, 
 """By how much one clock runs faster than another."""
 Duration: TypeAlias = Annotated[float, Quantity("s", "s", "0.5 s", above=0.0)]
 Force: TypeAlias = Annotated[float, Quantity("N", "N", "5 mN", least=0.0)]
-Compliance: TypeAlias = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", above=0.0)]
+Compliance: TypeAlias = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", least=0.0)]
 Mass: TypeAlias = Annotated[float, Quantity("kg", "g", "2.7 g", least=0.0)]
 LinearMass: TypeAlias = Annotated[float, Quantity("kg/m", "g/m", "6.1 g/m", above=0.0, most=100.0)]
 """Mass per length."""

@@ -78,6 +78,7 @@ class Setup:
     has_markers : whether the specimen carries markers
     centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
     free_tip : whether the shape may bend up to its tip
+    compliance_stated : whether the protocol says how far frame and grips give way
     """
 
     length: float | None = None
@@ -91,6 +92,7 @@ class Setup:
     offset_uncertainty: float = 0.0
     centre_uncertainty: float = 0.0
     free_tip: bool = False
+    compliance_stated: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,9 @@ from labpipe.results.likely_curves import loading_of, traced
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.readings import Decide, Reading, Trace, combined
 
+USUAL_COMPLIANCE, SHARE_OF_MACHINE = 1e-7, 0.02
+"""m/N, that frame and grips of a small machine give way by; share of the displacement at which that
+matters."""
 _AT_REST = 0.1
 """Share of the samples of a window that may lie in its first fiftieth."""
 
@@ -472,13 +475,26 @@ class Modulus(OfStiffness):
         else:
             found = test.measure(combined(self._modulus, stiffness.decide))
             outcome = found if isinstance(found, Failure) else found[0]
-        doubts = marked_slips(test, stiffness.bends_with)
+        doubts = marked_slips(test, stiffness.bends_with) + _of_the_machine(test, stiffness)
         return Computed((self.number(outcome, method, during=stiffness.during, doubts=doubts),))
 
     def _modulus(self, trace: Trace, stiffness: Floats) -> Floats:
         area = _area(self.area, trace.sizes)
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
+
+
+def _of_the_machine(test: Evidence, stiffness: Stiffness) -> tuple[Reason, ...]:
+    """Why a modulus is doubtful whose displacement may be that of frame and grips."""
+    share = USUAL_COMPLIANCE * stiffness.estimate.value
+    if test.setup.compliance_stated or not share > SHARE_OF_MACHINE:
+        return ()
+    message = (
+        f"curve.compliance is not stated: {1e6 * USUAL_COMPLIANCE:g} um/N, as frames and grips "
+        f"often have, would be {share:.0%} of the displacement; measure it with a stiff bar "
+        "(protocol stiff-bar), or state 0 um/N where an extensometer measured"
+    )
+    return (Reason("machine_compliance", message),)
 
 
 def _area(kind: str, section: Mapping[str, float]) -> float | Failure:

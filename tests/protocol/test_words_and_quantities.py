@@ -46,7 +46,6 @@ POSITIVE = {
     "Duration": (Duration, "0.5 s", 0.5),
     "Speed": (Speed, "0.423 mm/s", 0.000423),
     "Frequency": (Frequency, "10 Hz", 10.0),
-    "Compliance": (Compliance, "0.2 um/N", 0.2e-6),
 }
 
 
@@ -55,6 +54,7 @@ OTHERS = {
     "Distance": (Distance, "0 mm", 0.0),
     "Force": (Force, "5 mN", 0.005),
     "Mass": (Mass, "2.7 g", 0.0027),
+    "Compliance": (Compliance, "0 um/N", 0.0),
     "Ratio": (Ratio, "0.2 %", 0.002),
     "Ratio in ppm": (Ratio, "500 ppm", 0.0005),
     "bare ratio": (Ratio, "0.5", 0.5),

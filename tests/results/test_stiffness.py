@@ -98,6 +98,19 @@ def test_modulus(area: str, size: float) -> None:
 
 
 @pytest.mark.parametrize(
+    ("stiffer", "more", "is_doubtful"),
+    [(1.0, "", False), (100.0, "", True), (100.0, "compliance: {value: 0 um/N}", False)],
+)
+def test_the_machine_may_be_in_a_modulus(stiffer: float, more: str, is_doubtful: bool) -> None:
+    """Of 5 N/mm, 0.1 um/N of frame and grips take 0.05 %; of 500 N/mm 5 %."""
+    travel, force = pull()
+    asked = [LINE, "modulus, of: stiffness, area: stated"]
+    _, results = pulled(travel, stiffer * force, curve=more, results=asked, specimen=SECTION)
+    codes = {reason.code for reason in results["modulus"].reasons}
+    assert codes == ({"machine_compliance"} if is_doubtful else set())
+
+
+@pytest.mark.parametrize(
     ("specimen", "area", "said"),
     [
         ("{section: {area: 5 mm**2}}", "stated", "no_length: specimen.length, the gauge length, "),
