@@ -166,3 +166,17 @@ def test_the_ends_of_the_window_belong_to_it() -> None:
         reversal = fit_reversal(time, force, near=4.0, window=1.0, dwell=dwell)
         assert reversal is not None
         assert reversal.corner.n == samples
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_the_unit_of_the_force_does_not_matter(scale: float) -> None:
+    time, force = turned(3, sticks=0.3)
+    plain, scaled = (
+        fit_reversal(time, factor * force, near=3.97, window=1.0) for factor in (1.0, scale)
+    )
+    assert plain is not None
+    assert scaled is not None
+    assert scaled.corner.time == pytest.approx(plain.corner.time, rel=1e-6)
+    assert scaled.corner.time_error == pytest.approx(plain.corner.time_error, rel=1e-3)
+    assert scaled.corner.value == pytest.approx(scale * plain.corner.value, rel=1e-6)
+    assert scaled.corner.value_error == pytest.approx(scale * plain.corner.value_error, rel=1e-3)
