@@ -1,0 +1,334 @@
+"""Moment-curvature laws of strands, friction between them, and the plays of a wire."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from labpipe.law.plays import respond, virgin_plays
+from labpipe.wire.bending_law import (
+    moment_curvature,
+    orientation_range,
+    play_law,
+    slip_stiffness,
+    stick_stiffness,
+)
+from labpipe.wire.cantilever import (
+    StringRig,
+    bend_to_deflection,
+    bend_to_travel,
+    bend_under_force,
+    straight,
+)
+from labpipe.wire.cross_section import CrossSection, Layer, concentric
+from labpipe.wire.friction import (
+    Contacts,
+    arrange,
+    axial_forces,
+    axial_strain,
+    friction_angle,
+    insulated,
+    sines,
+    slip_onsets,
+)
+from labpipe.wire.materials import (
+    Elastic,
+    ElasticPerfectlyPlastic,
+    RambergOsgood,
+    StressTable,
+)
+from labpipe.wire.packing import packed
+from tests.builders.stranded_wires import cardinal, contacts_of, layers_of, tube, wire
+from tests.judges.reference_wires import bend_along
+
+
+def test_slip_limit_solves_the_equilibrium_of_a_strand() -> None:
+    """dF / d(theta) = (mu_o + mu_i) H + mu_i |sin alpha| F from the neutral axis (3.13)."""
+    k, c = 0.21 * np.sin(0.2), 0.31 * 0.15
+    exact = solve_ivp(lambda _, f: c + k * f, (0.0, 1.2), [0.0], rtol=1e-10, atol=1e-12).y[0, -1]
+    assert c * friction_angle(k, np.array([1.2]))[0] == pytest.approx(exact, rel=1e-8)
+    assert friction_angle(0.0, np.array([1.2]))[0] == 1.2
+    assert friction_angle(1e-12, np.array([1.2]))[0] == pytest.approx(1.2)
+
+
+def test_one_ring_slips_where_demand_meets_the_limit() -> None:
+    section, contacts = wire("A2"), contacts_of(wire("A2"))
+    ring = section.layers[1]
+    k = 0.21 * np.sin(ring.lay_angle)
+    theta = np.pi / 3.0
+    hold = 0.31 * 0.15 * np.expm1(k * theta) / k
+    demand = 110e9 * ring.area * 0.32e-3 * np.sin(theta) * np.cos(ring.lay_angle) ** 2
+    onset = slip_onsets(section, contacts)
+    assert onset[1] == pytest.approx(hold / demand, rel=1e-12)
+    # The limit next to the neutral axis, where slip begins.
+    first = 0.31 * 0.15 / (demand / np.sin(theta))
+    assert onset[0] == pytest.approx(first, rel=1e-8)
+    assert onset[0] == onset.min()
+
+
+def test_no_friction_slips_at_once() -> None:
+    section = wire("A3")
+    free = insulated(2, strand=0.0, insulation=0.0, radial_force=0.15)
+    assert np.all(slip_onsets(section, free) < 1e-9)
+
+
+def test_stuck_below_the_onset_and_slipping_above() -> None:
+    section = wire("C4")
+    contacts = contacts_of(section)
+    onset = slip_onsets(section, contacts)
+    sine = sines(section, 0.0)
+    bundle = arrange(section, contacts, sine)
+    for factor, sticks in ((1.0 - 1e-9, True), (1.0 + 1e-9, False)):
+        stuck = axial_forces(bundle, factor * onset[None]).stuck[0]
+        assert np.all(stuck[sine != 0.0] == sticks)
+
+
+def test_pressure_from_outer_rings_is_never_negative() -> None:
+    """With little radial force the outer ring lifts off on the side in compression."""
+    section = wire("A3")
+    weak = Contacts((0.9, 0.9), (0.9, 0.9), 1e-6)
+    bundle = arrange(section, weak, sines(section, 0.0))
+    found = axial_forces(bundle, np.linspace(0.0, 30.0, 400)[:, None])
+    assert np.all(found.force * bundle.sign >= 0.0)
+    tension, compression = found.force[-1, 1], found.force[-1, 4]
+    assert abs(compression) < tension
+
+
+def test_slope_is_the_derivative() -> None:
+    section = wire("C4")
+    bundle = arrange(section, contacts_of(section), sines(section, 0.1), tension=3.0)
+    kappa = np.linspace(0.0, 0.5, 20001)[:, None]
+    found = axial_forces(bundle, kappa)
+    numeric = np.gradient(found.force, kappa[:, 0], axis=0)
+    off = np.abs(numeric - found.slope) > 1e-6 * np.abs(found.slope).max()
+    assert off.mean() < 2e-3  # only next to corners
+
+
+def test_tension_is_shared_by_stiffness() -> None:
+    section = cardinal()
+    strain = axial_strain(section, 40e3)
+    pull = sum(
+        lay.count * lay.material.modulus * lay.area * strain * np.cos(lay.lay_angle) ** 3
+        for lay in section.layers
+    )
+    assert pull == pytest.approx(40e3)
+
+
+def test_lay_lengths_weigh_the_pressure() -> None:
+    section = cardinal()
+    plain = Contacts((0.7,) * 4, (0.35,) * 4)
+    weighed = Contacts((0.7,) * 4, (0.35,) * 4, lay_lengths=True)
+    sine = sines(section, 0.0)
+    of = [
+        arrange(section, each, sine, tension=40e3).rings[2].shares[3] for each in (plain, weighed)
+    ]
+    radius = np.unique(section.radius.round(7))
+    lay = radius[3:] / np.tan(np.radians([11.708, 13.103]))
+    assert of[0] == pytest.approx(np.sin(np.radians(13.103)) * 24 / 18)
+    assert of[1] / of[0] == pytest.approx(lay[0] / lay[1], rel=1e-6)
+
+
+KAPPA = np.linspace(0.0, 35.0, 700)
+
+
+ELASTIC = Elastic(110e9)
+
+
+@given(st.floats(0.1, 10.0), st.floats(0.05, 30.0))
+def test_scaling(factor: float, curvature: float) -> None:
+    """Modulus: everything but friction. Length by c at curvature / c: elastic moments by c^3."""
+    section = wire("A3", ELASTIC)
+    scaled = wire("A3", Elastic(110e9 * factor))
+    bare, bare_scaled = replace(section, insulation=None), replace(scaled, insulation=None)
+    contacts = contacts_of(section)
+    stronger = contacts_of(section, 0.15 * factor)
+    kappa = np.array([curvature])
+    once = moment_curvature(bare, contacts, kappa).moment
+    assert moment_curvature(bare_scaled, stronger, kappa).moment == pytest.approx(factor * once)
+    layers = tuple(replace(lay, diameter=factor * lay.diameter) for lay in section.layers)
+    large = CrossSection("own", layers, factor * section.x, factor * section.y, section.layer)
+    assert stick_stiffness(large) == pytest.approx(factor**4 * stick_stiffness(bare))
+    assert slip_stiffness(large) == pytest.approx(factor**4 * slip_stiffness(bare))
+    forces = contacts_of(section, 0.15 * factor**2)
+    bent = moment_curvature(large, forces, kappa / factor).moment
+    assert bent == pytest.approx(factor**3 * once)
+
+
+@pytest.mark.parametrize("name", ["A2", "A3", "C4"])
+def test_the_signs_of_all_lay_angles_do_not_matter(name: str) -> None:
+    contacts = contacts_of(wire(name))
+    once = moment_curvature(wire(name), contacts, KAPPA, orientation=0.2).moment
+    mirrored = moment_curvature(wire(name, mirrored=True), contacts, KAPPA, orientation=0.2).moment
+    assert mirrored == pytest.approx(once, rel=1e-14)
+
+
+@pytest.mark.parametrize("name", ["A2", "A3", "C4"])
+def test_mirrored_sections_bend_alike(name: str) -> None:
+    rng = np.random.default_rng(7)
+    section = wire(name)
+    # Not symmetric itself, so that the mirror says something.
+    shaken = replace(
+        section,
+        x=section.x + rng.normal(scale=1e-5, size=section.x.shape),
+        y=section.y + rng.normal(scale=1e-5, size=section.x.shape),
+    )
+    contacts = contacts_of(section)
+    once = moment_curvature(shaken, contacts, KAPPA).moment
+    sideways = moment_curvature(replace(shaken, x=-shaken.x), contacts, KAPPA).moment
+    assert sideways == pytest.approx(once, rel=1e-9)
+    upside_down = moment_curvature(replace(shaken, y=-shaken.y), contacts, -KAPPA).moment
+    assert upside_down == pytest.approx(-once, rel=1e-9)
+    assert abs(moment_curvature(shaken, contacts, -KAPPA).moment + once).max() > 1e-9
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.0, np.pi / 2.0])
+def test_stick_stiffness_is_the_slope_at_zero_for_any_layout(turn: float) -> None:
+    two = concentric((Layer(2, 0.3e-3, 0.2),), tube(1.8e-3))
+    packing = packed(layers_of("C1"), tube(1.5e-3), seed=2)
+    for section in (two, packing, wire("A3")):
+        contacts = insulated(
+            len(section.layers) - int(section.has_core),
+            strand=0.21,
+            insulation=0.1,
+            radial_force=0.15,
+        )
+        found = moment_curvature(section, contacts, np.zeros(1), orientation=turn)
+        assert found.stick_stiffness == pytest.approx(found.tangent_stiffness[0], rel=1e-9)
+        assert found.stick_stiffness == stick_stiffness(section, orientation=turn)
+    across = stick_stiffness(two, orientation=np.pi / 2.0)
+    assert across > 1.2 * stick_stiffness(two)
+
+
+def test_each_curvature_stands_alone() -> None:
+    section = wire("A3")
+    rng = np.random.default_rng(1)
+    mixed = rng.permutation(np.concatenate([KAPPA, -KAPPA, [np.nan]]))
+    once = moment_curvature(section, contacts_of(section), mixed)
+    alone = moment_curvature(section, contacts_of(section), KAPPA).moment
+    order = np.searchsorted(KAPPA, np.abs(mixed[~np.isnan(mixed)]))
+    known = once.moment[~np.isnan(mixed)]
+    assert known == pytest.approx(np.sign(mixed[~np.isnan(mixed)]) * alone[order], rel=1e-9)
+    for part in (once.stick, once.slip, once.moment, once.tangent_stiffness, once.secant_stiffness):
+        assert np.isnan(part[np.isnan(mixed)]).all()
+
+
+def test_axial_tension_holds_the_strands() -> None:
+    section, kappa = cardinal(), np.array([0.1])
+    contacts = insulated(4, strand=0.5, insulation=0.0, radial_force=0.0)
+    slack, taut = (
+        moment_curvature(section, contacts, kappa, tension=pull).moment[0] for pull in (0.0, 40e3)
+    )
+    assert slack == pytest.approx(slip_stiffness(section) * 0.1, rel=1e-6)
+    assert taut > 1.5 * slack
+
+
+@pytest.mark.parametrize("name", ["A2", "A3", "C4"])
+def test_the_plays_follow_the_first_loading(name: str) -> None:
+    section, contacts = wire(name), contacts_of(wire(name))
+    law = play_law(section, contacts, largest_curvature=40.0)
+    assert len(law.half_widths) > 60
+    curvature = np.geomspace(1e-4, 39.9, 500)
+    moment = moment_curvature(section, contacts, curvature).moment
+    found = np.array(
+        [respond(law, np.array([m]), virgin_plays(law, 1)).curvature[0] for m in moment]
+    )
+    stiffness = moment / found
+    assert stiffness == pytest.approx(moment / curvature, rel=3e-3)
+
+
+@pytest.mark.parametrize("name", ["A2", "C4"])
+def test_the_plays_unload_as_the_sliders_do(name: str) -> None:
+    section, contacts = wire(name), contacts_of(wire(name))
+    law = play_law(section, contacts, largest_curvature=40.0)
+    down = np.linspace(20.0, -20.0, 81)
+    path = np.concatenate([np.linspace(0.1, 20.0, 80), down])
+    moment = bend_along(section, contacts, path)
+    peak = respond(law, moment[79:80], virgin_plays(law, 1))
+    back = respond(law, moment[120:121], peak.plays)
+    # Friction differs by 7 % between the sides: a small part of a small part of the moment.
+    assert back.curvature[0] == pytest.approx(path[120], abs=0.01 * 20.0)
+
+
+@pytest.mark.parametrize("name", ["A2", "A3", "C4"])
+def test_parts_and_stiffnesses(name: str) -> None:
+    section = wire(name)
+    curve = moment_curvature(section, contacts_of(section), KAPPA)
+    parts = curve.stick + curve.slip + curve.bending + curve.plastic + curve.insulation
+    assert curve.moment == pytest.approx(parts)
+    assert np.all(curve.plastic <= 1e-18)
+    assert curve.stick[0] == curve.slip[0] == 0.0
+    assert curve.stick[-1] == pytest.approx(0.0)
+    assert curve.slip[-1] > 0.0
+    assert curve.secant_stiffness[1:] == pytest.approx(curve.moment[1:] / KAPPA[1:])
+    assert curve.secant_stiffness[0] == curve.tangent_stiffness[0]
+    assert curve.tangent_stiffness[0] == pytest.approx(curve.stick_stiffness)
+    fine = np.linspace(2.0, 35.0, 20001)
+    smooth = moment_curvature(section, contacts_of(section), fine)
+    slope = np.gradient(smooth.moment, fine)
+    assert smooth.tangent_stiffness[5:-5] == pytest.approx(slope[5:-5], rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["A2", "A3", "C4"])
+@pytest.mark.parametrize("orientation", [0.0, 0.3])
+def test_limits_of_the_radial_force(name: str, orientation: float) -> None:
+    section = wire(name, ELASTIC)
+    loose = insulated(len(section.layers) - 1, strand=0.0, insulation=0.0, radial_force=0.0)
+    for contacts, stiffness in (
+        (contacts_of(section, 1e9), stick_stiffness(section)),
+        (contacts_of(section, 0.0), slip_stiffness(section)),
+        (loose, slip_stiffness(section)),
+    ):
+        curve = moment_curvature(section, contacts, KAPPA, orientation=orientation)
+        assert curve.moment == pytest.approx(stiffness * KAPPA, abs=1e-15)
+
+
+@pytest.mark.parametrize(("name", "is_shaken"), [("A2", False), ("C4", False), ("A2", True)])
+def test_the_range_over_orientations_leaves_out_no_turn(name: str, is_shaken: bool) -> None:
+    """Strands without order have no symmetry; friction of seven varies by 15 % (PHYSICS 4)."""
+    section, turns = wire(name), 24
+    if is_shaken:
+        turns = 7
+        away = np.random.default_rng(3).normal(scale=1e-5, size=(2, 7)) * (section.radius > 0.0)
+        section = replace(section, x=section.x + away[0], y=section.y + away[1])
+    contacts, kappa = contacts_of(section), np.array([-5.0, 0.05, 5.0, 40.0])
+    curve = moment_curvature(section, contacts, kappa)
+    low, high = orientation_range(section, contacts, curve, n_orientations=turns)
+    angles = 2.0 * np.pi * np.arange(turns) / turns
+    moments = [moment_curvature(section, contacts, kappa, orientation=a).moment for a in angles]
+    assert low == pytest.approx(np.min(moments, axis=0), rel=1e-9)
+    assert high == pytest.approx(np.max(moments, axis=0), rel=1e-9)
+    if name == "A2" and not is_shaken:
+        assert 0.12 < float((high - low)[2] / curve.slip[2]) < 0.18
+
+
+@pytest.mark.parametrize("name", ["A2", "A3", "C4"])
+@pytest.mark.parametrize("largest", [20.0, 60.0, 150.0])
+def test_a_sharp_yield_does_not_stiffen(name: str, largest: float) -> None:
+    sharp = ElasticPerfectlyPlastic(110e9, 60e6)
+    table = StressTable((5e-4, 1e-3, 2e-3, 0.02, 0.3), (55e6, 70e6, 80e6, 100e6, 150e6))
+    for material in (sharp, table, RambergOsgood(110e9, 300e6, 0.02)):
+        section = wire(name, material)
+        law = play_law(section, contacts_of(section), largest_curvature=largest)
+        assert (law.compliances >= 0.0).all()
+
+
+def test_no_wire_is_bent_beyond_its_law() -> None:
+    section, contacts = wire("A2"), contacts_of(wire("A2"))
+    law = play_law(section, contacts, largest_curvature=20.0)
+    last = moment_curvature(section, contacts, np.array([20.0])).moment[0]
+    assert law.largest_moment == pytest.approx(last, rel=1e-12)
+    rig, rest = StringRig(0.76, 0.02, 0.085, 0.76), straight(law)
+    for call in (
+        lambda: bend_to_deflection(law, rest, 0.085, 0.05),
+        lambda: bend_to_travel(law, rest, 0.085, rig, 0.05),
+        lambda: bend_under_force(law, rest, 0.085, np.array([0.0, 0.5])),
+    ):
+        with pytest.raises(
+            ValueError, match=r"bent to [2-9]\d(\.\d+)? 1/m, and its law ends at 20"
+        ):
+            call()
