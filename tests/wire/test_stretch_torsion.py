@@ -12,6 +12,8 @@ from labpipe.wire.stretch_torsion import StretchTorsion, stretch_torsion
 from tests.builders.stranded_wires import wire
 
 MODULUS, DIAMETER = 1e11, 1e-3
+
+
 AREA, SECOND = np.pi * DIAMETER**2 / 4.0, np.pi * DIAMETER**4 / 64.0
 
 
@@ -90,30 +92,6 @@ def two_rings(first: float, second: float) -> StretchTorsion:
     return stretch_torsion(hexagonal((*layers, Layer(12, 1e-3, second, copper))))
 
 
-@pytest.mark.parametrize(
-    ("name", "fixed", "free"),
-    [("A1", 2.7, 2.1), ("A2", 2.4, 1.8), ("A3", 5.6, 4.4), ("C1", 6.8, 5.7), ("C4", 7.9, 7.4)],
-)
-def test_strands_that_are_only_bent_and_twisted_are_far_softer(
-    name: str, fixed: float, free: float
-) -> None:
-    """What an examination by another implementation found that stretch and tube add."""
-    section = wire(name)
-    before = sum(
-        layer.count
-        * layer.material.modulus
-        * np.pi
-        * layer.diameter**4
-        / 64.0
-        * np.cos(layer.lay_angle)
-        * (np.cos(layer.lay_angle) ** 2 / (1.0 + layer.poisson) + np.sin(layer.lay_angle) ** 2)
-        for layer in section.layers
-    )
-    found = stretch_torsion(section)
-    assert found.torsional / before == pytest.approx(fixed, rel=0.03)
-    assert found.torsional_free / before == pytest.approx(free, rel=0.03)
-
-
 def of_helices(section: CrossSection) -> Floats:
     """The pair [EA, C; C, GJ] if strands are bent and twisted as helices, whose lay angle follows.
 
@@ -150,13 +128,6 @@ def helix(layer: Layer, radius: float) -> Floats:
     changes /= np.array([[1e-6], [1e-3]])
     stiff = flexural(layer) * np.diag([1.0, 1.0 / (1.0 + layer.poisson)])
     return np.asarray(changes @ stiff @ changes.T * length)
-
-
-def test_a_helix_by_differences_is_loves() -> None:
-    layer = Layer(6, DIAMETER, 0.3, Elastic(MODULUS))
-    s, c = np.sin(0.3), np.cos(0.3)
-    love = s**2 * c * (1.0 + c**2) ** 2 + c**7 / (1.0 + layer.poisson)
-    assert helix(layer, DIAMETER)[1, 1] == pytest.approx(MODULUS * SECOND * love, rel=1e-6)
 
 
 def bare(count: int, degrees: float) -> CrossSection:

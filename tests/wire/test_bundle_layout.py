@@ -1,0 +1,277 @@
+"""Where the wires of a bundle lie: sites, kinds, heaps and the circle around them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.harness_bundle import ARRANGEMENTS, BundleLayout
+from labpipe.wire.bundle_layout import (
+    arrange,
+    by_chance,
+    evenly,
+    on_one_side,
+    sites,
+)
+from labpipe.wire.bundle_packing import (
+    bore_for,
+    choose_bore,
+    densest_heap,
+    fits,
+    holding_circle,
+    packing_fraction,
+    require_dense,
+)
+from labpipe.wire.cross_section import largest_overlap
+from tests.builders.bundles import bundle
+
+
+@pytest.mark.parametrize("number", [2, 5, 8, 13, 19, 23, 27])
+def test_wires_touch_and_do_not_overlap(number: int) -> None:
+    found = sites(number)
+    assert found.shape == (number, 2)
+    assert largest_overlap(found, np.ones(number) / 2.0) < 1e-9
+    distance = np.hypot(*(found[:, None] - found[None]).transpose(2, 0, 1))
+    np.fill_diagonal(distance, np.inf)
+    assert distance.min(axis=1) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_other_numbers_are_dense_and_repeat() -> None:
+    once, again = sites(8, seed=3), sites(8, seed=3)
+    assert np.array_equal(once, again)
+    # The densest eight in a circle need 3.3048 radii (Pirl 1969).
+    assert 3.3048 - 1e-4 < 2.0 * holding_circle(once, np.ones(8))[1] < 1.11 * 3.3048
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [10, 22, 23, 38, 43, 45, 47, 48, 59, 61, 127, 300])
+@pytest.mark.parametrize("middle", [(0.0, 0.0), (0.5, 0.0), (0.5, 3.0**-0.5 / 2.0)])
+def test_a_heap_is_no_wider_than_the_lattice_around(
+    number: int, middle: tuple[float, float]
+) -> None:
+    """The points of a lattice of triangles nearest to a point of it, or in the middle of two or
+    three."""
+    along, up = np.mgrid[-25:26, -25:26].reshape(2, -1)
+    points = np.column_stack([along + 0.5 * up, 0.75**0.5 * up]) - middle
+    nearest = points[np.argsort(np.hypot(*points.T).round(9), kind="stable")[:number]]
+    ones = np.ones(number)
+    assert holding_circle(sites(number), ones)[1] <= holding_circle(nearest, ones)[1] + 1e-6
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    counts=st.lists(st.integers(0, 6), min_size=1, max_size=3).filter(lambda each: sum(each) > 1)
+)
+def test_every_spread_has_the_counts(counts: list[int]) -> None:
+    places = np.random.default_rng(0).normal(size=(sum(counts), 2))
+    chance = by_chance(counts, np.random.default_rng(1))
+    for kind in (chance, evenly(places, counts), on_one_side(places, counts, [1.0] * len(counts))):
+        assert np.bincount(kind, minlength=len(counts)).tolist() == counts
+
+
+def test_the_stiffest_lies_on_top() -> None:
+    places = sites(19)
+    kind = on_one_side(places, [10, 9], [1.0, 2.0])
+    assert places[kind == 1, 1].min() >= places[kind == 0, 1].max() - 1e-9
+    assert places[kind == 1].mean(axis=0)[1] > 0.5
+    assert places[kind == 1].sum(axis=0)[0] == pytest.approx(0.0, abs=1e-9)
+    turned = on_one_side(places, [10, 9], [2.0, 1.0])
+    assert places[turned == 0, 1].min() >= places[turned == 1, 1].max() - 1e-9
+
+
+def test_a_shared_row_is_balanced() -> None:
+    places = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    assert on_one_side(places, [3, 2], [1.0, 2.0]).tolist() == [0, 1, 0, 1, 0]
+    assert on_one_side(places, [4, 1], [1.0, 2.0]).tolist() == [0, 0, 1, 0, 0]
+
+
+def unevenness(places: Floats, kind: Ints) -> float:
+    """How far the centroids and second moments of the kinds are from those of all wires."""
+    x, y = (places - places.mean(axis=0)).T
+    size = np.mean(x**2 + y**2)
+    traits = [x / size**0.5, y / size**0.5, (x**2 - y**2) / size, 2.0 * x * y / size]
+    traits.append((x**2 + y**2) / size - 1.0)
+    sums = [[each[kind == k].sum() for each in traits] for k in range(kind.max() + 1)]
+    return float(np.sum(np.square(sums) / np.bincount(kind)[:, None]))
+
+
+def test_even_spread_is_evener_than_chance_and_repeats() -> None:
+    places = sites(19)
+    even = evenly(places, [10, 9], seed=2)
+    assert np.array_equal(even, evenly(places, [10, 9], seed=2))
+    rng = np.random.default_rng(5)
+    chances = [unevenness(places, by_chance([10, 9], rng)) for _ in range(200)]
+    assert unevenness(places, even) < min(chances)
+
+
+def test_six_of_seven_around_the_core_cannot_be_even() -> None:
+    """A lone wire of its kind goes where it tilts the bundle least: into the middle."""
+    kind = evenly(sites(7), [6, 1])
+    assert kind.tolist() == [1, 0, 0, 0, 0, 0, 0]
+
+
+DIAMETERS, STIFFNESS = (1.10e-3, 1.25e-3), (37e3, 52e3)
+
+
+def centres(layout: BundleLayout) -> np.ndarray:
+    return np.column_stack([layout.x, layout.y])
+
+
+SEVEN = np.full(7, 1e-3)
+
+
+@pytest.mark.parametrize("number", [7, 19, 40])
+def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
+    """The pull on each wire is balanced by wires that touch it to 1e-12 of a diameter."""
+    rng = np.random.default_rng(number)
+    diameters = rng.uniform(0.8, 1.2, number)
+    centres = densest_heap([rng.normal(size=(number, 2))], diameters)
+    first, second = np.triu_indices(number, 1)
+    apart = centres[first] - centres[second]
+    distance = np.hypot(*apart.T)
+    touch = distance < 0.5 * (diameters[first] + diameters[second]) + 1e-12
+    pushes = np.zeros((int(touch.sum()), number, 2))
+    row, along = np.arange(len(pushes)), (apart / distance[:, None])[touch]
+    pushes[row, first[touch]], pushes[row, second[touch]] = along, -along
+    pull = (diameters[:, None] ** 2 * centres).ravel()
+    _, left = nnls(pushes.reshape(len(pushes), -1).T, pull)
+    assert left < 1e-9 * np.linalg.norm(pull)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [60, 200])
+@pytest.mark.parametrize("kinds", [(1.1, 1.25), (1.0, 2.0, 1.5, 3.0)])
+def test_many_unequal_wires_come_together(number: int, kinds: tuple[float, ...]) -> None:
+    """A search by sequential least squares let some such heaps explode and left others loose."""
+    rng = np.random.default_rng(2)
+    diameters = rng.permutation(np.resize(kinds, number))
+    starts = [2.0 * np.sqrt(number) * rng.uniform(-1.0, 1.0, size=(number, 2)) for _ in range(2)]
+    found = densest_heap(starts, diameters)
+    assert largest_overlap(found, diameters / 2.0) < 1e-9
+    assert packing_fraction(diameters, 2.0 * holding_circle(found, diameters)[1]) > 0.6
+
+
+def test_the_narrower_of_two_heaps() -> None:
+    """A row that nothing pushes aside stays a row: 4 of 16 filled; a square fills 0.69."""
+    row = np.column_stack([np.arange(4.0), np.zeros(4)])
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    found = densest_heap([row, square], np.ones(4))
+    assert holding_circle(found, np.ones(4))[1] == pytest.approx(0.5 + np.sqrt(0.5), abs=1e-5)
+
+
+def test_circle_around_many_wires_touches_some_and_leaves_out_none() -> None:
+    """More wires than are looked at first, the widest of them in the middle."""
+    rng = np.random.default_rng(8)
+    centres, diameters = rng.normal(size=(300, 2)), rng.uniform(0.1, 0.5, 300)
+    diameters[np.argmin(np.hypot(*centres.T))] = 4.0
+    middle, radius = holding_circle(centres, diameters)
+    reach = np.hypot(*(centres - middle).T) + diameters / 2.0
+    assert reach.max() == pytest.approx(radius)
+    touching = centres[reach > radius * (1.0 - 1e-6)] - middle
+    assert len(touching) >= 2
+    # held from all sides: no half plane has all the wires that touch
+    angle = np.sort(np.arctan2(*touching.T[::-1]))
+    assert np.max(np.diff(np.append(angle, angle[0] + 2.0 * np.pi))) <= np.pi + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("number", "core", "farthest"),
+    [
+        *((1, 1, 0.0), (7, 1, 1.0), (19, 1, 2.0), (37, 1, 3.0)),
+        *((3, 3, (1 / 3) ** 0.5), (12, 3, (7 / 3) ** 0.5), (27, 3, (19 / 3) ** 0.5)),
+    ],
+)
+def test_hexagons(number: int, core: int, farthest: float) -> None:
+    """Around one wire or three; from the middle outwards, then by angle."""
+    places = sites(number)
+    away = np.hypot(*places.T)
+    assert away[:core] == pytest.approx(0.0 if core == 1 else 3.0**-0.5, abs=1e-12)
+    assert away.max() == pytest.approx(farthest, abs=1e-12)
+    assert places.mean(axis=0) == pytest.approx([0.0, 0.0], abs=1e-12)
+    if number == 7:
+        angle = np.degrees(np.arctan2(places[1:, 1], places[1:, 0])) % 360.0
+        assert angle == pytest.approx(np.arange(6) * 60.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("diameters", [DIAMETERS, (1.10e-3, 1.1005e-3)])
+@pytest.mark.parametrize("arrangement", ARRANGEMENTS)
+def test_mixed_bundles(arrangement: str, diameters: tuple[float, float]) -> None:
+    """Half a micrometre makes wires unequal, too."""
+    mixed = bundle(("B1", 10), ("B2", 9), arrangement=arrangement)
+    layout = arrange(mixed, diameters, STIFFNESS)
+    assert layout.kind.tolist() == [0] * 10 + [1] * 9
+    assert layout.diameter == pytest.approx(np.repeat(diameters, [10, 9]))
+    assert largest_overlap(centres(layout), layout.diameter / 2.0) < 1e-12
+    centroid = np.average(centres(layout), axis=0, weights=layout.diameter**2)
+    assert centroid == pytest.approx([0.0, 0.0], abs=1e-9)
+    reach = np.hypot(*centres(layout).T) + layout.diameter / 2.0
+    assert layout.radius == pytest.approx(reach.max())
+    assert 2.5 * diameters[0] < layout.radius < 2.5 * diameters[1] + 1e-4
+    gap = np.hypot(*(centres(layout)[:, None] - centres(layout)[None]).transpose(2, 0, 1))
+    gap -= 0.5 * (layout.diameter[:, None] + layout.diameter)
+    np.fill_diagonal(gap, np.inf)
+    assert gap.min(axis=1).max() < 1e-8
+    again = arrange(mixed, diameters, STIFFNESS)
+    assert np.array_equal(layout.x, again.x)
+    if arrangement == "asymmetric":
+        stiff, soft = (layout.y[layout.kind == kind].mean() for kind in (1, 0))
+        assert stiff > 1e-3 > 0.0 > soft
+    elif arrangement == "packed":
+        assert not np.array_equal(layout.x, arrange(mixed, diameters, STIFFNESS, seed=5).x)
+
+
+def test_stated_positions_are_kept_about_their_centroid() -> None:
+    stated = bundle(("B1", 2), positions=((1e-3, 0.0), (1e-3, 2e-3)))
+    layout = arrange(stated, DIAMETERS[:1], STIFFNESS[:1])
+    assert layout.arrangement == "stated"
+    assert (layout.x.tolist(), layout.y.tolist()) == ([0.0, 0.0], [-1e-3, 1e-3])
+    assert layout.radius == pytest.approx(1.55e-3)
+    pressed = bundle(("B1", 2), positions=((0.0, 0.0), (1.092e-3, 0.0)))  # insulation gives
+    assert arrange(pressed, DIAMETERS[:1], STIFFNESS[:1]).arrangement == "stated"
+
+
+def test_packing_fractions_and_bores() -> None:
+    assert packing_fraction(SEVEN, 3e-3) == pytest.approx(7.0 / 9.0)
+    mixed = np.array([1.1e-3] * 10 + [1.25e-3] * 9)
+    assert packing_fraction(mixed, bore_for(mixed)) == pytest.approx(0.7)
+    assert bore_for(SEVEN, 7.0 / 9.0) == pytest.approx(3e-3)
+    assert choose_bore(SEVEN, (2.9e-3, 3.2e-3, 3.6e-3), smallest=3e-3) == 3.2e-3
+    assert choose_bore(SEVEN, (3.6e-3, 9e-3), smallest=3e-3) == 3.6e-3
+    assert choose_bore(SEVEN, (3e-3,), smallest=3e-3) == 3e-3
+    assert fits(3e-3 * (1.0 + 1e-12), 3e-3)
+    assert not fits(3.001e-3, 3e-3)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6), number=st.integers(1, 12))
+@example(seed=148, number=5)
+@example(seed=122, number=6)
+@example(seed=28, number=9)
+@example(seed=60, number=11)
+def test_heaps_are_dense_without_overlap_at_any_scale(seed: int, number: int) -> None:
+    """The examples come to rest in loose heaps, which are shaken."""
+    rng = np.random.default_rng(seed)
+    diameters = rng.uniform(0.5, 1.5, number)
+    start = rng.normal(size=(number, 2))
+    heap = densest_heap([start], diameters)
+    assert largest_overlap(heap, diameters / 2.0) < 1e-9
+    assert np.average(heap, axis=0, weights=diameters**2) == pytest.approx([0.0, 0.0], abs=1e-9)
+    if number > 3:
+        assert packing_fraction(diameters, 2.0 * holding_circle(heap, diameters)[1]) > 0.5
+    scale = 2.0**-10  # rounds no number
+    small = densest_heap([scale * start], scale * diameters)
+    assert scale * heap == pytest.approx(small, abs=1e-12)
+
+
+@pytest.mark.parametrize("beside", [0, 2])
+def test_wires_on_one_another_part(beside: int) -> None:
+    """Seven at one place, some more at another."""
+    centres = np.concatenate([np.zeros((7, 2)), np.full((beside, 2), 3.0)])
+    heap = densest_heap([centres], np.ones(7 + beside))
+    assert largest_overlap(heap, np.full(7 + beside, 0.5)) < 1e-9
+    assert holding_circle(heap, np.ones(7 + beside))[1] < 2.0
+    require_dense(np.array([[0.0, 0.0], [1.0, 0.0]]), np.ones(2))  # two wires fill just half
