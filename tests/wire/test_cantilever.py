@@ -1,4 +1,4 @@
-"""The cantilever on any path: loading, unloading, cycles, slack string."""
+"""The cantilever on any path, with and without its own weight: textbooks and separate solvers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from labpipe.law.plays import LinearLaw, MomentLaw
+from labpipe.law.play_fits import polygon_law
+from labpipe.law.plays import LinearLaw, MomentLaw, virgin_plays
 from labpipe.records.arrays import Floats
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.cantilever import (
@@ -16,11 +17,25 @@ from labpipe.wire.cantilever import (
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
+    held_level,
     straight,
+)
+from labpipe.wire.newton import (
+    Condition,
+    DeadLoad,
+    EndLoad,
+    Pull,
+    Unknowns,
+    _linearise,
+    _Problem,
+    chebyshev_stations,
+    interpolation_matrix,
+    solve,
 )
 from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire
+from tests.judges.reference_wires import HeavyWire, Law, yielding
 
 RIG = StringRig(string_length=0.76, weight=0.0265, anchor_x=LENGTH, anchor_height=0.76)
 
@@ -36,12 +51,6 @@ def travel_through(law: MomentLaw, rig: StringRig, travels: Floats) -> list[Cant
 def ramp(*corners: float, steps: int = 24) -> Floats:
     legs = [np.linspace(a, b, steps + 1)[1:] for a, b in pairwise(corners)]
     return np.concatenate([[corners[0]], *legs])
-
-
-def test_straight_wire_hangs_on_the_string() -> None:
-    shape = bend_to_travel(WIRE, straight(WIRE), LENGTH, RIG, 0.0)
-    assert shape.tension == pytest.approx(RIG.weight, rel=1e-9)
-    assert np.max(np.abs(shape.y)) < 1e-12
 
 
 def test_string_keeps_its_length_and_wire_its_arc() -> None:
@@ -65,28 +74,6 @@ def test_slack_string_leaves_the_wire_to_its_counterweight() -> None:
     assert shape.y[-1] == pytest.approx(-sag, rel=1e-3)
 
 
-def test_residual_bend_slackens_the_string_and_travel_takes_it_up_again() -> None:
-    shapes = travel_through(WIRE, RIG, ramp(0.0, 0.053, 0.0, 0.053, steps=30))
-    tension = np.array([shape.tension for shape in shapes])
-    assert tension[60] == 0.0
-    assert 0.010 < shapes[60].y[-1] < 0.020
-    assert tension[90] == pytest.approx(tension[30], rel=1e-3)
-    assert np.all(tension >= 0.0)
-
-
-def test_linear_law_comes_back_to_zero() -> None:
-    shapes = travel_through(LinearLaw(3e-3), RIG, ramp(0.0, 0.053, 0.0))
-    assert shapes[-1].tension == pytest.approx(RIG.weight, rel=1e-8)
-    assert np.max(np.abs(shapes[-1].y)) < 1e-10
-
-
-def test_later_cycles_repeat_the_second() -> None:
-    shapes = travel_through(WIRE, RIG, ramp(*[0.0, 0.053] * 3, 0.0, steps=20))
-    second = [shape.tension for shape in shapes[40:81]]
-    third = [shape.tension for shape in shapes[80:121]]
-    assert third == pytest.approx(second, abs=1e-9)
-
-
 def test_one_step_or_many_reach_the_same_place_on_a_branch() -> None:
     one = bend_to_travel(WIRE, straight(WIRE), LENGTH, RIG, 0.03)
     many = travel_through(WIRE, RIG, ramp(0.0, 0.03, steps=40))[-1]
@@ -94,25 +81,11 @@ def test_one_step_or_many_reach_the_same_place_on_a_branch() -> None:
     np.testing.assert_allclose(one.y, many.y, atol=1e-9)
 
 
-@pytest.mark.parametrize("law", [LinearLaw(3e-3), bilinear_law(5e-3, 1.5e-3, 0.02), WIRE])
-def test_deflection_of_four_fifths_of_the_length(law: MomentLaw) -> None:
-    rig = StringRig(0.76, 0.0265, LENGTH, 0.76)
-    shapes = travel_through(law, rig, ramp(0.0, 0.067, 0.0))
-    assert max(shape.y[-1] for shape in shapes) / LENGTH > 0.8
-
-
 def test_end_load_and_deflection_are_inverse() -> None:
     there = bend_to_deflection(WIRE, straight(WIRE), LENGTH, 0.02).state
     load = bend_to_deflection(WIRE, there, LENGTH, 0.05).force[1]
     shape = bend_under_force(WIRE, straight(WIRE), LENGTH, np.array([0.0, load]))
     assert shape.y[-1] == pytest.approx(0.05, abs=1e-9)
-
-
-def test_doubling_the_stations_changes_nothing_for_a_smooth_law() -> None:
-    law = LinearLaw(3e-3)
-    loads = [by_stations(law, np.array([0.053]), n_stations=n)[0] for n in (16, 32, 64)]
-    assert loads[0] == pytest.approx(loads[2], rel=1e-9)
-    assert loads[1] == pytest.approx(loads[2], rel=1e-12)
 
 
 def test_doubling_the_stations_converges_for_plays() -> None:
@@ -133,33 +106,124 @@ def test_a_long_step_does_not_end_in_a_curl() -> None:
     assert np.all(np.diff(whole.angle) > 0.0)
 
 
-def test_a_deflection_beyond_the_length_is_refused() -> None:
-    law = LinearLaw(3e-3)
-    with pytest.raises(ValueError, match=r"deflection=0.09: no equilibrium beyond 0.08"):
-        bend_to_deflection(law, straight(law), LENGTH, 0.09)
+LONG = 0.12
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_numbers_that_are_not_finite_are_refused(number: float) -> None:
-    law = LinearLaw(3e-3)
-    state = straight(law)
-    said = rf"=\[?(0.0, )?{number}\]?: allowed are finite numbers$"
-    with pytest.raises(ValueError, match="^force" + said):
-        bend_under_force(law, state, LENGTH, np.array([0.0, number]))
-    with pytest.raises(ValueError, match="^deflection" + said):
-        bend_to_deflection(law, state, LENGTH, number)
-    with pytest.raises(ValueError, match="^travel" + said):
-        bend_to_travel(law, state, LENGTH, RIG, number)
+KNOTS: Floats = np.geomspace(1e-7, 2e-2, 300)
 
 
-@pytest.mark.parametrize("length", [0.0, -0.085, np.nan, np.inf])
-def test_lengths_are_positive(length: float) -> None:
-    law = LinearLaw(3e-3)
-    state = straight(law)
-    said = rf"^length={length}: allowed are finite numbers > 0$"
-    with pytest.raises(ValueError, match=said):
-        bend_under_force(law, state, length, np.array([0.0, 0.1]))
-    with pytest.raises(ValueError, match=said):
-        bend_to_deflection(law, state, length, 0.01)
-    with pytest.raises(ValueError, match=said):
-        bend_to_travel(law, state, length, RIG, 0.01)
+STRANDED = polygon_law(yielding(KNOTS), KNOTS)
+
+
+@pytest.mark.parametrize(
+    ("law", "first"), [(LinearLaw(2e-4), lambda moment: moment / 2e-4), (STRANDED, yielding)]
+)
+def test_a_separate_solver_finds_the_same_rest_and_loads(law: MomentLaw, first: Law) -> None:
+    weight, deflections = 0.097, [0.001, 0.004, 0.02, 0.06]
+    other = HeavyWire(first, LONG, weight)
+    resting = other.rest()
+    rest = held_level(law, LONG, weight)
+    assert rest.force[1] == pytest.approx(other.pull(resting), rel=1e-4)
+    state, found = rest.state, resting
+    for deflection in deflections:
+        shape = bend_to_deflection(law, state, LONG, deflection)
+        found = other.loaded(resting, deflection, found)
+        state = shape.state
+        assert shape.force[1] == pytest.approx(other.pull(found), rel=1e-4)
+
+
+def test_with_the_string_a_separate_solver_finds_the_same() -> None:
+    weight, rig = 0.097, StringRig(0.76, 0.0265, LONG, 0.76)
+    other = HeavyWire(yielding, LONG, weight, 0.76, 0.0265)
+    resting = other.rest()
+    rest = bend_to_travel(STRANDED, straight(STRANDED, self_weight=weight), LONG, rig, 0.0)
+    assert rest.tension == pytest.approx(other.pull(resting), rel=1e-4)
+    state, found = rest.state, resting
+    for travel in (0.002, 0.01, 0.03, 0.053):
+        shape = bend_to_travel(STRANDED, state, LONG, rig, travel)
+        found = other.loaded(resting, float(shape.y[-1]), found)
+        state = shape.state
+        force = other.pull(found) - other.pull(resting)
+        assert shape.tension - rest.tension == pytest.approx(force, rel=1e-4)
+
+
+def test_a_wire_without_weight_is_as_before() -> None:
+    plain = bend_to_deflection(WIRE, straight(WIRE), LONG, 0.05)
+    weightless = bend_to_deflection(WIRE, held_level(WIRE, LONG, 1e-12).state, LONG, 0.05)
+    assert weightless.force[1] == pytest.approx(plain.force[1], rel=1e-9)
+
+
+CONDITIONS = [
+    DeadLoad(np.array([0.3, 1.7])),
+    EndLoad(0.4),
+    Pull(np.array([1.0, 8.0]), 7.6, 0.2),
+]
+
+
+@pytest.mark.parametrize("condition", CONDITIONS, ids=lambda c: type(c).__name__)
+def test_jacobian_against_central_differences(condition: Condition) -> None:
+    n, law, h = 12, LinearLaw(1.0), 1e-6
+    stations = chebyshev_stations(n)
+    beyond = 0.8 * (1.0 - stations.position)
+    problem = _Problem(law, virgin_plays(law, n), condition, stations, beyond)
+    moment, load = 1.2 * (1.0 - stations.position), 0.9
+    exact = _linearise(problem, moment, load).jacobian
+    for column in range(n + 1):
+        step = h * (np.arange(n + 1) == column)
+        ahead = _linearise(problem, moment + step[:n], load + step[n]).residual
+        behind = _linearise(problem, moment - step[:n], load - step[n]).residual
+        np.testing.assert_allclose(exact[:, column], (ahead - behind) / (2 * h), atol=1e-7)
+
+
+@pytest.mark.parametrize("power", range(8))
+def test_integrals_of_polynomials_are_exact(power: int) -> None:
+    stations = chebyshev_stations(9)
+    s = stations.position
+    integral = s ** (power + 1) / (power + 1)
+    np.testing.assert_allclose(stations.from_clamp @ s**power, integral, atol=1e-14)
+    np.testing.assert_allclose(stations.to_tip @ s**power, 1 / (power + 1) - integral, atol=1e-14)
+    assert stations.weights @ s**power == pytest.approx(1 / (power + 1))
+
+
+def test_interpolation_of_a_smooth_function() -> None:
+    wanted = np.linspace(0.0, 1.0, 33)
+    s = chebyshev_stations(24).position
+    np.testing.assert_allclose(interpolation_matrix(24, wanted) @ np.sin(3 * s), np.sin(3 * wanted))
+
+
+def test_cycles_leave_a_bend_that_slackens_the_string_and_repeat() -> None:
+    shapes = travel_through(WIRE, RIG, ramp(*[0.0, 0.053] * 3, 0.0, steps=20))
+    tension = np.array([shape.tension for shape in shapes])
+    assert tension[0] == pytest.approx(RIG.weight, rel=1e-9)
+    assert np.max(np.abs(shapes[0].y)) < 1e-12
+    assert tension[40] == 0.0
+    assert 0.010 < shapes[40].y[-1] < 0.020
+    assert tension[60] == pytest.approx(tension[20], rel=1e-3)
+    assert np.all(tension >= 0.0)
+    assert tension[80:121] == pytest.approx(tension[40:81], abs=1e-9)
+
+
+@pytest.mark.parametrize("law", [LinearLaw(3e-3), bilinear_law(5e-3, 1.5e-3, 0.02), WIRE])
+def test_deflection_of_four_fifths_of_the_length(law: MomentLaw) -> None:
+    shapes = travel_through(law, StringRig(0.76, 0.0265, LENGTH, 0.76), ramp(0.0, 0.067, 0.0))
+    assert max(shape.y[-1] for shape in shapes) / LENGTH > 0.8
+    if isinstance(law, LinearLaw):
+        assert shapes[-1].tension == pytest.approx(RIG.weight, rel=1e-8)
+        assert np.max(np.abs(shapes[-1].y)) < 1e-10
+
+
+def test_slack_and_level_wires_are_as_the_textbook_says() -> None:
+    law, weight = LinearLaw(2e-3), 1e-4
+    hanging = bend_under_force(law, straight(law, self_weight=weight), LONG, np.zeros(2))
+    assert hanging.y[-1] == pytest.approx(-weight * LONG**4 / 8.0 / 2e-3, rel=1e-6)
+    assert hanging.moment[0] == pytest.approx(-weight * LONG**2 / 2.0, rel=1e-6)
+    rest = held_level(law, LONG, weight)
+    assert rest.force[1] == pytest.approx(3.0 * weight * LONG / 8.0, rel=1e-6)
+    assert rest.moment[0] == pytest.approx(-weight * LONG**2 / 8.0, rel=1e-6)
+    assert rest.y.min() == pytest.approx(-weight * LONG**4 / 184.6 / 2e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize(("moment", "deflection"), [(0.0, 1.5), (np.nan, 0.1)])
+def test_no_equilibrium_is_none(moment: float, deflection: float) -> None:
+    law, start = LinearLaw(1.0), Unknowns(np.full(12, moment), 0.0)
+    assert solve(law, virgin_plays(law, 12), 1.0, EndLoad(deflection), start) is None

@@ -1,3 +1,5 @@
+"""End loads: the row of all deflections at once, and the path that turns back."""
+
 from __future__ import annotations
 
 from itertools import pairwise
@@ -12,11 +14,14 @@ from labpipe.law.plays import LinearLaw, MomentLaw, respond, virgin_plays
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.cantilever import bend_to_deflection, straight
 from labpipe.wire.end_load import deflection_at, end_loads, polygon_of
+from labpipe.wire.end_load_path import end_load_path
 from tests.builders.bilinear_laws import bilinear_law, complementary_energy
+from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire
 
-LENGTH = 0.085
 SECTION = wire("A2")
+
+
 STRANDED = play_law(SECTION, contacts_of(SECTION), largest_curvature=125.0)
 
 
@@ -27,14 +32,6 @@ def elastica(tip_angle: float) -> tuple[float, float]:
     load = (ellipk(k**2) - ellipkinc(start, k**2)) ** 2
     rise = 1.0 - 2.0 * (ellipe(k**2) - ellipeinc(start, k**2)) / np.sqrt(load)
     return float(load), float(rise)
-
-
-@pytest.mark.parametrize("tip_angle", [1e-3, 0.3, 0.8, 1.2, 1.43, 1.5])
-def test_the_elastica(tip_angle: float) -> None:
-    load, rise = elastica(tip_angle)
-    found = end_loads(LinearLaw(2e-3), LENGTH, np.array([rise * LENGTH]))
-    assert found.load[0] * LENGTH**2 / 2e-3 == pytest.approx(load, rel=1e-8)
-    assert found.deflection[0] == pytest.approx(rise * LENGTH, rel=1e-10)
 
 
 def by_adaptive_quadrature(law: MomentLaw, clamp: float) -> tuple[float, float]:
@@ -97,14 +94,6 @@ def test_it_ends_where_parts_near_the_tip_unload() -> None:
     assert len(linear.load) - 1 == len(deflections)
 
 
-@pytest.mark.parametrize("tip_angle", [0.3, 1.2, 1.5, 1.565, 1.57])
-def test_deflection_at_a_clamp_moment_is_the_elastica(tip_angle: float) -> None:
-    load, rise = elastica(tip_angle)
-    clamp = np.sqrt(2.0 * load * np.sin(tip_angle)) * 2e-3 / LENGTH
-    found = deflection_at(LinearLaw(2e-3), LENGTH, clamp)
-    assert found == pytest.approx(rise * LENGTH, rel=1e-9)
-
-
 @pytest.mark.parametrize("length", [0.085, 0.3, 1.0, 3.0, 30.0])
 def test_a_far_bent_wire_stands_upright(length: float) -> None:
     """The limit of the elastica: k = 1, E(k) = 1, E(phi, k) = sin(phi) = 1 / sqrt(2)."""
@@ -114,32 +103,59 @@ def test_a_far_bent_wire_stands_upright(length: float) -> None:
     assert found / length == pytest.approx(rise, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("law", "share"),
-    [
-        (LinearLaw(3e-3), 0.85),
-        (LinearLaw(3e-3), 0.97),
-        (bilinear_law(5e-3, 1e-3, 0.05), 0.6),  # beyond, parts that have yielded unload
-    ],
-)
-def test_far_bent_wires_station_by_station(law: MomentLaw, share: float) -> None:
-    """A corner in the law costs the stations accuracy; a straight law does not."""
-    shape = bend_to_deflection(law, straight(law, 128), LENGTH, share * LENGTH)
-    assert shape.moment[0] == shape.moment.max()
-    found = deflection_at(law, LENGTH, float(shape.moment[0]))
-    within = 1e-8 if isinstance(law, LinearLaw) else 1e-4
-    assert found == pytest.approx(share * LENGTH, rel=within)
+def test_a_curve_that_turns_back_goes_on_from_its_first_loading() -> None:
+    deflections = np.array([0.02, 0.04, 0.03, 0.02, -0.01, 0.0])
+    loads = end_load_path(WIRE, LENGTH, deflections).load
+    assert loads == pytest.approx(by_stations(WIRE, deflections), abs=5e-5 * loads.max())
+    assert loads[3] < 0.7 * loads[0]
 
 
-@pytest.mark.parametrize("numbers", [(0.0, 0.1), (np.nan, 0.1), (0.085, 0.0), (0.085, np.inf)])
-def test_numbers_out_of_range(numbers: tuple[float, float]) -> None:
-    name = "clamp_moment" if numbers[0] == 0.085 else "length"
-    with pytest.raises(ValueError, match=rf"^{name}=.*: allowed are finite numbers > 0$"):
-        deflection_at(LinearLaw(2e-3), *numbers)
+def test_a_curve_from_zero_and_one_to_the_other_side() -> None:
+    assert end_load_path(WIRE, LENGTH, np.array([0.0, 0.02])).load[0] == pytest.approx(
+        0.0, abs=1e-15
+    )
+    up, down = (
+        end_load_path(WIRE, LENGTH, side * np.array([0.02, 0.04])).load for side in (1.0, -1.0)
+    )
+    assert down == pytest.approx(-up, rel=1e-4)
+    assert end_load_path(WIRE, LENGTH, np.zeros(0)).load.shape == (0,)
 
 
-def test_small_deflections() -> None:
-    found = end_loads(LinearLaw(2e-3), LENGTH, np.array([1e-9, 1e-5, 0.05]))
-    slope = 3.0 * 2e-3 / LENGTH**3
-    assert found.load[0] == pytest.approx(slope * 1e-9, rel=1e-9)
-    assert found.load[1] == pytest.approx(slope * 1e-5, rel=1e-6)
+@pytest.mark.parametrize("tip_angle", [1e-3, 0.3, 0.8, 1.2, 1.43, 1.5, 1.565, 1.57])
+def test_the_elastica(tip_angle: float) -> None:
+    load, rise = elastica(tip_angle)
+    clamp = np.sqrt(2.0 * load * np.sin(tip_angle)) * 2e-3 / LENGTH
+    assert deflection_at(LinearLaw(2e-3), LENGTH, clamp) == pytest.approx(rise * LENGTH, rel=1e-9)
+    if tip_angle <= 1.5:
+        row = end_loads(LinearLaw(2e-3), LENGTH, np.array([rise * LENGTH]))
+        assert row.load[0] * LENGTH**2 / 2e-3 == pytest.approx(load, rel=1e-8)
+        assert row.deflection[0] == pytest.approx(rise * LENGTH, rel=1e-10)
+
+
+def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads() -> None:
+    section = wire("C4")
+    law = play_law(section, contacts_of(section), largest_curvature=95.0)
+    deflections = np.linspace(0.0, 0.8 * LENGTH, 41)[1:]
+    state, loads, moments = straight(law, 64), [], []
+    for deflection in deflections.tolist():
+        shape = bend_to_deflection(law, state, LENGTH, deflection)
+        state = shape.state
+        loads.append(shape.force[1])
+        moments.append(shape.moment[0])
+    for step in (40, 4, 1):
+        path = end_load_path(law, LENGTH, deflections[step - 1 :: step])
+        assert path.load == pytest.approx(loads[step - 1 :: step], rel=1e-4)
+        assert path.clamp_moment == pytest.approx(moments[step - 1 :: step], rel=1e-4)
+
+
+def test_a_path_ends_where_the_law_does() -> None:
+    short, long = (
+        play_law(SECTION, contacts_of(SECTION), largest_curvature=last) for last in (20.0, 60.0)
+    )
+    deflections = np.linspace(0.0, 0.05, 26)[1:]
+    path = end_load_path(short, LENGTH, deflections)
+    assert 5 < len(path.load) < 25
+    beyond = end_load_path(long, LENGTH, deflections).clamp_moment
+    assert beyond[len(path.load) - 1] < short.largest_moment < beyond[len(path.load)]
+    back = end_load_path(short, LENGTH, np.array([0.01, 0.005, 0.012, 0.05, 0.01]))
+    assert len(back.load) == 3

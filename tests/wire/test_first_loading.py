@@ -1,21 +1,41 @@
-"""The loading curve by the first integral against the path station by station, and the elastica."""
+"""First loading, all points at once: the elastica, separate solvers, and the path by stations."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from labpipe.law.loading_table import LoadingTable
+from labpipe.law.play_fits import polygon_law
 from labpipe.law.plays import LinearLaw, MomentLaw
+from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
-from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
+from labpipe.wire.first_loading import (
+    LoadingCurve,
+    force_at,
+    load_cantilever,
+)
+from labpipe.wire.heavy_loading import heavy_states, load_heavy
+from labpipe.wire.tested_curvature import tested_curvature as curvature_of
 from tests.builders.bilinear_laws import bilinear_law, law_of_plays
-from tests.builders.loading_tests import law_of, rig_of, wire_of
+from tests.builders.loading_tests import DEEPEST, TRUTH, law_of, measured, rig_of, wire_of
+from tests.judges.reference_wires import HeavyWire, yielding
 
 LENGTH = 0.085
+
+
 CLOSE = 5e-5  # 64 stations straddle a corner of the law: they are good to 4e-5 of a small load
+
+
 GOALS = (0.0005, 0.002, 0.005, 0.01, 0.02, 0.035, 0.05)
+
+
 A2 = law_of(wire_of("A2"), n_plays=60)
+
+
 LAWS = [LinearLaw(4e-4), bilinear_law(5e-3, 4e-4, 5e-4), A2]
 
 
@@ -77,15 +97,6 @@ def test_the_stiffness_is_the_slope() -> None:
     assert curve.stiffness[middle] == pytest.approx(slope[middle], rel=2e-3)
 
 
-def test_first_loading_ends_where_the_moment_at_the_tip_falls() -> None:
-    curve = curve_of(LinearLaw(4e-4), None)
-    assert 0.66 < curve.deflection[-1] / LENGTH < 0.72
-    elastic = load_cantilever(law_of_plays(LinearLaw(4e-4), 0.03), LENGTH, has_memory=False)
-    assert elastic.deflection[-1] / LENGTH > 0.8
-    with pytest.raises(ValueError, match=r"deflection=0.07 m: the curve ends at 0.05\d+ m, where"):
-        force_at(curve, np.array([0.01, 0.07]))
-
-
 def test_forces_are_odd_and_nan_stays() -> None:
     curve = curve_of(A2, None)
     force, change = force_at(curve, np.array([0.01, -0.01, 0.0, np.nan]))
@@ -96,6 +107,77 @@ def test_forces_are_odd_and_nan_stays() -> None:
     assert curve.force[0] == 0.0
 
 
-def test_no_equilibrium_is_said() -> None:
-    with np.errstate(all="ignore"), pytest.raises(ValueError, match=r"length=nan: no equilibrium"):
-        load_cantilever(law_of_plays(A2, 0.03), np.nan)
+
+
+HEAVY_LENGTH, WEIGHT = 0.12, 0.097
+
+
+RIG = StringRig(0.76, 0.0265, HEAVY_LENGTH, 0.76)
+
+
+KNOTS: Floats = np.geomspace(1e-7, 2e-2, 300)
+
+
+LAW = polygon_law(yielding(KNOTS), KNOTS)
+
+
+TABLE = LoadingTable.of_plays(LAW)
+
+
+@pytest.mark.parametrize("rig", [RIG, None])
+def test_a_separate_solver_finds_the_same_forces(rig: StringRig | None) -> None:
+    string = {} if rig is None else {"string": 0.76, "counterweight": 0.0265}
+    other = HeavyWire(yielding, HEAVY_LENGTH, WEIGHT, **string)
+    resting = found = other.rest()
+    curve = load_heavy(TABLE, HEAVY_LENGTH, rig, WEIGHT, 0.07)
+    assert curve.tension[0] == pytest.approx(other.pull(resting), rel=1e-4)
+    for deflection in (0.001, 0.004, 0.02, 0.06):
+        found = other.loaded(resting, deflection, found)
+        force = force_at(curve, np.array([deflection]))[0][0]
+        assert force == pytest.approx(other.pull(found) - other.pull(resting), rel=2e-4)
+
+
+def test_the_slope_is_that_of_the_forces() -> None:
+    wanted = np.array([0.0099, 0.01, 0.0101])
+    at = heavy_states(TABLE, HEAVY_LENGTH, RIG, WEIGHT, wanted)
+    slope = (at.tension[2] - at.tension[0]) / 2e-4
+    assert at.tension_change[0, 1] == pytest.approx(slope, rel=1e-3)
+
+
+def test_it_is_that_of_the_path_station_by_station() -> None:
+    """`wire.cantilever` shares only the law with the first integral."""
+    wire = wire_of("A2")
+    law = law_of(wire)
+    shape = bend_to_travel(law, straight(law), 0.085, rig_of(0.085), DEEPEST)
+    curves = [replace(each, deflection=np.clip(each.deflection, 0.0, None)) for each in measured()]
+    deepest = max(float(each.deflection.max()) for each in curves)
+    found = curvature_of(wire, TRUTH, curves)
+    bent = float(np.abs(shape.curvature).max()) * deepest / float(shape.y[-1])
+    assert found == pytest.approx(bent, rel=0.03)
+    assert curvature_of(wire, np.full(3, np.nan), curves) == pytest.approx(found, rel=1e-6)
+
+
+def test_with_weight_station_by_station() -> None:
+    state = straight(LAW, self_weight=WEIGHT)
+    shape = rest = bend_to_travel(LAW, state, HEAVY_LENGTH, RIG, 0.0)
+    curve = load_heavy(TABLE, HEAVY_LENGTH, RIG, WEIGHT, 0.07)
+    assert curve.clamp_moment[0] == pytest.approx(rest.moment[0], rel=1e-4)
+    for travel in (0.002, 0.03, 0.06):
+        shape = bend_to_travel(LAW, shape.state, HEAVY_LENGTH, RIG, travel)
+        deflection = np.array([shape.y[-1] - rest.y[-1]])
+        at = heavy_states(TABLE, HEAVY_LENGTH, RIG, WEIGHT, deflection)
+        assert at.moment[0, 0] == pytest.approx(shape.moment[0], rel=1e-4)
+        assert force_at(curve, deflection)[0][0] == pytest.approx(
+            shape.tension - rest.tension, rel=1e-4
+        )
+
+
+def test_first_loading_ends_where_the_tip_unloads() -> None:
+    curve = curve_of(LinearLaw(4e-4), None)
+    assert 0.66 < curve.deflection[-1] / LENGTH < 0.72
+    elastic = load_cantilever(law_of_plays(LinearLaw(4e-4), 0.03), LENGTH, has_memory=False)
+    assert elastic.deflection[-1] / LENGTH > 0.8
+    heavy = load_heavy(LoadingTable.of_plays(LinearLaw(2e-3)), HEAVY_LENGTH, None, WEIGHT, 0.1)
+    assert 0.65 < heavy.deflection[-1] / HEAVY_LENGTH < 0.75
+    with pytest.raises(ValueError, match=r"deflection=0.07 m: the curve ends at 0.05\d+ m, where"):
+        force_at(curve, np.array([0.01, 0.07]))

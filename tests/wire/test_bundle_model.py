@@ -1,0 +1,323 @@
+"""The model of a bundle: bounds of its stiffness, sticking wires, and friction between them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from labpipe.law.plays import first_curvature, respond, virgin_plays
+from labpipe.records.arrays import Floats
+from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleModel, BundleWire
+from labpipe.wire.bundle_friction import Friction, fit_friction, friction_law, friction_moment
+from labpipe.wire.bundle_model import (
+    axial_force,
+    bundle_model,
+    common_curvature,
+    share_of_bounds,
+    slipping_moment,
+    sticking,
+    stretching_moment,
+)
+from labpipe.wire.end_load_path import end_load_path
+from tests.approved import Approve
+from tests.builders.bundles import bundle, example_wires, solid_stiffnesses, solid_wire
+
+
+def codes(model: BundleModel) -> list[str]:
+    return [note.code for note in model.notes]
+
+
+def test_bounds_and_laws_of_a_mixed_bundle() -> None:
+    wires = example_wires()
+    model = bundle_model(bundle(("B1", 10), ("B2", 9), arrangement="asymmetric"), wires)
+    b1, b2 = wires["B1"], wires["B2"]
+    assert model.low == pytest.approx(10 * b1.slip_stiffness + 9 * b2.slip_stiffness)
+    assert model.free == pytest.approx(10 * b1.stick_stiffness + 9 * b2.stick_stiffness)
+    assert model.axial_stiffness == pytest.approx(10 * b1.axial_stiffness + 9 * b2.axial_stiffness)
+    assert model.low < model.free < model.principal[0] < model.high <= model.principal[1]
+    assert model.high == model.tensor[1, 1]
+    assert abs(model.principal_angle) == pytest.approx(np.pi / 2.0, abs=0.1)  # across the border
+    assert np.all(model.moment_stick[1:] > model.moment_slip[1:])
+    first = model.moment_stick[1] / model.curvature[1]
+    assert model.free < first < model.high
+    assert model.packing_fraction is None
+    assert codes(model) == ["range_shortened", "copper_yields", "insulation_doubtful"]
+
+
+@pytest.mark.parametrize("number", [7, 12, 19, 27])
+def test_regular_bundles_are_alike_in_all_directions(number: int) -> None:
+    model = bundle_model(bundle(("S", number)), {"S": solid_wire()})
+    assert model.principal[0] == pytest.approx(model.principal[1])
+    assert model.principal_angle == 0.0
+    assert model.neutral == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+@given(turn=st.floats(-1.5, 1.5))
+def test_a_turned_bundle_has_turned_axes(turn: float) -> None:
+    along = np.array([-1e-3, 0.0, 1e-3])
+    stuck = sticking(along * np.cos(turn), along * np.sin(turn), np.full(3, 1e-3), np.full(3, 1e4))
+    assert stuck.angle == pytest.approx(turn, abs=1e-9)
+    assert stuck.principal == pytest.approx((3e-3, 0.023))
+    axis = np.array([np.cos(turn), np.sin(turn)])
+    assert axis @ stuck.tensor @ axis == pytest.approx(0.023)
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    number=st.integers(1, 20),
+    scale=st.floats(0.1, 10.0),
+)
+def test_properties_of_the_tensor(seed: int, number: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(2, number))
+    bending, axial = rng.uniform(0.1, 1.0, (2, number))
+    stuck = sticking(x, y, bending, axial)
+    assert stuck.tensor == pytest.approx(stuck.tensor.T)
+    assert stuck.principal[0] >= bending.sum() * (1.0 - 1e-12)  # sticking never softens
+    order = rng.permutation(number)
+    other = sticking(x[order], y[order], bending[order], axial[order])
+    assert other.tensor == pytest.approx(stuck.tensor)
+    # all lengths times c: EA grows with c^2, EI with c^4
+    grown = sticking(scale * x, scale * y, scale**4 * bending, scale**2 * axial)
+    assert grown.tensor == pytest.approx(scale**4 * stuck.tensor, rel=1e-9)
+    moved = sticking(x + 3.0, y - 2.0, bending, axial)
+    assert moved.tensor == pytest.approx(stuck.tensor, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("value", "share"),
+    [(1.0, 0.0), (10.0, 1.0 / 11.0), (100.0, 1.0), (1000.0, 999.0 / 99.0), (-0.1, -1.1 / 99.0)],
+)
+def test_shares(value: float, share: float) -> None:
+    assert share_of_bounds(value, 1.0, 100.0) == pytest.approx(share)
+
+
+def test_copper_that_yields_pulls_less_and_less() -> None:
+    table, strain = example_wires()["B1"], np.linspace(0.0, 0.01, 50)
+    force = axial_force(table, strain)
+    assert force[0] == 0.0
+    assert np.all(np.diff(force) > 0.0)
+    assert np.all(np.diff(force, n=2) < 0.0)
+    assert force[-1] < 0.2 * table.axial_stiffness * 0.01
+
+
+def test_unequal_wires_share_a_neutral_axis() -> None:
+    tables = [solid_wire(), solid_wire("H", modulus=3e11)]
+    y, kind = np.array([0.0, 4e-3]), np.arange(2)
+    found = stretching_moment(np.array([2.0]), y, kind, tables)
+    soft, hard = (table.axial_stiffness for table in tables)
+    assert found[0] == pytest.approx(2.0 * soft * hard / (soft + hard) * 4e-3**2, rel=1e-9)
+
+
+def test_yielding_wires_against_a_plain_sum() -> None:
+    """Symmetric about y = 0, the axis stays there, and the moment is a sum of forces."""
+    table, y = example_wires()["B2"], np.array([-2e-3, -1e-3, 0.0, 1e-3, 2e-3])
+    found = stretching_moment(np.array([0.5]), y, np.zeros(5, dtype=np.int64), [table])
+    plain = 2.0 * (axial_force(table, 0.5 * y[3:]) @ y[3:])
+    assert found[0] == pytest.approx(plain, rel=1e-3)
+
+
+LENGTH = 0.1143
+
+
+@cache
+def pair() -> BundleModel:
+    """Two solid wires of 1 mm over the insulation, one above the other."""
+    places = ((0.0, -0.5e-3), (0.0, 0.5e-3))
+    return bundle_model(bundle(("S", 2), positions=places), {"S": solid_wire()})
+
+
+@cache
+def seven() -> BundleModel:
+    return bundle_model(bundle(("B1", 7)), example_wires())
+
+
+def test_two_wires_by_hand() -> None:
+    """Stick until 1 1/m, then half of what they held goes on, until the tape slides at 2 1/m."""
+    bending, axial = solid_stiffnesses()
+    curvature = np.array([0.5, 1.0, 1.5, 3.0])
+    found = friction_moment(curvature, pair(), [solid_wire()], Friction(0.2, 1.0, 2.0, 0.5))
+    composite = 0.2 * 2.0 * axial * 0.5e-3**2
+    held = composite * np.array([0.5, 1.0, 0.5 * 1.0 + 0.5 * 1.5, 0.5 * 1.0 + 0.5 * 2.0])
+    assert found == pytest.approx(2.0 * bending * curvature + held, rel=1e-5)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    share=st.floats(0.0, 1.0),
+    slip=st.floats(1e-2, 10.0),
+    slide=st.floats(1e-2, 50.0),
+    held=st.floats(0.0, 1.0),
+)
+def test_between_the_bounds(share: float, slip: float, slide: float, held: float) -> None:
+    model, tables = seven(), [example_wires()["B1"]]
+    found = friction_moment(model.curvature, model, tables, Friction(share, slip, slide, held))
+    upper = model.moment_slip + (model.high - model.free) * model.curvature
+    rounding = 1e-9 * upper
+    assert np.all(found >= model.moment_slip - rounding)
+    assert np.all(found <= upper + rounding)
+
+
+def test_loops_follow_masing() -> None:
+    model, tables = seven(), [example_wires()["B1"]]
+    friction = Friction(0.13, 0.4, 5.0, 0.2)
+    law = friction_law(model, tables, friction)
+    top = friction_moment(np.array([8.0]), model, tables, friction)
+    loaded = respond(law, top, virgin_plays(law, 1))
+    for share in (0.3, 0.9, 1.4):
+        back = respond(law, (1.0 - share) * top, loaded.plays)
+        half = first_curvature(law, 0.5 * share * top)
+        assert back.curvature == pytest.approx(loaded.curvature - 2.0 * half, rel=1e-9)
+
+
+def small_loading(model: BundleModel, friction: Friction, load: float) -> float:
+    """Tip deflection of a cantilever at small slopes, by quadrature of the curvature."""
+    tables = [example_wires()["B1"]]
+    curvature = np.geomspace(1e-4, 40.0, 4000)
+    moment = friction_moment(curvature, model, tables, friction)
+    x = np.linspace(0.0, LENGTH, 2001)
+    bent: Floats = np.interp(load * (LENGTH - x), np.append(0.0, moment), np.append(0.0, curvature))
+    return float(np.trapezoid(bent * (LENGTH - x), x))
+
+
+def test_the_share_held_is_found_again() -> None:
+    """Loading of small slopes by quadrature; its unloading, left out, does not matter."""
+    model, tables = seven(), [example_wires()["B1"]]
+    kink, deflection = 1.8e-3, np.linspace(0.4e-3, 8e-3, 12)
+    friction = Friction(0.13, 3.0 * kink / LENGTH**2, np.inf, 0.25)
+
+    def load_at(tip: float) -> float:
+        return float(brentq(lambda load: small_loading(model, friction, load) - tip, 1e-6, 2.0))
+
+    # a kink force that says the share exactly
+    stiffness = model.free + friction.composite_share * (model.high - model.free)
+    force = np.array([load_at(tip) for tip in deflection])
+    loop = BundleLoop(
+        length=LENGTH,
+        deflection=np.append(deflection, deflection[-2]),
+        force=np.append(force, 0.0),
+        branch=np.append(np.zeros(12, dtype=np.int64), 1),
+        kink=(kink, 3.0 * stiffness * kink / LENGTH**3),
+        slide=np.inf,
+    )
+    found = fit_friction(model, tables, loop)
+    assert found.composite_share == pytest.approx(0.13)
+    assert found.held == pytest.approx(0.25, abs=0.01)
+    assert found.error_fitted < 0.01
+    assert found.is_held_out.tolist() == [False] * 12 + [True]
+    assert found.error_held_out == pytest.approx(found.predicted[-1] / force[-1])
+
+
+def test_the_interval_of_the_share_is_that_of_the_linear_model() -> None:
+    """White noise: 1.96 standard errors by the slope of the forces to each side."""
+    model, tables, kink = seven(), [example_wires()["B1"]], (1.8e-3, 0.30)
+    up = np.linspace(0.6e-3, 12e-3, 40)
+    whole = BundleLoop(
+        *(LENGTH, np.append(up, 11e-3), np.ones(41), np.append(np.zeros(40, dtype=np.int64), 1)),
+        kink=kink,
+        slide=np.inf,
+    )
+    given = fit_friction(model, tables, whole)  # for what is read off the kink
+
+    def forces(held: float) -> Floats:
+        friction = Friction(given.composite_share, given.slip_curvature, np.inf, held)
+        law = friction_law(model, tables, friction)
+        return np.append(end_load_path(law, LENGTH, up, n_stations=16).load, 0.0)
+
+    noise = 5e-2 * np.random.default_rng(3).normal(size=41)
+    found = fit_friction(model, tables, replace(whole, force=forces(0.3) + noise))
+    slope = (forces(0.31) - forces(0.29))[:40] / 0.02
+    error = 5e-2 / float(np.sqrt(slope @ slope))
+    assert found.held == pytest.approx(0.3, abs=3.0 * error)
+    assert found.held_upper - found.held == pytest.approx(2.0 * error, rel=0.3)
+    assert found.held - found.held_lower == pytest.approx(2.0 * error, rel=0.3)
+    slow = 5e-2 * np.repeat(np.random.default_rng(4).normal(size=5), 9)[:41]
+    other = fit_friction(model, tables, replace(whole, force=forces(0.3) + slow))
+    assert other.held_upper - other.held_lower > 1.5 * (found.held_upper - found.held_lower)
+
+
+def test_a_single_wire_is_itself() -> None:
+    table = example_wires()["B1"]
+    model = bundle_model(bundle(("B1", 1)), {"B1": table})
+    assert model.high == model.free == table.stick_stiffness
+    assert model.low == table.slip_stiffness
+    assert model.moment_stick == pytest.approx(model.moment_slip)
+    assert model.moment_slip == pytest.approx(table.moment)
+    beside = bundle_model(bundle(("B1", 2)), example_wires())  # nothing is stretched in a row
+    assert beside.high == pytest.approx(beside.free)
+    for name in ("B1", "B2"):
+        first = axial_force(example_wires()[name], np.array([1e-9]))[0] / 1e-9
+        assert first == pytest.approx(example_wires()[name].axial_stiffness, rel=1e-4)
+
+
+def test_sticking_wires_by_hand() -> None:
+    above = sticking(np.zeros(2), np.array([-1e-3, 1e-3]), np.full(2, 2e-3), np.full(2, 5e4))
+    assert above.tensor == pytest.approx(np.diag([4e-3, 4e-3 + 2 * 5e4 * 1e-6]))
+    assert above.principal == pytest.approx((4e-3, 0.104))
+    assert above.angle == pytest.approx(np.pi / 2.0)
+    unequal = sticking(np.zeros(2), np.array([0.0, 4e-3]), np.zeros(2), np.array([1e4, 3e4]))
+    assert unequal.neutral == pytest.approx((0.0, 3e-3))  # nearer to the stiffer wire
+    assert unequal.tensor[1, 1] == pytest.approx(1e4 * 9e-6 + 3e4 * 1e-6)
+
+
+def test_slipping_moments_add_up_as_far_as_the_shortest_law() -> None:
+    b1, b2 = tables = tuple(example_wires().values())
+    curvature = common_curvature(tables)
+    assert curvature[0] == 0.0
+    assert curvature[-1] == min(table.curvature[-1] for table in tables)
+    assert np.all(np.diff(curvature) > 0.0)
+    assert np.isin(b1.curvature[b1.curvature <= curvature[-1]], curvature).all()
+    second = np.interp(b1.curvature[:5], b2.curvature, b2.moment)
+    moment = slipping_moment(b1.curvature[:5], [b1, b2], [3, 2])
+    assert moment == pytest.approx(3 * b1.moment[:5] + 2 * second)
+
+
+ROW = ((0.0, 0.0), (1e-3, 1e-3), (2e-3, 2e-3))
+FAR = bundle(("S", 2), positions=((0.0, 0.0), (0.0, 0.2)))
+NOTED: dict[str, Bundle] = {
+    "range_shortened": FAR,
+    "oblique_axes": bundle(("S", 3), positions=ROW),
+    "diameter_differs": Bundle((BundleWire("S", 7, 1.9e-3),)),
+    "": Bundle((BundleWire("S", 7, 1.04e-3),)),
+    "copper_yields": bundle(("B1", 19)),
+    "insulation_doubtful": bundle(("B1", 1)),
+}
+
+
+def test_notes_of_bundles(approved: Approve) -> None:
+    wires, lines = {"S": solid_wire(), **example_wires()}, []
+    for code, noted in NOTED.items():
+        model = bundle_model(noted, wires)
+        assert [*codes(model), ""][0] == code
+        lines += [f"{note.code}, {note.severity}: {note.message}" for note in model.notes]
+    approved(lines)
+
+
+def test_numbers_that_the_notes_name() -> None:
+    """Wires 200 mm apart reach a strain of 0.5 long before the end of their own law."""
+    assert bundle_model(FAR, {"S": solid_wire()}).curvature[-1] == pytest.approx(2.5)
+    wide = bundle_model(NOTED["diameter_differs"], {"S": solid_wire()})
+    assert wide.smallest_bore == pytest.approx(5.7e-3)
+    table = example_wires()["B1"]
+    model, radius = bundle_model(bundle(("B1", 7)), {"B1": table}), table.layout.wire_radius
+    assert model.doubtful_curvature == pytest.approx(0.03 / radius)
+    highest = float(np.abs(model.layout.y).max()) + radius
+    assert model.doubtful_curvature_stick == pytest.approx(0.03 / highest)
+    assert np.array_equal(model.is_doubtful, model.curvature > 0.03 / radius)
+    assert model.is_doubtful_stick.sum() > model.is_doubtful.sum() > 0
+    secant = model.moment_stick[1:] / model.curvature[1:]
+    yields = model.curvature[1:][secant < 0.5 * model.high][0]
+    assert f"beyond {yields:.3g} 1/m" in model.notes[0].message
+    full = bundle_model(bundle(("S", 7), conduit_bore=3.3e-3), {"S": solid_wire()})
+    assert full.packing_fraction == pytest.approx(7.0 / 3.3**2)
+    assert full.middle == pytest.approx((0.0, 0.0), abs=1e-9)
+    oblique = bundle_model(bundle(("S", 3), positions=ROW), {"S": solid_wire()})
+    assert np.degrees(oblique.principal_angle) == pytest.approx(45.0)
+    lost = 1.0 - 1.0 / (np.linalg.inv(oblique.tensor)[1, 1] * oblique.high)
+    assert f"is {100.0 * lost:.2g} % less stiff" in oblique.notes[0].message
