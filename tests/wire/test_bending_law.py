@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -323,11 +324,12 @@ def test_no_wire_is_bent_beyond_its_law() -> None:
     last = moment_curvature(section, contacts, np.array([20.0])).moment[0]
     assert law.largest_moment == pytest.approx(last, rel=1e-12)
     rig, rest = StringRig(0.76, 0.02, 0.085, 0.76), straight(law)
-    for call in (
+    calls: list[Callable[[], object]] = [
         lambda: bend_to_deflection(law, rest, 0.085, 0.05),
         lambda: bend_to_travel(law, rest, 0.085, rig, 0.05),
         lambda: bend_under_force(law, rest, 0.085, np.array([0.0, 0.5])),
-    ):
+    ]
+    for call in calls:
         with pytest.raises(
             ValueError, match=r"bent to [2-9]\d(\.\d+)? 1/m, and its law ends at 20"
         ):

@@ -107,8 +107,6 @@ def test_forces_are_odd_and_nan_stays() -> None:
     assert curve.force[0] == 0.0
 
 
-
-
 HEAVY_LENGTH, WEIGHT = 0.12, 0.097
 
 

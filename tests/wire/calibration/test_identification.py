@@ -1,0 +1,147 @@
+"""What a calibration identifies: verdicts, their words, combinations of numbers, and priors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
+from labpipe.records.wire_calibration import CalibratedParameter, Identified, PriorConflict
+from labpipe.wire.calibration.fit import (
+    FRICTION_NAMES,
+    friction_jacobian,
+    in_display_unit,
+    separability,
+    verdict_of,
+    weigh_prior,
+    words_of,
+)
+from tests.approved import Approve
+from tests.builders.loading_tests import TRUTH, measured, wire_of
+
+KNOWN = CalibratedParameter(
+    name="insulation_modulus",
+    unit="Pa",
+    value=1e9,
+    intervals=(Interval(0.9e9, 1.1e9),),
+    log_error=0.05,
+    freedom=20.0,
+    is_open_below=False,
+    is_open_above=False,
+    at_bound="",
+    verdict=Identified.WELL,
+    words="",
+)
+
+
+@pytest.mark.parametrize(
+    ("span", "more", "expected"),
+    [
+        (1.9, {}, Identified.WELL),
+        (2.1, {}, Identified.WEAKLY),
+        (101.0, {}, Identified.NOT),
+        (1.9, {"is_open": True}, Identified.NOT),
+        (1.9, {"prior_error": 0.11}, Identified.BY_PRIOR),
+        (1.9, {"prior_error": 0.12}, Identified.WELL),
+        (1.9, {"at_bound": True, "is_open": True}, Identified.AT_BOUND),
+        (1.9, {"prior_error": 0.11, "contradicts": True}, Identified.AGAINST_PRIOR),
+        (1.9, {"contradicts": True, "is_open": True}, Identified.AGAINST_PRIOR),
+        (1.9, {"contradicts": True, "at_bound": True}, Identified.AT_BOUND),
+        (1.9, {"is_apart": True}, Identified.WELL),
+        (2.1, {"is_apart": True}, Identified.TWO),
+        (1.9, {"is_apart": True, "span_with_others": 4.0}, Identified.TWO),
+        (101.0, {"is_apart": True}, Identified.NOT),
+    ],
+)
+def test_verdicts(span: float, more: dict[str, bool], expected: Identified) -> None:
+    usual = {"at_bound": False, "is_open": False, "log_error": 0.1, "prior_error": np.inf}
+    assert verdict_of(span, **{**usual, **more}) is expected  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["A2", "A3"])
+def test_friction_numbers_act_as_one(name: str) -> None:
+    wire, curves = wire_of(name), measured(name, (0.1,), samples=1, n=60)
+    jacobian = friction_jacobian(
+        wire.section, wire.contacts, TRUTH, curves, orientation=0.0, correlation=0.0
+    )
+    found = separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
+    assert found.singular_values[0] > 3.0
+    assert not any(found.are_identified.values())
+    if name == "A2":
+        assert found.singular_values[1] < 1e-3
+        weights = found.combinations[0] / found.combinations[0][2]
+        assert weights == pytest.approx([0.21 / 0.31, 0.10 / 0.31, 1.0], abs=2e-3)
+        assert found.words.startswith(
+            "mu_s, mu_p and F_rad are not identified, they cannot be told apart: "
+            "1 of 3 combinations is known (singular values of mu_s, mu_p and F_rad: "
+        )
+
+
+def test_a_corner_of_the_curve_does_not_tell_friction_numbers_apart() -> None:
+    """With weight, curves have corners where strands begin to slip: all steps cross the same."""
+    wire, (curve,) = wire_of("A2"), measured("A2", (0.12,), samples=1, n=1000)
+    heavy, at_corner = replace(curve, self_weight=0.03), TRUTH * np.array([1.003, 1.0, 1.0])
+    jacobian = friction_jacobian(
+        wire.section, wire.contacts, at_corner, (heavy,), orientation=0.0, correlation=0.0
+    )
+    found = separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
+    assert found.singular_values[1] < 1e-3 * found.singular_values[0]
+
+
+@pytest.mark.parametrize(
+    ("matrix", "are_identified"),
+    [
+        (np.diag([10.0, 4.0, 2.0]), [True, True, True]),
+        (np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 9.0]] * 2), [False, False, True]),
+        (np.diag([10.0, 0.0, 9.0]), [True, False, True]),
+    ],
+    ids=["all", "only together", "one without effect"],
+)
+def test_separability(matrix: Floats, are_identified: list[bool]) -> None:
+    names = ("a", "radial_force", "c")
+    result = separability(names, matrix, "three")
+    assert result.singular_values == pytest.approx(np.linalg.svd(matrix)[1], abs=1e-9)
+    assert result.are_identified == dict(zip(names, are_identified, strict=True))
+
+
+def test_words(approved: Approve) -> None:
+    two = (Interval(0.9e9, 1.1e9), Interval(2e9, 3e9))
+    changes: list[dict[str, Any]] = [
+        {},
+        {"is_open_below": True, "verdict": Identified.NOT},
+        {"is_open_above": True},
+        {"is_open_below": True, "is_open_above": True, "verdict": Identified.NOT},
+        {"intervals": (), "source": "data sheet"},
+        {"intervals": two, "verdict": Identified.TWO},
+        {"intervals": two, "is_open_below": True, "is_open_above": True},
+        {"at_bound": "lower", "value": 0.9e9},
+        {"at_bound": "upper", "value": 1.1e9},
+        {"verdict": Identified.AGAINST_PRIOR},
+    ]
+    lines = [words_of(replace(KNOWN, **change)) for change in changes]
+    lines.append(words_of(replace(KNOWN, verdict=Identified.TWO), [(4e8, 0.08)]))
+    names = ("a", "b", "radial_force")
+    for matrix in (np.diag([10.0, 4.0, 2.0]), np.diag([9.0, 4.0, 0.0]), np.ones((3, 3))):
+        lines.append(separability(names, matrix, "three").words.partition(" (singular")[0])
+    for name, values in (
+        ("radial_friction", (0.0465123, 1e-5, 100.0)),
+        ("insulation_modulus", (9.571e8, 1e11)),
+        ("copper_scale", (0.99924,)),
+    ):
+        lines += [in_display_unit(name, value) for value in values]
+    approved(lines)
+
+
+def test_priors_are_weighed(approved: Approve) -> None:
+    far = PriorConflict(1.5, 1.1, 1.0, 3.0, 1e6, contradicts=False, message="")
+    conflicts = [
+        weigh_prior("copper_scale", far),
+        weigh_prior("copper_scale", replace(far, freedom=2.0)),
+        weigh_prior("insulation_modulus", replace(far, centre=1e9, alone=1.2e9)),
+    ]
+    assert [conflict.contradicts for conflict in conflicts] == [True, False, True]
+    approved(conflict.message for conflict in conflicts)

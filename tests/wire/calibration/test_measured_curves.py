@@ -1,0 +1,262 @@
+"""Measured curves, what they are compared with, and what a calibration predicts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.records.wire_calibration import (
+    Calibration,
+    CalibrationFailure,
+    ExternalCurve,
+    NoiseLevels,
+    Prediction,
+    Solution,
+)
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.calibration.measured_curves import (
+    MeasuredCurve,
+    agreement,
+    curve_errors,
+    lag_one,
+    match,
+    runs_p,
+    shared_errors,
+    usable,
+    whiten,
+)
+from labpipe.wire.calibration.prediction import predict
+from tests.approved import Approve
+from tests.builders.loading_tests import exact_curve, measured, memory_noise, rig_of, wire_of
+
+CURVE = MeasuredCurve("A2", "t", "s", 0.085, np.linspace(0, 0.05, 5), np.arange(5.0), 0.002)
+
+
+def test_a_curve_is_frozen_and_its_noise_spread() -> None:
+    assert CURVE.noise == pytest.approx(np.full(5, 0.002))
+    assert CURVE.peak == 4.0
+    with pytest.raises(ValueError, match="read-only"):
+        CURVE.force[0] = 1.0
+    with pytest.raises(ValueError, match=r"expected an array of shape \(5,\), found \(4,\)"):
+        replace(CURVE, force=np.zeros(4), noise=np.ones(5))
+
+
+def test_points_without_a_number_are_left_out() -> None:
+    force = CURVE.force.copy()
+    force[2] = np.nan
+    found = usable((replace(CURVE, force=force), replace(CURVE, force=np.full(5, np.nan))))
+    assert isinstance(found, tuple)
+    assert [len(curve.force) for curve in found] == [4]
+
+
+def test_whitening_undoes_memory() -> None:
+    noise = memory_noise(np.random.default_rng(1), 40_000, 0.8)
+    white = whiten(noise, 0.8)
+    assert float(white[1:] @ white[:-1]) / float(white @ white) == pytest.approx(0.0, abs=0.015)
+    assert white.std() == pytest.approx(1.0, abs=0.015)
+    assert whiten(noise, 0.0) is noise
+
+
+def test_errors_that_all_points_share() -> None:
+    curve = replace(CURVE, zero_error=0.1, place_error=2e-3, scale_error=0.01)
+    slope = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    zero, place, scale = shared_errors(curve, slope)
+    assert zero == pytest.approx(np.full(5, 0.1))
+    assert place == pytest.approx(2e-3 * slope)
+    assert scale == pytest.approx(0.01 * curve.deflection * slope)
+    assert not shared_errors(CURVE, slope).any()
+
+
+def test_what_one_point_is_off_by() -> None:
+    assert CURVE.read_error == pytest.approx(0.002)
+    assert replace(CURVE, zero_error=0.1).read_error == pytest.approx(np.hypot(0.1, 0.002))
+    moved = replace(CURVE, place_error=1e-3).read_error
+    assert moved == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
+
+
+def test_a_scale_that_all_curves_share_does_not_average_out() -> None:
+    one = replace(CURVE, scale_error=0.01)
+    found = usable((one, one, one, one))
+    assert isinstance(found, tuple)
+    assert [curve.scale_error for curve in found] == pytest.approx([0.02] * 4)
+    own = usable((replace(one, own_scale_error=0.015),) * 4)
+    assert not isinstance(own, CalibrationFailure)
+    slope = np.full(len(one.force), 2.0)
+    scale = shared_errors(own[0], slope)[2]  # four alike count twice each, what is its own once
+    np.testing.assert_allclose(scale, 0.025 * own[0].deflection * 2.0)
+
+
+def test_agreement_takes_the_sample_s_factor_out_of_residuals_only() -> None:
+    model = np.linspace(0.0, 1.0, 50)
+    force = 1.1 * model + 0.01 * (-1.0) ** np.arange(50)
+    curve = MeasuredCurve("A2", "t", "s", 0.085, 0.05 * model, force, 0.01)
+    found = agreement(curve, model, 1.1)
+    assert found.sse == pytest.approx(float((force - model) @ (force - model)))
+    assert found.lag_one == pytest.approx(-0.98)
+    assert found.sample_factor == 1.1
+    assert found.runs_p < 1e-6
+
+
+OTHER = np.linspace(0.001, 0.05, 50)
+
+
+LINE = 2.0 * OTHER
+
+
+BAND = (LINE - 0.004, LINE + 0.004)
+
+
+def third(deflection: Floats, force: Floats) -> ExternalCurve:
+    return ExternalCurve("fe", "fe.csv", "A2", 0.085, deflection, force)
+
+
+D = np.linspace(0.0, 0.05, 21)
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    found = calibrate(wire_of("A2"), measured(n=90, seed=5), Settings(gain=0.005))
+    assert isinstance(found, Calibration)
+    return found
+
+
+def test_another_wire_and_length(calibration: Calibration) -> None:
+    found = predict(calibration, wire_of("A3"), 0.12, D, rig=rig_of(0.12), noise=0.002)
+    exact = exact_curve("A3", 0.12)(D)
+    assert np.all((found.lower_mean <= exact) & (exact <= found.upper_mean))
+    assert np.all(found.lower <= found.lower_mean)
+    assert np.all(found.upper_mean <= found.upper)
+    assert found.notes == ()
+
+
+def test_what_widens_a_band(calibration: Calibration) -> None:
+    def half(**more: float) -> float:
+        found = predict(calibration, wire_of("A2"), 0.085, D, rig=rig_of(0.085), **more)  # type: ignore[arg-type]
+        return float(found.upper[-1] - found.force[-1])
+
+    assert half(noise=0.01) > half(noise=0.002) > half() > half(n_samples=9)
+    assert half(other_gain=0.05) > half(other_gain=0.0)
+
+
+def test_what_is_refused(approved: Approve) -> None:
+    empty, force = replace(CURVE, force=np.full(5, np.nan)), np.array([np.nan])
+    refused = [
+        (empty, empty),
+        (CURVE, replace(CURVE, wire="A3")),
+        (replace(CURVE, noise=0.0),),
+        (replace(CURVE, noise=np.array([1.0, 1.0, np.nan, 1.0, 1.0])),),
+        (replace(CURVE, length=0.07),),
+    ]
+    lines = []
+    for curves in refused:
+        failure = usable(curves)
+        assert isinstance(failure, CalibrationFailure)
+        lines.append(f"{failure.code}: {failure.message}")
+    with pytest.raises(ValueError, match="no point has both a measured and a modelled force"):
+        curve_errors(force, force)
+    approved(lines)
+
+
+def test_errors_of_the_source_s_table() -> None:
+    force, model = np.array([1.0, 2.0, np.nan, 4.0]), np.array([1.0, 1.0, 5.0, 2.0])
+    errors = curve_errors(force, model)
+    assert (errors.n, errors.sse) == (3, 5.0)
+    assert errors.rmse == pytest.approx(np.sqrt(5.0 / 3.0))
+    assert errors.rmse_share == pytest.approx(np.sqrt(5.0 / 3.0) / 4.0)
+    assert np.isnan(errors.inside)
+    ramp = np.arange(1.0, 5.0)
+    assert curve_errors(ramp, ramp, ramp - 1.0, np.array([2.0, 3.0, 4.0, 3.9])).inside == 0.75
+
+
+def test_signs_and_neighbours_of_residuals() -> None:
+    """5 % of random rows have a p-value of the runs test below 0.05."""
+    generator = np.random.default_rng(5)
+    ps = np.array([runs_p(generator.normal(size=100)) for _ in range(2000)])
+    assert np.mean(ps < 0.05) == pytest.approx(0.05, abs=0.015)
+    assert runs_p(np.ones(9)) == 0.0
+    assert runs_p(np.array([1.0, -1.0])) == 1.0
+    assert runs_p(np.repeat([1.0, -1.0], 50)) < 1e-10
+    assert lag_one(np.array([1.0, -1.0, 1.0, -1.0])) == -0.75
+    assert lag_one(np.zeros(5)) == 0.0
+
+
+NOTHING, UNKNOWN = np.zeros(0), np.full(len(OTHER), np.nan)
+
+
+@pytest.mark.parametrize(
+    ("at", "off", "band", "n", "inside"),
+    [
+        ([0.01, 0.02, 0.03, 0.04], [0.003, -0.003, 0.005, 0.0], BAND, 4, 0.75),
+        ([0.0, 0.01, 0.02, 0.03, 0.0501, 0.09], 0.0, BAND, 3, 1.0),
+        ([0.01, 0.02, 0.03], 0.0, None, 3, np.nan),
+        ([0.01, 0.02, 0.03], 0.0, (UNKNOWN, UNKNOWN), 3, np.nan),
+        ([0.04, 0.05, 0.06], 0.0, BAND, 0, np.nan),
+    ],
+    ids=["off", "nothing is extrapolated", "no band", "unknown band", "too few"],
+)
+def test_external_curves(
+    at: list[float], off: Floats, band: tuple[Floats, Floats] | None, n: int, inside: float
+) -> None:
+    deflection = np.array(at)
+    found = match(third(deflection, 2.0 * deflection + off), OTHER, LINE, band, "the tests")
+    within = (deflection > 0.0009) & (deflection < 0.05001)
+    assert (found.errors is None) == (n == 0)
+    assert found.left_out == len(at) - n
+    if found.errors is not None:
+        rmse = float(np.sqrt(np.sum(np.square(off * np.ones(len(at)))) / len(at)))
+        assert found.errors.n == n
+        assert found.errors.inside == pytest.approx(inside, nan_ok=True)
+        assert found.errors.rmse == pytest.approx(rmse, rel=1e-12, abs=1e-15)
+        largest = 2.0 * deflection[within].max()
+        assert found.errors.rmse_share == pytest.approx(rmse / largest, rel=1e-12, abs=1e-13)
+        wanted = np.where(within, 2.0 * deflection, np.nan)
+        np.testing.assert_allclose(found.reference, wanted, rtol=1e-12)
+
+
+def test_words_of_what_is_not_compared(approved: Approve) -> None:
+    rows = [np.array([0.0, 0.01, 0.02, 0.03, 0.09]), np.array([0.04, 0.05, 0.06])]
+    lines = [match(third(at, at), OTHER, LINE, BAND, "the tests").words for at in rows]
+    empty = match(third(OTHER, LINE), NOTHING, NOTHING, (NOTHING, NOTHING), "the tests")
+    assert empty.errors is None
+    approved([*lines, empty.words])
+
+
+def test_bands_of_two_solutions(calibration: Calibration) -> None:
+    """The second as far as its own likelihood allows; the curve is that of the first."""
+
+    def predicted(*solutions: Solution) -> Prediction:
+        chosen = replace(calibration, solutions=solutions)
+        return predict(chosen, wire_of("A2"), 0.085, D)
+
+    first = calibration.solutions[0]
+    stiff = replace(first, values=np.array([1.0, 1.3, 1.0]) * first.values)
+    alone, of_stiff, equal = predicted(first), predicted(stiff), predicted(first, stiff)
+    assert equal.force == pytest.approx(alone.force)
+    assert equal.lower_mean == pytest.approx(alone.lower_mean)
+    assert equal.upper_mean == pytest.approx(of_stiff.upper_mean)
+    assert equal.upper == pytest.approx(of_stiff.upper)
+    assert "two_solutions" in [note.code for note in equal.notes]
+    less = predicted(first, replace(stiff, rise=0.75 * first.limit))
+    half = 0.5 * (of_stiff.upper_mean - of_stiff.force)
+    assert less.upper_mean[1:] == pytest.approx((of_stiff.force + half)[1:])
+    outside = predicted(first, replace(stiff, rise=1.1 * first.limit))
+    assert outside.upper == pytest.approx(alone.upper)
+
+
+def test_what_a_prediction_lacks(calibration: Calibration) -> None:
+    """Nominal numbers where the calibration has none; levels of one sample; a law that ends."""
+    bare = replace(calibration.solutions[0], values=np.full(3, np.nan))
+    nominal = predict(replace(calibration, solutions=(bare,)), wire_of("A2"), 0.085, D)
+    exact = exact_curve("A2", 0.085, has_string=False)(D)
+    assert nominal.force == pytest.approx(exact, abs=1e-5)
+    levels = NoiseLevels(1.0, 0.0, 0.0, 0.005, 0.0, 100.0)
+    first = replace(calibration.parameters[0], is_open_below=True, words="phi is open")
+    doubtful = replace(calibration, levels=levels, parameters=(first, *calibration.parameters[1:]))
+    notes = predict(doubtful, wire_of("A2"), 0.085, D).notes
+    assert [note.code for note in notes] == ["one_sample", "not_identified"]
+    assert notes[1].message.startswith("phi is open; ")
+    with pytest.raises(ValueError, match=r"deflection=0.05 m: the curve ends at 0.04"):
+        predict(calibration, wire_of("A2"), 0.06, D)

@@ -1,0 +1,226 @@
+"""What wires, bundles and cantilevers refuse, and the words of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.law.plays import LinearLaw
+from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleWire
+from labpipe.records.wire import WireSpec
+from labpipe.wire.bending_law import moment_curvature, play_law
+from labpipe.wire.bundle_friction import Friction, fit_friction, friction_moment
+from labpipe.wire.bundle_layout import arrange, sites
+from labpipe.wire.bundle_model import bundle_model, share_of_bounds
+from labpipe.wire.bundle_packing import (
+    bore_for,
+    choose_bore,
+    densest_heap,
+    packing_fraction,
+    require_dense,
+)
+from labpipe.wire.cantilever import (
+    StringRig,
+    bend_to_deflection,
+    bend_to_travel,
+    bend_under_force,
+    straight,
+)
+from labpipe.wire.cross_section import (
+    CrossSection,
+    Layer,
+    compressed,
+    concentric,
+    hexagonal,
+    lay_up,
+    strand_diameter,
+)
+from labpipe.wire.end_load import deflection_at
+from labpipe.wire.end_load_path import end_load_path
+from labpipe.wire.friction import Contacts, axial_strain, sines
+from labpipe.wire.friction import arrange as rings_of
+from labpipe.wire.materials import ANNEALED_COPPER, Elastic, RambergOsgood, StressTable
+from labpipe.wire.newton import chebyshev_stations, interpolation_matrix
+from labpipe.wire.packing import packed
+from labpipe.wire.strand_bending import strand_moment, tube_moment
+from labpipe.wire.tested_curvature import tested_curvature as curvature_of
+from labpipe.wire.wire_table import build, layout_of, wire_table
+from tests.approved import Approve
+from tests.builders.bundles import bundle, example_wires, solid_wire
+from tests.builders.loading_tests import TRUTH, wire_of
+from tests.builders.stranded_wires import contacts_of, layers_of, tube, wire
+
+A2 = WireSpec(
+    "A2", 1.6e-3, (1, 6), (0.32e-3,) * 2, (float(np.radians(12.0)),), 0.3e-3, place="line 2"
+)
+WIRE = wire("A2")
+PRESSED = lay_up(7, strand_diameter(0.35e-6, 7), [np.radians(12.0)], ANNEALED_COPPER)
+TABLE = StressTable((5e-4, 2e-3, 0.02), (55e6, 80e6, 150e6))
+SHORT = wire_table(replace(solid_wire().spec, largest_curvature=0.5))
+ABOVE = bundle(("S", 2), positions=((0.0, -0.5e-3), (0.0, 0.5e-3)))
+ROW = np.column_stack([np.arange(4.0), np.zeros(4)])
+LINEAR, RIG = LinearLaw(3e-3), StringRig(0.76, 0.0265, 0.085, 0.76)
+
+
+def table(*points: tuple[float, float]) -> StressTable:
+    return StressTable(tuple(p for p, _ in points), tuple(s for _, s in points))
+
+
+def placed(*places: tuple[float, float], wires: int = 2) -> object:
+    return arrange(bundle(("B1", wires), positions=places), (1.10e-3,), (37e3,))
+
+
+def model(name: str, *diameter: float, **more: float) -> object:
+    wires = {"S": solid_wire()} if name == "S" else example_wires()
+    return bundle_model(Bundle((BundleWire(name, 7, *diameter),), **more), wires)  # type: ignore[arg-type]
+
+
+def friction(branch: list[int], kink: tuple[float, float], *, is_short: bool = False) -> object:
+    deflection = np.array([1e-3, 5e-3, 3e-3, 1e-3])[: len(branch)]
+    loop = BundleLoop(0.1143, deflection, 50.0 * deflection, np.array(branch), kink, np.inf)
+    if is_short:
+        return fit_friction(bundle_model(ABOVE, {"S": SHORT}), [SHORT], loop)
+    seven = bundle_model(bundle(("B1", 7)), example_wires())
+    return fit_friction(seven, [example_wires()["B1"]], loop)
+
+
+def lonely() -> object:
+    single = bundle_model(bundle(("B1", 1)), example_wires())
+    return friction_moment(
+        np.ones(1), single, [example_wires()["B1"]], Friction(0.1, 1.0, 1.0, 0.0)
+    )
+
+
+def spec(**changes: object) -> object:
+    return wire_table(replace(A2, **changes))  # type: ignore[arg-type]
+
+
+def bent(length: float, number: float, way: str) -> object:
+    rest = straight(LINEAR)
+    if way == "force":
+        return bend_under_force(LINEAR, rest, length, np.array([0.0, number]))
+    if way == "travel":
+        return bend_to_travel(LINEAR, rest, length, RIG, number)
+    if way == "path":
+        return end_load_path(LINEAR, length, np.array([0.0, number]))
+    return bend_to_deflection(LINEAR, rest, length, number)
+
+
+CASES: dict[str, list[Callable[[], object]]] = {
+    "materials": [
+        lambda: StressTable((0.1, 0.2), (1.0,)),
+        lambda: StressTable((), ()),
+        lambda: table((0.2, 1.0), (0.1, 2.0)),
+        lambda: table((0.1, 1.0), (0.2, 0.5)),
+        lambda: table((0.1, 1.0), (0.2, 3.0)),
+        lambda: RambergOsgood(1.0, 1.0, 1.0),
+        lambda: Elastic(-1.0),
+    ],
+    "sections": [
+        lambda: Layer(6, 1e-3, np.pi / 2.0),
+        lambda: Layer(0, 1e-3),
+        lambda: Layer(1, 1e-3, poisson=0.6),
+        lambda: Layer(1, 1e-3, poisson=-1.0),
+        lambda: Layer(1, np.nan),
+        lambda: lay_up(20, 1e-3, [0.2, -0.2], ANNEALED_COPPER),
+        lambda: hexagonal((Layer(1, 1e-3), Layer(5, 1e-3, 0.2))),
+        lambda: hexagonal((Layer(1, 1e-3), Layer(6, 2e-3, 0.2))),
+        lambda: hexagonal(layers_of("A2"), tube(1.4e-3)),
+        lambda: concentric((Layer(1, 1e-3), Layer(7, 1e-3, 0.2))),
+        lambda: CrossSection("own", (Layer(1, 1e-3),), np.zeros(1), np.zeros(1), np.ones(1, int)),
+        lambda: packed((Layer(1, 0.35e-3), Layer(6, 0.3e-3, 0.2)), tube(1.6e-3)),
+        lambda: compressed(PRESSED, tube(1.1e-3)),
+        lambda: compressed(PRESSED, radii=[0.1]),
+    ],
+    "friction and laws": [
+        lambda: Contacts((0.1,), (0.1, 0.2)),
+        lambda: Contacts((-0.1,), (0.1,)),
+        lambda: rings_of(WIRE, Contacts((0.1, 0.1), (0.1, 0.1)), sines(WIRE, 0.0)),
+        lambda: axial_strain(WIRE, -1.0),
+        lambda: moment_curvature(WIRE, contacts_of(WIRE), np.array([1.0, -np.inf])),
+        lambda: play_law(WIRE, contacts_of(WIRE), largest_curvature=0.0),
+        lambda: strand_moment(TABLE, 0.32e-3, np.array([1.0, 250.0])),
+        lambda: tube_moment(replace(tube(1.6e-3), curve=TABLE), np.array([26.0])),
+        lambda: curvature_of(wire_of("A2"), TRUTH, []),
+    ],
+    "tables": [
+        lambda: spec(strand_diameters=(0.36e-3, 0.36e-3), layout="hexagonal"),
+        lambda: spec(strand_diameters=(0.36e-3, 0.36e-3), layout="concentric"),
+        lambda: spec(lay_angles=(np.radians(45.0),)),
+        lambda: spec(lay_angles=(np.radians(70.0),)),
+        lambda: spec(lay_angles=(0.2, -0.2)),
+        lambda: spec(layout="compressed", layer_radii=(0.3e-3,)),
+        lambda: build(replace(A2, stress_table=((0.01, 0.001), (1e6, 2e6)))),
+        lambda: spec(stress_table=((0.001, 0.01), (110e6, 150e6)), tension=5000.0),
+        lambda: spec(tension=-1.0),
+        lambda: spec(orientation=np.nan),
+        lambda: spec(length=0.0),
+        lambda: spec(length=np.inf),
+        lambda: spec(largest_curvature=-1.0),
+        lambda: spec(largest_curvature=np.nan),
+        lambda: layout_of(concentric((Layer(1, 1e-3), Layer(6, 1e-3, 0.1)))),
+    ],
+    "bundles": [
+        lambda: placed((0.0, 0.0), (2e-3, 0.0), (1e-3, 0.0), wires=3),
+        lambda: placed((0.0, 0.0), wires=3),
+        lambda: sites(0),
+        lambda: choose_bore(np.full(7, 1e-3), (2.5e-3, 2.9e-3), smallest=3e-3),
+        lambda: packing_fraction(np.full(7, 1e-3), 0.0),
+        lambda: bore_for(np.full(7, 1e-3), 0),
+        lambda: densest_heap([np.array([[0.0, 0.0], [np.nan, 1.0]])], np.ones(2)),
+        lambda: require_dense(ROW, np.ones(4)),
+        lambda: require_dense(np.array([[0.0, 0.0], [np.inf, 1.0]]), np.ones(2)),
+        lambda: model("S", conduit_bore=2.9e-3),
+        lambda: model("B9"),
+        lambda: bundle_model(bundle(("B9", 3)), {}),
+        lambda: model("S", 10e-3),
+        lambda: model("S", 0.1e-3),
+        lambda: share_of_bounds(1.0, 2.0, 2.0),
+        lambda: share_of_bounds(1.0, 0.0, 2.0),
+        lambda: friction([0, 0, 1, 1], (1e-3, 0.01)),
+        lambda: friction([0, 0], (1e-3, 0.1)),
+        lonely,
+        lambda: Friction(1.1, 1.0, 1.0, 0.0),
+        lambda: Friction(0.1, 1.0, 1.0, -0.1),
+        lambda: Friction(0.1, 0.0, 1.0, 0.0),
+        lambda: Friction(0.1, 1.0, np.nan, 0.0),
+    ],
+    "cantilevers": [
+        *(lambda way=way: bent(0.085, np.nan, way) for way in ("force", "travel", "path", "tip")),
+        *(lambda way=way: bent(0.0, 0.1, way) for way in ("force", "travel", "path", "tip")),
+        lambda: bent(np.inf, 0.1, "tip"),
+        lambda: straight(LINEAR, self_weight=-0.1),
+        lambda: interpolation_matrix(8, np.array([1.01])),
+        lambda: chebyshev_stations(3),
+        *(
+            lambda pair=pair: deflection_at(LINEAR, *pair)
+            for pair in ((0.0, 0.1), (np.nan, 0.1), (0.085, 0.0), (0.085, np.inf))
+        ),
+    ],
+}
+
+
+@pytest.mark.parametrize("subject", CASES)
+def test_refusals(subject: str, approved: Approve) -> None:
+    messages = []
+    for call in CASES[subject]:
+        with pytest.raises(ValueError) as refusal:  # noqa: PT011
+            call()
+        messages.append(f"{type(refusal.value).__name__}: {refusal.value}")
+    approved(messages)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: bent(0.085, 0.09, "tip"), r"deflection=0\.09: no equilibrium beyond 0\.08"),
+        (lambda: packed(layers_of("A2"), tube(1.4e-3)), "the packed layout does not fit: strands"),
+        (lambda: friction([0, 0, 1, 1], (1e-3, 0.02), is_short=True), "than the laws of its wires"),
+    ],
+)
+def test_refusals_with_numbers_of_a_search(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
