@@ -179,3 +179,5 @@ def test_first_loading_ends_where_the_tip_unloads() -> None:
     assert 0.65 < heavy.deflection[-1] / HEAVY_LENGTH < 0.75
     with pytest.raises(ValueError, match=r"deflection=0.07 m: the curve ends at 0.05\d+ m, where"):
         force_at(curve, np.array([0.01, 0.07]))
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match="length=nan: no equilibrium"):
+        load_cantilever(law_of_plays(A2, 0.03), np.nan)

@@ -249,7 +249,7 @@ def test_what_is_refused(approved: Approve) -> None:
     failures = [
         pose(STRAND, CURVES, {INSULATION_MODULUS: ParameterChoice()}, 0.0),
         pose(PARTS, CURVES, {COPPER_SCALE: ParameterChoice(1.0, lower=1.2)}, 0.01),
-        pose(PARTS, measured(n=2), {}, 0.0),
+        find(WIRE, measured(n=2), Settings()),
         calibrate(WIRE, (THREE[1], replace(THREE[0], wire="A3"))),
         calibrate(WIRE, ()),
     ]
