@@ -1,3 +1,5 @@
+"""Laws as curvature over moment, what each form of a law loses, and the equivalent material."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -19,29 +21,7 @@ from labpipe.law.plays import LinearLaw, PlayLaw, first_curvature, respond, virg
 from labpipe.law.sliders import fit_sliders, slide, virgin_rests
 from labpipe.records.arrays import Floats
 from labpipe.wire.wire_table import wire_table as table_of
-from tests.builders.bilinear_laws import complementary_energy, law_of_plays
 from tests.builders.wire_tables import loss_card, spec_of, wire_table
-
-PLAYS = PlayLaw(5e-3, np.array([1e-3, 4e-3]), np.array([100.0, 300.0]))
-
-
-def test_panels_meet_the_law_and_its_corners() -> None:
-    law = law_of_plays(PLAYS, 0.02, n_points=12)
-    assert set(PLAYS.half_widths) <= set(law.moment)
-    expected = respond(PLAYS, law.moment, virgin_plays(PLAYS, len(law.moment))).curvature
-    assert law.curvature == pytest.approx(expected)
-    assert law.energy == pytest.approx(complementary_energy(PLAYS, law.moment))
-    assert law.moment[law.points][-1] == 0.02
-    assert len(law.points) == 12
-    assert law.energy_change.shape == (0, len(law.moment)), "no parameter changes it"
-    assert law.node_energy_change.shape == (0, *law.node_energy.shape)
-
-
-def test_weights_sum_to_the_moment() -> None:
-    law = law_of_plays(LinearLaw(2.0), 3.0)
-    assert law.node_weight.sum() == pytest.approx(3.0, rel=1e-14)
-    # The energy over the moment is that of a linear law: M^3 / (6 EI).
-    assert (law.node_weight * law.node_energy).sum() == pytest.approx(27.0 / 12.0, rel=1e-13)
 
 
 def test_gauss_rule_is_exact_for_its_degree() -> None:
@@ -116,26 +96,6 @@ def test_example_wires_over_bends_of_a_harness(name: str) -> None:
     assert spread[16] < spread[4]
 
 
-def test_a_constant_stiffness_by_hand() -> None:
-    """Secants from 3 to 1: 1.5 is half too low and half too high."""
-    card = loss_card(np.array([0.0, 1.0, 2.0, 6.0]), np.array([0.0, 3.0, 4.0, 6.0]), counts=(2,))
-    assert card.stiffness == pytest.approx(1.5)
-    assert card.constant == pytest.approx(0.5)
-    ((number, error),) = card.sliders
-    assert number == 2
-    assert error < 1e-12
-
-
-def test_a_dahl_law_is_found_again() -> None:
-    bent = np.geomspace(0.05, 20.0, 150)
-    moment = 2e-4 * bent + 1e-3 * (1.0 - np.exp(-bent / 1.3))
-    found = fit_dahl(bent, moment)
-    assert found.error < 1e-3
-    assert found.stiffness == pytest.approx(2e-4, rel=0.01)
-    assert found.moment == pytest.approx(1e-3, rel=0.01)
-    assert found.decay == pytest.approx(1.3, rel=0.05)
-
-
 def test_the_best_dahl_law_against_a_search() -> None:
     table = wire_table("A3")
     use = (table.curvature >= 0.1) & (table.curvature <= 10.0)
@@ -150,15 +110,6 @@ def test_the_best_dahl_law_against_a_search() -> None:
     assert largest(start) == pytest.approx(found.error)
     searched = minimize(largest, start, method="Nelder-Mead", options={"maxiter": 4000})
     assert found.error < 1.005 * searched.fun
-
-
-def test_a_dahl_law_of_a_straight_line_and_of_two_points() -> None:
-    bent = np.array([1.0, 2.0, 3.0, 5.0])
-    straight = fit_dahl(bent, 2.0 * bent)
-    assert straight.error < 1e-9
-    assert straight.stiffness == pytest.approx(2.0)
-    two = fit_dahl(np.array([1.0, 4.0]), np.array([3.0, 6.0]))
-    assert two.error < 0.05
 
 
 def test_the_way_back_step_by_step() -> None:
@@ -189,12 +140,6 @@ def test_the_way_back_step_by_step() -> None:
     found = turn_loss(x, y)
     assert found.curve == pytest.approx(worst[0], rel=0.02)
     assert found.isotropic == pytest.approx(worst[1], rel=0.02)
-
-
-def test_a_straight_law_loses_nothing_on_its_way_back() -> None:
-    found = turn_loss(np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 8.0]))
-    assert found.curve < 1e-12
-    assert found.isotropic < 1e-12
 
 
 DIAMETER = 1.6e-3
@@ -229,14 +174,6 @@ def largest(error: Floats) -> float:
     return float(np.abs(error).max())
 
 
-def test_a_linear_law_has_its_modulus() -> None:
-    curvature = np.geomspace(0.01, 100.0, 60)
-    material = equivalent_material(curvature, 4e-4 * curvature, DIAMETER)
-    assert material.modulus == pytest.approx(4e-4 / SECOND_MOMENT)
-    assert largest(material.error) < 1.1e-3
-    assert material.holds_from(0.002) == curvature[0]
-
-
 def test_a_perfectly_plastic_bar_is_found_again() -> None:
     yields = EquivalentMaterial(
         DIAMETER, 1e10, np.array([0.004, 0.1]), np.array([4e7, 4e7]), np.ones(1), np.zeros(1)
@@ -257,6 +194,11 @@ def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str
     start = material.holds_from(0.01)
     assert start is not None
     assert start < 0.01 * curvature[-1]
+    assert (np.diff(material.stress, prepend=0.0) >= 0.0).all()
+    assert material.plastic_strain[0] == 0.0
+    assert (np.diff(material.plastic_strain) > 0.0).all()
+    assert material.strain[-1] == pytest.approx(curvature[-1] * 0.5 * material.diameter)
+    assert material.elastic_curvature == pytest.approx(0.002 * curvature[-1])
     near = curvature >= start
     found = bar_moment(material, curvature)
     assert found[near] == pytest.approx(moment[near], rel=0.01)
@@ -271,41 +213,6 @@ def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
     assert starts[0] < 0.1 * starts[1]  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("name", ["A2", "C4"])
-def test_the_stress_never_falls_and_the_plastic_strain_grows(name: str) -> None:
-    material, curvature, _ = of_wire(name)
-    assert (np.diff(material.stress, prepend=0.0) >= 0.0).all()
-    assert material.plastic_strain[0] == 0.0
-    assert (np.diff(material.plastic_strain) > 0.0).all()
-    assert material.strain[-1] == pytest.approx(curvature[-1] * 0.5 * material.diameter)
-    assert material.elastic_curvature == pytest.approx(0.002 * curvature[-1])
-
-
-def test_a_law_that_stiffens_is_nowhere_near() -> None:
-    curvature = np.geomspace(0.1, 100.0, 60)
-    material = equivalent_material(curvature, 1e-6 * curvature**2, DIAMETER)
-    assert largest(material.error) > 0.5
-    assert material.holds_from(0.01) is None
-
-
-@pytest.mark.parametrize(
-    ("curvature", "moment", "options", "message"),
-    [
-        ([1.0], [1.0], {}, "1 curvatures and 1 moments: allowed are as many of both, at least 2"),
-        ([0.0, 1.0], [1.0, 2.0], {}, "allowed are finite, increasing, positive curvatures"),
-        ([1.0, np.nan], [1.0, 2.0], {}, "allowed are finite, increasing, positive curvatures"),
-        ([1.0, 2.0], [0.0, 2.0], {}, "allowed are finite, increasing, positive curvatures"),
-        ([1.0, 2.0], [1.0, 2.0], {"elastic_share": 0.0}, r"elastic_share=0\.0, n_knots=24: "),
-        ([1.0, 2.0], [1.0, 2.0], {"n_knots": 1}, r"elastic_share=0\.002, n_knots=1: allowed"),
-    ],
-)
-def test_what_is_no_law_is_refused(
-    curvature: list[float], moment: list[float], options: dict[str, float], message: str
-) -> None:
-    with pytest.raises(ValueError, match=f"^{message}"):
-        equivalent_material(np.array(curvature), np.array(moment), DIAMETER, **options)  # type: ignore[arg-type]
-
-
 def test_a_search_with_many_turns_is_not_ended_half_way() -> None:
     sticks = replace(
         spec_of("C5", "C5"), layout="packed", copper_n=0.23, friction_insulation=0.003,
@@ -318,3 +225,35 @@ def test_a_search_with_many_turns_is_not_ended_half_way() -> None:
     assert np.all((slopes > -1e-12) & (slopes < 1.0))
     above = found.curvature > found.elastic_curvature
     assert np.sum(found.error[above] ** 2) < 0.102  # 0.1031 where it ended half-way
+
+
+def test_laws_that_are_straight_or_stiffen() -> None:
+    curvature = np.geomspace(0.01, 100.0, 60)
+    linear = equivalent_material(curvature, 4e-4 * curvature, DIAMETER)
+    assert linear.modulus == pytest.approx(4e-4 / SECOND_MOMENT)
+    assert largest(linear.error) < 1.1e-3
+    assert linear.holds_from(0.002) == curvature[0]
+    stiffening = equivalent_material(curvature, 1e-6 * curvature**2, DIAMETER)
+    assert largest(stiffening.error) > 0.5
+    assert stiffening.holds_from(0.01) is None
+    way_back = turn_loss(np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 8.0]))
+    assert max(way_back.curve, way_back.isotropic) < 1e-12
+
+
+@pytest.mark.parametrize("parts", [(2e-4, 1e-3, 1.3), (2.0, 0.0, 1.0)], ids=["Dahl", "straight"])
+def test_a_dahl_law_is_recovered(parts: tuple[float, float, float]) -> None:
+    stiffness, height, decay = parts
+    bent = np.geomspace(0.05, 20.0, 150)
+    dahl = fit_dahl(bent, stiffness * bent + height * (1.0 - np.exp(-bent / decay)))
+    assert dahl.error < 1e-3
+    assert dahl.stiffness == pytest.approx(stiffness, rel=0.01)
+    if height:
+        assert (dahl.moment, dahl.decay) == pytest.approx((height, decay), rel=0.05)
+    assert fit_dahl(np.array([1.0, 4.0]), np.array([3.0, 6.0])).error < 0.05
+
+
+def test_a_constant_stiffness_by_hand() -> None:
+    """Secants from 3 to 1: 1.5 is half too low and half too high."""
+    card = loss_card(np.array([0.0, 1.0, 2.0, 6.0]), np.array([0.0, 3.0, 4.0, 6.0]), counts=(2,))
+    assert (card.stiffness, card.constant) == pytest.approx((1.5, 0.5))
+    assert card.sliders[0] == pytest.approx((2, 0.0), abs=1e-12)

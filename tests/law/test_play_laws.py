@@ -1,10 +1,15 @@
+"""Moment-curvature laws of plays, and what laws of all forms refuse."""
+
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from labpipe.law.equivalent_material import equivalent_material
 from labpipe.law.play_fits import concave_law, fit_plays, polygon_law, stick_slip_law
 from labpipe.law.plays import (
     LinearLaw,
@@ -15,8 +20,13 @@ from labpipe.law.plays import (
     respond,
     virgin_plays,
 )
+from labpipe.law.slider_directions import in_directions
+from labpipe.law.sliders import SliderLaw, fit_sliders, linear_moment_law
+from labpipe.law.thinning import thin
 from labpipe.records.arrays import Floats
-from tests.builders.bilinear_laws import bilinear_law, complementary_energy
+from tests.approved import Approve
+from tests.builders.bilinear_laws import bilinear_law
+from tests.builders.wire_tables import wire_table
 
 WIRE = stick_slip_law(
     stick_stiffness=5e-3,
@@ -38,23 +48,13 @@ def drive(law: MomentLaw, moments: list[float]) -> Floats:
     return np.array(curvatures)
 
 
-def test_linear_law_is_moment_over_stiffness_and_forgets() -> None:
-    assert drive(LinearLaw(4e-3), [0.02, -0.04, 0.0]) == pytest.approx([5.0, -10.0, 0.0])
-
-
 def test_bilinear_law_breaks_then_unloads_with_the_first_stiffness() -> None:
     law = bilinear_law(2.0, 0.5, 1.0)
     loaded = 0.5 + 1.0 / 0.5
+    assert drive(LinearLaw(4e-3), [0.02, -0.04, 0.0]) == pytest.approx([5.0, -10.0, 0.0])
     assert drive(law, [1.0, 2.0, 1.0, 0.0]) == pytest.approx(
         [0.5, loaded, loaded - 0.5, loaded - 1.0]
     )
-
-
-def test_bilinear_law_yields_backwards_after_twice_the_break_moment() -> None:
-    law = bilinear_law(2.0, 0.5, 1.0)
-    peak, elastic, beyond = drive(law, [3.0, 1.0, 0.0])
-    assert peak - elastic == pytest.approx(2.0 / 2.0)
-    assert elastic - beyond == pytest.approx(1.0 / 0.5)
 
 
 @given(
@@ -98,133 +98,10 @@ def test_unloading_starts_with_the_first_stiffness_and_leaves_curvature() -> Non
     assert empty > 0.1 * peak
 
 
-def test_closed_loop_dissipates() -> None:
-    down, up = np.linspace(0.1, -0.1, 401), np.linspace(-0.1, 0.1, 401)
-    moments = np.concatenate([np.linspace(0, 0.1, 201), down, up])
-    curvature = drive(WIRE, list(moments))
-    loop = slice(200, None)
-    assert np.trapezoid(moments[loop], curvature[loop]) > 0.05 * 0.1 * curvature[200]
-
-
-def test_complementary_energy_is_the_integral_of_curvature() -> None:
-    moments = np.linspace(0.0, 0.15, 20_001)
-    curvature = respond(WIRE, moments, virgin_plays(WIRE, len(moments))).curvature
-    area = np.trapezoid(curvature, moments)
-    assert float(complementary_energy(WIRE, np.array(0.15))) == pytest.approx(area, rel=1e-6)
-
-
 def test_nan_stays_with_its_station() -> None:
     answer = respond(WIRE, np.array([0.1, np.nan]), virgin_plays(WIRE, 2))
     assert np.isfinite(answer.curvature[0])
     assert np.isnan(answer.curvature[1])
-
-
-@pytest.mark.parametrize("stiffness", [0.0, -1.0, np.nan, np.inf])
-def test_stiffness_out_of_range(stiffness: float) -> None:
-    with pytest.raises(ValueError, match=r"stiffness=.*: allowed are finite numbers > 0"):
-        LinearLaw(stiffness)
-
-
-def test_a_law_may_end() -> None:
-    law = PlayLaw(2.0, np.array([1.0]), np.array([0.5]), 3.0)
-    require_within(law, np.array([-3.0, 3.0]), "bending")
-    require_within(LinearLaw(2.0), np.array([1e9]), "bending")
-    require_within(bilinear_law(2.0, 1.0, 1.0), np.array([1e9]), "bending")
-    said = r"^bending: the wire would be bent to 3.5 1/m, and its law ends at 2.5 1/m$"
-    with pytest.raises(ValueError, match=said):
-        require_within(law, np.array([1.0, -4.0]), "bending")
-    for last in (0.0, np.nan):
-        with pytest.raises(ValueError, match=rf"^largest_moment={last}: allowed are numbers > 0$"):
-            PlayLaw(2.0, np.array([1.0]), np.array([0.5]), last)
-
-
-def test_first_curvature_is_that_of_the_plays() -> None:
-    moment = np.linspace(0.0, 0.2, 50)
-    plays = respond(WIRE, moment, virgin_plays(WIRE, 50)).curvature
-    assert first_curvature(WIRE, moment) == pytest.approx(plays, rel=1e-12)
-
-
-def test_play_law_refuses_negative_compliance() -> None:
-    with pytest.raises(ValueError, match=r"compliances=.*allowed are finite numbers >= 0"):
-        PlayLaw(1.0, np.array([1.0]), np.array([-0.1]))
-
-
-@pytest.mark.parametrize("widths", [[0.0, 1.0], [2.0, 1.0], [1.0, 1.0]])
-def test_play_law_refuses_disordered_half_widths(widths: list[float]) -> None:
-    with pytest.raises(ValueError, match=r"half_widths=.*positive, increasing"):
-        PlayLaw(1.0, np.array(widths), np.array([1.0, 1.0]))
-
-
-def test_fitted_plays_meet_the_law_at_every_corner() -> None:
-    corners = np.append(WIRE.half_widths, 0.2)
-    curvature = respond(WIRE, corners, virgin_plays(WIRE, len(corners))).curvature
-    wanted = corners / 5e-3 + 10.0 * ((corners - 0.002) / 0.05) ** 2
-    np.testing.assert_allclose(curvature, wanted, rtol=1e-12)
-
-
-def test_fitted_plays_are_near_the_law_between_corners() -> None:
-    moments = np.linspace(0.0, 0.2, 1001)
-    curvature = respond(WIRE, moments, virgin_plays(WIRE, 1001)).curvature
-    wanted = moments / 5e-3 + 10.0 * (np.maximum(moments - 0.002, 0.0) / 0.05) ** 2
-    assert np.max(np.abs(curvature - wanted)) < 2e-3 * wanted[-1]
-
-
-def test_fit_refuses_a_law_that_softens() -> None:
-    with pytest.raises(ValueError, match="curvature softens"):
-        fit_plays(
-            lambda moment: moment * (2.0 - moment),
-            stiffness=0.5,
-            first_moment=0.1,
-            last_moment=3.0,
-            n_plays=10,
-        )
-
-
-@pytest.mark.parametrize(("last", "number"), [(0.1, 10), (0.05, 10), (3.0, 0)])
-def test_fit_refuses_plays_that_make_no_row(last: float, number: int) -> None:
-    said = rf"last_moment={last}, n_plays={number}: allowed are numbers > first_moment=0.1 and >= 1"
-    with pytest.raises(ValueError, match=said):
-        fit_plays(
-            lambda moment: moment / 0.5,
-            stiffness=0.5,
-            first_moment=0.1,
-            last_moment=last,
-            n_plays=number,
-        )
-
-
-def test_fit_refuses_a_curvature_that_stands() -> None:
-    with pytest.raises(ValueError, match="curvature softens"):
-        fit_plays(
-            lambda moment: np.full_like(moment, 0.2),
-            stiffness=0.5,
-            first_moment=0.1,
-            last_moment=3.0,
-            n_plays=10,
-        )
-
-
-def test_fit_refuses_a_law_that_stiffens() -> None:
-    with pytest.raises(ValueError, match=r"curvature stiffens at moment="):
-        fit_plays(np.sqrt, stiffness=1.0, first_moment=0.1, last_moment=2.0, n_plays=10)
-
-
-def test_fit_refuses_an_empty_range() -> None:
-    with pytest.raises(ValueError, match=r"last_moment=0.1, n_plays=3: allowed are"):
-        fit_plays(np.square, stiffness=1.0, first_moment=0.1, last_moment=0.1, n_plays=3)
-
-
-@pytest.mark.parametrize("hardening", [0.0, 1.0])
-def test_hardening_out_of_range(hardening: float) -> None:
-    with pytest.raises(ValueError, match=r"hardening=.*between 0 and 1"):
-        stick_slip_law(
-            stick_stiffness=1.0,
-            stick_moment=0.1,
-            slip_stiffness=1.0,
-            reference_moment=1.0,
-            hardening=hardening,
-            last_moment=2.0,
-        )
 
 
 def test_plays_of_a_polygon_by_hand() -> None:
@@ -235,16 +112,122 @@ def test_plays_of_a_polygon_by_hand() -> None:
     assert law.compliances == pytest.approx([0.25, 0.5])
 
 
-def test_the_curvature_at_which_a_soft_law_softens_is_said() -> None:
-    with pytest.raises(ValueError, match=r"softens before curvature=3 1/m"):
-        polygon_law(np.array([1.0, 2.0, 3.0]), np.array([1e-3, 1.5e-3, 1.4e-3]))
-
-
 def test_a_stiffening_law_is_bridged_by_one_percent_at_most() -> None:
     """From (1, 4) to (3, 7) the bridge passes 5.5 N m at 2 1/m."""
     curvature = np.array([1.0, 2.0, 3.0])
     law = concave_law(curvature, np.array([4.0, 5.45, 7.0]))
     assert law.half_widths.tolist() == [4.0]
     assert law.compliances == pytest.approx([1.0 / 1.5 - 1.0 / 4.0])
-    with pytest.raises(ValueError, match=r"curvature=2 1/m: .* is 10 % above it, allowed is 1 %"):
-        concave_law(curvature, np.array([4.0, 5.0, 7.0]))
+
+
+def test_fitted_plays_meet_the_law_at_every_corner_and_are_near_it_between() -> None:
+    corners = np.append(WIRE.half_widths, 0.2)
+    for moments, close in ((corners, 1e-12), (np.linspace(0.0, 0.2, 1001), 2e-3)):
+        curvature = respond(WIRE, moments, virgin_plays(WIRE, len(moments))).curvature
+        assert first_curvature(WIRE, moments) == pytest.approx(curvature, rel=1e-12)
+        law = moments / 5e-3 + 10.0 * (np.maximum(moments - 0.002, 0.0) / 0.05) ** 2
+        assert curvature == pytest.approx(law, abs=close * law[-1])
+
+
+def test_a_law_may_end() -> None:
+    law = PlayLaw(2.0, np.array([1.0]), np.array([0.5]), 3.0)
+    require_within(law, np.array([-3.0, 3.0]), "bending")
+    require_within(LinearLaw(2.0), np.array([1e9]), "bending")
+    require_within(bilinear_law(2.0, 1.0, 1.0), np.array([1e9]), "bending")
+
+
+CURVATURE: Floats = np.linspace(0.0, 10.0, 401)
+LINE: Floats = np.arange(11.0)
+STICK_SLIP = {
+    "stick_stiffness": 1.0, "stick_moment": 0.1, "slip_stiffness": 1.0, "reference_moment": 1.0,
+}  # fmt: skip
+
+
+def row(*numbers: float) -> Floats:
+    return np.array(numbers)
+
+
+def plays_of(law: Callable[[Floats], Floats], last: float = 3.0, n_plays: int = 10) -> PlayLaw:
+    return fit_plays(law, stiffness=0.5, first_moment=0.1, last_moment=last, n_plays=n_plays)
+
+
+def sliders(n_sliders: int = 4, **options: float) -> SliderLaw:
+    return fit_sliders(CURVATURE, np.sqrt(1.0 + CURVATURE) - 1.0, n_sliders, **options)
+
+
+CASES: dict[str, list[Callable[[], object]]] = {
+    "plays": [
+        *(lambda value=value: LinearLaw(value) for value in (0.0, -1.0, np.nan, np.inf)),
+        lambda: PlayLaw(1.0, row(1.0), row(-0.1)),
+        *(
+            lambda pair=pair: PlayLaw(1.0, row(*pair), row(1, 1))
+            for pair in ((0, 1), (2, 1), (1, 1))
+        ),
+        *(lambda last=last: PlayLaw(2.0, row(1.0), row(0.5), last) for last in (0.0, np.nan)),
+        lambda: require_within(PlayLaw(2.0, row(1.0), row(0.5), 3.0), row(1.0, -4.0), "bending"),
+        lambda: plays_of(lambda moment: moment * (2.0 - moment)),
+        lambda: plays_of(lambda moment: np.full_like(moment, 0.2)),
+        lambda: plays_of(np.sqrt),
+        lambda: plays_of(np.square, 0.1),
+        lambda: plays_of(np.square, 0.05),
+        lambda: plays_of(np.square, 3.0, 0),
+        *(
+            lambda share=share: stick_slip_law(**STICK_SLIP, hardening=share, last_moment=2.0)  # type: ignore[arg-type]
+            for share in (0.0, 1.0)
+        ),
+        lambda: polygon_law(row(1.0, 2.0, 3.0), row(1e-3, 1.5e-3, 1.4e-3)),
+        lambda: polygon_law(row(1.0, 2.0, 3.0), row(1.0, 3.0, 3.5)),
+        lambda: concave_law(row(1.0, 2.0, 3.0), row(4.0, 5.0, 7.0)),
+        lambda: concave_law(row(1.0, 2.0, 3.0), row(1.0, 1.5, 1.495)),
+    ],
+    "sliders": [
+        lambda: fit_sliders(LINE, np.where(LINE > 6.0, 5.0, LINE), 4),
+        lambda: fit_sliders(LINE, LINE**2, 4),
+        lambda: fit_sliders(row(0, 1, 2), row(0, 1), 4),
+        lambda: sliders(first=5.0, last=5.0),
+        lambda: sliders(first=0.1, last=20.0),
+        lambda: sliders(first=0.1, last=np.nan),
+        lambda: sliders(0),
+        lambda: sliders(65),
+        lambda: SliderLaw(-1.0, row(1), row(1), 0.1, 10.0),
+        lambda: SliderLaw(1.0, row(0), row(1), 0.1, 10.0),
+        lambda: SliderLaw(1.0, row(1, 1), row(2, 1), 0.1, 10.0),
+        lambda: in_directions(linear_moment_law(1.0, 10.0), 1),
+        lambda: in_directions(linear_moment_law(1.0, 10.0), 2, most=0),
+    ],
+    "points": [
+        lambda: thin(row(0, 1), row(0, 1), most=1),
+        lambda: thin(row(0), row(0), most=2),
+        lambda: thin(row(0, 1), row(0), most=2),
+        lambda: thin(row(0, np.nan), row(0, 1), most=2),
+        lambda: thin(row(1, 2), row(1, 2), most=2),
+        lambda: thin(row(0, 2, 1), row(0, 1, 2), most=2),
+        lambda: thin(row(0, 1, 2.5), row(0, 1, 0.9), most=2),
+        lambda: equivalent_material(row(1), row(1), 1e-3),
+        lambda: equivalent_material(row(0, 1), row(1, 2), 1e-3),
+        lambda: equivalent_material(row(1, np.nan), row(1, 2), 1e-3),
+        lambda: equivalent_material(row(1, 2), row(0, 2), 1e-3),
+        lambda: equivalent_material(row(1, 2), row(1, 2), 1e-3, elastic_share=0.0),
+        lambda: equivalent_material(row(1, 2), row(1, 2), 1e-3, n_knots=1),
+    ],
+}
+
+
+@pytest.mark.parametrize("subject", CASES)
+def test_refusals(subject: str, approved: Approve) -> None:
+    messages = []
+    for call in CASES[subject]:
+        with pytest.raises(ValueError) as refusal:  # noqa: PT011
+            call()
+        messages.append(str(refusal.value))
+    approved(messages)
+
+
+def test_the_number_of_sliders_that_is_enough() -> None:
+    table = wire_table("A2")
+    message = r"^4 sliders lose 1\.\d+ % of the moment, allowed is 0\.5 %: 9 are enough$"
+    with pytest.raises(ValueError, match=message):
+        fit_sliders(table.curvature, table.moment, 4, allowed=0.005)
+    assert fit_sliders(table.curvature, table.moment, 9, allowed=0.005).error <= 0.005
+    with pytest.raises(ValueError, match=r"allowed is 0\.0001 %: 64 are not enough$"):
+        fit_sliders(table.curvature, table.moment, 4, allowed=1e-6)
