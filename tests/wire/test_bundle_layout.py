@@ -38,13 +38,8 @@ def test_wires_touch_and_do_not_overlap(number: int) -> None:
     distance = np.hypot(*(found[:, None] - found[None]).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     assert distance.min(axis=1) == pytest.approx(1.0, abs=1e-4)
-
-
-def test_other_numbers_are_dense_and_repeat() -> None:
-    once, again = sites(8, seed=3), sites(8, seed=3)
-    assert np.array_equal(once, again)
-    # The densest eight in a circle need 3.3048 radii (Pirl 1969).
-    assert 3.3048 - 1e-4 < 2.0 * holding_circle(once, np.ones(8))[1] < 1.11 * 3.3048
+    if number == 8:  # the densest eight in a circle need 3.3048 radii (Pirl 1969)
+        assert 3.3047 < 2.0 * holding_circle(found, np.ones(8))[1] < 1.11 * 3.3048
 
 
 @pytest.mark.slow
@@ -73,16 +68,6 @@ def test_every_spread_has_the_counts(counts: list[int]) -> None:
         assert np.bincount(kind, minlength=len(counts)).tolist() == counts
 
 
-def test_the_stiffest_lies_on_top() -> None:
-    places = sites(19)
-    kind = on_one_side(places, [10, 9], [1.0, 2.0])
-    assert places[kind == 1, 1].min() >= places[kind == 0, 1].max() - 1e-9
-    assert places[kind == 1].mean(axis=0)[1] > 0.5
-    assert places[kind == 1].sum(axis=0)[0] == pytest.approx(0.0, abs=1e-9)
-    turned = on_one_side(places, [10, 9], [2.0, 1.0])
-    assert places[turned == 0, 1].min() >= places[turned == 1, 1].max() - 1e-9
-
-
 def test_a_shared_row_is_balanced() -> None:
     places = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
     assert on_one_side(places, [3, 2], [1.0, 2.0]).tolist() == [0, 1, 0, 1, 0]
@@ -106,12 +91,6 @@ def test_even_spread_is_evener_than_chance_and_repeats() -> None:
     rng = np.random.default_rng(5)
     chances = [unevenness(places, by_chance([10, 9], rng)) for _ in range(200)]
     assert unevenness(places, even) < min(chances)
-
-
-def test_six_of_seven_around_the_core_cannot_be_even() -> None:
-    """A lone wire of its kind goes where it tilts the bundle least: into the middle."""
-    kind = evenly(sites(7), [6, 1])
-    assert kind.tolist() == [1, 0, 0, 0, 0, 0, 0]
 
 
 DIAMETERS, STIFFNESS = (1.10e-3, 1.25e-3), (37e3, 52e3)
@@ -153,14 +132,6 @@ def test_many_unequal_wires_come_together(number: int, kinds: tuple[float, ...])
     found = densest_heap(starts, diameters)
     assert largest_overlap(found, diameters / 2.0) < 1e-9
     assert packing_fraction(diameters, 2.0 * holding_circle(found, diameters)[1]) > 0.6
-
-
-def test_the_narrower_of_two_heaps() -> None:
-    """A row that nothing pushes aside stays a row: 4 of 16 filled; a square fills 0.69."""
-    row = np.column_stack([np.arange(4.0), np.zeros(4)])
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    found = densest_heap([row, square], np.ones(4))
-    assert holding_circle(found, np.ones(4))[1] == pytest.approx(0.5 + np.sqrt(0.5), abs=1e-5)
 
 
 def test_circle_around_many_wires_touches_some_and_leaves_out_none() -> None:

@@ -98,15 +98,6 @@ def test_shares(value: float, share: float) -> None:
     assert share_of_bounds(value, 1.0, 100.0) == pytest.approx(share)
 
 
-def test_copper_that_yields_pulls_less_and_less() -> None:
-    table, strain = example_wires()["B1"], np.linspace(0.0, 0.01, 50)
-    force = axial_force(table, strain)
-    assert force[0] == 0.0
-    assert np.all(np.diff(force) > 0.0)
-    assert np.all(np.diff(force, n=2) < 0.0)
-    assert force[-1] < 0.2 * table.axial_stiffness * 0.01
-
-
 def test_unequal_wires_share_a_neutral_axis() -> None:
     tables = [solid_wire(), solid_wire("H", modulus=3e11)]
     y, kind = np.array([0.0, 4e-3]), np.arange(2)
@@ -279,7 +270,11 @@ def test_slipping_moments_add_up_as_far_as_the_shortest_law() -> None:
 
 
 ROW = ((0.0, 0.0), (1e-3, 1e-3), (2e-3, 2e-3))
+
+
 FAR = bundle(("S", 2), positions=((0.0, 0.0), (0.0, 0.2)))
+
+
 NOTED: dict[str, Bundle] = {
     "range_shortened": FAR,
     "oblique_axes": bundle(("S", 3), positions=ROW),

@@ -33,13 +33,6 @@ def test_the_sources_wires_fit_as_hexagons(name: str) -> None:
     assert section.overlap == pytest.approx(0.0, abs=1e-15)
 
 
-def test_concentric_rings_and_layers_of_different_strands() -> None:
-    section = concentric(layers_of("C4"), tube(WIRES["C4"][0]))
-    assert np.unique(section.radius.round(9)) == pytest.approx([0.0, 0.21e-3, 0.42e-3, 0.63e-3])
-    radii = np.unique(cardinal().radius.round(6))
-    assert radii == pytest.approx([0.0, 3.34e-3, 6.67e-3, 9.99e-3, 13.31e-3])
-
-
 def test_compressed_strands() -> None:
     """B wires: with 0.3 mm of wall the copper would not fit, with 0.2 mm it does."""
     layers = lay_up(7, strand_diameter(0.35e-6, 7), [np.radians(12.0)], ANNEALED_COPPER)
@@ -52,24 +45,10 @@ def test_compressed_strands() -> None:
     assert given.radius[1:] == pytest.approx(0.22e-3)
 
 
-def test_equal_area_sectors_keep_the_area() -> None:
-    """Sectors of a disc: area moments about the axis add up to no more than the disc's."""
-    layers = lay_up(19, 1e-3, [0.2, -0.2], ANNEALED_COPPER)
-    section = compressed(layers)
-    disc = np.pi / 4.0 * (19 * 1e-6 / 4.0) ** 2
-    assert 0.85 * disc < np.sum(np.pi / 4e6 * section.y**2) < disc
-
-
 def test_insulation_stiffness() -> None:
     found = Insulation(0.5e-3, 0.3e-3, 1e9)
     assert found.bending_stiffness == pytest.approx(np.pi / 64.0 * 1e9 * (1.6e-3**4 - 1e-12))
     assert found.axial_stiffness == pytest.approx(np.pi / 4.0 * 1e9 * (1.6e-3**2 - 1e-6))
-
-
-def test_rings_without_a_core_touch_each_other() -> None:
-    section = concentric((Layer(3, 1e-3, 0.2),))
-    assert not section.has_core
-    assert section.radius == pytest.approx(1e-3 / np.sqrt(3.0))
 
 
 @pytest.mark.parametrize("name", ["A1", "A3", "C4"])
@@ -131,3 +110,13 @@ def test_overlaps() -> None:
     assert gradient == pytest.approx([2.0, 0.0, -2.0, 0.0])
     layers = lay_up(19, strand_diameter(0.86e-6, 19), [0.2, -0.26], ANNEALED_COPPER)
     assert hexagonal(layers, tube(1.8e-3)).overlap == pytest.approx(0.16e-6, abs=0.01e-6)
+
+
+def test_concentric_rings() -> None:
+    section = concentric(layers_of("C4"), tube(WIRES["C4"][0]))
+    assert np.unique(section.radius.round(9)) == pytest.approx([0.0, 0.21e-3, 0.42e-3, 0.63e-3])
+    radii = np.unique(cardinal().radius.round(6))
+    assert radii == pytest.approx([0.0, 3.34e-3, 6.67e-3, 9.99e-3, 13.31e-3])
+    coreless = concentric((Layer(3, 1e-3, 0.2),))
+    assert not coreless.has_core
+    assert coreless.radius == pytest.approx(1e-3 / np.sqrt(3.0))

@@ -90,13 +90,6 @@ def test_published_elastica(
     assert found[2] == pytest.approx(angle, abs=2e-6)
 
 
-def test_the_stiffness_is_the_slope() -> None:
-    curve = curve_of(A2, rig_of(LENGTH), n_points=400)
-    middle = slice(200, 330)
-    slope = np.gradient(curve.tension, curve.deflection)
-    assert curve.stiffness[middle] == pytest.approx(slope[middle], rel=2e-3)
-
-
 def test_forces_are_odd_and_nan_stays() -> None:
     curve = curve_of(A2, None)
     force, change = force_at(curve, np.array([0.01, -0.01, 0.0, np.nan]))
@@ -133,13 +126,6 @@ def test_a_separate_solver_finds_the_same_forces(rig: StringRig | None) -> None:
         found = other.loaded(resting, deflection, found)
         force = force_at(curve, np.array([deflection]))[0][0]
         assert force == pytest.approx(other.pull(found) - other.pull(resting), rel=2e-4)
-
-
-def test_the_slope_is_that_of_the_forces() -> None:
-    wanted = np.array([0.0099, 0.01, 0.0101])
-    at = heavy_states(TABLE, HEAVY_LENGTH, RIG, WEIGHT, wanted)
-    slope = (at.tension[2] - at.tension[0]) / 2e-4
-    assert at.tension_change[0, 1] == pytest.approx(slope, rel=1e-3)
 
 
 def test_it_is_that_of_the_path_station_by_station() -> None:
@@ -181,3 +167,13 @@ def test_first_loading_ends_where_the_tip_unloads() -> None:
         force_at(curve, np.array([0.01, 0.07]))
     with np.errstate(all="ignore"), pytest.raises(ValueError, match="length=nan: no equilibrium"):
         load_cantilever(law_of_plays(A2, 0.03), np.nan)
+
+
+def test_stiffnesses_are_the_slopes_of_the_forces() -> None:
+    curve = curve_of(A2, rig_of(LENGTH), n_points=400)
+    middle = slice(200, 330)
+    slope = np.gradient(curve.tension, curve.deflection)
+    assert curve.stiffness[middle] == pytest.approx(slope[middle], rel=2e-3)
+    at = heavy_states(TABLE, HEAVY_LENGTH, RIG, WEIGHT, np.array([0.0099, 0.01, 0.0101]))
+    slope = (at.tension[2] - at.tension[0]) / 2e-4
+    assert at.tension_change[0, 1] == pytest.approx(slope, rel=1e-3)

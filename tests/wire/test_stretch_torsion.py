@@ -22,14 +22,6 @@ def rope(angle: float, tube: Insulation | None = None) -> CrossSection:
     return concentric((Layer(1, DIAMETER, 0.0, copper), Layer(6, DIAMETER, angle, copper)), tube)
 
 
-def test_straight_strands() -> None:
-    found = stretch_torsion(rope(0.0))
-    assert found.axial == pytest.approx(7.0 * MODULUS * AREA)
-    assert found.torsional == pytest.approx(7.0 * MODULUS * SECOND / 1.34)
-    assert found.coupling == 0.0
-    assert found.torsional_free == found.torsional
-
-
 def test_a_solid_rod_in_a_tube() -> None:
     tube = Insulation(0.5e-3, 0.3e-3, 1e9, 0.45)
     found = stretch_torsion(concentric((Layer(1, DIAMETER, 0.0, Elastic(MODULUS)),), tube))
@@ -38,6 +30,10 @@ def test_a_solid_rod_in_a_tube() -> None:
     assert found.torsional == pytest.approx(rod + wall)
     assert found.axial == pytest.approx(MODULUS * AREA + 1e9 * np.pi * (0.8e-3**2 - 0.5e-3**2))
     assert found.coupling == 0.0
+    straight = stretch_torsion(rope(0.0))
+    assert straight.axial == pytest.approx(7.0 * MODULUS * AREA)
+    assert straight.torsional == pytest.approx(7.0 * MODULUS * SECOND / 1.34)
+    assert (straight.coupling, straight.torsional_free) == (0.0, straight.torsional)
 
 
 def stored(angle: float, strain: float, twist: float) -> float:

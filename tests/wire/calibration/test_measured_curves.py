@@ -38,18 +38,18 @@ CURVE = MeasuredCurve("A2", "t", "s", 0.085, np.linspace(0, 0.05, 5), np.arange(
 def test_a_curve_is_frozen_and_its_noise_spread() -> None:
     assert CURVE.noise == pytest.approx(np.full(5, 0.002))
     assert CURVE.peak == 4.0
+    assert CURVE.read_error == pytest.approx(0.002)
+    assert replace(CURVE, zero_error=0.1).read_error == pytest.approx(np.hypot(0.1, 0.002))
+    moved = replace(CURVE, place_error=1e-3).read_error
+    assert moved == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
+    force = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
+    kept = usable((replace(CURVE, force=force), replace(CURVE, force=np.full(5, np.nan))))
+    assert isinstance(kept, tuple)
+    assert [len(curve.force) for curve in kept] == [4]
     with pytest.raises(ValueError, match="read-only"):
         CURVE.force[0] = 1.0
     with pytest.raises(ValueError, match=r"expected an array of shape \(5,\), found \(4,\)"):
         replace(CURVE, force=np.zeros(4), noise=np.ones(5))
-
-
-def test_points_without_a_number_are_left_out() -> None:
-    force = CURVE.force.copy()
-    force[2] = np.nan
-    found = usable((replace(CURVE, force=force), replace(CURVE, force=np.full(5, np.nan))))
-    assert isinstance(found, tuple)
-    assert [len(curve.force) for curve in found] == [4]
 
 
 def test_whitening_undoes_memory() -> None:
@@ -68,13 +68,6 @@ def test_errors_that_all_points_share() -> None:
     assert place == pytest.approx(2e-3 * slope)
     assert scale == pytest.approx(0.01 * curve.deflection * slope)
     assert not shared_errors(CURVE, slope).any()
-
-
-def test_what_one_point_is_off_by() -> None:
-    assert CURVE.read_error == pytest.approx(0.002)
-    assert replace(CURVE, zero_error=0.1).read_error == pytest.approx(np.hypot(0.1, 0.002))
-    moved = replace(CURVE, place_error=1e-3).read_error
-    assert moved == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
 
 
 def test_a_scale_that_all_curves_share_does_not_average_out() -> None:

@@ -20,8 +20,14 @@ from labpipe.wire.calibration.wire_parts import ModelForce, take_apart
 from tests.builders.loading_tests import TRUTH, memory_noise, wire_of
 
 WIRE = wire_of("A2")
+
+
 PARTS = take_apart(WIRE.section, WIRE.contacts)
+
+
 NONE = np.zeros(3, dtype=np.bool_)
+
+
 SAMPLES, POINTS = 5, 30
 
 
@@ -46,6 +52,12 @@ def test_levels_are_those_of_the_analysis_of_variance() -> None:
     between = float(values.mean(axis=1).var(ddof=1))
     assert found.noise == pytest.approx(within, rel=1e-3)
     assert found.scatter**2 == pytest.approx(between - within / POINTS, rel=2e-3)
+    given = estimate_levels(problem, fit, NONE, 0.0, 3.0)
+    assert given.scatter == 3.0
+    assert given.noise == pytest.approx(within, rel=0.1)
+    assert [quantile(freedom) for freedom in (2.0, np.inf, 0.1)] == pytest.approx(
+        [4.303, 1.960, 12.706], abs=1e-3
+    )
 
 
 def test_freedom_is_that_of_the_samples() -> None:
@@ -83,13 +95,6 @@ def test_variances_are_known_as_by_the_analysis_of_variance() -> None:
     assert found.level_covariance == pytest.approx(np.array(wanted), rel=5e-3)
 
 
-def test_a_given_scatter_stays() -> None:
-    problem, fit, values = layout(3)
-    found = estimate_levels(problem, fit, NONE, 0.0, 3.0)
-    assert found.scatter == 3.0
-    assert found.noise == pytest.approx(float(values.var(axis=1, ddof=1).mean()), rel=0.1)
-
-
 def test_offsets_that_the_fit_took_out_are_put_back() -> None:
     problem, fit, values = layout(4)
     plain = estimate_levels(problem, fit, NONE, 0.0, None)
@@ -110,17 +115,13 @@ def test_correlation_of_neighbours(correlation: float) -> None:
     model = ModelForce(np.ones(20_000), np.zeros((3, 20_000)), np.zeros(20_000))
     found = correlation_of((curve,), [model], np.array([1.2]))
     assert found == pytest.approx(correlation, abs=0.02)
+    shared = correlation_of((curve,), [model], np.array([1.1]))  # points share an error
+    known = correlation_of((replace(curve, zero_error=0.1),), [model], np.array([1.1]))
+    assert shared == pytest.approx(0.5 + 0.5 * correlation, abs=0.02)
+    if correlation == 0.0:
+        assert known == pytest.approx(0.0, abs=0.02)
     exact = replace(model, force=curve.force)
     assert correlation_of((curve,), [exact], np.ones(1)) == 0.0
-
-
-def test_what_points_share_is_no_correlation_of_neighbours() -> None:
-    noise = memory_noise(np.random.default_rng(0), 20_000, 0.0)
-    curve = MeasuredCurve("A2", "t", "s", 1.0, np.zeros(20_000), 1.1 + 0.1 * noise, 0.1)
-    model = ModelForce(np.ones(20_000), np.zeros((3, 20_000)), np.zeros(20_000))
-    assert correlation_of((curve,), [model], np.ones(1)) == pytest.approx(0.5, abs=0.02)
-    known = replace(curve, zero_error=0.1)
-    assert correlation_of((known,), [model], np.ones(1)) == pytest.approx(0.0, abs=0.02)
 
 
 def test_one_sample_has_no_scatter() -> None:
@@ -132,9 +133,3 @@ def test_one_sample_has_no_scatter() -> None:
     found = uncertainty(alone, one, NONE, levels, is_scatter_known=False)
     assert found.level_covariance[1, 1] == 0.0
     assert Levels(1.0, 0.0, 0.0).scatter == 0.0
-
-
-def test_quantiles() -> None:
-    assert quantile(2.0) == pytest.approx(4.303, abs=1e-3)
-    assert quantile(np.inf) == pytest.approx(1.960, abs=1e-3)
-    assert quantile(0.1) == pytest.approx(12.706, abs=1e-3)
