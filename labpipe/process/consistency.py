@@ -126,18 +126,20 @@ def _unlike_cycles(
         change = _change(before, after, largest)
         if change is None:
             continue
-        code, what, remedy = change
+        is_level, what, remedy = change
         message = (
             f"from cycle {after.loading.cycle} on ({_at(curve, after.loading.start)}) {what}, in "
             f"loading and unloading alike, as no specimen changes: {remedy}"
         )
-        quantities = ["force"] if code == "cycle_level" else ["force", "displacement"]
         during = (float(curve.time[before.unloading.stop - 1]), float(curve.time[-1]))
-        yield doubtful(code, where, message, *quantities, during=during)
+        if is_level:
+            yield doubtful("cycle_level", where, message, "force", during=during)
+        else:
+            yield doubtful("cycle_scale", where, message, "force", "displacement", during=during)
 
 
-def _change(before: Cycle, after: Cycle, largest: float) -> tuple[str, str, str] | None:
-    """Code, words and remedy of what the instruments changed between two cycles."""
+def _change(before: Cycle, after: Cycle, largest: float) -> tuple[bool, str, str] | None:
+    """Whether the level (or the scale) of an instrument changed, words for it, and a remedy."""
     forces = _common(*before.paths, *after.paths)
     if not forces:
         return None
@@ -151,10 +153,10 @@ def _change(before: Cycle, after: Cycle, largest: float) -> tuple[str, str, str]
         left, left_level = _rms(second - scale * first), _rms(second - level - first)
         if left < left_level and abs(scale - 1.0) > MIN_SCALE and recorded > scale_ratio * left:
             words = f"the force over displacement is {scale:.4g} times that of the cycle before"
-            return "cycle_scale", words, "look for a change of range, gain or encoder"
+            return False, words, "look for a change of range, gain or encoder"
         if abs(level) > MIN_LEVEL * largest and recorded > level_ratio * left_level:
             words = f"the force is {level:+.4g} N off that of the cycle before"
-            return "cycle_level", words, "look for a new zero of the load cell"
+            return True, words, "look for a new zero of the load cell"
     first_back, back = before.paths[1], after.paths[1]
     stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
     scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
@@ -164,7 +166,7 @@ def _change(before: Cycle, after: Cycle, largest: float) -> tuple[str, str, str]
     if recorded < SCALE_RATIO * _rms(scaled[1] - scaled[0]):
         return None
     words = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
-    return "cycle_scale", words, "look for a change of the encoder or its scale"
+    return False, words, "look for a change of the encoder or its scale"
 
 
 def _turns(where: str, curve: Curve, largest: float) -> Iterator[Finding]:

@@ -1,5 +1,3 @@
-"""Curves that a test may have been: their noise, corners and inputs, by hand."""
-
 from __future__ import annotations
 
 from dataclasses import replace
@@ -13,6 +11,7 @@ from labpipe.records.causes import (
     CLOCK_DRIFT,
     CLOCK_OFFSET,
     COMPLIANCE,
+    DRIFT_OF_ZERO,
     GRIP,
     PULL,
     REPAIRED_SLIPS,
@@ -26,14 +25,18 @@ from labpipe.records.causes import (
     ZERO_OF_DISPLACEMENT,
     ZERO_OF_FORCE,
 )
-from labpipe.records.curve import Branch, ClockFit, Interval, Slip, SlipDecision
-from labpipe.records.signals import Clocks, Signals
+from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
+from labpipe.records.signals import Clocks, Signal, Signals
+from labpipe.results.cycles import PeakDisplacement, PeakForce
 from labpipe.results.evidence import Evidence, Setup
+from labpipe.results.force_samples import ForceSamples, Top, _frames_of, cuts_of
 from labpipe.results.likely_curves import likely_curves, loading_of, traced
+from labpipe.results.stiffness import LineStiffness
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Input, Replicates
+from tests.builders.plain_records import Numbers
 from tests.builders.reduced import DOWN, UP, recorded
 
 RNG = np.random.default_rng
@@ -531,3 +534,321 @@ def test_a_branch_without_force() -> None:
     found = curves(recorded(time, 1e-3 * time, force, branches=branches))
     assert np.std(off(found, slice(300))) == pytest.approx(1.0, rel=0.2)
     assert np.isnan(off(found, slice(300, None))).all()
+
+
+SHARE, PEAK, WAY, COUNT = 0.01, 80.0, 8e-3, 2001
+
+
+PLACES = np.pi * np.array([0.5, 1.5, 2.5])
+
+
+"""Of the first three modes of a random walk."""
+
+
+SCALE = SHARE * PEAK / np.sqrt(np.sum(PLACES**-2.0))
+
+
+def straight_of_drift(share: float = SHARE, spread: float = 0.0) -> Evidence:
+    """80 N along 8 mm in 20 s, from its zero on."""
+    tau = np.linspace(0.0, 1.0, COUNT)
+    force = PEAK * tau + np.random.default_rng(0).normal(0.0, spread, COUNT)
+    return drifting(recorded(20.0 * tau, WAY * tau, force), share)
+
+
+def drifting(test: Evidence, share: float) -> Evidence:
+    raw = replace(test.signals.raw["force"], zero_drift=share)
+    return replace(test, signals=test.signals.with_new("force", raw))
+
+
+def modes(test: Evidence) -> list[Input]:
+    return [each for each in curves(test).inputs if each.cause == DRIFT_OF_ZERO]
+
+
+def drift_of(test: Evidence, numbers: Numbers) -> float:
+    found = measure(curves(test), lambda trace: Reading(numbers, len(trace.time)))
+    assert isinstance(found, tuple)
+    (number,) = found
+    return next(abs(row.change) for row in number.budget if row.cause == DRIFT_OF_ZERO)
+
+
+def top_of_drift(trace: Trace) -> tuple[Floats]:
+    return (trace.force.max(axis=-1),)
+
+
+def first(trace: Trace) -> tuple[Floats]:
+    return (trace.force[..., 0],)
+
+
+def last(trace: Trace) -> tuple[Floats]:
+    return (trace.force[..., -1],)
+
+
+def mean(trace: Trace) -> tuple[Floats]:
+    return (trace.force.mean(axis=-1),)
+
+
+def work(trace: Trace) -> tuple[Floats]:
+    return (np.asarray(np.trapezoid(trace.force, trace.displacement, axis=-1)),)
+
+
+def slope(trace: Trace) -> tuple[Floats]:
+    lever = trace.displacement - trace.displacement.mean(axis=-1, keepdims=True)
+    return (np.sum(lever * trace.force, axis=-1) / np.sum(lever**2, axis=-1),)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_force_at_the_end_is_off_by_what_is_stated(sign: float) -> None:
+    """A share of the largest force, which a push counts downwards."""
+    time, way, force = (
+        getattr(straight_of_drift().known_curve, x) for x in ("time", "displacement", "force")
+    )
+    test = drifting(recorded(time, way, sign * force), SHARE)
+    assert drift_of(test, last) == pytest.approx(SHARE * PEAK, rel=1e-9)
+
+
+def test_a_mean_and_an_energy() -> None:
+    """The mean of sin(p t) / p is 1 / p^2; of a whole walk a third of the variance at its end."""
+    expected = SCALE * np.sqrt(np.sum(PLACES**-4.0))
+    assert drift_of(straight_of_drift(), mean) == pytest.approx(expected, rel=1e-3)
+    assert drift_of(straight_of_drift(), work) == pytest.approx(WAY * expected, rel=1e-3)
+    assert expected == pytest.approx(SHARE * PEAK / np.sqrt(3.0), rel=0.04)
+
+
+def test_a_stiffness() -> None:
+    """12 times the mean of (t - 1/2) sin(p t) / p; of a whole walk 6/5 of the variance."""
+    signs = np.array([1.0, -1.0, 1.0])
+    each = 12.0 * (signs / PLACES**3 - 0.5 / PLACES**2)
+    expected = SCALE / WAY * np.sqrt(np.sum(each**2))
+    assert drift_of(straight_of_drift(), slope) == pytest.approx(expected, rel=1e-3)
+    assert expected == pytest.approx(SHARE * PEAK / WAY * np.sqrt(1.2), rel=0.05)
+
+
+def test_the_frame_gives_way_to_a_force_that_is_not_there() -> None:
+    test = replace(straight_of_drift(), compliance=4e-5)
+    trace = curves(test).smooth
+    for given in modes(test):
+        moved = given.moved(trace, -2.0)
+        more, less = moved.force - trace.force, moved.displacement - trace.displacement
+        assert np.ptp(more) > 0.01 * PEAK * SHARE
+        assert less == pytest.approx(-4e-5 * more, abs=1e-15)
+
+
+def test_it_is_counted_from_where_the_zero_was_taken() -> None:
+    """At the end of the record, as the mean of a rest or as the end of a line: it began off."""
+    test = straight_of_drift()
+    rested = replace(test.signals, zeroed={"force": (19.0, 21.0)})
+    for signals in (rested, replace(test.signals, lined={"force": (19.0, 20.0)})):
+        late = replace(test, signals=signals)
+        assert drift_of(late, first) == pytest.approx(SHARE * PEAK, rel=1e-9)
+        ends = [given.moved(curves(late).smooth, 1.0).force[-1] for given in modes(late)]
+        assert ends == pytest.approx([PEAK] * 3, abs=1e-9)
+
+
+def test_a_line_at_the_start_has_its_zero_at_its_outer_end() -> None:
+    test = straight_of_drift()
+    early = replace(test, signals=replace(test.signals, lined={"force": (0.0, 4.0)}))
+    assert drift_of(early, top_of_drift) == pytest.approx(SHARE * PEAK, rel=1e-9)
+    starts = [given.moved(curves(early).smooth, 1.0).force[0] for given in modes(early)]
+    assert starts == pytest.approx([0.0] * 3, abs=1e-9)
+
+
+def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
+    """Taken around 2 s of the motion: 3 s of a clock that is 1 s ahead."""
+    test, sure = straight_of_drift(), Interval(0.0, 0.0)
+    events, errors = np.array([0.0, 10.0]), np.full(2, 1e-3)
+    fit = ClockFit(1.0, 0.0, sure, sure, 0.0, events, events + 1.0, errors, "by hand")
+    raw = replace(test.signals.raw["force"], clock="force", time=test.known_curve.time + 1.0)
+    signals = replace(test.signals.with_new("force", raw), zeroed={"force": (2.5, 3.5)})
+    test = replace(test, signals=signals, clocks=Clocks("one", fit), unfiltered=raw)
+    trace = curves(test).smooth
+    for given in modes(test):
+        assert given.moved(trace, 1.0).force[200] == pytest.approx(trace.force[200], abs=1e-9)
+    total = np.sum([(g.moved(trace, 1.0).force - trace.force) ** 2 for g in modes(test)], axis=0)
+    assert np.sqrt(total[-1]) == pytest.approx(SHARE * float(trace.force.max()), rel=1e-3)
+
+
+def test_a_zero_that_stands_still_is_no_input() -> None:
+    assert {each.cause for each in curves(straight_of_drift(0.0)).inputs} == {STEP}
+
+
+def test_it_adds_to_what_there_was_and_changes_nothing_else() -> None:
+    """Noise and other inputs are drawn as before; the modes independently of one another."""
+    still, moved = curves(straight_of_drift(0.0, 0.5)), curves(straight_of_drift(SHARE, 0.5))
+    assert np.array_equal(still.force, moved.force)
+    (step,) = still.inputs
+    again = next(each for each in moved.inputs if each.cause == STEP)
+    assert np.array_equal(still.draws(step), moved.draws(again))
+    drawn = [moved.draws(each) for each in moved.inputs if each.cause == DRIFT_OF_ZERO]
+    assert np.abs(np.corrcoef(drawn) - np.eye(3)).max() < 0.15
+    one, other = (
+        measure(each, lambda trace: Reading(mean, len(trace.time))) for each in (still, moved)
+    )
+    assert isinstance(one, tuple)
+    assert isinstance(other, tuple)
+    more = SCALE * drawn[0] / PLACES[0] ** 2
+    assert np.std(other[0].off - one[0].off - more) < 0.15 * np.std(more)
+    assert other[0].value == one[0].value
+
+
+@pytest.mark.parametrize("share", [1.0, 30.0])
+def test_a_drift_as_large_as_the_force_makes_numbers_wide_or_doubtful(share: float) -> None:
+    """And thirty times as large: never NaN, never a width that is too small."""
+    test = straight_of_drift(share, 0.5)
+    test = replace(test, replicates=curves(test))
+    kinds = LineStiffness(start=1e-3, stop=4e-3), PeakDisplacement(), PeakForce()
+    for number in (each for kind in kinds for each in kind.compute(test).numbers):
+        found = number.outcome
+        assert isinstance(found, Measured)
+        assert np.isfinite([found.interval.lower, found.interval.upper, found.estimate]).all()
+        assert found.doubts or found.interval.upper - found.interval.lower > found.value
+
+
+FRAME, SINGLE, TURN = 0.04, 0.01, 10.015
+
+
+"""s: four samples of the force a frame; where the motion turns."""
+
+
+NOISE = 0.5
+
+
+"""N, of single samples: white."""
+
+
+BEFORE, BEHIND = 3.0, -20.0
+
+
+"""N/s, slopes on both sides of the turn."""
+
+
+WINDOW = 15
+
+
+def force_at(time: Floats) -> Floats:
+    """A corner of 100 N."""
+    return 100.0 + np.where(time < TURN, BEFORE, BEHIND) * (time - TURN)
+
+
+def evidence(force: Floats, *, rate: float = SINGLE, filters: bool = True) -> Evidence:
+    """A force on its own clock, that of the curve but for its name."""
+    time = rate * np.arange(float(len(force)))
+    signal = Signal(time, force, "N", "recorder")
+    act = {"force": ((Smoothing(WINDOW), 1),)} if filters else {}
+    signals = Signals(raw={"force": signal}, filtered={"force": signal}, filters=act)
+    same, at = Interval(0.0, 0.0), np.array([TURN])
+    joined = ClockFit(0.0, 0.0, same, same, 0.0, at, at, 0.01 * at, "by turns")
+    return Evidence(signals, Clocks("cameras", joined), unfiltered=signal)
+
+
+def curve() -> Trace:
+    """The corner without noise, a frame each 0.04 s, up and down."""
+    time = FRAME * np.arange(501.0) + 1.5 * SINGLE
+    turn = int(np.searchsorted(time, TURN))
+    up = Branch(0, turn, 1, Direction.LOADING, float(time[0]), float(time[turn]))
+    down = Branch(turn, 501, 1, Direction.UNLOADING, float(time[turn]), float(time[-1]))
+    return Trace(time, time, force_at(time), (up, down))
+
+
+def plainly_smoothed(rows: Floats) -> Floats:
+    """Means of 15 samples, at both ends the straight line through the outermost 15."""
+    half, count = WINDOW // 2, rows.shape[1]
+    found = np.array([np.convolve(row, np.ones(WINDOW) / WINDOW, "same") for row in rows])
+    number = np.arange(WINDOW)
+    for row, made in zip(rows, found, strict=True):
+        for part, end in (
+            (slice(WINDOW), slice(half)),
+            (slice(count - WINDOW, None), slice(-half, None)),
+        ):
+            line = np.polyval(np.polyfit(number, row[part], 1), number)
+            made[end] = np.clip(line[end], row[part].min(), row[part].max())
+    return found
+
+
+def top_of(samples: ForceSamples | None, trace: Trace, sense: float = 1.0) -> Top:
+    """The only cycle."""
+    assert samples is not None
+    found = samples.of_cycle(trace, slice(0, 501), sense)
+    assert found is not None
+    return found
+
+
+def test_the_largest_of_all_samples_in_noise() -> None:
+    """Mean and spread as those of the noise itself, filtered on either side of the corner."""
+    time = SINGLE * np.arange(float(2000))
+    noisy = force_at(time) + NOISE * RNG(0).normal(size=2000)
+    trace = curve()
+    samples = ForceSamples.of(evidence(noisy), trace)
+    assert samples is not None
+    of_frames = 0.5 * NOISE * RNG(1).normal(size=(4000, 501))
+    raised = top_of(samples, trace).raised(of_frames)
+    assert raised is not None
+
+    near = slice(900, 1100)
+    rows = force_at(time)[near] + NOISE * RNG(2).normal(size=(4000, 200))
+    (cut,) = set(samples.cuts) - {0, 2000, int(np.searchsorted(time, trace.time[-1], "right")), 2}
+    parts = [plainly_smoothed(each) for each in (rows[:, : cut - 900], rows[:, cut - 900 :])]
+    by_hand = np.hstack(parts).max(axis=1) - samples.smooth.max()
+    assert np.mean(raised) == pytest.approx(np.mean(by_hand), abs=0.12 * float(np.std(by_hand)))
+    assert np.std(raised) == pytest.approx(np.std(by_hand), rel=0.06)
+
+
+def test_a_push_is_as_large_as_a_pull() -> None:
+    time = SINGLE * np.arange(float(2000))
+    noisy = force_at(time) + NOISE * RNG(0).normal(size=2000)
+    pull = top_of(ForceSamples.of(evidence(noisy), curve()), curve())
+    trace = replace(curve(), force=-curve().force)
+    push = top_of(ForceSamples.of(evidence(-noisy), trace), trace, -1.0)
+    noise = 0.5 * NOISE * RNG(1).normal(size=(50, 501))
+    found = [pull.raised(noise), push.raised(-noise)]
+    assert found[0] is not None
+    assert found[1] is not None
+    # Other stretches of the record go with them, so they are alike on average.
+    assert np.mean(found[0]) == pytest.approx(np.mean(found[1]), abs=0.4 * float(np.std(found[0])))
+
+
+def test_without_noise_nothing_is_raised() -> None:
+    """But for what the filter takes off a corner: nothing, as it ends there."""
+    samples = ForceSamples.of(evidence(force_at(SINGLE * np.arange(float(2000)))), curve())
+    assert samples is not None
+    raised = top_of(samples, curve()).raised(np.zeros((3, 501)))
+    assert raised == pytest.approx(np.zeros(3), abs=0.02)
+    assert samples.smooth.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
+
+
+@pytest.mark.parametrize(("rate", "filters"), [(0.03, True), (SINGLE, False)])
+def test_where_the_curve_has_as_many(rate: float, filters: bool) -> None:
+    """Hardly more samples than frames, or none that is filtered."""
+    force = force_at(rate * np.arange(np.round(20.0 / rate)))
+    assert ForceSamples.of(evidence(force, rate=rate, filters=filters), curve()) is None
+
+
+def test_a_plateau_that_is_too_long_is_left_to_the_curve() -> None:
+    time = 5e-4 * np.arange(40_000.0)
+    noisy = 100.0 + NOISE * RNG(0).normal(size=len(time))
+    trace = replace(curve(), force=np.full(501, 100.0))
+    samples = ForceSamples.of(evidence(noisy, rate=5e-4), trace)
+    assert top_of(samples, trace).raised(np.zeros((2, 501))) is None
+
+
+def test_a_cycle_with_a_gap_is_left_to_the_curve() -> None:
+    trace = curve()
+    samples = ForceSamples.of(evidence(force_at(SINGLE * np.arange(float(2000)))), trace)
+    assert samples is not None
+    trace.force[100] = np.nan
+    assert samples.of_cycle(trace, slice(0, 501), 1.0) is None
+    assert samples.of_cycle(trace, slice(101, 501), 1.0) is not None
+
+
+def test_each_sample_belongs_to_the_frame_that_is_nearest() -> None:
+    """At a border between two frames to the earlier one."""
+    time = np.array([-1.0, 0.0, 0.4, 0.5, 0.6, 1.5, 2.4, 2.6, 9.0])
+    found = _frames_of(time, np.array([0.0, 1.0, 2.0, 3.0]))
+    assert found.tolist() == [0, 0, 0, 0, 1, 1, 2, 3, 3]
+
+
+def test_pieces_begin_behind_the_time_of_a_turn() -> None:
+    """A clock that is 1 s ahead: at 10.0 s of the curve it says 11.0 s, its sample 1100."""
+    same, at = Interval(1.0, 1.0), np.array([TURN])
+    joined = ClockFit(1.0, 0.0, same, same, 0.0, at, at + 1.0, 0.01 * at, "by turns")
+    signal = Signal(SINGLE * np.arange(float(2000)), np.zeros(2000), "N", "recorder")
+    assert cuts_of(Clocks("cameras", joined), [10.004, 12.0], signal) == [1101, 1301]

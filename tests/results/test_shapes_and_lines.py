@@ -1,0 +1,440 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from labpipe.process.curve_corrections import correct_curve
+from labpipe.process.story import Reduced
+from labpipe.protocol.schema import CurveBlock
+from labpipe.records.arrays import Floats
+from labpipe.records.causes import SLACK, ZERO_OF_DISPLACEMENT, ZERO_OF_FORCE
+from labpipe.records.curve import Branch, Direction, PointFlag, Shape
+from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
+from labpipe.records.signals import Signals
+from labpipe.results.cycles import PeakDisplacement
+from labpipe.results.evidence import Evidence
+from labpipe.results.kinds import Found
+from labpipe.results.shapes import TipTravel, _at_turn, _Frames
+from labpipe.results.taut_curves import counted_from_taut, slack_of
+from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.readings import Reading, Trace
+from tests.builders.bundle_loops import FIRST, KINK, SECOND, cycles, width
+from tests.builders.bundle_loops import NOISE as LOOP_NOISE
+from tests.builders.bundle_loops import holds as holds_in_bundles
+from tests.builders.pulls import MARKED, NOISE, STEP, holds, pull, pulled, reduction, slipped
+from tests.builders.reduced import reduction as reduced_bundle
+
+FRAMES = 100
+
+
+def shape(positions: np.ndarray) -> Shape:
+    """Clamped end and tip alone."""
+    count = len(positions)
+    return Shape(
+        time=np.arange(count) / 50.0,
+        positions=positions,
+        names=("grip", "pull"),
+        flags=np.full((count, 2), PointFlag.CONSTRUCTED, dtype=np.uint8),
+        arc_length=np.array([0.0, 0.085]),
+        coefficients=np.zeros((count, 3, 0)),
+        length=0.085,
+        rotation_lab_to_specimen=np.eye(3),
+    )
+
+
+def swung() -> Shape:
+    """Straight down by 30 mm and half of the way back, with 10 um of noise."""
+    positions = np.zeros((FRAMES, 2, 3))
+    positions[:, 1, 1] = np.interp(np.arange(FRAMES), [0, 10, 60, 99], [0.0, 0.0, 0.03, 0.015])
+    return shape(positions + np.random.default_rng(4).normal(0.0, 1e-5, positions.shape))
+
+
+def travel(seen: Shape | None) -> Found:
+    (number,) = TipTravel().compute(Evidence(Signals(), shape=seen)).numbers
+    return number.outcome
+
+
+def test_travel_of_the_tip() -> None:
+    seen = swung()
+    found = travel(seen)
+    assert isinstance(found, Estimate)
+    tip = seen.positions[:, -1]
+    away = np.linalg.norm(tip - np.nanmean(tip[:5], axis=0), axis=1)
+    assert found.value == pytest.approx(np.nanmax(away), abs=1e-12)
+    assert found.value == pytest.approx(0.03, abs=5e-5)
+    assert 1e-6 < found.error < 5e-5
+
+
+def test_a_tip_that_was_hardly_seen() -> None:
+    seen = swung()
+    few = np.full_like(seen.positions, np.nan)
+    few[:4] = seen.positions[:4]
+    found = travel(replace(seen, positions=few))
+    assert found == Failure("too_few_samples", "the tip is seen in 4 frames")
+
+
+def test_travel_without_a_shape() -> None:
+    assert travel(None) == Failure("no_shape", "the protocol fits no shape")
+
+
+def wandering(seed: int) -> Floats:
+    """Noise of 1 whose power falls as 1 over the frequency, 1800 frames."""
+    waves = np.fft.rfft(np.random.default_rng(seed).normal(size=7200))
+    waves[1:] /= np.sqrt(np.arange(1.0, len(waves)))
+    waves[0] = 0.0
+    found = np.fft.irfft(waves, 7200)[:1800]
+    return np.asarray(found / found.std(), dtype=np.float64)
+
+
+@pytest.mark.slow
+def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
+    """The standard error of six that wander is never below the scatter of 60 values by a tenth.
+
+    It is up to 1.7 times as large: pieces make the noise look steeper than it is. Those that are
+    seen alike may have noise of another size. Alone, some have half of their scatter.
+    """
+    time: Floats = np.arange(1800.0) / 25.0
+    way = np.interp(time, [0.0, 4.0, 36.0, 68.0, 72.0], [0.0, 0.0, 10.0, 0.0, 0.0])
+    loading = Branch(100, 900, 1, Direction.LOADING, 4.0, 36.0)
+    frames = _Frames(time, time < 4.0, loading, (100, 900, 1700), b"seed")
+    off, errors, together = list[float](), list[float](), list[float]()
+    for seed in range(0, 60, 6):
+        rows = [way + wandering(each) for each in range(seed, seed + 6)]
+        others = [5.0 * row for row in rows[1:]]
+        found = _at_turn(rows[0], frames, "twist", others)
+        assert isinstance(found, Estimate)
+        together.append(found.error)
+    for seed in range(60):
+        alone = _at_turn(way + wandering(seed), frames, "twist")
+        assert isinstance(alone, Estimate)
+        off.append(alone.value - 10.0)
+        errors.append(alone.error)
+    assert 0.9 * np.std(off) < min(together)
+    assert max(together) < 1.7 * np.std(off)
+    assert min(errors) < 0.5 * np.std(off)
+
+
+TWO = "two-segments, from: 1 mm, to: 18 mm"
+
+
+NAMES = ("segment_stiffness_first", "segment_stiffness_second", "break_point")
+
+
+def bilinear(seed: int = 0) -> tuple[Floats, Floats]:
+    """5 N/mm up to 8 mm, 2 N/mm beyond, up to 20 mm."""
+    travel, force = pull(seed=seed)
+    return travel, force - 3e3 * np.maximum(travel - 0.008, 0.0)
+
+
+def test_two_segments() -> None:
+    done = reduction(*bilinear(), results=[TWO])
+    results = {each.name: each for each in done.results}
+    holds(results["segment_stiffness_first"], 5000.0, "N/m")
+    holds(results["segment_stiffness_second"], 2000.0, "N/m")
+    holds(results["break_point"], 0.008, "m")
+    first, second = done.lines
+    assert (first.result, second.result) == NAMES[:2]
+    assert first.stop == second.start == results["break_point"].value
+    assert first.level + first.slope * (first.stop - first.start) == pytest.approx(second.level)
+
+
+def test_the_value_is_that_of_brute_force() -> None:
+    travel, force = bilinear()
+    _, results = pulled(travel, force, results=[TWO])
+    inside = (travel >= 1e-3) & (travel <= 18e-3)
+    d, f = travel[inside], force[inside]
+
+    def lines(at: float) -> tuple[float, Floats]:
+        columns = [np.ones_like(d), np.minimum(d - at, 0.0), np.maximum(d - at, 0.0)]
+        found, squares, *_ = np.linalg.lstsq(np.column_stack(columns), f, rcond=None)
+        return float(squares[0]), found
+
+    at = results["break_point"].value
+    assert at is not None
+    least, (_, first, second) = lines(at)
+    near = at + np.concatenate([-np.geomspace(1e-8, 1e-4, 40), np.geomspace(1e-8, 1e-4, 40)])
+    assert min(lines(other)[0] for other in near) >= least
+    assert results["segment_stiffness_first"].value == pytest.approx(first, rel=1e-9)
+    assert results["segment_stiffness_second"].value == pytest.approx(second, rel=1e-9)
+
+
+def test_budget() -> None:
+    """A slope is in proportion to the scale of the force, a place is not."""
+    _, results = pulled(*bilinear(), results=[TWO], scale="1 %")
+    first, _, place = (results[name] for name in NAMES)
+    changes = {each.cause: each.change for each in first.budget}
+    assert changes["scale of the force"] == pytest.approx(50.0, rel=5e-3)
+    assert width(first) == pytest.approx(2.0 * 1.96 * np.hypot(50.0, changes["noise"]), rel=0.15)
+    scale = [abs(each.change) for each in place.budget if each.cause == "scale of the force"]
+    assert max(scale, default=0.0) < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shaken", [0.0, 1e-5])
+def test_width_of_the_break_as_the_scatter_over_records(shaken: float) -> None:
+    """10 um of noise of the displacement count for 50 mN: twice the noise of the force."""
+    found = []
+    for seed in range(40):
+        travel, force = bilinear(seed)
+        seen = travel + np.random.default_rng(seed + 1000).normal(0.0, shaken, len(travel))
+        found.append(pulled(seen, force, results=[TWO])[1]["break_point"])
+    values = [each.value for each in found if each.value is not None]
+    spread = float(np.std(values, ddof=1))
+    typical = float(np.median([width(each) for each in found]))
+    assert 0.8 < typical / (2.0 * 1.96 * spread) < 1.8
+
+
+def test_no_bend() -> None:
+    _, results = pulled(*pull(), results=[TWO])
+    for name in NAMES:
+        assert results[name].why.startswith("no_bend: ")
+
+
+def test_a_break_that_is_hardly_known() -> None:
+    """5 against 4.996 N/mm in noise of 20 mN: a bend, but anywhere in a quarter of the window."""
+    travel, force = pull(seed=2)
+    bent = force - 4.0 * np.maximum(travel - 0.009, 0.0)
+    _, results = pulled(travel, bent, results=[TWO])
+    found = results["break_point"]
+    assert found.status is Status.DOUBTFUL
+    assert found.why.startswith("wide_break: the break lies within ")
+    assert "wide_break" not in results["segment_stiffness_first"].why
+
+
+def test_a_window_that_is_not_reached() -> None:
+    _, results = pulled(*pull(), results=["two-segments, from: 1 mm, to: 30 mm"])
+    assert results["break_point"].why.startswith("not_reached: ")
+
+
+def test_slopes_are_stiffnesses_for_what_follows() -> None:
+    asked = [TWO, "modulus, of: segment_stiffness_second, area: stated"]
+    section = "{length: 100 mm, section: {area: 5 mm**2}}"
+    test, results = pulled(*bilinear(), results=asked, specimen=section)
+    holds(results["modulus"], 2000.0 * 0.1 / 5e-6, "Pa")
+    slope = results["segment_stiffness_second"]
+    assert width(results["modulus"]) == pytest.approx(width(slope) * 0.1 / 5e-6, rel=1e-6)
+    at = results["break_point"].value
+    assert test.stiffnesses["segment_stiffness_first"].window == pytest.approx(
+        (0.001, at), abs=STEP
+    )
+    assert test.stiffnesses["segment_stiffness_second"].window == pytest.approx(
+        (at, 0.018), abs=STEP
+    )
+
+
+def test_a_marked_slip_bends_both() -> None:
+    travel, force = bilinear()
+    torn = slipped(travel, force, (0.012, 2.0))
+    _, results = pulled(travel, torn, curve=MARKED, results=[TWO])
+    for name in NAMES:
+        assert results[name].why.startswith("slip_in_window: ")
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
+def test_a_kink_does_not_depend_on_where_samples_lie(phase: float) -> None:
+    """A gradual bend, sampled every 50 um: two lines meet up to 20 um off as samples move.
+
+    With 20 000 samples they meet at 2.0488 mm, by numpy and all breaks tried. Nothing is uncertain
+    here, so that all of the interval stands for what lies between samples.
+    """
+    travel: Floats = 50e-6 * (np.arange(160.0) + phase)
+    force: Floats = 8.0 * (1.0 - np.exp(-travel / 2e-3))
+    _, results = pulled(travel, force, results=["kink, from: 0.2 mm, to: 5 mm"])
+    found = results["kink_displacement"]
+    assert found.interval is not None
+    assert found.value is not None
+    assert found.interval.lower <= 2.0488e-3 <= found.interval.upper
+    assert found.interval.lower <= found.value <= found.interval.upper
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Reduced:
+    more = "specimen: {length: 100 mm}\nresults:\n  - {result: kink, from: 0.2 mm, to: 5 mm}\n"
+    return reduced_bundle(*cycles(noise=LOOP_NOISE), more=more)
+
+
+@pytest.fixture(scope="module")
+def kink(bundle: Reduced) -> dict[str, Result]:
+    return {each.name: each for each in bundle.results}
+
+
+def test_kink(bundle: Reduced, kink: dict[str, Result]) -> None:
+    holds_in_bundles(kink["kink_displacement"], KINK, "m")
+    holds_in_bundles(kink["kink_force"], FIRST * KINK, "N")
+    assert width(kink["kink_displacement"]) < 2e-4
+    before, behind = bundle.lines[:2]
+    assert (before.result, behind.result) == ("before_kink", "behind_kink")
+    assert before.slope == pytest.approx(FIRST, rel=0.02)
+    assert behind.slope == pytest.approx(SECOND, rel=0.02)
+    assert before.stop == behind.start == kink["kink_displacement"].value
+    assert before.level + before.slope * (before.stop - before.start) == pytest.approx(behind.level)
+
+
+def test_scale_of_the_force_is_in_the_force_of_the_kink_alone(kink: dict[str, Result]) -> None:
+    """The bundle's load cell is known to 1 %."""
+    assert width(kink["kink_force"]) > 2 * 1.96 * 0.01 * FIRST * KINK
+    scale = [
+        abs(each.change)
+        for each in kink["kink_displacement"].budget
+        if each.cause == "scale of the force"
+    ]
+    assert max(scale, default=0.0) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("change", "code"), [(0.0, "no_kink: one straight"), (2e3, "no_kink: the slope rises")]
+)
+def test_no_kink(change: float, code: str) -> None:
+    travel, force = pull()
+    bent = force + change * np.maximum(travel - 0.008, 0.0)
+    _, results = pulled(travel, bent, results=["kink, from: 1 mm, to: 18 mm"])
+    for name in ("kink_displacement", "kink_force"):
+        assert results[name].why.startswith(code)
+
+
+slack = partial(slack_of, start_share=0.1, stop_share=0.3)
+
+
+PATH = np.linspace(0.0, 0.02, 401)
+
+
+PULL: Floats = 5000.0 * np.maximum(PATH - 0.002, 0.0)
+
+
+TRACE = Trace(
+    time=np.arange(401.0),
+    displacement=PATH,
+    force=PULL,
+    branches=(Branch(0, 401, 1, Direction.LOADING, 0.0, 400.0),),
+)
+
+
+def taut(**errors: float) -> Evidence:
+    """A pull of 5 N/mm with 3 mm of slack, whose zeros are known so well, counted from taut."""
+    test, _ = pulled(*pull(slack=0.003))
+    raw, filtered = dict(test.signals.raw), dict(test.signals.filtered)
+    for name, error in errors.items():
+        raw[name] = replace(raw[name], zero_error=error)
+        filtered[name] = replace(filtered[name], zero_error=error)
+    test = replace(test, signals=replace(test.signals, raw=raw, filtered=filtered))
+    block = CurveBlock.model_validate(
+        {"force": "force", "displacement": "displacement", "slack": {"from": "10 %", "to": "30 %"}}
+    )
+    return correct_curve(test, block)[0]
+
+
+def shares(found: Measured | Failure | None) -> dict[str, float]:
+    assert isinstance(found, Measured)
+    return {each.cause: abs(each.change) for each in found.budget}
+
+
+def peak(test: Evidence) -> dict[str, float]:
+    (number,) = PeakDisplacement().compute(test).numbers
+    assert isinstance(number.outcome, Measured)
+    return shares(number.outcome)
+
+
+def test_slack_is_the_zero_of_the_line() -> None:
+    reading = slack(TRACE)
+    assert isinstance(reading, Reading)
+    shifted = replace(TRACE, force=np.array([PULL, PULL - 5.0, 2.0 * PULL]))
+    np.testing.assert_allclose(reading.numbers(shifted)[0], [0.002, 0.003, 0.002], atol=1e-12)
+    assert reading.n == 72
+
+
+def test_slack_is_looked_for_up_to_the_failure() -> None:
+    """It breaks at 30 N of 90 N: 10 to 30 % are 3 to 9 N of that."""
+    reading = slack(replace(TRACE, failed_at=160))
+    assert isinstance(reading, Reading)
+    assert reading.n == 24
+
+
+def test_why_there_is_no_slack() -> None:
+    late = slack(replace(TRACE, force=PULL + 40.0))
+    assert isinstance(late, Failure)
+    assert late.code == "not_reached"
+
+
+def test_noise_of_the_slack_is_that_of_the_line() -> None:
+    """20 mN over 5 N/mm, at the distance of zero force from the middle of the region."""
+    test = taut()
+    found = shares(test.slack)
+    d = np.arange(0.0, 0.02, 2e-5)
+    force = 5000.0 * (d - 0.003)
+    region = d[(force >= 0.1 * force.max()) & (force <= 0.3 * force.max())]
+    lever = np.sum((region - region.mean()) ** 2)
+    expected = NOISE / 5000.0 * np.sqrt(1 / len(region) + (region.mean() - 0.003) ** 2 / lever)
+    assert list(found) == ["noise", "sampling step"]
+    assert found["noise"] == pytest.approx(expected, rel=0.2)
+    assert abs(found["sampling step"]) < 0.5 * found["noise"]  # by what the region ends at samples
+    both = np.hypot(found["noise"], found["sampling step"])
+    assert peak(test)[SLACK] == pytest.approx(both, rel=0.03)
+
+
+def test_a_zero_of_the_displacement_is_in_the_slack_and_in_nothing_behind() -> None:
+    test = taut(displacement=1e-4)
+    assert shares(test.slack)[ZERO_OF_DISPLACEMENT] == pytest.approx(1e-4, rel=1e-6)
+    assert ZERO_OF_DISPLACEMENT not in peak(test)
+
+
+def test_a_zero_of_the_force_moves_what_counts_from_the_slack() -> None:
+    """0.05 N over 5000 N/m are 10 um, of the slack and of every displacement.
+
+    The region is chosen anew with the force, and the smooth curve is not quite straight behind a
+    kink.
+    """
+    test = taut(force=0.05)
+    found = shares(test.slack)[ZERO_OF_FORCE]
+    assert found == pytest.approx(1e-5, rel=0.1)
+    assert peak(test)[ZERO_OF_FORCE] == pytest.approx(found, rel=1e-6)
+
+
+def test_each_curve_counts_from_its_own_slack() -> None:
+    """So that the slack of what is counted from there is none, whatever noise and zeros do."""
+    test = taut(force=0.05, displacement=1e-4)
+    assert test.replicates is not None
+    assert isinstance(test.slack, Measured)
+    found = measure(test.replicates, slack)
+    assert not isinstance(found, Failure)
+    assert found[0].value == pytest.approx(0.0, abs=1e-9)
+    assert found[0].error < 0.02 * shares(test.slack)["noise"]
+
+
+def test_a_slack_that_was_not_measured_is_refused() -> None:
+    test = taut()
+    assert test.replicates is not None
+    assert isinstance(test.slack, Measured)
+    never = partial(slack_of, start_share=0.2, stop_share=0.2)
+    with pytest.raises(ValueError, match="expected a slack that was measured, found 0 samples"):
+        counted_from_taut(test.replicates, never, test.slack)
+
+
+def _always(reading: Reading, trace: Trace) -> Reading:
+    del trace
+    return reading
+
+
+def test_what_counts_from_a_doubtful_slack_is_doubtful() -> None:
+    """What moves with the displacement, and not the force."""
+    test = taut(displacement=1e-4)
+    assert test.replicates is not None
+    assert isinstance(test.slack, Measured)
+    why = Reason("slow_noise", "it remembers")
+    doubted = replace(test.slack, doubts=(("force", why),))
+    made = counted_from_taut(test.replicates, slack, doubted)
+    for name, codes in (("displacement", ["slow_noise"]), ("force", [])):
+
+        def last(trace: Trace, name: str = name) -> tuple[Floats]:
+            values: Floats = getattr(trace, name)
+            return (values[..., 300],)
+
+        found = measure(made, partial(_always, Reading(last, 1)))
+        assert isinstance(found, tuple)
+        assert [reason.code for _, reason in found[0].doubts] == codes
+        if codes:
+            assert found[0].doubts[0][1].message.endswith("slack that is doubtful: it remembers")
