@@ -118,7 +118,7 @@ def test_one_strand() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 0.3, 3.0])
 @pytest.mark.parametrize("angle", [1.0, 45.0, 80.0])
-def test_odd_wires_are_told_or_refused_in_words(angle: float, friction: float) -> None:
+def test_odd_wires_have_finite_tables(angle: float, friction: float) -> None:
     room = float(np.cos(np.radians(angle)))  # round the core, for a helix beside a helix
     spec = replace(
         A2,
