@@ -160,10 +160,8 @@ def _change(before: Cycle, after: Cycle, largest: float) -> tuple[bool, str, str
     first_back, back = before.paths[1], after.paths[1]
     stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
     scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
-    recorded = _rms(new[POINTS:] - old[POINTS:])
-    if abs(stretch - 1.0) < MIN_SCALE or not scaled:
-        return None
-    if recorded < SCALE_RATIO * _rms(scaled[1] - scaled[0]):
+    left = _rms(scaled[1] - scaled[0]) if scaled else np.inf
+    if abs(stretch - 1.0) < MIN_SCALE or _rms(new[POINTS:] - old[POINTS:]) < SCALE_RATIO * left:
         return None
     words = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
     return False, words, "look for a change of the encoder or its scale"
