@@ -19,7 +19,7 @@ from tests.coverage.study import (
     remedy,
 )
 
-QUICK = {"tests": 2, "push": 1, "space bow": 1, "own ?? 85 mm*": 1}
+QUICK = {"tests": 2, "push": 1, "own A2 85 mm 2 mN": 1}
 """Rows of each kind that `make test` makes again, within 40 s of CPU: all canaries of calibrations
 and lines would take 150, and are left to `make test-slow`."""
 SHARE = 0.05
