@@ -433,3 +433,25 @@ def test_the_listing_of_the_result_file_holds_the_names_of_the_layout() -> None:
         for name, kind in kinds.items():
             line = rf"^{re.escape(group + name)} +\(.*\) +{re.escape(str(kind.unit))}$"
             assert re.search(line, listing, flags=re.MULTILINE), group + name
+
+
+MEASURED_ONCE = "without a command above them were measured once; no run renews them"
+DECIMAL = re.compile(r"(?<![\w`-])\d+\.\d+")
+STATED = ("state-uncertainties.md", "wire-sheet.md", "figures.md")
+"""Pages whose tables of numbers are of standards, of inputs, and of numbered figures."""
+
+
+def test_tables_of_numbers_are_made_by_a_run_or_say_that_none_renews_them() -> None:
+    """Between marks, on a page whose listings are run, or under a sentence that says so."""
+    for path in sorted((ROOT / "docs").rglob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        by_hand = re.sub(r"<!--[^>]*begin -->.*?<!--[^>]*end -->", "", text, flags=re.DOTALL)
+        rows = [line for line in by_hand.splitlines() if line.startswith("|")]
+        numbers = [line for line in rows if len(DECIMAL.findall(line)) >= 3]
+        if (
+            len(numbers) < 3
+            or path.name in STATED
+            or path.name in {"performance.md", "consistency.md"}
+        ):
+            continue
+        assert MEASURED_ONCE in " ".join(text.split()), path
