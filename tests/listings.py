@@ -346,7 +346,6 @@ MAKERS: dict[str, Callable[[Path], None]] = {
     TENSILE: _tubes,
     BUNDLE: _bundles,
     "docs/tutorials/tour.md": _tour,
-    "docs/how-to/new-deck.md": _examples,
     CAMPAIGN_PAGE: _campaign,
 }
 BEFORE: dict[tuple[str, str], Callable[[], None]] = {(CAMPAIGN_PAGE, STATUS): _mended}

@@ -15,7 +15,7 @@ from tests.listings import (
     is_run,
 )
 
-QUICK = ("README.md", "docs/how-to/new-deck.md")
+QUICK = ("README.md",)
 PRINTED = "peak: 12 ok\n  peak_force   1.25 N   95 %: 1.20 to 1.30\n  energy   3.0 J\nend\n"
 
 

@@ -126,8 +126,6 @@ def navigate(_app: Sphinx, docname: str, content: list[str]) -> None:
             content[0] += toctree(list(linked(part[0], ROOT / "docs")), part[1])
         for caption, pages in SITE_ONLY.items():
             content[0] += toctree([f"/{page}" for page in pages], caption)
-    elif docname == "docs/explanations/decisions/README":
-        content[0] += toctree(list(linked(content[0], ROOT / Path(docname).parent)))
 
 
 def figures_of(_block: Any, names: dict[str, Any], gallery: dict[str, Any]) -> str:

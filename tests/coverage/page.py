@@ -8,10 +8,26 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.coverage.judgement import Count, Held, Row, Verdict, counted, is_empty, judged, pooled
+from tests.coverage.judgement import (
+    LEAST,
+    Count,
+    Held,
+    Row,
+    Verdict,
+    counted,
+    is_empty,
+    judged,
+    pooled,
+)
 from tests.judges.foreign.rig import KINDS as NOISES
 
 TITLES = {"foreign": "Second simulator", "lab": "Virtual lab"}
+NOTABLE = 0.93
+"""Share of intervals below which a result is listed on the page."""
+HEADS = (
+    *("test", "result", "ok", "doubtful", "doubtful held", "ok held", "percent held", "width"),
+    *("failed", "verdict"),
+)
 
 
 def put(text: str, name: str, file: Path) -> None:
@@ -79,7 +95,9 @@ def tables(rows: Sequence[Row]) -> str:
             for each in zip(counts, verdicts, strict=True)
             if each[0].kind.startswith(simulator)
         ]
-        parts += ["", f"### {title}", "", *_pooled([count for count, _ in own]), "", *_results(own)]
+        parts += ["", f"### {title}", "", *_pooled([count for count, _ in own]), ""]
+        parts += ["Of its results, those that are wide or hold in less than 93 %:", ""]
+        parts += _results([each for each in own if _is_notable(*each)])
     parts += ["", "### Kinds of noise", "", *_noises(rows)]
     parts += ["", "### Faults of the rig", "", *_faults(rows)]
     return "\n".join(parts)
@@ -111,16 +129,34 @@ def _pooled(counts: list[Count]) -> Iterator[str]:
     return table("lrrrl", ("test", "intervals", "held", "%", ""), rows)
 
 
+def _is_notable(count: Count, verdict: Verdict) -> bool:
+    """Whether a result is wide, holds too seldom, or holds in less than `NOTABLE`."""
+    return verdict in (Verdict.SELDOM, Verdict.WIDE) or (
+        count.ok.asked >= LEAST and count.ok.share < NOTABLE
+    )
+
+
 def _results(judged_counts: list[tuple[Count, Verdict]]) -> Iterator[str]:
-    rows = []
+    rows = [(*cells[:3], *cells[6:8], *cells[9:]) for cells in _cells(judged_counts)]
+    return table("llrrrl", ("test", "result", "ok", "held, %", "width", ""), rows)
+
+
+def _cells(judged_counts: list[tuple[Count, Verdict]]) -> Iterator[tuple[object, ...]]:
     for each, verdict in judged_counts:
         share = f"{100.0 * each.ok.share:.0f}" if each.ok.asked else ""
         width = f"{each.width:.2g}" if np.isfinite(each.width) else ""
-        doubtful = f"{each.doubtful.asked} ({each.doubtful.held})" if each.doubtful.asked else 0
-        cells = _name(each.kind), f"`{each.name}`", each.ok.asked, doubtful, each.failed
-        rows.append((*cells, each.ok.held, share, width, _bold(verdict)))
-    heads = ("test", "result", "ok", "doubtful (held)", "failed", "held", "%", "width", "")
-    return table("llrrrrrrl", heads, rows)
+        cells = _name(each.kind), f"`{each.name}`", each.ok.asked, each.doubtful.asked
+        more = each.doubtful.held, each.ok.held, share, width, each.failed, _bold(verdict)
+        yield *cells, *more
+
+
+def every_result(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+    """List every result that was counted: cells of a table for a spreadsheet."""
+    counts = counted(rows)
+    verdicts = judged([each.ok for each in counts])
+    yield "simulator", *HEADS
+    for count, cells in zip(counts, _cells(list(zip(counts, verdicts, strict=True))), strict=True):
+        yield count.kind.partition("/")[0], *(str(cell).strip("`*") for cell in cells)
 
 
 def _noises(rows: Sequence[Row]) -> Iterator[str]:
@@ -137,8 +173,11 @@ def _share(held: Held) -> str:
 
 
 def _faults(rows: Sequence[Row]) -> Iterator[str]:
-    lines = [(_name(kind), fault, *n) for (kind, fault), n in sorted(by_fault(rows).items())]
-    return table("llrrr", ("test", "fault", "tests", "ok", "of these wrong"), lines)
+    total: dict[str, list[int]] = {}
+    for (_, fault), n in sorted(by_fault(rows).items()):
+        total[fault] = [a + b for a, b in zip(total.get(fault, [0, 0, 0]), n, strict=True)]
+    lines = [(fault, *n) for fault, n in total.items()]
+    return table("lrrr", ("fault", "tests", "ok", "of these wrong"), lines)
 
 
 def _bold(verdict: Verdict) -> str:

@@ -458,5 +458,10 @@ def published(study: Study, rows: Rows) -> str:
 
 
 def publish(study: Study) -> None:
-    """Put what is kept on the page of its study."""
-    page.put(published(study, kept_rows()), study.name, ROOT / "docs" / "explanations" / study.page)
+    """Put what is kept on the page of its study; every result of tests into a file beside it."""
+    rows, file = kept_rows(), ROOT / "docs" / "explanations" / study.page
+    page.put(published(study, rows), study.name, file)
+    if study.name == "tests":
+        every = [row for kind in study.seeds for row in rows[kind].values()]
+        lines = [",".join(map(str, cells)) for cells in page.every_result(every)]
+        file.with_suffix(".csv").write_text("\n".join(lines) + "\n", encoding="utf-8")

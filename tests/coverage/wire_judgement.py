@@ -72,7 +72,7 @@ def _summary(rows: Sequence[Row]) -> str:
 
 def _table(rows: Sequence[Row]) -> Iterator[str]:
     names = list(NAMES.values())
-    heads = ("campaigns", "n", *names, *(f"{each}, identified" for each in names))
+    heads = ("campaigns", "n", *names, "identified")
     return table(
         "l" + "r" * (len(heads) + 1),
         (*heads, "bands", "more than one solution"),
@@ -85,9 +85,8 @@ def _lines(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
     for kind, own in by_kind(rows).items():
         plain = [counted(own, name, identified=False).held for name in NAMES]
         sure = {name: counted(own, name, identified=True) for name in NAMES}
-        said = [
-            f"**{held}**" if judged.get((kind, name), (held, False))[1] else str(held)
-            for name, held in sure.items()
-        ]
+        is_seldom = any(judged.get((kind, name), (held, False))[1] for name, held in sure.items())
+        total = sum(sure.values(), Held(0, 0))
+        said = f"**{total}**" if is_seldom else str(total)
         several = sum(row["about"]["solutions"] > 1 for row in own)
-        yield kind, len(own), *plain, *said, f"{100.0 * bands(own).share:.0f} %", several
+        yield kind, len(own), *plain, said, f"{100.0 * bands(own).share:.0f} %", several

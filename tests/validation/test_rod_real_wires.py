@@ -1,7 +1,7 @@
 """Two wires that others hung as loops and posed by a robot, and the rod with fixed stiffnesses.
 
 Nothing is fitted here: bending stiffnesses are those of the hangs, torsional ones those of a clamp
-that was turned until the loop left its plane (`docs/explanations/real-rods.md`). The files are in
+that was turned until the loop left its plane (`docs/explanations/rod.md`). The files are in
 the folder of real exports (`rods`). In a pose the wire starts straight, 0.40 m long, between a
 clamp and the hand of the robot, which goes to its place, turns, and twists the wire.
 """
