@@ -3,7 +3,7 @@
 ``python -m tests.mutation`` tries what has not been tried, for an hour at most, and writes down
 what notices each fault, in ``tests/mutation/tried.jsonl``. ``--again`` tries those anew that
 nothing has noticed, ``--afresh`` all. ``--report`` prints the score, ``--publish`` puts it into
-docs/explanations/mutation.md. What survives is explained in ``tests/mutation/explained.toml``, or
+docs/explanations/coverage.md. What survives is explained in ``tests/mutation/explained.toml``, or
 is a test that is missing.
 """
 
@@ -26,7 +26,7 @@ from tests.mutation.trials import REPOSITORY, Demo, noticed_by, with_libraries
 
 HERE = Path(__file__).resolve().parent
 TRIED, EXPLAINED = HERE / "tried.jsonl", HERE / "explained.toml"
-PAGE = REPOSITORY / "docs" / "explanations" / "mutation.md"
+PAGE = REPOSITORY / "docs" / "explanations" / "coverage.md"
 DEMO = REPOSITORY / "raw" / "demo"
 BEGIN, END = "<!-- counted: begin -->", "<!-- counted: end -->"
 BESIDE, KEPT, OTHERS = "tests of its room", "numbers kept of the demo", "other tests"
