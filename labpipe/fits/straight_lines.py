@@ -7,7 +7,7 @@ import numpy as np
 from labpipe.records.arrays import Floats, Samples, samples_of
 from labpipe.records.estimates import Failure
 
-LEAST_OF_LINE = 8
+LEAST_OF_LINE = 5
 """Samples that a line is drawn through."""
 
 

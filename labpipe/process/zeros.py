@@ -194,6 +194,10 @@ _TAIL = 10
 """Samples behind a break that are more than a rebound."""
 
 
+_REST_FORCE, _REST_DUST = 0.005, 1e-4
+"""Shares of the largest force: of a force at rest that matters, and that is nothing."""
+
+
 def check_zeros(
     signals: Signals, clocks: Clocks, curve: Curve, findings: Findings
 ) -> list[Finding]:
@@ -217,7 +221,29 @@ def check_zeros(
 
     found = list(_displacement_jump(signals.displacement, curve, thawed("displacement")))
     jump = list(_force_jump(signals.force, curve, thawed("force")))
+    found += _rest_force(signals, curve)
     return [*found, *(jump or _drift(signals.force, curve))]
+
+
+def _rest_force(signals: Signals, curve: Curve) -> Iterator[Finding]:
+    """State the force before the motion where no step takes it for zero."""
+    name = signals.force
+    before = _known(curve.force[: curve.branches[0].start])
+    if name in signals.zeroed or name in signals.lined or len(before) < LEAST:
+        return
+    level, most = median(before), float(np.nanmax(np.abs(curve.force)))
+    error = noise_level(curve.force) / sqrt(len(before))
+    if abs(level) <= max(_SURE * error, _REST_DUST * most):
+        return
+    message = (
+        f"at rest before the motion the force is {level:.4g} N, {abs(level) / most:.2%} of the "
+        "largest, and no step takes it for zero: a preload, or the zero of the load cell? If it "
+        "is the zero, add the step {step: zero, channel: force, over: 1 s}"
+    )
+    if abs(level) > max(_REST_FORCE, 2.0 * signals.raw[name].zero_drift) * most:
+        yield doubtful("rest_force", name, message, "force")
+    else:
+        yield worth_knowing("rest_force", name, message)
 
 
 def _displacement_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Finding]:

@@ -292,7 +292,11 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
     def numbers(trace: Trace) -> tuple[Floats]:
         return (energy_of(trace.displacement[..., stretch], trace.force[..., stretch]),)
 
-    return Reading(numbers, len(force))
+    # The error of trapezoids grows with the square of their width (Richardson).
+    halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
+    coarse = energy_of(displacement[halves], force[halves])
+    between = (energy_of(displacement, force) - coarse) / 3.0
+    return Reading(numbers, len(force), between=(float(between),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -367,23 +371,29 @@ def on_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[branch], trace.displacement[branch], trace.force[branch]
 
 
-_STANDS = 3.0
-"""Times that a fall behind the largest sample is as large as the rise before it, or more: the
-specimen broke there, and did not turn."""
-
-
-def _reach(seen: Floats) -> float:
+def _reach(seen: Floats, travel: Floats) -> float:
     """How far a curve may reach beyond its largest sample before the next one.
 
-    Where it turns, half a step at most: the corner lies nearer to this sample than to the next.
-    Where it breaks, up to a whole one.
+    Where the motion turns, up to where the lines through two samples on either side meet, and half
+    a step at most: the corner lies nearer to this sample than to the next. Where the force falls
+    while the motion goes on, the specimen breaks: up to a whole step.
     """
     top = int(np.nanargmax(seen))
     if not 0 < top < len(seen) - 1:
         return 0.0
     up, down = seen[top] - seen[top - 1], seen[top] - seen[top + 1]
-    reach = up if down > _STANDS * up else 0.5 * min(up, down)
+    reach = up if travel[top + 1] > travel[top] and down > _STANDS * up else 0.5 * min(up, down)
+    if travel[top + 1] < travel[top] and 1 < top < len(seen) - 2:
+        rise, fall = seen[top - 1] - seen[top - 2], seen[top + 1] - seen[top + 2]
+        if rise + fall > 0.0:
+            after = (seen[top + 1] - seen[top - 1] + fall - rise) / (rise + fall)
+            reach = min(reach, max(seen[top - 1] + rise * (1.0 + after) - seen[top], 0.0))
     return float(reach) if np.isfinite(reach) else 0.0
+
+
+_STANDS = 3.0
+"""Times that a fall behind the largest sample is as large as the rise before it, or more, where a
+specimen breaks."""
 
 
 def _largest(
@@ -402,7 +412,8 @@ def _largest(
     seen = sense * values[stretch]
     if np.isnan(seen).all():
         return Failure("no_sample", "every sample of the stretch is blank")
-    reach = _reach(seen) / steps
+    travel = sense_of(trace, trace.displacement) * trace.displacement[stretch]
+    reach = _reach(seen, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
         over = sense * getattr(trace, name)[..., stretch]

@@ -299,7 +299,14 @@ def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
     def numbers(trace: Trace) -> tuple[Floats]:
         return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
 
-    return Reading(numbers, found.n, is_cut=True)
+    middle = path[found.window].mean()
+
+    def in_noise(trace: Trace) -> tuple[Floats]:
+        path, force = trace.displacement[..., branch], trace.force[..., branch]
+        later = middle - path[..., found.window].mean(axis=-1)
+        return (found.of(path, force, later),)
+
+    return Reading(numbers, found.n, in_noise, is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

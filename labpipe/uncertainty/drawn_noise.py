@@ -18,12 +18,15 @@ from scipy import fft
 from scipy.special import chdtri
 
 from labpipe.records.arrays import Floats, Singles
+from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 
 _PIECES = 12
 """Pieces that the longest branch is cut into: with 8 the curve comes in, and intervals are 3 to 5
 times too wide."""
-_SHORTEST, LEAST = 50, 8
+_SHORTEST, LEAST = 50, 5
 """Samples of a piece of a long record, and of the shortest record that has noise."""
+SHORT = 150
+"""Samples of the longest branch up to which a record is judged by polynomials through it."""
 _WAVES = 48
 """Half waves of a piece that the noise is judged by: with 128 hum is taken for memory."""
 _CUBIC = 6
@@ -232,11 +235,13 @@ def noise_of(
 
     Returns
     -------
-    The chance of each process. Without a branch of 8 samples, or without noise, none.
+    The chance of each process. Without a branch of 5 samples, or without noise, none.
 
     Notes
     -----
-    A polynomial of degree five is taken out of each piece; what is left is judged in the slowest 48
+    A record whose longest branch has at most 150 samples is cut where polynomials follow it best
+    (`polynomial_pieces`), so that a knee is no noise. Of a longer one a polynomial of degree five
+    is taken out of each piece of a twelfth; what is left is judged in the slowest 48
     half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
     approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), by the restricted
     likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) of white noise, of first-order
@@ -252,6 +257,10 @@ def noise_of(
     both = [_closed_up(*each) for each in compress(zip(branches, smooth, strict=True), moves)]
     branches, smooth = [each for each, _ in both], [curve for _, curve in both]
     longest = max((len(each) for each in branches), default=0)
+    count = sum(len(each) for each in branches) // copies
+    if longest <= SHORT:
+        rests = [*_still(before, _SHORTEST), *_still(behind, _SHORTEST, is_behind=True)]
+        return _of_short_record(branches, rests, longest, count)
     width = min(longest, max(_SHORTEST, longest // _PIECES))
     pieces = [
         each[first : first + width]
@@ -259,7 +268,7 @@ def noise_of(
         for first in range(0, len(each) - width + 1, max(width, 1))
     ]
     moving = np.array([piece for piece in pieces if np.ptp(piece) > 0.0])
-    if width < LEAST or not len(moving):
+    if not len(moving):
         return _silence(longest)
     basis = _polynomials(width)
     left = moving - (moving @ basis) @ basis.T
@@ -270,7 +279,6 @@ def noise_of(
     terms, kept = min(_WAVES, width), int(is_sound.sum())
     waves = fft.dct(left[is_sound], norm="ortho", axis=1)[:, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
-    count = sum(len(each) for each in branches) // copies
     processes = _processes(longest, count)
     spectra = processes.spectra(np.pi * np.arange(terms) / width)
     for _ in range(_ROUNDS):
@@ -321,9 +329,46 @@ def _with_rests(
         is_seen &= (processes.steep <= _STEEPEST) & (width > _SHORTEST)
         is_seen |= processes.steep == 0.0
         return np.where(is_seen, likelihood, -np.inf), squares, freedom
+    return _added(processes, still, seen)
+
+
+def _of_short_record(
+    branches: Sequence[Floats], rests: Sequence[tuple[Floats, Floats]], longest: int, count: int
+) -> Noise:
+    """Judge the noise by what polynomials through the branches leave."""
+    parts = [
+        (branch[start:stop], _legendre(stop - start, degree + 1))
+        for branch in branches
+        if len(branch) >= LEAST
+        for start, stop, degree in polynomial_pieces(branch)
+    ]
+    span = max(map(_spread, branches), default=0.0)
+    left = sum(float(np.sum((part - basis @ (basis.T @ part)) ** 2)) for part, basis in parts)
+    if not parts or left <= count * (_ROUNDING * span) ** 2:
+        return _silence(longest)
+    processes = _processes(longest, count)
+    none = np.zeros(len(processes.prior))
+    seen = np.where(processes.steep > 0.0, none if rests else -np.inf, none), none, 0
+    likelihood, squares, freedom = _added(processes, [*parts, *rests], seen)
+    chances = processes.prior * np.exp(likelihood - likelihood.max())
+    chances[chances < _SURE * chances.max()] = 0.0
+    chances /= chances.sum()
+    return Noise(chances, squares, freedom, longest, count, 1.0, np.zeros(0), np.zeros(0))
+
+
+def _added(
+    processes: _Processes,
+    parts: Sequence[tuple[Floats, Floats]],
+    seen: tuple[Floats, Floats, int],
+) -> tuple[Floats, Floats, int]:
+    """Likelihood, sums of squares and degrees of freedom with those of more parts.
+
+    Each part has its samples and the basis, shape (samples, columns), that is no noise in them.
+    """
+    likelihood, squares, freedom = seen
     least = np.finfo(np.float64).tiny
     logs = likelihood + 0.5 * freedom * np.log(np.maximum(squares, least))
-    for rest, basis in still:
+    for rest, basis in parts:
         terms = min(_WAVES, len(rest))
         waves = fft.dct(rest - basis @ (basis.T @ rest), norm="ortho")[None, :terms]
         columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
@@ -367,7 +412,11 @@ def _silence(longest: int) -> Noise:
 
 def _polynomials(width: int, most: int = _CUBIC) -> Floats:
     """Orthonormal polynomials over a piece, shape (width, columns)."""
-    columns = int(np.clip(width // _PER_COLUMN, min(2, most), most))
+    return _legendre(width, int(np.clip(width // _PER_COLUMN, min(2, most), most)))
+
+
+def _legendre(width: int, columns: int) -> Floats:
+    """The first orthonormal polynomials over so many even samples, shape (width, columns)."""
     at = np.linspace(-1.0, 1.0, width)
     return np.linalg.qr(np.polynomial.legendre.legvander(at, columns - 1))[0]
 

@@ -92,6 +92,7 @@ class Reading:
         samples of the same curve say then what it would be without them
     feels_corners : whether that is to be read from the measured curve: the smooth one rounds off
         corners that the number rests on
+    between : what each number would be more of if samples lay without end, where it says so itself
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
@@ -99,6 +100,7 @@ class Reading:
     in_noise: Callable[[Trace], tuple[Floats, ...]] | None = None
     is_cut: bool = False
     feels_corners: bool = False
+    between: tuple[float, ...] | None = None
 
     @property
     def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:

@@ -20,7 +20,8 @@ from scipy.special import ndtri
 from labpipe.records.arrays import Floats, Singles
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Reason
-from labpipe.uncertainty.drawn_noise import LEAST, Noise, noise_of
+from labpipe.uncertainty.drawn_noise import LEAST, SHORT, Noise, noise_of
+from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 from labpipe.uncertainty.readings import Trace
 
 COUNT = 400
@@ -35,6 +36,8 @@ _PER_PART = 8
 _PARTS_AT_REST, _PER_PART_AT_REST = 4, 50
 """The same of pieces in which nothing moves: what follows the noise of a plateau is as high as the
 largest of its samples, and the interval of a peak lies too high."""
+_DUST = 1e-4
+"""Share of the range of a signal below which its noise may be of any kind."""
 _DEGREE = 3
 _APART = 2.5
 """Steps of the steeper side of a cut that two pieces are apart at most where they meet."""
@@ -126,6 +129,17 @@ class Replicates:
             return np.asarray(np.sqrt(3.0) * (2.0 * chance - 1.0), dtype=np.float64)
         return np.asarray(-chance, dtype=np.float64)
 
+    def feels(self, name: str) -> bool:
+        """Whether the noise of a signal is more than dust beside its range.
+
+        Parameters
+        ----------
+        name : ``force`` or ``displacement``
+        """
+        smooth: Floats = getattr(self.smooth, name)
+        noise = np.nanstd(getattr(self, name)[:_CHUNK] - smooth)
+        return bool(noise > _DUST * (np.nanmax(smooth) - np.nanmin(smooth)))
+
     def displaced(self, by: float, *inputs: Input) -> Replicates:
         """The same curves, displacement counted from another place.
 
@@ -194,11 +208,14 @@ def smooth_curve(
     for low, high in pairwise(ends):
         known = ~np.isnan(values[low:high])
         t, y = time[low:high][known], values[low:high][known]
-        if len(y) < 2 * _PER_PART or t[-1] <= t[0]:
+        if len(y) < LEAST or t[-1] <= t[0]:
             found[low:high][known] = _line(t, y)
             continue
         x = (t - t[0]) / (t[-1] - t[0])
         rests = branches is not None and not any(x.start <= low < x.stop for x in branches)
+        if len(y) <= SHORT and not rests:
+            found[low:high][known] = _polynomials(x, y)
+            continue
         each, most = (_PER_PART_AT_REST, _PARTS_AT_REST) if rests else (_PER_PART, parts)
         count = int(np.clip(len(y) // each, 1, most))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
@@ -208,6 +225,15 @@ def smooth_curve(
     for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
         if cut != broken and cut - before > 1 and after - cut > 1:
             _meet(found, cut)
+    return found
+
+
+def _polynomials(x: Floats, y: Floats) -> Floats:
+    """Polynomials through the pieces of a short record."""
+    found = np.empty(len(y))
+    for start, stop, degree in polynomial_pieces(y):
+        piece = slice(start, stop)
+        found[piece] = np.polynomial.Polynomial.fit(x[piece], y[piece], degree)(x[piece])
     return found
 
 

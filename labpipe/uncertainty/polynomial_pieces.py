@@ -1,0 +1,105 @@
+"""A short record as a few polynomials: what its noise is judged by.
+
+A record of less than some 150 samples cannot show how long its noise is correlated, and a corner in
+it is as large as its noise. Up to three polynomials, cut where they fit best, follow the corners.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+
+_DEGREES = (1, 2, 3)
+_MOST_PIECES = 3
+_FREE_SAMPLES = 2
+"""Samples of a piece beyond its coefficients, at least."""
+_ROUNDING = 1e-9
+"""Share of the range below which what polynomials leave is arithmetic."""
+
+
+class Piece(NamedTuple):
+    """Samples of a record that one polynomial follows, and its degree."""
+
+    start: int
+    stop: int
+    degree: int
+
+
+def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
+    """Cut a short record into at most three pieces that polynomials follow.
+
+    Parameters
+    ----------
+    values : shape (n,), evenly sampled, without NaN; n from 4 on
+
+    Returns
+    -------
+    Pieces in order, each of degree 1 to 3. Their number, ends and degrees have the lowest corrected
+    information criterion of Schwarz, ln(RSS / n) + k ln(n) / (n - k - 2), with k coefficients and
+    cuts (McQuarrie, Stat. Probab. Lett. 44 (1999) 79).
+
+    Examples
+    --------
+    >>> knee = np.minimum(np.arange(40.0), 20.0)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.1, 40)
+    >>> [piece.degree for piece in polynomial_pieces(knee + noise)]
+    [1, 1]
+    """
+    count = len(values)
+    squares = {degree: _sums_of_squares(values, degree) for degree in _DEGREES}
+    dust = count * (_ROUNDING * float(np.ptp(values))) ** 2
+    best: tuple[Piece, ...] = (Piece(0, count, 1),)
+    lowest = np.inf
+    for number in range(1, _MOST_PIECES + 1):
+        for degrees in product(_DEGREES, repeat=number):
+            spent = sum(degrees) + 2 * number - 1
+            if count - spent - 2 <= 0:
+                continue
+            left, ends = _best_cuts([squares[degree] for degree in degrees], count)
+            penalty = spent * np.log(count) / (count - spent - 2)
+            criterion = np.log(max(left, dust, np.finfo(float).tiny) / count) + penalty
+            if criterion < lowest:
+                lowest = criterion
+                best = tuple(map(Piece, (0, *ends), (*ends, count), degrees))
+    return best
+
+
+def _best_cuts(squares: list[Floats], count: int) -> tuple[float, tuple[int, ...]]:
+    """Smallest sum of squares of pieces of given degrees, and where they are cut."""
+    until = squares[0][0]
+    cuts = list[Floats]()
+    for piece in squares[1:]:
+        total = until[:, None] + piece
+        cuts.append(np.argmin(total, axis=0))
+        until = np.min(total, axis=0)
+    end, ends = count, list[int]()
+    for cut in reversed(cuts):
+        end = int(cut[end])
+        ends.insert(0, end)
+    return float(until[count]), tuple(ends)
+
+
+def _sums_of_squares(values: Floats, degree: int) -> Floats:
+    """What a polynomial leaves of samples from i to before j, shape (n + 1, n + 1); else inf."""
+    count = len(values)
+    found = np.full((count + 1, count + 1), np.inf)
+    for length in range(degree + 1 + _FREE_SAMPLES, count + 1):
+        windows = np.lib.stride_tricks.sliding_window_view(values, length)
+        windows = windows - windows.mean(axis=1, keepdims=True)
+        explained = windows @ _slopes(length, degree)
+        first = np.arange(count - length + 1)
+        left = np.sum(windows**2, axis=1) - np.sum(explained**2, axis=1)
+        found[first, first + length] = np.maximum(left, 0.0)
+    return found
+
+
+@lru_cache(maxsize=512)
+def _slopes(count: int, degree: int) -> Floats:
+    """Orthonormal polynomials without the constant, shape (count, degree)."""
+    at = np.linspace(-1.0, 1.0, count)
+    return np.linalg.qr(np.vander(at, degree + 1, increasing=True))[0][:, 1:]
