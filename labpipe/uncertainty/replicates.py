@@ -343,7 +343,7 @@ def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> 
     """Noise of a record by its branches up to where the specimen failed, or by all pieces."""
     last = len(values) if trace.failed_at is None else trace.failed_at + 1
     pieces = _pieces(cuts, last)
-    if max(each.stop - each.start for each in pieces) < LEAST:
+    if max(each.stop - each.start for each in pieces) < _PER_PART:
         pieces = _pieces(cuts, len(values))
     of_pieces = [values[each] for each in pieces], [curve[each] for each in pieces]
     if len(trace.branches) < 2:

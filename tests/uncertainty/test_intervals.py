@@ -52,6 +52,10 @@ def held(found: list[Measured], truth: float) -> float:
 def test_the_interval_is_the_spread_turned_around() -> None:
     """Largest of 100 samples of known noise: 2.5 % of the draws lie beyond each end."""
     (found,) = measured(trace_of(RNG(0).normal(size=100)), largest)
+    assert found.interval.upper == found.value  # beside the draws, and inside the interval
+    above = found.value - found.interval.lower
+    assert np.mean(found.off > above) == pytest.approx(0.025, abs=0.003)
+    (found,) = measured(trace_of(RNG(0).normal(size=100)), mean)
     below, above = found.value - found.interval.upper, found.value - found.interval.lower
     assert np.mean(found.off < below) == pytest.approx(0.025, abs=0.003)
     assert np.mean(found.off > above) == pytest.approx(0.025, abs=0.003)
@@ -131,7 +135,7 @@ def test_a_step_lies_on_one_side() -> None:
 
     given = Input(STEP, later, law="step", moves_curve=False)
     (found,) = measured(trace_of(FORCE), end, given)
-    assert found.interval.lower == pytest.approx(50.1, abs=0.02)
+    assert found.interval.lower == 50.0  # the value itself
     assert found.interval.upper == pytest.approx(53.9, abs=0.02)
     assert found.estimate == pytest.approx(52.0, abs=0.02)
     assert budget(found) == pytest.approx({STEP: 4.0 / 12.0**0.5})
@@ -279,14 +283,14 @@ def slow(tau: float, count: int, seed: int = 0) -> Floats:
     [
         (0.1, 3000, 3000, False),
         (20.0, 3000, 3000, False),
-        (20.0, 3000, 60, True),
-        (10.0, 3000, 40, True),
+        (20.0, 3000, 40, True),
+        (10.0, 3000, 20, True),
         (10.0, 3000, 90, False),
         (20.0, 3000, 1, False),
     ],
 )
 def test_noise_as_slow_as_the_number(tau: float, count: int, window: int, is_slow: bool) -> None:
-    """Over a fifth of the window; one sample has no window."""
+    """Over two fifths of the window; one sample has no window."""
     (found,) = measured(trace_of(slow(tau, count)), mean, n=window)
     assert [(name, each.code) for name, each in found.doubts] == (
         [("force", "slow_noise")] if is_slow else []
@@ -352,7 +356,7 @@ def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
         found = measure(replicates_of(trace_of(record)), fallen)
         assert not isinstance(found, Failure)
         assert [reason.code for _, reason in found[0].doubts] == codes
-        assert found[0].interval.lower > found[0].value
+        assert found[0].interval.lower == found[0].value
         assert found[0].estimate == pytest.approx(level + 10.0, abs=0.5)
 
 
