@@ -33,10 +33,12 @@ from tests.coverage import (
     line_judgement,
     page,
     predicted_lines,
+    short_judgement,
     wire_campaigns,
     wire_judgement,
 )
 from tests.judges.foreign import processed as foreign
+from tests.judges.short_records import SHAPES
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "tests" / "coverage" / "kept"
@@ -89,6 +91,11 @@ def _make_test(kind: str, seed: int) -> Row:
     return {"about": about, "rows": list(said.rows), "error": error}
 
 
+def _make_short(kind: str, seed: int) -> Row:
+    with tempfile.TemporaryDirectory(prefix="coverage-") as folder:
+        return short_judgement.rows(kind.partition("/")[2], seed, Path(folder))
+
+
 _CAMPAIGNS = {kind.name: kind for kind in wire_campaigns.KINDS}
 _LINES = {kind.name: kind for kind in drawn_lines.KINDS}
 STUDIES = (
@@ -102,6 +109,14 @@ STUDIES = (
         page.tables,
         "coverage.md",
         ("clock", "slack"),
+    ),
+    Study(
+        "short",
+        {f"short/{shape}": short_judgement.NUMBERS for shape in SHAPES},
+        _make_short,
+        short_judgement.tables,
+        "coverage.md",
+        (),
     ),
     Study(
         "calibrations",
