@@ -22,7 +22,7 @@ from labpipe.campaign.outcome_rows import ResultRow
 from labpipe.errors import StoreError, complaint
 
 CATALOG: Final = "catalog.sqlite"
-SCHEMA: Final = 1
+SCHEMA: Final = 2
 """Version of the tables, in ``user_version`` of the file; a newer one is refused."""
 PROGRAM: Final = 0x4C425043
 """``application_id`` of the file: *LBPC*."""
@@ -45,7 +45,7 @@ create table tests (
 create table results (
     folder text not null, place integer not null, name text not null, value real,
     unit text not null, lower real, upper real, level real, estimate real, status text not null,
-    code text not null, reason text not null, primary key (folder, place)
+    code text not null, reason text not null, seal text not null, primary key (folder, place)
 ) without rowid;
 create table inputs (
     folder text not null, place integer not null, role text not null, file text not null,

@@ -13,7 +13,7 @@ from labpipe.errors import complaint
 from labpipe.process.run import SUMMARY_FILE
 from labpipe.process.targets import RESULT_FILE
 from labpipe.store.failure_file import FAILURE_FILE
-from labpipe.store.summaries import SUMMARY_SCHEMA
+from labpipe.store.summaries import SUMMARY_SCHEMA, sealed
 
 NEWER_RESULT: Final = "newer_result"
 """Code of a test whose results are of a labpipe newer than this one; they are left alone."""
@@ -28,6 +28,7 @@ class ResultRow:
     ----------
     name, value, unit, lower, upper, level, estimate, status : as in summary.json
     code, reason : why it is doubtful or failed, codes and sentences; empty where it is neither
+    seal : SHA-256 over its numbers; empty where summary.json has none
     """
 
     name: str
@@ -40,6 +41,7 @@ class ResultRow:
     status: str
     code: str
     reason: str
+    seal: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +190,10 @@ def _row(entry: Mapping[str, Any]) -> ResultRow:
     said = entry["reasons"]
     numbers = [_number(entry[key]) for key in ("value", "lower", "upper", "level", "estimate")]
     value, lower, upper, level, estimate = numbers
+    seal = plain(entry.get("seal") or "")
+    if seal and seal != sealed(entry):
+        message = f"the numbers of {entry['name']} as they were written"
+        raise ValueError(message)
     return ResultRow(
         name=plain(entry["name"]),
         value=value,
@@ -199,6 +205,7 @@ def _row(entry: Mapping[str, Any]) -> ResultRow:
         status=plain(entry["status"]),
         code=plain(", ".join(str(each["code"]) for each in said)),
         reason=plain("; ".join(str(each["message"]) for each in said)),
+        seal=seal,
     )
 
 

@@ -54,6 +54,7 @@ from labpipe.statistics.groups import PoolingLimits, build_group
 from labpipe.statistics.outliers import with_outliers
 from labpipe.store.read import read_drawable
 from labpipe.store.replace import locked, replacing_together
+from labpipe.store.summaries import SUMMARY_FILE, check_summary
 from labpipe.studies.bundle_bounds import find_places
 from labpipe.studies.wire_specs import read_wire_sheet
 
@@ -304,6 +305,7 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
         try:
             drawable = read_drawable(file, frames_at_steps)
             result = drawable.result
+            check_summary(result, file.parent / SUMMARY_FILE)
             # What concerns a group is said by its protocol, as each result stored it.
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:

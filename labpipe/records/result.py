@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from datetime import date as Day  # noqa: N812 - a record has a field called date
 from enum import StrEnum
+from hashlib import sha256
+from math import isfinite
 
 from labpipe.records.curve import Aligned, Bending, Curve, FittedLine, Interval, Shape, Slip
 from labpipe.records.harness_bundle import Bundle
@@ -57,11 +59,28 @@ def apart_from(value: float, estimate: float | None, interval: Interval | None) 
     return estimate if abs(value - estimate) > 0.5 * half else None
 
 
+def seal_of(name: str, unit: str, status: str, numbers: Sequence[float | None]) -> str:
+    """SHA-256 over the numbers of a result, by which a changed file is found.
+
+    Parameters
+    ----------
+    name, unit, status : of the result
+    numbers : value, lower and upper end, level, estimate; what is not finite counts as None
+
+    Examples
+    --------
+    >>> seal_of("slack", "m", "ok", (1e-3, 9e-4, 1.1e-3, 0.95, 1e-3))[:8]
+    'a69d6053'
+    """
+    known = (None if x is None or not isfinite(x) else repr(float(x)) for x in numbers)
+    return sha256(repr((name, unit, str(status), *known)).encode()).hexdigest()
+
+
 @dataclass(frozen=True, slots=True)
 class Result:
     """A number with unit, 95 % interval, status and reasons.
 
-    The interval is that of `estimate`: it need not hold `value`.
+    The interval is that of `estimate`, and holds `value`.
 
     Parameters
     ----------
@@ -130,6 +149,13 @@ class Result:
     def likely(self) -> float | None:
         """The estimate, which is the value where nothing else is said."""
         return self.value if self.estimate is None else self.estimate
+
+    @property
+    def seal(self) -> str:
+        """SHA-256 over its numbers, the same in every file of the test."""
+        ends = self.interval
+        span = (None, None, None) if ends is None else (ends.lower, ends.upper, ends.level)
+        return seal_of(self.name, self.unit, self.status, (self.value, *span, self.likely))
 
     @property
     def codes(self) -> tuple[str, ...]:

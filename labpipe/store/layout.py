@@ -265,7 +265,7 @@ LAW_UNITS: Final = {"floor": "1/m", "scale_error": "1", "residual": "m", "noise"
 
 # /results/<name>, /budgets and /quality
 RESULTS: Final = "results"
-RESULT_TEXTS: Final = ("unit", "status", "method", "made_of", "remark")
+RESULT_TEXTS: Final = ("unit", "status", "method", "made_of", "remark", "seal")
 ESTIMATE: Final = "estimate"
 REASON_CODES: Final = "reason_codes"
 REASON_MESSAGES: Final = "reason_messages"

@@ -425,7 +425,7 @@ def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution,
     is_new = has_attribute(group, "made_of")
     parts: dict[str, Any] = {"method": method}
     parts |= {each: text(group, each) for each in ("made_of", "remark")} if is_new else {}
-    return Result(
+    found = Result(
         name=name,
         value=None if status is Status.FAILED else get_number(group, "value"),
         unit=text(group, "unit"),
@@ -439,3 +439,7 @@ def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution,
         budget=budget,
         **(parts if is_new else method_parts(method, others)),
     )
+    if has_attribute(group, "seal") and text(group, "seal") != found.seal:
+        message = f"results/{name}: its numbers were changed after they were written"
+        raise ValueError(message)
+    return found

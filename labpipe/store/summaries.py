@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from hashlib import sha256
 from math import isfinite
@@ -11,7 +12,7 @@ from typing import Any
 
 from labpipe.errors import StoreError, complaint
 from labpipe.records.harness_bundle import Bundle
-from labpipe.records.result import Instrument, Result, Specimen, TestResult
+from labpipe.records.result import Instrument, Result, Specimen, TestResult, seal_of
 from labpipe.store.replace import replacing
 
 SUMMARY_FILE = "summary.json"
@@ -135,6 +136,7 @@ def result_entry(result: Result) -> dict[str, object]:
         "level": _number(interval.level) if interval else None,
         "estimate": _number(result.likely),
         "status": str(result.status),
+        "seal": result.seal,
         "code": ", ".join(result.codes),
         "reason": result.why,
         "reasons": [asdict(reason) for reason in result.reasons],
@@ -149,6 +151,47 @@ def result_entry(result: Result) -> dict[str, object]:
             for each, share in zip(result.budget, result.shares, strict=True)
         ],
     }
+
+
+def check_summary(result: TestResult, path: Path) -> None:
+    """Compare the numbers of a ``summary.json`` with those of the result file beside it.
+
+    Parameters
+    ----------
+    result : of the result file
+    path : the summary; nothing is compared if it is not there
+
+    Raises
+    ------
+    StoreError
+        If a result of the summary has another seal, or numbers that do not fit its seal.
+    """
+    if not path.is_file():
+        return
+    seals = {entry.name: entry.seal for entry in result.results}
+    for entry in read_summary(path)["results"]:
+        if "seal" in entry and not entry["seal"] == sealed(entry) == seals.get(entry["name"]):
+            raise StoreError(
+                complaint(
+                    path,
+                    str(entry["name"]),
+                    expected="the numbers of result.h5",
+                    found="others: one of the files was changed",
+                    remedy="Process the test again.",
+                ),
+                code="bad_result",
+            )
+
+
+def sealed(entry: Mapping[str, Any]) -> str:
+    """The seal that the numbers of an entry of ``summary.json`` have.
+
+    Parameters
+    ----------
+    entry : of `result_entry`
+    """
+    numbers = [entry[key] for key in ("value", "lower", "upper", "level", "estimate")]
+    return seal_of(entry["name"], entry["unit"], entry["status"], numbers)
 
 
 def _number(value: float | None) -> float | None:

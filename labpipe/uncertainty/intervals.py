@@ -4,10 +4,10 @@ The recipe of JCGM 101:2008 (GUM supplement 1). With T the number of a curve,
 
 delta_r = T(smooth + noise_r, filtered) - T(smooth) + sum over inputs i of what a draw z_ir changes,
 
-and the interval is [value - 97.5 % quantile of delta, value - 2.5 % quantile]: what the number of
-the measured curve may be off, turned around. It holds the bias of T in noise, too: the largest of
-many noisy samples lies above the largest value there was. `estimate` is the value less the mean of
-delta.
+and the interval is [value - 97.5 % quantile of delta, value - 2.5 % quantile], with the value: what
+the number of the measured curve may be off, turned around. It holds the bias of T in noise, too:
+the largest of many noisy samples lies above the largest value there was. `estimate` is the value
+less the mean of delta.
 """
 
 from __future__ import annotations
@@ -199,8 +199,8 @@ def _unfit(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
     low, high = np.nanquantile(off, (_LOW, _HIGH)).tolist()
     if max(low, -high) > _FAR * abs(value):
         message = (
-            "the value lies outside of its interval: the curve is not smooth where it was read;"
-            " rather take the estimate"
+            "the value lies outside of what curves with such noise give: the curve is not smooth"
+            " where it was read; rather take the estimate"
         )
         yield "", Reason("value_outside", message)
 
@@ -222,7 +222,7 @@ def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
         elif known and count > 1 and memory > max(count * _OF_WINDOW, _BRIEF):
             message = (
                 f"the noise of the {name} is as slow as what is measured: it remembers "
-                f"{memory:.3g} samples, more than a fifth of those that the number is read from"
+                f"{memory:.3g} samples, more than two fifths of those that the number is read from"
             )
             yield name, Reason("slow_noise", message)
         # Steps of a converter come and go with the slope of the curve; they are an input.

@@ -107,9 +107,18 @@ def test_a_file_from_before_there_were_budgets(tmp_path: Path) -> None:
             "is_common": 1,
         }
         del root["budgets"]
-        del root["results/peak_force.1"].attrs["estimate"]
+        for name in ("estimate", "seal"):
+            del root["results/peak_force.1"].attrs[name]
     found = read_outcome(tmp_path / "result.h5").results
     assert found == tuple(replace(each, budget=(), estimate=None) for each in made.results)
+
+
+def test_a_number_that_was_changed_is_refused(tmp_path: Path) -> None:
+    write_result(build_result(half_cycle=1.0), tmp_path / "result.h5")
+    with h5py.File(tmp_path / "result.h5", "a") as root:
+        root["results/peak_force.1"].attrs["value"] = 0.63
+    with pytest.raises(StoreError, match=r"peak_force\.1: its numbers were changed"):
+        read_outcome(tmp_path / "result.h5")
 
 
 TABLES = {

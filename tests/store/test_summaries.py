@@ -14,7 +14,7 @@ from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.result import InputFile, Result, Specimen
 from labpipe.store.failure_file import FAILURE_FILE, FailedTest, write_failure
 from labpipe.store.replace import locked
-from labpipe.store.summaries import summary, write_summary
+from labpipe.store.summaries import check_summary, sealed, summary, write_summary
 from tests.store.builders_result import build_result
 
 
@@ -39,6 +39,7 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
         "level": 0.95,
         "estimate": 0.6,
         "status": "ok",
+        "seal": result.results[0].seal,
         "code": "",
         "reason": "",
         "reasons": [],
@@ -53,6 +54,7 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
             },
         ],
     }
+    assert [sealed(entry) for entry in read["results"]] == [each.seal for each in result.results]
     assert read["results"][1]["lower"] is None
     assert (read["results"][1]["estimate"], read["results"][1]["budget"]) == (0.0031, [])
     assert (read["results"][2]["value"], read["results"][2]["estimate"]) == (None, None)
@@ -135,3 +137,22 @@ def test_none_while_another_process_writes(tmp_path: Path) -> None:
     with locked(tmp_path), pytest.raises(StoreError, match="another labpipe process"):
         write_failure(FAILED, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("key", "other"), [("value", 0.63), ("upper", 0.7), ("status", "doubtful")]
+)
+def test_numbers_that_were_changed_are_refused(tmp_path: Path, key: str, other: object) -> None:
+    result, file = build_result(half_cycle=0.5), tmp_path / "summary.json"
+    check_summary(result, file)  # there is none
+    write_summary(result, file)
+    check_summary(result, file)
+    said = json.loads(file.read_text(encoding="utf-8"))
+    said["results"][0][key] = other
+    file.write_text(json.dumps(said), encoding="utf-8")
+    with pytest.raises(StoreError, match=r"summary\.json.*peak_force\.1.*Process the test again"):
+        check_summary(result, file)
+    said["results"][0]["seal"] = sealed(said["results"][0])
+    file.write_text(json.dumps(said), encoding="utf-8")
+    with pytest.raises(StoreError, match="the numbers of result"):
+        check_summary(result, file)
