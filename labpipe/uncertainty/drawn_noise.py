@@ -295,7 +295,7 @@ def noise_of(
     likelihood, squares, freedom = _with_rests(processes, still, width, seen)
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < _SURE * chances.max()] = 0.0
-    angles, fast = _own_power(branches, smooth)
+    angles, fast = _without_corners(*_own_power(branches, smooth), left[is_sound])
     return Noise(
         chances / chances.sum(),
         squares,
@@ -445,6 +445,19 @@ def _whitened(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
     explained = np.sum(score * np.linalg.solve(information, score.T).T, axis=1)
     found: Floats = np.sum(waves**2 / spectrum, axis=1) - explained
     return found
+
+
+def _without_corners(angles: Floats, power: Floats, left: Floats) -> tuple[Floats, Floats]:
+    """Power of the fast waves by pieces without a corner, where a corner makes most of it."""
+    width = left.shape[1]
+    first = int(np.ceil(angles[0] * width / np.pi)) if len(angles) else width
+    if first + 1 >= width:
+        return angles, power
+    own = np.mean(fft.dct(left, norm="ortho", axis=1)[:, first:] ** 2, axis=0)
+    if power.mean() <= _CLIFF * own.mean():
+        return angles, power
+    found = np.interp(angles, np.pi * (first + np.arange(width - first)) / width, own)
+    return angles, np.asarray(found, dtype=np.float64)
 
 
 def _own_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tuple[Floats, Floats]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from scipy import signal
 
 from labpipe.records.arrays import Floats
 from labpipe.uncertainty.drawn_noise import Noise, _processes, noise_of
+from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
+from labpipe.uncertainty.replicates import smooth_curve
 
 RNG = np.random.default_rng
 
@@ -242,3 +245,31 @@ def test_a_force_that_relaxes_behind_the_motion_is_no_noise() -> None:
     early = rows.copy()
     early[:, 185:200] += 0.5 * np.arange(15.0)
     assert wander(early, at_rest=True) < 1.2 * plain
+
+
+def test_a_corner_of_a_long_record_is_no_fast_noise() -> None:
+    """A steep elastic line into a plateau, as of steel: noise of 2 beside a corner of 50 000."""
+    at = np.linspace(0.0, 1.0, 12_000)
+    curve = 5e4 * np.minimum(at / 0.05, 1.0)
+    values = curve + RNG(4).normal(0.0, 2.0, len(at))
+    smooth = smooth_curve(at, values, [], 12)
+    noise = noise_of([values], [smooth])
+    assert noise.draw(len(at), 50, RNG(0)).std() == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("count", [10, 15, 20, 30, 50, 90, 150])
+@pytest.mark.parametrize("shape", ["line", "knee", "bent"])
+def test_noise_of_a_short_record_is_what_polynomials_leave(count: int, shape: str) -> None:
+    """Median over 60 records; few free samples leave the variance open, ten a bend as well."""
+    at = np.linspace(0.0, 1.0, count)
+    curves = {"line": at, "knee": np.minimum(at, 0.5), "bent": 1.0 - np.exp(-2.0 * at)}
+    spreads = []
+    for seed in range(60):
+        values = curves[shape] + 0.002 * RNG(seed).normal(size=count)
+        pieces = polynomial_pieces(values)
+        assert (pieces[0].start, pieces[-1].stop) == (0, count)
+        assert all(one.stop == other.start for one, other in pairwise(pieces))
+        noise = noise_of([values], [values])
+        spreads.append(noise.draw(count, 50, RNG(0)).std())
+    most = 1.35 if count > 20 or shape == "line" else 1.6 if count > 10 else 4.0
+    assert 0.75 < np.median(spreads) / 0.002 < most

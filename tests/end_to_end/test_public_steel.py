@@ -1,0 +1,99 @@
+"""Public tensile tests of steel by a protocol alone, against what their laboratories certify."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.judges.plain.judge import Ran, process
+
+PROTOCOL = """\
+version: 1
+name: steel
+about: Tensile test of steel
+sources:
+  frame:
+    reader: load-frame
+    dialect: [table, bluehill]
+    channels:
+      force: {channel: [Force, Load], scale_uncertainty: 0.58 %, zero_drift: 0.12 %}
+      travel:
+        channel: [Machine Displacement, Crosshead separation]
+        scale_uncertainty: 0.58 %
+specimen: {section: {area: AREA mm^2}, uncertainty: {length: 0.5 mm}}
+curve: {force: force, displacement: travel}
+branches: {channel: travel, min_stroke: 1 mm}
+results:
+  - {result: peak-force}
+  - {result: stiffness, from: 0.4 mm, to: 0.6 mm}
+  - {result: modulus, of: stiffness, area: stated}
+"""
+SHEET = """\
+test: T
+protocol: ./steel.yaml
+specimen: {type: steel, spool: "1", sample: "1", length: 30 mm}
+files: {frame: export.csv}
+"""
+ISO, BAM = 26, 6
+QUICK = {0}
+
+
+def _processed(folder: Path, export: Path, area: float) -> Ran:
+    files = {
+        "steel.yaml": PROTOCOL.replace("AREA", f"{area:.6g}").encode(),
+        "export.csv": export.read_bytes(),
+    }
+    return process(folder, SHEET, files)
+
+
+def _judged(ran: Ran, peak: float, columns: tuple[np.ndarray, np.ndarray]) -> None:
+    """Peak by the laboratory; stiffness by a least-squares line over the plain columns."""
+    found = ran.results["peak_force.1"]
+    assert found["status"] == "ok"
+    assert found["value"] == pytest.approx(peak, rel=1e-3)
+    assert found["lower"] <= peak <= found["upper"]
+    travel, force = columns
+    last = int(np.argmax(travel > 0.6))
+    window = slice(int(np.argmax(travel >= 0.4)), last)
+    slope = 1e3 * np.polyfit(travel[window], force[window], 1)[0]
+    assert ran.results["stiffness"]["value"] == pytest.approx(slope, rel=1e-6)
+    modulus = ran.results["modulus"]
+    assert modulus["status"] == "doubtful"
+    assert "machine_compliance" in modulus["code"]
+    assert not [name for name in ran.results if name.startswith("slip")]
+
+
+def _marked(count: int) -> list[object]:
+    return [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in range(count)]
+
+
+@pytest.mark.parametrize("number", _marked(ISO))
+def test_round_steel_of_iso_6892(realdata: Path, tmp_path: Path, number: int) -> None:
+    exports = sorted((realdata / "iso6892").glob("*.csv"))
+    assert len(exports) == ISO
+    lines = exports[number].read_text(encoding="utf-8-sig").splitlines()
+    said = dict(re.findall(r"^(.+?):\t([\d.]+)", "\n".join(lines[:23]), re.MULTILINE))
+    rows = np.array([[float(cell) for cell in line.split("\t")[:4]] for line in lines[25:]])
+    area = float(said["Original cross-section"])
+    ran = _processed(tmp_path, exports[number], area)
+    peak = float(said["Ultimate tensile strength"]) * area
+    _judged(ran, peak, (rows[:, 3], 1e3 * rows[:, 2]))
+
+
+@pytest.mark.parametrize("number", _marked(BAM))
+def test_flat_steel_with_certified_values(realdata: Path, tmp_path: Path, number: int) -> None:
+    exports = sorted((realdata / "bam_s355").glob("Z*.csv"))
+    assert len(exports) == BAM
+    table = (realdata / "bam_s355" / "S355_data.csv").read_text(encoding="utf-8-sig")
+    certified = {row["testpiece"]: row for row in csv.DictReader(table.splitlines(), delimiter=";")}
+    said = certified[exports[number].stem]
+    lines = exports[number].read_text(encoding="utf-8-sig").splitlines()[2:]
+    rows = np.array(
+        [[float(cell.replace(",", ".")) for cell in line.split(";")[:3]] for line in lines]
+    )
+    ran = _processed(tmp_path, exports[number], float(said["d1 / a1"]) * float(said["b1"]))
+    _judged(ran, 1e3 * float(said["Fm"]), (rows[:, 1], 1e3 * rows[:, 2]))
