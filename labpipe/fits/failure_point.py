@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.estimates import Failure
+
+_GOES_ON, _FORWARD = 0.01, 0.5
+"""Share of the travel that the motion goes on by behind a slow loss, and share of the steps there
+that must not go back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,10 +24,13 @@ class FailurePoint:
     sample : its number; the specimen broke between it and the next one
     lost_before : largest share of the peak that was suddenly lost earlier and after which the
         force never came back to where it had been: the specimen failed in steps; 0 without one
+    slow_below : share of the peak that the force falls below for good, where it is lost slowly;
+        None where it is lost at once
     """
 
     sample: int
     lost_before: float = 0.0
+    slow_below: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +95,34 @@ def final_loss(
         )
         return Failure("no_break", message)
     return int(known[first])
+
+
+def slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | None:
+    """Last sample that carries the share of the peak, where the motion goes on as force is lost.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N, in the sense of loading; NaN are left out
+    rule : what counts as a loss
+
+    Returns
+    -------
+    Number of the sample. None where the force is not below the share at the end, or is lost while
+    the motion stands or goes back, as that of a specimen that relaxes.
+    """
+    known = np.flatnonzero(~np.isnan(force) & ~np.isnan(displacement))
+    d, f = displacement[known], force[known]
+    last = last_above(f, rule.force_below)
+    if last >= len(f) - 1:
+        return None
+    goes_on = d[-1] - d[last] >= _GOES_ON * (d[last] - d[0])
+    return int(known[last]) if goes_on and (np.diff(d[last:]) >= 0.0).mean() > _FORWARD else None
+
+
+def last_above(force: Floats, share: float) -> Any:
+    """Number of the last sample with at least a share of the largest one, of rows (..., n)."""
+    holds = force >= share * np.max(force, axis=-1, keepdims=True)
+    return force.shape[-1] - 1 - np.argmax(holds[..., ::-1], axis=-1)
 
 
 def _reach(time: Floats, sample: int, within: float) -> int:

@@ -13,7 +13,13 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
-from labpipe.fits.failure_point import FailurePoint, LossOfForce, final_loss, lost_earlier
+from labpipe.fits.failure_point import (
+    FailurePoint,
+    LossOfForce,
+    final_loss,
+    lost_earlier,
+    slow_loss,
+)
 from labpipe.fits.grip_slips import add_back, find_slips, samples_before
 from labpipe.fits.loops import sense_of_loading
 from labpipe.fits.straight_lines import correct_displacement
@@ -223,6 +229,11 @@ def final_loss_of(test: Evidence, rule: LossOfForce) -> int | Failure | None:
 def _failure(
     curve: Curve, lost: int | Failure | None, rule: LossOfForce
 ) -> FailurePoint | Failure | None:
+    if isinstance(lost, Failure) and lost.code == "no_break":
+        up = slice(curve.branches[0].start, None)
+        sense = sense_of_loading(curve.displacement[up])
+        at = slow_loss(sense * curve.displacement[up], _sense(curve) * curve.force[up], rule)
+        return lost if at is None else FailurePoint(up.start + at, slow_below=rule.force_below)
     if lost is None or isinstance(lost, Failure):
         return lost
     up = slice(loading_before(curve, lost).start, lost + 1)

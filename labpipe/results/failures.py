@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from labpipe.fits.failure_point import FailurePoint
+from labpipe.fits.failure_point import FailurePoint, last_above
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Branch, Curve, Direction
@@ -51,11 +51,14 @@ class FailureResult(Kind):
 
     def compute(self, test: Evidence) -> Computed:
         """The last point before the final loss of force."""
+        failure = _failure(test)
         methods = (
             "first sample of the final loss of force; the interval reaches to the next one",
             "force at the first sample of the final loss",
         )
-        failure = _failure(test)
+        if isinstance(failure, FailurePoint) and failure.slow_below is not None:
+            share = f"{failure.slow_below:.0%} of the peak, which is lost slowly"
+            methods = f"last sample with {share}", f"force at the last sample with {share}"
         if isinstance(failure, Failure):
             return self.not_available(failure, *methods)
         found = test.measure(partial(_at_failure, test))
@@ -77,6 +80,8 @@ def _at_failure(test: Evidence, trace: Trace) -> Reading | Failure:
     sample = trace.failed_at
     if sample is None:
         return blocked_or(test, NO_LOADING)
+    if isinstance(test.failure, FailurePoint) and test.failure.slow_below is not None:
+        return _slowly_below(test.failure.slow_below, trace)
     step, rise = _next_step(trace, sample)
     fall, is_clear = _lost_before(test)
     ahead, lost = (rise, fall) if is_clear else (rise + fall, 0.0)
@@ -90,6 +95,23 @@ def _at_failure(test: Evidence, trace: Trace) -> Reading | Failure:
         return place, force - lost
 
     return Reading(numbers, 1, in_noise)
+
+
+def _slowly_below(share: float, trace: Trace) -> Reading:
+    """Decide on the place and the force at which each curve falls below a share of its peak."""
+    sense = sense_of(trace, trace.force)
+
+    def numbers(trace: Trace) -> tuple[Floats, Floats]:
+        known = np.flatnonzero(~np.isnan(trace.force.reshape(-1, trace.force.shape[-1])[0]))
+        force, place = trace.force[..., known], trace.displacement[..., known]
+        last = last_above(sense * force, share)[..., np.newaxis]
+        found = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
+        step = np.gradient(place, axis=-1)
+        more = trace.beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
+        here, there = found
+        return here + more, there
+
+    return Reading(numbers, 1)
 
 
 def _lost_before(test: Evidence) -> tuple[float, bool]:

@@ -11,6 +11,7 @@ from labpipe.fits.failure_point import (
     LossOfForce,
     final_loss,
     lost_earlier,
+    slow_loss,
 )
 from labpipe.fits.grip_slips import _fineness, _stands_alone, add_back, find_slips, samples_before
 from labpipe.fits.load_drops import LoadDrop, PullCurve, fit_load_drop
@@ -77,6 +78,23 @@ def test_a_slow_fall_is_no_break() -> None:
     assert isinstance(found, Failure)
     assert found.code == "no_break"
     assert "slowly" in found.message
+
+
+@pytest.mark.parametrize(
+    ("motion", "sample"),
+    [
+        (np.arange(400.0), 250),
+        (np.minimum(np.arange(400.0), 200.0), None),
+        (200.0 - np.abs(np.arange(400.0) - 200.0), None),
+        (np.arange(400.0)[:240], None),
+    ],
+    ids=["tears", "relaxes", "goes back", "ends too soon"],
+)
+def test_a_slow_loss_needs_a_motion_that_goes_on(motion: Floats, sample: int | None) -> None:
+    """100 N from sample 200 on, then 1 N less each sample: half of it in sample 250."""
+    force = np.where(np.arange(400) < 200, 0.5 * np.arange(400), 300.0 - np.arange(400.0))
+    force = np.maximum(force, 0.0)[: len(motion)]
+    assert slow_loss(motion, force, RULE) == sample
 
 
 def test_a_yarn_that_breaks_fibre_by_fibre_has_no_single_break() -> None:
