@@ -33,6 +33,7 @@ from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
 from labpipe.uncertainty.drawn_noise import noise_of
 from labpipe.uncertainty.replicates import COUNT, smooth_curve, stream
+from labpipe.units import GRAVITY
 
 _SPAN = "mid_span"
 """Signal of what cameras see of mid-span, and what rests on them alone."""
@@ -45,6 +46,9 @@ _LOW, _HIGH = 0.025, 0.975
 
 _MISFIT = (3.0, 2e-5)
 """Times the noise, and m on top, that markers may lie off the shapes of the law."""
+
+_LIGHTEST, _MATTERS = 1e-3, 0.01
+"""kg/m: hardly any wire of a harness is lighter; share of a moment by which its weight matters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +112,8 @@ class MomentCurvature(Kind):
             method,
             {SCALE_OF_FORCE: scale},
             during=test.while_loading(),
-            doubts=_misfit(test, law) or _bent_before(bending, law, self),
+            doubts=_misfit(test, law)
+            or _bent_before(bending, law, self) + _not_weighed(test, law, self),
         )
         return Computed((number,))
 
@@ -151,6 +156,22 @@ def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> 
         "first time"
     )
     return (Reason("bent_before", message),)
+
+
+def _not_weighed(test: Evidence, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
+    """Why a number is doubtful: the specimen may weigh so much that its weight matters."""
+    if test.setup.mass_per_length is not None or test.shape is None:
+        return ()
+    moment = float(np.interp(entry.at, law.curvature, law.moment))
+    own = 0.5 * GRAVITY * _LIGHTEST * test.shape.length**2
+    if own <= _MATTERS * moment:
+        return ()
+    message = (
+        f"specimen.mass_per_length is not stated: {1e3 * _LIGHTEST:g} g/m alone would bend "
+        f"by {1e6 * own:.2g} uN m, more than 1 % of the moment at {entry.at:g} 1/m; "
+        "state it in the test sheet"
+    )
+    return (Reason("weight_not_stated", message),)
 
 
 def _misfit(test: Evidence, law: MeasuredLaw) -> tuple[Reason, ...]:

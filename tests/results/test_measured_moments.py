@@ -31,6 +31,7 @@ from labpipe.results.moment_curvature import (
     notes_of,
     stated,
 )
+from labpipe.results.shapes import MomentCurvature, _not_weighed
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.specimens import WireModel
@@ -121,8 +122,17 @@ def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None
 
 
 def test_without_a_mass_a_note_says_that_weight_is_left_out(repository: Path) -> None:
-    test, _ = reduced(repository)
+    test, results = reduced(repository)
     (said,) = notes(test, "weight_not_stated")
+    # 1 g/m on 85 mm is 35 uN m: 1 % of 3.5 mN m; this wire has 4.8 mN m at 1 1/m.
+    assert "weight_not_stated" not in results["bending_stiffness_at_1"].codes
+    assert isinstance(test.bending, Bending)
+    law = test.bending.law
+    assert law is not None
+    for factor, codes in ((0.8, []), (0.5, ["weight_not_stated"])):
+        soft = replace(law, moment=factor * law.moment)
+        doubts = _not_weighed(test, soft, MomentCurvature(at=1.0))
+        assert [reason.code for reason in doubts] == codes
     assert said.startswith("specimen.mass_per_length is not stated: moments leave out the spec")
 
 
