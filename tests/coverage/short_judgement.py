@@ -59,7 +59,7 @@ def _cell(results: Sequence[dict[str, Any]]) -> str:
     }
     truth, low, high = numbers["truth"], numbers["lower"], numbers["upper"]
     held = float(np.mean((low <= truth) & (truth <= high)))
-    scatter = float(np.std(numbers["value"] / truth))
-    width = float(np.median((high - low) / (2.0 * truth))) / scatter
+    error = 2.0 * (numbers["value"] - truth) / (high - low)
+    scatter = float(np.std(error))
     share = len(sure) / len(results)
-    return f"{held:.0%}, {width:.1f}" + (f" ({share:.0%})" if share < 1.0 else "")
+    return f"{held:.0%}, {1.0 / scatter:.1f}" + (f" ({share:.0%})" if share < 1.0 else "")
