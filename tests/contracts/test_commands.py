@@ -160,7 +160,7 @@ def test_json_of_process(run: Run, small_lab: Lab, tmp_path: Path) -> None:
     for result in said["results"]:
         assert set(result) == {
             *("name", "value", "unit", "lower", "upper", "level"),
-            *("estimate", "code", "reason", "status", "reasons", "method", "budget"),
+            *("estimate", "code", "reason", "status", "reasons", "method", "budget", "seal"),
         }
         assert re.fullmatch(r"[a-z][a-z0-9_]*(\.\d+)?", result["name"])
         for reason in result["reasons"]:

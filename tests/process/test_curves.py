@@ -291,9 +291,6 @@ LATE = np.linspace(0.7e-3, 80e-3, ROWS)
 FINE = np.linspace(0.0, 12e-3, 400)
 
 
-SLOW = np.linspace(1.0, 0.0, 60)
-
-
 PULLS = {
     "too few samples": (
         COARSE,
@@ -321,12 +318,6 @@ PULLS = {
         ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), *np.linspace(1.0, 0.7, 40)),
         BREAK,
         {"curve.failure.force_below", "curve.failure.within"},
-    ),
-    "breaks slowly": (
-        FINE,
-        ends_in(bent_over(FINE - 1e-3, knee=6e-3, most=100.0), *SLOW),
-        BREAK,
-        {"curve.failure.within"},
     ),
 }
 
