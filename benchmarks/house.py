@@ -122,7 +122,7 @@ def walk(tree: Path, test: Path, out: Path) -> Walk:
     functions = [each for each in named if each["is_function"]]
     return Walk(
         len(functions),
-        len({each["file"] for each in functions}),
+        len({function["file"] for function in functions}),
         len(named),
         len({each["file"] for each in named}),
         sum(each["name"] == "<module>" for each in ran),

@@ -56,7 +56,7 @@ def write_csv_test(folder: Path, *, size: int = CSV_BYTES) -> Path:
     )
     line = '"{:.15g}","{:.15g}","{:.15g}"\r\n'
     lines = [line.format(*row) for row in pull(size // 40)]
-    kept = np.searchsorted(np.cumsum([len(each) for each in lines]), size)
+    kept = np.searchsorted(np.cumsum([len(line) for line in lines]), size)
     with export.open("w", encoding="utf-8", newline="") as file:
         file.write(head + "".join(lines[:kept]))
     _write_sheet(folder, export)
@@ -94,7 +94,7 @@ def copies(result: Path, folder: Path, count: int) -> list[Path]:
 def _rename(test: str, _: str, item: Any) -> None:
     """Give an export another hash, so that no two tests seem to be made of the same."""
     if "sha256" in item.attrs:
-        renamed = [sha256(f"{test} {each}".encode()).hexdigest() for each in item.attrs["sha256"]]
+        renamed = [sha256(f"{test} {attr}".encode()).hexdigest() for attr in item.attrs["sha256"]]
         item.attrs["sha256"] = renamed
 
 

@@ -131,7 +131,7 @@ def _difference(one: Any, other: Any) -> float:
     if isinstance(one, dict):  # a result, or a parameter
         if any(one.get(key) != other.get(key) for key in ("status", "code", "verdict")):
             return np.inf
-        one, other = ([each[key] for key in ("value", "lower", "upper")] for each in (one, other))
+        one, other = ([part[key] for key in ("value", "lower", "upper")] for part in (one, other))
         width = 0.0 if None in one else one[2] - one[1]
     first, second = (np.asarray(values, dtype=np.float64) for values in (one, other))
     if first.shape != second.shape or np.any(np.isnan(first) != np.isnan(second)):

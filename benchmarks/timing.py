@@ -97,7 +97,7 @@ def paired(one: Sequence[str], other: Sequence[str], *, runs: int = RUNS) -> Pai
 def median(costs: Sequence[Cost]) -> Cost:
     """Median times, and the largest memory."""
     return Cost(
-        statistics.median(each.wall for each in costs),
-        statistics.median(each.cpu for each in costs),
-        max(each.memory for each in costs),
+        statistics.median(cost.wall for cost in costs),
+        statistics.median(cost.cpu for cost in costs),
+        max(cost.memory for cost in costs),
     )

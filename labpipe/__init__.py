@@ -19,11 +19,11 @@ _DOOR = ("Export", "Test", "groups", "inspect", "open", "process", "table")
 
 
 def __getattr__(name: str) -> object:
-    """Import a name of the door when it is first used (PEP 562)."""
+    """Import a name of ``labpipe.api`` when it is first used (PEP 562)."""
     if name == "process":  # the package of that name, which can be called
         return _import_module("labpipe.process")
     if name in _DOOR:
-        found = getattr(_import_module("labpipe.door"), name)
+        found = getattr(_import_module("labpipe.api"), name)
         globals()[name] = found
         return found
     message = f"module 'labpipe' has no attribute {name!r}"
@@ -38,7 +38,7 @@ class _CallablePackage(_ModuleType):
     """A package that is a function of the same name, too: `labpipe.process`."""
 
     def __call__(self, *args: object, **keywords: object) -> object:
-        return getattr(_import_module("labpipe.door"), self.__name__.rpartition(".")[2])(
+        return getattr(_import_module("labpipe.api"), self.__name__.rpartition(".")[2])(
             *args, **keywords
         )
 

@@ -1,10 +1,10 @@
-from labpipe.door import Export as Export
-from labpipe.door import Test as Test
-from labpipe.door import groups as groups
-from labpipe.door import inspect as inspect
-from labpipe.door import open as open
-from labpipe.door import process as process
-from labpipe.door import table as table
+from labpipe.api import Export as Export
+from labpipe.api import Test as Test
+from labpipe.api import groups as groups
+from labpipe.api import inspect as inspect
+from labpipe.api import open as open
+from labpipe.api import process as process
+from labpipe.api import table as table
 
 __version__: str
 

@@ -107,7 +107,7 @@ class Fault:
     missing: str = ""
 
 
-def complaint(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
+def error_text(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
     """Word one message: file, place: expected X, found Y. What to do.
 
     Parameters
@@ -123,7 +123,7 @@ def complaint(file: object, place: str, *, expected: str, found: str, remedy: st
 
     Examples
     --------
-    >>> complaint("take.csv", "line 7", expected="a header row", found="nothing",
+    >>> error_text("take.csv", "line 7", expected="a header row", found="nothing",
     ...           remedy="Export the take again.")
     'take.csv, line 7: expected a header row, found nothing. Export the take again.'
     """
@@ -173,14 +173,14 @@ def refusal(error: Exception) -> str:
     'xxx: expected a file that can be used, found file name too long. Check the path and the disk.'
     """
     if isinstance(error, UnicodeEncodeError):
-        return complaint(
+        return error_text(
             repr(error.object)[:80],
             "",
             expected=f"names that this system can write, whose encoding is {error.encoding}",
             found=ascii(error.object[error.start : error.end])[:80],
             remedy="Choose a locale of UTF-8, such as LC_ALL=C.UTF-8, or set PYTHONUTF8=1.",
         )
-    return complaint(
+    return error_text(
         getattr(error, "filename", None) or "files",
         "",
         expected="a file that can be used",

@@ -1,7 +1,7 @@
 """Quantities with units at the edges, coherent SI inside.
 
 Inside labpipe every number is in s, m, N, Pa, rad, V, kg or products of them. This module is the
-only door between that and what people and files write.
+only way between that and what people and files write.
 """
 
 from __future__ import annotations

@@ -210,7 +210,7 @@ def test_pictures_are_small_and_shown_with_a_caption(path: Path) -> None:
     # each caption says what it shows
     origin = r"(?:Synthetic data|Computed, not measured|Measured by others)\. "
     shown = rf"!\[[^\]]+\]\((?:docs|\.\.)/images/{re.escape(path.name)}\)\n\n\*{origin}"
-    assert any(re.search(shown, each.read_text(encoding="utf-8")) for each in PAGES)
+    assert any(re.search(shown, page.read_text(encoding="utf-8")) for page in PAGES)
 
 
 @pytest.mark.parametrize("path", PAGES, ids=name_of)
@@ -252,7 +252,9 @@ def result_units() -> dict[str, str]:
     kinds = RESULTS.values()
     assert len(kinds) > 15
     named = (
-        (each.name_in(kind, {"of": "<stiffness>"}), each) for kind in kinds for each in kind.outputs
+        (output.name_in(kind, {"of": "<stiffness>"}), output)
+        for kind in kinds
+        for output in kind.outputs
     )
     return {name.partition(".")[0]: each.unit for name, each in named}
 
@@ -279,9 +281,9 @@ def constants_of(path: Path) -> dict[str, str]:
                 other = ROOT / f"{module.replace('.', '/')}.py"
                 known = constants_of(other) if other.is_file() else {}
                 found |= {
-                    each.asname or each.name: known[each.name]
-                    for each in names
-                    if each.name in known
+                    name.asname or name.name: known[name.name]
+                    for name in names
+                    if name.name in known
                 }
     return {name: text for name, text in found.items() if name.isupper()}
 
@@ -315,7 +317,7 @@ def severity_of(node: ast.expr) -> str | None:
 
 
 SEVERITIES = {
-    "worth_knowing": "info",
+    "info_note": "info",
     "warning": "warning",
     "doubtful": "warning",
     "not_available": "error",
@@ -336,7 +338,7 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
     match name:
         case "QualityNote" | "note":
             yield text_of(given[0]), severity_of(given[1])
-        case "worth_knowing" | "warning" | "doubtful" | "not_available" | "blocking":
+        case "info_note" | "warning" | "doubtful" | "not_available" | "blocking":
             yield text_of(given[0]), SEVERITIES[name]
         case "_note" | "group_note":
             yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
@@ -353,7 +355,7 @@ def test_codes_behind_a_constant_are_seen() -> None:
 
 @pytest.mark.slow
 def test_every_quality_note_has_a_record_and_no_other() -> None:
-    records = {(each.code, str(one)) for each in kinds_of_notes() for one in each.severities}
+    records = {(kind.code, str(one)) for kind in kinds_of_notes() for one in kind.severities}
     in_code = {pair for node in trees() for pair in noted(node)}
     in_code |= {pair for node in trees("statistics") for pair in noted(node, usual="info")}
     in_code |= {(f"slip_{decision}", "warning") for decision in SlipDecision}
@@ -411,7 +413,7 @@ def test_every_table_of_the_file_is_described() -> None:
     from labpipe.store import layout
 
     text = page("docs/reference/result-file.md")
-    tables = [each for each in vars(layout).values() if isinstance(each, layout.Table)]
+    tables = [var for var in vars(layout).values() if isinstance(var, layout.Table)]
     assert len(tables) > 5
     for name in {name for table in tables for name in table.columns}:
         assert f"`{name}`" in text or f"/{name} " in text, name

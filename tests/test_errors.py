@@ -7,18 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe import errors
-from labpipe.errors import CODES, LabpipeError, ReadError, code_of, complaint, nearest, refusal
+from labpipe.errors import CODES, LabpipeError, ReadError, code_of, error_text, nearest, refusal
 from labpipe.readers.channels import NoChannelError
 from labpipe.studies.first_loadings import NotUsableError
 
 
 def test_grammar() -> None:
-    said = complaint("a.csv", "line 7", expected="a row", found="none", remedy="Export it again.")
+    said = error_text("a.csv", "line 7", expected="a row", found="none", remedy="Export it again.")
     assert said == "a.csv, line 7: expected a row, found none. Export it again."
 
 
 def test_no_place() -> None:
-    said = complaint("a.csv", "", expected="a row", found="none", remedy="Export it again.")
+    said = error_text("a.csv", "", expected="a row", found="none", remedy="Export it again.")
     assert said == "a.csv: expected a row, found none. Export it again."
 
 
@@ -31,7 +31,7 @@ def test_one_tree(name: str) -> None:
 
 
 def every(kind: type[LabpipeError]) -> set[type[LabpipeError]]:
-    return {kind}.union(*(every(each) for each in kind.__subclasses__()))
+    return {kind}.union(*(every(subclass) for subclass in kind.__subclasses__()))
 
 
 def test_every_error_has_a_code_of_the_list() -> None:

@@ -21,7 +21,7 @@ def test_the_example_runs_and_draws(
     monkeypatch.chdir(tmp_path)
     with rc_context():
         names = runpy.run_path(str(script))
-    figures = [each for each in names.values() if isinstance(each, Figure)]
+    figures = [name for name in names.values() if isinstance(name, Figure)]
     assert figures
     assert all(figure.axes[0].has_data() for figure in figures)
     assert all(path.name.startswith("tmp") for path in tmp_path.iterdir()), "it litters"

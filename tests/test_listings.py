@@ -54,6 +54,8 @@ def test_what_is_filled_in() -> None:
 def test_every_page_with_a_listing_is_run_or_says_why_not() -> None:
     """What is printed below a command stands on a page that is run, or is named as not run."""
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
-        shown = [each for each in commands_of(path.read_text(encoding="utf-8")) if each.printed]
+        shown = [
+            command for command in commands_of(path.read_text(encoding="utf-8")) if command.printed
+        ]
         if path.relative_to(ROOT).as_posix() not in MAKERS:
             assert not [each.words for each in shown if is_run(each.words)], path

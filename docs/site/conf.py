@@ -74,7 +74,7 @@ CODE = """\
 The code
 ========
 
-In Python, ``import labpipe`` is the door: :doc:`/docs/reference/python` says what its names give.
+In Python, ``import labpipe`` is the API: :doc:`/docs/reference/python` says what its names give.
 Here stands the code behind it, a page for each package: who writes a reader, a step or a result
 meets it. A package imports from those below it and never from those above.
 

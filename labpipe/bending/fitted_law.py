@@ -72,7 +72,7 @@ class LawFit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refined:
+class RefinedLaw:
     """A law with as many knots as the markers can tell of.
 
     Parameters
@@ -86,7 +86,7 @@ class Refined:
     change: Floats
 
 
-def refine_law(loaded: Loaded) -> Refined:
+def refine_law(loaded: Loaded) -> RefinedLaw:
     """Find a law with enough knots for its bends.
 
     Parameters
@@ -113,7 +113,7 @@ def refine_law(loaded: Loaded) -> Refined:
     better = fine.n * (fit.residual**2 - fine.residual**2)
     if better > fine.variance * np.log(fine.n) * (_LEVELS[2] - _LEVELS[1]):
         coarse, fit = fit, fine
-    return Refined(fit, _RECTANGLE * (_at_knots_of(fit, coarse) - fit.compliance))
+    return RefinedLaw(fit, _RECTANGLE * (_at_knots_of(fit, coarse) - fit.compliance))
 
 
 def _at_knots_of(fine: LawFit, coarse: LawFit) -> Floats:

@@ -150,7 +150,7 @@ class _Shared:
             yield change(self.longer_at_the_clamp(errors.offset))
             yield change(self.longer_at_the_tip(errors.offset))
         if errors.centre > 0.0:
-            yield change(self.farther_off(errors.centre))
+            yield change(self.with_centres_farther(errors.centre))
 
     def movement(self, loaded: Loaded) -> Floats:
         """How far the law moves the markers."""
@@ -193,7 +193,7 @@ class _Shared:
         extra = more * (force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle))
         return replace(self.loaded, moment=self.loaded.moment + extra)
 
-    def farther_off(self, more: float) -> Loaded:
+    def with_centres_farther(self, more: float) -> Loaded:
         """With markers whose centres are farther from the axis: it lies lower under them."""
         test, rest, places = self.test, self.test.standing, self.loaded.line.arc_length
         layout = replace(test.layout, centre_offset=test.layout.centre_offset + more)

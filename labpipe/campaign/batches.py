@@ -17,9 +17,9 @@ from typing import TypeAlias
 
 from labpipe import __version__
 from labpipe.campaign.outcomes import Outcome, outcome_of
-from labpipe.campaign.workers import Crew, Died, Raised
-from labpipe.process.attempts import Task
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool
 from labpipe.process.run import PROCESSING_VERSION
+from labpipe.process.test_runner import Task
 
 Versions: TypeAlias = tuple[str, int]
 """Of labpipe, and of its way of processing."""
@@ -46,12 +46,12 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True)
-class Unseen:
+class FilesNotVisible:
     """A test of which a worker does not see the files."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
+class LostBatch:
     """A batch that was begun before, by a worker that is gone; this one left it alone.
 
     Parameters
@@ -62,7 +62,7 @@ class Lost:
     times: int
 
 
-Ended: TypeAlias = Outcome | Died | Raised | Unseen
+Ended: TypeAlias = Outcome | ProcessDied | CallRaised | FilesNotVisible
 METADATA = "labpipe"
 """Where the scheduler keeps how often batches were begun and not ended."""
 _IDLE = 60.0
@@ -74,7 +74,7 @@ def versions() -> Versions:
     return __version__, PROCESSING_VERSION
 
 
-def do_batch(batch: Batch) -> tuple[str, Versions | Lost | list[Ended]]:
+def do_batch(batch: Batch) -> tuple[str, Versions | LostBatch | list[Ended]]:
     """Do the tests of a batch, on a worker.
 
     Parameters
@@ -95,7 +95,7 @@ def do_batch(batch: Batch) -> tuple[str, Versions | Lost | list[Ended]]:
     times = int(client.get_metadata(counter, 0))
     client.set_metadata(counter, times + 1)
     if times:
-        return address, Lost(times)
+        return address, LostBatch(times)
     ended = do_here(batch)
     # If the worker is lost before its results are fetched, they are made again: no death of theirs.
     client.set_metadata(counter, 0)
@@ -118,7 +118,7 @@ def do_here(batch: Batch) -> list[Ended]:
     with _crew(batch.limit) as crew:
         for (_, task), outcome in crew.as_they_end([(batch.home, task) for task in seen]):
             ended[task.sheet] = outcome
-    return [ended.get(task.sheet, Unseen()) for task in batch.tasks]
+    return [ended.get(task.sheet, FilesNotVisible()) for task in batch.tasks]
 
 
 def _outcome_at(given: tuple[Path, Task]) -> Outcome:
@@ -133,7 +133,7 @@ class _Kept(threading.local):
     """The process for tests of each thread of this worker, kept for the next batch for a while."""
 
     def __init__(self) -> None:
-        self.crews: dict[float | None, Crew[tuple[Path, Task], Outcome]] = {}
+        self.crews: dict[float | None, WorkerPool[tuple[Path, Task], Outcome]] = {}
         self.end = threading.Timer(0.0, lambda: None)
 
 
@@ -141,9 +141,9 @@ _KEPT = _Kept()
 
 
 @contextmanager
-def _crew(limit: float | None) -> Iterator[Crew[tuple[Path, Task], Outcome]]:
+def _crew(limit: float | None) -> Iterator[WorkerPool[tuple[Path, Task], Outcome]]:
     _KEPT.end.cancel()
-    crew = _KEPT.crews.pop(limit, None) or Crew(_outcome_at, jobs=1, limit=limit)
+    crew = _KEPT.crews.pop(limit, None) or WorkerPool(_outcome_at, jobs=1, limit=limit)
     try:
         yield crew
     except BaseException:
@@ -155,7 +155,7 @@ def _crew(limit: float | None) -> Iterator[Crew[tuple[Path, Task], Outcome]]:
     _KEPT.end.start()
 
 
-def _let_go(crews: dict[float | None, Crew[tuple[Path, Task], Outcome]]) -> None:
+def _let_go(crews: dict[float | None, WorkerPool[tuple[Path, Task], Outcome]]) -> None:
     while crews:
         with suppress(KeyError):  # taken meanwhile
             crews.popitem()[1].leave()

@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from labpipe.errors import StoreError, UsageError, complaint, refusal
+from labpipe.errors import StoreError, UsageError, error_text, refusal
+from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.run import FIGURES, SUMMARY_FILE
-from labpipe.process.targets import RESULT_FILE
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import STAGES, finish_cut_off, is_cut_off, locked, storing
@@ -86,7 +86,7 @@ def _as_typed(path: Path) -> Path:
 
 def _no_campaign(folder: Path, expected: str, found: str) -> UsageError:
     remedy = "Put the tests into raw/NAME, a folder each; results go to processed/NAME."
-    return UsageError(complaint(folder, "", expected=expected, found=found, remedy=remedy))
+    return UsageError(error_text(folder, "", expected=expected, found=found, remedy=remedy))
 
 
 @dataclass(slots=True)
@@ -122,7 +122,7 @@ def list_raw(campaign: CampaignFolders) -> RawFolder:
             found.sheets[label] = sheet
         else:
             odd, remedy = "a pipe, or a link to nowhere", "Put the test sheet there."
-            found.refused.append(complaint(sheet, "", expected="a file", found=odd, remedy=remedy))
+            found.refused.append(error_text(sheet, "", expected="a file", found=odd, remedy=remedy))
     return found
 
 
@@ -240,4 +240,4 @@ def _is_text(name: str) -> bool:
 def _unfit_name(path: str) -> str:
     shown = path.encode("utf-8", "backslashreplace").decode()
     found, remedy = "other bytes", "Rename it; it was left out."
-    return complaint(shown, "", expected="a name in UTF-8", found=found, remedy=remedy)
+    return error_text(shown, "", expected="a name in UTF-8", found=found, remedy=remedy)

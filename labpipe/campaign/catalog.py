@@ -16,10 +16,10 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path, PurePath
 from typing import Any, Final
 
-from labpipe.campaign.claims import Claim, is_alive, own_claim
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.outcome_rows import ResultRow
-from labpipe.errors import StoreError, complaint
+from labpipe.campaign.test_locks import Claim, is_alive, new_claim
+from labpipe.errors import StoreError, error_text
 
 CATALOG: Final = "catalog.sqlite"
 SCHEMA: Final = 2
@@ -114,8 +114,8 @@ class TestRow:
         return self.failed_run or self.run
 
 
-TEST_COLUMNS: Final = tuple(each.name for each in fields(TestRow))
-RESULT_COLUMNS: Final = tuple(each.name for each in fields(ResultRow))
+TEST_COLUMNS: Final = tuple(field.name for field in fields(TestRow))
+RESULT_COLUMNS: Final = tuple(field.name for field in fields(ResultRow))
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,7 +325,7 @@ class Catalog:
             sql = "select host, pid, process, since from running where folder = ?"
             if any(is_alive(Claim(*row)) for row in self._all(sql, folder)):
                 return False
-            values = (folder, *astuple(own_claim()))
+            values = (folder, *astuple(new_claim()))
             connection.execute("insert or replace into running values (?, ?, ?, ?, ?)", values)
         return True
 
@@ -398,7 +398,7 @@ def speaking(path: Path) -> Iterator[None]:
             remedy = "Look at the disk and its permissions."
         expected = "a catalog that can be read and written"
         raise StoreError(
-            complaint(path, "", expected=expected, found=said, remedy=remedy)
+            error_text(path, "", expected=expected, found=said, remedy=remedy)
         ) from error
 
 
@@ -413,7 +413,7 @@ def _put(connection: sqlite3.Connection, entry: Entry) -> None:
     holes = ", ".join("?" * len(TEST_COLUMNS))
     connection.execute(f"insert into tests values ({holes})", astuple(entry.row))
     holes = ", ".join("?" * (len(RESULT_COLUMNS) + 2))
-    results = [(folder, place, *astuple(each)) for place, each in enumerate(entry.results)]
+    results = [(folder, place, *astuple(result)) for place, result in enumerate(entry.results)]
     connection.executemany(f"insert into results values ({holes})", results)
     inputs = [(folder, place, *each) for place, each in enumerate(entry.inputs)]
     connection.executemany("insert into inputs values (?, ?, ?, ?, ?)", inputs)

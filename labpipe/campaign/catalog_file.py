@@ -20,7 +20,7 @@ from labpipe.campaign.catalog import (
     speaking,
 )
 from labpipe.campaign.remote_drives import is_on_this_machine
-from labpipe.errors import UsageError, complaint
+from labpipe.errors import UsageError, error_text
 from labpipe.store.replace import storing
 
 _DAMAGED: Final = "it was damaged ({})"
@@ -118,7 +118,7 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
     if program != PROGRAM and tables:
         found = "a data base of another program"
         raise UsageError(
-            complaint(path, "", expected="a catalog of labpipe", found=found,
+            error_text(path, "", expected="a catalog of labpipe", found=found,
                       remedy="Move it away: the catalog is made from the files of the tests.")
         )  # fmt: skip
     if version > SCHEMA:
@@ -128,7 +128,7 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
         )
         expected = f"a catalog of the version {SCHEMA}"
         raise UsageError(
-            complaint(path, "", expected=expected, found=f"version {version}", remedy=remedy)
+            error_text(path, "", expected=expected, found=f"version {version}", remedy=remedy)
         )
     missing = {*TABLES} - tables
     if missing or version != SCHEMA:

@@ -19,11 +19,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
-from labpipe.campaign.batches import METADATA, Batch, Ended, Lost, Unseen, do_batch, versions
+from labpipe.campaign.batches import (
+    METADATA,
+    Batch,
+    Ended,
+    FilesNotVisible,
+    LostBatch,
+    do_batch,
+    versions,
+)
 from labpipe.campaign.outcomes import Outcome, given_up, outcome_of, settled
-from labpipe.errors import ProcessingError, UsageError, complaint
-from labpipe.process.attempts import Task, refuse
+from labpipe.errors import ProcessingError, UsageError, error_text
 from labpipe.process.run import SUMMARY_FILE
+from labpipe.process.test_runner import Task, refuse
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -72,7 +80,7 @@ def dealt(
     if not first:
         return
     with _quiet(), _connected(address) as client:
-        dealer = _Dealer(client, chain(first, left), address, limit)
+        dealer = _BatchScheduler(client, chain(first, left), address, limit)
         try:
             yield from dealer.outcomes()
         finally:
@@ -102,7 +110,7 @@ _NO_PACKAGE = "the package distributed"
 
 
 def _no_cluster(expected: str, found: str, remedy: str) -> UsageError:
-    message = complaint("--executor", "", expected=expected, found=found, remedy=remedy)
+    message = error_text("--executor", "", expected=expected, found=found, remedy=remedy)
     return UsageError(message, code="no_cluster")
 
 
@@ -118,7 +126,7 @@ def _quiet() -> Iterator[None]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Hand:
+class _TestBatch:
     """Tests to be dealt together, and what is known of them.
 
     Parameters
@@ -134,7 +142,7 @@ class _Hand:
 
 
 @dataclass(frozen=True, slots=True)
-class _Dealt:
+class _RunningBatch:
     """A hand that is out.
 
     Parameters
@@ -144,12 +152,12 @@ class _Dealt:
     workers : that may do it; empty for all
     """
 
-    hand: _Hand
+    hand: _TestBatch
     future: Future
     workers: frozenset[str]
 
 
-class _Dealer:
+class _BatchScheduler:
     """Deals tests out, takes outcomes, and deals again what was not done."""
 
     def __init__(
@@ -159,9 +167,9 @@ class _Dealer:
         self._home, self._run = Path.cwd(), uuid4().hex
         self._numbers = count()
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._out: dict[str, _Dealt] = {}
-        self._again: deque[_Hand] = deque()
-        self._crew = _Crew(client, self._lost)
+        self._out: dict[str, _RunningBatch] = {}
+        self._again: deque[_TestBatch] = deque()
+        self._crew = _ClusterWorkers(client, self._lost)
         self._seconds = _BATCH / _FIRST
         self._was_seen = self._is_lost = False
 
@@ -176,7 +184,7 @@ class _Dealer:
                 dealt = self._out.pop(self._ended.get(timeout=_LOOK), None)
                 if dealt is not None:
                     yield from self._taken(dealt)
-            if self._crew.look_now_and_then():
+            if self._crew.refresh_workers():
                 self._take_back()
 
     def leave(self) -> None:
@@ -200,22 +208,22 @@ class _Dealer:
                 continue
             self._submit(hand, able if hand.unseen_by or self._crew.unfit else frozenset())
 
-    def _next(self) -> _Hand | None:
+    def _next(self) -> _TestBatch | None:
         size = min(max(round(_BATCH / max(self._seconds, 1e-3)), 1), _MOST)
         tasks = tuple(islice(self._tasks, size))
-        return _Hand(tasks) if tasks else None
+        return _TestBatch(tasks) if tasks else None
 
-    def _submit(self, hand: _Hand, workers: frozenset[str]) -> None:
+    def _submit(self, hand: _TestBatch, workers: frozenset[str]) -> None:
         key = f"labpipe-{self._run}-{next(self._numbers)}"
         batch = Batch((self._run, key), hand.tasks, self._home, self._limit, versions())
         with self._lost():
             future = self._client.submit(
                 do_batch, batch, key=key, pure=False, workers=sorted(workers) or None
             )
-        self._out[key] = _Dealt(hand, future, workers)
+        self._out[key] = _RunningBatch(hand, future, workers)
         future.add_done_callback(lambda done: self._ended.put(done.key))
 
-    def _taken(self, dealt: _Dealt) -> Iterator[Outcome]:
+    def _taken(self, dealt: _RunningBatch) -> Iterator[Outcome]:
         future, hand = dealt.future, dealt.hand
         if future.status == "error":
             return self._after_error(hand, future.exception())
@@ -225,14 +233,14 @@ class _Dealer:
             self._crew.judge(worker, ended)
             self._again.append(hand)
             return iter(())
-        if isinstance(ended, Lost):
+        if isinstance(ended, LostBatch):
             return self._after_death(hand, ended.times)
         return self._settled(hand, worker, ended)
 
-    def _settled(self, hand: _Hand, worker: str, ended: list[Ended]) -> Iterator[Outcome]:
+    def _settled(self, hand: _TestBatch, worker: str, ended: list[Ended]) -> Iterator[Outcome]:
         unseen, until = list[Task](), time.monotonic() + _SEEN_WITHIN
         for task, each in zip(hand.tasks, ended, strict=True):
-            if isinstance(each, Unseen):
+            if isinstance(each, FilesNotVisible):
                 if task.sheet.exists():
                     unseen.append(task)
                 else:
@@ -249,7 +257,7 @@ class _Dealer:
             by = hand.unseen_by | {worker}
             self._again.append(replace(hand, tasks=tuple(unseen), unseen_by=by))
 
-    def _after_error(self, hand: _Hand, error: BaseException) -> Iterator[Outcome]:
+    def _after_error(self, hand: _TestBatch, error: BaseException) -> Iterator[Outcome]:
         """Deal again what lost its workers; end where the cluster cannot do a batch at all."""
         from distributed import KilledWorker
 
@@ -259,15 +267,15 @@ class _Dealer:
         expected = "a scheduler and workers that can do tests"
         found = f"that one cannot ({type(error).__name__}: {_first_line(error)})"
         remedy = "Install the same labpipe on all machines, that of the scheduler too."
-        message = complaint("--executor", "", expected=expected, found=found, remedy=remedy)
+        message = error_text("--executor", "", expected=expected, found=found, remedy=remedy)
         raise ProcessingError(message, code="no_cluster") from error
 
-    def _after_death(self, hand: _Hand, times: int) -> Iterator[Outcome]:
+    def _after_death(self, hand: _TestBatch, times: int) -> Iterator[Outcome]:
         """Deal tests that lost a worker again, each alone; refuse the one that loses another."""
         deaths = hand.deaths + times
         for task in hand.tasks:
             if len(hand.tasks) == 1 and deaths >= _DEATHS:
-                reason = complaint(
+                reason = error_text(
                     task.sheet,
                     "",
                     expected="a worker that comes to the end of this test",
@@ -278,7 +286,7 @@ class _Dealer:
             else:
                 self._again.append(replace(hand, tasks=(task,), deaths=deaths))
 
-    def _without_data(self, hand: _Hand) -> Iterator[Outcome]:
+    def _without_data(self, hand: _TestBatch) -> Iterator[Outcome]:
         """Refuse what no worker sees; all of it where none has seen anything yet."""
         found = f"none (workers: {len(self._crew.fit)})"
         remedy = (
@@ -287,7 +295,7 @@ class _Dealer:
         )
         for task in hand.tasks:
             expected = "a worker that sees the files that are seen here"
-            reason = complaint(task.sheet, "", expected=expected, found=found, remedy=remedy)
+            reason = error_text(task.sheet, "", expected=expected, found=found, remedy=remedy)
             if not self._was_seen:
                 raise UsageError(reason, code="no_cluster")
             yield given_up(refuse(task, "worker_without_data", reason, is_read=False))
@@ -307,7 +315,7 @@ class _Dealer:
             yield
         except Exception as error:
             self._is_lost = True
-            message = complaint(
+            message = error_text(
                 "--executor",
                 "",
                 expected=f"the scheduler at {self._address} until all is done",
@@ -335,7 +343,7 @@ def _is_seen(outcome: Outcome, until: float) -> bool:
         time.sleep(0.1)
 
 
-class _Crew:
+class _ClusterWorkers:
     """The workers of a cluster that have this labpipe."""
 
     def __init__(self, client: Client, lost: Callable[[], AbstractContextManager[None]]) -> None:
@@ -368,7 +376,7 @@ class _Crew:
             expected = f"workers with labpipe {versions()[0]}"
             raise _no_cluster(expected, found, remedy)
 
-    def look_now_and_then(self) -> bool:
+    def refresh_workers(self) -> bool:
         """See who came and who went, if that was not done just now; tell whether it was done."""
         if time.monotonic() < self._looked + _LOOK:
             return False

@@ -123,7 +123,7 @@ class Content:
     def as_text(self) -> str:
         """Text that `parse_content` reads back."""
         said = {name: getattr(self, name) for name in ("key", "inputs", "sheet", "protocol")}
-        stamps = {name: astuple(each) for name, each in self.stamps.items()}
+        stamps = {name: astuple(stamp) for name, stamp in self.stamps.items()}
         more = {"stamps": stamps, "rests_on": self.rests_on, "about": dict(self.about)}
         return json.dumps(said | more)
 
@@ -138,7 +138,7 @@ def parse_content(text: str) -> Content | None:
     try:
         said = json.loads(text)
         said["inputs"] = tuple(map(tuple, said["inputs"]))
-        said["stamps"] = {name: Stamp(*each) for name, each in said["stamps"].items()}
+        said["stamps"] = {name: Stamp(*sentence) for name, sentence in said["stamps"].items()}
         said["rests_on"] = tuple(said["rests_on"])
         return Content(**said)
     except (ValueError, TypeError, AttributeError, KeyError):
@@ -205,7 +205,7 @@ class ContentKeys:
             return replace(self._unfit(folder, stamps, sheet.protocol), about=_about(sheet))
         exports = named_exports(sheet, resolved.protocol)
         inputs = [(role, name, stamps[name].sha256) for role, name in exports]
-        inputs += [(each.role, each.file, each.sha256) for each in cards]
+        inputs += [(card.role, card.file, card.sha256) for card in cards]
         key = key_of([(role, sha256) for role, _, sha256 in inputs], text, resolved.text)
         rests_on = self._rests_on(folder, (sheet.protocol,))
         made_of = _sha256(text), _sha256(resolved.text)
@@ -214,7 +214,7 @@ class ContentKeys:
     def _unfit(self, folder: Path, stamps: Mapping[str, Stamp], protocol: str) -> Content:
         """The content of a test that cannot be processed as it stands."""
         rests_on = self._rests_on(folder, (protocol,))
-        files = [[name, each.sha256] for name, each in stamps.items()]
+        files = [[name, stamp.sha256] for name, stamp in stamps.items()]
         parts = ["unfit", files, *rests_on[1:]]
         return Content(_sha256(json.dumps(parts)), stamps=stamps, rests_on=rests_on)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from labpipe.campaign.outcome_rows import ResultRow, plain
-from labpipe.errors import StoreError, UsageError, complaint
+from labpipe.errors import StoreError, UsageError, error_text
 from labpipe.store.read import read_run
 from labpipe.store.replace import locked, replacing
 
@@ -121,7 +121,7 @@ def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") ->
     faults = []
     if campaign and document.get("campaign", campaign) != campaign:
         faults.append(
-            complaint(
+            error_text(
                 path,
                 "campaign",
                 expected=f"decisions of {campaign!r}",
@@ -129,7 +129,7 @@ def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") ->
                 remedy="Those that were made on the same exports, sheet and protocol count.",
             )
         )
-    read = [_decision(path, number, each) for number, each in enumerate(document["decisions"])]
+    read = [_decision(path, number, key) for number, key in enumerate(document["decisions"])]
     faults += [each for each in read if isinstance(each, str)]
     decisions = tuple(each for each in read if isinstance(each, Decision))
     return DecisionFile(decisions, tuple(faults), document=document)
@@ -169,23 +169,23 @@ def checked_document(document: object, path: Path) -> dict[str, Any] | str:
 
 
 def _broken(path: Path, place: str, found: str) -> str:
-    return complaint(path, place, expected="decisions in JSON", found=found, remedy=_MEND)
+    return error_text(path, place, expected="decisions in JSON", found=found, remedy=_MEND)
 
 
 def _decision(path: Path, number: int, said: object) -> Decision | str:
     """One decision, or what is wrong with it."""
     place = f"decisions.{number}"
     if not isinstance(said, dict):
-        return complaint(path, place, expected="a decision", found=repr(said)[:60], remedy=_MEND)
+        return error_text(path, place, expected="a decision", found=repr(said)[:60], remedy=_MEND)
     missing = [key for key in _NEEDED if not str(said.get(key) or "").strip()]
     if missing:
         found = f"none of {', '.join(missing)}"
-        return complaint(path, place, expected="test, run, decision, because and by", found=found,
+        return error_text(path, place, expected="test, run, decision, because and by", found=found,
                          remedy=_MEND)  # fmt: skip
     if said["decision"] not in {ACCEPT, REJECT}:
         found = repr(said["decision"])[:60]
         expected = f"{ACCEPT} or {REJECT}"
-        return complaint(path, place, expected=expected, found=found, remedy=_MEND)
+        return error_text(path, place, expected=expected, found=found, remedy=_MEND)
     texts = {key: plain(said.get(key) or "") for key in (*_TEXTS, "note")}
     return Decision(**texts)
 
@@ -197,7 +197,7 @@ def by_test_and_run(decisions: Iterable[Decision]) -> dict[tuple[str, str], Deci
     ----------
     decisions : in order
     """
-    return {(each.test, each.run): each for each in decisions}
+    return {(decision.test, decision.run): decision for decision in decisions}
 
 
 def in_force(decisions: Iterable[Decision], *, run: str) -> Decision | None:
@@ -233,10 +233,10 @@ def not_applied(
     Each test's last decision and why it is not applied, if it is not.
     """
     last: dict[str, Decision] = {}
-    for each in decisions:
-        counts = each.test in last and last[each.test].run == runs.get(each.test)
-        if not counts or each.run == runs.get(each.test):
-            last[each.test] = each
+    for decision in decisions:
+        counts = decision.test in last and last[decision.test].run == runs.get(decision.test)
+        if not counts or decision.run == runs.get(decision.test):
+            last[decision.test] = decision
     for test, each in last.items():
         if test not in runs:
             yield each, NO_SUCH_TEST
@@ -303,7 +303,7 @@ def largest_move(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> flo
     How far the number that moved most did, in widths of its interval before; infinite where a
     result came, went, failed, or moved and has no interval.
     """
-    if [each.name for each in before] != [each.name for each in after]:
+    if [result_row.name for result_row in before] != [result_row.name for result_row in after]:
         return float("inf")
     return max(map(_move, before, after), default=0.0)
 
@@ -379,7 +379,7 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
     StoreError
         If the decisions cannot be read: a rejected test must not slip in.
     """
-    found: dict[Path, tuple[Decision, ...]] = {}
+    decisions: dict[Path, tuple[Decision, ...]] = {}
     read: dict[Path, dict[str, list[Decision]]] = {}
     for file in files:
         test = file.resolve().parent
@@ -391,10 +391,10 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
             if not known.is_whole:
                 raise StoreError("\n".join(known.faults))
             read[home] = {}
-            for each in known.decisions:
-                read[home].setdefault(each.test, []).append(each)
-        found[file] = tuple(read[home].get(test.relative_to(home).as_posix(), ()))
-    return found
+            for decision in known.decisions:
+                read[home].setdefault(decision.test, []).append(decision)
+        decisions[file] = tuple(read[home].get(test.relative_to(home).as_posix(), ()))
+    return decisions
 
 
 def label_of(file: Path, shared: Path) -> str:
@@ -431,14 +431,14 @@ def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
     for file, decisions in decisions_on(files).items():
         found = in_force(decisions, run=read_run(file)) if decisions else None
         if found is not None and found.decision == REJECT:
-            rejected[file] = said_of(found)
+            rejected[file] = decision_sentence(found)
     left = [file for file in files if file not in rejected]
     if not left:
         raise UsageError("\n".join(f"{file}: rejected: {why}" for file, why in rejected.items()))
     return left, rejected
 
 
-def said_of(decision: Decision) -> str:
+def decision_sentence(decision: Decision) -> str:
     """Say why, by whom and when something was decided.
 
     Parameters

@@ -9,8 +9,8 @@ from typing import TypeAlias
 from labpipe.campaign.machine import default_jobs
 from labpipe.campaign.outcomes import Outcome, outcome_of, settled
 from labpipe.campaign.workers import as_they_end
-from labpipe.errors import UsageError, complaint
-from labpipe.process.attempts import Task
+from labpipe.errors import UsageError, error_text
+from labpipe.process.test_runner import Task
 
 __all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local"]
 
@@ -85,5 +85,5 @@ def executor_of(text: str, *, jobs: int | None = None, limit: float | None = Non
     if text.startswith(_CLUSTER) and host and port.isdecimal():
         return dask(f"{host}:{port}", limit=limit)
     expected, remedy = f"local, or {_CLUSTER}HOST:PORT", "`dask scheduler` prints its address."
-    message = complaint("--executor", "", expected=expected, found=repr(text), remedy=remedy)
+    message = error_text("--executor", "", expected=expected, found=repr(text), remedy=remedy)
     raise UsageError(message)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
-from labpipe.errors import UsageError, complaint, nearest
+from labpipe.errors import UsageError, error_text, nearest
 from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Difference, Group, Sample
 from labpipe.records.quality import QualityNote, Severity
@@ -21,7 +21,7 @@ from labpipe.statistics.group_fields import (
     in_order,
     known_fields,
 )
-from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, parted, rarer
+from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, parted, tests_with_fewer_facts
 from labpipe.statistics.groups import compare_groups
 from labpipe.statistics.two_groups import judged
 
@@ -98,7 +98,9 @@ def setting_notes(settings: Mapping[str, Settings], noted: Sequence[str] = ()) -
     for block, own in blocks.items():
         named = {key: parted(tests) for key, tests in own.items()}
         shown = named if len(own) <= _MOST_KEYS else {block: _of_block(named)}
-        those = tuple(dict.fromkeys(test for tests in own.values() for test in rarer(tests)))
+        those = tuple(
+            dict.fromkeys(test for tests in own.values() for test in tests_with_fewer_facts(tests))
+        )
         notes += [
             QualityNote(
                 PROTOCOLS_DIFFER,
@@ -159,7 +161,7 @@ def settings_by_test(
     }
 
 
-def unlike_words(settings: Mapping[str, Settings]) -> tuple[str, ...]:
+def differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
     """Name the settings that differ among the tests of a comparison; empty where none does.
 
     Parameters
@@ -315,7 +317,7 @@ def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) 
     if not unknown:
         return
     best = nearest(unknown[0], known, most=1)[0]
-    message = complaint(
+    message = error_text(
         option,
         "",
         expected=f"fields of these test sheets, which are {', '.join(known)}",
@@ -340,10 +342,10 @@ def with_own_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]
     times = Counter(spool for spool, _ in belong)
     shared = sorted(spool for spool, count in times.items() if count > 1)
     named = [
-        replace(each, specimen=replace(own, spool=f"{own.type} {own.spool}"))
-        if (own := each.specimen).spool in shared
-        else each
-        for each in samples
+        replace(sample, specimen=replace(own, spool=f"{own.type} {own.spool}"))
+        if (own := sample.specimen).spool in shared
+        else sample
+        for sample in samples
     ]
     return named, shared
 
@@ -416,8 +418,8 @@ def _judged(differences: Sequence[Difference]) -> Iterator[Difference]:
     found = {
         family: iter(judged(family, own) if family else own) for family, own in families.items()
     }
-    for each in differences:
-        yield next(found[each.family])
+    for difference in differences:
+        yield next(found[difference.family])
 
 
 def _question_first(pair: Sequence[Difference]) -> tuple[int, str]:
@@ -441,8 +443,8 @@ def _compared(
     if len(fields) == 1 and _is_backwards(fields):
         one, other = other, one
         fields = {name: (after, before) for name, (before, after) in fields.items()}
-    unlike = unlike_words(settings_by_test((*one.samples, *other.samples), settings))
-    names = said.main or tuple(each.name for each in one.numbers[:1])
+    unlike = differing_settings(settings_by_test((*one.samples, *other.samples), settings))
+    names = said.main or tuple(number.name for number in one.numbers[:1])
     compared = compare_groups(one, other, names=names, margin=said.margin)
     return [
         replace(

@@ -41,9 +41,9 @@ def _free_memory() -> int | None:
 
 def _free_on_machine() -> int | None:
     with suppress(OSError, ValueError):
-        found = re.search(r"^MemAvailable:\s+(\d+) kB$", _MEMINFO.read_text("ascii"), re.MULTILINE)
-        if found:
-            return 1024 * int(found[1])
+        match = re.search(r"^MemAvailable:\s+(\d+) kB$", _MEMINFO.read_text("ascii"), re.MULTILINE)
+        if match:
+            return 1024 * int(match[1])
     with suppress(ImportError):
         import psutil
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from labpipe.campaign.campaign_folders import OutcomeFiles
-from labpipe.errors import complaint
+from labpipe.errors import error_text
+from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.run import SUMMARY_FILE
-from labpipe.process.targets import RESULT_FILE
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.summaries import SUMMARY_SCHEMA, sealed
 
@@ -147,7 +147,7 @@ def _summary(path: Path) -> StoredOutcome:
     if said is None:
         return StoredOutcome(unreadable=f"{SUMMARY_FILE} cannot be read")
     if isinstance(said.get("schema"), int) and said["schema"] > SUMMARY_SCHEMA:
-        reason = complaint(
+        reason = error_text(
             path,
             "schema",
             expected=f"{SUMMARY_SCHEMA}, or one before it",
@@ -164,7 +164,7 @@ def _summary(path: Path) -> StoredOutcome:
 def _outcome(said: Mapping[str, Any]) -> StoredOutcome:
     made_of = said.get("made_of") or {}
     results = tuple(_row(entry) for entry in said["results"])
-    doubted = next((each for each in results if each.status != "ok"), None)
+    doubted = next((result for result in results if result.status != "ok"), None)
     return StoredOutcome(
         test=plain(said["test"]),
         protocol=plain(said["protocol"]),
@@ -183,7 +183,10 @@ def _outcome(said: Mapping[str, Any]) -> StoredOutcome:
 
 
 def _inputs(said: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, str, str], ...]:
-    return tuple((plain(each["role"]), plain(each["file"]), plain(each["sha256"])) for each in said)
+    return tuple(
+        (plain(sentence["role"]), plain(sentence["file"]), plain(sentence["sha256"]))
+        for sentence in said
+    )
 
 
 def _row(entry: Mapping[str, Any]) -> ResultRow:
@@ -203,8 +206,8 @@ def _row(entry: Mapping[str, Any]) -> ResultRow:
         level=level,
         estimate=estimate,
         status=plain(entry["status"]),
-        code=plain(", ".join(str(each["code"]) for each in said)),
-        reason=plain("; ".join(str(each["message"]) for each in said)),
+        code=plain(", ".join(str(sentence["code"]) for sentence in said)),
+        reason=plain("; ".join(str(sentence["message"]) for sentence in said)),
         seal=seal,
     )
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from labpipe.campaign.workers import Died, Raised, why
-from labpipe.process.attempts import Refused, Task, attempt, refuse
+from labpipe.campaign.workers import CallRaised, ProcessDied, why
+from labpipe.process.test_runner import Refused, Task, attempt, refuse
 from labpipe.records.result import Status
 
 State: TypeAlias = Literal["ok", "doubtful", "failed"]
@@ -51,7 +51,9 @@ def outcome_of(task: Task) -> Outcome:
     seconds = time.perf_counter() - start
     if isinstance(done, Refused):
         return given_up(done, seconds)
-    doubted = next((each for each in done.result.results if each.status is not Status.OK), None)
+    doubted = next(
+        (result for result in done.result.results if result.status is not Status.OK), None
+    )
     if doubted is None:
         return Outcome(task.sheet, done.folder, "ok", run=done.result.run, seconds=seconds)
     first, run = doubted.reasons[0], done.result.run
@@ -59,7 +61,7 @@ def outcome_of(task: Task) -> Outcome:
     return Outcome(task.sheet, done.folder, "doubtful", first.code, reason, run, seconds)
 
 
-def settled(task: Task, ended: Outcome | Died | Raised) -> Outcome:
+def settled(task: Task, ended: Outcome | ProcessDied | CallRaised) -> Outcome:
     """Make an outcome of what came from the process of a test.
 
     Parameters
@@ -72,9 +74,9 @@ def settled(task: Task, ended: Outcome | Died | Raised) -> Outcome:
     Exception
         What cannot be: that the process could not hand over what it had.
     """
-    if isinstance(ended, Raised):
+    if isinstance(ended, CallRaised):
         raise ended.error
-    if isinstance(ended, Died):
+    if isinstance(ended, ProcessDied):
         return given_up(refuse(task, *why(task.sheet, ended), is_read=False))
     return ended
 

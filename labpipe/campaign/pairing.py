@@ -9,10 +9,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labpipe.errors import LabpipeError, ProtocolError, StoreError, complaint
-from labpipe.process.fitting_protocols import all_protocols, majority
-from labpipe.process.new_sheets import write_seen
-from labpipe.process.seen_tests import SeenTest, neighbours_in, safe_name, see_test
+from labpipe.errors import LabpipeError, ProtocolError, StoreError, error_text
+from labpipe.process.protocol_match import all_protocols, majority
+from labpipe.process.sheet_inference import InferredTest, infer_test, neighbours_in, safe_name
+from labpipe.process.sheet_writing import write_seen
 from labpipe.protocol.campaign_plan import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.load import (
     find_protocol,
@@ -59,7 +59,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class RawListing:
     """What lies where exports come to.
 
     Parameters
@@ -112,7 +112,7 @@ def plan_of(folder: Path) -> CampaignPlan:
 
 def list_candidates(
     folder: Path, plan: CampaignPlan, *, rests: Callable[[Path], bool] = lambda _: False
-) -> Listed:
+) -> RawListing:
     """List the tests of a campaign by its rules, without opening a file.
 
     Parameters
@@ -128,16 +128,16 @@ def list_candidates(
     """
     if isinstance(plan.pair, ByName):
         listed = _by_name(folder, plan.pair)
-        kept = tuple(each for each in listed.candidates if not rests(each.folder))
-        return Listed(kept, listed.strangers)
+        kept = tuple(candidate for candidate in listed.candidates if not rests(candidate.folder))
+        return RawListing(kept, listed.strangers)
     return _by_folder(folder, plan.pair, rests)
 
 
-def _by_folder(folder: Path, pair: ByFolder, rests: Callable[[Path], bool]) -> Listed:
+def _by_folder(folder: Path, pair: ByFolder, rests: Callable[[Path], bool]) -> RawListing:
     candidates, strangers = list[Candidate](), dict[Path, str]()
     for place in _test_folders(folder, rests):
         files = {name: place / name for name in _names(place) if _may_be_export(name)}
-        for name in [each for each in files if has_control_characters(each)]:
+        for name in [file for file in files if has_control_characters(file)]:
             strangers[files.pop(name)] = "its name has control characters; rename it"
         values = _folder_values(place, pair)
         if values is None:
@@ -146,7 +146,7 @@ def _by_folder(folder: Path, pair: ByFolder, rests: Callable[[Path], bool]) -> L
             candidates.append(Candidate(place, files, values))
     loose = [folder / name for name in _names(folder) if _may_be_export(name)]
     strangers |= dict.fromkeys(loose, "it is in no folder of a test")
-    return Listed(tuple(candidates), strangers)
+    return RawListing(tuple(candidates), strangers)
 
 
 def _test_folders(folder: Path, rests: Callable[[Path], bool]) -> Iterator[Path]:
@@ -165,14 +165,16 @@ def _folder_values(place: Path, pair: ByFolder) -> dict[str, str] | None:
     return {} if pair.pattern is None else pair.pattern.match(place.name)
 
 
-def _by_name(folder: Path, pair: ByName) -> Listed:
+def _by_name(folder: Path, pair: ByName) -> RawListing:
     top = folder / pair.source
     patterns = pair.patterns
     found: dict[tuple[str, ...], dict[str, Path]] = {}
     names: dict[tuple[str, ...], tuple[str, dict[str, str]]] = {}
     strangers: dict[Path, str] = {}
-    for name in _below(top, depth=1 + max(each.text.count("/") for each in patterns.values())):
-        roles = {role: each.match(name) for role, each in patterns.items()}
+    for name in _below(
+        top, depth=1 + max(pattern.text.count("/") for pattern in patterns.values())
+    ):
+        roles = {role: pattern.match(name) for role, pattern in patterns.items()}
         fits = {role: values for role, values in roles.items() if values is not None}
         if has_control_characters(name):
             strangers[top / name] = "its name has control characters; rename it"
@@ -182,7 +184,7 @@ def _by_name(folder: Path, pair: ByName) -> Listed:
             strangers[top / name] = f"its name is of several patterns: {', '.join(fits)}"
         else:
             ((role, values),) = fits.items()
-            key = tuple(f"{each}={values[each].casefold()}" for each in sorted(values))
+            key = tuple(f"{key}={values[key].casefold()}" for key in sorted(values))
             if role in found.setdefault(key, {}):
                 other = found[key][role].name
                 strangers[top / name] = f"{other} is the {role} of the same test already"
@@ -194,7 +196,7 @@ def _by_name(folder: Path, pair: ByName) -> Listed:
         Candidate(folder / names[key][0], files, names[key][1], by_role=True)
         for key, files in found.items()
     ]
-    return Listed(tuple(sorted(candidates, key=lambda each: each.name)), strangers)
+    return RawListing(tuple(sorted(candidates, key=lambda candidate: candidate.name)), strangers)
 
 
 def _names(folder: Path) -> list[str]:
@@ -268,7 +270,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
         return Written(None, missing=early)
     copies = _bring_together(candidate)
     around = neighbours_in(candidate.folder.resolve().parent)
-    seen = see_test(candidate.folder, given_by(plan, candidate), neighbours=around)
+    seen = infer_test(candidate.folder, given_by(plan, candidate), neighbours=around)
     missing = _missing(seen, plan, around.beside(candidate.folder), waited)
     if seen.unread or missing:
         _take_back(copies, candidate.folder)
@@ -290,7 +292,9 @@ def _with_sheet(candidate: Candidate) -> Written:
     elsewhere = [path for path in candidate.files.values() if path.parent != candidate.folder]
     newer = [path.name for path in elsewhere if _differs(path, candidate.folder / path.name)]
     said = [f"{name} is another one than its copy in the folder of the test" for name in newer]
-    return Written(candidate.sheet, tuple(f"look: {each}; the copy counts" for each in said))
+    return Written(
+        candidate.sheet, tuple(f"look: {sentence}; the copy counts" for sentence in said)
+    )
 
 
 def _differs(path: Path, copy: Path) -> bool:
@@ -301,7 +305,7 @@ def _differs(path: Path, copy: Path) -> bool:
     return (one.st_size, int(one.st_mtime)) != (other.st_size, int(other.st_mtime))
 
 
-def with_blocks(seen: SeenTest, plan: CampaignPlan) -> SeenTest:
+def with_blocks(seen: InferredTest, plan: CampaignPlan) -> InferredTest:
     """Add what the plan says of every test and no column holds: labels, bundle, overrides.
 
     Parameters
@@ -310,7 +314,7 @@ def with_blocks(seen: SeenTest, plan: CampaignPlan) -> SeenTest:
     plan : of the campaign
     """
     rest = {key: value for key, value in plan.specimen.items() if key not in _COLUMNS}
-    overrides = {key: each.model_dump() for key, each in plan.overrides.items()}
+    overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
     return replace(seen, blocks={"specimen": rest, "overrides": overrides})
 
 
@@ -328,7 +332,7 @@ def _needed(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
 
 
 def _missing(
-    seen: SeenTest, plan: CampaignPlan, others: Mapping[str, int], waited: float
+    seen: InferredTest, plan: CampaignPlan, others: Mapping[str, int], waited: float
 ) -> tuple[str, ...]:
     """Roles that are waited for, by what was seen in the folder and what other tests are."""
     if plan.wait_for is not None:
@@ -340,7 +344,7 @@ def _missing(
 
 
 def _roles(
-    seen: SeenTest, plan: CampaignPlan, others: Mapping[str, int]
+    seen: InferredTest, plan: CampaignPlan, others: Mapping[str, int]
 ) -> tuple[list[str], list[str]]:
     """Roles that a test needs, and those that it may lack and that are waited for a while.
 
@@ -353,7 +357,7 @@ def _roles(
         needed = _needed_of(own)
         return needed, [role for role in own if role not in needed]
     of_others = [_sources(name, seen.folder) for name in others if name]
-    of_any = (each.sources for each in all_protocols())
+    of_any = (protocol.sources for protocol in all_protocols())
     may_be = _that_take(seen, of_others) or _that_take(seen, of_any)
     usual = _sources(majority(others), seen.folder)
     own = usual if usual in may_be else _sources(seen.values.get("protocol", ""), seen.folder)
@@ -363,7 +367,7 @@ def _roles(
 
 
 def _that_take(
-    seen: SeenTest, several: Iterable[Mapping[Role, Source]]
+    seen: InferredTest, several: Iterable[Mapping[Role, Source]]
 ) -> list[Mapping[Role, Source]]:
     return [sources for sources in several if sources.keys() >= seen.files.keys()]
 
@@ -392,7 +396,7 @@ def _bring_together(candidate: Candidate) -> list[Path]:
                 remedy = "Take away the one that is wrong."
                 found = "another file of that name"
                 raise StoreError(
-                    complaint(goal, "", expected=f"a copy of {path}", found=found, remedy=remedy)
+                    error_text(goal, "", expected=f"a copy of {path}", found=found, remedy=remedy)
                 )
             continue
         with storing(goal):

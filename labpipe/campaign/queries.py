@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from labpipe.campaign.catalog import Catalog
-from labpipe.errors import UsageError, complaint, nearest
+from labpipe.errors import UsageError, error_text, nearest
 from labpipe.store.replace import replacing
 
 COLUMNS: Final = {
@@ -125,7 +125,7 @@ def _asked(connection: sqlite3.Connection, where: str, fields: dict[str, str]) -
         first = list(islice(rows, 1))  # what is wrong may show with the first row only
     except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
         raise _no_condition(where, error, list(columns)) from error
-    names = tuple(each[0] for each in rows.description)
+    names = tuple(row[0] for row in rows.description)
 
     def counted() -> int:
         counts = connection.execute(f"select count(*) from ({sql})")
@@ -153,7 +153,7 @@ def _no_condition(where: str, error: Exception, columns: list[str]) -> UsageErro
     elif "not authorized" in said or "prohibited" in said:
         remedy = "A condition can only look at the columns."
     return UsageError(
-        complaint("--where", repr(where), expected="a condition in SQL", found=said, remedy=remedy)
+        error_text("--where", repr(where), expected="a condition in SQL", found=said, remedy=remedy)
     )
 
 
@@ -169,16 +169,16 @@ def _fields(connection: sqlite3.Connection) -> dict[str, str]:
         " where json_each.type in ('real', 'integer', 'text') order by key"
     )
     labels = "select distinct key from tests, json_each(tests.specimen, '$.labels') order by key"
-    found: dict[str, str] = {}
+    fields: dict[str, str] = {}
     for sql, place in ((numbers, ""), (labels, "labels")):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
-            if name in COLUMNS or name in found or len(found) >= _MOST_FIELDS or '"' in name:
+            if name in COLUMNS or name in fields or len(fields) >= _MOST_FIELDS or '"' in name:
                 continue
             path = ".".join(filter(None, ("$", place, json.dumps(key, ensure_ascii=False))))
             quoted = path.replace("'", "''")
-            found[name] = f"json_extract(tests.specimen, '{quoted}')"
-    return found
+            fields[name] = f"json_extract(tests.specimen, '{quoted}')"
+    return fields
 
 
 def write_answer(answer: Answer, form: str, out: IO[str]) -> int:
@@ -199,7 +199,7 @@ def write_answer(answer: Answer, form: str, out: IO[str]) -> int:
 
 def _table(answer: Answer, out: IO[str]) -> int:
     """Keys, and columns that hold nothing in the first rows or repeat the first, are left out."""
-    head = [[_cell(each) for each in row] for row in islice(answer.rows, _SAMPLED)]
+    head = [[_cell(cell) for cell in row] for row in islice(answer.rows, _SAMPLED)]
     shown = [
         n
         for n, name in enumerate(answer.columns)
@@ -210,7 +210,7 @@ def _table(answer: Answer, out: IO[str]) -> int:
     if shown:
         out.write("  ".join(f"{names[n]:<{widths[n]}}" for n in shown).rstrip() + "\n")
     count = 0
-    for row in chain(head, ([_cell(each) for each in row] for row in answer.rows)):
+    for row in chain(head, ([_cell(cell) for cell in row] for row in answer.rows)):
         out.write("  ".join(f"{row[n]:<{widths[n]}}" for n in shown).rstrip() + "\n")
         count += 1
     return count
@@ -286,7 +286,7 @@ def write_workbook(answer: Answer, path: Path) -> int:
     if count > _MOST_ROWS:
         remedy = "Ask for less with --where, or take --out csv."
         expected = f"{_MOST_ROWS} rows at the most"
-        raise UsageError(complaint(path, "", expected=expected, found=f"{count}", remedy=remedy))
+        raise UsageError(error_text(path, "", expected=expected, found=f"{count}", remedy=remedy))
     book = Workbook(write_only=True)
     sheet = book.create_sheet("results")
     for row in chain([answer.columns], answer.rows):

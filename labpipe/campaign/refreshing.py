@@ -33,7 +33,6 @@ from labpipe.campaign.catalog import (
     can_write,
 )
 from labpipe.campaign.catalog_file import NoCatalog, new_catalog, open_catalog
-from labpipe.campaign.claims import Claim
 from labpipe.campaign.content_keys import Content, ContentKeys, changes, parse_content
 from labpipe.campaign.decisions import (
     REJECT,
@@ -46,7 +45,8 @@ from labpipe.campaign.decisions import (
     read_decisions,
 )
 from labpipe.campaign.outcome_rows import NEWER_RESULT, StoredOutcome, plain, read_outcome_files
-from labpipe.errors import LabpipeError, StoreError, complaint
+from labpipe.campaign.test_locks import Claim
+from labpipe.errors import LabpipeError, StoreError, error_text
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import locked
@@ -95,7 +95,7 @@ class Overview:
 
 
 @contextmanager
-def opened_campaign(campaign: CampaignFolders, *, anew: bool = False) -> Iterator[Keeper]:
+def opened_campaign(campaign: CampaignFolders, *, anew: bool = False) -> Iterator[CatalogSync]:
     """Open the catalog of a campaign; it is made anew where there is no sound one.
 
     Parameters
@@ -111,7 +111,7 @@ def opened_campaign(campaign: CampaignFolders, *, anew: bool = False) -> Iterato
     notes: list[str] = []
     catalog = _opened(campaign, notes, anew=anew)
     try:
-        yield Keeper(campaign, catalog, notes)
+        yield CatalogSync(campaign, catalog, notes)
     finally:
         catalog.close()
 
@@ -145,13 +145,13 @@ def _refuse_at_work(catalog: Catalog) -> None:
     for folder, claim in catalog.claims().items():
         found = f"process {claim.pid} on {claim.host.split()[0]} at work on {folder!r}"
         remedy = "Wait until it is done, or end it, and try again."
-        text = complaint(
+        text = error_text(
             catalog.path, "", expected="no process at work", found=found, remedy=remedy
         )
         raise StoreError(text)
 
 
-class Keeper:
+class CatalogSync:
     """Keeps the catalog of a campaign in step with its files.
 
     Parameters
@@ -253,8 +253,8 @@ class Keeper:
     def _overview(self, rows: dict[str, TestRow], raw: RawFolder) -> Overview:
         runs = {folder: row.attempt for folder, row in rows.items()}
         decisions = [
-            (each, self._in_force.get((each.test, runs.get(each.test, ""))) is each)
-            for each in self._decisions.decisions
+            (decision, self._in_force.get((decision.test, runs.get(decision.test, ""))) is decision)
+            for decision in self._decisions.decisions
         ]
         self.catalog.put_decisions(decisions)
         notes = [*self.notes, *self._decisions.faults, *raw.refused]

@@ -68,7 +68,7 @@ def frames_at_steps(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
     """
     none = np.empty(0, dtype=np.int64), np.empty(0)
     branches = result.curve.branches if result.curve is not None else ()
-    first = next((each for each in branches if each.direction is Direction.LOADING), None)
+    first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
     if first is None or result.curve is None:
         return none
     way: Floats = np.interp(time, result.curve.time, result.curve.displacement)
@@ -115,7 +115,9 @@ def _thin(result: TestResult, branch: Branch) -> SampleCurve:
 
 def _stop_before_failure(result: TestResult, branch: Branch, displacement: Floats) -> int:
     """Where a branch ends: at its last sample, or at the last one before the specimen broke."""
-    at = next((each.value for each in result.results if each.name == "failure_displacement"), None)
+    at = next(
+        (result.value for result in result.results if result.name == "failure_displacement"), None
+    )
     if at is None or branch.direction is not Direction.LOADING:
         return branch.stop
     beyond = np.flatnonzero(displacement[branch.start : branch.stop] > at)

@@ -15,10 +15,10 @@ from labpipe.campaign.decisions import (
     REJECT,
     Decision,
     decision_entry,
+    decision_sentence,
     decisions_on,
     in_force,
     label_of,
-    said_of,
 )
 from labpipe.campaign.grouping import (
     Settings,
@@ -32,11 +32,11 @@ from labpipe.campaign.grouping import (
     with_own_spools,
     without,
 )
+from labpipe.campaign.protocol_facts import NumberKinds, number_kinds, with_sizes
 from labpipe.campaign.report_samples import frames_at_steps, sample_of
-from labpipe.campaign.stated import NumberKinds, number_kinds, with_sizes
 from labpipe.campaign.test_pages import pages_of
 from labpipe.errors import LabpipeError, UsageError
-from labpipe.process.targets import (
+from labpipe.process.output_paths import (
     find_copies,
     find_results,
     recording_of,
@@ -60,7 +60,7 @@ from labpipe.studies.wire_specs import read_wire_sheet
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ReportOptions:
     """What a report is wanted to show.
 
     Parameters
@@ -76,11 +76,11 @@ class Wanted:
     wires: Path | None = None
 
 
-AS_SHEETS_DIFFER = Wanted()
+AS_SHEETS_DIFFER = ReportOptions()
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
+class ReportContext:
     """What a report has beside groups and comparisons.
 
     Parameters
@@ -95,7 +95,7 @@ class Beside:
     has_test_pages: bool = False
 
 
-NOTHING_BESIDE = Beside()
+NOTHING_BESIDE = ReportContext()
 
 
 RECIPE_FILE = "report.json"
@@ -113,8 +113,8 @@ class Recipe:
     """
 
     title: str = ""
-    wanted: Wanted = AS_SHEETS_DIFFER
-    beside: Beside = NOTHING_BESIDE
+    wanted: ReportOptions = AS_SHEETS_DIFFER
+    beside: ReportContext = NOTHING_BESIDE
 
     @classmethod
     def read(cls, folder: Path) -> Recipe:
@@ -125,8 +125,10 @@ class Recipe:
             letterhead = Letterhead(
                 tuple((name, said) for name, said in kept["letterhead"]), kept["logo"]
             )
-            beside = Beside(letterhead, tuple(kept["figures"]), kept["pages"])
-            return cls(kept["title"], Wanted(tuple(kept["by"]), kept["compare"], wires), beside)
+            beside = ReportContext(letterhead, tuple(kept["figures"]), kept["pages"])
+            return cls(
+                kept["title"], ReportOptions(tuple(kept["by"]), kept["compare"], wires), beside
+            )
         except (OSError, ValueError, KeyError, TypeError):  # of an earlier labpipe, or changed
             return cls()
 
@@ -157,12 +159,12 @@ class Recipe:
         logo = own.letterhead.logo or then.letterhead.logo
         return Recipe(
             self.title or earlier.title,
-            Wanted(
+            ReportOptions(
                 self.wanted.by or earlier.wanted.by,
                 self.wanted.alone or earlier.wanted.alone,
                 self.wanted.wires or earlier.wanted.wires,
             ),
-            Beside(
+            ReportContext(
                 Letterhead(tuple(facts.items()), logo),
                 own.formats or then.formats,
                 own.has_test_pages or then.has_test_pages,
@@ -192,8 +194,8 @@ def report_tests(
     out: Path | None = None,
     title: str = "",
     say: Callable[[str], None] = lambda _: None,
-    wanted: Wanted = AS_SHEETS_DIFFER,
-    beside: Beside = NOTHING_BESIDE,
+    wanted: ReportOptions = AS_SHEETS_DIFFER,
+    beside: ReportContext = NOTHING_BESIDE,
 ) -> Reported:
     """Put processed tests together into one report.
 
@@ -235,7 +237,7 @@ def make_campaign(
     files: Sequence[Path],
     title: str,
     say: Callable[[str], None] = lambda _: None,
-    wanted: Wanted = AS_SHEETS_DIFFER,
+    wanted: ReportOptions = AS_SHEETS_DIFFER,
 ) -> Campaign:
     """Read processed tests one after the other and put them into groups.
 
@@ -317,9 +319,9 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
         read.decisions.extend(decided.get(file, ()))
         decision = in_force(decided.get(file, ()), run=result.run)
         if decision is not None:
-            sample = replace(sample, decided=said_of(decision))
+            sample = replace(sample, decided=decision_sentence(decision))
         if decision is not None and decision.decision == REJECT:
-            read.rejected[str(file)] = said_of(decision)
+            read.rejected[str(file)] = decision_sentence(decision)
             read.rejected_samples.append(sample)
             continue
         read.wishes[result.protocol] = protocol.groups
@@ -330,9 +332,9 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
     if not read.samples:
         said = [f"{file}: rejected: {why}" for file, why in read.rejected.items()]
         raise UsageError("\n".join([*read.left_out.values(), *said]))
-    refuse_repeated([(each.test, Path(each.source)) for each in read.samples], "name")
+    refuse_repeated([(sample.test, Path(sample.source)) for sample in read.samples], "name")
     copies = find_copies(recordings)
-    samples = [each for each in read.samples if each.source not in copies]
+    samples = [sample for sample in read.samples if sample.source not in copies]
     return replace(read, samples=samples, left_out=read.left_out | copies)
 
 
@@ -359,8 +361,8 @@ def _group(
     samples, renamed = with_own_spools(members)
     # Results that say something about the specimen, so that no table has to leave any out.
     of_specimens = [
-        replace(each, results=tuple(one for one in each.results if is_main(one.name)))
-        for each in samples
+        replace(sample, results=tuple(one for one in sample.results if is_main(one.name)))
+        for sample in samples
     ]
     group = build_group(
         name,

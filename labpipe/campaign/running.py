@@ -12,8 +12,8 @@ from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog import FAILED, PENDING, STALE, TestRow
 from labpipe.campaign.decisions import Decision, add_decisions, now
 from labpipe.campaign.executors import Executor, Outcome, Task
-from labpipe.campaign.refreshing import Keeper, Overview, opened_campaign
-from labpipe.errors import StoreError, UsageError, complaint, nearest
+from labpipe.campaign.refreshing import CatalogSync, Overview, opened_campaign
+from labpipe.errors import StoreError, UsageError, error_text, nearest
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import storing
@@ -23,7 +23,7 @@ _PAUSE, _TRIES = 1.0, 60
 
 
 @dataclass(slots=True)
-class Ran:
+class RunSummary:
     """What a run did.
 
     Parameters
@@ -62,7 +62,7 @@ def run_campaign(
     follow_links: bool = False,
     begin: Callable[[int], None] = lambda _: None,
     told: Callable[[str, Outcome], None] = lambda *_: None,
-) -> Ran:
+) -> RunSummary:
     """Process what is new or changed in a campaign, and nothing else.
 
     Parameters
@@ -135,7 +135,7 @@ class _Run:
 
     def __init__(
         self,
-        keeper: Keeper,
+        keeper: CatalogSync,
         drawing: Drawing,
         *,
         follow_links: bool,
@@ -145,7 +145,7 @@ class _Run:
         self._follow_links = follow_links
         self._at_work: dict[Path, str] = {}
         self._in_use: list[str] = []
-        self._ran = Ran(Overview({}))
+        self._ran = RunSummary(Overview({}))
 
     def all(
         self,
@@ -153,7 +153,7 @@ class _Run:
         only: Collection[str] | None,
         again: Collection[str],
         begin: Callable[[int], None],
-    ) -> Ran:
+    ) -> RunSummary:
         """Process all that is due."""
         keeper = self._keeper
         keeper.catalog.release_dead()
@@ -232,7 +232,7 @@ class _Run:
 
 def _cannot_write(campaign: CampaignFolders) -> StoreError:
     return StoreError(
-        complaint(
+        error_text(
             campaign.processed,
             "",
             expected="a folder to write in",
@@ -302,7 +302,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
             near = nearest(code, known, most=1)
             remedy = f"Nearest: {near[0]}." if near else "There is nothing to do."
             raise UsageError(
-                complaint(campaign.processed, "", expected=f"failures of the code {code!r}",
+                error_text(campaign.processed, "", expected=f"failures of the code {code!r}",
                           found=found, remedy=remedy)
             )  # fmt: skip
         for folder in chosen:
@@ -339,7 +339,7 @@ def decide(campaign: CampaignFolders, test: str, said: Decision) -> TestRow:
         if not row.attempt:
             found, remedy = "one that was not", "Process it first: labpipe campaign run."
             raise UsageError(
-                complaint(test, "", expected="a test that was processed", found=found,
+                error_text(test, "", expected="a test that was processed", found=found,
                           remedy=remedy)
             )  # fmt: skip
         entry = Decision(row.folder, row.attempt, said.decision, said.because, said.by, now())
@@ -359,4 +359,4 @@ def _row_called(campaign: CampaignFolders, overview: Overview, test: str) -> Tes
     found = f"{len(named)} of that name" if named else "none of that name"
     expected = f"a test of {campaign.name!r}"
     remedy = f"Nearest: {', '.join(known)}." if known else "Look with labpipe campaign status."
-    raise UsageError(complaint(test, "", expected=expected, found=found, remedy=remedy))
+    raise UsageError(error_text(test, "", expected=expected, found=found, remedy=remedy))

@@ -8,11 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from labpipe.campaign.workers import Died, in_processes, why
+from labpipe.campaign.workers import ProcessDied, in_processes, why
 from labpipe.errors import LabpipeError, ProcessingError
-from labpipe.process.attempts import Refused, Say, Task, attempt, refuse
-from labpipe.process.run import Processed, goal_of, name_of
-from labpipe.process.targets import refuse_repeated
+from labpipe.process.output_paths import refuse_repeated
+from labpipe.process.run import Processed, name_of, results_folder_of
+from labpipe.process.test_runner import Refused, Say, Task, attempt, refuse
 
 T = TypeVar("T")
 
@@ -79,15 +79,15 @@ def _goals(tests: Sequence[Path], out: Path | None) -> dict[Path, Path | Labpipe
     goals: dict[Path, Path | LabpipeError] = {}
     for test in tests:
         try:
-            goals[test] = goal_of(test, out, partial(name_of, test))
+            goals[test] = results_folder_of(test, out, partial(name_of, test))
         except LabpipeError as error:
             goals[test] = error
     return goals
 
 
-def _next(task: Task, outcomes: Iterator[Processed | Refused | Died]) -> Processed | Refused:
+def _next(task: Task, outcomes: Iterator[Processed | Refused | ProcessDied]) -> Processed | Refused:
     done = next(outcomes)
-    if isinstance(done, Died):
+    if isinstance(done, ProcessDied):
         return refuse(task, *why(task.sheet, done), is_read=False)
     return done
 
@@ -118,7 +118,7 @@ def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
         return [call() for call in calls]
     given: list[T] = []
     for outcome in in_processes(calls, jobs=jobs):
-        if isinstance(outcome, Died):
+        if isinstance(outcome, ProcessDied):
             code, reason = why("labpipe", outcome)
             raise ProcessingError(reason, code=code)
         given.append(outcome)

@@ -19,13 +19,13 @@ from labpipe.campaign.decisions import (
     now,
     read_decision_file,
 )
-from labpipe.errors import LabpipeError, UsageError, complaint
-from labpipe.process.targets import RESULT_FILE, files_below
+from labpipe.errors import LabpipeError, UsageError, error_text
+from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.store.read import read_run
 
 
 @dataclass(slots=True)
-class TakenIn:
+class ImportedDecisions:
     """What became of decisions that were handed in.
 
     Parameters
@@ -40,7 +40,9 @@ class TakenIn:
     left: list[tuple[Decision, str]] = field(default_factory=list)
 
 
-def take_in_file(folder: Path, campaign: str, file: Path) -> tuple[TakenIn, tuple[str, ...]]:
+def take_in_file(
+    folder: Path, campaign: str, file: Path
+) -> tuple[ImportedDecisions, tuple[str, ...]]:
     """Take in the decisions of a file that a page saved.
 
     Parameters
@@ -61,12 +63,12 @@ def take_in_file(folder: Path, campaign: str, file: Path) -> tuple[TakenIn, tupl
     if not file.is_file():
         found, remedy = "nothing of that name", "A page saves it in the folder of downloads."
         raise UsageError(
-            complaint(file, "", expected="a file that a page saved", found=found, remedy=remedy)
+            error_text(file, "", expected="a file that a page saved", found=found, remedy=remedy)
         )
     if file.resolve() == (folder / DECISIONS).resolve():
         found, remedy = "the campaign's own", "What stands in it counts already."
         raise UsageError(
-            complaint(file, "", expected="a file that a page saved", found=found, remedy=remedy)
+            error_text(file, "", expected="a file that a page saved", found=found, remedy=remedy)
         )
     read = read_decision_file(file, campaign)
     if not read.is_whole:
@@ -74,7 +76,7 @@ def take_in_file(folder: Path, campaign: str, file: Path) -> tuple[TakenIn, tupl
     return take_in(folder, campaign, read.decisions), read.faults
 
 
-def take_in(folder: Path, campaign: str, decisions: Iterable[Decision]) -> TakenIn:
+def take_in(folder: Path, campaign: str, decisions: Iterable[Decision]) -> ImportedDecisions:
     """Add decisions to those of a campaign: the new ones that were made on results as they stand.
 
     Parameters
@@ -103,7 +105,7 @@ def take_in(folder: Path, campaign: str, decisions: Iterable[Decision]) -> Taken
     standing = {file: {*own} for file, own in decisions_on([*named]).items()}
     labels = {file: label_of(file, folder) for file in named}
     runs = {file: _run_of(file) for file in named}
-    taken = TakenIn()
+    taken = ImportedDecisions()
     at_home: dict[Path, list[Decision]] = {}
     for each in wanted:
         file, why = _meant(each, files.get(each.test, ()), runs)
@@ -123,11 +125,11 @@ def take_in(folder: Path, campaign: str, decisions: Iterable[Decision]) -> Taken
 
 def _results(folder: Path) -> dict[str, list[Path]]:
     """Results of the tests by their label, and by their folder below the campaign."""
-    found: dict[str, list[Path]] = {}
+    results: dict[str, list[Path]] = {}
     for file in files_below(folder, RESULT_FILE):
         for label in {label_of(file, folder), file.parent.relative_to(folder).as_posix()}:
-            found.setdefault(label, []).append(file)
-    return found
+            results.setdefault(label, []).append(file)
+    return results
 
 
 def _run_of(file: Path) -> str | LabpipeError:

@@ -27,9 +27,9 @@ from labpipe.campaign.decisions import (
     decisions_on,
     label_of,
 )
-from labpipe.campaign.saved_decisions import TakenIn, take_in
-from labpipe.errors import LabpipeError, UsageError, complaint, refusal
-from labpipe.process.targets import RESULT_FILE, files_below
+from labpipe.campaign.saved_decisions import ImportedDecisions, take_in
+from labpipe.errors import LabpipeError, UsageError, error_text, refusal
+from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE
 from labpipe.report.page_parts import served
 from labpipe.report.page_tests import page_file
@@ -138,7 +138,7 @@ def _no_port(port: int, error: Exception) -> UsageError:
     found = (getattr(error, "strerror", None) or "no such number").lower()
     remedy = "Choose another with --port, or 0 for any."
     return UsageError(
-        complaint(f"--port {port}", "", expected="a free port", found=found, remedy=remedy)
+        error_text(f"--port {port}", "", expected="a free port", found=found, remedy=remedy)
     )
 
 
@@ -317,7 +317,7 @@ def _save(body: bytes, site: Site) -> dict[str, Any]:
     return {"said": _said_of(taken), "decisions": entries}
 
 
-def _said_of(taken: TakenIn) -> str:
+def _said_of(taken: ImportedDecisions) -> str:
     said = [f"{count_of(len(taken.added) + taken.known, 'decision')} saved."]
     said += [f"{each.test}: not saved: {why}." for each, why in taken.left]
     said += ["They count once the report is made again."] * bool(taken.added)

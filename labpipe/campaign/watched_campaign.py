@@ -12,10 +12,10 @@ from labpipe.campaign.catalog import PENDING, REJECTED, STALE
 from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.pairing import Candidate, Written, pair_test
 from labpipe.campaign.running import look, run_some
-from labpipe.campaign.standing_worker import StandingWorker
+from labpipe.campaign.warm_worker import WarmWorker
 from labpipe.campaign.watching import Watcher
-from labpipe.errors import ProcessingError, complaint
-from labpipe.process.fitting_protocols import all_protocols
+from labpipe.errors import ProcessingError, error_text
+from labpipe.process.protocol_match import all_protocols
 from labpipe.protocol.campaign_plan import CampaignPlan
 
 
@@ -73,7 +73,7 @@ class WatchedCampaign:
         if row is None:
             expected, found = "a test that nobody else processes", "another labpipe at work on it"
             remedy = "It is tried again."
-            message = complaint(label, "", expected=expected, found=found, remedy=remedy)
+            message = error_text(label, "", expected=expected, found=found, remedy=remedy)
             raise ProcessingError(message, code="in_use")
         self._rows = {**self._rows, label: row}
         return outcomes[0] if outcomes else None
@@ -101,7 +101,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
     LabpipeError
         If the campaign YAML is wrong, or the catalog cannot be used.
     """
-    worker = StandingWorker()
+    worker = WarmWorker()
     worker.warm()
     try:
         campaign = WatchedCampaign(folders, worker.executor)
@@ -120,7 +120,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
 
 
 def _pair_in(
-    worker: StandingWorker, candidate: Candidate, plan: CampaignPlan, waited: float
+    worker: WarmWorker, candidate: Candidate, plan: CampaignPlan, waited: float
 ) -> Written:
     """Pair a test in the process that may die of a damaged export."""
     work = partial(pair_test, candidate, plan, waited=waited)

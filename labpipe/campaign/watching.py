@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Protocol
 
 from labpipe.campaign.executors import Outcome
-from labpipe.campaign.pairing import Candidate, Listed, Written, list_candidates, plan_of
-from labpipe.campaign.standing_files import Mark, StandingFiles
-from labpipe.campaign.verdicts import GroupsSoFar, read_summary, refused, shown_by, verdict
+from labpipe.campaign.file_stability import FileStability, Mark
+from labpipe.campaign.pairing import Candidate, RawListing, Written, list_candidates, plan_of
+from labpipe.campaign.quick_look import GroupsSoFar, read_summary, refused, shown_by, verdict
 from labpipe.errors import LabpipeError
 from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
 
@@ -66,7 +66,7 @@ class _Test:
 
 
 @dataclass(slots=True)
-class _Voice:
+class _Announcer:
     """Says everything once.
 
     Parameters
@@ -109,8 +109,8 @@ class Watcher:
         self._clock = clock
         self.plan = plan_of(campaign.raw)
         self._plan_mark = _mark(campaign.raw / PLAN_NAME)
-        self._files = StandingFiles(clock, self.plan.still_for)
-        self._voice = _Voice(say)
+        self._files = FileStability(clock, self.plan.still_for)
+        self._voice = _Announcer(say)
         self._tests: dict[Path, _Test] = {}
         self._groups = GroupsSoFar()
         self._turn = 0
@@ -156,12 +156,12 @@ class Watcher:
             why = (error.strerror or str(error)).lower()
             self._voice.say(f"{error.filename or self._campaign.raw}: {why}; waited for")
 
-    def _ready(self, listed: Listed) -> list[Candidate]:
+    def _ready(self, listed: RawListing) -> list[Candidate]:
         """Tests that can be dealt with, the newest first."""
         for path, why in listed.strangers.items():
             if self._files.look(path) == "still" and self._stood(path) > self.plan.patience:
                 self._voice.once(f"{_shown(self._below(path))}: not used, {why}")
-        ready = [each for each in listed.candidates if self._is_ready(each)]
+        ready = [candidate for candidate in listed.candidates if self._is_ready(candidate)]
         if ready and not self._has_begun:
             self._has_begun = True
             ready = self._without_processed(ready)
@@ -181,13 +181,13 @@ class Watcher:
             return
         self._files.still_for = self.plan.still_for
         self._tests = {
-            folder: _Test(each.done, settled=each.settled) for folder, each in self._tests.items()
+            folder: _Test(test.done, settled=test.settled) for folder, test in self._tests.items()
         }
         self._voice.say(f"{PLAN_NAME} was read again")
 
     def _without_processed(self, ready: list[Candidate]) -> list[Candidate]:
         """Leave out the tests that were processed before the watch began."""
-        sheets = {each.sheet for each in ready if each.sheet.exists()}
+        sheets = {candidate.sheet for candidate in ready if candidate.sheet.exists()}
         unprocessed = set(self._campaign.unprocessed(sheets))
         left = []
         for each in ready:
@@ -277,7 +277,7 @@ class Watcher:
         lines = [
             f"{_called(candidate)}: wrote {_shown(self._below(candidate.sheet))}"
         ] * written.is_new
-        lines += [f"{'  ' * written.is_new}{each}" for each in written.said]
+        lines += [f"{'  ' * written.is_new}{sentence}" for sentence in written.said]
         if written.open:
             lines.append(f"  to be filled in: {', '.join(written.open)}; it is processed then")
         if lines:

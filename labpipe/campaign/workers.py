@@ -20,14 +20,14 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any, Generic, NamedTuple, NoReturn, TypeVar
 
-from labpipe.errors import complaint
+from labpipe.errors import error_text
 
 A = TypeVar("A")
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Died:
+class ProcessDied:
     """What became of a call whose process ended before the call did.
 
     Parameters
@@ -49,7 +49,7 @@ class Died:
         return f"by the signal {-self.exit_code}"
 
 
-def why(what: object, died: Died) -> tuple[str, str]:
+def why(what: object, died: ProcessDied) -> tuple[str, str]:
     """Word that a process died.
 
     Parameters
@@ -66,8 +66,8 @@ def why(what: object, died: Died) -> tuple[str, str]:
         expected = f"an end within {died.limit / 60.0:g} minutes"
         found = "none, so that it was ended"
         remedy = "Look whether the export is damaged; else choose a longer --limit."
-        return "time_limit", complaint(what, "", expected=expected, found=found, remedy=remedy)
-    reason = complaint(
+        return "time_limit", error_text(what, "", expected=expected, found=found, remedy=remedy)
+    reason = error_text(
         what,
         "",
         expected="a process that comes to its end",
@@ -78,7 +78,7 @@ def why(what: object, died: Died) -> tuple[str, str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Raised:
+class CallRaised:
     """What became of a call that raised.
 
     Parameters
@@ -89,7 +89,7 @@ class Raised:
     error: Exception
 
 
-class Crew(Generic[A, T]):
+class WorkerPool(Generic[A, T]):
     """Processes for many calls of one function.
 
     Parameters
@@ -110,7 +110,9 @@ class Crew(Generic[A, T]):
         start = partial(_Worker[A], work, self._events, limit)
         self._workers = [start() for _ in range(jobs)]
 
-    def as_they_end(self, given: Iterable[A]) -> Generator[tuple[A, T | Died | Raised], None, None]:
+    def as_they_end(
+        self, given: Iterable[A]
+    ) -> Generator[tuple[A, T | ProcessDied | CallRaised], None, None]:
         """Call the function on many things, several at a time.
 
         Parameters
@@ -119,9 +121,9 @@ class Crew(Generic[A, T]):
 
         Yields
         ------
-        What was given and what the call gave, in the order in which calls end; `Died` where the
-        process was killed, crashed, ran out of memory or took too long. Another process takes its
-        place then.
+        What was given and what the call gave, in the order in which calls end; `ProcessDied` where
+        the process was killed, crashed, ran out of memory or took too long. Another process takes
+        its place then.
         """
         left = iter(given)
         for worker, each in zip(self._workers, left, strict=False):
@@ -133,7 +135,9 @@ class Crew(Generic[A, T]):
                     worker.begin(each)
                 yield ended
 
-    def _ended(self, busy: Sequence[_Worker[A]]) -> list[tuple[_Worker[A], T | Died | Raised]]:
+    def _ended(
+        self, busy: Sequence[_Worker[A]]
+    ) -> list[tuple[_Worker[A], T | ProcessDied | CallRaised]]:
         """The next worker that is done, or none where only the time of one was over."""
         wait = min(worker.left for worker in busy)
         try:
@@ -158,23 +162,23 @@ class Crew(Generic[A, T]):
 
 def as_they_end(
     work: Callable[[A], T], given: Iterable[A], *, jobs: int, limit: float | None = None
-) -> Generator[tuple[A, T | Died | Raised], None, None]:
-    """Call a function on many things in a `Crew` that is there for them alone.
+) -> Generator[tuple[A, T | ProcessDied | CallRaised], None, None]:
+    """Call a function on many things in a `WorkerPool` that is there for them alone.
 
     Parameters
     ----------
-    work, jobs, limit : see `Crew`
-    given : see `Crew.as_they_end`
+    work, jobs, limit : see `WorkerPool`
+    given : see `WorkerPool.as_they_end`
 
     Yields
     ------
-    As `Crew.as_they_end`.
+    As `WorkerPool.as_they_end`.
 
     Notes
     -----
     When the caller goes away, as with an interrupt, calls that were begun are waited for.
     """
-    crew = Crew(work, jobs=jobs, limit=limit)
+    crew = WorkerPool(work, jobs=jobs, limit=limit)
     try:
         yield from crew.as_they_end(given)
     finally:
@@ -183,24 +187,24 @@ def as_they_end(
 
 def in_processes(
     calls: Sequence[Callable[[], T]], *, jobs: int, limit: float | None = None
-) -> Generator[T | Died, None, None]:
+) -> Generator[T | ProcessDied, None, None]:
     """Call functions, several at a time, as `as_they_end` does.
 
     Parameters
     ----------
     calls : what can be pickled, such as partials of functions at the top of a module
-    jobs, limit : see `Crew`
+    jobs, limit : see `WorkerPool`
 
     Yields
     ------
-    What they gave, in their order; `Died` where the process ended first.
+    What they gave, in their order; `ProcessDied` where the process ended first.
 
     Raises
     ------
     Exception
         What a call raised.
     """
-    done: dict[int, T | Died | Raised] = {}
+    done: dict[int, T | ProcessDied | CallRaised] = {}
     with closing(as_they_end(_call, enumerate(calls), jobs=jobs, limit=limit)) as ended:
         for number in range(len(calls)):
             while number not in done:
@@ -213,8 +217,8 @@ def _call(numbered: tuple[int, Callable[[], T]]) -> T:
     return numbered[1]()
 
 
-def _given(outcome: T | Died | Raised) -> T | Died:
-    if isinstance(outcome, Raised):
+def _given(outcome: T | ProcessDied | CallRaised) -> T | ProcessDied:
+    if isinstance(outcome, CallRaised):
         raise outcome.error
     return outcome
 
@@ -278,16 +282,16 @@ class _Worker(Generic[A]):
         if self.process is not None:
             _kill(self.process)
 
-    def died(self) -> Died:
+    def died(self) -> ProcessDied:
         """Take its end, once there is one."""
         process, self.process = self.process, None
         if process is None:
-            return Died(0)
+            return ProcessDied(0)
         for pipe in (process.stdin, process.stdout):
             if pipe is not None:
                 with suppress(OSError):
                     pipe.close()
-        return Died(process.wait(), self._limit if self._is_late else None)
+        return ProcessDied(process.wait(), self._limit if self._is_late else None)
 
     def dismiss(self) -> None:
         """Say that nothing comes after what it was handed."""
@@ -357,7 +361,7 @@ _FIRST_TO_GO = "500"  # of -1000 to 1000
 
 
 def serve() -> NoReturn:
-    """Do what comes through standard input, in a process of a `Crew`.
+    """Do what comes through standard input, in a process of a `WorkerPool`.
 
     Interrupts are left to the process that a person started: it says so, and what was begun is
     brought to its end. Where that process is gone, this one goes, too. What libraries print goes to
@@ -393,4 +397,4 @@ def _outcome(call: bytes) -> bytes:
         work, given = pickle.loads(call)
         return pickle.dumps(work(given))
     except Exception as error:  # noqa: BLE001  it is handed to the process that asked
-        return pickle.dumps(Raised(error))
+        return pickle.dumps(CallRaised(error))

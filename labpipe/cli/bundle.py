@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator
 
 from labpipe.cli.terminal import from_here
-from labpipe.errors import UsageError, complaint
+from labpipe.errors import UsageError, error_text
 from labpipe.records.curve import Interval
 from labpipe.report.wording import plain_numbers
 from labpipe.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
@@ -45,7 +45,7 @@ def _bore(text: str) -> float:
 
 
 def _not_a_bore(text: str) -> UsageError:
-    message = complaint(
+    message = error_text(
         "--bore",
         "",
         expected='a length above zero with its unit, such as "10.7 mm"',

@@ -13,19 +13,24 @@ import numpy as np
 from labpipe.campaign.decisions import without_rejected
 from labpipe.campaign.queries import escaped
 from labpipe.cli.terminal import DIGITS, from_here, reading
-from labpipe.process.targets import find_results
+from labpipe.process.output_paths import find_results
 from labpipe.records.wire_calibration import (
     DISPLAYED,
     CalibratedParameter,
     CurveMatch,
     ExternalCurveComparison,
-    Identified,
+    Identifiability,
 )
-from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.report.calibration_summary import ValidationGroup
 from labpipe.report.wording import plain_numbers
 from labpipe.studies.calibration_study import Calibrated, as_json, calibrate_tests
 
-_DOUBTED = {Identified.NOT, Identified.TWO, Identified.AT_BOUND, Identified.AGAINST_PRIOR}
+_DOUBTED = {
+    Identifiability.NOT,
+    Identifiability.TWO,
+    Identifiability.AT_BOUND,
+    Identifiability.AGAINST_PRIOR,
+}
 _WIDEST = 28
 
 
@@ -68,15 +73,19 @@ def calibration_table(done: Calibrated) -> str:
         f"sample{'s' * (found.n_samples != 1)}, rms "
         f"{_rounded(1e3 * found.rmse, 3)} mN ({_percent(found.rmse_share)} of the largest force)"
     ]
-    lines += [_parameter(each) for each in found.parameters]
-    lines += [f"  {each.words}" for each in found.parameters if each.words]
-    priors = [each.conflict.message for each in found.parameters if each.conflict is not None]
+    lines += [_parameter(parameter) for parameter in found.parameters]
+    lines += [f"  {parameter.words}" for parameter in found.parameters if parameter.words]
+    priors = [
+        parameter.conflict.message
+        for parameter in found.parameters
+        if parameter.conflict is not None
+    ]
     lines += [f"  {message}" for message in priors]
     if found.friction_separability is not None:
         lines.append(f"  {found.friction_separability.words}")
     lines += ["", *_groups(done)]
     lines += comparison_lines(done.comparisons)
-    shown = {*(each.words for each in found.parameters), *priors}
+    shown = {*(parameter.words for parameter in found.parameters), *priors}
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in found.notes
@@ -124,7 +133,7 @@ def _groups(done: Calibrated) -> list[str]:
     heading = (
         f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'tests are'}"
     )
-    return [heading, *(_group(each) for each in done.groups)]
+    return [heading, *(_group(group) for group in done.groups)]
 
 
 def _group(each: ValidationGroup) -> str:
@@ -151,21 +160,24 @@ def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str
     """
     if not comparisons:
         return []
-    width = min(_WIDEST, max(len(each.curve.name) for each in comparisons))
+    width = min(_WIDEST, max(len(comparison.curve.name) for comparison in comparisons))
     width = max(width, len("external curve"))
     heading = f"  {'external curve':<{width}}  {'compared with':<22}{'points':>8}{'rms mN':>9}"
     lines = ["", f"{heading}{'of peak':>9}{'in band':>9}"]
-    for each in comparisons:
-        curve = each.curve
+    for external_curve_comparison in comparisons:
+        curve = external_curve_comparison.curve
         of = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
-        for what, found in (("tests", each.tests), ("model", each.model)):
+        for what, found in (
+            ("tests", external_curve_comparison.tests),
+            ("model", external_curve_comparison.model),
+        ):
             if found is not None:
                 called = (
                     curve.name if len(curve.name) <= _WIDEST else f"{curve.name[: _WIDEST - 1]}…"
                 )
                 name = f"  {called:<{width}}  {f'{what} of {of}':<22}"
                 lines.append(f"{name}{_numbers(found)}")
-    notes = [note for each in comparisons for note in each.notes]
+    notes = [note for comparison in comparisons for note in comparison.notes]
     return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]
 
 

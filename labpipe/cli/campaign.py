@@ -11,15 +11,22 @@ from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
-from labpipe.campaign.decisions import Decision, not_applied, said_of
+from labpipe.campaign.decisions import Decision, decision_sentence, not_applied
 from labpipe.campaign.executors import executor_of
-from labpipe.campaign.file_accounts import account_for
 from labpipe.campaign.queries import answered, escaped, write_answer, write_workbook
+from labpipe.campaign.raw_file_usage import account_for_files
 from labpipe.campaign.refreshing import Overview, opened_campaign
-from labpipe.campaign.running import Drawing, Ran, clear_failures, decide, rebuild, run_campaign
+from labpipe.campaign.running import (
+    Drawing,
+    RunSummary,
+    clear_failures,
+    decide,
+    rebuild,
+    run_campaign,
+)
 from labpipe.campaign.saved_decisions import take_in_file
 from labpipe.cli.terminal import counting, from_here
-from labpipe.errors import UsageError, complaint
+from labpipe.errors import UsageError, error_text
 from labpipe.report.wording import count_of
 
 _SHOWN = 20
@@ -53,7 +60,7 @@ def _run(
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     with opened_campaign(campaign) as keeper:
         overview = keeper.refresh()
-        files = account_for(keeper, overview)
+        files = account_for_files(keeper, overview)
     _tell(overview)
     if options.json:
         print(json.dumps(_as_json(campaign, overview, files), indent=2))
@@ -65,7 +72,7 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.out == "xlsx" and options.file is None:
         raise UsageError(
-            complaint("--out xlsx", "", expected="a file to write", found="none",
+            error_text("--out xlsx", "", expected="a file to write", found="none",
                       remedy="Add --file results.xlsx.")
         )  # fmt: skip
     with opened_campaign(campaign) as keeper:
@@ -101,13 +108,13 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         return _take_in(options, campaign)
     if not options.test or not options.decision:
         raise UsageError(
-            complaint("labpipe campaign decide", "", expected="a test and accept or reject",
+            error_text("labpipe campaign decide", "", expected="a test and accept or reject",
                       found="none", remedy="Or name a file that a page saved, with --from.")
         )  # fmt: skip
     for key in ("because", "by"):
         if not getattr(options, key).strip():
             raise UsageError(
-                complaint(f"--{key}", "", expected="words", found="none",
+                error_text(f"--{key}", "", expected="words", found="none",
                           remedy="Others will want to know.")
             )  # fmt: skip
     said = Decision("", "", options.decision, options.because.strip(), options.by.strip())
@@ -120,14 +127,14 @@ def _take_in(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     """Take in decisions that the page of a report saved."""
     if options.test:
         raise UsageError(
-            complaint("--from", "", expected="nothing but the folder beside it",
+            error_text("--from", "", expected="nothing but the folder beside it",
                       found=options.test, remedy="Decide on a test, or take in a file.")
         )  # fmt: skip
     taken, faults = take_in_file(campaign.processed, campaign.name, options.saved)
-    for each in faults:
-        print(f"labpipe campaign: {escaped(each)}", file=sys.stderr)
+    for fault in faults:
+        print(f"labpipe campaign: {escaped(fault)}", file=sys.stderr)
     for decision in taken.added:
-        print(escaped(f"{decision.test}: {decision.decision}: {said_of(decision)}"))
+        print(escaped(f"{decision.test}: {decision.decision}: {decision_sentence(decision)}"))
     for decision, why in taken.left:
         print(
             escaped(f"{decision.test}: {decision.decision} does not count: {why}"), file=sys.stderr
@@ -178,7 +185,7 @@ def _status_of(overview: Overview) -> int:
     return 1 if overview.has_failed_results else 0
 
 
-def _after_run(campaign: CampaignFolders, ran: Ran) -> str:
+def _after_run(campaign: CampaignFolders, ran: RunSummary) -> str:
     done, total = len(ran.processed), len(ran.overview.rows)
     lines = [_counts(campaign, ran.overview), f"  processed {done} of {total}"]
     if ran.elsewhere:
@@ -236,7 +243,7 @@ def _listed(heading: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
     more = [f"  ... {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []
-    return [f"{heading} ({len(lines)})", *(f"  {escaped(each)}" for each in lines[:_SHOWN]), *more]
+    return [f"{heading} ({len(lines)})", *(f"  {escaped(line)}" for line in lines[:_SHOWN]), *more]
 
 
 def _some(names: list[str]) -> str:

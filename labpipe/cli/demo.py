@@ -10,21 +10,21 @@ from pathlib import Path
 from shutil import copyfile
 
 from labpipe.campaign.machine import default_jobs
-from labpipe.campaign.reporting import Wanted, report_tests
+from labpipe.campaign.reporting import ReportOptions, report_tests
 from labpipe.campaign.runs import run_jobs
 from labpipe.cli.calibrate import calibration_table
 from labpipe.cli.harness import harness_table
 from labpipe.cli.process import headline, process_all, table
 from labpipe.cli.report import status_of
 from labpipe.cli.terminal import from_here
+from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed
-from labpipe.process.targets import find_tests
 from labpipe.protocol.load import load_test_sheet, shipped_folder
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.records.result import Status
 from labpipe.studies.calibration_study import MODEL_FILE, Calibrated, calibrate_tests
-from labpipe.studies.harness_followed import FollowedHarness
 from labpipe.studies.harness_section import DEFAULT_SHEET
+from labpipe.studies.harness_solution import FollowedHarness
 from labpipe.studies.harness_study import follow_harness
 from labpipe.virtual_lab import (
     SMALL_HARNESS,
@@ -100,9 +100,9 @@ def _one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
 def _shown_first(processed: Sequence[Processed]) -> list[Path]:
     """A figure of each test."""
     return [
-        next(path for name in _LOOK_AT for path in each.figures if path.name == f"{name}.svg")
-        for each in processed
-        if each.figures
+        next(path for name in _LOOK_AT for path in processed.figures if path.name == f"{name}.svg")
+        for processed in processed
+        if processed.figures
     ]
 
 
@@ -110,7 +110,7 @@ def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
     """Three campaigns with a report each, a calibration, and the lines of four harnesses."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
     run_jobs(
-        [partial(simulate_campaigns, each, raw / name) for name, each in CAMPAIGNS.items()],
+        [partial(simulate_campaigns, campaign, raw / name) for name, campaign in CAMPAIGNS.items()],
         jobs=options.jobs,
     )
     processed, refused = _processed(raw, out, options)
@@ -123,22 +123,22 @@ def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
     calibrated = _calibrated(raw / WIRES, out / WIRES, wires, is_drawn=not options.no_figures)
     print(f"\n{calibration_table(calibrated)}")
     harnesses = _harnesses(raw / LINES, out / LINES, calibrated.folder / MODEL_FILE, options)
-    print("\n".join(f"\n{harness_table(each)}" for each in harnesses))
+    print("\n".join(f"\n{harness_table(harness)}" for harness in harnesses))
     _name_files([page for page, _ in reports], processed, calibrated, harnesses)
-    is_failed = [int(each.status is Status.FAILED) for each in harnesses]
+    is_failed = [int(harness.status is Status.FAILED) for harness in harnesses]
     return _status(processed, refused, *(status for _, status in reports), *is_failed)
 
 
 def _status(processed: Sequence[Processed], refused: int, *reports: int) -> int:
     """Exit status: 2 where a test was refused, 1 where a result failed, else as of the reports."""
-    failed = int(any(each.n_failed for each in processed))
+    failed = int(any(processed.n_failed for processed in processed))
     return 2 if refused else max(failed, *reports)
 
 
 def _report(folder: Path, wires: Path) -> tuple[Path, int]:
     """Report a campaign; its page, and what became of it."""
     title = f"Synthetic demo campaign: {folder.name}"
-    reported = report_tests([folder], title=title, wanted=Wanted(wires=wires))
+    reported = report_tests([folder], title=title, wanted=ReportOptions(wires=wires))
     return reported.files[0], status_of(reported)
 
 
@@ -201,8 +201,8 @@ def _name_files(
 ) -> None:
     print("\nreports, one page each:")
     print("\n".join(f"  {from_here(page)}" for page in pages))
-    firsts = [path for each in _firsts(processed) for path in each.figures]
-    lines = [path for each in harnesses for path in each.files]
+    firsts = [path for first in _firsts(processed) for path in first.figures]
+    lines = [path for harness in harnesses for path in harness.files]
     drawn = [path for path in (*firsts, *calibrated.files, *lines) if path.suffix == ".svg"]
     if drawn:
         print("\nfigures to look at, of a test of each kind, the calibration and the lines:")
@@ -212,7 +212,10 @@ def _name_files(
 def _shown(processed: Sequence[Processed]) -> str:
     """The first test of each kind in full, the others in a line."""
     firsts = _firsts(processed)
-    shown = [f"\n{table(each)}\n" if each in firsts else headline(each) for each in processed]
+    shown = [
+        f"\n{table(processed)}\n" if processed in firsts else headline(processed)
+        for processed in processed
+    ]
     return "\n".join(shown).replace("\n\n\n", "\n\n").strip()
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from labpipe.cli.terminal import from_here
-from labpipe.errors import UsageError, complaint
+from labpipe.errors import UsageError, error_text
 from labpipe.protocol.load import shipped_folder
 from labpipe.store.replace import storing
 
@@ -40,7 +40,7 @@ def _copies(folder: Path) -> Mapping[Path, Path]:
 
 def _refuse_another(goal: Path, source: Path) -> None:
     if goal.exists() and goal.read_bytes() != source.read_bytes():
-        message = complaint(
+        message = error_text(
             goal,
             "",
             expected="the example as it comes with labpipe, or no such file",

@@ -13,7 +13,7 @@ from pathlib import Path
 from labpipe.cli.terminal import from_here, statuses_of
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import count_of, plain_numbers, unit_words
-from labpipe.studies.harness_followed import FollowedHarness
+from labpipe.studies.harness_solution import FollowedHarness
 from labpipe.studies.harness_study import Watcher, as_json, follow_harness
 
 _SHOWN = {
@@ -103,10 +103,12 @@ def harness_table(found: FollowedHarness) -> str:
         way = f"to step {reached} of {steps}" if reached >= 0 else "not even laid as at the start"
         return f"{head}\n  followed {way}; earlier results stay"
     lines = [head, *map(_line, found.results), *_limit(found), *_sweep(found)]
-    own = [reason for each in found.results for reason in each.reasons if each.value is not None]
+    own = [
+        reason for result in found.results for reason in result.reasons if result.value is not None
+    ]
     said = dict.fromkeys([*found.reasons, *own])
-    lines += [f"  doubtful: {each.code}: {each.message}" for each in said]
-    lines += [f"  {each.severity}: {each.message}" for each in found.material.notes]
+    lines += [f"  doubtful: {sentence.code}: {sentence.message}" for sentence in said]
+    lines += [f"  {note.severity}: {note.message}" for note in found.material.notes]
     return "\n".join([*lines, f"results: {from_here(found.folder)}"])
 
 
@@ -136,10 +138,10 @@ def _limit(found: FollowedHarness) -> Iterator[str]:
 def _sweep(found: FollowedHarness) -> Iterator[str]:
     if found.sweep:
         yield "  length of the line    smallest bend radius    on the way"
-    for each in found.sweep:
-        if each.status == "failed":
-            yield f"  {1e3 * each.length:>12.5g} mm        -  {each.reasons[0].message}"
+    for finding in found.sweep:
+        if finding.status == "failed":
+            yield f"  {1e3 * finding.length:>12.5g} mm        -  {finding.reasons[0].message}"
             continue
-        radius, way = 1e3 * each.bend.radius, 1e3 * each.way.radius
-        doubt = f"  doubtful: {each.reasons[0].code}" if each.reasons else ""
-        yield f"  {1e3 * each.length:>12.5g} mm{radius:>19.4g} mm{way:>14.4g} mm{doubt}"
+        radius, way = 1e3 * finding.bend.radius, 1e3 * finding.way.radius
+        doubt = f"  doubtful: {finding.reasons[0].code}" if finding.reasons else ""
+        yield f"  {1e3 * finding.length:>12.5g} mm{radius:>19.4g} mm{way:>14.4g} mm{doubt}"

@@ -13,7 +13,7 @@ from labpipe.cli.terminal import from_here, reading
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.studies.stress_tables import stated_words
-from labpipe.studies.wire_models import Modelled, as_json, model_wires
+from labpipe.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.wire.cantilever_curve import force_at
 
 _HEADING = (
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     return 1 if modelled.refused else 0
 
 
-def model_table(modelled: Modelled) -> str:
+def model_table(modelled: ModelledWires) -> str:
     """Lay out the main numbers of modelled wires for a terminal.
 
     Parameters
@@ -104,7 +104,7 @@ def _notes(tables: Sequence[WireTable]) -> list[str]:
     ]
 
 
-def _stated(modelled: Modelled) -> list[str]:
+def _stated(modelled: ModelledWires) -> list[str]:
     """Stress tables with the wires that name them."""
     wires: dict[str, list[str]] = {}
     for table in modelled.tables:

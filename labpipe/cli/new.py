@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Collection
 
-from labpipe.errors import UsageError, complaint
-from labpipe.process.new_sheets import SeenSheet, new_from_sheet, new_seen
+from labpipe.errors import UsageError, error_text
+from labpipe.process.sheet_writing import InferredSheet, new_from_sheet, new_seen
 
 _OPTIONS = (
     "protocol",
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
     for change in options.set:
         key, equals, value = change.partition("=")
         if not equals:
-            message = complaint(
+            message = error_text(
                 "--set", "", expected="KEY=VALUE", found=change, remedy="Such as rig.cycles=1."
             )
             raise UsageError(message)
@@ -52,12 +52,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _about(sheet: SeenSheet, told: Collection[str]) -> str:
+def _about(sheet: InferredSheet, told: Collection[str]) -> str:
     """What became of a sheet; of what takes several lines and was told before, the first one."""
     if sheet.kept:
         return f"kept  {sheet.path}: it was there already; --overwrite replaces it"
-    said = (each.partition("\n")[0] if each in told else each for each in sheet.said)
-    lines = [f"wrote {sheet.path}", *(f"  {each}" for each in said)]
+    said = (
+        sentence.partition("\n")[0] if sentence in told else sentence for sentence in sheet.said
+    )
+    lines = [f"wrote {sheet.path}", *(f"  {sentence}" for sentence in said)]
     if sheet.open:
         lines.append(f"  to be filled in: {', '.join(sheet.open)}")
     return "\n".join(lines)

@@ -11,9 +11,9 @@ from pathlib import Path
 from labpipe.campaign.machine import default_jobs
 from labpipe.campaign.runs import process_tests
 from labpipe.cli.terminal import from_here, name_width, progress, result_line, statuses_of
-from labpipe.process.attempts import Refused
+from labpipe.process.output_paths import find_tests
 from labpipe.process.run import Processed
-from labpipe.process.targets import find_tests
+from labpipe.process.test_runner import Refused
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result
 from labpipe.report.wording import shown_in
@@ -98,7 +98,7 @@ def table(processed: Processed) -> str:
     A heading, one line per result, then what is doubtful or failed with its reasons.
     """
     result = processed.result
-    lines, width = [headline(processed)], name_width(each.name for each in result.results)
+    lines, width = [headline(processed)], name_width(result.name for result in result.results)
     quantities: dict[str, list[Result]] = {}  # energy.1, energy.2, ... together
     for each in result.results:
         quantities.setdefault(each.name.partition(".")[0], []).append(each)

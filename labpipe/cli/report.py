@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from labpipe.campaign.queries import escaped
-from labpipe.campaign.reporting import Beside, Reported, Wanted, report_tests
+from labpipe.campaign.reporting import ReportContext, Reported, ReportOptions, report_tests
 from labpipe.cli.terminal import from_here, name_width, reading, result_line
-from labpipe.errors import UsageError, complaint, nearest
-from labpipe.process.targets import find_results
+from labpipe.errors import UsageError, error_text, nearest
+from labpipe.process.output_paths import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     return status_of(reported)
 
 
-def wanted_by(options: argparse.Namespace) -> Wanted:
+def wanted_by(options: argparse.Namespace) -> ReportOptions:
     """Read groups and comparisons as they were typed.
 
     Parameters
@@ -44,7 +44,7 @@ def wanted_by(options: argparse.Namespace) -> Wanted:
     options : of ``labpipe report``
     """
     by = tuple(dict.fromkeys(filter(None, map(str.strip, options.by.split(",")))))
-    return Wanted(by, options.compare, options.wire)
+    return ReportOptions(by, options.compare, options.wire)
 
 
 def letterhead_of(options: argparse.Namespace) -> Letterhead:
@@ -64,12 +64,12 @@ def letterhead_of(options: argparse.Namespace) -> Letterhead:
     return Letterhead(tuple((name, said) for name, said in words.items() if said), logo)
 
 
-def _beside(options: argparse.Namespace) -> Beside:
+def _beside(options: argparse.Namespace) -> ReportContext:
     """Letterhead, figures as files and pages of tests, as they were typed."""
     wanted = tuple(dict.fromkeys(filter(None, map(str.strip, options.figures.split(",")))))
     unknown = [each for each in wanted if each not in FORMATS]
     if unknown:
-        message = complaint(
+        message = error_text(
             "--figures",
             "",
             expected=f"some of {', '.join(FORMATS)}",
@@ -77,7 +77,7 @@ def _beside(options: argparse.Namespace) -> Beside:
             remedy=f"Write {nearest(unknown[0], list(FORMATS), most=1)[0]}, or another of them.",
         )
         raise UsageError(message)
-    return Beside(letterhead_of(options), wanted, options.pages)
+    return ReportContext(letterhead_of(options), wanted, options.pages)
 
 
 def status_of(reported: Reported) -> int:
@@ -87,7 +87,7 @@ def status_of(reported: Reported) -> int:
     if reported.campaign.left_out:
         return 2
     samples = [sample for group in reported.campaign.groups for sample in group.samples]
-    failed = any(each.status is Status.FAILED for sample in samples for each in sample.results)
+    failed = any(result.status is Status.FAILED for sample in samples for result in sample.results)
     return 1 if failed else 0
 
 

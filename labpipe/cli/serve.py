@@ -7,12 +7,12 @@ import webbrowser
 from pathlib import Path
 
 from labpipe.campaign.campaign_folders import name_of_campaign
-from labpipe.campaign.reporting import Beside, Recipe, report_tests
+from labpipe.campaign.reporting import Recipe, ReportContext, report_tests
 from labpipe.campaign.serving import REPORT, ReportServer, Site
 from labpipe.campaign.test_pages import page_of_test
 from labpipe.cli.report import letterhead_of, wanted_by
 from labpipe.cli.terminal import reading
-from labpipe.process.targets import find_results, shared_folder
+from labpipe.process.output_paths import find_results, shared_folder
 from labpipe.report.lab_report import PAGE_FILE
 
 
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _make(options: argparse.Namespace, folder: Path) -> None:
     files = find_results(options.paths)
-    typed = Recipe(options.title, wanted_by(options), Beside(letterhead_of(options)))
+    typed = Recipe(options.title, wanted_by(options), ReportContext(letterhead_of(options)))
     recipe = typed.or_earlier(Recipe.read(folder))
     with reading(len(files)) as say:
         report_tests(

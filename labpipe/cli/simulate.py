@@ -8,7 +8,7 @@ from collections.abc import Container
 from dataclasses import replace
 from pathlib import Path
 
-from labpipe.errors import UsageError, complaint
+from labpipe.errors import UsageError, error_text
 from labpipe.units import parse_quantity
 from labpipe.virtual_lab import (
     CONDUIT_TYPES,
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         folder = _simulate(options)
     except ValueError as error:
-        message = complaint(
+        message = error_text(
             "options",
             "",
             expected='--rate and --fps such as "10 kHz" and "50 Hz", a cycle, a plain name, a type '

@@ -81,7 +81,7 @@ def lookup_csv(table: WireTable) -> str:
     numbers = {name: getattr(table, name) for name in COLUMNS} | {
         "is_doubtful": table.is_doubtful.astype(int)
     }
-    columns = [map(repr, each.tolist()) for each in numbers.values()]
+    columns = [map(repr, number.tolist()) for number in numbers.values()]
     lines += map(",".join, zip(*columns, strict=True))
     return "\n".join(lines) + "\n"
 

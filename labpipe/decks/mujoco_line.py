@@ -64,12 +64,12 @@ def line_deck(
         *(section.mass_per_length or _NO_MASS, section.torsional_stiffness, nodes),
     )
     hinges, words = space_hinges(chain)
-    every = [each for each in boundaries if isinstance(each, rod.Held)]
+    every = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
     base = next((each for each in every if _is_base(each)), None)
     held = [each for each in every if each is not base]
-    strings = [each for each in boundaries if isinstance(each, rod.String)]
-    loads = [each for each in boundaries if isinstance(each, rod.Load)]
-    weight = [each.vector[-1] for each in boundaries if isinstance(each, rod.Gravity)]
+    strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
+    loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
+    weight = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
     gravity = np.sum([np.zeros(3), *weight], axis=0)
     step = _STEP * chain.unit_time
     text = [
@@ -118,7 +118,11 @@ def _words(chain: Chain, boundaries: Sequence[rod.Boundary]) -> Iterator[str]:
     yield (
         "release_NAME: the step from which the equality hold_NAME is to be switched off; 0 never."
     )
-    out = [each.name for each in boundaries if isinstance(each, rod.Ring | rod.Plane | rod.Moment)]
+    out = [
+        boundary.name
+        for boundary in boundaries
+        if isinstance(boundary, rod.Ring | rod.Plane | rod.Moment)
+    ]
     if out:
         yield f"Left out, as this chain touches nothing: {', '.join(out)}."
     yield f"Hinge i is at (i + 1/2) {chain.spacing:.6g} m."
@@ -172,20 +176,21 @@ def _equalities(held: Sequence[rod.Held], tight: str) -> Iterator[str]:
 
 
 def _strings(strings: Sequence[rod.String]) -> Iterator[str]:
-    for each in strings:
-        at, anchor = quoteattr(f"at_{_name(each)}"), quoteattr(f"anchor_{_name(each)}")
+    for string in strings:
+        at, anchor = quoteattr(f"at_{_name(string)}"), quoteattr(f"anchor_{_name(string)}")
         yield (
-            f'    <spatial name={quoteattr(_name(each))} limited="true" '
-            f'range="0 {each.length:{_DIGITS}}"><site site={at} /><site site={anchor} /></spatial>'
+            f'    <spatial name={quoteattr(_name(string))} limited="true" '
+            f'range="0 {string.length:{_DIGITS}}">'
+            f"<site site={at} /><site site={anchor} /></spatial>"
         )
 
 
 def _loads(loads: Sequence[rod.Load]) -> Iterator[str]:
-    for each in loads:
-        at = quoteattr(f"at_{_name(each)}")
+    for load in loads:
+        at = quoteattr(f"at_{_name(load)}")
         for number, axis in enumerate("xyz"):
             gear = _numbers(np.eye(6)[number])
-            name = quoteattr(f"{_name(each)}_{axis}")
+            name = quoteattr(f"{_name(load)}_{axis}")
             yield f'    <motor name={name} site={at} refsite="space" gear="{gear}" />'
 
 
@@ -200,7 +205,7 @@ def _chain_bodies(
     h, last = chain.spacing, chain.nodes
     frames = multiply(_frames_at(line, chain), _TO_BODY)
     sites = _sites(line, chain, tied)
-    own = _own_word([_name(each) for each in tied])
+    own = _own_word([_name(load) for load in tied])
     name = f"{own}_0" if base is None else _name(base)
     kind = "><freejoint />" if base is None else ' mocap="true">'
     place = f'pos="{_numbers(line.positions[0])}" quat="{_numbers(frames[0])}"'
@@ -222,7 +227,7 @@ def _chain_bodies(
 def _own_word(names: Sequence[str]) -> str:
     """How the names of the chain's own bodies begin: as none of the file's does."""
     word = "node"
-    while any(each.startswith(f"{word}_") for each in names):
+    while any(name.startswith(f"{word}_") for name in names):
         word = f"_{word}"
     return word
 
@@ -241,11 +246,11 @@ def _sites(
 ) -> list[list[tuple[str, float]]]:
     """By body, names of places on it and how far they are from its begin, m."""
     sites: list[list[tuple[str, float]]] = [[] for _ in range(chain.nodes + 1)]
-    for each in tied:
-        along = float(line.stations[each.node])
+    for load in tied:
+        along = float(line.stations[load.node])
         body = min(int(along / chain.spacing + 0.5), chain.nodes)
         begin = (body - 0.5) * chain.spacing if body else 0.0
-        sites[body].append((_name(each), along - begin))
+        sites[body].append((_name(load), along - begin))
     return sites
 
 

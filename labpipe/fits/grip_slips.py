@@ -86,11 +86,11 @@ def find_slips(
     d, f = (_blocks(each[known], size) for each in (displacement, force))
     found = _confirmed(PullCurve(d, f, most, int(size > 1)), min_drop)
     kept = [
-        each
-        for each in found
-        if each.drop >= min_drop
-        and _goes_on(f, each, lost_share)
-        and each.drop <= largest_share * median(f[max(each.start - 4, 0) : each.start + 1])
+        finding
+        for finding in found
+        if finding.drop >= min_drop
+        and _goes_on(f, finding, lost_share)
+        and finding.drop <= largest_share * median(f[max(finding.start - 4, 0) : finding.start + 1])
     ]
     return tuple(_entry(d, known, each, size, decision) for each in kept)
 
@@ -165,8 +165,8 @@ def _confirmed(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     drops = _drops(pull, min_drop)
     while len(drops) > 1:
         again = [
-            fit_load_drop(pull.without([other for other in drops if other is not each]), each.start)
-            for each in drops
+            fit_load_drop(pull.without([other for other in drops if other is not drop]), drop.start)
+            for drop in drops
         ]
         known = [each for each in again if each is not None]
         if len(known) == len(drops):

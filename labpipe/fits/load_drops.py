@@ -11,8 +11,8 @@ from scipy.special import stdtr
 
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Interval
+from labpipe.uncertainty.autocorrelation import cubic_basis, smooth_stretches
 from labpipe.uncertainty.linear_fits import fit_linear
-from labpipe.uncertainty.noise import cubic_basis, smooth_stretches
 
 MAD = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
@@ -79,10 +79,10 @@ class PullCurve:
     def without(self, drops: Sequence[LoadDrop]) -> PullCurve:
         """The curve with drops added back; a straight line between start and stop of each."""
         f = self.f.copy()
-        for each in drops:
-            f[each.stop :] += each.drop
-            inside = np.arange(each.start + 1, each.stop)
-            ends = [each.start, each.stop]
+        for drop in drops:
+            f[drop.stop :] += drop.drop
+            inside = np.arange(drop.start + 1, drop.stop)
+            ends = [drop.start, drop.stop]
             f[inside] = np.interp(inside, ends, f[ends])
         return replace(self, f=f)
 
@@ -119,7 +119,7 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
     """
     factor = _correlation(pull.f)
     drops = (_fit_within(pull, place, side, factor) for side in _SIDES)
-    return next((each for each in drops if each is not None), None)
+    return next((drop for drop in drops if drop is not None), None)
 
 
 def _fit_within(
@@ -265,7 +265,7 @@ def _costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, flo
     f, factor = pull.f[rows], window.factor
     ramps = np.clip((rows[:, None] - drops[:, 0]) / drops[:, 1], 0.0, 1.0)
     lines = np.column_stack(_powers(pull.d[rows], window.degree))
-    base, ramps, target = (each[1:] - factor * each[:-1] for each in (lines, ramps, f - f[0]))
+    base, ramps, target = (line[1:] - factor * line[:-1] for line in (lines, ramps, f - f[0]))
     base = np.linalg.qr(base)[0]
     ramps, target = ramps - base @ (base.T @ ramps), target - base @ (base.T @ target)
     power = np.maximum(np.sum(ramps**2, axis=0), 1e-12)
@@ -317,4 +317,8 @@ def _measured(
 def _beside(pull: PullCurve, window: _Window) -> list[Floats]:
     """Stretches of the curve outside a window, which say what the noise is like."""
     before, behind = pull.f[: window.low], pull.f[window.high :]
-    return [each for part in (before, behind) for each in smooth_stretches(part, width=_STRETCH)]
+    return [
+        smooth_stretch
+        for part in (before, behind)
+        for smooth_stretch in smooth_stretches(part, width=_STRETCH)
+    ]

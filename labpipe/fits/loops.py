@@ -6,7 +6,7 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.estimates import Estimate, Failure
-from labpipe.uncertainty.noise import long_run_variance
+from labpipe.uncertainty.autocorrelation import long_run_variance
 
 LEAST_OF_LOOP = 3
 """Samples that enclose an area."""

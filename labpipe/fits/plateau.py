@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fits.one_path import OnePath, known_samples
+from labpipe.fits.common_path import CommonPath, known_samples
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.estimates import Failure
 
@@ -37,7 +37,7 @@ class Tangents:
     last : shape (m,), numbers of the samples of the first tangent
     """
 
-    path: OnePath
+    path: CommonPath
     over: float
     places: Floats
     rows: Floats
@@ -77,8 +77,8 @@ class Tangents:
         if stretches.failure is not None:
             return stretches.failure
         there = slice(int(np.argmin([*stretches.is_enough, False])))
-        levels, slopes = (stretches.spread(each)[there] for each in stretches.weights())
-        path = OnePath.of(displacement, force, samples)
+        levels, slopes = (stretches.spread(weight)[there] for weight in stretches.weights())
+        path = CommonPath.of(displacement, force, samples)
         last = stretches.samples[0][stretches.samples[0] < len(d)]
         return cls(path, over, stretches.at[there], slopes, levels[0], last)
 
@@ -187,7 +187,7 @@ class Tangents:
         found = _reached(stretches.at[there], f @ rows.T, slope)
         whole, short = (_levels_at(d, f, middle, over) for over in (self.over, half))
         places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
-        beyond = np.array([np.interp(middle + half, places, each) for each in slopes])
+        beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])
         moved = np.where(np.isnan(found), 0.0, found - at)
         return moved.reshape(shape), (short - whole).reshape(shape), beyond.reshape(shape)
 
@@ -222,8 +222,8 @@ def _levels_at(d: Floats, f: Floats, place: float, over: float) -> Floats:
     """Forces of curves (R, k) at one place by the parabola over a stretch around it."""
     stretch = _Stretches.of(d, np.array([place]), over)
     level, _ = stretch.weights()
-    found: Floats = f @ stretch.spread(level)[0]
-    return found
+    levels: Floats = f @ stretch.spread(level)[0]
+    return levels
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.fits.least_squares import line_in, polynomial_weights, slope_of_line, zero_of_line
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_of
 from labpipe.records.estimates import Failure
-from labpipe.uncertainty.noise import fast_noise, limits_by_noise
+from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 
 _SMALL = 0.02
 """Share of the largest force of a branch that may pass for zero at most."""

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.fits.least_squares import line_in, zero_of_line
 from labpipe.records.arrays import Floats, Ints, Samples, samples_of
 from labpipe.records.estimates import Failure
-from labpipe.uncertainty.noise import fast_noise, limits_by_noise
+from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 
 _LEAST = 8
 _CLEAR = 4.0

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from labpipe.fits.one_path import OnePath, known_samples
+from labpipe.fits.common_path import CommonPath, known_samples
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Failure
@@ -114,8 +114,8 @@ class _Scan:
             meet = (second[0] - first[0]) / (first[1] - second[1])
         low = self.x[_SIDE - 1 : len(self.x) - _SIDE]
         high = self.x[_SIDE : len(self.x) - _SIDE + 1]
-        found: Floats = meet[(meet >= low) & (meet <= high)]
-        return found
+        crossings: Floats = meet[(meet >= low) & (meet <= high)]
+        return crossings
 
     def best(self) -> float:
         """Break of the global optimum."""
@@ -161,7 +161,7 @@ class Hinges:
     moved : on that scale, how far the global optimum of that curve lies behind what the places find
     """
 
-    path: OnePath
+    path: CommonPath
     scan: _Scan
     places: Floats
     moved: float = 0.0
@@ -188,7 +188,7 @@ class Hinges:
         scan = _Scan.of(displacement[order], force[order])
         beside = min(_BESIDE, max(_SIDE, len(order) // 8)) - 1
         places = np.linspace(scan.x[beside], scan.x[-1 - beside], _PLACES)
-        found = cls(OnePath.of(displacement, force, order), scan, places)
+        found = cls(CommonPath.of(displacement, force, order), scan, places)
         return replace(found, moved=scan.best() - float(found._best(scan.y[None])[0]))
 
     @property
@@ -217,7 +217,7 @@ class Hinges:
         is refined by the parabola through it and its neighbours, moved by as much as that misses
         the optimum of the curve decided on, and the lines are the least-squares ones with the break
         there. Products with hinges are exact, from sums of y and x y between places.
-        A displacement with noise of its own counts as noise of the force (`OnePath`).
+        A displacement with noise of its own counts as noise of the force (`CommonPath`).
         """
         y = self.path.force(force, displacement)
         shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
@@ -233,7 +233,7 @@ class Hinges:
         level += slope * (at - mean) - bend * sh / y.shape[1]
         scale = 2.0 / (scan.d[-1] - scan.d[0])
         numbers = (scan.d_of(at), scale * slope, scale * (slope + bend), level)
-        return Segments(*(each.reshape(shape) for each in numbers))
+        return Segments(*(number.reshape(shape) for number in numbers))
 
     @property
     def straight_line(self) -> str:

@@ -99,15 +99,15 @@ class LoadingTable:
         rest, moment : as there
         rest_change : shape (parameters, stations), N m, derivative of the rest
         """
-        found = self.changes(moment)
+        changes = self.changes(moment)
         turned = self._turned(rest, moment)
         if turned.any():
             way = 0.5 * (moment - rest)
             slack = self.bend(rest)[1] - self.bend(way)[1]
             back = self.changes(rest)[:, None, :] + 2.0 * self.changes(way)
             back = back + slack * rest_change[:, None, :]
-            found = np.where(turned, back, found)
-        return found
+            changes = np.where(turned, back, changes)
+        return changes
 
     def _place(self, size: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
         return np.minimum(np.searchsorted(self.moment[1:], size, side="right"), len(self.first) - 1)

@@ -130,7 +130,7 @@ class PlayLaw(ArrayRecord):
             raise ValueError(message)
 
 
-def virgin_plays(law: MomentLaw, n_stations: int) -> Floats:
+def unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
     """History of a wire that was never bent, shape (n_stations, plays), N m."""
     return np.zeros((n_stations, len(law.half_widths)))
 

@@ -107,7 +107,7 @@ def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
     return np.asarray(law.stiffness * curvature + held @ law.stiffnesses)
 
 
-def virgin_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
+def unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
     """History of a wire that was never bent, 1/m: shape (n_stations, sliders), or with 2 behind."""
     return np.zeros((n_stations, len(law.stiffnesses), *((2,) if is_vector else ())))
 

@@ -156,7 +156,7 @@ def fit_shape(
     begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
     others = offsets.moved(uncertainties) if clamped else {}
-    models = [(*begin(each, settled=_NEARLY), each.centre) for each in others.values()]
+    models = [(*begin(other, settled=_NEARLY), other.centre) for other in others.values()]
     heights = last_heights(relative[:, settled], models, terms=terms)
     relative = relative - (at_rest.clamped_end if clamped else 0.0)
     model = (relative[:, settled], at_rest.arc_length, offsets.centre, conditions)

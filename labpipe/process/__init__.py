@@ -1,6 +1,6 @@
 """One test: from its exports to its results; `story` is the page to read first.
 
-The package can be called: ``labpipe.process(source)`` processes a test in memory (`labpipe.door`).
+The package can be called: ``labpipe.process(source)`` processes a test in memory (`labpipe.api`).
 """
 
 from labpipe import _make_callable

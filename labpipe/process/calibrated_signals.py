@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, complaint
+from labpipe.errors import ProcessingError, error_text
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
 from labpipe.records.arrays import Flags, Floats, times_of
@@ -24,7 +24,7 @@ from labpipe.records.quality import (
 )
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.evidence import SpanBend
+from labpipe.results.reduced_test import SpanBend
 from labpipe.signal.bad_samples import Stuck, stuck_runs
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
     if source.calibration is not None:
         values = source.gain * values + source.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
-        message = complaint(
+        message = error_text(
             role,
             f"channel {channel.path!r}",
             expected="numbers",
@@ -188,7 +188,7 @@ def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
     if not largest > _LARGEST[kind]:
         return
     at = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
-    message = complaint(
+    message = error_text(
         role,
         f"{place}, sample {at + 1}",
         expected=f"numbers up to {_LARGEST[kind]:g} in SI units",
@@ -218,13 +218,13 @@ def _check_clock(time: Floats, role: str, *, fewest: int) -> None:
     if len(time) < fewest:
         expected, found = f"at least {fewest} samples", f"{len(time)}"
         remedy = "The recording was aborted; leave this test out."
-        message = complaint(role, "time", expected=expected, found=found, remedy=remedy)
+        message = error_text(role, "time", expected=expected, found=found, remedy=remedy)
         raise ProcessingError(message)
     steps = np.diff(time)
     backwards = np.flatnonzero(~(steps > 0))
     if len(backwards):
         at = int(backwards[0]) + 1
-        message = complaint(
+        message = error_text(
             role,
             f"sample {at + 1}",
             expected="a time axis that grows",
@@ -254,7 +254,7 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
             yield _full(name, signal, full, quantity)
             if getattr(protocol.align, "channel", "") == name:  # its peaks are not where they seem
                 yield _full(name, signal, full, "clock", anywhere=True)
-        for run in (each for each in runs if not each.is_end):
+        for run in (run for run in runs if not run.is_end):
             yield _frozen(name, signal, run, quantity)
             if protocol.branches is not None and protocol.branches.channel == name:
                 yield _frozen(name, signal, run, "force")  # its branches are not where they were

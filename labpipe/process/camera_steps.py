@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, complaint, nearest
+from labpipe.errors import ProcessingError, error_text, nearest
 from labpipe.markers.rings import ring_centres, rings_by_body
 from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
 from labpipe.markers.specimen_shape import Offsets, ShapeFit, deflection, fit_shape
@@ -28,8 +28,8 @@ from labpipe.records.quality import (
     Severity,
     doubtful,
     doubtful_stretches,
+    info_note,
     warning,
-    worth_knowing,
 )
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
@@ -101,12 +101,12 @@ def turn_into_specimen(
             f"the clamp rests for {float(np.ptp(tracks.time[rest])):.2f} s, less than the "
             f"{step.over:g} s of 'over': these are taken as the rest"
         )
-        found.append(worth_knowing("short_rest", take.role, message))
+        found.append(info_note("short_rest", take.role, message))
     said = (
         f"markers lie {1e3 * frame.out_of_plane:.3g} mm rms off their plane, the clamp "
         f"{1e3 * frame.travel_residual:.3g} mm rms off its line"
     )
-    found += [*_said(frame.notes, take.role), worth_knowing("specimen_frame", take.role, said)]
+    found += [*_said(frame.notes, take.role), info_note("specimen_frame", take.role, said)]
     signals = prepared.signals
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
@@ -160,7 +160,7 @@ def fit_shapes(
         f"markers lie {1e3 * misfit:.3g} mm rms off the fitted curve, the clamped end "
         f"points {np.degrees(fit.clamp_angle):.2f} deg off x"
     )
-    found.append(worth_knowing("shape_fit", take.role, said))
+    found.append(info_note("shape_fit", take.role, said))
     if take.clamp is not None:
         signals = signals.with_new("deflection", _deflection(fit, rest, take))
         stretch = tracks.time[rest]
@@ -234,7 +234,7 @@ def _clamp(
     body = tracks.body(words.clamp)
     if body is None:
         known = nearest(words.clamp, [body.name for body in tracks.bodies])
-        message = complaint(
+        message = error_text(
             role,
             "rigid bodies",
             expected=f"the clamp {words.clamp!r}",
@@ -243,7 +243,7 @@ def _clamp(
         )
         raise ProcessingError(message)
     if np.isnan(body.position).all():
-        message = complaint(
+        message = error_text(
             role,
             f"rigid body {words.clamp!r}",
             expected="positions",
@@ -296,7 +296,7 @@ def _along(tracks: MarkerTracks, words: Markers, role: str) -> tuple[list[str], 
     others = sorted({name for name in bodies if name != words.clamp})
     if others:
         message = f"markers of {', '.join(others)} are not the specimen's: name them to use them"
-        found.append(worth_knowing("bodies_left_out", role, message))
+        found.append(info_note("bodies_left_out", role, message))
     if words.along != "all":
         patterns = words.along
         candidates = [
@@ -307,7 +307,7 @@ def _along(tracks: MarkerTracks, words: Markers, role: str) -> tuple[list[str], 
         ]
     seen = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
     if len(seen) < 3:
-        message = complaint(
+        message = error_text(
             role,
             "markers",
             expected="at least 3 markers along the specimen",

@@ -31,7 +31,9 @@ def day_of_test(sheet: str, recordings: Mapping[str, Recording]) -> date | None:
     """
     said = parse_yaml(sheet, "test.yaml").data
     written = [said.get("date")] if isinstance(said, Mapping) else []
-    written += [each.metadata.get(key) for each in recordings.values() for key in DAY_KEYS]
+    written += [
+        recording.metadata.get(key) for recording in recordings.values() for key in DAY_KEYS
+    ]
     return next(filter(None, map(_day, written)), None)
 
 

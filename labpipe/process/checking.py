@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.errors import ProcessingError, ProtocolError, ReadError, complaint, nearest
+from labpipe.errors import ProcessingError, ProtocolError, ReadError, error_text, nearest
 from labpipe.process.calibrated_signals import calibrated
+from labpipe.process.output_paths import files_below
 from labpipe.process.reading import is_empty, joined, name_channels, unit_fault, where_to_name
 from labpipe.process.steps import step_or_refusal
-from labpipe.process.targets import files_below
 from labpipe.protocol.load import (
     is_there,
     load_calibration_plan,
@@ -52,7 +52,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class CheckReport:
     """What was looked at and what was found.
 
     Parameters
@@ -70,7 +70,7 @@ class Checked:
 
 def check_paths(
     paths: Sequence[Path] = (), *, protocols: Path | None = None, follow_links: bool = False
-) -> Checked:
+) -> CheckReport:
     """Check protocols and tests.
 
     Parameters
@@ -99,7 +99,7 @@ def check_paths(
         found += [Finding(test, message) for message in _test_faults(test, protocols, follow_links)]
     found += _shared_names(tests)
     once = {finding.message: finding for finding in reversed(found)}
-    return Checked(others, tests, tuple(reversed(once.values())), plans)
+    return CheckReport(others, tests, tuple(reversed(once.values())), plans)
 
 
 def _yaml_files(path: Path) -> list[Path]:
@@ -117,7 +117,7 @@ def _unusable(path: Path) -> Iterator[Finding]:
         found = "a folder without any" if path.is_dir() else "another file"
     expected = f"a protocol, a {SHEET_NAME}, or a folder with some"
     remedy = f"`labpipe new` writes a {SHEET_NAME}."
-    yield Finding(path, complaint(path, "", expected=expected, found=found, remedy=remedy))
+    yield Finding(path, error_text(path, "", expected=expected, found=found, remedy=remedy))
 
 
 def _loader_of(path: Path) -> Callable[[Path], object] | None:
@@ -159,7 +159,9 @@ def _protocol_faults(path: Path) -> Iterator[str]:
         return
     if protocol.name != path.stem:
         expected, remedy = f"the name of the file, {path.stem!r}", "Change one of them."
-        yield complaint(path, "(name)", expected=expected, found=repr(protocol.name), remedy=remedy)
+        yield error_text(
+            path, "(name)", expected=expected, found=repr(protocol.name), remedy=remedy
+        )
 
 
 def _test_faults(path: Path, protocols: Path | None, follow_links: bool) -> Iterator[str]:
@@ -233,7 +235,7 @@ def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
     """Find a test on two supports whose distance is missing."""
     asked = needs_span(protocol)
     if asked:
-        yield complaint(
+        yield error_text(
             path,
             "specimen.span",
             expected=f"the distance of the supports (for {', '.join(asked)})",
@@ -295,7 +297,7 @@ def _marker_faults(
     if markers.clamp is not None and markers.clamp not in bodies:
         near = nearest(markers.clamp, bodies)
         remedy = f"The take has {', '.join(map(repr, near))}." if near else _INSPECT
-        yield complaint(
+        yield error_text(
             path,
             f"rigid body {markers.clamp!r}",
             expected="the rigid body that 'markers.clamp' names",
@@ -308,7 +310,7 @@ def _marker_faults(
             remedy = f"Nearest: {', '.join(map(repr, near))}." if near else _INSPECT
             expected = "markers that 'markers.along' names"
             place = f"markers {wanted!r}"
-            yield complaint(path, place, expected=expected, found="none", remedy=remedy)
+            yield error_text(path, place, expected=expected, found="none", remedy=remedy)
 
 
 def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
@@ -323,6 +325,6 @@ def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
         if key in seen:
             expected, found = "a name that no other test of the campaign has", repr(sheet.test)
             remedy = f"{seen[key]} has it too: rename one of them."
-            text = complaint(path, "(test)", expected=expected, found=found, remedy=remedy)
+            text = error_text(path, "(test)", expected=expected, found=found, remedy=remedy)
             yield Finding(path, text)
         seen.setdefault(key, path)

@@ -31,13 +31,13 @@ from labpipe.protocol.schema import (
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, blocking, doubtful, worth_knowing
+from labpipe.records.quality import Finding, blocking, doubtful, info_note
 from labpipe.records.signals import Signal, Signals
 from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag, rough_peaks
 from labpipe.signal.corners import Corner
 from labpipe.signal.reversals import Reversal
 from labpipe.signal.turning_points import Stroke, sharpest_turn
-from labpipe.uncertainty.wandering_zeros import wanders
+from labpipe.uncertainty.zero_drift import drift_modes
 
 _TRIM = 1.0
 """s at both ends of a cycle that are left out of a comparison of cycles."""
@@ -188,8 +188,8 @@ def _repeat(
         return None
     error = float(np.hypot(moved.error, pulled.error))
     by = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    lags = [lag_of(force.values + wave) for wave in wanders(force.time - force.time[0], by)]
-    steps = [each.value - pulled.value for each in lags if not isinstance(each, Failure)]
+    lags = [lag_of(force.values + wave) for wave in drift_modes(force.time - force.time[0], by)]
+    steps = [lag.value - pulled.value for lag in lags if not isinstance(lag, Failure)]
     return Repeat(moved.value, pulled.value, error, wander=float(np.linalg.norm(steps)))
 
 
@@ -222,7 +222,7 @@ def _consistent(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, li
         f"turning points {expected:.3f} s: the cycles are not alike, and the turning points alone "
         "join the clocks"
     )
-    return None, [worth_knowing("cycles_not_alike", "align", message)]
+    return None, [info_note("cycles_not_alike", "align", message)]
 
 
 def _fitted(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
@@ -322,7 +322,7 @@ def stated_clocks(
         f"{'' if align.uncertainty is not None else ' (one sample, as none is stated)'}, drift "
         f"{1e6 * align.drift:.4g} ppm, because: {align.because}"
     )
-    note = worth_knowing("clocks_stated", "align", message)
+    note = info_note("clocks_stated", "align", message)
     return fit, [note, *_contradicted(force, fit, motion, strokes)]
 
 
@@ -426,7 +426,7 @@ def _paired(
     motion: Signal, force: Signal, strokes: tuple[Stroke, ...], align: AlignCommonStart
 ) -> list[tuple[int, float]]:
     """Strokes that end at the top of loading, and where the force roughly turns there."""
-    loads = [each.sign == strokes[0].sign for each in strokes[:-1]]
+    loads = [stroke.sign == strokes[0].sign for stroke in strokes[:-1]]
     if sum(loads) == 1:
         near = sharpest_turn(force.time, force.values, width=align.force_window)
         return [] if near is None else [(0, near)]
@@ -437,22 +437,22 @@ def _weighted(seen: list[Seen]) -> tuple[float, float] | None:
     """Mean difference at the turns and its standard error, s."""
     if not seen:
         return None
-    weights = np.array([each.error for each in seen]) ** -2.0
-    differences = np.array([each.force - each.motion for each in seen])
+    weights = np.array([seen.error for seen in seen]) ** -2.0
+    differences = np.array([seen.force - seen.motion for seen in seen])
     return float(np.average(differences, weights=weights)), float(weights.sum() ** -0.5)
 
 
 def _fit_together(seen: list[Seen], align: AlignCommonStart, *, together: bool) -> ClockFit:
-    design: Floats = np.array([[1.0, each.motion] for each in seen] + [[0.0, 1.0]])
-    says = np.array([each.force - each.motion for each in seen] + [0.0])
-    errors = np.array([each.error for each in seen] + [align.max_drift / sqrt(3.0)])
+    design: Floats = np.array([[1.0, seen.motion] for seen in seen] + [[0.0, 1.0]])
+    says = np.array([seen.force - seen.motion for seen in seen] + [0.0])
+    errors = np.array([seen.error for seen in seen] + [align.max_drift / sqrt(3.0)])
     if together:
         design = np.vstack([design, [1.0, 0.0]])
         says = np.append(says, 0.0)
         errors = np.append(errors, align.max_offset / sqrt(3.0))
     weighted = design / errors[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
-    offset, drift = (float(each) for each in covariance @ weighted.T @ (says / errors))
+    offset, drift = (float(say) for say in covariance @ weighted.T @ (says / errors))
     offset_error, drift_error = (float(each) for each in np.sqrt(np.diag(covariance)))
     events = seen or [Seen(0.0, 0.0, align.max_offset / sqrt(3.0))]  # the trigger itself
     motion, force, spread = np.array([[e.motion, e.force, e.error] for e in events]).T
@@ -484,7 +484,7 @@ def _finding(
             f"the {align.channel} shows no corner at a turn of the motion: the common start, "
             f"within {1e3 * align.max_offset:.3g} ms, is taken as it is"
         )
-        return worth_knowing("start_unchecked", "align", message)
+        return info_note("start_unchecked", "align", message)
     known, apart = 1.96e3 * at_turn[1], abs(at_turn[0])
     far = f"{apart:.2f} s" if apart > 1.0 else f"{1e3 * apart:.4g} ms"
     said = (
@@ -493,7 +493,7 @@ def _finding(
     )
     if together:
         message = f"{said}; started together, so {1e3 * fit.offset:.4g} ms is taken at the start"
-        return worth_knowing("common_start", "align", message)
+        return info_note("common_start", "align", message)
     message = (
         f"{said}: the recorders did not start within {1e3 * align.max_offset:.3g} ms of each "
         "other; the difference at the turn is taken"

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, complaint
+from labpipe.errors import ProcessingError, error_text
 from labpipe.fits.failure_point import (
     FailurePoint,
     LossOfForce,
@@ -31,25 +31,25 @@ from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, blocking, doubtful, warning, worth_knowing
+from labpipe.records.quality import Finding, blocking, doubtful, info_note, warning
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.evidence import Evidence
+from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
 from labpipe.results.failures import loading_before
-from labpipe.results.force_samples import cuts_of
-from labpipe.results.likely_curves import likely_curves, loading_of, traced
-from labpipe.results.taut_curves import counted_from_taut, slack_of
+from labpipe.results.load_cell_noise import cuts_of
+from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.slack_correction import counted_from_taut, slack_of
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 from labpipe.signal.turning_points import branch_numbers
+from labpipe.uncertainty.extractors import Decide, Trace
 from labpipe.uncertainty.intervals import Measured
-from labpipe.uncertainty.readings import Decide, Trace
 
 _MAY_FALL = 0.025
 """Share of the curves with such noise in which a force that surely rises may fall."""
-Corrected: TypeAlias = tuple[Evidence, list[Finding]]
+Corrected: TypeAlias = tuple[ReducedTest, list[Finding]]
 
 
-def aligned(test: Evidence) -> Aligned:
+def aligned(test: ReducedTest) -> Aligned:
     """Sample all raw signals at the times of the displacement; the curve's own by its words."""
     time = test.displacement.time
     series = {
@@ -62,7 +62,7 @@ def aligned(test: Evidence) -> Aligned:
 
 
 def put_together(
-    test: Evidence, unfiltered: Signal, motion: Motion
+    test: ReducedTest, unfiltered: Signal, motion: Motion
 ) -> tuple[Curve | None, list[Finding]]:
     """Put force and displacement on one clock: the curve; none where the records do not overlap.
 
@@ -98,7 +98,7 @@ def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
     )
 
 
-def correct_curve(test: Evidence, block: CurveBlock) -> Corrected:
+def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
     """Correct the curve as the protocol says.
 
     Parameters
@@ -125,7 +125,7 @@ def correct_curve(test: Evidence, block: CurveBlock) -> Corrected:
     if block.slips is not None:
         test, more = _with_slips(test, block.slips)
         found += more
-    test = replace(test, replicates=likely_curves(test))
+    test = replace(test, replicates=replicate_curves(test))
     if block.slack is not None:
         test, more = _without_slack(test, block.slack)
         found += more
@@ -159,7 +159,7 @@ def without_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     return bridge, [warning("stray_samples", signals.force, message)]
 
 
-def _without_compliance(test: Evidence, compliance: MachineCompliance) -> Corrected:
+def _without_compliance(test: ReducedTest, compliance: MachineCompliance) -> Corrected:
     """Displacement of the specimen alone, and what it is with another compliance."""
     curve = test.curve
     if curve is None:
@@ -177,10 +177,10 @@ def _without_compliance(test: Evidence, compliance: MachineCompliance) -> Correc
         f"{1e6 * value:.4g} um/N x force taken off the displacement, {most:.4g} um at the most"
     )
     made = replace(_with_displacement(test, curve, signal), compliance=value)
-    return made, [worth_knowing("compliance_removed", test.signals.displacement, message)]
+    return made, [info_note("compliance_removed", test.signals.displacement, message)]
 
 
-def _refuse_backwards(test: Evidence, curve: Curve, corrected: Floats, value: float) -> None:
+def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value: float) -> None:
     """Refuse a compliance that is more than frame and specimen give way together."""
     branch = test.first_loading
     if branch is None:
@@ -188,11 +188,11 @@ def _refuse_backwards(test: Evidence, curve: Curve, corrected: Floats, value: fl
     top = branch.start + int(np.nanargmax(curve.force[branch.start : branch.stop]))
     loading = slice(branch.start, top + 1)
     blocks = np.array_split(corrected[loading], min(20, top + 1 - branch.start))
-    if np.all(np.diff([np.nanmean(each) for each in blocks]) > 0.0):
+    if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
     way = float(curve.displacement[top] - curve.displacement[branch.start])
     pull = float(curve.force[top] - curve.force[branch.start])
-    message = complaint(
+    message = error_text(
         "curve.compliance",
         "",
         expected=f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N on the way up",
@@ -202,7 +202,7 @@ def _refuse_backwards(test: Evidence, curve: Curve, corrected: Floats, value: fl
     raise ProcessingError(message)
 
 
-def final_loss_of(test: Evidence, rule: LossOfForce) -> int | Failure | None:
+def final_loss_of(test: ReducedTest, rule: LossOfForce) -> int | Failure | None:
     """Find the sample of the curve at which the force begins to be lost.
 
     Parameters
@@ -219,8 +219,8 @@ def final_loss_of(test: Evidence, rule: LossOfForce) -> int | Failure | None:
         return None
     after = slice(branch.start, None)
     is_back = np.zeros(len(curve.time), dtype=np.bool_)
-    for each in curve.branches:
-        is_back[each.start : each.stop] = each.direction is Direction.UNLOADING
+    for point in curve.branches:
+        is_back[point.start : point.stop] = point.direction is Direction.UNLOADING
     force = _sense(curve) * curve.force[after]
     found = final_loss(curve.time[after], force, rule, is_back[after])
     return found if isinstance(found, Failure) else found + branch.start
@@ -246,13 +246,13 @@ def _sense(curve: Curve) -> float:
     return sense_of_loading(curve.force[first.start : first.stop])
 
 
-def _filtered_in_pieces(test: Evidence, lost: int | Failure | None) -> Evidence:
+def _filtered_in_pieces(test: ReducedTest, lost: int | Failure | None) -> ReducedTest:
     """Filter force and displacement anew, each branch by itself: their corners are known now."""
     curve, signals = test.curve, test.signals
     names = {"force": signals.force, "displacement": signals.displacement}
     if curve is None or not set(names.values()) & signals.filters.keys():
         return test
-    ends = [at for each in curve.branches for at in (each.start_time, each.stop_time)]
+    ends = [at for branch in curve.branches for at in (branch.start_time, branch.stop_time)]
     ends += [float(curve.time[lost])] if isinstance(lost, int) else []
     raw = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
     changed = {"force": curve.force, "displacement": curve.displacement}
@@ -268,7 +268,7 @@ def _filtered_in_pieces(test: Evidence, lost: int | Failure | None) -> Evidence:
     return replace(test, signals=signals, curve=corrected)
 
 
-def _with_slips(test: Evidence, block: SlipsBlock) -> Corrected:
+def _with_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
     curve, stretch = test.curve, test.loading_stretch
     if curve is None or stretch.stop <= stretch.start:
         return test, []
@@ -300,7 +300,7 @@ def _said(slip: Slip) -> str:
     )
 
 
-def _repaired(test: Evidence, curve: Curve) -> Evidence:
+def _repaired(test: ReducedTest, curve: Curve) -> ReducedTest:
     """Add the drops back; what is left once the specimen broke is not raised."""
     force = add_back(curve.force, test.slips)
     if isinstance(test.failure, FailurePoint):
@@ -309,16 +309,16 @@ def _repaired(test: Evidence, curve: Curve) -> Evidence:
     return replace(test, curve=replace(curve, force=force))
 
 
-def _cut(test: Evidence, curve: Curve) -> Evidence:
+def _cut(test: ReducedTest, curve: Curve) -> ReducedTest:
     """Nothing counts from the first slip on."""
     kept = samples_before(test.slips, len(curve.force))
     force = np.where(np.arange(len(curve.force)) < kept, curve.force, np.nan)
     branches = tuple(
-        replace(each, stop=min(each.stop, kept), stop_time=float(curve.time[kept - 1]))
-        if each.stop > kept
-        else each
-        for each in curve.branches
-        if each.start < kept
+        replace(branch, stop=min(branch.stop, kept), stop_time=float(curve.time[kept - 1]))
+        if branch.stop > kept
+        else branch
+        for branch in curve.branches
+        if branch.start < kept
     )
     return replace(
         test,
@@ -328,7 +328,7 @@ def _cut(test: Evidence, curve: Curve) -> Evidence:
     )
 
 
-def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
+def _without_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
     curve, where = test.curve, test.signals.displacement
     if curve is None:
         return test, []
@@ -347,10 +347,10 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
         slips=tuple(_moved(slip, off) for slip in test.slips),
     )
     message = f"{1e3 * off:.4g} mm of slack taken off: displacement counts from where it is taut"
-    return made, [worth_knowing("slack_removed", where, message)]
+    return made, [info_note("slack_removed", where, message)]
 
 
-def slack_by(test: Evidence, decide: Decide) -> Measured | Failure:
+def slack_by(test: ReducedTest, decide: Decide) -> Measured | Failure:
     """Measure the slack, where the force surely rises and the curve has a toe.
 
     Parameters
@@ -403,7 +403,7 @@ def _moved(slip: Slip, slack: float) -> Slip:
     return replace(slip, position=slip.position - slack, position_interval=moved)
 
 
-def _with_displacement(test: Evidence, curve: Curve, displacement: Signal) -> Evidence:
+def _with_displacement(test: ReducedTest, curve: Curve, displacement: Signal) -> ReducedTest:
     return replace(
         test,
         signals=test.signals.with_filtered(test.signals.displacement, displacement),

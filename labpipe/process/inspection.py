@@ -99,7 +99,9 @@ def _stream(clock: Clock, recording: Recording) -> dict[str, object]:
         "clock": clock.name,
         "unit": clock.unit,
         **_timing(clock.time, on_event=_is_uneven(clock, recording)),
-        "channels": [_channel(each) for each in recording.channels if each.clock == clock.name],
+        "channels": [
+            _channel(channel) for channel in recording.channels if channel.clock == clock.name
+        ],
     }
 
 
@@ -235,7 +237,7 @@ def _stream_lines(clock: Clock, recording: Recording) -> list[str]:
     head = f"Clock {clock.name}: {timing}"
     if clock.unit != "s":
         head = f"Rows, no clock: {len(clock.time)} samples"
-    channels = [_channel(each) for each in recording.channels if each.clock == clock.name]
+    channels = [_channel(channel) for channel in recording.channels if channel.clock == clock.name]
     rows = [["channel", "unit", "first", "last", "min", "max", "missing"]]
     for channel in channels:
         unit = channel["unit"] or channel["unit_in_file"] or "-"

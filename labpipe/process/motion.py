@@ -246,7 +246,7 @@ def check_turns(
                 during=_unseen(motion, at),
                 clock=motion.clock,
             )
-    rounded = [each for turn in turns for each in _corners(motion, turn)]
+    rounded = [corner for turn in turns for corner in _corners(motion, turn)]
     rounded += _waits(motion, [turn for turn in turns if turn.dwell > 0.0])
     for (start, stop), message in rounded:
         for quantity, during in (

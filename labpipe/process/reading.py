@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint, in_test_sheet
+from labpipe.errors import ReadError, error_text, in_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
@@ -62,7 +62,7 @@ def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     is_alike = _same(meant, meant, _si_unit(source))
     remedy = f"Write {meant} there" if is_alike else _another_channel(source)
     wrong = in_test_sheet(f"{key}.wrong_unit_in_file", stated)
-    return complaint(
+    return error_text(
         path,
         f"channel {channel.path!r}",
         expected=f"the unit that the export states, {stated!r}",
@@ -109,7 +109,7 @@ def _stated_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     elif stated not in _SILENT and is_unit(stated):
         remedy = f"{_another_channel(source)}, or give '{source.key}.calibration'."
     place = f"channel {channel.path!r}"
-    return complaint(path, place, expected=expected, found=found, remedy=remedy)
+    return error_text(path, place, expected=expected, found=found, remedy=remedy)
 
 
 def _another_channel(source: ChannelSource) -> str:
@@ -237,7 +237,7 @@ def joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Re
     """
     filled = [number for number, part in enumerate(parts) if not is_empty(part)]
     if not filled:
-        message = complaint(
+        message = error_text(
             folder / names[0],
             "",
             expected="samples",
@@ -298,14 +298,18 @@ def where_to_name(error: NoChannelError, source: Source, path: Path) -> str:
         listed = ", ".join(map(repr, error.parts[:_LISTED]))
         more = " ..." if len(error.parts) > _LISTED else ""
         part = in_test_sheet(f"{source.key}.part", error.parts[0])
-        return complaint(
+        return error_text(
             path,
             "",
             expected="one specimen",
             found=f"{len(error.parts)}: {listed}{more}",
             remedy=f"Choose one with {part}.",
         )
-    keys = [each.key for each in source.all_channels.values() if each.channel == error.wanted]
+    keys = [
+        all_channel.key
+        for all_channel in source.all_channels.values()
+        if all_channel.channel == error.wanted
+    ]
     name = in_test_sheet(f"{keys[0]}.channel", "...") if keys else ""
     return f"{error} Name the right one with {name}." if keys else str(error)
 
@@ -370,7 +374,7 @@ def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
     """
     for part, name in zip(parts, names, strict=True):
         if part.markers is not None or len(part.clocks) != 1 or not len(part.clocks[0].time):
-            message = complaint(
+            message = error_text(
                 name,
                 "",
                 expected="a part of a recording: channels on one clock",
@@ -379,7 +383,7 @@ def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
             )
             raise ReadError(message)
         if part.clocks[0].unit != "s":
-            message = complaint(
+            message = error_text(
                 name,
                 "",
                 expected="a part of a recording with times, by which parts are put in order",
@@ -409,7 +413,7 @@ def _refuse_overlap(first: Recording, second: Recording, one: str, other: str) -
     ends, begins = float(first.clocks[0].time[-1]), float(second.clocks[0].time[0])
     if begins > ends:
         return
-    message = complaint(
+    message = error_text(
         other,
         "time",
         expected=f"a start after {ends:.6f} s, where {Path(one).name} ends",
@@ -450,7 +454,7 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return InputFile(role, name, digest, path.stat().st_size)
     except OSError as error:
-        message = complaint(
+        message = error_text(
             path,
             "",
             expected="an export that can be read",

@@ -16,11 +16,11 @@ from labpipe.process.curve_corrections import final_loss_of, slack_by
 from labpipe.protocol.schema import CurveBlock, Protocol
 from labpipe.records.estimates import Failure
 from labpipe.records.result import Result, Status
-from labpipe.results.evidence import Evidence
+from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import Kind
-from labpipe.results.likely_curves import loading_of, traced
+from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.slack_correction import slack_of
 from labpipe.results.stiffness import Window
-from labpipe.results.taut_curves import slack_of
 
 _ENOUGH = (10, 8, 20, 40)
 """Samples that a window is tried with: two more than a line needs, just that, and for two lines."""
@@ -32,7 +32,7 @@ Values = Mapping[str, str]
 """By dotted key, as a test sheet writes them."""
 
 
-def with_remedy(result: Result, entry: Kind, test: Evidence, protocol: Protocol) -> Result:
+def with_remedy(result: Result, entry: Kind, test: ReducedTest, protocol: Protocol) -> Result:
     """Add to a result that is not available what would make it so.
 
     Parameters
@@ -73,18 +73,20 @@ def with_remedy(result: Result, entry: Kind, test: Evidence, protocol: Protocol)
         (first, value), *more = found.items()
         return f"; {condition}, write {in_test_sheet(first, value, **dict(more))}"
 
-    reasons = [replace(each, message=each.message + remedy(each)) for each in result.reasons]
+    reasons = [
+        replace(reason, message=reason.message + remedy(reason)) for reason in result.reasons
+    ]
     return replace(result, reasons=tuple(reasons))
 
 
 def _key(entry: Kind, protocol: Protocol) -> str:
     """Dotted key of an entry: by its name or word where no other has it, else by its number."""
-    called = [getattr(each, "name", each.result) for each in protocol.results]
+    called = [getattr(result, "name", result.result) for result in protocol.results]
     number = protocol.results.index(entry)
     return f"results.{called[number] if called.count(called[number]) == 1 else number}"
 
 
-def _windows(entry: Window, test: Evidence, key: str) -> Iterator[Values]:
+def _windows(entry: Window, test: ReducedTest, key: str) -> Iterator[Values]:
     """Windows near the one asked for that hold enough samples, and give the number."""
     trace = traced(test)
     places = trace.displacement[loading_of(trace)]
@@ -106,7 +108,7 @@ def _rounded(length: float, way: Callable[[float], int]) -> float:
     return float(f"{way(length / step) * step:.6g}")
 
 
-def _regions(test: Evidence, block: CurveBlock) -> Iterator[Values]:
+def _regions(test: ReducedTest, block: CurveBlock) -> Iterator[Values]:
     """Ends of the linear region up to which it holds enough samples."""
     slack = block.slack
     if slack is None or not isinstance(test.slack, Failure) or test.slack.code != "too_few_samples":
@@ -117,13 +119,13 @@ def _regions(test: Evidence, block: CurveBlock) -> Iterator[Values]:
             yield {"curve.slack.to": f"{stop} %"}
 
 
-def _losses(test: Evidence, block: CurveBlock) -> Iterator[Values]:
+def _losses(test: ReducedTest, block: CurveBlock) -> Iterator[Values]:
     """Rules by which the force is lost for good in this record."""
     rule = block.failure
     if rule is None:
         return
     shares = (each / 100.0 for each in _PERCENT if each > 100.0 * rule.force_below)
-    times = (each for each in _TIMES if each > rule.within)
+    times = (time for time in _TIMES if time > rule.within)
     for within, share in product((rule.within, *times), (rule.force_below, *shares)):
         if isinstance(final_loss_of(test, LossOfForce(share, rule.loss, within)), int):
             found = {"force_below": f"{100.0 * share:.0f} %"} if share != rule.force_below else {}

@@ -14,11 +14,11 @@ from typing import get_args
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, StoreError, complaint
+from labpipe.errors import ProcessingError, StoreError, error_text
 from labpipe.process.certificates import day_of_test, instruments_of, operator_of_test
+from labpipe.process.output_paths import RESULT_FILE
 from labpipe.process.reading import read_inputs
 from labpipe.process.story import reduce_recordings
-from labpipe.process.targets import RESULT_FILE
 from labpipe.protocol.load import (
     dump_protocol,
     load_test_sheet,
@@ -107,7 +107,7 @@ def process_test(
     raw, protocol = read_source(source, follow_links=follow_links)
     say("process")
     result = reduce_test(raw, protocol)
-    folder = goal or goal_of(source, out, lambda: result.test)
+    folder = goal or results_folder_of(source, out, lambda: result.test)
     owned = [FAILURE_FILE, *_figures_to_go(folder, result.run, is_drawn=figures)]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
@@ -301,7 +301,7 @@ def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
     """A test from the raw group of an earlier result."""
     raw = read_raw(result_path)
     if not is_name_of_a_test(raw.test):
-        message = complaint(
+        message = error_text(
             result_path,
             "test",
             expected="the name of a test, such as A2-085-1",
@@ -329,7 +329,7 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
             continue
         remedy = "Process the test again from its exports."
         place = f"raw/{role}"
-        text = complaint(result_path, place, expected=expected, found=found, remedy=remedy)
+        text = error_text(result_path, place, expected=expected, found=found, remedy=remedy)
         raise StoreError(text, code="bad_result")
 
 
@@ -339,7 +339,7 @@ def _times_go_on(recording: Recording) -> bool:
     return all(bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all()) for time in times)
 
 
-def goal_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
+def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
     """Find where the results of a test go.
 
     Parameters

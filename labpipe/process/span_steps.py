@@ -19,14 +19,14 @@ from labpipe.records.declarations import ThreePointShape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import (
     Finding,
+    info_note,
     not_available,
-    worth_knowing,
 )
 from labpipe.records.signals import Signal
-from labpipe.results.evidence import SpanBend
+from labpipe.results.reduced_test import SpanBend
 from labpipe.signal.clock_alignment import match_peaks
 from labpipe.signal.turning_points import Stroke, find_strokes
-from labpipe.uncertainty.noise import long_run_variance
+from labpipe.uncertainty.autocorrelation import long_run_variance
 
 NO_SPAN = Failure(
     "no_span",
@@ -91,7 +91,7 @@ def bend_between_supports(
         shape=_stored(sections, shape, tracks.time, repaired.flags),
         span=SpanBend(shape, tracks.time, rest),
     )
-    return made, [worth_knowing("three_point_shape", take.role, said)]
+    return made, [info_note("three_point_shape", take.role, said)]
 
 
 def _given_up(prepared: Prepared, why: Failure) -> tuple[Prepared, list[Finding]]:
@@ -178,7 +178,7 @@ def align_cameras(
         f"{1.96e3 * fit.offset_interval.standard_error:.2g} ms; the shape stands on the motion's"
         " clock"
     )
-    note = worth_knowing("camera_clock", seen.clock, said)
+    note = info_note("camera_clock", seen.clock, said)
     return replace(prepared, shape=shape), {seen.clock: fit}, [note]
 
 

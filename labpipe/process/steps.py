@@ -28,7 +28,7 @@ from labpipe.records.declarations import (
     TravelFromSpeed,
     Zero,
 )
-from labpipe.records.quality import Finding, doubtful, worth_knowing
+from labpipe.records.quality import Finding, doubtful, info_note
 from labpipe.records.signals import Filter, Signal, Signals
 from labpipe.signal.corners import Corner, fit_corner
 from labpipe.signal.filters import (
@@ -118,7 +118,7 @@ def travel_from_speed(
     )
     known_to = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * lasts))
     found = [
-        worth_knowing("displacement_from_speed", step.channel, said),
+        info_note("displacement_from_speed", step.channel, said),
         *_start(force, drive, step.channel),
         *_rest(force, drive, known_to),
     ]
@@ -150,7 +150,7 @@ def _start(force: Signal, drive: Drive, channel: str) -> Iterator[Finding]:
     seen, lasts = _take_off(force, drive.turn), drive.turn - drive.start
     if seen is None:
         message = "the force was not seen to rise from rest, so that nothing checks the start"
-        yield worth_knowing("start_not_seen", channel, message)
+        yield info_note("start_not_seen", channel, message)
         return
     late = seen.time - drive.start
     if abs(late) <= _LATE * lasts + 3.0 * seen.time_error:
@@ -353,7 +353,7 @@ def zeroed(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     said = f"zero at {round(level, 12):.6g} {signal.unit}, {how} at the {step.at}"
     if len(known) < LEAST:
         said += f", {len(known)} samples: their noise is judged by the rest of the record"
-    return signals.without_level(name, level, error), [worth_knowing("zeroed", name, said)]
+    return signals.without_level(name, level, error), [info_note("zeroed", name, said)]
 
 
 def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
@@ -383,7 +383,7 @@ def _smooth(signals: Signals, step: Smooth, protocol: Protocol) -> tuple[Signals
     length = f" ({seconds:.4g} s)" if signal.has_time else ""
     said = f"moving average over {window} samples{length}"
     made = (Smoothing(window), 1)
-    return _filtered(signals, step.channel, made), [worth_knowing("smoothed", step.channel, said)]
+    return _filtered(signals, step.channel, made), [info_note("smoothed", step.channel, said)]
 
 
 def _low_pass(signals: Signals, step: LowPass) -> tuple[Signals, list[Finding]]:
@@ -398,7 +398,7 @@ def _decimate(signals: Signals, step: Decimate) -> tuple[Signals, list[Finding]]
     window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
     made = (Smoothing(window), step.factor)
     said = f"every {step.factor}th sample kept ({step.method})"
-    return _filtered(signals, step.channel, made), [worth_knowing("decimated", step.channel, said)]
+    return _filtered(signals, step.channel, made), [info_note("decimated", step.channel, said)]
 
 
 def _step_of(signal: Signal) -> float:

@@ -6,7 +6,7 @@ and what it found:
 recordings -> signals -> prepared (steps: zeros, filters, shape) -> branches and clocks -> curve ->
 corrected curve -> results
 
-`Evidence` is the last record; every result is computed from it alone.
+`ReducedTest` is the last record; every result is computed from it alone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from labpipe.process.curve_corrections import (
     without_outliers,
 )
 from labpipe.process.motion import Motion, branches_between, strokes_of
-from labpipe.process.plausibility import (
+from labpipe.process.sanity_checks import (
     check_mid_span,
     check_rest,
     check_rig,
@@ -47,14 +47,14 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Clocks
 from labpipe.results.beam import BendingStiffness
-from labpipe.results.evidence import Evidence, LoadString, Setup
 from labpipe.results.kinds import to_result
+from labpipe.results.reduced_test import LoadString, ReducedTest, Setup
 from labpipe.results.shapes import MomentCurvature
 from labpipe.uncertainty.intervals import Measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reduced:
+class ReductionOfTest:
     """What a test comes to.
 
     Parameters
@@ -64,14 +64,14 @@ class Reduced:
     lines : the straight lines that stiffnesses were read from
     """
 
-    evidence: Evidence
+    evidence: ReducedTest
     results: tuple[Result, ...]
     lines: tuple[FittedLine, ...]
 
 
 def reduce_recordings(
     recordings: Mapping[str, Recording], protocol: Protocol, *, tested: date | None = None
-) -> Reduced:
+) -> ReductionOfTest:
     """Reduce the recordings of one test to stages and results.
 
     Parameters
@@ -114,8 +114,8 @@ def seed_of(recordings: Mapping[str, Recording]) -> bytes:
         recording = recordings[role]
         values = [channel.values for channel in recording.channels]
         values += [] if recording.markers is None else [recording.markers.positions]
-        for each in values:
-            digest.update(each[:: max(1, len(each) // 1000)].tobytes())
+        for value in values:
+            digest.update(value[:: max(1, len(value) // 1000)].tobytes())
     return digest.digest()
 
 
@@ -168,12 +168,14 @@ def checked(prepared: Prepared, motion: Motion, protocol: Protocol, findings: Fi
     findings += holds(signals.displacement, motion)
     findings += check_rest(signals, motion)
     reversed_signs = [] if is_blocked else check_signs(signals, motion, protocol)
-    if any(each.code == "force_reversed" for each in reversed_signs):
+    if any(reversed_sign.code == "force_reversed" for reversed_sign in reversed_signs):
         findings = findings.without("force_negative")  # its cause is found
     return findings + reversed_signs
 
 
-def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveBlock) -> Evidence:
+def with_curve(
+    test: ReducedTest, motion: Motion, protocol: Protocol, block: CurveBlock
+) -> ReducedTest:
     """Put force and displacement on one clock, and correct what they show.
 
     Parameters
@@ -211,7 +213,7 @@ def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveB
 
 def _evidence(
     prepared: Prepared, clocks: Clocks, protocol: Protocol, findings: Findings
-) -> Evidence:
+) -> ReducedTest:
     specimen, words, string = protocol.specimen, protocol.markers, protocol.rig.string
     sizes = {} if specimen.section is None else vars(specimen.section)
     setup = Setup(
@@ -230,7 +232,7 @@ def _evidence(
         compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
         free_tip=any(isinstance(x, FitShape) and x.tip == "free" for x in protocol.steps),
     )
-    return Evidence(
+    return ReducedTest(
         signals=prepared.signals,
         clocks=clocks,
         setup=setup,
@@ -251,7 +253,7 @@ def _uncertainties(protocol: Protocol) -> dict[str, float]:
     return of_results | (said.stated if said is not None else {})
 
 
-def with_results(test: Evidence, protocol: Protocol) -> Reduced:
+def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:
     """Compute the results that a protocol asks for.
 
     Parameters
@@ -279,4 +281,4 @@ def with_results(test: Evidence, protocol: Protocol) -> Reduced:
             stiffnesses={**test.stiffnesses, **computed.stiffnesses},
             findings=test.findings + computed.findings,
         )
-    return Reduced(test, tuple(results), tuple(lines))
+    return ReductionOfTest(test, tuple(results), tuple(lines))

@@ -14,12 +14,12 @@ from labpipe.process.motion import Motion
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction, Interval
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, Findings, doubtful, worth_knowing
+from labpipe.records.quality import Finding, Findings, doubtful, info_note
 from labpipe.records.signals import Clocks, Signals, Stretch
 from labpipe.signal.rests_and_jumps import level_jumps, samples_at_rest
 from labpipe.signal.turning_points import noise_level
+from labpipe.uncertainty.autocorrelation import long_run_variance, smooth_stretches
 from labpipe.uncertainty.linear_fits import fit_linear
-from labpipe.uncertainty.noise import long_run_variance, smooth_stretches
 
 LEAST = 8
 """Samples below which a stretch alone says nothing of its level."""
@@ -173,7 +173,7 @@ def _zero_again(
     signals = replace(
         signals.without_level(name, level, error), zeroed={**signals.zeroed, name: rest}
     )
-    return signals, [worth_knowing("short_rest", name, message)]
+    return signals, [info_note("short_rest", name, message)]
 
 
 _MOST = 2
@@ -214,9 +214,9 @@ def check_zeros(
 
     def thawed(quantity: str) -> list[float]:
         return [
-            clocks.to_curve(each.during[1], each.clock)
-            for each in findings.doubts
-            if each.reason.code == "frozen_channel" and each.quantity == quantity and each.during
+            clocks.to_curve(doubt.during[1], doubt.clock)
+            for doubt in findings.doubts
+            if doubt.reason.code == "frozen_channel" and doubt.quantity == quantity and doubt.during
         ]
 
     found = list(_displacement_jump(signals.displacement, curve, thawed("displacement")))
@@ -243,7 +243,7 @@ def _rest_force(signals: Signals, curve: Curve) -> Iterator[Finding]:
     if abs(level) > max(_REST_FORCE, 2.0 * signals.raw[name].zero_drift) * most:
         yield doubtful("rest_force", name, message, "force")
     else:
-        yield worth_knowing("rest_force", name, message)
+        yield info_note("rest_force", name, message)
 
 
 def _displacement_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Finding]:
@@ -268,7 +268,7 @@ def _force_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Findi
     first = curve.branches[0]
     sense = sense_of_loading(curve.force[first.start : first.stop])
     jumps = _jumps(curve, curve.force, thawed)
-    found = [each for each in jumps if not _is_of_the_specimen(curve, each[0], sense * each[1])]
+    found = [jump for jump in jumps if not _is_of_the_specimen(curve, jump[0], sense * jump[1])]
     if len(jumps) > _MOST or not found:
         return
     sample, size = found[0]
@@ -291,10 +291,10 @@ def _jumps(curve: Curve, values: Floats, thawed: list[float]) -> tuple[tuple[int
 
 def _is_of_the_specimen(curve: Curve, sample: int, grows: float) -> bool:
     """Whether a step may be a break, a slip, or what follows a turn at once."""
-    near = [at for each in curve.branches for at in (each.start, each.stop)]
+    near = [at for branch in curve.branches for at in (branch.start, branch.stop)]
     if any(abs(sample - at) <= _TURN for at in near):
         return True
-    inside = [each for each in curve.branches if each.start <= sample < each.stop]
+    inside = [branch for branch in curve.branches if branch.start <= sample < branch.stop]
     is_loading = bool(inside) and inside[0].direction is Direction.LOADING
     held = _held_after_loading(curve, sample)
     return grows < 0.0 and (is_loading or held)
@@ -302,8 +302,8 @@ def _is_of_the_specimen(curve: Curve, sample: int, grows: float) -> bool:
 
 def _held_after_loading(curve: Curve, sample: int) -> bool:
     """Whether the specimen is held at the end of a loading: it may break there as well."""
-    before = [each for each in curve.branches if each.stop <= sample]
-    resting = all(not each.start <= sample < each.stop for each in curve.branches)
+    before = [branch for branch in curve.branches if branch.stop <= sample]
+    resting = all(not branch.start <= sample < branch.stop for branch in curve.branches)
     return bool(before) and resting and before[-1].direction is Direction.LOADING
 
 
@@ -363,7 +363,7 @@ def check_break(
 
 def _grows(curve: Curve, limit: float) -> bool:
     """Whether the force at the end of unloading changes from the first cycle to the last."""
-    ends = [each.stop for each in curve.branches if each.direction is Direction.UNLOADING]
+    ends = [branch.stop for branch in curve.branches if branch.direction is Direction.UNLOADING]
     levels = [
         _known(curve.force[max(end - _FEWEST, 0) : end + _FEWEST]) for end in (ends[0], ends[-1])
     ]

@@ -289,7 +289,7 @@ def _figure_faults(outline: Outline) -> Faults:
             yield _lacking(path, "curve", repr(name))
         if name == "wire-shapes":
             yield from _shape_faults(outline, name, _DRAWS_SHAPES, path)
-        if name == "moment-curvature" and name not in [each.tag for each in outline.results]:
+        if name == "moment-curvature" and name not in [result.tag for result in outline.results]:
             remedy = "Add a result 'moment-curvature'."
             yield Fault(path, f"a result 'moment-curvature' for {name!r}", "none", remedy)
         if name == "marker-quality" and not outline.has_markers:
@@ -316,7 +316,7 @@ def _display_faults(outline: Outline) -> Faults:
 def _group_faults(outline: Outline) -> Faults:
     """Find a number that the report is to show first and that no result gives."""
     entries = outline.results
-    known = [name for each in entries for name in result_names(each.tag, each.values)]
+    known = [name for entry in entries for name in result_names(entry.tag, entry.values)]
     said = outline.block("groups").get("main")
     for number, name in enumerate(said if isinstance(said, list) else []):
         if isinstance(name, str) and _of_any_cycle(name) not in map(_of_any_cycle, known):

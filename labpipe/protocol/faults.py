@@ -79,7 +79,7 @@ def raised(faults: Iterable[Fault], data: object) -> ValidationError:
     faults : what is wrong, with paths from where the validator stands
     data : what was validated
     """
-    lines = [InitErrorDetails(type=_error(each), loc=each.path, input=data) for each in faults]
+    lines = [InitErrorDetails(type=_error(fault), loc=fault.path, input=data) for fault in faults]
     return ValidationError.from_exception_data("labpipe", lines)
 
 

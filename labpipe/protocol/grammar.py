@@ -52,7 +52,15 @@ from labpipe.protocol.values import (
     parse_word,
     written_span,
 )
-from labpipe.records.declarations import Above, Key, Quantity, Span, Tagged, Whole, Word
+from labpipe.records.declarations import (
+    Key,
+    LargerThan,
+    PatternText,
+    Quantity,
+    Span,
+    TaggedChoice,
+    WholeNumber,
+)
 
 
 class Block(BaseModel):
@@ -150,13 +158,13 @@ def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) ->
     made: list[Any] = []
     for marker in markers:
         match marker:
-            case Quantity() | Whole() | Word():
+            case Quantity() | WholeNumber() | PatternText():
                 made += _reading(marker)
-            case Tagged():
-                kinds = (Annotated[each, _Settings(each, marker.key)] for each in get_args(inner))
+            case TaggedChoice():
+                kinds = (Annotated[arg, _Settings(arg, marker.key)] for arg in get_args(inner))
                 return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
-            case Above():
-                of = next(each for each in markers if isinstance(each, Quantity))
+            case LargerThan():
+                of = next(marker for marker in markers if isinstance(marker, Quantity))
                 made.append(_above(marker.field, keys[marker.field], QuantityText(of)))
             case Key():
                 made.append(Field(alias=marker.name))
@@ -167,17 +175,17 @@ def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) ->
     return Annotated[(validated(inner), *made)]
 
 
-def _reading(marker: Quantity | Whole | Word) -> list[Any]:
+def _reading(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
     """What reads, writes and describes a value with a marker."""
     match marker:
         case Quantity():
             text = QuantityText(marker)
             written = PlainSerializer(text.written)
             return [PlainValidator(text.parse), written, WithJsonSchema(text.schema)]
-        case Whole():
+        case WholeNumber():
             schema = {"type": "integer", "minimum": marker.least, "maximum": marker.most}
             return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
-        case Word():
+        case PatternText():
             form = {"type": "string", "pattern": f"^{marker.pattern}$"}
             return [PlainValidator(partial(parse_word, marker)), WithJsonSchema(form)]
 
@@ -185,7 +193,7 @@ def _reading(marker: Quantity | Whole | Word) -> list[Any]:
 def _key(hint: Any, name: str) -> str:
     """What YAML calls a field."""
     markers = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
-    return next((each.name for each in markers if isinstance(each, Key)), name)
+    return next((marker.name for marker in markers if isinstance(marker, Key)), name)
 
 
 def _above(field: str, key: str, text: QuantityText) -> AfterValidator:
@@ -229,10 +237,10 @@ def block_of(kind: Any, tag: str = "") -> type[Block]:
     """
     hints = get_type_hints(kind, include_extras=True)
     keys: dict[str, Any] = {tag: (Literal[getattr(kind, tag)], ...)} if tag else {}
-    for each in fields(kind):
-        if each.compare:
-            default = ... if each.default is MISSING else each.default
-            keys[each.name] = (hints[each.name], default)
+    for field in fields(kind):
+        if field.compare:
+            default = ... if field.default is MISSING else field.default
+            keys[field.name] = (hints[field.name], default)
     block = create_model(kind.__name__, __base__=_SettingsBlock, __doc__=kind.__doc__, **keys)
     block.settings_kind = kind
     return block

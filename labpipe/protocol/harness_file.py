@@ -29,7 +29,7 @@ from labpipe.records.declarations import (
     Quantity,
     Ratio,
     Uncertainty,
-    Whole,
+    WholeNumber,
 )
 from labpipe.units import GRAVITY
 
@@ -126,7 +126,7 @@ Place: TypeAlias = Annotated[
         {"anyOf": [{"enum": list(_WORDS)}, _ALONG.schema], "description": "Where on the line"}
     ),
 ]
-Step: TypeAlias = Annotated[int, Whole(1, MOST_STEPS)]
+Step: TypeAlias = Annotated[int, WholeNumber(1, MOST_STEPS)]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
 BendingStiffness: TypeAlias = Annotated[float, Quantity("N*m^2", "N*mm^2", "150 N*mm^2", above=0.0)]
 TorsionalStiffness: TypeAlias = Annotated[
@@ -230,7 +230,7 @@ class LineBlock(Block):
     """The line: length, section, rest shape, and where it lies at the start."""
 
     length: Length = Field(description="From one end to the other, unstretched")
-    elements: Annotated[int, Whole(FEWEST_ELEMENTS, MOST_ELEMENTS)] = Field(
+    elements: Annotated[int, WholeNumber(FEWEST_ELEMENTS, MOST_ELEMENTS)] = Field(
         40, description="Pieces that it is divided into"
     )
     section: SectionBlock
@@ -295,15 +295,15 @@ class Grip(Block):
         """Ask for waypoints in order, and for none of a direction that is not held."""
         if not isinstance(data, Mapping) or not isinstance(data.get("path"), list):
             return []
-        points = [each if isinstance(each, Mapping) else {} for each in data["path"]]
+        points = [datum if isinstance(datum, Mapping) else {} for datum in data["path"]]
         faults = []
         for number, (one, other) in enumerate(pairwise(points), start=1):
-            steps = [str(each.get("step")) for each in (one, other)]
+            steps = [str(part.get("step")) for part in (one, other)]
             if all(step.isdecimal() for step in steps) and int(steps[1]) <= int(steps[0]):
                 path = ("path", number, "step")
                 faults.append(Fault(path, f"a step after {steps[0]}", steps[1], "Order them."))
         if data.get("holds") == "position":
-            turned = [(i, key) for i, each in enumerate(points) for key in _OF_POSES & {*each}]
+            turned = [(i, key) for i, point in enumerate(points) for key in _OF_POSES & {*point}]
             for number, key in sorted(turned):
                 found, remedy = f"the key {key!r}", "Take it away, or write 'holds: pose'."
                 expected = "positions alone, of a grip that the line may turn in"
@@ -389,7 +389,7 @@ class HarnessFile(Block):
     boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
         json_schema_extra={"minItems": 1}
     )
-    steps: Annotated[int, Whole(1, MOST_STEPS)] = Field(
+    steps: Annotated[int, WholeNumber(1, MOST_STEPS)] = Field(
         40, description="Equilibria after the start; more where a path is hard to follow"
     )
     gravity: Acceleration = Field((0.0, 0.0, -GRAVITY), description="Three zeros for none")
@@ -408,7 +408,7 @@ class HarnessFile(Block):
         faults = [*plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)]
         if not isinstance(data.get("boundaries"), list):
             return faults
-        listed = [each if isinstance(each, Mapping) else {} for each in data["boundaries"]]
+        listed = [datum if isinstance(datum, Mapping) else {} for datum in data["boundaries"]]
         kinds = [each.get("kind") for each in listed]
         faults += [*_late_steps(data, listed), *_same_names(listed), *_same_places(listed)]
         if not any(kind in (*_HOLDING, None) for kind in kinds):

@@ -131,7 +131,7 @@ def first_anchor(string: String, place: Vector3) -> Vector3:
 
 
 def _held(harness: HarnessFile) -> list[Held]:
-    return [each for each in harness.boundaries if isinstance(each, HELD)]
+    return [boundary for boundary in harness.boundaries if isinstance(boundary, HELD)]
 
 
 def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
@@ -157,7 +157,7 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
     yield from _falling(harness)
     lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
     swept = harness.sweep.length if harness.sweep else ()
-    lengths += sorted((each, ("sweep", "length", i)) for i, each in enumerate(swept))
+    lengths += sorted((run, ("sweep", "length", i)) for i, run in enumerate(swept))
     for length, path in lengths:
         faults = [*_off_the_line(harness, length, path), *_too_far(harness, length, path)]
         if faults:
@@ -166,8 +166,8 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    for number, each in enumerate(harness.boundaries):
-        place = getattr(each, "at", START)
+    for number, boundary in enumerate(harness.boundaries):
+        place = getattr(boundary, "at", START)
         if math.isfinite(place) and place > length * _BARELY:
             expected = f"a place on the line, which is {_mm(length)} long"
             remedy = "Write 'end', or make the line longer."
@@ -175,11 +175,11 @@ def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterato
 
 
 def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
-    numbers = {each.name: number for number, each in enumerate(harness.boundaries)}
+    numbers = {boundary.name: number for number, boundary in enumerate(harness.boundaries)}
     radius = 0.5 * (harness.line.section.diameter or 0.0)
     first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
     ties = [_tie_of(harness, each, harness.line.length) for each in _held(harness)]
-    for plane in (each for each in harness.boundaries if isinstance(each, Plane)):
+    for plane in (boundary for boundary in harness.boundaries if isinstance(boundary, Plane)):
         for tie in ties:
             legs = [leg for leg in tie.legs[first:] if leg.step <= tie.last]
             low = min(legs, key=lambda leg: _height(plane, leg.position), default=None)
@@ -192,19 +192,21 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
 
 def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
     """Find what lets go before it is there; a grip may go on without the line."""
-    for number, each in enumerate(harness.boundaries):
-        if not isinstance(each, HELD) or each.release is None:
+    for number, boundary in enumerate(harness.boundaries):
+        if not isinstance(boundary, HELD) or boundary.release is None:
             continue
-        there = each.path[0].step if isinstance(each, Grip) else each.by
-        if there is not None and each.release <= there:
-            expected = f"a step after {there}, at which {each.name!r} is where it brings the line"
+        there = boundary.path[0].step if isinstance(boundary, Grip) else boundary.by
+        if there is not None and boundary.release <= there:
+            expected = (
+                f"a step after {there}, at which {boundary.name!r} is where it brings the line"
+            )
             remedy = "Let it go later, or bring it there earlier."
-            yield Fault(("boundaries", number, "release"), expected, str(each.release), remedy)
+            yield Fault(("boundaries", number, "release"), expected, str(boundary.release), remedy)
 
 
 def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
-    for number, each in enumerate(harness.boundaries):
-        for key, start, end, turn in _turns_of(each, harness.steps):
+    for number, boundary in enumerate(harness.boundaries):
+        for key, start, end, turn in _turns_of(boundary, harness.steps):
             per_step = math.degrees(abs(turn)) / (end - start)
             if per_step >= _MOST_TURN:
                 expected = f"less than {_MOST_TURN:g} deg of turn in a step, which has one meaning"
@@ -225,16 +227,16 @@ def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
 
 def _falling(harness: HarnessFile) -> Iterator[Fault]:
     releases = {
-        number: each.release
-        for number, each in enumerate(harness.boundaries)
-        if isinstance(each, HELD)
+        number: boundary.release
+        for number, boundary in enumerate(harness.boundaries)
+        if isinstance(boundary, HELD)
     }
     section = harness.line.section
     has_weight = section.kind != "bending_stiffness" or section.mass_per_length is not None
-    others = any(not isinstance(each, (*HELD, Load)) for each in harness.boundaries)
+    others = any(not isinstance(boundary, (*HELD, Load)) for boundary in harness.boundaries)
     if others or not has_weight or not any(harness.gravity) or None in releases.values():
         return
-    number = max(releases, key=lambda each: releases[each] or 0)
+    number = max(releases, key=lambda release: releases[release] or 0)
     expected = f"something that holds the line from step {releases[number]} on"
     remedy = "Let one of them hold on, add a plane that it falls on, or take gravity away."
     yield Fault(("boundaries", number, "release"), expected, "nothing: it falls", remedy)
@@ -258,10 +260,10 @@ def _height(plane: Plane, position: Vector3) -> float:
 
 
 def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    numbers = {each.name: number for number, each in enumerate(harness.boundaries)}
+    numbers = {boundary.name: number for number, boundary in enumerate(harness.boundaries)}
     ties = [_tie_of(harness, each, length) for each in _held(harness)]
     ties.sort(key=lambda tie: tie.along)
-    strings = [each for each in harness.boundaries if isinstance(each, String)]
+    strings = [boundary for boundary in harness.boundaries if isinstance(boundary, String)]
     for one, other in combinations(ties, 2):
         yield from _apart(one, other, other.along - one.along, path or _path(other, numbers))
     for string in strings:
@@ -269,16 +271,16 @@ def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fau
         for tie in ties:
             reach = abs(end.along - tie.along) + string.length
             yield from _apart(tie, end, reach, path or _path(end, numbers))
-    for ring in (each for each in harness.boundaries if isinstance(each, Ring)):
+    for ring in (boundary for boundary in harness.boundaries if isinstance(boundary, Ring)):
         yield from _out_of_reach(ring, ties, length, path or _path(ring, numbers))
 
 
-def _path(tie: _Tie | Ring, numbers: Mapping[str, int]) -> KeyPath:
+def _path(tie: _HeldPlace | Ring, numbers: Mapping[str, int]) -> KeyPath:
     return ("boundaries", numbers[tie.name])
 
 
 @dataclass(frozen=True, slots=True)
-class _Tie:
+class _HeldPlace:
     """A place of the line and where it is held, or tied to; `last` step at which it is."""
 
     name: str
@@ -297,22 +299,22 @@ class _Tie:
         return x, y, z
 
 
-def _tie_of(harness: HarnessFile, boundary: Held | String, length: float) -> _Tie:
+def _tie_of(harness: HarnessFile, boundary: Held | String, length: float) -> _HeldPlace:
     along = min(boundary.at, length)
     start, direction = start_of(harness)
     x, y, z = (begin + along * each for begin, each in zip(start, direction, strict=True))
     if isinstance(boundary, String):
         first, by = Leg(0, first_anchor(boundary, (x, y, z))), boundary.by or harness.steps
-        return _Tie(boundary.name, along, (first, Leg(by, boundary.anchor)), harness.steps)
+        return _HeldPlace(boundary.name, along, (first, Leg(by, boundary.anchor)), harness.steps)
     legs = legs_of(boundary, (x, y, z), harness.steps)
     last = harness.steps if boundary.release is None else boundary.release - 1
-    return _Tie(boundary.name, along, legs, last)
+    return _HeldPlace(boundary.name, along, legs, last)
 
 
-def _apart(one: _Tie, other: _Tie, reach: float, path: KeyPath) -> Iterator[Fault]:
+def _apart(one: _HeldPlace, other: _HeldPlace, reach: float, path: KeyPath) -> Iterator[Fault]:
     last = min(one.last, other.last)
     steps = sorted({leg.step for tie in (one, other) for leg in tie.legs} | {last})
-    for step in (each for each in steps if each <= last):
+    for step in (step for step in steps if step <= last):
         distance = math.dist(one.position(step), other.position(step))
         if distance > reach * _BARELY:
             expected = f"at most the {_mm(reach)} that lie between {one.name!r} and {other.name!r}"
@@ -322,7 +324,7 @@ def _apart(one: _Tie, other: _Tie, reach: float, path: KeyPath) -> Iterator[Faul
 
 
 def _out_of_reach(
-    ring: Ring, ties: Sequence[_Tie], length: float, path: KeyPath
+    ring: Ring, ties: Sequence[_HeldPlace], length: float, path: KeyPath
 ) -> Iterator[Fault]:
     """Find a ring that no place of the line comes to, once all that holds the line is there."""
     ends = [(tie.along, tie.position(tie.last)) for tie in ties]

@@ -77,12 +77,12 @@ def known_protocols(protocols: Path | None = None) -> dict[str, Path]:
     ----------
     protocols : as for `protocol_folders`
     """
-    found: dict[str, Path] = {}
+    known_protocols: dict[str, Path] = {}
     for folder in protocol_folders(protocols):
         for path in sorted(folder.iterdir()):
             if path.suffix in _SUFFIXES:
-                found.setdefault(path.stem, path)
-    return found
+                known_protocols.setdefault(path.stem, path)
+    return known_protocols
 
 
 def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -> Path | Fault:
@@ -255,7 +255,7 @@ def load_harness(path: Path) -> HarnessFile:
     harness = checked(HarnessFile, document)
     faults = [*file_faults(harness, path), *reach_faults(harness)]
     if faults:
-        raise complaint_of(list(map(document.place, faults)))
+        raise error_of_faults(list(map(document.place, faults)))
     return harness
 
 
@@ -291,7 +291,7 @@ def resolve(
     said = parse_yaml(read_text(sheet_path), str(sheet_path))
     found = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
     if isinstance(found, Fault):
-        raise complaint_of([said.place(found)])
+        raise error_of_faults([said.place(found)])
     plain = parse_yaml(read_text(found), str(found))
     merged = with_overrides(plain, said)
     followed = follow_links or are_followed(plain)
@@ -306,7 +306,7 @@ def resolve(
             bare = merged.place(fault)
             is_of_sheet = bare.file == str(sheet_path)
             placed.append(bare if is_of_sheet else merged.place(fault, remark))
-        raise complaint_of(placed) from None
+        raise error_of_faults(placed) from None
     numbers = merged.numbers.get(("steps",), range(len(protocol.steps)))
     steps = zip(protocol.steps, numbers, strict=True)
     protocol = protocol.model_copy(
@@ -315,7 +315,7 @@ def resolve(
     kept = without_absent(protocol, sheet.files)
     placed += [said.place(fault) for fault in absent_faults(kept, protocol)]
     if placed:
-        raise complaint_of(placed)
+        raise error_of_faults(placed)
     return kept
 
 
@@ -340,11 +340,11 @@ def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
     ]
     said = parse_yaml(read_text(sheet_path), str(sheet_path)) if faults else None
     placed = [] if said is None else [said.place(fault) for fault in faults]
-    return complaint_of(placed, code="missing_export") if placed else None
+    return error_of_faults(placed, code="missing_export") if placed else None
 
 
 def _nearest_in(folder: Path, name: str) -> str:
-    there = [each.name for each in folder.iterdir() if each.name != SHEET_NAME]
+    there = [path.name for path in folder.iterdir() if path.name != SHEET_NAME]
     listed = ", ".join(map(repr, nearest(name, there, most=3)))
     return f"Correct the name, or copy the export there; nearest are {listed or 'no files'}."
 
@@ -382,15 +382,17 @@ def checked(model: type[_B], document: Document) -> _B:
         block = model.model_validate(document.data)
     except ValidationError as error:
         faults = faults_of(error, data=document.data, keys=())
-        raise complaint_of([*placed, *map(document.place, faults)]) from None
+        raise error_of_faults([*placed, *map(document.place, faults)]) from None
     if placed:
-        raise complaint_of(placed)
+        raise error_of_faults(placed)
     return block
 
 
-def complaint_of(placed: list[PlacedFault], *, code: str = "") -> ProtocolError:
+def error_of_faults(placed: list[PlacedFault], *, code: str = "") -> ProtocolError:
     """Make one error of all faults of a file, a line each, in the order of the file."""
-    lines = sorted({(each.file, each.mark, each.text) for each in placed})
+    lines = sorted(
+        {(placed_fault.file, placed_fault.mark, placed_fault.text) for placed_fault in placed}
+    )
     return ProtocolError("\n".join(text for _, _, text in lines), code=code)
 
 

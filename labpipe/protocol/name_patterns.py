@@ -75,8 +75,8 @@ class NamePattern:
         >>> parse_name_pattern("in/{type}-{sample}_force.mat").stem("in/A2-1_force.mat")
         'A2-1'
         """
-        found = self.compiled.fullmatch(name)
-        ends = [found.end(f"f{place}") for place in range(len(self.fields))] if found else []
+        match = self.compiled.fullmatch(name)
+        ends = [match.end(f"f{place}") for place in range(len(self.fields))] if match else []
         return name[: max(ends, default=len(name))].rpartition("/")[2]
 
     def _value(self, field: str, text: str) -> str:
@@ -130,14 +130,14 @@ def _field(written: str) -> tuple[str, str]:
     name = written.strip()
     if name in WORDS or _LABEL.fullmatch(name):
         return name, ""
-    found = _DIMENSION.fullmatch(name)
-    if found and found[1] not in WORDS:
+    match = _DIMENSION.fullmatch(name)
+    if match and match[1] not in WORDS:
         try:
-            parse_quantity(f"1 {found[2]}", "m")
+            parse_quantity(f"1 {match[2]}", "m")
         except ValueError:
-            message = f"a dimension with a unit of length, such as {{{found[1]} mm}}"
+            message = f"a dimension with a unit of length, such as {{{match[1]} mm}}"
             raise ValueError(message) from None
-        return found[1], found[2]
+        return match[1], match[2]
     words = ", ".join(f"{{{word}}}" for word in WORDS)
     message = f"one of {words}, a dimension with its unit such as {{length mm}}, or {{labels.name}}"
     raise ValueError(message)

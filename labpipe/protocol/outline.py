@@ -130,7 +130,7 @@ class Outline:
 
     def clock_of(self, channel: str) -> str | None:
         """Role whose clock a channel is on; None for an unknown channel."""
-        clocks = {each.name: each.role for each in reversed(self.channels)}
+        clocks = {channel.name: channel.role for channel in reversed(self.channels)}
         if channel in clocks:
             return clocks[channel]
         if channel in self.from_speed:
@@ -229,7 +229,7 @@ def result_names(tag: str, entry: Values) -> tuple[str, ...]:
     entry : the block as written, which may give a name of its own
     """
     kind = RESULTS.get(tag)
-    return () if kind is None else tuple(each.name_in(kind, entry) for each in kind.outputs)
+    return () if kind is None else tuple(output.name_in(kind, entry) for output in kind.outputs)
 
 
 def source_faults(outline: Outline) -> Iterator[Fault]:

@@ -13,7 +13,7 @@ from labpipe.protocol.faults import did_you_mean
 from labpipe.protocol.outline import result_names
 from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry
 from labpipe.protocol.sheet_grammar import COPY_IT, TestSheet
-from labpipe.protocol.yaml_text import Document, Spot
+from labpipe.protocol.yaml_text import Document, YamlPosition
 from labpipe.records.declarations import Step, TravelFromSpeed
 from labpipe.units import whole_number
 
@@ -82,7 +82,7 @@ def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
 def _take_out(merged: Document, gone: Mapping[KeyPath, object]) -> None:
     """Take items out of their lists, and keep in mind which numbers the others had."""
     paths = {*gone, *_shown_first(merged, [item for item in gone.values() if _names(item)])}
-    for path in {each[:-1] for each in paths}:
+    for path in {path[:-1] for path in paths}:
         items: Any = merged.at(path)
         left = [number for number in range(len(items)) if (*path, number) not in paths]
         merged.numbers[path] = tuple(left)
@@ -101,8 +101,8 @@ def _shown_first(merged: Document, gone: list[object]) -> Iterator[KeyPath]:
 
 
 def _moved(
-    spots: Mapping[KeyPath, Spot], path: KeyPath, left: Sequence[int]
-) -> Iterator[tuple[KeyPath, Spot]]:
+    spots: Mapping[KeyPath, YamlPosition], path: KeyPath, left: Sequence[int]
+) -> Iterator[tuple[KeyPath, YamlPosition]]:
     """Spots after items of the list at a path were taken out."""
     depth = len(path)
     for known, spot in spots.items():
@@ -119,7 +119,7 @@ def _put(
 
     An item of a list that is set to nothing goes into `gone`, as it was.
     """
-    spot = Spot(sheet.file, sheet.spots[source[:2]].key, sheet.spots[source].value)
+    spot = YamlPosition(sheet.file, sheet.spots[source[:2]].key, sheet.spots[source].value)
     node: Any = merged.data
     path: KeyPath = ()
     parts = dotted.split(".")
@@ -278,9 +278,9 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     no_markers = "markers" in protocol.sources and "markers" not in sources
     one_clock = _is_made_from_speed(kept)
     results = tuple(
-        each
-        for each in kept.results
-        if not (each.needs.shape and no_markers) and not (each.needs.clocks and one_clock)
+        result
+        for result in kept.results
+        if not (result.needs.shape and no_markers) and not (result.needs.clocks and one_clock)
     )
     left = _result_names(protocol.results) - _result_names(results)
     main = tuple(name for name in kept.groups.main if name not in left)
@@ -365,4 +365,4 @@ def _is_made_from_speed(kept: Protocol) -> bool:
 
 
 def _result_names(entries: tuple[ResultEntry, ...]) -> set[str]:
-    return {name for each in entries for name in result_names(each.result, asdict(each))}
+    return {name for entry in entries for name in result_names(entry.result, asdict(entry))}

@@ -12,7 +12,7 @@ from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import known_version
 from labpipe.protocol.values import Remark, Text, file_inside
-from labpipe.records.declarations import Length, Quantity, Whole
+from labpipe.records.declarations import Length, Quantity, WholeNumber
 from labpipe.units import si_factor
 
 
@@ -89,8 +89,8 @@ def same_names(comparisons: object) -> list[Fault]:
     """
     first: dict[str, int] = {}
     faults = []
-    for number, each in enumerate(comparisons if isinstance(comparisons, list) else []):
-        name = each.get("name") if isinstance(each, Mapping) else None
+    for number, comparison in enumerate(comparisons if isinstance(comparisons, list) else []):
+        name = comparison.get("name") if isinstance(comparison, Mapping) else None
         if not isinstance(name, str):
             continue
         if name in first:
@@ -179,7 +179,7 @@ class CalibrationPlan(Block):
     scatter: Scatter | None = Field(
         None, description="Standard deviation between samples, where it is known"
     )
-    points: Annotated[int, Whole(20, 5000)] = Field(272, description="Points of each curve")
+    points: Annotated[int, WholeNumber(20, 5000)] = Field(272, description="Points of each curve")
     up_to: Length | None = Field(None, description="Largest deflection that is looked at")
     comparisons: tuple[Comparison, ...] = Field(
         (), description="Curves from elsewhere that tests and model are compared with"

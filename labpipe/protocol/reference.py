@@ -94,9 +94,9 @@ def _severities(said: dict[str, str | list[str]]) -> tuple[Severity, ...]:
 def tables() -> dict[str, str]:
     """Write every derived table in Markdown, by name: one for each origin of notes, and others."""
     notes = kinds_of_notes()
-    origins = dict.fromkeys(each.origin for each in notes)
+    origins = dict.fromkeys(note.origin for note in notes)
     written = {
-        origin: table_of_notes([each for each in notes if each.origin == origin])
+        origin: table_of_notes([note for note in notes if note.origin == origin])
         for origin in origins
     }
     return written | {"results": table_of_results(KINDS), "plausible": table_of_ranges()}
@@ -109,9 +109,9 @@ def table_of_notes(notes: Sequence[KindOfNote]) -> str:
     ----------
     notes : what they make doubtful has a column of its own where there is any
     """
-    columns = 4 if any(each.doubts for each in notes) else 3
+    columns = 4 if any(note.doubts for note in notes) else 3
     rows = [
-        (f"`{each.code}`", ", ".join(each.severities), each.meaning, each.doubts) for each in notes
+        (f"`{note.code}`", ", ".join(note.severities), note.meaning, note.doubts) for note in notes
     ]
     return _table([row[:columns] for row in [("code", "severity", "meaning", "doubtful"), *rows]])
 

@@ -23,7 +23,6 @@ from labpipe.protocol.source import ChannelSource, Role, Source
 from labpipe.protocol.uncertainties import SizeUncertainties
 from labpipe.protocol.values import FileStem, Remark, Text
 from labpipe.records.declarations import (
-    Above,
     Area,
     Compliance,
     Distance,
@@ -31,6 +30,7 @@ from labpipe.records.declarations import (
     Duration,
     Force,
     Key,
+    LargerThan,
     Length,
     LinearMass,
     Mass,
@@ -41,9 +41,9 @@ from labpipe.records.declarations import (
     Snake,
     Speed,
     Step,
-    Tagged,
+    TaggedChoice,
     Uncertainty,
-    Whole,
+    WholeNumber,
 )
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
@@ -51,7 +51,7 @@ from labpipe.results.kinds import Kind
 if TYPE_CHECKING:
     ResultEntry: TypeAlias = Kind
 else:
-    ResultEntry = Annotated[Union[KINDS], Tagged("result")]  # noqa: UP007 - of a list
+    ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - of a list
 
 
 class Section(Block):
@@ -94,7 +94,7 @@ class Rig(Block):
 
     crosshead_speed: Speed | None = None
     stroke: Length | None = None
-    cycles: Annotated[int, Whole(1, 1_000_000)] | None = None
+    cycles: Annotated[int, WholeNumber(1, 1_000_000)] | None = None
     string: LoadString | None = None
 
 
@@ -215,7 +215,7 @@ class Slack(Block):
     """Toe compensation: where a line through the steep part meets zero force, travel begins."""
 
     start: Annotated[Share, Key("from"), "Of the largest force, such as 10 %"]
-    stop: Annotated[Share, Key("to"), Above("start"), "Of the largest force, such as 30 %"]
+    stop: Annotated[Share, Key("to"), LargerThan("start"), "Of the largest force, such as 30 %"]
 
 
 def _words_once(value: object) -> object:

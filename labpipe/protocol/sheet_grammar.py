@@ -26,7 +26,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
-from labpipe.errors import Fault, UsageError, complaint
+from labpipe.errors import Fault, UsageError, error_text
 from labpipe.protocol.faults import did_you_mean, error_of, faults_of, raised, shown
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import Role
@@ -40,7 +40,7 @@ from labpipe.protocol.values import (
     one_or_several,
     parse_day,
 )
-from labpipe.records.declarations import Length, LinearMass, Offset, Snake, Whole
+from labpipe.records.declarations import Length, LinearMass, Offset, Snake, WholeNumber
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
 from labpipe.units import parse_quantity
@@ -83,7 +83,7 @@ class _OrShort:
 class SheetWires(Block):
     """Wires of one type in a bundle."""
 
-    number: Annotated[int, Whole(1, 1000)]
+    number: Annotated[int, WholeNumber(1, 1000)]
     diameter: Length | None = Field(None, description="Over the insulation")
 
 
@@ -135,7 +135,7 @@ class SheetBundle(Block):
     """What a harness bundle is made of."""
 
     wires: Wires = Field(description="By type: how many, or number and diameter")
-    number: Annotated[int, Whole(1, 100_000)] | None = Field(
+    number: Annotated[int, WholeNumber(1, 100_000)] | None = Field(
         None, description="Of all wires together, as a check"
     )
     arrangement: Literal["packed", "symmetric", "asymmetric"] = "packed"
@@ -307,7 +307,7 @@ def bundle_in_words(words: str, *, arrangement: str = PACKED) -> Bundle:
 def _worded(fault: Fault, words: str) -> str:
     place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
     remedy = fault.remedy or 'Write it like "10 B1 + 9 B2 (1.25 mm)", or give a test.yaml.'
-    return complaint(words, place, expected=fault.expected, found=fault.found, remedy=remedy)
+    return error_text(words, place, expected=fault.expected, found=fault.found, remedy=remedy)
 
 
 SHEET_NAME = "test.yaml"

@@ -23,9 +23,11 @@ from labpipe.units import parse_quantity
 Role = Literal["force", "markers", "frame"]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
 """What an export can be for."""
-READERS: Final = tuple(each.name for each in EXPORT_FORMATS)
+READERS: Final = tuple(export_format.name for export_format in EXPORT_FORMATS)
 """The readers a protocol can name."""
-MARKER_READERS: Final = frozenset(each.name for each in EXPORT_FORMATS if each.has_markers)
+MARKER_READERS: Final = frozenset(
+    export_format.name for export_format in EXPORT_FORMATS if export_format.has_markers
+)
 """Those whose exports hold marker tracks rather than channels."""
 
 

@@ -112,7 +112,7 @@ def size_faults(specimen: Mapping[str, object]) -> Iterator[Fault]:
     sizes = {**(section if isinstance(section, Mapping) else {}), **specimen}
     for key, text in said.items() if isinstance(said, Mapping) else ():
         unit = "m^2" if key == "area" else "m"
-        size, uncertainty = (_quantity(each, unit) for each in (sizes.get(key), text))
+        size, uncertainty = (_quantity(character, unit) for character in (sizes.get(key), text))
         if size is not None and uncertainty is not None and uncertainty >= size > 0.0:
             expected = f"less than the {key} itself, {sizes[key]}"
             yield Fault(

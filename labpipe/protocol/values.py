@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, WithJsonSchema
 from pydantic.json_schema import JsonSchemaValue
 
 from labpipe.protocol.faults import error_of
-from labpipe.records.declarations import Quantity, Span, Whole, Word
+from labpipe.records.declarations import PatternText, Quantity, Span, WholeNumber
 from labpipe.units import DimensionError, NotFiniteError, parse_quantity, si_factor
 
 SI_UNITS: Final = MappingProxyType(
@@ -224,7 +224,7 @@ def _with_unit(value: float, unit: str) -> str:
     return number if unit == "1" else f"{number} {unit}"
 
 
-def parse_whole(of: Whole, text: object) -> int:
+def parse_whole(of: WholeNumber, text: object) -> int:
     """Read a whole number.
 
     Parameters
@@ -378,7 +378,7 @@ def _file_stem(value: object) -> str:
     return text
 
 
-def parse_word(of: Word, value: object) -> str:
+def parse_word(of: PatternText, value: object) -> str:
     """Take a text that has a form.
 
     Parameters

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import yaml
 from yaml.composer import Composer
 
-from labpipe.errors import Fault, KeyPath, ProtocolError, complaint
+from labpipe.errors import Fault, KeyPath, ProtocolError, error_text
 from labpipe.protocol.faults import shown
 
 Mark: TypeAlias = tuple[int, int]
@@ -33,7 +33,7 @@ value in brackets, a comment that touches the sign of a block, nothing after thr
 
 
 @dataclass(frozen=True, slots=True)
-class Spot:
+class YamlPosition:
     """Where a key and its value stand.
 
     Parameters
@@ -79,7 +79,7 @@ class Document:
 
     file: str
     data: object = None
-    spots: dict[KeyPath, Spot] = field(default_factory=dict)
+    spots: dict[KeyPath, YamlPosition] = field(default_factory=dict)
     faults: list[PlacedFault] = field(default_factory=list)
     numbers: dict[KeyPath, tuple[int, ...]] = field(default_factory=dict)
 
@@ -134,7 +134,7 @@ def place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> Placed
     key = ".".join(str(part) for part in fault.path)
     place = f"line {mark[0]}, column {mark[1]}" + (f" ({key})" if key else "")
     remedy = " ".join(part for part in (fault.remedy, remark) if part)
-    text = complaint(file, place, expected=fault.expected, found=fault.found, remedy=remedy)
+    text = error_text(file, place, expected=fault.expected, found=fault.found, remedy=remedy)
     return PlacedFault(file, mark, text.rstrip())
 
 
@@ -156,14 +156,14 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         found = f"the byte 0x{error.object[error.start]:02x}"
         remedy = "Save it as UTF-8."
-        text = complaint(
+        text = error_text(
             path, f"byte {error.start}", expected="UTF-8 text", found=found, remedy=remedy
         )
         raise ProtocolError(text) from error
     except OSError as error:
         found = (error.strerror or str(error)).lower()
         remedy = "Check the name and the folder."
-        text = complaint(path, "", expected="a YAML file", found=found, remedy=remedy)
+        text = error_text(path, "", expected="a YAML file", found=found, remedy=remedy)
         raise ProtocolError(text) from error
 
 
@@ -195,9 +195,9 @@ def parse_yaml(text: str, file: str) -> Document:
     document = Document(file)
     node = _compose(text, file)
     if node is None:
-        document.spots[()] = Spot(file, (1, 1), (1, 1))
+        document.spots[()] = YamlPosition(file, (1, 1), (1, 1))
     else:
-        document.spots[()] = Spot(file, _mark(node), _mark(node))
+        document.spots[()] = YamlPosition(file, _mark(node), _mark(node))
         document.data = _value(node, (), document)
     return document
 
@@ -211,17 +211,19 @@ class _Composer(Composer):
         event: yaml.Event = self.peek_event()  # type: ignore[attr-defined]
         if isinstance(event, yaml.AliasEvent):
             found = f"the alias '*{event.anchor}'"
-            raise _RiddleError(event, Fault((), "a value", found, "Write it out."))
+            raise _AmbiguousYamlError(event, Fault((), "a value", found, "Write it out."))
         if self.depth >= _DEEPEST:
             remedy = "Write it in fewer levels."
-            raise _RiddleError(event, Fault((), f"at most {_DEEPEST} levels", "more", remedy))
+            raise _AmbiguousYamlError(
+                event, Fault((), f"at most {_DEEPEST} levels", "more", remedy)
+            )
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
 
 
-class _RiddleError(Exception):
+class _AmbiguousYamlError(Exception):
     """YAML that is right but that people should not have to read."""
 
 
@@ -249,7 +251,7 @@ def _quickly_composed(text: str) -> tuple[yaml.Node | None] | None:
         return None
     try:
         return (yaml.compose(text, Loader=_QuickLoader),)
-    except (yaml.YAMLError, _RiddleError, UnicodeError):
+    except (yaml.YAMLError, _AmbiguousYamlError, UnicodeError):
         return None
 
 
@@ -258,7 +260,7 @@ def _compose(text: str, file: str) -> yaml.Node | None:
         return quick[0]
     try:
         return yaml.compose(text, Loader=_Loader)
-    except _RiddleError as error:
+    except _AmbiguousYamlError as error:
         event, fault = error.args
         raise ProtocolError(place_fault(file, _mark(event), fault).text) from error
     except yaml.YAMLError as error:
@@ -277,7 +279,7 @@ def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
     context = getattr(error, "context", None)
     found = f"text that is none ({problem}{f' {context}' if context else ''})"
     remedy = "Look at this line and the one before it: indentation, ':' and brackets."
-    return complaint(file, place, expected="YAML", found=found, remedy=remedy)
+    return error_text(file, place, expected="YAML", found=found, remedy=remedy)
 
 
 def _value(node: yaml.Node, path: KeyPath, document: Document) -> object:
@@ -290,7 +292,7 @@ def _value(node: yaml.Node, path: KeyPath, document: Document) -> object:
         items = []
         for number, each in enumerate(node.value):
             here = (*path, number)
-            document.spots[here] = Spot(document.file, _mark(each), _mark(each))
+            document.spots[here] = YamlPosition(document.file, _mark(each), _mark(each))
             items.append(_value(each, here, document))
         return items
     is_plain = isinstance(node, yaml.ScalarNode) and not node.style
@@ -310,7 +312,7 @@ def _block(node: yaml.MappingNode, path: KeyPath, document: Document) -> dict[st
             fault = Fault(here, "each key once", f"{key.value!r} again (first in line {first})")
             document.faults.append(place_fault(document.file, _mark(key), fault))
             continue
-        document.spots[here] = Spot(document.file, _mark(key), _mark(value))
+        document.spots[here] = YamlPosition(document.file, _mark(key), _mark(value))
         block[key.value] = _value(value, here, document)
     return block
 

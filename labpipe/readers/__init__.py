@@ -14,7 +14,7 @@ from labpipe.readers.workbooks import is_workbook, open_sheets
 from labpipe.records.recording import EXPORT_FORMATS, ExportFormat
 
 if TYPE_CHECKING:
-    from labpipe.readers.channels import Wanted
+    from labpipe.readers.channels import ReportOptions
     from labpipe.records.recording import Recording
 
 __all__ = ["READERS", "Reader", "read_export", "recognise_export"]
@@ -25,7 +25,7 @@ class _Module(Protocol):
 
     def recognise(self, path: Path) -> bool: ...
 
-    def read(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording: ...
+    def read(self, path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Reader:
         is_of_kind = self.format.is_workbook if is_workbook(path) else self.format.is_text
         return is_of_kind and self._module.recognise(path)
 
-    def read(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
+    def read(self, path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
         """Make a recording of a file, faults of the time axis as notes of severity error."""
         return self._module.read(path, channels=channels)
 
@@ -53,7 +53,9 @@ class Reader:
         return cast("_Module", import_module(self.format.module))
 
 
-READERS: dict[str, Reader] = {each.name: Reader(each) for each in EXPORT_FORMATS}
+READERS: dict[str, Reader] = {
+    export_format.name: Reader(export_format) for export_format in EXPORT_FORMATS
+}
 
 
 def recognise_export(path: Path) -> Reader:
@@ -92,7 +94,7 @@ def recognise_export(path: Path) -> Reader:
 def read_export(
     path: Path,
     reader: str | Sequence[str] | None = None,
-    channels: Sequence[Wanted] | None = None,
+    channels: Sequence[ReportOptions] | None = None,
     *,
     dialect: Sequence[str] | None = None,
     part: str | None = None,

@@ -8,12 +8,12 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TypeAlias
 
-from labpipe.errors import ReadError, complaint, nearest
+from labpipe.errors import ReadError, error_text, nearest
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Recording
 
-Wanted: TypeAlias = str | tuple[str, ...]
+ReportOptions: TypeAlias = str | tuple[str, ...]
 """A channel by its name or path, or by several of which the first that the export has is meant."""
 
 _BEFORE = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
@@ -47,7 +47,7 @@ class NoChannelError(ReadError):
         return type(self), (str(self), self.wanted, self.parts)
 
 
-def select_channel(recording: Recording, wanted: Wanted, file: object) -> Channel:
+def select_channel(recording: Recording, wanted: ReportOptions, file: object) -> Channel:
     """Find the one channel that a name stands for.
 
     Parameters
@@ -77,7 +77,9 @@ def select_channel(recording: Recording, wanted: Wanted, file: object) -> Channe
     return recording.channels[found]
 
 
-def find_in_parts(wanted: Sequence[Wanted], channels: Sequence[Channel], file: object) -> list[int]:
+def find_in_parts(
+    wanted: Sequence[ReportOptions], channels: Sequence[Channel], file: object
+) -> list[int]:
     """Find channels among those of a load frame's export, whose specimens have a clock each.
 
     Parameters
@@ -97,7 +99,7 @@ def find_in_parts(wanted: Sequence[Wanted], channels: Sequence[Channel], file: o
     """
     known = [(channel.name, channel.path) for channel in channels]
     try:
-        return [find_channel(each, known, file) for each in wanted]
+        return [find_channel(wanted, known, file) for wanted in wanted]
     except NoChannelError as error:
         clocks = dict.fromkeys(channel.clock for channel in channels)
         parts = tuple(part for part in clocks if _has(error.wanted, part, channels))
@@ -105,11 +107,11 @@ def find_in_parts(wanted: Sequence[Wanted], channels: Sequence[Channel], file: o
 
 
 def _has(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]) -> bool:
-    names = [(each.name, each.name) for each in channels if each.clock == part]
+    names = [(channel.name, channel.name) for channel in channels if channel.clock == part]
     return any(meant(name, names) for meant in (_meant, _meant_loosely) for name in wanted)
 
 
-def find_channel(wanted: Wanted, known: Sequence[tuple[str, str]], file: object) -> int:
+def find_channel(wanted: ReportOptions, known: Sequence[tuple[str, str]], file: object) -> int:
     """Find which of the (name, path) pairs a name stands for.
 
     Parameters
@@ -139,7 +141,7 @@ def find_channel(wanted: Wanted, known: Sequence[tuple[str, str]], file: object)
     raise NoChannelError(_unknown(names, paths, file), names)
 
 
-def is_as_written(wanted: Wanted, channel: Channel) -> bool:
+def is_as_written(wanted: ReportOptions, channel: Channel) -> bool:
     """Check whether a channel has one of the names as they are written, not just nearly.
 
     Parameters
@@ -192,7 +194,7 @@ def _spellings(path: str) -> set[str]:
 
 
 def _ambiguous(wanted: str, paths: list[str], file: object) -> str:
-    return complaint(
+    return error_text(
         file,
         f"channel {wanted!r}",
         expected="a name that only one channel has",
@@ -208,7 +210,7 @@ def _unknown(names: tuple[str, ...], paths: list[str], file: object) -> str:
     place = f"channel {' or '.join(map(repr, names[:_SHOWN]))}"
     if len(names) > _SHOWN:
         place += f" or {len(names) - _SHOWN} more"
-    return complaint(file, place, expected=expected, found="no such channel", remedy=remedy)
+    return error_text(file, place, expected=expected, found="no such channel", remedy=remedy)
 
 
 def _listed(paths: list[str]) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.readers.channels import Wanted, channel_notes, find_channel, unique_names
+from labpipe.readers.channels import ReportOptions, channel_notes, find_channel, unique_names
 from labpipe.readers.raw_files import unreadable
 from labpipe.readers.time_axes import clock_notes
 from labpipe.records.arrays import Flags, Floats
@@ -69,7 +69,7 @@ class Export:
 
 
 def load_export(
-    export: Export, *, reader: str, path: Path, channels: Sequence[Wanted] | None
+    export: Export, *, reader: str, path: Path, channels: Sequence[ReportOptions] | None
 ) -> Recording:
     """Load the channels that are wanted, on their time axes.
 

@@ -376,10 +376,10 @@ def unit_factor(table: CurveTable, at: int, asked: CurveColumn) -> float:
         expected = f"a unit of the {asked.what}"
         remedy = f"Write it in the heading ({asked.what} / {_example(asked)}) or in the plan."
         raise unreadable(table.path, place, expected, f"none in {head!r}", remedy)
-    for each in {unit, said or unit}:
-        if not _converts(each, asked.si_unit):
+    for sentence in {unit, said or unit}:
+        if not _converts(sentence, asked.si_unit):
             expected = f"a unit of the {asked.what}, such as {_example(asked)}"
-            raise unreadable(table.path, place, expected, f"{each!r}", "Correct the heading.")
+            raise unreadable(table.path, place, expected, f"{sentence!r}", "Correct the heading.")
     factor = si_factor(unit, asked.si_unit)
     if said and not math.isclose(si_factor(said, asked.si_unit), factor):
         remedy = "Correct the one that is wrong."

@@ -25,7 +25,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from labpipe.readers.channels import Wanted
+from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import Export, Trace, load_export, written_date
 from labpipe.readers.number_rows import read_columns
 from labpipe.readers.raw_files import read_head, reading, unreadable
@@ -51,7 +51,7 @@ def recognise(path: Path) -> bool:
     return any(line.startswith((b"descriptions,", b"trace_")) for line in lines)
 
 
-def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
     """Read a ControlDesk CSV file.
 
     Parameters

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.readers.channels import Wanted
+from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import (
     Export,
     Trace,
@@ -62,7 +62,7 @@ def recognise(path: Path) -> bool:
     return head.startswith((_V5, _V73)) or head[512:520] == _HDF5
 
 
-def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
     """Read a ControlDesk MAT file.
 
     Parameters

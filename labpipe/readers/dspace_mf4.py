@@ -30,8 +30,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
-from labpipe.readers.channels import Wanted
+from labpipe.errors import ReadError, error_text
+from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import Export, Trace, load_export
 from labpipe.readers.raw_files import BROKEN, read_head, reading
 from labpipe.records.arrays import Floats
@@ -49,7 +49,7 @@ def recognise(path: Path) -> bool:
     return head.startswith(b"MDF     4")
 
 
-def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
     """Read a ControlDesk MF4 file.
 
     Parameters
@@ -116,7 +116,7 @@ def _close_streams(half_made: Any) -> None:
 
 
 def _not_installed(path: Path) -> str:
-    return complaint(
+    return error_text(
         path,
         "",
         expected="the package asammdf to read MF4",

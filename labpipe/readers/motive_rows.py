@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
+from labpipe.errors import ReadError, error_text
 from labpipe.readers.motive_table import derived_rate, unique_names
 from labpipe.readers.raw_files import unreadable
 from labpipe.records.quality import QualityNote, Severity
@@ -129,7 +129,7 @@ def _cells(lines: Sequence[str], path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _bad_line(path: Path, number: int, cells: Sequence[str], error: Exception) -> str:
-    return complaint(
+    return error_text(
         path,
         f"line {number}",
         expected="one of the row types of a Motive export with all its cells",

@@ -464,16 +464,16 @@ def _labels(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[st
     named = {word: row for word, row in zip(words, filled, strict=True) if word}
     if named:
         quantity = [row for word, row in zip(words, filled, strict=True) if not word]
-        found: dict[str, Cells] = {**named, "Quantity": quantity[-1] if quantity else []}
+        labels: dict[str, Cells] = {**named, "Quantity": quantity[-1] if quantity else []}
     else:
-        found = dict(zip((*_WORDS, "Quantity"), filled, strict=False))
-    missing = [word for word in _WORDS if word not in found]
+        labels = dict(zip((*_WORDS, "Quantity"), filled, strict=False))
+    missing = [word for word in _WORDS if word not in labels]
     if missing and (named or filled):
         place = f"lines 2 to {last}"
         expected = f"header rows {', '.join(_WORDS)}"
         found_ = f"none for {', '.join(missing)}"
         raise unreadable(path, place, expected, found_, _AGAIN)
-    return found
+    return labels
 
 
 def _groups(

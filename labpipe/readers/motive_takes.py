@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.readers.channels import Wanted
+from labpipe.readers.channels import ReportOptions
 from labpipe.readers.motive_table import (
     Columns,
     Header,
@@ -71,7 +71,7 @@ def _is_saved_take(path: Path) -> bool:
         return False
 
 
-def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:  # noqa: ARG001
+def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:  # noqa: ARG001
     """Read a Motive export.
 
     Parameters
@@ -179,7 +179,7 @@ def _without_infinities(columns: Columns) -> tuple[Columns, list[QualityNote]]:
     row = int(np.flatnonzero(infinite.any(axis=0))[0]) + 1
     message = f"{int(infinite.sum())} infinite numbers count as blank, the first in data row {row}"
     note = QualityNote("not_finite", Severity.WARNING, "take", message)
-    return {i: np.where(np.isinf(each), np.nan, each) for i, each in columns.items()}, [note]
+    return {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}, [note]
 
 
 def _sheet(path: Path) -> tuple[str, list[list[object]]]:

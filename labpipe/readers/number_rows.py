@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
+from labpipe.errors import ReadError, error_text
 from labpipe.readers.raw_files import is_blank
 from labpipe.readers.table_body import (
     Body,
@@ -32,8 +32,8 @@ from labpipe.readers.text_cells import (
     is_missing,
     lost_signs,
     quoted,
-    regrouped_at,
     split_line,
+    thousandfold_jump,
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
@@ -111,7 +111,7 @@ def rows_note(stated: int | None, held: int) -> list[QualityNote]:
 
 def _refuse_lost_signs(shape: Shape, columns: Mapping[int, Floats], path: Path) -> None:
     for column, values in columns.items():
-        rows = regrouped_at(values)
+        rows = thousandfold_jump(values)
         message = None if rows is None else jump_fault(shape, column, rows, path)
         if message is not None:
             raise ReadError(message)
@@ -282,7 +282,7 @@ def first_fault(shape: Shape, path: Path) -> str:
             if cell and not _is_finite(cell, shape):
                 return _bad_cell(shape, cell, column, number, path)
     place = f"from line {body.first_line} on"
-    return complaint(path, place, expected="rows of numbers", found="others", remedy=AGAIN)
+    return error_text(path, place, expected="rows of numbers", found="others", remedy=AGAIN)
 
 
 def _too_many(row: Sequence[str], body: Body, line: int, path: Path) -> str:
@@ -292,7 +292,7 @@ def _too_many(row: Sequence[str], body: Body, line: int, path: Path) -> str:
         found += f" in '{','.join(row)[:_SHOWN]}'"
         remedy = _COMMAS
     expected = f"{len(body.names)} cells as in the header"
-    return complaint(path, f"line {line}", expected=expected, found=found, remedy=remedy)
+    return error_text(path, f"line {line}", expected=expected, found=found, remedy=remedy)
 
 
 def jump_fault(shape: Shape, column: int, rows: tuple[int, int], path: Path) -> str | None:
@@ -331,7 +331,7 @@ def _bad_cell(shape: Shape, cell: str, column: int, line: int, path: Path) -> st
         found += f" (and '{grouped[1]}' in line {grouped[0]})" if grouped[1] != cell else ""
         remedy = LOST
     place = f"line {line}, column '{shape.body.names[column]}'"
-    return complaint(path, place, expected=expected, found=found, remedy=remedy)
+    return error_text(path, place, expected=expected, found=found, remedy=remedy)
 
 
 def _regrouped(shape: Shape, column: int) -> tuple[int, str] | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers.expat import ExpatError
 
-from labpipe.errors import ReadError, complaint
+from labpipe.errors import ReadError, error_text
 
 BROKEN: tuple[type[Exception], ...] = (
     OSError,  # h5py and the operating system
@@ -47,8 +47,8 @@ _MARKS = (
 
 
 def unreadable(file: object, place: str, expected: str, found: str, remedy: str) -> ReadError:
-    """Make the error for what cannot be read; parameters as of `labpipe.errors.complaint`."""
-    return ReadError(complaint(file, place, expected=expected, found=found, remedy=remedy))
+    """Make the error for what cannot be read; parameters as of `labpipe.errors.error_text`."""
+    return ReadError(error_text(file, place, expected=expected, found=found, remedy=remedy))
 
 
 @contextmanager
@@ -72,7 +72,7 @@ def reading(
     try:
         yield
     except FileNotFoundError as error:
-        message = complaint(path, "", expected="a file", found="none of that name", remedy=_LOOK)
+        message = error_text(path, "", expected="a file", found="none of that name", remedy=_LOOK)
         raise ReadError(message, code="missing_export") from error
     except PermissionError as error:
         found = "one that may not be read"

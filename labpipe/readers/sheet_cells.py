@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
+from labpipe.errors import ReadError, error_text
 from labpipe.readers.number_rows import filled_rows, words_note
 from labpipe.readers.raw_files import reading, unreadable
 from labpipe.readers.table_body import closing_note
@@ -32,7 +32,7 @@ from labpipe.readers.text_cells import (
     is_closing,
     is_missing,
     lost_signs,
-    regrouped_at,
+    thousandfold_jump,
 )
 from labpipe.readers.workbooks import column_letters, is_workbook, opened_workbook
 from labpipe.records.arrays import Floats
@@ -238,7 +238,7 @@ def _unread_words(cell: Cell, path: Path) -> str:
     if cell.unread.startswith("the error"):
         remedy = "Correct the cell."
     expected = "a value"
-    return complaint(path, cell.place, expected=expected, found=cell.unread, remedy=remedy)
+    return error_text(path, cell.place, expected=expected, found=cell.unread, remedy=remedy)
 
 
 def _csv_row(row: Iterable[str], line: int) -> list[Cell]:
@@ -341,13 +341,13 @@ def _column(
     if {float, int}.issuperset(map(type, cells)):
         values = np.fromiter(cells, dtype=np.float64, count=len(cells))
     else:
-        words.update(each for each in cells if isinstance(each, str) and is_missing(each))
+        words.update(cell for cell in cells if isinstance(cell, str) and is_missing(cell))
         numbers = (
             _number(cell, f"{sheet}, row {first + 1 + i}, column '{name}'", path)
             for i, cell in enumerate(cells)
         )
         values = np.fromiter(numbers, dtype=np.float64, count=len(cells))
-    rows = regrouped_at(values)
+    rows = thousandfold_jump(values)
     if rows is not None:
         jump = f"{sheet}, row {first + 1 + rows[1]}, column '{name}'"
         raise ReadError(lost_signs(path, jump, *(as_text(cells[row]) for row in rows)))

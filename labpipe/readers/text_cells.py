@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.errors import complaint
+from labpipe.errors import error_text
 from labpipe.records.arrays import Flags, Floats
 from labpipe.units import si_factor
 
@@ -124,7 +124,7 @@ def describe_cell(cell: str, decimal: str) -> tuple[str, str, str]:
 
     Returns
     -------
-    What was expected, what was found, and what to do, as `labpipe.errors.complaint` takes them.
+    What was expected, what was found, and what to do, as `labpipe.errors.error_text` takes them.
 
     Examples
     --------
@@ -236,7 +236,7 @@ def lost_signs(path: object, place: str, before: str, after: str) -> str:
     path, place : of the first number behind the jump
     before, after : the numbers on both sides of it
     """
-    return complaint(
+    return error_text(
         path,
         place,
         expected="numbers that do not jump a thousandfold and back",
@@ -245,7 +245,7 @@ def lost_signs(path: object, place: str, before: str, after: str) -> str:
     )
 
 
-def regrouped_at(values: Floats) -> tuple[int, int] | None:
+def thousandfold_jump(values: Floats) -> tuple[int, int] | None:
     """Find where a column of whole numbers jumps a thousandfold and back.
 
     Parameters

@@ -217,7 +217,7 @@ def _jitter_note(regular: Floats, median: float, where: str) -> list[QualityNote
 def _nominal_note(step: float, count: int, where: str) -> list[QualityNote]:
     """Compare the mean step with the round step, or step of a round rate, that was meant."""
     round_steps = (float(f"{step:.1e}"), 1.0 / float(f"{1.0 / step:.1e}"))
-    nominal = min(round_steps, key=lambda each: abs(step - each))
+    nominal = min(round_steps, key=lambda round_step: abs(step - round_step))
     drift = (step - nominal) * count
     if abs(drift) <= 0.5 * nominal or abs(step - nominal) > ROUND * nominal:
         return []

@@ -379,8 +379,8 @@ def check_table(path: Path, sheet: str, rows: Sequence[Sequence[object]]) -> Non
 
 
 def _is_small(reaches: list[_Reach], most: int) -> bool:
-    filled = sum(each.cells for each in reaches)
-    return sum(each.size for each in reaches) <= max(most, SPARSE * filled)
+    filled = sum(reach.cells for reach in reaches)
+    return sum(reach.size for reach in reaches) <= max(most, SPARSE * filled)
 
 
 def _refuse_others(parts: zipfile.ZipFile, path: Path) -> None:
@@ -416,8 +416,8 @@ def _quick_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
         is_prefixed = any(words in data for words in _PREFIXED)
         if is_prefixed or (b"", b"") in found or data.startswith(_UTF16):
             return _exact_reach(parts, name)
-        columns, rows = ({each[i] for each in found} for i in (0, 1))
-        reach.columns = max(reach.columns, *(_number(each.decode()) for each in columns), 0)
+        columns, rows = ({finding[i] for finding in found} for i in (0, 1))
+        reach.columns = max(reach.columns, *(_number(column.decode()) for column in columns), 0)
         reach.rows = max(reach.rows, *map(int, rows), 0)
         reach.cells += len(found)
     return reach
@@ -479,7 +479,7 @@ def _title(parts: zipfile.ZipFile, name: str) -> str:
         book = ElementTree.fromstring(parts.read("xl/workbook.xml"))
     except (KeyError, ElementTree.ParseError):
         return name
-    targets = {each.get("Id"): each.get("Target", "") for each in links}
+    targets = {link.get("Id"): link.get("Target", "") for link in links}
     for sheet in book.iter():
         link = next((value for key, value in sheet.items() if key.endswith("}id")), None)
         target = targets.get(link, "")

@@ -49,7 +49,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Whole:
+class WholeNumber:
     """A whole number within a range.
 
     Parameters
@@ -62,7 +62,7 @@ class Whole:
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
+class PatternText:
     """A text of one form.
 
     Parameters
@@ -88,7 +88,7 @@ class Key:
 
 
 @dataclass(frozen=True, slots=True)
-class Above:
+class LargerThan:
     """A quantity that must be larger than another one of the same block and type.
 
     Parameters
@@ -112,7 +112,7 @@ class Existing:
 
 
 @dataclass(frozen=True, slots=True)
-class Tagged:
+class TaggedChoice:
     """One of several kinds of settings, distinguished by a key.
 
     Parameters
@@ -161,7 +161,7 @@ Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0,
 Share: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, most=1.0)]
 """A part of a whole."""
 Snake: TypeAlias = Annotated[
-    str, Word(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
+    str, PatternText(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
 ]
 ChannelName: TypeAlias = Annotated[Snake, Existing("channel")]
 StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
@@ -235,7 +235,7 @@ def kinds_of(union: Any) -> dict[str, Any]:
 
     Parameters
     ----------
-    union : dataclasses, annotated with `Tagged`
+    union : dataclasses, annotated with `TaggedChoice`
     """
     kinds, tagged = get_args(union)
     return {getattr(kind, tagged.key): kind for kind in get_args(kinds)}
@@ -249,7 +249,7 @@ def defaults_of(kind: Any) -> dict[str, Any]:
     ----------
     kind : dataclass of settings
     """
-    return {each.name: each.default for each in fields(kind) if each.default is not MISSING}
+    return {field.name: field.default for field in fields(kind) if field.default is not MISSING}
 
 
 @cache
@@ -319,7 +319,7 @@ class FitShape(_Step):
     on_markers: ClassVar = True
     after: ClassVar = "specimen-frame"
     makes: ClassVar = ("deflection",)
-    terms: Annotated[int, Whole(2, 12)]
+    terms: Annotated[int, WholeNumber(2, 12)]
     tip: Annotated[Literal["free", "loaded"], "free: no bending moment at the tip"]
 
 
@@ -387,7 +387,7 @@ class LowPass(_Step):
     step: ClassVar = "low-pass"
     channel: ChannelName
     cutoff: Frequency
-    order: Annotated[int, Whole(1, 8)]
+    order: Annotated[int, WholeNumber(1, 8)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -396,7 +396,7 @@ class Decimate(_Step):
 
     step: ClassVar = "decimate"
     channel: ChannelName
-    factor: Annotated[int, Whole(2, 100_000)]
+    factor: Annotated[int, WholeNumber(2, 100_000)]
     method: Literal["filtered", "stride"] = "filtered"
 
 
@@ -410,7 +410,7 @@ Step: TypeAlias = Annotated[
     | Smooth
     | LowPass
     | Decimate,
-    Tagged("step"),
+    TaggedChoice("step"),
 ]
 
 STEPS: Final = kinds_of(Step)

@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.records.arrays import ArrayRecord, Ints, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
-from labpipe.records.drawn import DrawnLaw, DrawnShapes
+from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import (
     Contribution,

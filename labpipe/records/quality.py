@@ -109,7 +109,7 @@ class Finding:
         return self.note.code
 
 
-def worth_knowing(code: str, where: str, message: str) -> Finding:
+def info_note(code: str, where: str, message: str) -> Finding:
     """Note what changes nothing."""
     return Finding(QualityNote(code, Severity.INFO, where, message))
 
@@ -141,7 +141,7 @@ def doubtful(
     """
     note = QualityNote(code, Severity.WARNING, where, message)
     reason = Reason(code, message)
-    return Finding(note, tuple(Doubt(each, reason, during, clock) for each in quantities))
+    return Finding(note, tuple(Doubt(quantity, reason, during, clock) for quantity in quantities))
 
 
 def doubtful_stretches(quantity: str, note: QualityNote, clock: str, *, most: int = 100) -> Finding:
@@ -182,21 +182,26 @@ class Findings:
 
     def without(self, code: str) -> Findings:
         """Leave out what another finding explains better."""
-        return Findings(tuple(each for each in self.found if each.code != code))
+        return Findings(tuple(finding for finding in self.found if finding.code != code))
 
     @property
     def notes(self) -> tuple[QualityNote, ...]:
         """The notes, each once."""
-        return tuple(dict.fromkeys(each.note for each in self.found))
+        return tuple(dict.fromkeys(finding.note for finding in self.found))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """The doubts, each once."""
-        return tuple(dict.fromkeys(doubt for each in self.found for doubt in each.doubts))
+        return tuple(dict.fromkeys(doubt for finding in self.found for doubt in finding.doubts))
 
     @property
     def blocked(self) -> Reason | None:
         """Why later stages are not available: the first such finding; None where they are."""
         return next(
-            (Reason(each.code, each.note.message) for each in self.found if each.blocks), None
+            (
+                Reason(finding.code, finding.note.message)
+                for finding in self.found
+                if finding.blocks
+            ),
+            None,
         )

@@ -129,7 +129,7 @@ class Result:
     @property
     def shares(self) -> tuple[float, ...]:
         """Share of the variance that each row of the budget has; 0 where there is none."""
-        squares = [each.change**2 for each in self.budget]
+        squares = [contribution.change**2 for contribution in self.budget]
         total = sum(squares)
         return tuple(square / total if total > 0.0 else 0.0 for square in squares)
 
@@ -160,7 +160,7 @@ class Result:
     @property
     def codes(self) -> tuple[str, ...]:
         """Codes of the reasons, each once."""
-        return tuple(dict.fromkeys(each.code for each in self.reasons))
+        return tuple(dict.fromkeys(reason.code for reason in self.reasons))
 
     @property
     def why(self) -> str:

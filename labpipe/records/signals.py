@@ -13,17 +13,17 @@ from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET
 from labpipe.records.curve import ClockFit
 
 
-class Act(Protocol):
+class FilterFunction(Protocol):
     """What a filter does to evenly spaced samples."""
 
     def __call__(self, values: Floats, /) -> Floats:
         """Filter along the last axis: shape (..., n), no shift in time."""
 
-    def coarser(self, ratio: float) -> Act:
+    def coarser(self, ratio: float) -> FilterFunction:
         """Make the same filter for samples `ratio` times as far apart."""
 
 
-Filter: TypeAlias = tuple[Act, int]
+Filter: TypeAlias = tuple[FilterFunction, int]
 """What a filter does to evenly spaced samples, and every how many-th of them it keeps."""
 Stretch: TypeAlias = tuple[float, float]
 """Begin and end, s."""

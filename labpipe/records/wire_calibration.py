@@ -39,7 +39,7 @@ class CurveAgreement(ArrayRecord):
     sse: float
     rmse: float
     rmse_share: float
-    lag_one: float
+    lag_one_correlation: float
     runs_p: float
 
 
@@ -190,7 +190,7 @@ class ParameterChoice:
     source: str = ""
 
 
-class Identified(StrEnum):
+class Identifiability(StrEnum):
     """What the tests say of a parameter."""
 
     WELL = "identified"
@@ -287,7 +287,7 @@ class CalibratedParameter:
     is_open_below: bool
     is_open_above: bool
     at_bound: str
-    verdict: Identified
+    verdict: Identifiability
     words: str
     profiles: tuple[Profile, ...] = ()
     conflict: PriorConflict | None = None

@@ -41,7 +41,7 @@ from labpipe.records.result import Result, TestResult
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
-    Words,
+    PageTexts,
     area_key,
     keyed_page,
     new_page,
@@ -133,7 +133,7 @@ def draw_budget(result: TestResult) -> Figure:
 
     Numbers of later cycles, of single slips and of the clocks are left out.
     """
-    own = [each for each in result.results if each.largest_share is not None]
+    own = [result for result in result.results if result.largest_share is not None]
     shown = [each for each in own if is_main(each.name) and _is_first(each.name)][:MOST_BARS]
     if not shown:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=40)
@@ -142,7 +142,7 @@ def draw_budget(result: TestResult) -> Figure:
     bars = [_bar(each, result.display) for each in shown]
     cycle = "Of numbers of cycles, those of the first." if any("." in x.name for x in shown) else ""
     note = " ".join(filter(None, (cycle, footnote(result))))
-    words = Words(title(result), note, _keys(bars))
+    words = PageTexts(title(result), note, _keys(bars))
     height = _FRAME + _ROW * len(bars)
     page = keyed_page(words, height_mm=height, width_mm=DOUBLE_COLUMN)
     _leave_room(page)
@@ -292,7 +292,7 @@ def budgets_to_draw(group: Group) -> list[GroupNumber]:
     ----------
     group : with or without samples
     """
-    own = [each for each in group.numbers if is_main(each.name) and _is_first(each.name)]
+    own = [number for number in group.numbers if is_main(number.name) and _is_first(number.name)]
     return [each for each in own if group_budget(each).of_tests][:MOST_BARS]
 
 
@@ -304,7 +304,7 @@ def draw_group_budgets(group: Group) -> Figure:
     group : one that has `budgets_to_draw`
     """
     numbers = budgets_to_draw(group)
-    budgets = [group_budget(each) for each in numbers]
+    budgets = [group_budget(number) for number in numbers]
     of_tests = [
         Bar(_name(number.name), budget.of_tests)
         for number, budget in zip(numbers, budgets, strict=True)
@@ -314,7 +314,7 @@ def draw_group_budgets(group: Group) -> Figure:
         for number, budget in zip(numbers, budgets, strict=True)
     ]
     heading = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
-    words = Words(heading, "", _keys([*of_tests, *of_means]))
+    words = PageTexts(heading, "", _keys([*of_tests, *of_means]))
     has_means = any(bar.shares for bar in of_means)
     height = _FRAME + (2.0 * _ROW * len(numbers) + 18.0 if has_means else _ROW * len(numbers) + 4.0)
     page = keyed_page(words, height_mm=height)

@@ -13,12 +13,10 @@ import numpy as np
 
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.harness_bundle import BundleModel
-from labpipe.report.concerns import sentences
-from labpipe.report.drawn_points import sure_and_doubtful
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
-    Words,
+    PageTexts,
     area_key,
     keyed_page,
     line_key,
@@ -27,6 +25,8 @@ from labpipe.report.figure_page import (
     style_colours,
 )
 from labpipe.report.group_tables import DASH, Cell, Table
+from labpipe.report.issues import sentences
+from labpipe.report.plot_thinning import sure_and_doubtful
 from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_sections import CURVATURE, LENGTH, MOMENT, STIFFNESS
 from labpipe.report.wording import Scale, display_of, shown_in, unit_words, write_number
@@ -66,7 +66,7 @@ def place_table(campaign: Campaign) -> Table | None:
     if not campaign.places:
         return None
     scales = place_scales(campaign)
-    rows = tuple(_row(each, scales[each.group]) for each in campaign.places)
+    rows = tuple(_row(place, scales[place.group]) for place in campaign.places)
     unit = unit_words(next(iter(scales.values())).unit)
     heads = (
         "Test", f"Bending stiffness ({unit})", f"All slips ({unit})", f"Wires slip ({unit})",
@@ -173,7 +173,7 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     places : rows, from the top
     scale : display unit of bending stiffness
     """
-    words = Words("Between slipping and sticking  \u00b7  bundle model", keys=_place_keys())
+    words = PageTexts("Between slipping and sticking  \u00b7  bundle model", keys=_place_keys())
     page = keyed_page(words, height_mm=_REST + _ROW * len(places), width_mm=150.0)
     axes = page.subplots()
     low, high = _ends(places, scale.factor)
@@ -283,7 +283,7 @@ def bundle_figure(model: BundleModel) -> Figure:
     A page. The arms of the principal axes end at the edge of the wires; bending is along y,
     upwards. Both axes of the moments are logarithmic.
     """
-    words = Words(_title(model), _note(model), _bundle_keys(model))
+    words = PageTexts(_title(model), _note(model), _bundle_keys(model))
     page = keyed_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
     section, moments = page.subplots(1, 2, width_ratios=(0.8, 1.0))
     plot_bundle_section(model, section)

@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.records.arrays import Flags
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import FrictionFit
-from labpipe.report.figure_page import DOUBLE_COLUMN, Words, keyed_page, line_key, panel_letter
+from labpipe.report.figure_page import DOUBLE_COLUMN, PageTexts, keyed_page, line_key, panel_letter
 from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_sections import LENGTH
 from labpipe.report.wording import write_number
@@ -63,7 +63,7 @@ def loop_figure(name: str, fit: FrictionFit) -> Figure:
         line_key("fitted (one parameter)", **_FITTED),
         line_key("predicted", **_PREDICTED),
     ]
-    words = Words(f"{name}  ·  friction between the wires", _note(fit), keys)
+    words = PageTexts(f"{name}  ·  friction between the wires", _note(fit), keys)
     page = keyed_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
     fitted, predicted = page.subplots(1, 2, sharex=True, sharey=True)
     plot_loop(fit, ~fit.is_held_out, _FITTED, fitted)

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.group import Band
 from labpipe.records.wire_calibration import CurveMatch, ExternalCurveComparison, Prediction
-from labpipe.report.calibration_shown import (
+from labpipe.report.calibration_summary import (
     BAND,
     DEFLECTION,
     FORCE,
@@ -23,12 +23,10 @@ from labpipe.report.calibration_shown import (
     length_words,
     percent,
 )
-from labpipe.report.concerns import sentences
-from labpipe.report.drawn_points import extremes, sure_and_doubtful
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
-    Words,
+    PageTexts,
     area_key,
     in_pages,
     keyed_page,
@@ -37,6 +35,8 @@ from labpipe.report.figure_page import (
     panel_letter,
     require_room,
 )
+from labpipe.report.issues import sentences
+from labpipe.report.plot_thinning import extremes, sure_and_doubtful
 from labpipe.report.wording import count_of
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
     require_room(len(groups), MOST_PANELS, "groups")
     has_model = any(group.prediction is not None for group in groups)
     keys = [line_key("sample", **_SAMPLE), *_keys(groups, has_model=has_model)]
-    words = Words("Measured and predicted first loadings", _note(groups), keys)
+    words = PageTexts("Measured and predicted first loadings", _note(groups), keys)
     page = keyed_page(
         words, height_mm=_ROW * math.ceil(len(groups) / _COLUMNS), width_mm=DOUBLE_COLUMN
     )
@@ -157,8 +157,8 @@ def _draw_prediction(prediction: Prediction, is_sure: Flags, axes: Axes) -> None
 
 def _lowest(group: ValidationGroup) -> float:
     """Lowest force of the mean and of the samples, in the display unit: noise is seen whole."""
-    forces: list[Floats] = [group.band.mean, *(each.force for each in group.samples.values())]
-    known = [each[np.isfinite(each)] for each in forces]
+    forces: list[Floats] = [group.band.mean, *(sample.force for sample in group.samples.values())]
+    known = [force[np.isfinite(force)] for force in forces]
     return FORCE.factor * min((float(each.min()) for each in known if len(each)), default=0.0)
 
 
@@ -238,7 +238,11 @@ class ExternalPanel(NamedTuple):
     @property
     def prediction(self) -> Prediction | None:
         """The model as far as the longest of the curves goes."""
-        known = [each.prediction for each in self.comparisons if each.prediction is not None]
+        known = [
+            comparison.prediction
+            for comparison in self.comparisons
+            if comparison.prediction is not None
+        ]
         return max(known, key=lambda found: float(found.deflection[-1]), default=None)
 
 
@@ -250,10 +254,10 @@ def external_pages(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
     report : of a calibration
     """
     found: dict[tuple[str, float, bool], list[ExternalCurveComparison]] = {}
-    for each in report.comparisons:
-        curve = each.curve
+    for comparison in report.comparisons:
+        curve = comparison.curve
         key = (curve.wire, round(curve.length, 6), curve.is_normal)
-        found.setdefault(key, []).append(each)
+        found.setdefault(key, []).append(comparison)
     groups = {(group.wire, round(group.length, 6)): group for group in report.groups}
     panels = [
         ExternalPanel(*key, groups.get(key[:2]), tuple(curves)) for key, curves in found.items()
@@ -277,7 +281,7 @@ def external_figure(panels: Sequence[ExternalPanel]) -> Figure:
     rows = math.ceil(len(panels) / _COLUMNS)
     groups = [panel.group for panel in panels if panel.group is not None]
     keys = _keys(groups, has_model=any(panel.prediction is not None for panel in panels))
-    words = Words("External curves, tests and model", _external_note(panels), keys)
+    words = PageTexts("External curves, tests and model", _external_note(panels), keys)
     row = _EXTERNAL_ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
     page = keyed_page(words, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
     drawn = panel_grid(page, len(panels), columns=_COLUMNS)
@@ -304,7 +308,7 @@ def plot_external(panel: ExternalPanel, axes: Axes) -> None:
         edges = (FORCE.factor * model.lower_mean, FORCE.factor * model.upper_mean)
         axes.fill_between(across, *edges, **PREDICTED_LOOK)
         axes.plot(across, FORCE.factor * model.force, **MODEL_LOOK)
-    lines = [_draw(each, number, axes) for number, each in enumerate(panel.comparisons)]
+    lines = [_draw(comparison, number, axes) for number, comparison in enumerate(panel.comparisons)]
     axes.set_xlim(left=0.0)
     room = _ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
@@ -315,7 +319,7 @@ def plot_external(panel: ExternalPanel, axes: Axes) -> None:
 
 def _key_rows(panel: ExternalPanel) -> int:
     """Lines of text in the key of a panel."""
-    return sum(1 + match_words(each).count("\n") for each in panel.comparisons)
+    return sum(1 + match_words(comparison).count("\n") for comparison in panel.comparisons)
 
 
 def _draw(each: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
@@ -364,11 +368,13 @@ def _external_note(panels: Sequence[ExternalPanel]) -> str:
     if any(panel.prediction is not None for panel in panels):
         said.append("Blue band: the model's for the mean sample.")
     said.append("Peak: the largest force of what a curve is compared with, at the points compared.")
-    notes = [note for panel in panels for each in panel.comparisons for note in each.notes]
+    notes = [
+        note for panel in panels for comparison in panel.comparisons for note in comparison.notes
+    ]
     if any(note.code == "external_curve_load" for note in notes):
         said.append("Where the load is normal to the axis, that of the tests is not.")
     for panel in panels:
-        for each in panel.comparisons:
-            told = [note for note in each.notes if note.code != "external_curve_load"]
-            said += [f"'{each.curve.name}': {note.message}." for note in told]
+        for comparison in panel.comparisons:
+            told = [note for note in comparison.notes if note.code != "external_curve_load"]
+            said += [f"'{comparison.curve.name}': {note.message}." for note in told]
     return " ".join(said)

@@ -13,11 +13,11 @@ from labpipe.records.wire_calibration import (
     CalibratedParameter,
     Calibration,
     CurveAgreement,
-    Identified,
+    Identifiability,
     Prediction,
     Profile,
 )
-from labpipe.report.calibration_shown import (
+from labpipe.report.calibration_summary import (
     BAND,
     DEFLECTION,
     FORCE,
@@ -31,18 +31,18 @@ from labpipe.report.calibration_shown import (
     sentences,
     typeset,
 )
-from labpipe.report.drawn_points import extremes
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     Look,
-    Words,
+    PageTexts,
     area_key,
     keyed_page,
     line_key,
     number_log,
     panel_letter,
 )
+from labpipe.report.plot_thinning import extremes
 from labpipe.report.wording import count_of
 from labpipe.statistics.mean_curves import block_means
 
@@ -193,10 +193,14 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
     low, high = seen(parameter)
     axes.set_xscale("log")
     _draw_interval(parameter, axes, (low, high))
-    leasts = sorted(_least(profile)[0] for profile in parameter.profiles)
-    borders = [low, *np.sqrt(np.array(leasts[1:]) * np.array(leasts[:-1])).tolist(), high]
+    find_local_minima = sorted(_least(profile)[0] for profile in parameter.profiles)
+    borders = [
+        low,
+        *np.sqrt(np.array(find_local_minima[1:]) * np.array(find_local_minima[:-1])).tolist(),
+        high,
+    ]
     for profile in parameter.profiles:
-        side = leasts.index(_least(profile)[0])
+        side = find_local_minima.index(_least(profile)[0])
         _draw_solution(profile, axes, shown.scale.factor, (borders[side], borders[side + 1]))
     axes.plot(shown.scale.factor * parameter.value, 0.0, **_VALUE)
     _draw_prior(parameter, axes, (low, high))
@@ -208,7 +212,7 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
 
 def _highest(parameter: CalibratedParameter) -> float:
     """Deviance up to which a panel shows."""
-    ends = [max(each.threshold_below, each.threshold_above) for each in parameter.profiles]
+    ends = [max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles]
     return _HEIGHT * max(ends)
 
 
@@ -249,11 +253,13 @@ def seen(parameter: CalibratedParameter) -> tuple[float, float]:
         return parameter.value, parameter.value
     highest = _highest(parameter)
     traced = [
-        value for each in parameter.profiles for value in each.value[each.deviance <= highest]
+        value
+        for profile in parameter.profiles
+        for value in profile.value[profile.deviance <= highest]
     ]
     wanted = [*traced, parameter.value]
     first, last = (
-        end([each.value[place] for each in parameter.profiles])
+        end([profile.value[place] for profile in parameter.profiles])
         for end, place in ((min, 0), (max, -1))
     )
     ends = [end for part in parameter.intervals for end in (part.lower, part.upper)]
@@ -328,11 +334,11 @@ _LETTERS = 145
 _LEFT = 0.012
 _COLUMNS = (0.0, 0.24, 0.34, 0.53, 0.60)
 _DOUBTFUL = {
-    Identified.NOT,
-    Identified.TWO,
-    Identified.AT_BOUND,
-    Identified.BY_PRIOR,
-    Identified.AGAINST_PRIOR,
+    Identifiability.NOT,
+    Identifiability.TWO,
+    Identifiability.AT_BOUND,
+    Identifiability.BY_PRIOR,
+    Identifiability.AGAINST_PRIOR,
 }
 _POINTS_PER_MM = 72.0 / 25.4
 _NO_BAND = "Drawn without the band of the model."
@@ -360,13 +366,13 @@ def calibration_card(
     rows = [HEADS, *(parameter_row(parameter) for parameter in calibration.parameters)]
     lines = [
         line
-        for each in sentences(calibration)
-        for line in textwrap.wrap(each, _LETTERS, subsequent_indent="   ")
+        for sentence in sentences(calibration)
+        for line in textwrap.wrap(sentence, _LETTERS, subsequent_indent="   ")
     ]
     heights = _heights(len(rows) + len(lines) + 1.3)
     note = _RESIDUALS if predictions else f"{_RESIDUALS} {_NO_BAND}"
     page = keyed_page(
-        Words(_title(calibration), note, _keys(calibration, predictions)),
+        PageTexts(_title(calibration), note, _keys(calibration, predictions)),
         height_mm=sum(heights) + _AROUND * len(_HEIGHTS),
         width_mm=DOUBLE_COLUMN,
     )

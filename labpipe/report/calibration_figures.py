@@ -17,14 +17,14 @@ from labpipe.report.calibration_agreement import (
     validation_figure,
 )
 from labpipe.report.calibration_card import calibration_card
-from labpipe.report.calibration_shown import (
+from labpipe.report.calibration_summary import (
     DEFLECTION,
     MODEL,
     BentShape,
     CalibrationReport,
     length_words,
 )
-from labpipe.report.figure_page import WIDTH, Words, in_pages, keyed_page, line_key, say
+from labpipe.report.figure_page import WIDTH, PageTexts, in_pages, keyed_page, line_key, say
 from labpipe.report.saving import FigureToSave, save_pages
 
 if TYPE_CHECKING:
@@ -57,14 +57,14 @@ def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
     """
     title = f"{name}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
-        page = keyed_page(Words(title), height_mm=40.0)
+        page = keyed_page(PageTexts(title), height_mm=40.0)
         say(page.subplots(), "There is no shape to draw.")
         return page
     low, high = _box(shapes)
     across, up = (high - low).tolist()
     share = min(max(up / across, _FLATTEST), _STEEPEST)
     page = keyed_page(
-        Words(title, _NOTE, _keys(shapes)), height_mm=_AROUND + (WIDTH - _AROUND) * share
+        PageTexts(title, _NOTE, _keys(shapes)), height_mm=_AROUND + (WIDTH - _AROUND) * share
     )
     plot_shapes(shapes, page.subplots())
     return page

@@ -18,7 +18,7 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     Separability,
 )
-from labpipe.report.calibration_shown import (
+from labpipe.report.calibration_summary import (
     DEFLECTION,
     FORCE,
     SHOWN,
@@ -53,8 +53,8 @@ def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sh
         "points left out", FORCE.label("RMSE"), "RMSE over the largest force (%)",
         "points inside the band (%)", "reason", "file", "from",
     )  # fmt: skip
-    rows = [row for each in comparisons for row in _external_agreement(each)]
-    points = [row for each in comparisons for row in _points(each)]
+    rows = [row for comparison in comparisons for row in _external_agreement(comparison)]
+    points = [row for comparison in comparisons for row in _points(comparison)]
     across, up = DEFLECTION.label("deflection"), FORCE.label("force")
     columns = ("name", across, up, FORCE.label("mean of the tests"), FORCE.label("model"))
     return [
@@ -144,7 +144,7 @@ def _summary(calibration: Calibration) -> Sheet:
         "prior, centre", "prior, factor", "without the prior", "conflict (standard errors)",
         "contradicts", "source of prior or fixed value", "in words", "prior in words",
     )  # fmt: skip
-    rows = [_parameter(each) for each in calibration.parameters]
+    rows = [_parameter(parameter) for parameter in calibration.parameters]
     asks = "What are the parameters of the model, and do the tests determine them?"
     last = ("in words", "prior in words")
     return Sheet(SUMMARY, heads, rows, 2, asks=asks, wrapped=last)
@@ -289,11 +289,11 @@ def _curves(calibration: Calibration) -> Sheet:
     )  # fmt: skip
     rows = [
         (
-            each.test, each.sample, DEFLECTION.factor * each.length, len(each.force),
-            each.sample_factor, each.sse, FORCE.factor * each.rmse, 100.0 * each.rmse_share,
-            each.lag_one, each.runs_p,
+            curve.test, curve.sample, DEFLECTION.factor * curve.length, len(curve.force),
+            curve.sample_factor, curve.sse, FORCE.factor * curve.rmse, 100.0 * curve.rmse_share,
+            curve.lag_one_correlation, curve.runs_p,
         )
-        for each in calibration.curves
+        for curve in calibration.curves
     ]  # fmt: skip
     asks = "How far is each test from the model, without the sample's own factor?"
     return Sheet(CURVES, heads, rows, 1, asks=asks)
@@ -307,9 +307,9 @@ def _notes(report: CalibrationReport) -> Sheet:
     for group in report.groups:
         for note in group.prediction.notes if group.prediction is not None else ():
             told["prediction", note.message] = note
-    for each in report.comparisons:
-        for note in each.notes:
-            told[f"external curve '{each.curve.name}'", note.message] = note
+    for comparison in report.comparisons:
+        for note in comparison.notes:
+            told[f"external curve '{comparison.curve.name}'", note.message] = note
     rows = [
         (of, note.severity.value, note.where, note.message, note.code)
         for severity in reversed(Severity)
@@ -321,12 +321,12 @@ def _notes(report: CalibrationReport) -> Sheet:
         (
             "calibration",
             Severity.INFO.value,
-            ", ".join(each.names),
-            typeset(each.words),
+            ", ".join(finding.names),
+            typeset(finding.words),
             "told_apart",
         )
-        for each in found
-        if each is not None
+        for finding in found
+        if finding is not None
     ]
     asks = "What has to be known about the calibration?"
     heads = ("of", "kind", "where", "what", "code")

@@ -10,12 +10,11 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction, FittedLine
 from labpipe.records.result import Result, TestResult
-from labpipe.report.drawn_points import extremes
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     WIDTH,
-    Words,
+    PageTexts,
     keyed_page,
     line_key,
     line_looks_of_fits,
@@ -24,6 +23,7 @@ from labpipe.report.figure_page import (
     put_key,
     say,
 )
+from labpipe.report.plot_thinning import extremes
 from labpipe.report.wording import (
     Scale,
     footnote,
@@ -283,12 +283,12 @@ _PLACES: dict[str, tuple[str, Any]] = {
 def draw_stiffness_lines(result: TestResult) -> Figure:
     """Draw the first loading branch with the lines that stiffnesses were read from."""
     branches = result.curve.branches if result.curve is not None else ()
-    if not any(each.direction is Direction.LOADING for each in branches):
+    if not any(branch.direction is Direction.LOADING for branch in branches):
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
         say(page.subplots(), why_missing(result, "loading branch"))
         return page
     keys = [*_branch_keys(result), *_line_keys(result), *_point_keys(result)]
-    words = Words(title(result), footnote(result), keys)
+    words = PageTexts(title(result), footnote(result), keys)
     page = keyed_page(words, height_mm=92, width_mm=DOUBLE_COLUMN)
     axes = page.subplots()
     plot_branch(result, axes)
@@ -313,7 +313,7 @@ def plot_branch(result: TestResult, axes: Axes) -> None:
     curve = result.curve
     if curve is None:
         return
-    first = next(each for each in curve.branches if each.direction is Direction.LOADING)
+    first = next(branch for branch in curve.branches if branch.direction is Direction.LOADING)
     part = slice(first.start, first.stop)
     across, up = _scales(result)
     if result.aligned is not None and _is_repaired(result):
@@ -360,7 +360,7 @@ def _line_keys(result: TestResult) -> list[Artist]:
 def _slope_words(result: TestResult, line: FittedLine) -> str:
     """Name of a line and its slope, with the interval of the result of that name, if any."""
     stiffness = scale(result, "stiffness", "N/m")
-    found = next((each for each in result.results if each.name == line.result), None)
+    found = next((result for result in result.results if result.name == line.result), None)
     is_it = found is not None and found.unit == "N/m" and found.value is not None
     value, ends = (found.value, found.interval) if found is not None and is_it else (None, None)
     slope = line.slope if value is None else value
@@ -402,13 +402,13 @@ def _point_keys(result: TestResult) -> list[Artist]:
         for name, (words, dashes) in _PLACES.items()
         if _value(result, name) is not None
     ]
-    slips = [line_key(f"slip, {each.decision}", **_SLIP) for each in result.slips[:1]]
+    slips = [line_key(f"slip, {slip.decision}", **_SLIP) for slip in result.slips[:1]]
     failed = [line_key("failure", **_FAILURE)] if _value(result, "failure_force") else []
     return [*places, *slips, *failed]
 
 
 def _value(result: TestResult, name: str) -> float | None:
-    found: list[Result] = [each for each in result.results if each.name == name]
+    found: list[Result] = [result for result in result.results if result.name == name]
     return found[0].value if found else None
 
 

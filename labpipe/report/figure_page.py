@@ -46,7 +46,7 @@ _KEY_HANDLE = 11.8
 """mm of a key's line with the gaps around it."""
 
 
-class Words(NamedTuple):
+class PageTexts(NamedTuple):
     """Title, footnote and key of a page.
 
     Parameters
@@ -153,7 +153,7 @@ def titled_page(
 
 
 def keyed_page(
-    words: Words, *, height_mm: float, width_mm: float = WIDTH, columns: int = 0
+    words: PageTexts, *, height_mm: float, width_mm: float = WIDTH, columns: int = 0
 ) -> Figure:
     """Make an empty page with its key below the title.
 

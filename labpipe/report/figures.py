@@ -17,7 +17,7 @@ from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.timeline_figure import draw_timeline
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the door takes it from here
+    from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the API imports it from here
 
 FIGURES: dict[str, Callable[[TestResult], Figure]] = {
     "force-displacement": draw_force_displacement,

@@ -66,9 +66,9 @@ class Row:
 def numbers_to_draw(group: Group) -> list[GroupNumber]:
     """Pick numbers with at least two samples, no later cycles, and `MOST_NUMBERS` at the most."""
     own = [
-        each
-        for each in group.numbers
-        if _is_first(each.name) and each.mean is not None and each.mean.over_samples.n > 1
+        number
+        for number in group.numbers
+        if _is_first(number.name) and number.mean is not None and number.mean.over_samples.n > 1
     ]
     return own[:MOST_NUMBERS]
 
@@ -83,7 +83,9 @@ def draw_dots(group: Group) -> Figure:
     numbers = numbers_to_draw(group)
     drawn = {number.name for number in numbers}
     left_out = [
-        each.name for each in group.numbers if _is_first(each.name) and each.name not in drawn
+        number.name
+        for number in group.numbers
+        if _is_first(number.name) and number.name not in drawn
     ]
     rows = math.ceil(len(numbers) / _COLUMNS)
     lines = _next(rows_of(group, numbers[0]))
@@ -211,7 +213,7 @@ def _keys(numbers: list[GroupNumber]) -> list[Artist]:
     results = [result for number in numbers for result in number.values.values()]
     return [
         line_key("sample, 95 %", color=GREY, marker="o"),
-        *(doubts if any(each.status is Status.DOUBTFUL for each in results) else []),
+        *(doubts if any(result.status is Status.DOUBTFUL for result in results) else []),
         line_key("mean, 95 %", color=GREY, marker="D", linewidth=1.6),
         *(rings if any(number.outliers for number in numbers) else []),
     ]

@@ -279,12 +279,12 @@ def stems(names: Iterable[str]) -> list[str]:
     >>> stems(["A2, wire cantilever", "A2-wire-cantilever", "°"])
     ['a2-wire-cantilever', 'a2-wire-cantilever-2', 'group']
     """
-    found: list[str] = []
+    stems: list[str] = []
     for name in names:
         plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
         stem, number = plain, 1
-        while stem in found:
+        while stem in stems:
             number += 1
             stem = f"{plain}-{number}"
-        found.append(stem)
-    return found
+        stems.append(stem)
+    return stems

@@ -11,11 +11,11 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, SlipDecision
 from labpipe.records.group import Band, Group, Sample, SampleCurve
-from labpipe.report.concerns import sentence
-from labpipe.report.drawn_points import bends
 from labpipe.report.group_plots import first_loading, group_scale, seen, value_of
+from labpipe.report.issues import sentence
 from labpipe.report.page_facts import PageTests, key_of
 from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, even
+from labpipe.report.plot_thinning import bends
 from labpipe.report.wording import Scale, count_of, display_of, shown_in, unit_words
 
 COLOURS = 8
@@ -68,10 +68,10 @@ class _Drawn:
 
     def colour(self, sample: Sample) -> str:
         """Class of the colour of a sample: that of its spool; of one spool, its own."""
-        spools = list(dict.fromkeys(each.specimen.spool for each in self.group.samples))
+        spools = list(dict.fromkeys(sample.specimen.spool for sample in self.group.samples))
         at = spools.index(sample.specimen.spool)
         if len(spools) == 1 and len(self.group.samples) <= _MOST_WITH_INTERVALS:
-            at = [key_of(each) for each in self.group.samples].index(key_of(sample))
+            at = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
         return f"c{at % COLOURS}"
 
 
@@ -125,9 +125,9 @@ def _sample_lines(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
         for each in (*sample.loading, *sample.unloading)
         if each is not first and len(each.displacement)
     ]
-    for each in others:
+    for other in others:
         points = max(drawn.points.others // len(others), 8)
-        yield _line(drawn, f"unloading {colour}", test, (each, each.force), points=points)
+        yield _line(drawn, f"unloading {colour}", test, (other, other.force), points=points)
     if first is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
@@ -163,8 +163,8 @@ def _windows(drawn: _Drawn) -> Iterator[Line]:
             look = "segment" if line.result.startswith("segment") else "window"
             parts.setdefault(look, []).append(line)
         for look, lines in parts.items():
-            x = np.array([part for each in lines for part in (each.start, each.stop, np.nan)])
-            y = np.array([part for each in lines for part in (*_heights(each), np.nan)])
+            x = np.array([part for line in lines for part in (line.start, line.stop, np.nan)])
+            y = np.array([part for line in lines for part in (*_heights(line), np.nan)])
             yield Line(look, x * drawn.across.factor, y * drawn.up.factor, test)
 
 
@@ -256,18 +256,18 @@ def _keys(drawn: _Drawn, lines: Sequence[Line]) -> list[Key]:
     if len(group.samples) <= _MOST_WITH_INTERVALS:
         keys = [
             Key(
-                f"curve {drawn.colour(each)}",
-                each.test,
+                f"curve {drawn.colour(sample)}",
+                sample.test,
                 "t",
-                str(drawn.number(each)),
+                str(drawn.number(sample)),
             )
-            for each in group.samples
+            for sample in group.samples
         ]
     else:
         keys = [
             Key(f"curve {colour}", f"spool {spool}", "class", colour)
             for spool, colour in {
-                each.specimen.spool: drawn.colour(each) for each in group.samples
+                sample.specimen.spool: drawn.colour(sample) for sample in group.samples
             }.items()
         ]
     over = f"mean of {group.band.n} {group.band.over}"
@@ -296,7 +296,7 @@ def _caption(group: Group) -> str:
 
 def _shapes(drawn: _Drawn) -> Plot | None:
     """Markers along the specimen at equal steps of the first loading, at equal scale."""
-    own = [each for each in drawn.group.samples if each.shapes is not None]
+    own = [sample for sample in drawn.group.samples if sample.shapes is not None]
     lines = []
     for sample in own:
         shapes = sample.shapes
@@ -327,7 +327,7 @@ def _shapes(drawn: _Drawn) -> Plot | None:
 
 def _steps(samples: Sequence[Sample]) -> Floats:
     most = max(
-        (each.shapes for each in samples if each.shapes), key=lambda own: len(own.deflection)
+        (sample.shapes for sample in samples if sample.shapes), key=lambda own: len(own.deflection)
     )
     return np.round(most.deflection, 4) + 0.0
 
@@ -347,7 +347,7 @@ def _moments(drawn: _Drawn) -> Plot | None:
     """The measured law of each sample; of few its 95 % interval as an area."""
     display = display_of(drawn.group)
     across, up = shown_in("", "1/m", display), _moment_scale(display)
-    own = [(each, each.law) for each in drawn.group.samples if each.law is not None]
+    own = [(sample, sample.law) for sample in drawn.group.samples if sample.law is not None]
     if not own:
         return None
     areas, lines = [], []

@@ -9,12 +9,10 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Band, Group, Sample, SampleCurve
-from labpipe.report.concerns import sentence
-from labpipe.report.drawn_points import bends
 from labpipe.report.figure_page import (
     GREY,
     Look,
-    Words,
+    PageTexts,
     area_key,
     keyed_page,
     line_key,
@@ -22,6 +20,8 @@ from labpipe.report.figure_page import (
     line_looks_of_fits,
     say,
 )
+from labpipe.report.issues import sentence
+from labpipe.report.plot_thinning import bends
 from labpipe.report.wording import (
     Scale,
     count_of,
@@ -74,7 +74,7 @@ def group_page(
     columns : of the key; as many as have room if 0
     """
     title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
-    return keyed_page(Words(title, note, keys), height_mm=height_mm, columns=columns)
+    return keyed_page(PageTexts(title, note, keys), height_mm=height_mm, columns=columns)
 
 
 def thin(curve: SampleCurve, values: Floats, *, points: int = POINTS) -> tuple[Floats, Floats]:
@@ -99,7 +99,7 @@ def first_loading(sample: Sample) -> SampleCurve | None:
 
 def value_of(sample: Sample, name: str) -> float | None:
     """A result of a sample by its name, in SI; None where it failed or was not asked for."""
-    return next((each.value for each in sample.results if each.name == name), None)
+    return next((result.value for result in sample.results if result.name == name), None)
 
 
 def label_axes(group: Group, axes: Axes) -> None:
@@ -411,7 +411,7 @@ def _line_keys(group: Group) -> list[Artist]:
 
 def _slope(group: Group, name: str) -> str:
     """Name of a line and its mean slope with the interval."""
-    number = next((each for each in group.numbers if each.name == name), None)
+    number = next((number for number in group.numbers if number.name == name), None)
     if number is None or number.mean is None:
         return in_words(name)
     shown = shown_in(name, number.unit, display_of(group))

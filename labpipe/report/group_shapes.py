@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.records.drawn import DrawnShapes
+from labpipe.records.figure_data import DrawnShapes
 from labpipe.records.group import Group
 from labpipe.report.figure_page import GREY, area_key, line_key, say
 from labpipe.report.group_plots import group_page, group_scale, spool_looks
@@ -43,7 +43,7 @@ def draw_group_shapes(group: Group) -> Figure:
     ----------
     group : one with shapes; else the page says so
     """
-    seen = [each.shapes for each in group.samples if each.shapes is not None]
+    seen = [sample.shapes for sample in group.samples if sample.shapes is not None]
     points = [each.positions.reshape(-1, 2) for each in seen if _is_seen(each)]
     if not points:
         page = group_page(group, [], height_mm=40.0)

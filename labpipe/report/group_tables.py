@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from labpipe.records.group import Campaign, Decision, Group, GroupNumber, NestedMean, Sample
-from labpipe.report.concerns import (
-    Concern,
+from labpipe.report.issue_ranking import Cause, find_notes
+from labpipe.report.issues import (
+    Issue,
     Kind,
     decision_words,
 )
-from labpipe.report.ranked_causes import Cause, find_notes
 from labpipe.report.wording import (
     display_of,
     heading,
@@ -79,7 +79,7 @@ def spool_means(group: Group) -> Table:
     What all decisions have in common stands once, below the table.
     """
     spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
-    own = [each for each in group.numbers if each.mean is not None]
+    own = [number for number in group.numbers if number.mean is not None]
     decisions, shared = _decisions([each.mean for each in own if each.mean is not None])
     rows = [_spool_row(group, each, spools) for each in own]
     heads = ("Number", *(f"Spool {spool}" for spool in spools))
@@ -94,7 +94,9 @@ def spool_means(group: Group) -> Table:
 def _decisions(means: Sequence[NestedMean]) -> tuple[list[str], tuple[str, ...]]:
     """What is special in each decision, and what is said in all of them."""
     clauses = [_clauses(mean.decision) for mean in means]
-    shared = [each for each in clauses[0] if all(each in own for own in clauses)] if means else []
+    shared = (
+        [clause for clause in clauses[0] if all(clause in own for own in clauses)] if means else []
+    )
     special = [_sentence([each for each in own if each not in shared]) for own in clauses]
     if not any(special):
         return special, (_sentence(shared),) if shared else ()
@@ -181,7 +183,7 @@ class Line:
 
     head: str
     said: str
-    whom: str
+    subject: str
     effect: str
     details: Table
 
@@ -195,17 +197,17 @@ def cause_lines(causes: Sequence[Cause]) -> list[Line]:
     """
     return [
         Line(
-            _HEADINGS[each.kind],
-            each.sentence,
-            each.whom,
-            "" if each.effect is None else each.effect.words,
+            _HEADINGS[cause.kind],
+            cause.sentence,
+            cause.subject,
+            "" if cause.effect is None else cause.effect.words,
             Table(
-                f"{each.kind} ({len(each.concerns)})",
+                f"{cause.kind} ({len(cause.concerns)})",
                 ("Test", "What", "Why"),
-                tuple(_concern_row(one) for one in each.concerns),
+                tuple(_concern_row(one) for one in cause.concerns),
             ),
         )
-        for each in causes
+        for cause in causes
     ]
 
 
@@ -213,20 +215,20 @@ def note_table(campaign: Campaign) -> Table | None:
     """Make the table of notes of which nothing follows, a row for each kind; None without any."""
     rows = tuple(
         (
-            Cell(each.concerns[0].reason, tip=each.code),
-            Cell(str(len(each.concerns))),
-            Cell(each.whom),
+            Cell(note.concerns[0].reason, tip=note.code),
+            Cell(str(len(note.concerns))),
+            Cell(note.subject),
         )
-        for each in find_notes(campaign)
+        for note in find_notes(campaign)
     )
     heads = ("Note, the first of its kind", "How many", "Where")
     return Table("Notes of which nothing follows", heads, rows) if rows else None
 
 
-def _concern_row(concern: Concern) -> tuple[Cell, ...]:
-    whom = concern.test or ", ".join(concern.tests) or "the whole group"
+def _concern_row(concern: Issue) -> tuple[Cell, ...]:
+    subject = concern.test or ", ".join(concern.tests) or "the whole group"
     why = Cell(concern.reason, tip=concern.code)
-    return Cell(whom, concern.group), Cell(concern.what or DASH), why
+    return Cell(subject, concern.group), Cell(concern.what or DASH), why
 
 
 def method_tables(campaign: Campaign) -> list[Table]:
@@ -245,7 +247,7 @@ def _method_table(protocol: str, samples: Sequence[Sample]) -> Table:
             if result.method:
                 known[result.method] = None
     rows = tuple(
-        (Cell(in_words(name), tip=name), Cell(with_names_in_words("; ".join(each)) or _NO_METHOD))
-        for name, each in methods.items()
+        (Cell(in_words(name), tip=name), Cell(with_names_in_words("; ".join(method)) or _NO_METHOD))
+        for name, method in methods.items()
     )
     return Table(f"Protocol {protocol}: how each number was made", ("Number", "Method"), rows)

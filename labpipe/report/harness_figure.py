@@ -13,7 +13,7 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
-    Words,
+    PageTexts,
     area_key,
     keyed_page,
     line_key,
@@ -152,7 +152,7 @@ def harness_figure(drawn: DrawnHarness) -> Figure:
     ----------
     drawn : the harness
     """
-    words = Words(f"{drawn.name}  ·  shape", drawn.note, _keys(drawn))
+    words = PageTexts(f"{drawn.name}  ·  shape", drawn.note, _keys(drawn))
     page = keyed_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(2, 2, width_ratios=(1.35, 1.0)).ravel()
     lines: list[LineCollection] = []
@@ -170,16 +170,16 @@ def _keys(drawn: DrawnHarness) -> list[Artist]:
     last = drawn.shapes[-1]
     keys: list[Artist] = []
     if len(drawn.shapes) > 1:
-        steps = ", ".join(str(each.step) for each in drawn.shapes[:-1])
+        steps = ", ".join(str(shape.step) for shape in drawn.shapes[:-1])
         keys.append(line_key(f"step {steps}", **_EARLIER))
     if last.band is not None:
         keys.append(area_key("95 % band, point by point", **_BAND))
     for kind, look in _SIGNS.items():
-        names = [each.name for each in drawn.marks if each.kind == kind]
+        names = [mark.name for mark in drawn.marks if mark.kind == kind]
         if names:
             words = f"{kind} {', '.join(names)}"
             keys.append(line_key(words, color="black", linestyle="", **look))
-    if any(each.kind == "grip" and len(each.way) > 1 for each in drawn.marks):
+    if any(mark.kind == "grip" and len(mark.way) > 1 for mark in drawn.marks):
         keys.append(line_key("way of a grip", **_WAY))
     return [*keys, line_key("allowed bend radius", **_LIMIT)]
 
@@ -374,7 +374,7 @@ def sweep_figure(sweep: DrawnSweep) -> Figure:
         keys.append(area_key("95 % band, length by length", **_BAND))
     if sweep.is_doubtful.any():
         keys.append(line_key("doubtful", color="black", **_OPEN, linestyle="", marker="o"))
-    words = Words(f"{sweep.name}  ·  length against bend radius", sweep.note, keys)
+    words = PageTexts(f"{sweep.name}  ·  length against bend radius", sweep.note, keys)
     page = keyed_page(words, height_mm=_SWEEP_HEIGHT, width_mm=DOUBLE_COLUMN)
     shapes, radii = page.subplots(1, 2, width_ratios=(1.2, 1.0))
     plot_lengths(sweep, shapes)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
 from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
-from labpipe.report.concerns import sentences
-from labpipe.report.first_screen import KeyBlock, answers, count_words, fold, key_blocks, to_decide
+from labpipe.report.comparison_figures import figures_of_families
+from labpipe.report.comparisons import remarks_on_pairs
 from labpipe.report.group_figures import drawings, stems
 from labpipe.report.group_panels import group_panels
 from labpipe.report.group_tables import (
@@ -21,6 +21,8 @@ from labpipe.report.group_tables import (
     slip_table,
     spool_means,
 )
+from labpipe.report.issue_ranking import find_causes
+from labpipe.report.issues import sentences
 from labpipe.report.page_comparisons import questions
 from labpipe.report.page_facts import (
     PageTests,
@@ -48,11 +50,9 @@ from labpipe.report.page_parts import (
     style_of,
 )
 from labpipe.report.page_tests import export_table, test_rows
-from labpipe.report.question_figures import figures_of_families
-from labpipe.report.questions import remarks_on_pairs
-from labpipe.report.ranked_causes import find_causes
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.saving import save_report_figures, written_to
+from labpipe.report.summary_page import KeyBlock, answers, count_words, fold, key_blocks, to_decide
 from labpipe.report.wording import printable, with_names_in_words
 
 if TYPE_CHECKING:
@@ -280,9 +280,9 @@ def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> l
     folder.mkdir(parents=True, exist_ok=True)
     names = stems(group.name for group in campaign.groups)
     wanted = [
-        each._replace(name=f"{stem}-{each.name}")
+        drawing._replace(name=f"{stem}-{drawing.name}")
         for group, stem in zip(campaign.groups, names, strict=True)
-        for each in drawings(group)
+        for drawing in drawings(group)
     ]
     wanted += [figure for _, figure in figures_of_families(campaign)]
     wanted += place_figures(campaign)

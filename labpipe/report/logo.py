@@ -6,7 +6,7 @@ import base64
 from io import BytesIO
 from pathlib import Path
 
-from labpipe.errors import UsageError, complaint
+from labpipe.errors import UsageError, error_text
 
 _MOST_BYTES = 200_000
 _MOST_PIXELS = 4_000_000
@@ -61,4 +61,4 @@ def _kind(path: Path, content: bytes) -> str:
 def _refused(path: Path, found: str) -> UsageError:
     expected = f"a picture, PNG or JPEG, of at most {_MOST_BYTES // 1000} kB"
     remedy = "Save the logo as PNG, about 600 points wide, or leave --logo away."
-    return UsageError(complaint(path, "", expected=expected, found=found, remedy=remedy))
+    return UsageError(error_text(path, "", expected=expected, found=found, remedy=remedy))

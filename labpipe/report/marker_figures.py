@@ -12,12 +12,10 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Direction, PointFlag, Shape
 from labpipe.records.recording import RigidBody
 from labpipe.records.result import TestResult
-from labpipe.report.drawn_points import extremes, worst
-from labpipe.report.drawn_rig import Rig, rig_of
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
-    Words,
+    PageTexts,
     area_key,
     keyed_page,
     line_key,
@@ -26,6 +24,8 @@ from labpipe.report.figure_page import (
     say,
     side_key,
 )
+from labpipe.report.plot_thinning import extremes, worst
+from labpipe.report.rig_drawing import Rig, rig_of
 from labpipe.report.wording import footnote, scale, title, why_missing
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def draw_wire_shapes(result: TestResult) -> Figure:
     heights = [_WIDTH_MM * _proportion(shape, steps, plane, rig) for plane in planes]
     total = sum(heights) + 17.0 + 14.0 * (len(planes) - 1)
     note = " ".join(filter(None, (_beside_words(result, shape, rig), footnote(result))))
-    words = Words(title(result), note, _sign_keys(shape, steps, rig))
+    words = PageTexts(title(result), note, _sign_keys(shape, steps, rig))
     page = keyed_page(words, height_mm=total, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for letter, axes, plane in zip("ab", panels, planes, strict=False):
@@ -178,12 +178,12 @@ def _loads(shape: Shape, steps: Steps, rig: Rig) -> list[tuple[float, float]]:
     """Centres of the roller that pushes at mid-span, m, at each step where a curve is known."""
     if not _supports(rig):
         return []
-    found = []
+    loads = []
     for frame in steps.frames:
         x, y = _fitted(shape, int(frame))[:2]
         if len(x) and np.isfinite(y).all():
-            found.append((0.0, float(np.interp(0.0, x, y)) - rig.reach))
-    return found
+            loads.append((0.0, float(np.interp(0.0, x, y)) - rig.reach))
+    return loads
 
 
 def _draw_rollers(axes: Axes, shape: Shape, steps: Steps, rig: Rig, factor: float) -> None:

@@ -10,12 +10,8 @@ from math import isfinite
 import numpy as np
 
 from labpipe.records.group import Band, Campaign, Group, GroupNumber
-from labpipe.report.group_panels import COLOURS, band_lines, mean_lines
-from labpipe.report.group_plots import group_scale
-from labpipe.report.group_tables import Table
-from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
-from labpipe.report.question_figures import main_number
-from labpipe.report.questions import (
+from labpipe.report.comparison_figures import main_number
+from labpipe.report.comparisons import (
     Family,
     Pair,
     answer_cells,
@@ -25,6 +21,10 @@ from labpipe.report.questions import (
     field_words,
     question_table,
 )
+from labpipe.report.group_panels import COLOURS, band_lines, mean_lines
+from labpipe.report.group_plots import group_scale
+from labpipe.report.group_tables import Table
+from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
 from labpipe.report.wording import count_of, display_of, in_words, shown_in, unit_words
 
 _CURVES, _MEANS = (392, 200), (180, 200)
@@ -89,8 +89,8 @@ def _question(field: str, pairs: Sequence[Pair], drawn: Sequence[Comparison]) ->
     heads = ("Question", "Answer", "Difference (95 %, corrected)", "n")
     table = Table(f"Answers: {field_words(field)}", heads, tuple(map(answer_cells, pairs)))
     tables = tuple(question_table(pair) for pair in pairs)
-    notes = tuple(dict.fromkeys(note for each in tables for note in each.notes))
-    bare = tuple(replace(each, notes=()) for each in tables)
+    notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
+    bare = tuple(replace(table, notes=()) for table in tables)
     return Question(field, field_words(field), table, tuple(drawn), bare, notes)
 
 
@@ -145,7 +145,9 @@ def _means(family: Family, stems: Mapping[str, str]) -> Plot | None:
     name = main_number(family)
     if not name:
         return None
-    numbers = [next(each for each in group.numbers if each.name == name) for group in family.groups]
+    numbers = [
+        next(number for number in group.numbers if number.name == name) for group in family.groups
+    ]
     shown = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
     lines = []
     rows = zip(numbers, _looks(family), strict=True)
@@ -163,7 +165,7 @@ def _means(family: Family, stems: Mapping[str, str]) -> Plot | None:
 
 
 def _row(number: GroupNumber, height: float, factor: float, look: str, stem: str) -> Iterator[Line]:
-    values = [each.value for each in number.values.values() if each.value is not None]
+    values = [value.value for value in number.values.values() if value.value is not None]
     x = np.array([part for value in values for part in (factor * value, np.nan)])
     yield Line(f"sample {look}", x, np.full(len(x), height - 0.22), group=stem)
     if number.mean is None:

@@ -191,8 +191,8 @@ def instrument_lines(samples: Sequence[Sample]) -> list[InstrumentLine]:
     """
     used: dict[Instrument, list[Sample]] = {}
     for sample in samples:
-        for each in sample.instruments:
-            used.setdefault(each, []).append(sample)
+        for instrument in sample.instruments:
+            used.setdefault(instrument, []).append(sample)
     return [_instrument_line(each, tests) for each, tests in used.items()]
 
 

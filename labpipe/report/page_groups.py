@@ -11,9 +11,9 @@ from labpipe.records.group import Group, GroupNumber, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import COLOURS_OF_CAUSES, SMALLER, named_causes, parts_of
-from labpipe.report.concerns import sentences
 from labpipe.report.group_plots import count_words
 from labpipe.report.group_tables import DASH, Cell, Table
+from labpipe.report.issues import sentences
 from labpipe.report.page_facts import PageTests, days_words, key_of, operators_words
 from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.page_plots import strip
@@ -52,7 +52,7 @@ def number_table(group: Group) -> Table:
     group : with samples
     """
     columns = group.samples if len(group.samples) <= MOST_COLUMNS else ()
-    heads = ("Number", "Drawn", "Mean, 95 %", "n", "s", *(each.test for each in columns))
+    heads = ("Number", "Drawn", "Mean, 95 %", "n", "s", *(column.test for column in columns))
     rows = tuple(
         _number_row(group, number, columns, is_drawn=row < _MOST_STRIPS)
         for row, number in enumerate(group.numbers)
@@ -65,7 +65,7 @@ def _number_row(
 ) -> tuple[Cell, ...]:
     shown = shown_in(number.name, number.unit, display_of(group))
     head = Cell(heading(number.name, shown.unit), tip=number.name)
-    samples = [_sample_cell(number, each, shown.factor) for each in columns]
+    samples = [_sample_cell(number, column, shown.factor) for column in columns]
     if number.mean is None:
         return head, Cell(""), Cell(DASH, tip="no sample has it"), Cell("0"), Cell(DASH), *samples
     chosen = number.mean.chosen
@@ -98,7 +98,7 @@ def _decision(number: GroupNumber) -> str:
 
 def number_strip(number: GroupNumber) -> Markup:
     """Draw samples, mean and interval of a number side by side, on a scale of their own."""
-    values = [each.value for each in number.values.values() if each.value is not None]
+    values = [value.value for value in number.values.values() if value.value is not None]
     chosen = None if number.mean is None else number.mean.chosen
     interval = None if chosen is None else chosen.interval
     mean = nan if chosen is None else chosen.mean
@@ -112,12 +112,12 @@ def number_strip(number: GroupNumber) -> Markup:
 
 def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
     result = number.values.get(sample.test) or _result(sample, number.name)
-    marked = any(each.sample == sample.test for each in number.outliers)
+    marked = any(outlier.sample == sample.test for outlier in number.outliers)
     return result_cell(result, factor, is_outlier=marked)
 
 
 def _result(sample: Sample, name: str) -> Result | None:
-    return next((each for each in sample.results if each.name == name), None)
+    return next((result for result in sample.results if result.name == name), None)
 
 
 def result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
@@ -143,7 +143,7 @@ def _notes(group: Group) -> Iterator[str]:
     if any(not number.mean.is_pooled for number in group.numbers if number.mean):
         yield "n in spools: the mean is over the means of the spools, each of which counts once."
     if any(number.is_set_by_rig for number in group.numbers):
-        names = [in_words(each.name).lower() for each in group.numbers if each.is_set_by_rig]
+        names = [in_words(number.name).lower() for number in group.numbers if number.is_set_by_rig]
         yield f"Set by the rig, not tested for outliers: {'; '.join(names)}."
     spools = {sample.specimen.spool for sample in group.samples}
     if len(spools) == 1 and len(group.samples) > 1:
@@ -155,14 +155,14 @@ def _notes(group: Group) -> Iterator[str]:
 def _no_intervals(group: Group) -> Iterator[str]:
     """Why means have no interval, numbers that share a reason together; why some are so wide."""
     reasons: dict[Reason, list[str]] = {}
-    for each in group.numbers:
-        if each.mean is not None and each.mean.chosen.reason:
-            reasons.setdefault(each.mean.chosen.reason, []).append(in_words(each.name))
+    for member in group.numbers:
+        if member.mean is not None and member.mean.chosen.reason:
+            reasons.setdefault(member.mean.chosen.reason, []).append(in_words(member.name))
     for why, names in reasons.items():
         of = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
         yield f"No interval of the mean: {sentences([why])} ({of})"
-    if any(not each.mean.is_pooled and each.mean.chosen.n == _TWO for each in group.numbers
-           if each.mean is not None):  # fmt: skip
+    if any(not number.mean.is_pooled and number.mean.chosen.n == _TWO for number in group.numbers
+           if number.mean is not None):  # fmt: skip
         yield (
             "Intervals over two spool means are wide because two values leave one degree of"
             " freedom, where Student's t is 12.7. More samples of these spools would hardly help;"
@@ -186,8 +186,8 @@ def _why_not(group: Group) -> Iterator[str]:
         yield f"{words} ({', '.join(tests)})"
     outliers: dict[str, list[str]] = {}
     for number in group.numbers:
-        for each in number.outliers:
-            outliers.setdefault(each.sample, []).append(in_words(number.name).lower())
+        for outlier in number.outliers:
+            outliers.setdefault(outlier.sample, []).append(in_words(number.name).lower())
     for test, numbers in outliers.items():
         yield f"! {test} stands apart in {'; '.join(numbers)}. It stays in every mean."
 
@@ -211,8 +211,10 @@ def _samples_table(
     group: Group, numbers: Sequence[GroupNumber], tests: PageTests, is_more: bool
 ) -> Table:
     display = display_of(group)
-    scales = [shown_in(each.name, each.unit, display) for each in numbers]
-    heads = [heading(each.name, shown.unit) for each, shown in zip(numbers, scales, strict=True)]
+    scales = [shown_in(number.name, number.unit, display) for number in numbers]
+    heads = [
+        heading(number.name, shown.unit) for number, shown in zip(numbers, scales, strict=True)
+    ]
     rows = tuple(
         (
             *_names(sample, tests, is_more=is_more),

@@ -69,7 +69,7 @@ def page_data(campaign: Campaign, *, report: str) -> Markup:
         "campaign": campaign.name,
         "report": report,
         "labpipe": campaign.labpipe_version,
-        "decisions": [dict(each) for each in campaign.decisions],
+        "decisions": [dict(decision) for decision in campaign.decisions],
     }
     # Escaped to ASCII, so that a lone surrogate of a name goes into the page, too.
     text = json.dumps(said, separators=(",", ":")).replace("&", r"\u0026")
@@ -130,7 +130,9 @@ def quoted(text: str) -> str:
     text : any
     """
     letters = printable(text)
-    plain = (each if each.isascii() and each.isalnum() else _escaped(each) for each in letters)
+    plain = (
+        letter if letter.isascii() and letter.isalnum() else _escaped(letter) for letter in letters
+    )
     return f'"{"".join(plain)}"'
 
 

@@ -129,8 +129,8 @@ def axis_over(name: str, unit: str, values: Iterable[Floats], *, room: float = 0
     """
     ends = [
         end
-        for each in values
-        if (known := each[np.isfinite(each)]).size
+        for value in values
+        if (known := value[np.isfinite(value)]).size
         for end in (float(known.min()), float(known.max()))
     ] or [0.0, 1.0]
     low, high = min(ends), max(ends)
@@ -153,7 +153,7 @@ def ticks(axis: Axis, most: int) -> list[float]:
     """
     span = axis.high - axis.low
     power = 10.0 ** floor(log10(span / most))
-    step = next(power * each for each in _STEPS if power * each * most >= span)
+    step = next(power * step for step in _STEPS if power * step * most >= span)
     first = int(np.ceil(axis.low / step - _FLAT))
     last = int(np.floor(axis.high / step + _FLAT))
     return [number * step for number in range(first, last + 1)]
@@ -311,7 +311,7 @@ def strip(
 _STRIP = 120
 
 
-def spark(curves: Sequence[tuple[Floats, Floats]]) -> Markup:
+def sparkline(curves: Sequence[tuple[Floats, Floats]]) -> Markup:
     """Draw curves as small as a word: what they look like, without axes.
 
     Parameters
@@ -322,7 +322,7 @@ def spark(curves: Sequence[tuple[Floats, Floats]]) -> Markup:
 
     x = axis_over("", "", [each for each, _ in curves], room=0.0)
     y = axis_over("", "", [each for _, each in curves], room=0.05)
-    paths = "".join(f'<path d="{steps_of(Line("", *each), x, y)}"/>' for each in curves)
+    paths = "".join(f'<path d="{steps_of(Line("", *curve), x, y)}"/>' for curve in curves)
     box = f'viewBox="0 0 {FULL} {FULL}" preserveAspectRatio="none"'
     return Markup(f'<svg class="spark" {box}>{paths}</svg>')
 

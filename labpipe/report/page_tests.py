@@ -8,8 +8,8 @@ from urllib.parse import quote
 
 from labpipe.records.group import Campaign
 from labpipe.records.result import Result
-from labpipe.report.concerns import sentences
 from labpipe.report.group_tables import DASH, Cell, Table
+from labpipe.report.issues import sentences
 from labpipe.report.page_facts import PageTest, PageTests
 from labpipe.report.page_groups import result_cell
 from labpipe.report.wording import heading, is_main, shown_in
@@ -98,7 +98,7 @@ def page_file(label: str) -> str:
 
 def _first(test: PageTest, main: str) -> Cell:
     """The first main number with its unit, as the column holds several quantities."""
-    result = next((each for each in test.sample.results if each.name == main), None)
+    result = next((result for result in test.sample.results if result.name == main), None)
     if result is None:
         return Cell(DASH)
     shown = shown_in(main, result.unit, test.sample.display)
@@ -120,7 +120,7 @@ def why_of(test: PageTest) -> str:
 
 
 def _troubled(test: PageTest) -> Iterator[Result]:
-    return (each for each in test.sample.results if str(each.status) != "ok")
+    return (result for result in test.sample.results if str(result.status) != "ok")
 
 
 def export_table(tests: PageTests) -> Table:

@@ -16,6 +16,24 @@ from labpipe.records.group import (
     MeanInterval,
 )
 from labpipe.records.quality import worded
+from labpipe.report.comparisons import (
+    Pair,
+    answering_pairs,
+    context_words,
+    field_words,
+)
+from labpipe.report.detail_sheets import (
+    Column,
+    budgets_sheet,
+    comparisons_sheet,
+    headed,
+    issues_sheet,
+    p_value,
+    places_sheet,
+    results_sheet,
+    shares_of,
+    tests_sheet,
+)
 from labpipe.report.group_plots import group_scale
 from labpipe.report.page_facts import (
     days_words,
@@ -23,24 +41,6 @@ from labpipe.report.page_facts import (
     operators_words,
     report_id,
     samples_of,
-)
-from labpipe.report.questions import (
-    Pair,
-    answering_pairs,
-    context_words,
-    field_words,
-)
-from labpipe.report.sheets_of_details import (
-    Column,
-    budgets_sheet,
-    comparisons_sheet,
-    concerns_sheet,
-    headed,
-    p_value,
-    places_sheet,
-    results_sheet,
-    shares_of,
-    tests_sheet,
 )
 from labpipe.report.wording import (
     Scale,
@@ -108,8 +108,8 @@ def _facts(campaign: Campaign) -> Iterator[str]:
     yield f"{tests} in {count_of(len(campaign.groups), 'group')}{left}."
     if samples:
         yield f"Tested {days_words(samples)}; {operators_words(samples)}."
-    for each in instrument_lines(samples):
-        yield f"{each.name}: {each.due}."
+    for instrument_line in instrument_lines(samples):
+        yield f"{instrument_line.name}: {instrument_line.due}."
     made = f" on {campaign.made_on}" if campaign.made_on is not None else ""
     by = f"labpipe {campaign.labpipe_version}".strip()
     yield f"Report {report_id(campaign)}, made{made} by {by}."
@@ -131,7 +131,7 @@ def _sheets(campaign: Campaign) -> Iterator[Sheet]:
         yield budgets
     if campaign.places:
         yield places_sheet(campaign)
-    yield concerns_sheet(campaign)
+    yield issues_sheet(campaign)
 
 
 def _answers(pairs: Sequence[Pair]) -> Sheet:
@@ -178,12 +178,12 @@ def _key_numbers(campaign: Campaign) -> Sheet:
     rows: list[Row] = []
     for group, own in zip(groups, found, strict=True):
         ends = [own.get(column, (None, None, None)) for column in columns]
-        bars = [cell for each in ends for cell in _whiskers(each)]
+        bars = [cell for end in ends for cell in _whiskers(end)]
         head = (group.name, group.protocol, len(group.samples))
-        rows.append((*head, *(cell for each in ends for cell in each), *bars))
+        rows.append((*head, *(cell for end in ends for cell in end), *bars))
     charts = [_key_chart(found, columns, at) for at in range(len(columns))]
     asks = "What are the key numbers of each group, with their 95 % intervals?"
-    drawn = [each for each in charts if each is not None]
+    drawn = [chart for chart in charts if chart is not None]
     return Sheet("key numbers", heads, rows, 1, asks=asks, charts=drawn, printed=last)
 
 
@@ -194,9 +194,9 @@ _Ends: TypeAlias = tuple[Shown | None, Shown | None, Shown | None]
 def _keys(group: Group) -> dict[Column, _Ends]:
     """First numbers of the specimen, of the first cycle where there are several."""
     own = [
-        each
-        for each in group.numbers
-        if not each.is_set_by_rig and each.name.partition(".")[2] in {"", "1"}
+        number
+        for number in group.numbers
+        if not number.is_set_by_rig and number.name.partition(".")[2] in {"", "1"}
     ]
     return dict(_key(group, each) for each in own[:_KEY_NUMBERS])
 

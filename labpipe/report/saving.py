@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from labpipe.errors import StoreError, complaint
+from labpipe.errors import StoreError, error_text
 from labpipe.report.figure_page import finish_layout, style
 from labpipe.report.wording import printable
 
@@ -160,7 +160,7 @@ def _steps(stroke: str) -> str:
     """A line as its first point and steps of tenths of a point: half as long as all its points."""
     ends = [round(10.0 * float(number)) for number in stroke.replace("L", " ").split()]
     steps = [after - before for before, after in zip(ends, ends[2:], strict=False)]
-    first, rest = (" ".join(f"{each / 10:g}" for each in part) for part in (ends[:2], steps))
+    first, rest = (" ".join(f"{piece / 10:g}" for piece in part) for part in (ends[:2], steps))
     return f"M{first}" + (f"l{rest}".replace(" -", "-") if rest else "")
 
 
@@ -269,9 +269,13 @@ def save_pages(
         folder.mkdir(parents=True, exist_ok=True)
         with style(), ThreadPoolExecutor(max_workers=1) as packer:
             saved = []
-            for each in wanted:
-                say(each.name)
-                saved.append(save_page(each.draw(), folder, each.name, packer, dpi=dpi, run=run))
+            for figure_to_save in wanted:
+                say(figure_to_save.name)
+                saved.append(
+                    save_page(
+                        figure_to_save.draw(), folder, figure_to_save.name, packer, dpi=dpi, run=run
+                    )
+                )
             return [path for each in saved for path in each.whole()]
 
 
@@ -283,7 +287,7 @@ def pngs_of(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
     wanted : figures, which are not drawn
     folder : that holds them, for the names
     """
-    return [f"{folder}/{each.name}.png" for each in wanted]
+    return [f"{folder}/{figure_to_save.name}.png" for figure_to_save in wanted]
 
 
 @contextmanager
@@ -303,7 +307,7 @@ def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        message = complaint(
+        message = error_text(
             folder,
             "",
             expected=f"a folder that {what} can be written to",
@@ -338,7 +342,9 @@ def save_report_figures(
     The same figure gives the same bytes with the same version of matplotlib.
     """
     with style(), ThreadPoolExecutor(max_workers=1) as packer:
-        saved = [_save_for_report(each, folder, packer, formats) for each in wanted]
+        saved = [
+            _save_for_report(figure_to_save, folder, packer, formats) for figure_to_save in wanted
+        ]
         return [figure for figure, saving in saved if saving.whole()]
 
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from labpipe.records.quality import Severity
 from labpipe.records.result import Instrument, Result, Status, TestResult
-from labpipe.report.concerns import sentence, sentences
 from labpipe.report.figure_page import finish_layout, style
 from labpipe.report.figures import FIGURES
 from labpipe.report.group_tables import DASH, Cell, Table
+from labpipe.report.issues import sentence, sentences
 from labpipe.report.page_numbers import with_interval
 from labpipe.report.page_parts import filled, quoted, style_hash, style_of
 from labpipe.report.saving import Inline, inline_svg
@@ -107,7 +107,7 @@ def _instrument(each: Instrument) -> str:
 
 def _numbers(result: TestResult) -> Table:
     heads = ("Number", "Value, 95 %", "State", "Why", "Largest parts of the interval")
-    said = ["", *(sentences(each.reasons) for each in result.results)]
+    said = ["", *(sentences(result.reasons) for result in result.results)]
     rows = tuple(
         _row(result, each, "As above." if why and why == above else why)
         for each, why, above in zip(result.results, said[1:], said, strict=False)

@@ -10,8 +10,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.result import TestResult
 from labpipe.report.curve_figures import Treatment, treatment_of_force
-from labpipe.report.drawn_points import extremes
 from labpipe.report.figure_page import DOUBLE_COLUMN, GREY, new_page, say, side_key
+from labpipe.report.plot_thinning import extremes
 from labpipe.report.wording import count_of, place_of, rounded, scale, why_missing
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
-from labpipe.report.drawn_points import sure_and_doubtful
 from labpipe.report.figure_page import (
-    Words,
+    PageTexts,
     area_key,
     in_pages,
     keyed_page,
@@ -25,6 +24,7 @@ from labpipe.report.figure_page import (
     require_room,
     say,
 )
+from labpipe.report.plot_thinning import sure_and_doubtful
 from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_sections import (
     CURVATURE,
@@ -94,7 +94,7 @@ def stiffness_figure(table: WireTable) -> Figure:
     curvatures at which strands begin to slip, and the spread of the secant stiffness over all
     orientations of the section.
     """
-    words = Words(wire_title(table), warnings_of(table), _stiffness_keys(table))
+    words = PageTexts(wire_title(table), warnings_of(table), _stiffness_keys(table))
     page = keyed_page(words, height_mm=_HEIGHT)
     plot_stiffness(table, page.subplots())
     return page
@@ -192,7 +192,7 @@ def moment_figure(table: WireTable) -> Figure:
     A page with two panels: moments stacked against curvature; shares of the moment against
     curvature on a logarithmic axis, where the change from stick to slip is seen.
     """
-    words = Words(wire_title(table), warnings_of(table), _moment_keys())
+    words = PageTexts(wire_title(table), warnings_of(table), _moment_keys())
     page = keyed_page(words, height_mm=_PAIR_HEIGHT)
     left, right = page.subplots(1, 2)
     plot_parts(table, left)
@@ -288,10 +288,10 @@ def cantilever_figure(table: WireTable) -> Figure:
     """
     note = " ".join([*_setting(table), warnings_of(table)]).strip()
     if len(table.tip_deflection) < 2:  # rest alone
-        page = keyed_page(Words(wire_title(table), note), height_mm=40.0)
+        page = keyed_page(PageTexts(wire_title(table), note), height_mm=40.0)
         say(page.subplots(), "There is no cantilever curve to draw.")
         return page
-    page = keyed_page(Words(wire_title(table), note, _keys()), height_mm=_CANTILEVER_HEIGHT)
+    page = keyed_page(PageTexts(wire_title(table), note, _keys()), height_mm=_CANTILEVER_HEIGHT)
     plot_cantilever(table, page.subplots())
     return page
 
@@ -366,7 +366,7 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
         If there is no wire, or there are more than can be told apart.
     """
     require_room(len(tables), MOST_WIRES, "wires")
-    words = Words("Wires compared  ·  wire model", _RANGES, _wire_keys(tables))
+    words = PageTexts("Wires compared  ·  wire model", _RANGES, _wire_keys(tables))
     page = keyed_page(words, height_mm=_COMPARISON_HEIGHT)
     left, right = page.subplots(1, 2)
     unit = stiffness_scale(tables)
@@ -392,7 +392,12 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
 def _shared_range(tables: Sequence[WireTable]) -> Floats:
     """Smallest and largest curvature that any of the wires has, 1/m."""
     curvatures = [table.curvature[bent(table)] for table in tables]
-    return np.array([min(each[0] for each in curvatures), max(each[-1] for each in curvatures)])
+    return np.array(
+        [
+            min(curvature[0] for curvature in curvatures),
+            max(curvature[-1] for curvature in curvatures),
+        ]
+    )
 
 
 def _wire_keys(tables: Sequence[WireTable]) -> list[Artist]:

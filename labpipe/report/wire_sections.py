@@ -14,7 +14,7 @@ from labpipe.records.wire import WireLayout, WireTable
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
-    Words,
+    PageTexts,
     area_key,
     keyed_page,
     line_key,
@@ -86,7 +86,7 @@ def wire_title(table: WireTable) -> str:
 def warnings_of(table: WireTable) -> str:
     """Sentences of the notes that are more than information, one after the other."""
     told = [note.message for note in table.notes if note.severity is not Severity.INFO]
-    return " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in told)
+    return " ".join(f"{note[0].upper()}{note[1:].rstrip('.')}." for note in told)
 
 
 def bent(table: WireTable) -> Flags:
@@ -276,7 +276,7 @@ def _is_one_scale(tables: Sequence[WireTable]) -> bool:
     return max(radii) <= _ALIKE * min(radii)
 
 
-def _words(tables: Sequence[WireTable]) -> Words:
+def _words(tables: Sequence[WireTable]) -> PageTexts:
     scale = ""
     if len(tables) > 1:
         scale = ", all to one scale" if _is_one_scale(tables) else ", each to its own scale"
@@ -286,7 +286,7 @@ def _words(tables: Sequence[WireTable]) -> Words:
             "Compressed strands: sectors of rings with the area of each strand, without gaps; dots"
             " are the centroids that the model works with."
         )
-    return Words(f"Cross-sections as the wire model has them{scale}", note, _keys(tables))
+    return PageTexts(f"Cross-sections as the wire model has them{scale}", note, _keys(tables))
 
 
 def _keys(tables: Sequence[WireTable]) -> list[Artist]:

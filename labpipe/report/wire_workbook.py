@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.records.arrays import Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.report.drawn_points import bends
+from labpipe.report.plot_thinning import bends
 from labpipe.report.wire_sections import (
     CURVATURE,
     FORCE,
@@ -120,7 +120,7 @@ def shown_rows(table: WireTable, most: int) -> Ints:
 
     Notes
     -----
-    See `labpipe.report.drawn_points.bends`.
+    See `labpipe.report.plot_thinning.bends`.
     """
     count = len(table.curvature)
     use = np.flatnonzero(bent(table) & (table.moment > 0.0))

@@ -111,7 +111,7 @@ def why_missing(result: TestResult, what: str) -> str:
 
 
 _WORDS: Mapping[str, str] = {
-    **{each.name: each.label for kind in KINDS for each in kind.outputs if each.label},
+    **{output.name: output.label for kind in KINDS for output in kind.outputs if output.label},
     "bending_stiffness": "Bending stiffness",
     "stiffness": "Stiffness",
     "stiffness_first": "Stiffness, first region",

@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from labpipe.errors import StoreError, complaint
+from labpipe.errors import StoreError, error_text
 from labpipe.report.wording import printable, shortened
 from labpipe.report.workbook_cells import (
     Shown,
@@ -163,7 +163,7 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
     give the same bytes.
     """
     memory = io.BytesIO()
-    book = _Book(memory, about)
+    book = _WorkbookWriter(memory, about)
     book.read_me(about, sheets)
     for number, sheet in enumerate(sheets):
         book.add(sheet, is_first=not number)
@@ -171,7 +171,7 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
     try:
         path.write_bytes(memory.getvalue())
     except OSError as error:
-        message = complaint(
+        message = error_text(
             path,
             "",
             expected="a workbook that can be written",
@@ -182,7 +182,7 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
         raise StoreError(message) from error
 
 
-class _Book:
+class _WorkbookWriter:
     """A workbook that is being written."""
 
     def __init__(self, file: io.BytesIO, about: About) -> None:
@@ -278,7 +278,7 @@ class _Book:
             for at, head in enumerate(heads):
                 _write_text(page, 0, at, head, self.head)
             return
-        columns = [{"header": each, "header_format": self.head} for each in heads]
+        columns = [{"header": head, "header_format": self.head} for head in heads]
         look = {"columns": columns, "style": "Table Style Light 1"}
         page.add_table(0, 0, len(sheet.rows), len(heads) - 1, look)
 
@@ -340,7 +340,7 @@ def _lay_out(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[int, in
 
 def unique_heads(heads: Sequence[str]) -> list[str]:
     """Headings of a table, of which no two may be alike, whatever their letters, and none empty."""
-    found: list[str] = []
+    unique_heads: list[str] = []
     taken: set[str] = set()
     for head in heads:
         plain = printable(head)[:250] or "column"
@@ -349,8 +349,8 @@ def unique_heads(heads: Sequence[str]) -> list[str]:
             number += 1
             name = f"{plain} {number}"
         taken.add(name.casefold())
-        found.append(name)
-    return found
+        unique_heads.append(name)
+    return unique_heads
 
 
 def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:

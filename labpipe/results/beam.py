@@ -26,24 +26,24 @@ from labpipe.records.declarations import (
     StiffnessName,
 )
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, Reason, worth_knowing
+from labpipe.records.quality import Finding, Reason, info_note
 from labpipe.records.result import Result
+from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import cut_short
-from labpipe.results.evidence import Evidence, Stiffness
 from labpipe.results.kinds import (
     NO_LOADING,
+    CalibrationFit,
     Computed,
-    Found,
     Kind,
     Number,
     blocked_or,
     marked_slips,
     to_result,
 )
-from labpipe.results.likely_curves import loading_of, traced
+from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import OfStiffness
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, combined
 from labpipe.uncertainty.intervals import Measured, measure
-from labpipe.uncertainty.readings import Decide, Reading, Trace, combined
 from labpipe.uncertainty.replicates import Input, Replicates
 
 _LOST = 3
@@ -118,7 +118,7 @@ class Plateau(Kind):
     )
     over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Slope at the end of the first loading, and where it levels off."""
         initial = test.stiffnesses.get(self.of)
         method = f"slope over the last {1e3 * self.over:g} mm of first loading / {self.of}"
@@ -233,11 +233,11 @@ class Plateau(Kind):
         if isinstance(smooth, Failure):
             return _Corner(seen, np.zeros(2), np.zeros(2))
         base = self._corners(known.smooth, smooth)
-        noise = [self._corners(each, smooth) - base[:, None] for each in known.traces()]
+        noise = [self._corners(trace, smooth) - base[:, None] for trace in known.traces()]
         return _Corner.of(seen, base, np.concatenate(noise, axis=1))
 
     def _onset(
-        self, test: Evidence, initial: Stiffness, end: Result
+        self, test: ReducedTest, initial: Stiffness, end: Result
     ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
         """Where the plateau begins; a note where there is none, which is a finding, no failure."""
         surely = end.interval is not None and end.interval.upper < self.slope_below
@@ -249,11 +249,13 @@ class Plateau(Kind):
         doubts = marked_slips(test, initial.bends_with) or _unseen_end(test, test.cycles[0][0])
         during, method = test.while_loading(), f"{method} loading"
         return tuple(
-            self.number(each, method, output=place, during=during, doubts=doubts)
-            for place, each in enumerate(found, start=1)
+            self.number(finding, method, output=place, during=during, doubts=doubts)
+            for place, finding in enumerate(found, start=1)
         ), ()
 
-    def _measured_onset(self, test: Evidence, initial: Stiffness) -> tuple[Measured, ...] | Failure:
+    def _measured_onset(
+        self, test: ReducedTest, initial: Stiffness
+    ) -> tuple[Measured, ...] | Failure:
         """The onset, with the length of the tangents as one more input."""
         known = test.replicates
         if known is None:
@@ -265,7 +267,7 @@ class Plateau(Kind):
             return failed
         return measure(more, partial(decide, corner=self._corner(known, initial.decide)))
 
-    def _no_plateau(self, test: Evidence, end: Result) -> Finding:
+    def _no_plateau(self, test: ReducedTest, end: Result) -> Finding:
         reached = float(np.nanmax(test.known_curve.displacement[test.loading_stretch]))
         known = end.interval
         between = f" ({1e2 * known.lower:.3g} % to {1e2 * known.upper:.3g} %)" if known else ""
@@ -274,7 +276,7 @@ class Plateau(Kind):
             f"of {self.of}{between}, not surely below {1e2 * self.slope_below:g} %: no plateau up "
             f"to {1e3 * reached:.4g} mm"
         )
-        return worth_knowing("no_plateau", test.signals.force, message)
+        return info_note("no_plateau", test.signals.force, message)
 
 
 def _loading(trace: Trace) -> tuple[Floats, Floats]:
@@ -288,10 +290,10 @@ def _shortened(trace: Trace, x: float) -> Trace:
     return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
 
-def _unseen_end(test: Evidence, branch: Branch) -> tuple[Reason, ...]:
+def _unseen_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     """Why the end of a loading branch is doubtful: its force was not recorded up to there."""
     curve = test.known_curve
-    d, f = (each[branch.start : branch.stop] for each in (curve.displacement, curve.force))
+    d, f = (point[branch.start : branch.stop] for point in (curve.displacement, curve.force))
     known = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
     if not len(known) or known[-1] >= len(d) - _LOST:
         return ()
@@ -363,7 +365,7 @@ class BendingStiffness(OfStiffness):
                 remedy = f"Add 'roller: {{{key}: ...}}'."
                 yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Beam formula, corrected for large deflection and rollers where asked."""
         key, formula = _FORMULAS[self.support]
         method = f"{self.of} x {formula}, L = specimen.{key}"
@@ -371,7 +373,7 @@ class BendingStiffness(OfStiffness):
         length = test.setup.length if key == "length" else test.setup.span
         if stiffness is None:
             return self.not_available(self.missing(test), method)
-        outcome: Found
+        outcome: CalibrationFit
         said = ""
         if length is None:
             outcome = Failure(
@@ -385,7 +387,7 @@ class BendingStiffness(OfStiffness):
         number = self.number(outcome, method, during=stiffness.during, doubts=doubts, remark=said)
         return Computed((number,))
 
-    def _measured(self, test: Evidence, stiffness: Stiffness) -> tuple[Found, str]:
+    def _measured(self, test: ReducedTest, stiffness: Stiffness) -> tuple[CalibrationFit, str]:
         """Measure, with what each correction changed, in words."""
         ratio, said = self._ratio(test.setup.span, test.setup.section, stiffness.window)
         if isinstance(ratio, Failure):
@@ -415,7 +417,7 @@ class BendingStiffness(OfStiffness):
         for number, name in enumerate(_ORDER):
             if name not in self.corrections:
                 continue
-            taken = [each for each in _ORDER[: number + 1] if each in self.corrections]
+            taken = [name for name in _ORDER[: number + 1] if name in self.corrections]
             rollers = self._rollers(taken, span, section.get("outer_diameter", 0.0))
             found = stiffness_ratio(rollers, low=window[0], high=window[1])
             if isinstance(found, Failure):

@@ -25,8 +25,7 @@ from labpipe.records.declarations import CURVE, Force, Output
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
-from labpipe.results.evidence import Evidence
-from labpipe.results.force_samples import ForceSamples, Top
+from labpipe.results.curve_replicates import traced
 from labpipe.results.kinds import (
     NO_CYCLE,
     Computed,
@@ -35,8 +34,9 @@ from labpipe.results.kinds import (
     Number,
     blocked_or,
 )
-from labpipe.results.likely_curves import traced
-from labpipe.uncertainty.readings import Decide, Reading, Trace
+from labpipe.results.load_cell_noise import ForceSamples, PeakSamples
+from labpipe.results.reduced_test import ReducedTest
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
 
 _PAST = 0.9
 """Share of its largest value that a force has fallen below when its peak is over."""
@@ -61,7 +61,7 @@ class OfCycle(Kind):
         """How the number is made, in words."""
 
     @abstractmethod
-    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
+    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
         """Decide from where the number of a cycle is read, or say why it cannot be.
 
         Parameters
@@ -71,7 +71,7 @@ class OfCycle(Kind):
         number : of the cycle, from 1
         """
 
-    def deciding(self, test: Evidence, number: int) -> Decide:
+    def deciding(self, test: ReducedTest, number: int) -> Decide:
         """How it is decided on a curve from where the number of a cycle is read.
 
         Parameters
@@ -80,21 +80,21 @@ class OfCycle(Kind):
         """
         return partial(self.read, test, number=number)
 
-    def decider(self, test: Evidence) -> Callable[[int], Decide]:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """The same for all cycles of a test, which may share what takes long to make."""
         return partial(self.deciding, test)
 
-    def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
+    def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """The plain number where it is read from more samples than the curve has."""
         del test, branches
         return None
 
-    def doubts(self, test: Evidence, number: int) -> tuple[Reason, ...]:
+    def doubts(self, test: ReducedTest, number: int) -> tuple[Reason, ...]:
         """Why the number of a cycle is doubtful, beside what all are doubtful for."""
         del test, number
         return ()
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """A number for every cycle; one failure where there is no cycle."""
         if not test.cycles:
             return self.not_available(blocked_or(test, NO_CYCLE), self.method)
@@ -102,7 +102,7 @@ class OfCycle(Kind):
         return Computed(tuple(self._of_cycle(test, branches, decider) for branches in test.cycles))
 
     def _of_cycle(
-        self, test: Evidence, branches: list[Branch], decider: Callable[[int], Decide]
+        self, test: ReducedTest, branches: list[Branch], decider: Callable[[int], Decide]
     ) -> Number:
         number = branches[0].cycle
         found = test.measure(decider(number), self.plain(test, branches))
@@ -124,7 +124,7 @@ def rectangle(found: Estimate, other: Estimate) -> Errors:
     return {SHAPE: abs(other.value - found.value) / math.sqrt(3.0)}
 
 
-def gap_at_peak(test: Evidence, branches: list[Branch], what: str) -> tuple[Reason, ...]:
+def gap_at_peak(test: ReducedTest, branches: list[Branch], what: str) -> tuple[Reason, ...]:
     """Why the largest sample of a cycle is doubtful: those beside it are missing.
 
     Parameters
@@ -157,7 +157,7 @@ def _when(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
 
 
 def cut_short(
-    test: Evidence, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
+    test: ReducedTest, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
 ) -> tuple[Reason, ...]:
     """Why a number is doubtful whose branches the record does not hold to their end.
 
@@ -167,7 +167,7 @@ def cut_short(
     branches : that the number needs, to their end
     quantities : that it rests on
     """
-    ends = min((test.cut_at.get(each, np.inf) for each in quantities), default=np.inf)
+    ends = min((test.cut_at.get(quantity, np.inf) for quantity in quantities), default=np.inf)
     if not branches or ends == np.inf:
         return ()
     part, failure, curve = branches[-1], test.failure, test.known_curve
@@ -181,7 +181,7 @@ def cut_short(
     return (Reason("partial_cycle", f"the record ends at {at}, while still {part.direction}"),)
 
 
-def _is_past_its_peak(test: Evidence, part: Branch) -> bool:
+def _is_past_its_peak(test: ReducedTest, part: Branch) -> bool:
     """Whether the force had surely fallen again when the record ended."""
     force = test.known_curve.force
     known = (test.sense_of(force) * force)[part.start : part.stop]
@@ -196,7 +196,7 @@ def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
     unloading lasts as long as force is known: what is held belongs to it.
     """
     last = branches[-1]
-    first, behind = (curve.branches.index(each) for each in (branches[0], last))
+    first, behind = (curve.branches.index(branch) for branch in (branches[0], last))
     start = _turn_before(curve, first) if first else branches[0].start
     if behind + 1 < len(curve.branches):
         return slice(start, _turn_before(curve, behind + 1) + 1)
@@ -236,7 +236,7 @@ def cycle_of(trace: Trace, number: int) -> list[Branch]:
     trace : one or many curves
     number : from 1
     """
-    return [each for each in trace.branches if each.cycle == number]
+    return [branch for branch in trace.branches if branch.cycle == number]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,7 +261,7 @@ class Energy(OfCycle):
         """Of all cycles."""
         return "integral of force, trapezoids"
 
-    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
+    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
         """Integral of the force over a cycle."""
         del test
         branches = cycle_of(trace, number)
@@ -322,14 +322,14 @@ class ResidualDisplacement(OfCycle):
         """With the force below which it is read."""
         return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
 
-    def deciding(self, test: Evidence, number: int) -> Decide:
+    def deciding(self, test: ReducedTest, number: int) -> Decide:
         """The measured curve says what passes for zero, and which way the unloading ends."""
         measured = self._ends(traced(test), number)
         like = None if isinstance(measured, Failure) else measured
         return partial(self.read, test, number=number, like=like)
 
     def read(
-        self, test: Evidence, trace: Trace, number: int, like: Unloaded | None = None
+        self, test: ReducedTest, trace: Trace, number: int, like: Unloaded | None = None
     ) -> Reading | Failure:
         """Displacement at zero force after unloading."""
         del test
@@ -439,14 +439,14 @@ class PeakForce(OfCycle):
         """Of all cycles."""
         return "largest force of the cycle after the filter, in the sense of loading"
 
-    def decider(self, test: Evidence) -> Callable[[int], Decide]:
+    def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
         """All cycles are read from the same samples of the force."""
         samples = cache(partial(ForceSamples.of, test))
         return lambda number: partial(self.read, test, number=number, samples=samples)
 
     def read(
         self,
-        test: Evidence,
+        test: ReducedTest,
         trace: Trace,
         number: int,
         samples: Callable[[Trace], ForceSamples | None] | None = None,
@@ -458,7 +458,7 @@ class PeakForce(OfCycle):
         sense, plain = sense_of(trace, trace.force), found
 
         @cache
-        def top() -> Top | None:
+        def top() -> PeakSamples | None:
             stretch = stretch_of_cycle(trace, cycle_of(trace, number))
             known = samples(trace) if samples is not None else ForceSamples.of(test, trace)
             return None if known is None else known.of_cycle(trace, stretch, sense)
@@ -473,7 +473,7 @@ class PeakForce(OfCycle):
 
         return replace(found, in_noise=in_noise)
 
-    def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
+    def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Of all samples of the force: on its own clock where that is another one."""
         signal, curve = test.force, test.known_curve
         if signal.clock == test.clocks.curve:
@@ -486,7 +486,7 @@ class PeakForce(OfCycle):
         return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
 
 
-def peak_of(test: Evidence, trace: Trace, number: int) -> Reading | Failure:
+def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
     """Decide on the largest force of a cycle, N.
 
     Parameters
@@ -524,7 +524,7 @@ class PeakDisplacement(OfCycle):
         """Of all cycles."""
         return "largest displacement of the cycle, in the sense of loading"
 
-    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
+    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
         """Largest sample of the displacement."""
         del test
         return _largest(trace, "displacement", number)

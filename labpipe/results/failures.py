@@ -20,7 +20,6 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.cycles import sense_of, work_over
-from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import (
     NO_LOADING,
     Computed,
@@ -28,10 +27,11 @@ from labpipe.results.kinds import (
     blocked_or,
     force_scale,
 )
-from labpipe.results.taut_curves import doubts_of_slack
+from labpipe.results.reduced_test import ReducedTest
+from labpipe.results.slack_correction import doubts_of_slack
+from labpipe.uncertainty.autocorrelation import fast_noise
+from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured
-from labpipe.uncertainty.noise import fast_noise
-from labpipe.uncertainty.readings import Reading, Trace
 
 _CLEAR, _LEAST = 6.0, 8
 """Standard deviations of noise by which one sample lies surely below the one before; samples that
@@ -49,7 +49,7 @@ class FailureResult(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="failure")
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """The last point before the final loss of force."""
         failure = _failure(test)
         methods = (
@@ -71,7 +71,7 @@ class FailureResult(Kind):
         return Computed((place, force))
 
 
-def _at_failure(test: Evidence, trace: Trace) -> Reading | Failure:
+def _at_failure(test: ReducedTest, trace: Trace) -> Reading | Failure:
     """Decide on displacement and force at the failure; it lies up to a step behind its sample.
 
     Where that sample has already lost force, the specimen failed in the step before it: the force
@@ -114,7 +114,7 @@ def _slowly_below(share: float, trace: Trace) -> Reading:
     return Reading(numbers, 1)
 
 
-def _lost_before(test: Evidence) -> tuple[float, bool]:
+def _lost_before(test: ReducedTest) -> tuple[float, bool]:
     """Force that the measured curve lost in the step before the failure, N.
 
     With whether it is more than noise: a loss of several samples surely began there.
@@ -142,11 +142,11 @@ def _next_step(trace: Trace, sample: int) -> tuple[float, float]:
     return step, float(trace.force[sample] - before[-1]) if len(before) else 0.0
 
 
-def _failure(test: Evidence) -> FailurePoint | Failure:
+def _failure(test: ReducedTest) -> FailurePoint | Failure:
     return test.failure or blocked_or(test, NO_LOADING)
 
 
-def _up_to(test: Evidence, failure: FailurePoint) -> Stretch:
+def _up_to(test: ReducedTest, failure: FailurePoint) -> Stretch:
     """From the begin of the loading in which it broke to the failure, s."""
     curve = test.known_curve
     start = loading_before(curve, failure.sample).start
@@ -155,7 +155,7 @@ def _up_to(test: Evidence, failure: FailurePoint) -> Stretch:
 
 def loading_before(curve: Curve | Trace, sample: int) -> Branch:
     """The last loading branch that begins at a sample or before it; the first one before all."""
-    loading = [each for each in curve.branches if each.direction is Direction.LOADING]
+    loading = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
     return [each for each in loading if each.start <= sample or each is loading[0]][-1]
 
 
@@ -181,7 +181,7 @@ class EnergyToBreak(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="failure")
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Integral of the force up to the failure."""
         method = "integral of force up to the failure, trapezoids"
         failure = _failure(test)
@@ -194,7 +194,7 @@ class EnergyToBreak(Kind):
         return Computed((self.number(found[0], method, during=during, doubts=doubts),))
 
 
-def _work(test: Evidence, trace: Trace) -> Reading | Failure:
+def _work(test: ReducedTest, trace: Trace) -> Reading | Failure:
     """Decide on the work done up to the failure."""
     sample = trace.failed_at
     if sample is None:
@@ -222,7 +222,7 @@ class SlipResults(Kind):
     )
     needs: ClassVar = Needs(branches=True, correction="slips")
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Two parallel lines around each sudden fall of the force, from the slip ledger."""
         numbers = []
         for count, slip in enumerate(test.slips, start=1):
@@ -250,7 +250,7 @@ class SlackResult(Kind):
     outputs: ClassVar = (Output("slack", "m", "Slack", ("displacement",), can_be_negative=True),)
     needs: ClassVar = Needs(branches=True, correction="slack")
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Displacement at which the line of the linear region meets zero force."""
         number = self.number(
             test.slack or blocked_or(test, NO_LOADING),

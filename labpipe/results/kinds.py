@@ -22,11 +22,11 @@ from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
-from labpipe.results.evidence import Evidence, Stiffness
+from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.uncertainty.intervals import Measured
 
 Outcome: TypeAlias = Estimate | Failure
-Found: TypeAlias = Measured | Estimate | Failure
+CalibrationFit: TypeAlias = Measured | Estimate | Failure
 Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by what they come from."""
 NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
@@ -51,7 +51,7 @@ class Number:
     """
 
     output: Output
-    outcome: Found
+    outcome: CalibrationFit
     method: str
     errors: Errors = field(default_factory=dict)
     during: Stretch | None = None
@@ -88,7 +88,7 @@ class Kind(ABC):
     needs: ClassVar[Needs] = Needs(branches=True)
 
     @abstractmethod
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Compute the numbers of a test.
 
         Parameters
@@ -98,7 +98,7 @@ class Kind(ABC):
 
     def number(
         self,
-        outcome: Found,
+        outcome: CalibrationFit,
         method: str,
         errors: Errors | None = None,
         *,
@@ -115,7 +115,7 @@ class Kind(ABC):
         outcome, method, errors, during, doubts, part, remark : as `Number` has them
         output : place in `outputs`
         """
-        said = {each.name: getattr(self, each.name) for each in fields(self)}
+        said = {field.name: getattr(self, field.name) for field in fields(self)}
         named = replace(self.outputs[output], name=self.outputs[output].name.format_map(said))
         made_of = getattr(self, "of", "")
         return Number(named, outcome, method, errors or {}, during, doubts, part, made_of, remark)
@@ -129,7 +129,7 @@ class Kind(ABC):
         methods : of the outputs; one for all, or one for each
         """
         said = methods if len(methods) > 1 else methods * len(self.outputs)
-        parts = ["" if each.first is None else f".{each.first}" for each in self.outputs]
+        parts = ["" if output.first is None else f".{output.first}" for output in self.outputs]
         return Computed(
             tuple(
                 self.number(why, method, output=place, part=part)
@@ -138,13 +138,13 @@ class Kind(ABC):
         )
 
 
-def blocked_or(test: Evidence, otherwise: Failure) -> Failure:
+def blocked_or(test: ReducedTest, otherwise: Failure) -> Failure:
     """Why no number is available: what stopped the test, or else what is given."""
     blocked = test.findings.blocked
     return otherwise if blocked is None else Failure(blocked.code, blocked.message)
 
 
-def force_scale(test: Evidence, found: Outcome) -> Errors:
+def force_scale(test: ReducedTest, found: Outcome) -> Errors:
     """Error from the scale of the force, of a number in proportion to it; none of a failure."""
     if isinstance(found, Failure):
         return {}
@@ -165,7 +165,7 @@ _CUT_SHORT = frozenset({"not_reached", "no_travel"})
 """Failures that such a doubt explains: it comes first."""
 
 
-def to_result(test: Evidence, number: Number) -> Result:
+def to_result(test: ReducedTest, number: Number) -> Result:
     """Give a number its interval, its status and the reasons for it.
 
     Parameters
@@ -188,10 +188,10 @@ def to_result(test: Evidence, number: Number) -> Result:
         outcome = Failure("not_finite", message)
     signs = _BOTH_SIGNS if isinstance(outcome, Failure) else _SIGNED.get(output.unit, ())
     doubts = [
-        why for each in (*output.rests_on, *signs) for why in test.why_doubtful(each, number.during)
+        why for sign in (*output.rests_on, *signs) for why in test.why_doubtful(sign, number.during)
     ]
     if isinstance(outcome, Failure):
-        why = [each for each in doubts if each.code in _MAY_BE_WHY]
+        why = [doubt for doubt in doubts if doubt.code in _MAY_BE_WHY]
         what = [Reason(outcome.code, outcome.message)]
         reasons = tuple(dict.fromkeys(why + what if outcome.code in _CUT_SHORT else what + why))
         return Result(
@@ -232,7 +232,7 @@ def _budget(outcome: Estimate, errors: Errors) -> tuple[Contribution, ...]:
     return tuple(contribution(cause, change) for cause, change in changes.items() if change)
 
 
-def marked_slips(test: Evidence, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
+def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
     """Why a number over a stretch is doubtful in which a slip was only marked.
 
     Parameters
@@ -260,7 +260,7 @@ class ClockResult(Kind):
     )
     needs: ClassVar = Needs(clocks=True)
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Force time against marker time, as the clocks were joined."""
         fit = test.clocks.force
         if fit is None:

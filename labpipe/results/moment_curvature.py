@@ -33,8 +33,8 @@ from labpipe.errors import in_test_sheet
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, QualityNote, Severity, worth_knowing
-from labpipe.results.evidence import Evidence
+from labpipe.records.quality import Finding, QualityNote, Severity, info_note
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.statistics.mean_curves import block_means
 from labpipe.units import GRAVITY
 
@@ -384,7 +384,7 @@ def stated(at_rest: Literal["taut", "slack"], weight: float, own: float = 0.0) -
     )
 
 
-def measured(test: Evidence) -> tuple[Bending | Failure, list[Finding]]:
+def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
     """Measure the moment-curvature law of a test, and note what was assumed.
 
     Parameters
@@ -427,14 +427,14 @@ def measured(test: Evidence) -> tuple[Bending | Failure, list[Finding]]:
     return bending, [*found, *_weight_notes(test), _measured_law(bending)]
 
 
-def _weight_notes(test: Evidence) -> list[Finding]:
+def _weight_notes(test: ReducedTest) -> list[Finding]:
     if test.setup.mass_per_length is not None:
         return []
     message = (
         "specimen.mass_per_length is not stated: moments leave out the specimen's own weight, "
         "which matters most in the first millimetres"
     )
-    return [worth_knowing("weight_not_stated", "specimen.mass_per_length", message)]
+    return [info_note("weight_not_stated", "specimen.mass_per_length", message)]
 
 
 def _numbers(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
@@ -453,7 +453,7 @@ def _scatter(values: Floats) -> float:
 
 
 def _pull(
-    test: Evidence, curve: Curve, shape: Shape, first: Branch, rest: Flags
+    test: ReducedTest, curve: Curve, shape: Shape, first: Branch, rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
     """What pulls at the tip, and another tension at rest that is as likely."""
     still, string = np.nanmean(shape.coefficients[rest], axis=0)[None], test.setup.string
@@ -465,7 +465,7 @@ def _pull(
             "rig.string is not stated: the force is taken normal to the clamped axis, with nothing "
             "hanging at the tip"
         )
-        note = worth_knowing("force_taken_normal", "rig.string", message)
+        note = info_note("force_taken_normal", "rig.string", message)
         return TipPull(None, 0.0, own, tip, self_weight), None, [note]
     weight = GRAVITY * string.counterweight
     if weight + own == 0.0:
@@ -490,4 +490,4 @@ def _measured_law(bending: Bending) -> Finding:
             f"1/m, markers {1e6 * law.residual:.3g} um rms off its shapes, curvatures up to "
             f"{law.floor:.2g} 1/m are noise"
         )
-    return worth_knowing("moment_curvature", "shape", said)
+    return info_note("moment_curvature", "shape", said)

@@ -17,9 +17,8 @@ from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
 from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure
-from labpipe.records.quality import Reason, worth_knowing
+from labpipe.records.quality import Reason, info_note
 from labpipe.results.cycles import rectangle
-from labpipe.results.evidence import Evidence, SpanBend
 from labpipe.results.kinds import (
     NO_LOADING,
     Computed,
@@ -29,9 +28,10 @@ from labpipe.results.kinds import (
     blocked_or,
     force_scale,
 )
+from labpipe.results.reduced_test import ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
-from labpipe.uncertainty.drawn_noise import noise_of
+from labpipe.uncertainty.noise_model import noise_of
 from labpipe.uncertainty.replicates import COUNT, smooth_curve, stream
 from labpipe.units import GRAVITY
 
@@ -59,13 +59,13 @@ class TipTravel(Kind):
     outputs: ClassVar = (Output("tip_travel", "m", "Travel of the tip", ("displacement",)),)
     needs: ClassVar = Needs(shape="fit-shape")
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """How far the last point of the shape gets from where it began."""
         method = "largest distance of the last point of the shape from its mean over five frames"
         return Computed((self.number(_tip_travel(test), method),))
 
 
-def _tip_travel(test: Evidence) -> Outcome:
+def _tip_travel(test: ReducedTest) -> Outcome:
     if test.shape is None:
         return Failure("no_shape", "the protocol fits no shape")
     tip = test.shape.positions[:, -1]
@@ -91,7 +91,7 @@ class MomentCurvature(Kind):
     ] = "secant"
     name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Secant or tangent stiffness of the measured law at a curvature."""
         method = (
             f"{self.kind} at {self.at:g} 1/m of the monotone law that the shapes of the first "
@@ -158,7 +158,7 @@ def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> 
     return (Reason("bent_before", message),)
 
 
-def _not_weighed(test: Evidence, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
+def _not_weighed(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
     """Why a number is doubtful: the specimen may weigh so much that its weight matters."""
     if test.setup.mass_per_length is not None or test.shape is None:
         return ()
@@ -174,7 +174,7 @@ def _not_weighed(test: Evidence, law: MeasuredLaw, entry: MomentCurvature) -> tu
     return (Reason("weight_not_stated", message),)
 
 
-def _misfit(test: Evidence, law: MeasuredLaw) -> tuple[Reason, ...]:
+def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
     """Why the law is doubtful: markers lie farther off its shapes than their noise."""
     limit = _MISFIT[0] * law.noise + _MISFIT[1]
     if test.shape is None or not law.residual > limit:
@@ -190,7 +190,7 @@ def _misfit(test: Evidence, law: MeasuredLaw) -> tuple[Reason, ...]:
 _Parts: TypeAlias = tuple[SpanBend, Curve, Branch, Floats]
 
 
-def _at_hand(test: Evidence) -> _Parts | Failure:
+def _at_hand(test: ReducedTest) -> _Parts | Failure:
     """Axis, curve, first loading, and the times of the frames on the clock of the curve."""
     bend, curve, branch = test.span, test.curve, test.first_loading
     if isinstance(bend, Failure):
@@ -218,7 +218,7 @@ class MidSpan(Window):
         "large-deflection: the supports push along the specimen as well",
     ] = ()
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Slope of the moment against the curvature at mid-span, and the largest curvature."""
         large = "large-deflection" in self.corrections
         moment = "P L / 4 + P tan(slope at the supports) x deflection / 2" if large else "P L / 4"
@@ -232,10 +232,10 @@ class MidSpan(Window):
             return self.not_available(parts, *methods)
         bend, frames = parts[0], _Frames.of(test, parts)
         found, other = (
-            (self._stiffness(parts, each), _at_turn(each, frames, "mid-span curvature"))
-            for each in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
+            (self._stiffness(parts, fewer_term), _at_turn(fewer_term, frames, "mid-span curvature"))
+            for fewer_term in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
         )
-        errors = [_shape_errors(bend, *each) for each in zip(found, other, strict=True)]
+        errors = [_shape_errors(bend, *finding) for finding in zip(found, other, strict=True)]
         if errors[0]:
             errors[0] = {**errors[0], **force_scale(test, found[0])}
         return Computed(
@@ -288,9 +288,9 @@ class _Frames:
     seed: bytes
 
     @classmethod
-    def of(cls, test: Evidence, parts: _Parts) -> _Frames:
+    def of(cls, test: ReducedTest, parts: _Parts) -> _Frames:
         bend, curve, branch, time = parts
-        ends = [*(each.start_time for each in curve.branches), curve.branches[-1].stop_time]
+        ends = [*(branch.start_time for branch in curve.branches), curve.branches[-1].stop_time]
         cuts = tuple(int(each) for each in np.searchsorted(time, ends))
         return cls(time, bend.rest, branch, cuts, test.seed)
 
@@ -299,19 +299,19 @@ class _Frames:
 
         In noise like that of all the values, which cameras see alike but for its size.
         """
-        smooth = [smooth_curve(self.time, each, self.cuts, _PARTS) for each in values]
-        spread = [np.nanstd(each - curve) for each, curve in zip(values, smooth, strict=True)]
+        smooth = [smooth_curve(self.time, value, self.cuts, _PARTS) for value in values]
+        spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
         shares = [spread[0] / each if each > 0.0 else 0.0 for each in spread]
         values, smooth = (
-            [share * one for share, one in zip(shares, each, strict=True)]
-            for each in (values, smooth)
+            [share * one for share, one in zip(shares, value, strict=True)]
+            for value in (values, smooth)
         )
         moving = [slice(low, high) for low, high in pairwise(self.cuts)]
         noise = noise_of(
-            [each[part] for each in values for part in moving],
+            [value[part] for value in values for part in moving],
             [each[part] for each in smooth for part in moving],
-            [each[: self.cuts[0]] for each in values],
-            [each[self.cuts[-1] :] for each in values],
+            [value[: self.cuts[0]] for value in values],
+            [value[self.cuts[-1] :] for value in values],
             copies=len(values),
         )
         chance = stream(self.seed, name)
@@ -364,7 +364,7 @@ class Twist(Kind):
     outputs: ClassVar = (Output("twist", "rad", "Twist", ("displacement", "clock")),)
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Turn of the section nearest to mid-span, where the motion turns."""
         method = (
             "size of the turn of the markers of the section nearest to mid-span about the axis, "
@@ -387,13 +387,13 @@ class Twist(Kind):
         said = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
         frames = _Frames.of(test, parts)
         others = [shape.twist[:, other] for other in able if other != section]
-        alike = [each for each in others if np.isfinite(each).any()]
+        alike = [other for other in others if np.isfinite(other).any()]
         turned = _at_turn(shape.twist[:, section], frames, "twist", alike)
         if isinstance(turned, Estimate) and turned.value < 0.0:
             # which way it turns is only a matter of which end of the conduit is called the first
             turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
         number = self.number(turned, method, during=test.while_loading())
-        note = worth_knowing("twist_section", "markers", said)
+        note = info_note("twist_section", "markers", said)
         return Computed((number,), findings=(note,))
 
 

@@ -27,10 +27,10 @@ from labpipe.records.arrays import Floats, Ints, ratio, samples_of
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     CURVE,
-    Above,
     Distance,
     Force,
     Key,
+    LargerThan,
     Length,
     Needs,
     Output,
@@ -39,6 +39,7 @@ from labpipe.records.declarations import (
 )
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Reason
+from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.cycles import (
     NO_UNLOADING,
     OfCycle,
@@ -48,19 +49,18 @@ from labpipe.results.cycles import (
     peak_of,
     sense_of,
 )
-from labpipe.results.evidence import Evidence, Stiffness
 from labpipe.results.kinds import (
     NO_CYCLE,
     NO_LOADING,
+    CalibrationFit,
     Computed,
-    Found,
     Kind,
     blocked_or,
     marked_slips,
 )
-from labpipe.results.likely_curves import loading_of, traced
+from labpipe.results.reduced_test import ReducedTest, Stiffness
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, combined
 from labpipe.uncertainty.intervals import Measured
-from labpipe.uncertainty.readings import Decide, Reading, Trace, combined
 
 USUAL_COMPLIANCE, SHARE_OF_MACHINE = 1e-7, 0.02
 """m/N, that frame and grips of a small machine give way by; share of the displacement at which that
@@ -87,7 +87,7 @@ class UnloadingStiffness(OfCycle):
             f"line from {0.1 * self.over:g} m to {self.over:g} m off the peak, time as instrument"
         )
 
-    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
+    def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
         """Slope over the first stretch of the unloading branch, but for its first tenth."""
         del test
         branches, d = cycle_of(trace, number), trace.displacement
@@ -120,11 +120,11 @@ class LoadingStiffness(OfCycle):
         """With the stretch that it is read from."""
         return f"line over {1e3 * self.over:g} mm from where the force takes up, time as instrument"
 
-    def deciding(self, test: Evidence, number: int) -> Decide:
+    def deciding(self, test: ReducedTest, number: int) -> Decide:
         """The noise of the measured force says what passes for zero."""
         return partial(self.read, test, number=number, like=self._measured(test, number))
 
-    def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
+    def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """The number of the measured curve, whose first taut sample is the first beyond noise."""
         found = self._measured(test, branches[0].cycle)
         if found is None:
@@ -132,7 +132,7 @@ class LoadingStiffness(OfCycle):
         _, d, f = on_branch(traced(test), branches[0])
         return [float(found.of(d, f))]
 
-    def doubts(self, test: Evidence, number: int) -> tuple[Reason, ...]:
+    def doubts(self, test: ReducedTest, number: int) -> tuple[Reason, ...]:
         """Samples at rest in the window: what passes for zero force is not what it is there."""
         found = self._measured(test, number)
         if found is None or found.share_at_rest <= _AT_REST:
@@ -143,13 +143,13 @@ class LoadingStiffness(OfCycle):
         )
         return (Reason("rest_in_window", message),)
 
-    def _measured(self, test: Evidence, number: int) -> LoadingSlope | None:
+    def _measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
         curve = traced(test)
         found = loading_slope(*on_branch(curve, cycle_of(curve, number)[0]), over=self.over)
         return None if isinstance(found, Failure) else found
 
     def read(
-        self, test: Evidence, trace: Trace, number: int, like: LoadingSlope | None = None
+        self, test: ReducedTest, trace: Trace, number: int, like: LoadingSlope | None = None
     ) -> Reading | Failure:
         """Slope over the first stretch behind the take-up."""
         del test
@@ -177,7 +177,7 @@ class Hardening(Kind):
     outputs: ClassVar = (Output("hardening", "1", "Hardening", CURVE, first=2),)
     over: Length
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Ratio to the first cycle; the scale cancels."""
         method = (
             f"slope over {1e3 * self.over:g} mm from the take-up / that of cycle 1, scale cancelled"
@@ -190,7 +190,7 @@ class Hardening(Kind):
         for later in test.cycles[1:]:
             number = later[0].cycle
             after = stiffness.deciding(test, number)
-            plain = [stiffness.plain(test, each) for each in (later, test.cycles[0])]
+            plain = [stiffness.plain(test, cycle) for cycle in (later, test.cycles[0])]
             values = [plain[0][0] / plain[1][0]] if plain[0] and plain[1] else None
             found = test.measure(combined(_hardened, after, partial(_first, before)), values)
             numbers.append(
@@ -238,7 +238,7 @@ class Window(Kind):
     """A kind of result that is read from a stretch of displacement."""
 
     start: Annotated[Distance, Key("from")]
-    stop: Annotated[Distance, Key("to"), Above("start")]
+    stop: Annotated[Distance, Key("to"), LargerThan("start")]
 
     @property
     def in_words(self) -> str:
@@ -269,7 +269,7 @@ class Window(Kind):
         return slice(int(np.argmax(displacement >= low)), stop)
 
 
-def _seen_by_cameras(kind: Window, test: Evidence, name: str) -> Computed:
+def _seen_by_cameras(kind: Window, test: ReducedTest, name: str) -> Computed:
     """Slope between two displacements that come from a shape, time as instrument."""
     method = (
         f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
@@ -316,7 +316,7 @@ class InitialStiffness(Window):
     result: ClassVar = "initial-stiffness"
     outputs: ClassVar = (Output("initial_stiffness", "N/m", "Initial stiffness"),)
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Slope between two displacements, time as instrument."""
         return _seen_by_cameras(self, test, "initial_stiffness")
 
@@ -329,7 +329,7 @@ class LineStiffness(Window):
     outputs: ClassVar = (Output("{name}", "N/m"),)
     name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Straight line by least squares, its interval for correlated noise."""
         if test.shape is not None:
             return _seen_by_cameras(self, test, self.name)
@@ -402,7 +402,7 @@ class OfStiffness(Kind):
 
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
 
-    def missing(self, test: Evidence) -> Failure:
+    def missing(self, test: ReducedTest) -> Failure:
         """Why there is no number where there is no stiffness."""
         return blocked_or(test, Failure("no_stiffness", f"{self.of} is not available"))
 
@@ -415,7 +415,7 @@ class NormalisedStiffness(OfStiffness):
     outputs: ClassVar = (Output("{of}_per_peak_force", "1/m"),)
     needs: ClassVar = Needs()
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """A gain error cancels."""
         method = (
             f"{self.of} / peak force of the same sample, errors independent, scale error cancelled"
@@ -430,13 +430,13 @@ class NormalisedStiffness(OfStiffness):
         return Computed((self.number(found, method, during=during, doubts=doubts),))
 
 
-def _per_peak(test: Evidence, stiffness: Stiffness) -> Found:
+def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
     """A stiffness over the largest force of all cycles."""
     trace = traced(test)
-    peaks = {each[0].cycle: peak_of(test, trace, each[0].cycle) for each in test.cycles}
-    known = {key: each for key, each in peaks.items() if isinstance(each, Reading)}
+    peaks = {cycle[0].cycle: peak_of(test, trace, cycle[0].cycle) for cycle in test.cycles}
+    known = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
     if not known:
-        return next(each for each in peaks.values() if isinstance(each, Failure))
+        return next(peak for peak in peaks.values() if isinstance(peak, Failure))
     values = {key: float(each.numbers(trace)[0]) for key, each in known.items()}
     largest = max(values, key=lambda key: values[key])
     found = test.measure(lambda trace: peak_of(test, trace, largest))
@@ -468,13 +468,13 @@ class Modulus(OfStiffness):
     ]
     name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Stiffness, gauge length and area with their uncertainties."""
         method = f"{self.of} x specimen.length / area ({self.area})"
         stiffness, area = test.stiffnesses.get(self.of), _area(self.area, test.setup.section)
         if stiffness is None:
             return self.not_available(self.missing(test), method)
-        outcome: Found
+        outcome: CalibrationFit
         if test.setup.length is None:
             outcome = Failure("no_length", "specimen.length, the gauge length, is not given")
         elif isinstance(area, Failure):
@@ -491,7 +491,7 @@ class Modulus(OfStiffness):
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
 
-def _of_the_machine(test: Evidence, stiffness: Stiffness) -> tuple[Reason, ...]:
+def _of_the_machine(test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
     """Why a modulus is doubtful whose displacement may be that of frame and grips."""
     share = USUAL_COMPLIANCE * stiffness.estimate.value
     if test.setup.compliance_stated or not share > SHARE_OF_MACHINE:
@@ -530,9 +530,9 @@ class ComplianceResult(Kind):
     result: ClassVar = "compliance"
     outputs: ClassVar = (Output("compliance", "m/N", "Compliance of frame and grips"),)
     start: Annotated[Force, Key("from")]
-    stop: Annotated[Force, Key("to"), Above("start")]
+    stop: Annotated[Force, Key("to"), LargerThan("start")]
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Displacement against force, the bar taken for rigid."""
         method = (
             f"displacement against force from {self.start:g} N to {self.stop:g} N, the bar taken "

@@ -20,12 +20,12 @@ from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Failure
 from labpipe.records.signals import Stretch
-from labpipe.results.evidence import Evidence, Stiffness
+from labpipe.results.curve_replicates import loading_of, traced
 from labpipe.results.kinds import NO_LOADING, Computed, blocked_or, marked_slips
-from labpipe.results.likely_curves import loading_of, traced
+from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import Window
+from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured
-from labpipe.uncertainty.readings import Reading, Trace
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class _TwoLines(Window):
         """With the stretch."""
         return f"two segments that meet, {self.in_words}, all breaks tried"
 
-    def fit(self, test: Evidence) -> _Fitted | Failure:
+    def fit(self, test: ReducedTest) -> _Fitted | Failure:
         """Fit two lines to the curve of a test.
 
         Parameters
@@ -82,12 +82,12 @@ class _TwoLines(Window):
         first, second, at, level = numbers
         return _Fitted(first, second, at, level, places[1], self._smooth(test, numbers))
 
-    def _smooth(self, test: Evidence, numbers: tuple[Measured, ...]) -> Segments:
+    def _smooth(self, test: ReducedTest, numbers: tuple[Measured, ...]) -> Segments:
         """The lines of the smooth curve; those of the curve itself where it has none."""
         trace = None if test.replicates is None else test.replicates.smooth
         found = None if trace is None else self.decide(trace)
         if trace is None or not isinstance(found, Reading):
-            first, second, at, level = (np.asarray(each.value) for each in numbers)
+            first, second, at, level = (np.asarray(number.value) for number in numbers)
         else:
             first, second, at, level = found.numbers(trace)
         return Segments(at, first, second, level)
@@ -150,7 +150,7 @@ class TwoSegments(_TwoLines):
         Output("break_point", "m", "Break point of the two segments"),
     )
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Best two segments that meet."""
         fit = self.fit(test)
         if isinstance(fit, Failure):
@@ -161,7 +161,7 @@ class TwoSegments(_TwoLines):
         start, stop = read = fit.hinges.ends
         at, during = fit.break_point.value, test.while_loading(*read)
         doubts = marked_slips(test, read)  # one bends both
-        one, other = (each.name for each in self.outputs[:2])
+        one, other = (output.name for output in self.outputs[:2])
         level, first, second = fit.level.value, fit.first.value, fit.second.value
         left = level - first * (at - start)
         wide = why_break_is_doubtful(fit.break_point.interval, fit.hinges)
@@ -205,7 +205,7 @@ class Kink(_TwoLines):
         Output("kink_force", "N", "Kink force"),
     )
 
-    def compute(self, test: Evidence) -> Computed:
+    def compute(self, test: ReducedTest) -> Computed:
         """Where the slope of the first loading falls."""
         fit = self.fit(test)
         if isinstance(fit, Failure):

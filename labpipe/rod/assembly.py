@@ -21,8 +21,10 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.rod.banded import Band, Places, entries, places_of
 from labpipe.rod.boundaries import Plane
 from labpipe.rod.cells import BentCells, bend_cells
-from labpipe.rod.directions import Directions, directions_of, lent_directions
+from labpipe.rod.directions import Directions, clamp_directions, directions_of
 from labpipe.rod.line import Line
+from labpipe.rod.plane_contact import ContactForces, added_at, pull_strings, touch_plane
+from labpipe.rod.ring_contact import RingContact, thread
 from labpipe.rod.rotations import (
     conjugate,
     cross,
@@ -34,8 +36,6 @@ from labpipe.rod.rotations import (
     unit,
 )
 from labpipe.rod.supports import Supports
-from labpipe.rod.threaded import Threaded, thread
-from labpipe.rod.touching import Touch, added_at, pull_strings, touch_plane
 
 _YIELD = 1e-6
 """Of an element's length, by which planes, strings and rings yield to the force of the whole line.
@@ -72,7 +72,7 @@ class Shape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Memory:
+class LineMemory:
     """What the line and its supports remember.
 
     Parameters
@@ -110,7 +110,7 @@ class Demands:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drag:
+class ArtificialDrag:
     """Holds a line where it was.
 
     Its cells resist bending and twist, in proportion to their stiffness, as a wire in itself does:
@@ -151,10 +151,10 @@ class Balance:
     even: Floats
     cells: BentCells
     directions: Directions
-    memory: Memory
-    touches: tuple[Touch, ...]
+    memory: LineMemory
+    touches: tuple[ContactForces, ...]
     tensions: Floats
-    threads: tuple[Threaded, ...]
+    threads: tuple[RingContact, ...]
 
 
 class Assembly:
@@ -212,7 +212,7 @@ class Assembly:
         self._constants = np.concatenate([-ones, ones, -ones, ones, give])
 
     def balance(
-        self, shape: Shape, demands: Demands, memory: Memory, drag: Drag | None = None
+        self, shape: Shape, demands: Demands, memory: LineMemory, drag: ArtificialDrag | None = None
     ) -> Balance:
         """Work out residual and tangent.
 
@@ -228,7 +228,7 @@ class Assembly:
         turned = matrices(shape.frames)
         pulls = lengths[:, None] * shape.forces
         way = directions_of(
-            self.supports, turned, lent_directions(self.supports, demands.clamps), pulls
+            self.supports, turned, clamp_directions(self.supports, demands.clamps), pulls
         )
         turns, by_turn = self._turns(cells, way, turned, demands)
         places, by_place, touches, tensions = self._at_nodes(shape, demands, memory)
@@ -270,7 +270,7 @@ class Assembly:
             even,
             cells,
             way,
-            Memory(
+            LineMemory(
                 cells.rests,
                 np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3),
                 np.array([t.place for t in threads]),
@@ -323,7 +323,7 @@ class Assembly:
             row, clamp = s.lent.T
             turns = np.matvec(matrices(demands.clamps), clamps)
             tilted = np.zeros((len(s.ends), 3))
-            np.add.at(tilted, row, cross(turns[clamp], lent_directions(s, demands.clamps)))
+            np.add.at(tilted, row, cross(turns[clamp], clamp_directions(s, demands.clamps)))
             change = np.matvec(balance.directions.by_clamp, tilted)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
             right[_spread(p.forces[s.ends])] += (lengths[:, None] * change).ravel()
@@ -364,7 +364,7 @@ class Assembly:
         return frames[self.supports.before], frames[self.supports.behind]
 
     def _cells(
-        self, shape: Shape, demands: Demands, memory: Memory, drag: Drag | None
+        self, shape: Shape, demands: Demands, memory: LineMemory, drag: ArtificialDrag | None
     ) -> BentCells:
         s = self.supports
         torques = np.zeros(len(s.nodes))
@@ -396,8 +396,8 @@ class Assembly:
         return residual, tangent
 
     def _at_nodes(
-        self, shape: Shape, demands: Demands, memory: Memory
-    ) -> tuple[Floats, Floats, tuple[Touch, ...], Floats]:
+        self, shape: Shape, demands: Demands, memory: LineMemory
+    ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
         """Residuals of the positions, the tangents of each by itself, planes and strings."""
         residual = -demands.forces
         residual[:-1] -= shape.forces
@@ -423,19 +423,19 @@ class Assembly:
         return residual, tangent, touches, tensions
 
     def _threading(
-        self, threads: tuple[Threaded, ...], residual: Floats, tangent: Floats
+        self, threads: tuple[RingContact, ...], residual: Floats, tangent: Floats
     ) -> list[Floats]:
         """Add what rings do to the nodes; give back the tangents between different nodes."""
         if not self._has_rings:
             return []
         beside = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
-        for each in threads:
-            at = slice(each.first, each.first + 3)
-            residual[at] -= each.weights[:, None] * each.force
+        for threaded in threads:
+            at = slice(threaded.first, threaded.first + 3)
+            residual[at] -= threaded.weights[:, None] * threaded.force
             for i in range(3):
-                tangent[each.first + i] += each.stiffness[i, :, i, :]
+                tangent[threaded.first + i] += threaded.stiffness[i, :, i, :]
                 for step in range(1, 3 - i):
-                    beside[step - 1][each.first + i] += each.stiffness[i, :, i + step, :]
+                    beside[step - 1][threaded.first + i] += threaded.stiffness[i, :, i + step, :]
         return [entry for blocks in beside for entry in _there_and_back(blocks)]
 
     def _stretching(

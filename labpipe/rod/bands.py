@@ -14,7 +14,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.rod.beliefs import Belief
+from labpipe.rod.input_distributions import InputDistribution
 from labpipe.rod.path import RodPath, RodState
 from labpipe.rod.response import Band, Fields, Response, band_of, field_band, respond
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
@@ -73,7 +73,7 @@ class LineBands:
 
 def bands_of(
     solve: Solve | Sequence[Solve],
-    beliefs: Sequence[Belief],
+    beliefs: Sequence[InputDistribution],
     *,
     at: Sequence[int] = (-1,),
     tested_curvature: float = np.inf,
@@ -104,9 +104,9 @@ def bands_of(
         message = "beliefs: allowed is at least one"
         raise ValueError(message)
     solves = [solve] * len(beliefs) if callable(solve) else solve
-    looks = [_Look(each, at) for each, _ in zip(solves, beliefs, strict=True)]
+    looks = [_Look(solve, at) for solve, _ in zip(solves, beliefs, strict=True)]
     responses = [respond(look, belief) for look, belief in zip(looks, beliefs, strict=True)]
-    found = [each for each in responses if each is not None]
+    found = [response for response in responses if response is not None]
     if len(found) < len(beliefs):
         return None
     best = looks[0].paths[0]
@@ -180,8 +180,8 @@ def _smallest_radius(vectors: Floats) -> Floats:
 def _bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
     plain = {name: field_band(responses, f"{name} {number}") for name in PLAIN}
     name = f"{BENT} {number}"
-    curvature = band_of(responses, lambda each: _both(each, name, _sizes))
-    radius = band_of(responses, lambda each: _both(each, name, _smallest_radius))
+    curvature = band_of(responses, lambda response: _both(response, name, _sizes))
+    radius = band_of(responses, lambda response: _both(response, name, _smallest_radius))
     best = responses[0]
     shares = {
         each: best.shares(f"{each} {number}") for each in ("positions", "reaction_forces")
@@ -217,7 +217,7 @@ def _unsolved(responses: Sequence[Response]) -> Iterator[QualityNote]:
         ("silent", "to both sides of these causes the line has no equilibrium, and the band leaves "
          "them out"),
     ):  # fmt: skip
-        causes = dict.fromkeys(cause for each in responses for cause in getattr(each, code))
+        causes = dict.fromkeys(cause for response in responses for cause in getattr(response, code))
         if causes:
             message = f"{what}: {', '.join(causes)}"
             yield QualityNote(code, Severity.WARNING, ", ".join(causes), message)
@@ -228,7 +228,7 @@ def _jumps(looks: Sequence[_Look]) -> Iterator[QualityNote]:
     differing = [each for look in looks for each in look.snapped if each != look.snapped[0]]
     if differing:
         steps = looks[0].snapped[0], differing[0]
-        at, beside = (", ".join(map(str, each)) or "none" for each in steps)
+        at, beside = (", ".join(map(str, step)) or "none" for step in steps)
         message = (
             f"steps in which the line jumps: {at} at the best inputs, {beside} to one side of a "
             "cause; near a jump a smooth response, and the band, do not hold"

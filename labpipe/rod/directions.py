@@ -48,7 +48,7 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
     ----------
     supports : which elements are beside a clamp
     frames : shape (n, 3, 3), matrices of the elements
-    lent : shape (pairs, 3), what clamps lend to them: see `lent_directions`
+    lent : shape (pairs, 3), what clamps lend to them: see `clamp_directions`
     pulls : shape (n, 3), N m, g
     """
     along = frames[:, :, 2].copy()
@@ -89,7 +89,7 @@ def _bend(g: Floats) -> Floats:
     return np.asarray(out)
 
 
-def lent_directions(supports: Supports, clamps: Floats) -> Floats:
+def clamp_directions(supports: Supports, clamps: Floats) -> Floats:
     """Work out what clamps lend to the directions of the elements beside them, shape (pairs, 3).
 
     Parameters

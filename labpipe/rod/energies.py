@@ -58,7 +58,7 @@ def work_done(
         tensions = balances[0].tensions + balances[1].tensions
         work += 0.5 * float(np.sum(tensions * (new.anchors - old.anchors)))
     if len(new.rings):
-        pulls_of = [np.array([each.force for each in b.threads]) for b in balances]
+        pulls_of = [np.array([thread.force for thread in b.threads]) for b in balances]
         work += 0.5 * float(np.sum((pulls_of[0] + pulls_of[1]) * (new.rings - old.rings)))
     return work
 

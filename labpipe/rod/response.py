@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
-from labpipe.rod.beliefs import Belief
+from labpipe.rod.input_distributions import InputDistribution
 
 Fields = Mapping[str, Floats]
 """What is looked at of a line, by name; arrays of any shape."""
@@ -45,7 +45,7 @@ class Response:
     silent : causes with no equilibrium on either side: left out
     """
 
-    belief: Belief
+    belief: InputDistribution
     value: Fields
     reach: Floats
     slopes: Fields
@@ -65,7 +65,7 @@ class Response:
         within = np.clip(amounts, -reach, reach)
         squares = within * (2.0 * amounts - within)  # beyond its reach a parabola goes on straight
         flat = (len(self.belief.causes), self.value[name].size)
-        slopes, bends = (each[name].reshape(flat)[which] for each in (self.slopes, self.bends))
+        slopes, bends = (slope[name].reshape(flat)[which] for slope in (self.slopes, self.bends))
         return np.asarray(amounts @ slopes + squares @ bends)
 
     def shares(self, name: str) -> dict[str, float]:
@@ -79,7 +79,7 @@ class Response:
             for cause in dict.fromkeys(self.belief.causes)
         }
         total = sum(found.values())
-        return {cause: each / total for cause, each in found.items()} if total > 0.0 else {}
+        return {cause: finding / total for cause, finding in found.items()} if total > 0.0 else {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +97,7 @@ class Band:
     upper: Floats
 
 
-def respond(look: Look, belief: Belief) -> Response | None:
+def respond(look: Look, belief: InputDistribution) -> Response | None:
     """Solve a line at the best inputs and to both sides of every cause.
 
     Parameters
@@ -151,7 +151,7 @@ def _through(
 
 
 def _stacked(each_cause: Sequence[Fields], name: str, value: Floats) -> Floats:
-    rows = [each[name] for each in each_cause]
+    rows = [fields[name] for fields in each_cause]
     return np.stack(rows) if rows else np.zeros((0, *value.shape))
 
 
@@ -176,8 +176,8 @@ def band_of(
     From the lowest to the highest of the bands of all, and never without the value.
     """
     values, lows, highs = [], [], []
-    for each in responses:
-        value, drawn = measure(each)
+    for response in responses:
+        value, drawn = measure(response)
         low, high = np.quantile(drawn, [TAIL, 1.0 - TAIL], axis=0)
         values.append(value)
         lows.append(np.minimum(low, value))
@@ -193,7 +193,7 @@ def field_band(responses: Sequence[Response], name: str) -> Band:
     responses : as for `band_of`
     name : of the field
     """
-    return band_of(responses, lambda each: (each.value[name], each.drawn(name)))
+    return band_of(responses, lambda response: (response.value[name], response.drawn(name)))
 
 
 def sizes(vectors: Floats) -> Floats:

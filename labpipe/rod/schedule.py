@@ -14,13 +14,13 @@ from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Demands, Shape
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane, Ring, String
 from labpipe.rod.line import Line
+from labpipe.rod.ring_contact import nearest_place, point_at
 from labpipe.rod.rotations import (
     conjugate,
     from_rotation_vectors,
     multiply,
     rotation_vectors,
 )
-from labpipe.rod.threaded import nearest_place, point_at
 
 
 class Schedule:
@@ -62,7 +62,7 @@ class Schedule:
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
 
     def _of(self, kind: type) -> tuple[int, ...]:
-        return tuple(k for k, each in enumerate(self.boundaries) if isinstance(each, kind))
+        return tuple(k for k, boundary in enumerate(self.boundaries) if isinstance(boundary, kind))
 
     def node(self, boundary: Boundary) -> int:
         """Node of a boundary, from 0."""
@@ -109,13 +109,13 @@ class Schedule:
         """Size of the forces on the line as a whole, N."""
         line = self.line
         size = line.section.law.first_stiffness / line.length**2
-        for each in self.boundaries:
-            if isinstance(each, Gravity):
-                size += float(np.sum(self._masses)) * _largest(each.vector)
-            elif isinstance(each, Load):
-                size += _largest(each.force)
-            elif isinstance(each, Moment):
-                size += _largest(each.moment) / line.length
+        for boundary in self.boundaries:
+            if isinstance(boundary, Gravity):
+                size += float(np.sum(self._masses)) * _largest(boundary.vector)
+            elif isinstance(boundary, Load):
+                size += _largest(boundary.force)
+            elif isinstance(boundary, Moment):
+                size += _largest(boundary.moment) / line.length
         return size
 
     def demands(self, time: float, grips: tuple[int, ...]) -> Demands:
@@ -145,13 +145,13 @@ class Schedule:
     def _loads(self, time: float, share: float) -> tuple[Floats, Floats]:
         forces = np.zeros((self.n + 1, 3))
         moments = np.zeros((self.n, 3))
-        for each in self.boundaries:
-            if isinstance(each, Gravity):
-                forces += share * self._masses[:, None] * _at(each.vector, time)
-            elif isinstance(each, Load):
-                forces[self.node(each)] += share * _at(each.force, time)
-            elif isinstance(each, Moment):
-                self._turn(moments, self.node(each), share * _at(each.moment, time))
+        for boundary in self.boundaries:
+            if isinstance(boundary, Gravity):
+                forces += share * self._masses[:, None] * _at(boundary.vector, time)
+            elif isinstance(boundary, Load):
+                forces[self.node(boundary)] += share * _at(boundary.force, time)
+            elif isinstance(boundary, Moment):
+                self._turn(moments, self.node(boundary), share * _at(boundary.moment, time))
         return forces, moments
 
     def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
@@ -225,13 +225,13 @@ def _between(first: Floats, second: Floats, share: float) -> Floats:
 
 def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
     names = ("position", "frame", "anchor", "force", "moment", "vector")
-    for each in boundaries:
+    for boundary in boundaries:
         for name in names:
-            path = getattr(each, name, None)
+            path = getattr(boundary, name, None)
             if path is None or path.ndim != 2 or len(path) in (1, steps + 1):
                 continue
             message = (
-                f"{called(boundaries, each)}: {name} has {len(path)} rows; allowed are 1 or "
+                f"{called(boundaries, boundary)}: {name} has {len(path)} rows; allowed are 1 or "
                 f"steps + 1 = {steps + 1}"
             )
             raise ValueError(message)

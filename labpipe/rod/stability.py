@@ -58,7 +58,7 @@ class StabilityCheck:
             entries(assembly.places.positions[:-1], FORCE, assembly.places.positions[1:], 3),
             entries(assembly.places.positions[1:], 3, assembly.places.positions[1:], 3),
         ]
-        down, right = (_without_forces(np.concatenate(each)) for each in zip(*pairs, strict=True))
+        down, right = (_without_forces(np.concatenate(pair)) for pair in zip(*pairs, strict=True))
         row, column = np.maximum(down, right), np.minimum(down, right)
         self.size = FORCE * n + 3
         self._deep = int(np.max(row - column)) + 1

@@ -15,7 +15,7 @@ from labpipe.rod.schedule import Schedule
 from labpipe.rod.supports import END_SHARE, Supports
 
 
-class Reached(Protocol):
+class BalancedShape(Protocol):
     """A shape in balance under demands."""
 
     @property
@@ -54,7 +54,7 @@ def _at_sides(supports: Supports, values: Floats) -> Floats:
 
 
 def state_of(
-    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: Reached, step: int
+    assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: BalancedShape, step: int
 ) -> RodState:
     """Tell the state of a step, all forces and moments in space."""
     supports, cells = assembly.supports, now.balance.cells
@@ -73,9 +73,9 @@ def state_of(
     reaction_forces[list(schedule.strings)] = now.balance.tensions
     slid = np.full(len(schedule.boundaries), np.nan)
     stations = assembly.line.stations
-    for k, each in zip(schedule.rings, now.balance.threads, strict=True):
-        reaction_forces[k] = each.force
-        slid[k] = np.interp(each.place, np.arange(n_nodes), stations)
+    for k, thread in zip(schedule.rings, now.balance.threads, strict=True):
+        reaction_forces[k] = thread.force
+        slid[k] = np.interp(thread.place, np.arange(n_nodes), stations)
     touched = np.array([touch.forces for touch in now.balance.touches]).reshape(-1, n_nodes, 3)
     return RodState(
         positions=now.shape.positions,
@@ -100,17 +100,17 @@ def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     Along the straight line to the next cell: a half cell bends as the line does at a share
     `END_SHARE` of its element.
     """
-    found, lengths = curvatures.copy(), supports.lengths
+    clamps, lengths = curvatures.copy(), supports.lengths
     for end, way in ((supports.behind, -1), (supports.before, 1)):
         at = np.flatnonzero(end < 0)
         at = at[(at + way >= 0) & (at + way < len(end))]
         place = END_SHARE * 2.0 * lengths[at]
         share = place / (lengths[at] + 0.5 * lengths[at + way] - place)
-        found[at] += share[:, None] * (curvatures[at] - curvatures[at + way])
-    return found
+        clamps[at] += share[:, None] * (curvatures[at] - curvatures[at + way])
+    return clamps
 
 
-def _moments_in_space(assembly: Assembly, now: Reached) -> Floats:
+def _moments_in_space(assembly: Assembly, now: BalancedShape) -> Floats:
     """Moments of the cells, of the part behind on the part before, N m, shape (cells, 3).
 
     At a clamp the moment at the node itself, which is a little more than that of the half cell.

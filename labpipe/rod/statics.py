@@ -19,18 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.rod.assembly import Assembly, Balance, Demands, Drag, Memory, Shape
+from labpipe.rod.assembly import ArtificialDrag, Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.rod.boundaries import Boundary, Moment, Plane
 from labpipe.rod.energies import lost_energy, stored_energy, work_done
+from labpipe.rod.equilibrium import Settled, settle
 from labpipe.rod.line import Line
 from labpipe.rod.path import Reason, RodPath, RodState, Status
-from labpipe.rod.refusals import broken, held_in_plane, out_of_reach, slid_out
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
 from labpipe.rod.schedule import Schedule
-from labpipe.rod.settling import Settled, settle
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.states import merged_rests, parted_rests, state_of
 from labpipe.rod.supports import supports_of
+from labpipe.rod.walk_errors import broken, held_in_plane, out_of_reach, ring_left
 
 _FIRST_DRAG = 1.0
 _LAST_DRAG = 1e-8
@@ -107,7 +107,7 @@ def _apart(before: Floats, behind: Floats) -> float:
     return float(np.max(np.abs(behind - before)))
 
 
-class _NoWayError(Exception):
+class _NoEquilibriumError(Exception):
     """No way on, and why."""
 
     def __init__(self, reason: Reason) -> None:
@@ -116,15 +116,15 @@ class _NoWayError(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Now:
+class _WalkState:
     """Where the walk is: a shape in balance under its demands, and the memory before and behind."""
 
     time: float
     shape: Shape
     balance: Balance
     demands: Demands
-    memory: Memory
-    earlier: Memory | None
+    memory: LineMemory
+    earlier: LineMemory | None
 
 
 class _Walk:
@@ -178,9 +178,9 @@ class _Walk:
                 (schedule.held_nodes[k], getattr(self.boundaries[k], "frame", 0) is not None)
             )
         planes = tuple(
-            each.raised(0.5 * self.line.section.diameter)
-            for each in self.boundaries
-            if isinstance(each, Plane)
+            boundary.raised(0.5 * self.line.section.diameter)
+            for boundary in self.boundaries
+            if isinstance(boundary, Plane)
         )
         lengths = np.array([getattr(self.boundaries[k], "length", 0.0) for k in schedule.strings])
         self.assembly = Assembly(
@@ -191,12 +191,12 @@ class _Walk:
             n_rings=len(schedule.rings),
             force=self.force,
         )
-        is_turned = any(isinstance(each, Moment) for each in self.boundaries)
+        is_turned = any(isinstance(boundary, Moment) for boundary in self.boundaries)
         self.check = StabilityCheck(self.assembly, is_turned=is_turned)
-        memory = Memory(merged_rests(self.assembly.supports, rests), contacts, places)
+        memory = LineMemory(merged_rests(self.assembly.supports, rests), contacts, places)
         demands = schedule.demands(time, grips)
         balance = self.assembly.balance(shape, demands, memory)
-        self.now = _Now(time, shape, balance, demands, memory, None)
+        self.now = _WalkState(time, shape, balance, demands, memory, None)
 
     def _let_go(self, step: int) -> None:
         """Take the grips away that hold no more in a step: the line comes free where they held it.
@@ -238,7 +238,7 @@ class _Walk:
             if step > 0:
                 self._let_go(step)
             self._walk_to(float(step))
-        except _NoWayError as failure:
+        except _NoEquilibriumError as failure:
             self.reasons.insert(0, failure.reason)
             self.failed = True
             return False
@@ -314,11 +314,11 @@ class _Walk:
         )
         self.lost += lost_energy(self.assembly, now.memory.rests, new.memory.rests)
         self.rubbed += sum(touch.rubbed for touch in new.touches)
-        self.now = _Now(time, settled.shape, new, goal, new.memory, now.memory)
+        self.now = _WalkState(time, settled.shape, new, goal, new.memory, now.memory)
         most = self.settings.most_stretch
         self._refuse(
             broken(self.assembly, settled.shape, new, self.step, most_stretch=most),
-            slid_out(self.schedule, new, self.step),
+            ring_left(self.schedule, new, self.step),
         )
 
     def _stored(self) -> float:
@@ -393,7 +393,7 @@ class _Walk:
 
     def _dragged(self, shape: Shape, goal: Demands, size: float) -> Settled | None:
         now = self.now
-        drag = Drag(size, shape, self.assembly.turns(shape, now.demands))
+        drag = ArtificialDrag(size, shape, self.assembly.turns(shape, now.demands))
         settled = settle(
             self.assembly, shape, now.memory, (now.demands, goal), force=self.force, drag=drag
         )
@@ -429,7 +429,7 @@ class _Walk:
             f"step {self.step}: no equilibrium follows, however small the step; the largest force, "
             f"{pull:.3g} N, was behind node {node}"
         )
-        raise _NoWayError(Reason("no_equilibrium", sentence, self.step, node))
+        raise _NoEquilibriumError(Reason("no_equilibrium", sentence, self.step, node))
 
     def _doubt_stability(self, code: str, why: str) -> None:
         """Go on with an equilibrium that is not stable, and say so once."""
@@ -454,7 +454,7 @@ class _Walk:
         """Stop at the first of reasons that there is."""
         for reason in reasons:
             if reason is not None:
-                raise _NoWayError(reason)
+                raise _NoEquilibriumError(reason)
 
     # ---- what is kept -------------------------------------------------------------------------
 
@@ -500,7 +500,7 @@ def _begin(
     line: Line, boundaries: tuple[Boundary, ...], start: RodState | None
 ) -> tuple[Shape, Floats, Floats]:
     n, sliders = len(line.lengths), len(line.section.law.stiffnesses)
-    n_planes = sum(isinstance(each, Plane) for each in boundaries)
+    n_planes = sum(isinstance(boundary, Plane) for boundary in boundaries)
     if start is None:
         shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))
         contacts = np.tile(line.positions, (n_planes, 1, 1))

@@ -103,13 +103,13 @@ def stuck_runs(time: Floats, values: Floats, beside: Floats | None = None) -> li
     seen = _Seen.of(time, values, beside, lengths)
     long = np.flatnonzero(lengths >= max(_FEWEST, _UNUSUAL * seen.usual))
     ends = np.flatnonzero((lengths >= _FEWEST) & seen.is_extreme(starts))
-    found = []
+    stuck_runs = []
     for run in np.union1d(long, ends).tolist():
         start, stop = int(starts[run]), int(starts[run] + lengths[run])
         is_end = bool(seen.is_extreme(np.array([start]))[0])
         if seen.is_stuck(start, stop, is_end=is_end):
-            found.append(Stuck(start, stop, is_end))
-    return found
+            stuck_runs.append(Stuck(start, stop, is_end))
+    return stuck_runs
 
 
 def _runs(values: Floats) -> tuple[Ints, Ints]:

@@ -12,7 +12,7 @@ from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.turning_points import Stroke, find_strokes
-from labpipe.uncertainty.noise import long_run_variance
+from labpipe.uncertainty.autocorrelation import long_run_variance
 
 _BINS, _LEAST = 2000, 50
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.uncertainty.noise import long_run_variance
+from labpipe.uncertainty.autocorrelation import long_run_variance
 
 _BINS_PER_SIDE = 600
 """Averages on each side of the corner at least, where there are as many samples."""

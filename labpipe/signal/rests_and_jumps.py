@@ -95,12 +95,12 @@ def standing_stretches(
     noise = _SURE_OF_REST * sqrt(2.0 / size) * noise_level(values) / (size * median(np.diff(time)))
     if not speed > 3.0 * noise:
         return []
-    found = []
+    standing_stretches = []
     for start, stop in stretches_of(speeds <= max(_STANDS * speed, noise)):
         inner = start > 0 and stop < len(speeds)
         if stop - start >= (_IN_A_ROW if inner else _AT_A_TURN):
-            found.append((start * size, (stop + 1) * size))
-    return found
+            standing_stretches.append((start * size, (stop + 1) * size))
+    return standing_stretches
 
 
 def samples_at_rest(values: Floats) -> int:
@@ -166,11 +166,11 @@ def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
     steps = np.diff(v)
     speeds = np.abs(steps) / np.diff(time[known])
     least = max(_SHARE * float(np.ptp(v)), _SURE_JUMP * noise_level(v))
-    found = []
+    level_jumps = []
     for at in np.flatnonzero(np.abs(steps) > least).tolist():
         before, after = speeds[max(at - _NEAR, 0) : at], speeds[at + 1 : at + 1 + _NEAR]
         if min(len(before), len(after)) < _NEAR:
             continue
         if speeds[at] > _LARGER * float(np.concatenate([before, after]).max()):
-            found.append((int(known[at + 1]), float(steps[at])))
-    return tuple(found)
+            level_jumps.append((int(known[at + 1]), float(steps[at])))
+    return tuple(level_jumps)

@@ -13,7 +13,7 @@ from scipy.special import log_ndtr, ndtr
 
 from labpipe.records.arrays import Floats
 from labpipe.signal.corners import Corner, block_means
-from labpipe.uncertainty.noise import long_run_variance
+from labpipe.uncertainty.autocorrelation import long_run_variance
 
 _BINS = 600
 """Samples on both sides together, at most twice that; longer records are averaged."""

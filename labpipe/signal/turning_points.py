@@ -194,7 +194,7 @@ def _trimmed(
 
 
 @dataclass(frozen=True, slots=True)
-class _Stay:
+class _Dwell:
     """How long a motion is near an extreme, on one side of it.
 
     Parameters
@@ -215,7 +215,7 @@ class _Stay:
 
 def _stay(
     time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
-) -> _Stay | None:
+) -> _Dwell | None:
     """How long a motion is near an extreme, looking from there to the next; None at an end."""
     at, other = ends
     if other is None:
@@ -226,10 +226,10 @@ def _stay(
     near, wide = (
         float(since[np.flatnonzero(travel <= factor * tolerance)[-1]]) for factor in (1.0, 4.0)
     )
-    return _Stay(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(other - at)))
+    return _Dwell(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(other - at)))
 
 
-def _dwell(before: _Stay | None, after: _Stay | None) -> tuple[float, float]:
+def _dwell(before: _Dwell | None, after: _Dwell | None) -> tuple[float, float]:
     """Seconds that a motion dwells before and after an extreme, whose place in a dwell is chance.
 
     At the ends of the movement there is one side alone, and any rest is none of the stroke's.

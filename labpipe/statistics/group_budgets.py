@@ -43,12 +43,12 @@ def group_budget(number: GroupNumber) -> GroupBudget:
     a test that lacks a cause has a share of zero of it.
     """
     tests = [
-        {row.cause: share for row, share in zip(each.budget, each.shares, strict=True)}
-        for each in number.values.values()
-        if each.largest_share is not None
+        {row.cause: share for row, share in zip(value.budget, value.shares, strict=True)}
+        for value in number.values.values()
+        if value.largest_share is not None
     ]
-    causes = in_order({cause for each in tests for cause in each})
-    medians = {cause: median(each.get(cause, 0.0) for each in tests) for cause in causes}
+    causes = in_order({cause for test in tests for cause in test})
+    medians = {cause: median(test.get(cause, 0.0) for test in tests) for cause in causes}
     total = sum(medians.values())
     shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
     return GroupBudget(shares, {} if number.mean is None else _of_mean(number.mean.chosen))

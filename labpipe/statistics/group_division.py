@@ -64,7 +64,7 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
     return [
         Part(
             dict(zip(named, word, strict=True)),
-            tuple(each for each, own in zip(samples, words, strict=True) if own == word),
+            tuple(sample for sample, own in zip(samples, words, strict=True) if own == word),
         )
         for word in dict.fromkeys(words)
     ]
@@ -72,17 +72,19 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
 
 def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
     """Fields that may divide, with the word of each sample."""
-    own = [fields_of(each.specimen) for each in samples]
-    specimens = [each.specimen for each in samples]
-    sizes = dict.fromkeys(name for each in specimens for name in each.dimensions)
-    labels = dict.fromkeys(name for each in specimens for name in each.labels)
-    of_bundles = _OF_BUNDLES if any(each.bundle for each in specimens) else ()
+    own = [fields_of(sample.specimen) for sample in samples]
+    specimens = [sample.specimen for sample in samples]
+    sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
+    labels = dict.fromkeys(name for specimen in specimens for name in specimen.labels)
+    of_bundles = _OF_BUNDLES if any(specimen.bundle for specimen in specimens) else ()
     found = {name: [each.get(name, NOT_SAID) for each in own] for name in of_bundles}
-    if all(each.bundle is None or len(each.bundle.wires) == 1 for each in specimens):
+    if all(specimen.bundle is None or len(specimen.bundle.wires) == 1 for specimen in specimens):
         found.pop("arrangement", None)  # of wires that are all of one kind
-    found |= {name: _sizes([each.dimensions.get(name) for each in specimens]) for name in sizes}
+    found |= {
+        name: _sizes([specimen.dimensions.get(name) for specimen in specimens]) for name in sizes
+    }
     words = {name: [each.get(name, NOT_SAID) for each in own] for name in labels}
-    return found | {name: each for name, each in words.items() if not _names_tests(each)}
+    return found | {name: word for name, word in words.items() if not _names_tests(word)}
 
 
 def _names_tests(words: Sequence[str]) -> bool:

@@ -47,7 +47,7 @@ def size_words(size: float) -> str:
 
 def known_fields(specimens: Iterable[Specimen]) -> list[str]:
     """List the fields that any of the specimens has, each once."""
-    return list(dict.fromkeys(name for each in specimens for name in fields_of(each)))
+    return list(dict.fromkeys(name for specimen in specimens for name in fields_of(specimen)))
 
 
 def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
@@ -61,16 +61,16 @@ def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
     -------
     Word by field; of a dimension that varies by 1 % at the most, that of the mean.
     """
-    found: dict[str, str] = {}
+    shared_fields: dict[str, str] = {}
     own = [fields_of(sample.specimen) for sample in samples]
     for name in known_fields(sample.specimen for sample in samples):
         words = {each.get(name) for each in own}
         sizes = _sizes(samples, name)
         if len(words) == 1:
-            found[name] = own[0][name]
+            shared_fields[name] = own[0][name]
         elif len(sizes) == len(samples) and _are_alike(sizes):
-            found[name] = size_words(sum(sizes) / len(sizes))
-    return found
+            shared_fields[name] = size_words(sum(sizes) / len(sizes))
+    return shared_fields
 
 
 def _sizes(samples: Iterable[Sample], name: str) -> list[float]:
@@ -161,7 +161,7 @@ def _dependent(
 
 
 def _has_bundles(group: Group) -> bool:
-    return bool(group.samples) and all(each.specimen.bundle for each in group.samples)
+    return bool(group.samples) and all(sample.specimen.bundle for sample in group.samples)
 
 
 def _are_of_one_kind(group: Group) -> bool:

@@ -83,12 +83,14 @@ def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
 def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     """Warn where bundles of a group are not made alike; tell of labels that are not alike."""
     of_bundles = [sample.specimen.bundle for sample in samples]
-    made_of = dict.fromkeys(name for each in of_bundles if each for name in each.fields)
+    made_of = dict.fromkeys(
+        name for of_bundle in of_bundles if of_bundle for name in of_bundle.fields
+    )
     names = [name for name in made_of if name not in _IN_COMPOSITION]
     labels = dict.fromkeys(name for sample in samples for name in sample.specimen.labels)
     told = [_unlike(samples, name) for name in names if name not in labels]
     notes = [
-        group_note("bundles_differ", f"{each}; {_MIXES}", Severity.WARNING) for each in told if each
+        group_note("bundles_differ", f"{note}; {_MIXES}", Severity.WARNING) for note in told if note
     ]
     return [
         *notes,
@@ -153,7 +155,7 @@ def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
 
 
 def _doubted(number: GroupNumber) -> list[str]:
-    return [key for key, each in number.values.items() if each.status is Status.DOUBTFUL]
+    return [key for key, value in number.values.items() if value.status is Status.DOUBTFUL]
 
 
 def too_few_for_outliers(spools: Sequence[str]) -> str:
@@ -281,17 +283,17 @@ def method_notes(
             decisions.setdefault(decision, []).append(sample.test)
     if len(decisions) > 1:
         message = f"the mean mixes curves whose slips were treated otherwise: {parted(decisions)}"
-        tests = rarer(decisions)
+        tests = tests_with_fewer_facts(decisions)
         notes.append(QualityNote(PROTOCOLS_DIFFER, Severity.WARNING, "slips", message, tests=tests))
     return notes
 
 
-def rarer(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+def tests_with_fewer_facts(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     """List the tests of which less is said than of the others, as in `parted`.
 
     Examples
     --------
-    >>> rarer({"2 mm": ["a", "b"], "1 mm": ["f"]})
+    >>> tests_with_fewer_facts({"2 mm": ["a", "b"], "1 mm": ["f"]})
     ('f',)
     """
     *others, _ = sorted(tests.values(), key=len)
@@ -306,7 +308,7 @@ def parted(tests: Mapping[str, Sequence[str]]) -> str:
     >>> parted({"2 mm": ["a", "b", "c", "d", "e"], "1 mm": ["f"]})
     '1 mm (f) and 2 mm (the other 5)'
     """
-    rarest_first = sorted(tests.items(), key=lambda each: len(each[1]))
+    rarest_first = sorted(tests.items(), key=lambda test: len(test[1]))
     words = [f"{said or 'not said'} ({', '.join(own)})" for said, own in rarest_first]
     said, most = rarest_first[-1]
     if len(most) > _NAMED:

@@ -63,20 +63,21 @@ def build_group(
     made_otherwise = otherwise_made(ordered)
     numbers = tuple(
         group_number(
-            each,
+            name,
             ordered,
             limits,
-            without=made_otherwise.get(each, {}),
-            is_signed=each.partition(".")[0] in signed,
+            without=made_otherwise.get(name, {}),
+            is_signed=name.partition(".")[0] in signed,
         )
-        for each in names
+        for name in names
     )
     band, notes = loading_band(ordered, limits)
     share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
     found = [*method_notes(made_otherwise, ordered), *sample_notes(ordered), *number_notes(numbers)]
     every = (*found, *notes, *share_notes)
     numbers = tuple(
-        replace(each, is_set_by_rig=each.name.partition(".")[0] in set_by_rig) for each in numbers
+        replace(number, is_set_by_rig=number.name.partition(".")[0] in set_by_rig)
+        for number in numbers
     )
     return Group(name, protocol, ordered, numbers, band, share, every, shared_fields(ordered))
 
@@ -123,15 +124,17 @@ def group_number(
         for key, sample in zip(sample_keys(samples), samples, strict=True)
     }
     spools = dict(zip(found, (sample.specimen.spool for sample in samples), strict=True))
-    units = [each.unit for each in found.values() if each is not None]
+    units = [finding.unit for finding in found.values() if finding is not None]
     unit = units[0] if units else ""
     left_out = {key: _why_not(result, name, unit) for key, result in found.items()}
     for key, why in (without or {}).items():
         left_out[key] = left_out[key] or (why,)
-    values = {key: each for key, each in found.items() if each is not None and not left_out[key]}
+    values = {
+        key: finding for key, finding in found.items() if finding is not None and not left_out[key]
+    }
     by_spool: dict[str, list[Result]] = {}
-    for key, each in values.items():
-        by_spool.setdefault(spools[key], []).append(each)
+    for key, value in values.items():
+        by_spool.setdefault(spools[key], []).append(value)
     return GroupNumber(
         name=name,
         unit=unit,
@@ -187,8 +190,10 @@ def compare_groups(
     one = {number.name: number for number in first.numbers}
     two = {number.name: number for number in second.numbers}
     wanted = [name for name in (names or one) if name in one and name in two]
-    found = (_difference(first.name, one[name], second.name, two[name], margin) for name in wanted)
-    return tuple(each for each in found if each is not None)
+    compare_groups = (
+        _difference(first.name, one[name], second.name, two[name], margin) for name in wanted
+    )
+    return tuple(finding for finding in compare_groups if finding is not None)
 
 
 def _difference(

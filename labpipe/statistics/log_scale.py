@@ -23,10 +23,10 @@ def can_be_on_a_log_scale(values: list[Result]) -> bool:
     values : that are averaged
     """
     return all(
-        each.value is not None
-        and each.value > 0.0
-        and (each.estimate is None or each.estimate > 0.0)
-        for each in values
+        value.value is not None
+        and value.value > 0.0
+        and (value.estimate is None or value.estimate > 0.0)
+        for value in values
     )
 
 
@@ -53,7 +53,7 @@ def on_log_scale(mean: NestedMean) -> NestedMean:
         chosen=_put(mean.chosen),
         over_samples=_put(mean.over_samples),
         over_spools=mean.over_spools and _put(mean.over_spools),
-        spool_means={name: _put(each) for name, each in mean.spool_means.items()},
+        spool_means={name: _put(spool_mean) for name, spool_mean in mean.spool_means.items()},
     )
 
 

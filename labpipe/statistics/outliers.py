@@ -132,7 +132,7 @@ def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     of the ESD test count as one test each, since it marks more often than its level says (1.14
     times at 5 % and 20 samples, two steps).
     """
-    suspects = [[_suspects(group, each) for each in group.numbers] for group in groups]
+    suspects = [[_suspects(group, number) for number in group.numbers] for group in groups]
     chances = [len(each.steps) * each.p for own in suspects for each in own]
     corrected = iter(holm(chances, level))
     return [
@@ -154,8 +154,8 @@ def _suspects(group: Group, number: GroupNumber) -> Suspects:
     if number.is_set_by_rig:
         return Suspects()
     keys = sample_keys(group.samples)
-    spools = dict(zip(keys, (each.specimen.spool for each in group.samples), strict=True))
-    values = {key: each.value for key, each in number.values.items() if each.value is not None}
+    spools = dict(zip(keys, (sample.specimen.spool for sample in group.samples), strict=True))
+    values = {key: value.value for key, value in number.values.items() if value.value is not None}
     return find_suspects(values, spools)
 
 
@@ -173,7 +173,7 @@ def _unless_told(others: Sequence[int], names: Sequence[str]) -> str:
 def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:
     """The furthest value, its p-value, then the same without it, and so on."""
     left = np.arange(len(values))
-    found: list[_Step] = []
+    steps: list[_Step] = []
     for _ in range(most):
         chance = _chances(values[left], spool[left])
         if chance is None:
@@ -181,9 +181,9 @@ def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:
         furthest = int(np.argmin(chance))
         alike = np.flatnonzero(chance <= _ALIKE * chance[furthest])
         twins = tuple(int(left[twin]) for twin in alike if twin != furthest)
-        found.append(_Step(int(left[furthest]), float(chance[furthest]), twins))
+        steps.append(_Step(int(left[furthest]), float(chance[furthest]), twins))
         left = np.delete(left, furthest)
-    return found
+    return steps
 
 
 def _chances(values: Floats, spool: NDArray[np.intp]) -> Floats | None:

@@ -50,7 +50,7 @@ def with_shared(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> Nes
     A common cause moves all numbers at once, each by its own signed change, and so moves their
     mean by the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
     """
-    known = {name: [_of_result(each) for each in spools[name]] for name in mean.spool_means}
+    known = {name: [_of_result(spool) for spool in spools[name]] for name in mean.spool_means}
     means = {name: _mean_of(own) for name, own in known.items()}
     samples = _mean_of([each for own in known.values() for each in own])
     over_samples = _with(mean.over_samples, samples)
@@ -64,7 +64,9 @@ def with_shared(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> Nes
         chosen=chosen,
         over_samples=over_samples,
         over_spools=over_spools,
-        spool_means={name: _with(each, means[name]) for name, each in mean.spool_means.items()},
+        spool_means={
+            name: _with(spool_mean, means[name]) for name, spool_mean in mean.spool_means.items()
+        },
         decision=decision,
     )
 
@@ -72,20 +74,24 @@ def with_shared(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> Nes
 def _of_result(result: Result) -> _Shared:
     value = 0.0 if result.value is None else result.value
     estimate = value if result.estimate is None else result.estimate
-    changes = {each.cause: each.change for each in result.budget if each.is_common}
+    changes = {
+        contribution.cause: contribution.change
+        for contribution in result.budget
+        if contribution.is_common
+    }
     return _Shared(value - estimate, changes)
 
 
 def _mean_of(several: Sequence[_Shared]) -> _Shared:
     """Means, a cause that a result does not have counting as no change."""
-    causes = dict.fromkeys(cause for each in several for cause in each.changes)
+    causes = dict.fromkeys(cause for shared in several for cause in shared.changes)
     if not several:
         return _Shared(0.0, {})
     changes = {
-        cause: float(np.mean([each.changes.get(cause, 0.0) for each in several]))
+        cause: float(np.mean([shared.changes.get(cause, 0.0) for shared in several]))
         for cause in causes
     }
-    return _Shared(float(np.mean([each.off for each in several])), changes)
+    return _Shared(float(np.mean([shared.off for shared in several])), changes)
 
 
 def _with(mean: MeanInterval, shared: _Shared) -> MeanInterval:
@@ -102,7 +108,7 @@ def _with(mean: MeanInterval, shared: _Shared) -> MeanInterval:
 
 def standard_uncertainty(common: Sequence[Contribution]) -> float:
     """Standard uncertainty that independent causes make together."""
-    return hypot(*(each.change for each in common))
+    return hypot(*(contribution.change for contribution in common))
 
 
 def widened_by(interval: Interval, common: Sequence[Contribution]) -> Interval:

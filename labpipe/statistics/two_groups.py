@@ -93,7 +93,9 @@ def _error(mean: MeanInterval) -> float:
 
 
 def _over(common: Sequence[Contribution], size: float) -> tuple[Contribution, ...]:
-    return tuple(replace(each, change=each.change / size) for each in common)
+    return tuple(
+        replace(contribution, change=contribution.change / size) for contribution in common
+    )
 
 
 def half_of(contrast: Contrast, outside: float = 1.0 - LEVEL) -> float:
@@ -217,11 +219,11 @@ def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
       is real or not;
     - ``cannot tell`` when neither.
     """
-    apart = holm([each.p for each in differences])
-    alike = holm([each.p_equivalent for each in differences])
+    apart = holm([difference.p for difference in differences])
+    alike = holm([difference.p_equivalent for difference in differences])
     return [
-        _judged(family, each, *corrected)
-        for each, *corrected in zip(differences, apart, alike, strict=True)
+        _judged(family, difference, *corrected)
+        for difference, *corrected in zip(differences, apart, alike, strict=True)
     ]
 
 
@@ -302,7 +304,7 @@ def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | No
 
 def _shared(found: MeanInterval) -> tuple[str, ...]:
     """Which causes act on both groups alike."""
-    causes = ", ".join(each.cause for each in found.common)
+    causes = ", ".join(finding.cause for finding in found.common)
     said = f"both groups share {causes}: the interval holds what that changes in their difference"
     return (said,) if causes else ()
 

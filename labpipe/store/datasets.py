@@ -22,7 +22,7 @@ from h5py import h5d, h5ds, h5s
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from labpipe.errors import StoreError, complaint
+from labpipe.errors import StoreError, error_text
 from labpipe.records.arrays import Ints
 from labpipe.store import layout
 from labpipe.store.hdf5_objects import (
@@ -311,7 +311,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def _fault(file: object, place: str, expected: str, found: str, remedy: str) -> StoreError:
-    message = complaint(file, place, expected=expected, found=found, remedy=remedy)
+    message = error_text(file, place, expected=expected, found=found, remedy=remedy)
     return StoreError(message, code="bad_result")
 
 

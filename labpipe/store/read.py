@@ -23,7 +23,7 @@ from labpipe.records.curve import (
     Slip,
     SlipDecision,
 )
-from labpipe.records.drawn import DrawnLaw, DrawnShapes
+from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.recording import Recording
 from labpipe.records.result import (
     Contribution,
@@ -325,7 +325,7 @@ def _display(root: Any) -> dict[str, str]:
 
 
 def _inputs(raw: Any) -> tuple[InputFile, ...]:
-    found: dict[int, InputFile] = {}
+    inputs: dict[int, InputFile] = {}
     for role, group in raw.items():
         rows = zip(
             group.attrs[layout.INPUT_ORDER],
@@ -334,8 +334,8 @@ def _inputs(raw: Any) -> tuple[InputFile, ...]:
             group.attrs["bytes"],
             strict=True,
         )
-        found |= {int(i): InputFile(role, file, sha, int(size)) for i, file, sha, size in rows}
-    return tuple(found[number] for number in sorted(found))
+        inputs |= {int(i): InputFile(role, file, sha, int(size)) for i, file, sha, size in rows}
+    return tuple(inputs[number] for number in sorted(inputs))
 
 
 def _aligned(root: Any) -> Aligned | None:
@@ -412,12 +412,12 @@ def _results(root: Any) -> tuple[Result, ...]:
 
 def _budgets(root: Any) -> dict[str, list[Contribution]]:
     """Rows of the budgets by result; files from before there were budgets have none."""
-    found: dict[str, list[Contribution]] = {}
+    budgets: dict[str, list[Contribution]] = {}
     for row in rows(root, layout.BUDGETS, layout.BUDGET_TABLE):
         cause, change = row["cause"].decode(), float(row["change"])
         own = Contribution(cause, change, bool(row["is_common"]))
-        found.setdefault(row["result"].decode(), []).append(own)
-    return found
+        budgets.setdefault(row["result"].decode(), []).append(own)
+    return budgets
 
 
 def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution, ...]) -> Result:

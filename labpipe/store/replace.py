@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from labpipe.errors import StoreError, complaint
+from labpipe.errors import StoreError, error_text
 
 _CAUSES = {
     errno.ENOSPC: ("room on the disk", "a full disk", "Make room and process the test again."),
@@ -244,7 +244,7 @@ def storing(path: Path) -> Iterator[None]:
             error.errno or 0,
             ("a file that can be written", str(error), "Look at the disk and try again."),
         )
-        message = complaint(path, "", expected=expected, found=found, remedy=remedy)
+        message = error_text(path, "", expected=expected, found=found, remedy=remedy)
         is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         raise StoreError(message, code="disk_full" if is_full else "") from error
 
@@ -307,7 +307,7 @@ def _own(path: Path, end: float) -> int:
             if time.monotonic() < end:
                 time.sleep(_PAUSE)
                 continue
-            message = complaint(
+            message = error_text(
                 path.parent,
                 "",
                 expected="a folder that no other process is writing",

@@ -34,7 +34,7 @@ def reasons_in(glued: str) -> tuple[Reason, ...]:
     >>> reasons_in("drift: the zero drifts; at last; gap: 4 samples are missing")[1]
     Reason(code='gap', message='4 samples are missing')
     """
-    parted = (each.partition(": ") for each in _NEXT.split(glued) if each)
+    parted = (part.partition(": ") for part in _NEXT.split(glued) if part)
     return tuple(Reason(code, message) for code, _, message in parted)
 
 
@@ -51,8 +51,8 @@ def method_parts(method: str, results: Collection[str]) -> dict[str, str]:
     >>> method_parts("stiffness x length; 3 N of slips added back", ["stiffness"])
     {'method': 'stiffness x length', 'made_of': 'stiffness', 'remark': '3 N of slips added back'}
     """
-    found = _REMARK.fullmatch(method)
-    plain, remark = found.groups() if found else (method, "")
+    match = _REMARK.fullmatch(method)
+    plain, remark = match.groups() if match else (method, "")
     made_of = next((word for word in re.findall(r"[\w.]+", plain) if word in results), "")
     return {"method": plain, "made_of": made_of, "remark": remark}
 
@@ -80,7 +80,7 @@ def read_reasons(group: Any) -> tuple[Reason, ...]:
     if not has_attribute(group, layout.REASON_CODES):
         return reasons_in(text(group, "reason"))
     codes, messages = (texts(group, name) for name in (layout.REASON_CODES, layout.REASON_MESSAGES))
-    return tuple(Reason(*each) for each in zip(codes, messages, strict=True))
+    return tuple(Reason(*code) for code in zip(codes, messages, strict=True))
 
 
 def write_specimen(target: Target, specimen: Specimen) -> None:
@@ -288,7 +288,8 @@ def read_recording(group: Any) -> Recording:
 def _require_alike(recording: Recording) -> None:
     """Refuse, with a ValueError, what is not as long as its times."""
     pairs = [
-        (each.name, each.values, recording.clock(each.clock).time) for each in recording.channels
+        (channel.name, channel.values, recording.clock(channel.clock).time)
+        for channel in recording.channels
     ]
     if recording.markers is not None:
         time = recording.markers.time

@@ -10,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from labpipe.errors import StoreError, complaint
+from labpipe.errors import StoreError, error_text
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.result import Instrument, Result, Specimen, TestResult, seal_of
 from labpipe.store.replace import replacing
@@ -43,7 +43,7 @@ def summary(result: TestResult) -> dict[str, object]:
         ],
         "date": None if result.date is None else str(result.date),
         "operator": result.operator,
-        "instruments": [_instrument(each) for each in result.instruments],
+        "instruments": [_instrument(instrument) for instrument in result.instruments],
         "run": result.run,
         "made_of": {
             "sheet": sha256(result.test_yaml.encode()).hexdigest(),
@@ -143,12 +143,12 @@ def result_entry(result: Result) -> dict[str, object]:
         "method": result.how,
         "budget": [
             {
-                "cause": each.cause,
-                "change": _number(each.change),
+                "cause": contribution.cause,
+                "change": _number(contribution.change),
                 "share": _number(share),
-                "common": each.is_common,
+                "common": contribution.is_common,
             }
-            for each, share in zip(result.budget, result.shares, strict=True)
+            for contribution, share in zip(result.budget, result.shares, strict=True)
         ],
     }
 
@@ -172,7 +172,7 @@ def check_summary(result: TestResult, path: Path) -> None:
     for entry in read_summary(path)["results"]:
         if "seal" in entry and not entry["seal"] == sealed(entry) == seals.get(entry["name"]):
             raise StoreError(
-                complaint(
+                error_text(
                     path,
                     str(entry["name"]),
                     expected="the numbers of result.h5",
@@ -235,4 +235,4 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 def _no_summary(path: Path, found: str, remedy: str = "Process the test again.") -> StoreError:
     expected = "a summary of a processed test"
-    return StoreError(complaint(path, "", expected=expected, found=found, remedy=remedy))
+    return StoreError(error_text(path, "", expected=expected, found=found, remedy=remedy))

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.errors import StoreError, complaint
+from labpipe.errors import StoreError, error_text
 from labpipe.records.curve import Aligned, ClockFit, Curve, Interval, Shape
 from labpipe.records.result import Result, TestResult
 from labpipe.store import layout
@@ -86,7 +86,7 @@ def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArra
         except OSError:  # a checksum that does not fit
             is_whole = False
     if not is_whole:
-        message = complaint(
+        message = error_text(
             path,
             "",
             expected="to read back what was written",
@@ -127,10 +127,13 @@ def _write_circumstances(target: Target, result: TestResult) -> None:
     target.group.attrs[layout.DATE] = str(result.date or "")
     target.group.attrs[layout.OPERATOR] = result.operator
     rows = [
-        (each.channel, ", ".join(each.measures), each.certificate, str(each.calibrated),
-         str(each.due or ""), np.nan if each.uncertainty is None else each.uncertainty, each.k)
-        for each in result.instruments
-    ]  # fmt: skip
+        (
+            *(instrument.channel, ", ".join(instrument.measures), instrument.certificate),
+            *(str(instrument.calibrated), str(instrument.due or "")),
+            *(np.nan if instrument.uncertainty is None else instrument.uncertainty, instrument.k),
+        )
+        for instrument in result.instruments
+    ]
     if rows:
         target.inside(layout.INSTRUMENTS).columns(layout.INSTRUMENT_TABLE, rows)
 
@@ -196,7 +199,7 @@ def _write_curve(target: Target, result: TestResult, curve: Curve) -> None:
 
 def _rows(records: Iterable[object], table: Table) -> list[tuple[Any, ...]]:
     """Rows of a table; ``drop_lower`` is the lower end of a record's ``drop_interval``."""
-    return [tuple(_cell(each, column) for column in table.columns) for each in records]
+    return [tuple(_cell(record, column) for column in table.columns) for record in records]
 
 
 def _cell(record: object, column: str) -> Any:
@@ -234,21 +237,28 @@ def _write_results(target: Target, results: tuple[Result, ...]) -> None:
 def _write_table(target: Target, results: tuple[Result, ...]) -> None:
     """The results as columns; what is not available is NaN, and `code` and `reason` say why."""
     rows = []
-    for each in results:
-        interval = each.interval or Interval(np.nan, np.nan, np.nan)
-        numbers = (each.value, each.likely, interval.lower, interval.upper)
+    for result in results:
+        interval = result.interval or Interval(np.nan, np.nan, np.nan)
+        numbers = (result.value, result.likely, interval.lower, interval.upper)
         rows.append((
-            each.name, *(np.nan if number is None else number for number in numbers), each.unit,
-            interval.level, str(each.status), ", ".join(each.codes), each.why,
+            result.name, *(np.nan if number is None else number for number in numbers), result.unit,
+            interval.level, str(result.status), ", ".join(result.codes), result.why,
         ))  # fmt: skip
     target.columns(layout.RESULT_COLUMNS, rows)
 
 
 def _write_budgets(target: Target, results: tuple[Result, ...]) -> None:
     rows = [
-        (result.name, each.cause, each.change, result.unit, share, each.is_common)
+        (
+            result.name,
+            contribution.cause,
+            contribution.change,
+            result.unit,
+            share,
+            contribution.is_common,
+        )
         for result in results
-        for each, share in zip(result.budget, result.shares, strict=True)
+        for contribution, share in zip(result.budget, result.shares, strict=True)
     ]
     if rows:
         target.inside(layout.BUDGETS).columns(layout.BUDGET_TABLE, rows)

@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, UsageError, complaint
+from labpipe.errors import ProcessingError, UsageError, error_text
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
 from labpipe.records.arrays import Flags
@@ -78,7 +78,7 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
 
 
 def _bundles(group: Group) -> list[Bundle]:
-    return [bundle for each in group.samples if (bundle := _bundle_of(each)) is not None]
+    return [bundle for sample in group.samples if (bundle := _bundle_of(sample)) is not None]
 
 
 def _bundle_of(sample: Sample) -> Bundle | None:
@@ -115,7 +115,7 @@ def _model(
 
 
 def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
-    result = next((each for each in sample.results if each.name == STIFFNESS), None)
+    result = next((result for result in sample.results if result.name == STIFFNESS), None)
     value = None if result is None else result.value
     interval = None if result is None else result.interval
     reasons: tuple[Reason, ...] = (Reason("no_result", f"the test has no {STIFFNESS}"),)
@@ -133,7 +133,7 @@ def _without(place: BundlePlace, code: str, message: str) -> BundlePlace:
 
 
 def _of_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
-    number = next((each for each in group.numbers if each.name == STIFFNESS), None)
+    number = next((number for number in group.numbers if number.name == STIFFNESS), None)
     mean = None if number is None or number.mean is None else number.mean.chosen
     value = None if mean is None else mean.mean
     place = BundlePlace(group.name, "", value, mean.interval if mean else None)
@@ -246,7 +246,7 @@ def model_bundle(
         the bundle fits no conduit; earlier results are then as they were.
     """
     if arrangement not in (None, *ARRANGEMENTS):
-        message = complaint(
+        message = error_text(
             "--arrangement",
             "",
             expected=f"one of {', '.join(ARRANGEMENTS)}",
@@ -261,7 +261,7 @@ def model_bundle(
     try:
         model = _in_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
     except ValueError as error:
-        message = complaint(
+        message = error_text(
             what,
             "",
             expected="a bundle whose wires lie beside each other, inside its conduit",
@@ -314,7 +314,7 @@ def _bundle(what: str, arrangement: str | None) -> tuple[str, Bundle]:
 
 
 def _no_bundle(file: Path | str) -> str:
-    return complaint(
+    return error_text(
         file,
         "specimen",
         expected="a bundle",
@@ -328,7 +328,7 @@ def _tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
     specs = {spec.name: spec for spec in read_wire_sheet(wires)}
     missing = [wire.type for wire in bundle.wires if wire.type not in specs]
     if missing:
-        message = complaint(
+        message = error_text(
             wires,
             "",
             expected=f"a row for each wire of the bundle, {', '.join(missing)} too",
@@ -343,7 +343,7 @@ def _table(wires: Path, name: str, specs: dict[str, WireSpec]) -> WireTable:
     try:
         return wire_table(specs[name])
     except ValueError as error:
-        message = complaint(
+        message = error_text(
             wires,
             specs[name].place,
             expected=f"a wire {name!r} that can be modelled",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.process.targets import RESULT_FILE
+from labpipe.process.output_paths import RESULT_FILE
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Ints
 from labpipe.records.curve import Curve
@@ -58,7 +58,7 @@ def loop_of(test: TestResult) -> BundleLoop:
         If the test has no curve, neither length nor span, or no kink.
     """
     curve, dimensions = test.curve, test.specimen.dimensions
-    values = {each.name: each.value for each in test.results}
+    values = {result.name: result.value for result in test.results}
     kink = values.get("kink_displacement"), values.get("kink_force")
     if curve is None or not curve.branches:
         message = "the test has no curve with branches"

@@ -13,7 +13,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.decks import write_decks
 from labpipe.errors import ProcessingError
-from labpipe.process.targets import find_results, refuse_repeated, shared_folder
+from labpipe.process.output_paths import find_results, refuse_repeated, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
@@ -32,7 +32,7 @@ from labpipe.records.wire_calibration import (
     Solution,
 )
 from labpipe.report.calibration_figures import calibration_drawings, save_calibration_figures
-from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
+from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.report.saving import pngs_of
 from labpipe.store.replace import locked, replacing_together
@@ -137,8 +137,8 @@ def calibration_json(
         "labpipe": __version__,
         "wire": calibration.wire,
         "method": calibration.method,
-        "parameters": [_parameter(each) for each in calibration.parameters],
-        "solutions": [_solution(each) for each in calibration.solutions],
+        "parameters": [_parameter(parameter) for parameter in calibration.parameters],
+        "solutions": [_solution(solution) for solution in calibration.solutions],
         "widening": calibration.widening,
         "tested_curvature": _number(tested),
         "correlations": {
@@ -153,8 +153,8 @@ def calibration_json(
         "sse": calibration.sse,
         "rmse": calibration.rmse,
         "rmse_share": calibration.rmse_share,
-        "curves": [_curve(each) for each in calibration.curves],
-        "groups": [_group(each) for each in groups],
+        "curves": [_curve(curve) for curve in calibration.curves],
+        "groups": [_group(group) for group in groups],
         "left_out": dict(left_out),
         "quality": [asdict(note) for note in calibration.notes],
     }
@@ -344,19 +344,19 @@ def calibrate_tests(
     loadings, left_out = read_first_loadings(files, points=asked.points, up_to=asked.up_to, say=say)
     if not loadings:
         raise ProcessingError("\n".join(left_out.values()))
-    refuse_repeated([(each.curve.test, each.file) for each in loadings], "name")
+    refuse_repeated([(loading.curve.test, loading.file) for loading in loadings], "name")
     loadings, copies = without_copies(loadings)
     name = wire_to_calibrate(loadings, asked, plan)
     require_known(loadings, specs, wires)
-    tested = {each.curve.wire for each in loadings}
-    asked_for = sorted(tested | {each.wire for each in curves})
+    tested = {loading.curve.wire for loading in loadings}
+    asked_for = sorted(tested | {curve.wire for curve in curves})
     built = {wire: built_wire(specs[wire], wires) for wire in asked_for}
-    said = [each for each in loadings if each.curve.wire == name]
+    said = [loading for loading in loadings if loading.curve.wire == name]
     weight = weight_note(said, built[name].self_weight)
-    loadings = [with_weight(each, built[each.curve.wire].self_weight) for each in loadings]
-    own = [each for each in loadings if each.curve.wire == name]
+    loadings = [with_weight(loading, built[loading.curve.wire].self_weight) for loading in loadings]
+    own = [loading for loading in loadings if loading.curve.wire == name]
     say("calibration")
-    tables = [each.table for each in sheet.curves[name].values()]
+    tables = [curve.table for curve in sheet.curves[name].values()]
     calibration = _calibration(built[name], own, asked, tables)
     measured = [each.curve for each in own]
     reach = tested_curvature(built[name], calibration.solutions[0].values, measured)
@@ -378,7 +378,7 @@ def calibrate_tests(
     if figures:
         wire = built_wire(calibrated_spec(specs[name], calibration), wires)
         done = replace(done, shapes=_shapes(own[0], wire))
-    calibrated = [calibrated_spec(specs[each], calibration) for each in sorted(tested)]
+    calibrated = [calibrated_spec(specs[test], calibration) for test in sorted(tested)]
     return replace(done, files=_write(done, calibrated, say, figures=figures, png=png))
 
 
@@ -394,7 +394,9 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
     -------
     The wire; the radial force is what goes with its friction coefficients.
     """
-    return with_values(spec, {each.name: each.value for each in calibration.parameters})
+    return with_values(
+        spec, {parameter.name: parameter.value for parameter in calibration.parameters}
+    )
 
 
 def _calibration(
@@ -402,10 +404,10 @@ def _calibration(
 ) -> Calibration:
     settings = Settings(
         choices=_choices(asked),
-        gain=max(each.gain for each in own),
+        gain=max(first_loading.gain for first_loading in own),
         scatter=asked.scatter,
     )
-    found = calibrate(wire, [each.curve for each in own], settings)
+    found = calibrate(wire, [first_loading.curve for first_loading in own], settings)
     if isinstance(found, CalibrationFailure):
         message = (
             f"the calibration of {own[0].curve.wire} failed ({found.code}): {found.message}. "
@@ -417,7 +419,7 @@ def _calibration(
                 f"are missing, or the plan a smaller up_to."
             )
         raise ProcessingError(message)
-    notes = (*found.notes, *(note for each in own for note in each.notes))
+    notes = (*found.notes, *(note for first_loading in own for note in first_loading.notes))
     return replace(found, notes=notes)
 
 
@@ -480,5 +482,5 @@ def as_json(done: Calibrated) -> dict[str, object]:
     """
     found = calibration_json(*(done.calibration, done.groups, done.left_out), done.tested_curvature)
     stated = {column: curve.as_json() for column, curve in done.stress_tables.items()}
-    compared = [comparison_json(each) for each in done.comparisons]
+    compared = [comparison_json(comparison) for comparison in done.comparisons]
     return found | {"comparisons": compared, "stress_tables": stated}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, UsageError, complaint, nearest
+from labpipe.errors import ReadError, UsageError, error_text, nearest
 from labpipe.protocol.plans import COPY_IT, CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.quality import QualityNote, Severity
@@ -20,7 +20,7 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.report.calibration_summary import ValidationGroup
 from labpipe.studies.first_loadings import FirstLoading
 from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.calibration.measured_curves import DEEPEST, match
@@ -52,31 +52,31 @@ def read_external_curves(
         in one message.
     """
     folder = Path() if plan is None else plan.parent
-    found, faults = [], []
-    for each in asked.comparisons:
-        if each.wire not in specs:
-            message = complaint(
+    external_curves, faults = [], []
+    for comparison in asked.comparisons:
+        if comparison.wire not in specs:
+            message = error_text(
                 plan or "plan",
-                f"comparison '{each.name}', wire",
-                expected=f"a wire of {wires} ({', '.join(nearest(each.wire, list(specs)))})",
-                found=f"'{each.wire}'",
+                f"comparison '{comparison.name}', wire",
+                expected=f"a wire of {wires} ({', '.join(nearest(comparison.wire, list(specs)))})",
+                found=f"'{comparison.wire}'",
                 remedy="Name the wire that the curve is of, or add it to the sheet.",
             )
             faults.append(message)
         try:
-            found.append(_read(each, folder))
+            external_curves.append(_read(comparison, folder))
         except ReadError as error:
             faults.append(str(error))
     if faults:
         raise UsageError("\n".join(faults))
-    return tuple(found)
+    return tuple(external_curves)
 
 
 def _read(each: Comparison, folder: Path) -> ExternalCurve:
     path = folder / each.file
     if not path.resolve().is_relative_to(folder.resolve()):
         expected, found = "a file inside the folder of the plan", "a link out of it"
-        raise ReadError(complaint(path, "", expected=expected, found=found, remedy=COPY_IT))
+        raise ReadError(error_text(path, "", expected=expected, found=found, remedy=COPY_IT))
     across, up = each.deflection, each.force
     deflection, force = read_curve(
         path,
@@ -111,7 +111,7 @@ def compare_external_curves(
             curve,
             calibration,
             wires[curve.wire],
-            next((each for each in groups if _is_of(curve, each.wire, each.length)), None),
+            next((group for group in groups if _is_of(curve, group.wire, group.length)), None),
             loadings,
         )
         for curve in curves
@@ -124,7 +124,11 @@ def _is_of(curve: ExternalCurve, wire: str, length: float) -> bool:
 
 def _string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
     """String of the tests of that wire and length, else that of the first test, over the tip."""
-    own = [each.curve for each in loadings if _is_of(curve, each.curve.wire, each.curve.length)]
+    own = [
+        loading.curve
+        for loading in loadings
+        if _is_of(curve, loading.curve.wire, loading.curve.length)
+    ]
     if own:
         return own[0].rig
     rig = loadings[0].curve.rig
@@ -182,7 +186,7 @@ def _load_notes(
     if pulled is None or prediction is None:
         return
     ends = (curve.deflection, pulled.deflection, prediction.deflection)
-    at = min(float(each[-1]) for each in ends)
+    at = min(float(end[-1]) for end in ends)
     one, other = (
         float(np.interp(at, each.deflection, each.force)) for each in (pulled, prediction)
     )

@@ -29,7 +29,7 @@ from labpipe.records.wire import WireSpec
 from labpipe.results.moment_curvature import at_rest, notes_of
 from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import read_stages
-from labpipe.uncertainty.noise import long_run_variance
+from labpipe.uncertainty.autocorrelation import long_run_variance
 from labpipe.units import GRAVITY
 from labpipe.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.wire.cantilever import StringRig
@@ -101,13 +101,13 @@ def scale_errors(result: TestResult) -> tuple[float, float]:
     From the budget of the first peak. Of a peak without one, as earlier versions stored it, all of
     its interval counts as common; without an interval nothing is known, and both are 0.
     """
-    peak = next((each for each in result.results if each.name == "peak_displacement.1"), None)
+    peak = next((result for result in result.results if result.name == "peak_displacement.1"), None)
     if peak is None or peak.interval is None or not peak.value:
         return 0.0, 0.0
     size = abs(peak.value)
     if not peak.budget:
         return peak.interval.standard_error / size, 0.0
-    changes = {each.cause: each.change / size for each in peak.budget}
+    changes = {contribution.cause: contribution.change / size for contribution in peak.budget}
     common, own = (hypot(*(changes.get(cause, 0.0) for cause in some)) for some in (_ALIKE, _OWN))
     return common, own
 
@@ -369,7 +369,7 @@ def weight_note(loadings: Sequence[FirstLoading], self_weight: float) -> Quality
     loadings : of one wire, as they were read
     self_weight : N/m, of the wire by its row in the sheet of wires
     """
-    without = [each.curve.test for each in loadings if each.curve.self_weight == 0.0]
+    without = [loading.curve.test for loading in loadings if loading.curve.self_weight == 0.0]
     if not without:
         return None
     count = f"{len(without)} of {len(loadings)} test sheets do not say"
@@ -448,7 +448,7 @@ def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
     if not first:
         message = "it has no first loading: no branch was found"
         raise NotUsableError(message)
-    peak = next((each for each in result.results if each.name == "peak_force.1"), None)
+    peak = next((result for result in result.results if result.name == "peak_force.1"), None)
     if peak is not None and peak.status is Status.FAILED:
         message = f"its first loading failed: {peak.why}"
         raise NotUsableError(message)
@@ -472,10 +472,10 @@ def _gain(protocol: Protocol) -> float:
 def _doubts(result: TestResult) -> list[QualityNote]:
     """Say what of the curve is doubtful: results of the first cycle that rest on all of it."""
     reasons = {
-        each.why
-        for each in result.results
-        if each.status is Status.DOUBTFUL
-        and each.name in ("peak_force.1", "peak_displacement.1", "energy.1")
+        result.why
+        for result in result.results
+        if result.status is Status.DOUBTFUL
+        and result.name in ("peak_force.1", "peak_displacement.1", "energy.1")
     }
     return [
         QualityNote("test_doubtful", Severity.WARNING, result.test, f"taken as it is: {reason}")

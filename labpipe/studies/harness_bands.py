@@ -16,10 +16,12 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.rod.bands import LineBands, bands_of
-from labpipe.rod.beliefs import Belief
+from labpipe.rod.input_distributions import InputDistribution
 from labpipe.rod.path import RodPath
 from labpipe.rod.response import Band, Fields, Response, band_of, respond, sizes
-from labpipe.studies.harness_fields import (
+from labpipe.studies.harness_line import Inputs, PreparedLine
+from labpipe.studies.harness_numbers import numbers_of, size_of
+from labpipe.studies.harness_responses import (
     ON_THE_WAY,
     PLACES,
     RADIUS,
@@ -27,11 +29,9 @@ from labpipe.studies.harness_fields import (
     measured,
     names_of,
 )
-from labpipe.studies.harness_line import Inputs, Laid
-from labpipe.studies.harness_numbers import numbers_of, size_of
 from labpipe.studies.harness_section import Material
 
-Followed = tuple[RodPath, Laid]
+Followed = tuple[RodPath, PreparedLine]
 FollowLine = Callable[[int, Inputs], Followed]
 """Lay a line and follow it: number of the belief, and inputs."""
 MOST_OFF = 0.5
@@ -81,7 +81,7 @@ def harness_bands(
         return None
     limit = material.limit
     line = bands_of(
-        [each.path for each in solves], material.beliefs, at=steps, tested_curvature=limit
+        [solve.path for solve in solves], material.beliefs, at=steps, tested_curvature=limit
     )
     if line is None:
         return None
@@ -93,7 +93,7 @@ def harness_bands(
 
 
 def _band(found: Sequence[_Drawn], name: str) -> Band:
-    by = {each.response: each for each in found}
+    by = {finding.response: finding for finding in found}
     return band_of(list(by), lambda each: (by[each].value[name], by[each].drawn[name]))
 
 
@@ -163,7 +163,7 @@ class _Drawn:
             yield row, None if fields is None else self.numbers(fields.__getitem__)
 
 
-def whole_draws(belief: Belief) -> tuple[int, ...]:
+def whole_draws(belief: InputDistribution) -> tuple[int, ...]:
     """Rows of draws that stand for all: of some sizes, in whatever direction they lie.
 
     None where there is but one cause: then nothing is added.
@@ -185,14 +185,14 @@ def _doubt(found: Sequence[_Drawn], bands: Mapping[str, Band]) -> Reason | None:
     scales = _scales(path, laid)
     squares: dict[str, list[float]] = {}
     count = lost = 0
-    for each in found:
-        for row, numbers in each.whole():
+    for finding in found:
+        for row, numbers in finding.whole():
             count += 1
             lost += numbers is None
             for name, number in (numbers or {}).items():
-                times = _off(number, each.drawn[name], row, bands[name], scales[name])
+                times = _off(number, finding.drawn[name], row, bands[name], scales[name])
                 squares.setdefault(name, []).append(times**2)
-    off = {name: math.sqrt(sum(each) / len(each)) for name, each in squares.items()}
+    off = {name: math.sqrt(sum(square) / len(square)) for name, square in squares.items()}
     most = max(off, key=lambda each: off[each], default=_SHAPE)
     if not lost and off.get(most, 0.0) <= MOST_OFF:
         return None
@@ -209,9 +209,9 @@ def _doubt(found: Sequence[_Drawn], bands: Mapping[str, Band]) -> Reason | None:
     return Reason("causes_do_not_add", message)
 
 
-def _scales(path: RodPath, laid: Laid) -> dict[str, float]:
+def _scales(path: RodPath, laid: PreparedLine) -> dict[str, float]:
     """Of each number and the shape, how little of it is rounding."""
-    units = {each.name: each.unit for each in numbers_of(path, laid)} | {_SHAPE: "m"}
+    units = {number.name: number.unit for number in numbers_of(path, laid)} | {_SHAPE: "m"}
     units |= dict.fromkeys((RADIUS, ON_THE_WAY), "1/m")
     return {name: _ROUNDING * size_of(unit, laid.line) for name, unit in units.items()}
 

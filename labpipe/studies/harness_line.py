@@ -34,6 +34,7 @@ from labpipe.protocol.harness_reach import first_anchor, legs_of, start_of
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Line, Section, line_along
+from labpipe.rod.ring_contact import nearest_place, point_at
 from labpipe.rod.rotations import (
     from_rotation_vectors,
     matrices,
@@ -42,7 +43,6 @@ from labpipe.rod.rotations import (
     shortest_turns,
     unit,
 )
-from labpipe.rod.threaded import nearest_place, point_at
 
 LENGTH_FACTOR = "length_factor"
 """Logarithm of what the length of the line is multiplied by."""
@@ -57,7 +57,7 @@ _UPWARD = 0.9  # share of a direction along z from which on x is taken for upwar
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class PreparedLine:
     """A line with all that holds and moves it, ready to be followed.
 
     Parameters
@@ -74,7 +74,7 @@ class Laid:
 
 def laid(
     harness: HarnessFile, section: Section, inputs: Inputs, *, length: float | None = None
-) -> Laid:
+) -> PreparedLine:
     """Lay a line as a harness says.
 
     Parameters
@@ -91,9 +91,9 @@ def laid(
     """
     stations = _stations(harness, harness.line.length if length is None else length)
     places = {
-        each.name: int(np.argmin(np.abs(stations - min(each.at, stations[-1]))))
-        for each in harness.boundaries
-        if not isinstance(each, Ring | Plane)
+        boundary.name: int(np.argmin(np.abs(stations - min(boundary.at, stations[-1]))))
+        for boundary in harness.boundaries
+        if not isinstance(boundary, Ring | Plane)
     }
     stations = stations * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0)))
     line = _line(harness, section, stations)
@@ -102,7 +102,7 @@ def laid(
         natural = line.natural.copy()
         natural[:, :2] += free @ _bend_axes(line, harness.line.spool)
         line = Line(line.lengths, section, line.positions, line.frames, natural)
-    return Laid(line, tuple(_boundaries(harness, line, places)), places)
+    return PreparedLine(line, tuple(_boundaries(harness, line, places)), places)
 
 
 def _bend_axes(line: Line, spool: Spool | None) -> Floats:
@@ -119,7 +119,7 @@ def _bend_axes(line: Line, spool: Spool | None) -> Floats:
 
 def _stations(harness: HarnessFile, length: float) -> Floats:
     """Where the nodes are, m: elements of one length between any two places that are named."""
-    named = (getattr(each, "at", 0.0) for each in harness.boundaries)
+    named = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
     marks = sorted({0.0, length, *(min(place, length) for place in named)})
     count = harness.line.elements
     parts = [
@@ -167,24 +167,26 @@ def _boundaries(
     harness: HarnessFile, line: Line, nodes: Mapping[str, int]
 ) -> Iterator[rod.Boundary]:
     steps = harness.steps
-    for each in harness.boundaries:
-        match each:
+    for boundary in harness.boundaries:
+        match boundary:
             case Clip() | Pin() | Grip():
-                yield _held(each, line, nodes[each.name], steps)
+                yield _held(boundary, line, nodes[boundary.name], steps)
             case Ring():
-                path = _brought(_nearest(line, each), each.position, each.by or steps, steps)
-                yield rod.Ring(path, np.array(each.direction), name=each.name)
+                path = _brought(
+                    _nearest(line, boundary), boundary.position, boundary.by or steps, steps
+                )
+                yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
             case String():
-                node = nodes[each.name]
-                first = first_anchor(each, _as_tuple(line.positions[node]))
-                path = _brought(np.array(first), each.anchor, each.by or steps, steps)
-                yield rod.String(node, path, each.length, name=each.name)
+                node = nodes[boundary.name]
+                first = first_anchor(boundary, _as_tuple(line.positions[node]))
+                path = _brought(np.array(first), boundary.anchor, boundary.by or steps, steps)
+                yield rod.String(node, path, boundary.length, name=boundary.name)
             case Load():
-                force = _ramp(each.by or steps, steps)[:, None] * np.array(each.force)
-                yield rod.Load(nodes[each.name], force, name=each.name)
+                force = _ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
+                yield rod.Load(nodes[boundary.name], force, name=boundary.name)
             case Plane():
-                table = np.array(each.point), np.array(each.normal)
-                yield rod.Plane(*table, each.friction, name=each.name)
+                table = np.array(boundary.point), np.array(boundary.normal)
+                yield rod.Plane(*table, boundary.friction, name=boundary.name)
     if any(harness.gravity) and line.section.mass_per_length > 0.0:
         yield rod.Gravity(_weight(harness), name="weight")
 
@@ -213,7 +215,7 @@ def _weight(harness: HarnessFile) -> Floats:
     A taut line that keeps its length has no tension that its weight could give it.
     """
     whole = np.array(harness.gravity)
-    if sum(isinstance(each, HELD) for each in harness.boundaries) < 2:
+    if sum(isinstance(boundary, HELD) for boundary in harness.boundaries) < 2:
         return whole
     share = _ramp(max(1, harness.steps // _SHARE_OF_STEPS), harness.steps)
     return np.asarray(share[:, None] * whole)

@@ -17,7 +17,8 @@ from labpipe.records.result import Result, Status
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
-from labpipe.studies.harness_fields import (
+from labpipe.studies.harness_line import PreparedLine
+from labpipe.studies.harness_responses import (
     BACK,
     FORCE,
     HOLDS,
@@ -33,9 +34,8 @@ from labpipe.studies.harness_fields import (
     heights_of,
     measured,
 )
-from labpipe.studies.harness_line import Laid
-from labpipe.studies.harness_memory import kept_curvature, unbent, unloading_reason
 from labpipe.studies.harness_section import Material
+from labpipe.studies.residual_curvature import kept_curvature, unbent, unloading_reason
 
 DIAMETERS = 5.0
 """Outer diameters that the allowed bend radius is assumed to be where it is not stated."""
@@ -153,19 +153,19 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     line : that was followed
     material : with the curvature and the stretch up to which its law is backed
     """
-    found = [Reason(each.code, _in_places(each.sentence, line)) for each in path.reasons]
+    reasons = [Reason(reason.code, _in_places(reason.sentence, line)) for reason in path.reasons]
     if not path.states:
-        return tuple(found)
+        return tuple(reasons)
     bent = np.array([state.bendings for state in path.states])
     row, node = divmod(int(np.argmax(bent)), bent.shape[1])
-    known = {each.code for each in found}
+    known = {finding.code for finding in reasons}
     if bent[row, node] > material.limit and "beyond_law" not in known:
         message = (
             f"step {row}, {_mm(line.stations[node])} from the start: the line is bent to "
             f"{bent[row, node]:.4g} 1/m, its law is backed up to {material.limit:.4g} 1/m by "
             f"{material.limit_words}"
         )
-        found.append(Reason("beyond_backed", message))
+        reasons.append(Reason("beyond_backed", message))
     stretches = np.abs([state.stretches for state in path.states])
     row, element = divmod(int(np.argmax(stretches)), stretches.shape[1])
     if stretches[row, element] > material.stretch_limit:
@@ -174,8 +174,8 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
             f"{100.0 * stretches[row, element]:.2g} %, its axial stiffness is backed up to "
             f"{100.0 * material.stretch_limit:.2g} %, where copper yields"
         )
-        found.append(Reason("beyond_stretch", message))
-    return tuple(found)
+        reasons.append(Reason("beyond_stretch", message))
+    return tuple(reasons)
 
 
 def _in_places(sentence: str, line: Line) -> str:
@@ -191,12 +191,12 @@ def _in_places(sentence: str, line: Line) -> str:
     )
     said = re.sub(
         r"with its node (\d+)",
-        lambda each: (
-            f"with its end {place(each[1])} from the start: put it further in, or move less"
+        lambda sentence: (
+            f"with its end {place(sentence[1])} from the start: put it further in, or move less"
         ),
         said,
     )
-    return re.sub(r"\bnode (\d+)", lambda each: f"{place(each[1])} from the start", said)
+    return re.sub(r"\bnode (\d+)", lambda sentence: f"{place(sentence[1])} from the start", said)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +213,7 @@ class Doubt:
     names: tuple[str, ...]
 
 
-def jump_doubt(path: RodPath, laid: Laid) -> Doubt | None:
+def jump_doubt(path: RodPath, laid: PreparedLine) -> Doubt | None:
     """Why numbers that remember the way are doubtful, if they are: much was lost in jumps.
 
     Parameters
@@ -268,7 +268,7 @@ def element_doubt(path: RodPath, line: Line) -> Doubt | None:
     return Doubt(Reason("coarse_elements", message), names)
 
 
-def unloading_doubt(path: RodPath, laid: Laid) -> Doubt | None:
+def unloading_doubt(path: RodPath, laid: PreparedLine) -> Doubt | None:
     """Why numbers that hang on the way back are doubtful, if they are.
 
     Parameters
@@ -291,7 +291,7 @@ def unloading_doubt(path: RodPath, laid: Laid) -> Doubt | None:
     return Doubt(reason, tuple(names))
 
 
-def _of_let_go(laid: Laid) -> tuple[str, ...]:
+def _of_let_go(laid: PreparedLine) -> tuple[str, ...]:
     """Names of what is its shape where a line was let go."""
     return (BACK, RADIUS, LOWEST) if any(map(_lets_go, laid.boundaries)) else ()
 
@@ -338,7 +338,7 @@ def size_of(unit: str, line: Line) -> float:
     ]
 
 
-def numbers_of(path: RodPath, laid: Laid) -> tuple[Number, ...]:
+def numbers_of(path: RodPath, laid: PreparedLine) -> tuple[Number, ...]:
     """The numbers of a harness at its last step, and of the whole way.
 
     Parameters
@@ -371,16 +371,17 @@ def results_of(
     doubts : why some of them are
     """
     return tuple(
-        _result(each, (*reasons, *_own(each, doubts)), intervals.get(each.name)) for each in numbers
+        _result(number, (*reasons, *_own(number, doubts)), intervals.get(number.name))
+        for number in numbers
     )
 
 
 def _own(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
     """Why this number is doubtful, of the doubts that touch some."""
-    for each in doubts:
-        is_meant = number.name != ON_THE_WAY or ON_THE_WAY in each.names
-        if number.name.startswith(each.names) and is_meant:
-            yield each.reason
+    for doubt in doubts:
+        is_meant = number.name != ON_THE_WAY or ON_THE_WAY in doubt.names
+        if number.name.startswith(doubt.names) and is_meant:
+            yield doubt.reason
 
 
 def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | None) -> Result:
@@ -395,7 +396,7 @@ def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | No
 _STRAIGHT_REASON = Reason("straight", "the line is straight: it has no bend radius")
 
 
-def _bends(path: RodPath, laid: Laid, lowest: float) -> Iterator[Number]:
+def _bends(path: RodPath, laid: PreparedLine, lowest: float) -> Iterator[Number]:
     last, line = len(path.states) - 1, laid.line
     end, way = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
     yield Number(RADIUS, end.radius, "m", f"{_mm(end.place)} from the start")
@@ -405,23 +406,23 @@ def _bends(path: RodPath, laid: Laid, lowest: float) -> Iterator[Number]:
     yield Number(LOWEST, lowest, "m", f"{_mm(line.stations[node])} from the start")
 
 
-def _forces(path: RodPath, laid: Laid, value: Callable[[str], float]) -> Iterator[Number]:
-    sizes = np.array([np.linalg.norm(each.reaction_forces, axis=1) for each in path.states])
-    for number, each in enumerate(laid.boundaries):
-        if not isinstance(each, HOLDS):
+def _forces(path: RodPath, laid: PreparedLine, value: Callable[[str], float]) -> Iterator[Number]:
+    sizes = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
+    for number, boundary in enumerate(laid.boundaries):
+        if not isinstance(boundary, HOLDS):
             continue
         most = int(np.argmax(sizes[:, number]))
         way = f"largest on the way: {sizes[most, number]:.4g} N at step {most}"
-        yield Number(f"{FORCE}{each.name}", value(f"{FORCE}{each.name}"), "N", way)
-        if isinstance(each, rod.Held) and each.frame is not None:
-            yield Number(f"{MOMENT}{each.name}", value(f"{MOMENT}{each.name}"), "N*m", "")
+        yield Number(f"{FORCE}{boundary.name}", value(f"{FORCE}{boundary.name}"), "N", way)
+        if isinstance(boundary, rod.Held) and boundary.frame is not None:
+            yield Number(f"{MOMENT}{boundary.name}", value(f"{MOMENT}{boundary.name}"), "N*m", "")
 
 
-def _kept(path: RodPath, laid: Laid, value: Callable[[str], float]) -> Iterator[Number]:
-    for each in laid.boundaries:
-        if isinstance(each, rod.Held) and each.release is not None:
-            way = f"of its place, from step {each.release - 1}, the last in which it was held"
-            yield Number(f"{BACK}{each.name}", value(f"{BACK}{each.name}"), "m", way)
+def _kept(path: RodPath, laid: PreparedLine, value: Callable[[str], float]) -> Iterator[Number]:
+    for boundary in laid.boundaries:
+        if isinstance(boundary, rod.Held) and boundary.release is not None:
+            way = f"of its place, from step {boundary.release - 1}, the last in which it was held"
+            yield Number(f"{BACK}{boundary.name}", value(f"{BACK}{boundary.name}"), "m", way)
     kept = kept_curvature(path.last, laid.line.section.law)
     node = int(np.argmax(kept))
     where = f"{_mm(laid.line.stations[node])} from the start; {_LET_GO}"

@@ -13,16 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, ReadError, UsageError, complaint, nearest
+from labpipe.errors import ProcessingError, ReadError, UsageError, error_text, nearest
 from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.protocol.harness_file import HarnessFile, SectionBlock
 from labpipe.protocol.harness_reach import file_beside
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
-from labpipe.rod.beliefs import Belief, calibrated_beliefs, joined, known
+from labpipe.rod.input_distributions import (
+    InputDistribution,
+    calibrated_distributions,
+    joined,
+    known,
+)
 from labpipe.rod.line import Section
-from labpipe.studies.calibrated_file import CalibratedFile, read_calibrated
+from labpipe.studies.calibration_file import CalibratedFile, read_calibrated
 from labpipe.studies.harness_line import FREE_CURVATURES
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.law_family import (
@@ -68,7 +73,7 @@ class Material:
     limit_words: str
     files: tuple[InputFile, ...] = ()
     notes: tuple[QualityNote, ...] = ()
-    beliefs: tuple[Belief, ...] = ()
+    beliefs: tuple[InputDistribution, ...] = ()
     stretch_limit: float = np.inf
 
     @property
@@ -106,7 +111,9 @@ def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> 
     return replace(found, beliefs=_with_stated(found.beliefs, harness))
 
 
-def _with_stated(beliefs: tuple[Belief, ...], harness: HarnessFile) -> tuple[Belief, ...]:
+def _with_stated(
+    beliefs: tuple[InputDistribution, ...], harness: HarnessFile
+) -> tuple[InputDistribution, ...]:
     """Beliefs of a calibration with what the file states beside them."""
     stated = {LAW_FACTOR: harness.line.section.stiffness_uncertainty or 0.0}
     if harness.line.spool is not None:
@@ -118,7 +125,7 @@ def _with_stated(beliefs: tuple[Belief, ...], harness: HarnessFile) -> tuple[Bel
     ]
     if not own:
         return beliefs
-    return tuple(joined([each, *own]) for each in beliefs) or (joined(own),)
+    return tuple(joined([belief, *own]) for belief in beliefs) or (joined(own),)
 
 
 _CAUSES = {LAW_FACTOR: "stiffness as stated"} | dict.fromkeys(FREE_CURVATURES, "curl of the spool")
@@ -154,7 +161,7 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
     if name in specs:
         return specs[name]
     near = ", ".join(nearest(name, list(specs)))
-    message = complaint(
+    message = error_text(
         *(where, ""),
         expected=f"a wire of {sheet}, such as {near}",
         found=repr(name),
@@ -174,9 +181,9 @@ def _of_wire(block: SectionBlock, file: Path, wires: Path | None) -> Material:
         files.append(input_file("calibration", path))
     specs = _solved(spec, calibrated)
     try:
-        table, families = wire_table(specs[0]), [family_of(each) for each in specs]
+        table, families = wire_table(specs[0]), [family_of(spec) for spec in specs]
     except ValueError as error:
-        message = complaint(
+        message = error_text(
             *(sheet, f"{spec.place}, wire {spec.name!r}"),
             expected="a wire whose law can be put into sliders",
             found=f"this: {error}",
@@ -189,10 +196,10 @@ def _of_wire(block: SectionBlock, file: Path, wires: Path | None) -> Material:
     }
     if calibrated is not None and np.isfinite(calibrated.tested_curvature):
         limits["the tests of its calibration"] = calibrated.tested_curvature
-    words = min(limits, key=lambda each: limits[each])
+    words = min(limits, key=lambda limit: limits[limit])
     return Material(
         _name(spec, calibrated),
-        tuple(partial(_of_family, each, spec.wire_diameter) for each in families),
+        tuple(partial(_of_family, family, spec.wire_diameter) for family in families),
         *(limits[words], words),
         files=tuple(files),
         notes=table.notes,
@@ -207,8 +214,8 @@ def _solved(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]
         return [spec]
     return [
         with_values(spec, calibrated.values(number))
-        for number, each in enumerate(calibrated.solutions)
-        if each.is_allowed
+        for number, solution in enumerate(calibrated.solutions)
+        if solution.is_allowed
     ]
 
 
@@ -221,8 +228,8 @@ def _of_family(family: LawFamily, diameter: float, inputs: Mapping[str, float]) 
     )
 
 
-def _beliefs(calibrated: CalibratedFile) -> tuple[Belief, ...]:
-    return calibrated_beliefs(calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR)
+def _beliefs(calibrated: CalibratedFile) -> tuple[InputDistribution, ...]:
+    return calibrated_distributions(calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR)
 
 
 def _name(spec: WireSpec, calibrated: CalibratedFile | None) -> str:
@@ -282,7 +289,7 @@ def _of_deck(block: SectionBlock, path: Path) -> Material:
         found = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
         raise _no_deck(path, "the law of a wire with its range", found) from error
     limits = {"the range of the deck": law.last, _STRAIGHT_LINE: doubtful}
-    words = min(limits, key=lambda each: limits[each])
+    words = min(limits, key=lambda limit: limits[limit])
     return Material(
         *(str(said.get("wire", path.stem)), (partial(_changed, section),)),
         *(limits[words], words),
@@ -304,4 +311,4 @@ def _read_deck(path: Path) -> dict[str, Any]:
 
 def _no_deck(path: Path, expected: str, found: str) -> ReadError:
     remedy = "`labpipe model` writes <wire>.sliders.json."
-    return ReadError(complaint(path, "", expected=expected, found=found, remedy=remedy))
+    return ReadError(error_text(path, "", expected=expected, found=found, remedy=remedy))

@@ -25,10 +25,10 @@ from labpipe.rod.bands import StateBands
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
 from labpipe.store.summaries import SUMMARY_FILE, result_entry
-from labpipe.studies.harness_drawn import drawn_harness, drawn_sweep
-from labpipe.studies.harness_fields import RADIUS, heights_of
-from labpipe.studies.harness_followed import FAILED, FollowedHarness, Swept, followed, swept
+from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
+from labpipe.studies.harness_responses import RADIUS, heights_of
 from labpipe.studies.harness_section import input_file, material_of
+from labpipe.studies.harness_solution import FAILED, FollowedHarness, SweepRun, followed, swept
 from labpipe.studies.harness_tables import Bands, forces_csv, shape_csv, shape_vtk
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
@@ -92,16 +92,16 @@ def follow_harness(
     others = [length for length in lengths if length != harness.line.length]
     watcher.begin(len(others) + 1, harness.steps + 1)
     watcher.line("as stated")
-    found = followed(harness, file, material, folder, watcher.step)
-    if found.status is Status.FAILED:
-        _write_failure(found)
-        return found
+    follow_harness = followed(harness, file, material, folder, watcher.step)
+    if follow_harness.status is Status.FAILED:
+        _write_failure(follow_harness)
+        return follow_harness
     sweep = []
     for length in lengths:
         if length in others:
             watcher.line(f"length {1e3 * length:.6g} mm")
-        sweep.append(swept(found, length, watcher.step))
-    return _write(replace(found, sweep=tuple(sweep)), figures=figures, png=png)
+        sweep.append(swept(follow_harness, length, watcher.step))
+    return _write(replace(follow_harness, sweep=tuple(sweep)), figures=figures, png=png)
 
 
 def _write_failure(found: FollowedHarness) -> None:
@@ -112,7 +112,7 @@ def _write_failure(found: FollowedHarness) -> None:
         **_head(found),
         "code": first.code,
         "reason": first.message,
-        "reasons": [asdict(each) for each in found.reasons],
+        "reasons": [asdict(reason) for reason in found.reasons],
         "reached": {"step": len(states) - 1, "positions": reached.tolist()},
     }
     text = json.dumps(said, indent=1, ensure_ascii=False)
@@ -150,54 +150,54 @@ def _write(found: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarne
 
 def _states(found: FollowedHarness) -> Mapping[int, StateBands]:
     """Bands by step; none where there are none."""
-    return {} if found.bands is None else {each.step: each for each in found.bands.line.states}
+    return {} if found.bands is None else {state.step: state for state in found.bands.line.states}
 
 
 def _shape_bands(found: FollowedHarness) -> Bands:
     return {
         step: (
-            np.column_stack([each.positions.lower, each.curvature.lower]),
-            np.column_stack([each.positions.upper, each.curvature.upper]),
+            np.column_stack([state.positions.lower, state.curvature.lower]),
+            np.column_stack([state.positions.upper, state.curvature.upper]),
         )
-        for step, each in _states(found).items()
+        for step, state in _states(found).items()
     }
 
 
 def _force_bands(found: FollowedHarness) -> Bands:
     return {
-        step: (each.reaction_forces.lower, each.reaction_forces.upper)
-        for step, each in _states(found).items()
+        step: (state.reaction_forces.lower, state.reaction_forces.upper)
+        for step, state in _states(found).items()
     }
 
 
-def _sweep_csv(sweep: Sequence[Swept]) -> str:
+def _sweep_csv(sweep: Sequence[SweepRun]) -> str:
     ends = "smallest_bend_radius [m],lower [m],upper [m],place [m]"
     after = "smallest_bend_radius_on_the_way [m],step,lowest_point [m]"
     lines = [f"length [m],{ends},{after},status,code,reason"]
-    for each in sweep:
-        reason = each.reasons[0] if each.reasons else None
+    for run in sweep:
+        reason = run.reasons[0] if run.reasons else None
         numbers = [""] * 7
-        if each.path.status != FAILED:
-            lowest = float(heights_of(each.path.last.positions, each.laid).min())
-            bend, way = each.bend, each.way
-            low, high = _ends(each).values()
+        if run.path.status != FAILED:
+            lowest = float(heights_of(run.path.last.positions, run.laid).min())
+            bend, way = run.bend, run.way
+            low, high = _ends(run).values()
             values = (bend.radius, low, high, bend.place, way.radius, way.step, lowest)
             numbers = ["" if value is None else f"{value:.9g}" for value in values]
         why = ["", ""] if reason is None else [reason.code, f'"{reason.message}"']
-        lines.append(",".join([f"{each.length:.9g}", *numbers, each.status, *why]))
+        lines.append(",".join([f"{run.length:.9g}", *numbers, run.status, *why]))
     return "\n".join(lines) + "\n"
 
 
 def _head(found: FollowedHarness) -> dict[str, object]:
     files = _files(found)
-    fingerprints = "".join([__version__, *(each.sha256 for each in files)])
+    fingerprints = "".join([__version__, *(file.sha256 for file in files)])
     return {
         "schema": SCHEMA,
         "harness": found.file.stem,
         "about": found.harness.about,
         "labpipe": __version__,
         "run": hashlib.sha256(fingerprints.encode()).hexdigest(),
-        "inputs": [{"role": each.role, "file": each.file, "sha256": each.sha256} for each in files],
+        "inputs": [{"role": file.role, "file": file.file, "sha256": file.sha256} for file in files],
         "status": str(found.status),
     }
 
@@ -217,7 +217,7 @@ def as_json(found: FollowedHarness) -> dict[str, object]:
     bend, limit = found.sharpest, found.limit
     return {
         **_head(found),
-        "reasons": [asdict(each) for each in found.reasons],
+        "reasons": [asdict(reason) for reason in found.reasons],
         "line": {
             "of": found.material.name,
             "length": line.length,
@@ -241,24 +241,24 @@ def as_json(found: FollowedHarness) -> dict[str, object]:
             "kept": bend.radius >= limit.radius,
             "doubtful": found.is_bend_doubtful,
         },
-        "results": [result_entry(each) for each in found.results],
+        "results": [result_entry(result) for result in found.results],
         "sweep": [
             {
-                "length": each.length,
-                "status": each.status,
-                "smallest_bend_radius": _finite(each.bend.radius),
-                **_ends(each),
-                "smallest_bend_radius_on_the_way": _finite(each.way.radius),
+                "length": run.length,
+                "status": run.status,
+                "smallest_bend_radius": _finite(run.bend.radius),
+                **_ends(run),
+                "smallest_bend_radius_on_the_way": _finite(run.way.radius),
             }
-            for each in found.sweep
+            for run in found.sweep
         ],
         "bands": _bands_json(found),
-        "quality": [_note(each) for each in found.material.notes],
+        "quality": [_note(note) for note in found.material.notes],
         "units": dict(_UNITS),
     }
 
 
-def _ends(swept: Swept) -> dict[str, float | None]:
+def _ends(swept: SweepRun) -> dict[str, float | None]:
     """Ends of the band of the smallest bend radius; None without one."""
     if swept.bands is None:
         return {"lower": None, "upper": None}
@@ -274,7 +274,7 @@ def _bands_json(found: FollowedHarness) -> dict[str, object]:
     shares = found.bands.line.states[-1].shares
     return {
         "kind": "pointwise 95 %",
-        "shares": {name: dict(each) for name, each in shares.items()},
+        "shares": {name: dict(share) for name, share in shares.items()},
     }
 
 

@@ -12,9 +12,9 @@ from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
 from labpipe.rod.rotations import matrices
-from labpipe.studies.harness_line import Laid
-from labpipe.studies.harness_memory import kept_curvature
+from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import curvature_of, radius_of
+from labpipe.studies.residual_curvature import kept_curvature
 
 BANDED = ("x [m]", "y [m]", "z [m]", "curvature [1/m]")
 """Columns of the shape that have bands where there are any."""
@@ -101,7 +101,7 @@ def _cell(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.9g}"
 
 
-def forces_csv(path: RodPath, laid: Laid, bands: Bands) -> str:
+def forces_csv(path: RodPath, laid: PreparedLine, bands: Bands) -> str:
     """Write what each boundary does to the line in every step.
 
     Parameters
@@ -122,9 +122,9 @@ def forces_csv(path: RodPath, laid: Laid, bands: Bands) -> str:
     head = ["step", "boundary", "kind", "force [N]", "moment [N*m]", *names, *ends]
     lines = [",".join(head)]
     holding = [
-        (number, each)
-        for number, each in enumerate(laid.boundaries)
-        if not isinstance(each, rod.Gravity)
+        (number, boundary)
+        for number, boundary in enumerate(laid.boundaries)
+        if not isinstance(boundary, rod.Gravity)
     ]
     for step, state in enumerate(path.states):
         for number, each in holding:
@@ -195,7 +195,7 @@ def _point_data(columns: Sequence[Mapping[str, Floats]]) -> Iterator[str]:
     for name in columns[0]:
         if name[:2] in ("x ", "y ", "z "):
             continue
-        values = np.concatenate([each[name] for each in columns])
+        values = np.concatenate([column[name] for column in columns])
         yield from _scalars(name.split()[0], np.where(np.isfinite(values), values, 0.0).tolist())
 
 

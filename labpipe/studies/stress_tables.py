@@ -14,7 +14,7 @@ from typing import Annotated, TypeAlias, TypeVar
 
 import numpy as np
 
-from labpipe.errors import Fault, ReadError, complaint, nearest
+from labpipe.errors import Fault, ReadError, error_text, nearest
 from labpipe.law.thinning import thin
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.stress_curve import FIRST_SLOPES, StressPoint, curve_fault, curve_of
@@ -36,7 +36,7 @@ Placed: TypeAlias = tuple[str, Fault]
 _B = TypeVar("_B", bound=Block)
 
 
-class Proof(Block):
+class ProofStress(Block):
     """Strain = s / E + 0.002 (s / Rp0.2)^n, and how far it holds; in the units of the columns."""
 
     modulus_mpa: Annotated[float, Column("MPa", 0.1, 1e6)]
@@ -52,7 +52,7 @@ class Conditions(Block):
     temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
 
 
-_POINT, _PROOF, _CONDITIONS = (list(kind.keys()) for kind in (StressPoint, Proof, Conditions))
+_POINT, _PROOF, _CONDITIONS = (list(kind.keys()) for kind in (StressPoint, ProofStress, Conditions))
 _NAME_COLUMNS = (
     f"Name the columns {' and '.join(_POINT)}; or, for one row of numbers, {', '.join(_PROOF)}."
 )
@@ -73,7 +73,7 @@ class StatedCurve:
 
     table: str
     curve: Curve
-    numbers: Proof | None
+    numbers: ProofStress | None
     conditions: Conditions
 
     @property
@@ -119,7 +119,7 @@ def stated_words(curves: Mapping[str, StatedCurve]) -> str:
     return "; ".join(f"{column} {curve.words}" for column, curve in curves.items())
 
 
-def ramberg_osgood_curve(numbers: Proof) -> Curve:
+def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
     """Turn the numbers of Ramberg and Osgood into a stress table.
 
     Parameters
@@ -217,20 +217,20 @@ def _conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
     return conditions
 
 
-def _numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> Proof:
+def _numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> ProofStress:
     """The numbers of the one row, if they make a curve."""
     if len(rows) > 1:
         expected, found = "one row of numbers", f"{len(rows)}"
         place = next(iter(rows[1].values())).place
         refuse(file, [(place, Fault((), expected, found, "Make a table of each."))])
     own = [{key: row[key] for key in _PROOF} for row in rows]
-    [numbers] = _blocks(Proof, own, file)
+    [numbers] = _blocks(ProofStress, own, file)
     refuse(file, placed(_number_faults(numbers, column), rows[0]))
     return numbers
 
 
-def _number_faults(numbers: Proof, column: str) -> Iterator[Fault]:
-    low, high = (each / _MEGA for each in FIRST_SLOPES[column])
+def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
+    low, high = (first_slope / _MEGA for first_slope in FIRST_SLOPES[column])
     if not low <= numbers.modulus_mpa <= high:
         what = "insulation" if column == "insulation_table" else "strands"
         expected = f"a modulus of {what} of {low:g} to {high:g} MPa"
@@ -296,7 +296,7 @@ def placed(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[Placed]
 def worded(path: Path, faults: Iterable[Placed]) -> list[str]:
     """Word faults of a file, one message each."""
     return [
-        complaint(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
+        error_text(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
         for place, fault in faults
     ]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ProcessingError, UsageError, complaint, nearest
+from labpipe.errors import ProcessingError, UsageError, error_text, nearest
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag, Shape
@@ -16,16 +16,16 @@ from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import Calibration, CurveErrors, Prediction
-from labpipe.report.calibration_shown import BentShape, ValidationGroup
+from labpipe.report.calibration_summary import BentShape, ValidationGroup
 from labpipe.statistics.mean_curves import block_means, common_curves, mean_band
 from labpipe.store.read import read_result
 from labpipe.studies.first_loadings import FirstLoading, insulation_note
 from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
+from labpipe.wire.calibration.law_components import loading_curve, take_apart
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
 from labpipe.wire.calibration.prediction import predict
-from labpipe.wire.calibration.wire_parts import loading_curve, take_apart
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_deflection,
@@ -73,16 +73,16 @@ def bent_shapes(
     rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
     parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
     known, _ = parts.reach(parts.given)
-    found = []
+    bent_shapes = []
     for wanted in deepest * np.arange(1, STEPS + 1) / STEPS:
         reached = np.flatnonzero(rise >= wanted)
         if len(reached):
             frame = int(reached[0])
             model = _model_shape(wire, length, rig, float(rise[frame]), known)
-            found.append(
+            bent_shapes.append(
                 BentShape(float(rise[frame]), _markers(shape, frame), _fit(shape, frame), model)
             )
-    return tuple(found)
+    return tuple(bent_shapes)
 
 
 def _markers(shape: Shape, frame: int) -> Floats:
@@ -136,7 +136,7 @@ def usual_sheet() -> Path:
     for name in USUAL_SHEETS:
         if Path(name).is_file():
             return Path(name)
-    message = complaint(
+    message = error_text(
         "--wire",
         "",
         expected=f"a wire sheet, or {' or '.join(USUAL_SHEETS)} in the working folder",
@@ -162,7 +162,7 @@ def wire_to_calibrate(
     UsageError
         If the plan's wire has no tests, or it names none and there are several.
     """
-    tested = sorted({each.curve.wire for each in loadings})
+    tested = sorted({loading.curve.wire for loading in loadings})
     if asked.wire is None and len(tested) == 1:
         return tested[0]
     if asked.wire in tested:
@@ -170,13 +170,13 @@ def wire_to_calibrate(
     if asked.wire is None:
         found = f"tests of {len(tested)} wires: {', '.join(tested)}"
         remedy = "Name the one to calibrate, in the plan ('wire: A2'); the others are predicted."
-        message = complaint(
+        message = error_text(
             plan or "tests", "", expected="tests of one wire", found=found, remedy=remedy
         )
     else:
         remedy = "Name a specimen type of the tests, or give its tests, too."
         found = f"usable tests of {', '.join(nearest(asked.wire, tested))} alone"
-        message = complaint(
+        message = error_text(
             plan or "plan", "wire", expected=f"tests of '{asked.wire}'", found=found, remedy=remedy
         )
     raise UsageError(message)
@@ -197,11 +197,13 @@ def without_copies(
     """
     first: dict[tuple[bytes, bytes], FirstLoading] = {}
     left_out: dict[str, str] = {}
-    for each in loadings:
-        kept = first.setdefault((each.curve.deflection.tobytes(), each.curve.force.tobytes()), each)
-        if kept is not each:
-            left_out[str(each.file)] = complaint(
-                each.file,
+    for loading in loadings:
+        kept = first.setdefault(
+            (loading.curve.deflection.tobytes(), loading.curve.force.tobytes()), loading
+        )
+        if kept is not loading:
+            left_out[str(loading.file)] = error_text(
+                loading.file,
                 "",
                 expected="each test once",
                 found=f"the same first loading as in {kept.file}",
@@ -226,9 +228,9 @@ def require_known(
     UsageError
         If a wire is missing.
     """
-    for wire in sorted({each.curve.wire for each in loadings} - set(specs)):
-        test = next(each.curve.test for each in loadings if each.curve.wire == wire)
-        message = complaint(
+    for wire in sorted({loading.curve.wire for loading in loadings} - set(specs)):
+        test = next(loading.curve.test for loading in loadings if loading.curve.wire == wire)
+        message = error_text(
             wires,
             "column wire",
             expected=f"a row for '{wire}', the specimen type of test {test}",
@@ -254,7 +256,7 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
     try:
         made = build(spec)
     except ValueError as error:
-        message = complaint(
+        message = error_text(
             wires,
             f"{spec.place}, wire '{spec.name}'",
             expected="a wire that can be built",
@@ -290,9 +292,13 @@ def compare(
     A group per wire and length, those of the calibrated wire first.
     """
     groups: dict[tuple[bool, str, float], list[FirstLoading]] = {}
-    for each in loadings:
-        key = (each.curve.wire != calibration.wire, each.curve.wire, round(each.curve.length, 6))
-        groups.setdefault(key, []).append(each)
+    for loading in loadings:
+        key = (
+            loading.curve.wire != calibration.wire,
+            loading.curve.wire,
+            round(loading.curve.length, 6),
+        )
+        groups.setdefault(key, []).append(loading)
     return tuple(
         _compared(calibration, wires[wire], groups[other, wire, length])
         for other, wire, length in sorted(groups)
@@ -318,16 +324,16 @@ def insulation_notes(
     A note for each of them. A predicted wire that the model cannot follow as far as its tests went
     has none: its group says so.
     """
-    found, values = [], calibration.solutions[0].values
-    for name in sorted({each.curve.wire for each in loadings}):
-        curves = [each.curve for each in loadings if each.curve.wire == name]
+    insulation_notes, values = [], calibration.solutions[0].values
+    for name in sorted({loading.curve.wire for loading in loadings}):
+        curves = [loading.curve for loading in loadings if loading.curve.wire == name]
         try:
             reach = tested_curvature(wires[name], values, curves)
         except ValueError:
             continue
         of = "" if name == calibration.wire else calibration.wire
-        found.append(insulation_note(specs[name], reach, of=of))
-    return tuple(each for each in found if each is not None)
+        insulation_notes.append(insulation_note(specs[name], reach, of=of))
+    return tuple(finding for finding in insulation_notes if finding is not None)
 
 
 def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
@@ -346,14 +352,14 @@ def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
         QualityNote(
             "model_misses_tests",
             Severity.WARNING,
-            f"{each.wire}, {1e3 * each.length:.4g} mm",
-            f"{100.0 * each.errors.inside:.2g} % of the points of the calibrating tests lie in the "
-            f"95 % band that was made of them: the model does not follow these tests, and what it "
+            f"{group.wire}, {1e3 * group.length:.4g} mm",
+            f"{100.0 * group.errors.inside:.2g} % of the points of the calibrating tests lie in "
+            f"the 95 % band made of them: the model does not follow these tests, and what it "
             f"says is identified holds for another wire. Check the wire's row in the sheet "
             f"(strands, diameters, lay, wall) and the tests' length and string",
         )
-        for each in groups
-        if each.is_calibrated and each.errors is not None and each.errors.inside < _FOLLOWED
+        for group in groups
+        if group.is_calibrated and group.errors is not None and group.errors.inside < _FOLLOWED
     )
 
 
@@ -372,11 +378,13 @@ def with_doubtful_parts(
     calibration, wires, loadings : as they were compared
     specs : by name
     """
-    curves = {(each.curve.wire, round(each.curve.length, 6)): each.curve for each in loadings}
+    curves = {
+        (loading.curve.wire, round(loading.curve.length, 6)): loading.curve for loading in loadings
+    }
     return tuple(
-        replace(each, doubtful_deflection=_straight_up_to(each, calibration, wires, specs, curve))
-        for each in groups
-        for curve in [curves[each.wire, round(each.length, 6)]]
+        replace(group, doubtful_deflection=_straight_up_to(group, calibration, wires, specs, curve))
+        for group in groups
+        for curve in [curves[group.wire, round(group.length, 6)]]
     )
 
 
@@ -404,7 +412,7 @@ def _straight_up_to(
 def _compared(
     calibration: Calibration, wire: Wire, loadings: Sequence[FirstLoading]
 ) -> ValidationGroup:
-    curves = [each.curve for each in loadings]
+    curves = [loading.curve for loading in loadings]
     deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
     noise = float(np.mean([curve.read_error for curve in curves]))
     first = curves[0]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from labpipe import __version__
 from labpipe.decks import deck_paths, deck_texts, write_texts
-from labpipe.errors import ProcessingError, UsageError, complaint
+from labpipe.errors import ProcessingError, UsageError, error_text
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.saving import pngs_of
 from labpipe.report.wire_figures import own_figures, save_wire_figures, wire_drawings
@@ -38,7 +38,7 @@ _CHUNK = 4  # wires handed out at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Modelled:
+class ModelledWires:
     """What became of the wires of a sheet.
 
     Parameters
@@ -67,7 +67,7 @@ def model_wires(
     figures: bool = True,
     png: bool = False,
     say: Callable[[str], None] = lambda _: None,
-) -> Modelled:
+) -> ModelledWires:
     """Model every wire of a sheet and write what was found.
 
     Parameters
@@ -99,7 +99,7 @@ def model_wires(
             raise ProcessingError("\n".join(refused.values()))
         tables = tuple(wire.table for wire in made)
         gone = _gone(folder, [spec.name for spec in specs])
-        modelled = Modelled(sheet, folder, tables, refused, (), gone, read.curves)
+        modelled = ModelledWires(sheet, folder, tables, refused, (), gone, read.curves)
         owned = _files_of((*refused, *gone))
         if figures:
             owned += pngs_of(wire_drawings(tables), FIGURES_FOLDER)
@@ -154,7 +154,7 @@ def make_tables(
         if isinstance(outcome, MadeWire):
             made.append(outcome)
         else:
-            refused[spec.name] = complaint(
+            refused[spec.name] = error_text(
                 sheet,
                 f"{spec.place}, wire '{spec.name}'",
                 expected="a wire that can be built and bent",
@@ -174,7 +174,7 @@ def _helpers(count: int, sheet: Path) -> Iterator[Executor | None]:
     try:
         yield pool
     except BrokenProcessPool as error:
-        message = complaint(
+        message = error_text(
             sheet,
             "",
             expected="processes that model its wires to the end",
@@ -208,7 +208,7 @@ def _outcome(spec: WireSpec) -> MadeWire | str:
 
 
 def _write(
-    modelled: Modelled, decks: Sequence[Sequence[str]], stage: Path, pool: Executor | None
+    modelled: ModelledWires, decks: Sequence[Sequence[str]], stage: Path, pool: Executor | None
 ) -> list[Path]:
     """Write workbook, model and decks; the workbook in another process while the rest is."""
     workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
@@ -231,7 +231,7 @@ def _spare(sheet: Path, folder: Path) -> None:
     """Refuse to write over the sheet itself."""
     for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
-            message = complaint(
+            message = error_text(
                 sheet,
                 "",
                 expected="a folder for the results in which this sheet is not one of them",
@@ -260,7 +260,7 @@ def _files_of(names: Iterable[str]) -> list[str]:
     return files
 
 
-def as_json(modelled: Modelled) -> dict[str, object]:
+def as_json(modelled: ModelledWires) -> dict[str, object]:
     """What ``labpipe model --json`` prints: lists and plain numbers in SI units.
 
     Parameters

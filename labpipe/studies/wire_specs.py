@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from labpipe.errors import Fault, ReadError, complaint
+from labpipe.errors import Fault, ReadError, error_text
 from labpipe.protocol.stress_curve import FIRST_SLOPES
 from labpipe.protocol.wire_rows import (
     COLUMNS,
@@ -98,7 +98,7 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
     sheets = sheets_of(path)
     if not sheets:
         found, remedy = "a workbook without sheets", "Name the wire sheet."
-        raise ReadError(complaint(path, "", expected="a wire sheet", found=found, remedy=remedy))
+        raise ReadError(error_text(path, "", expected="a wire sheet", found=found, remedy=remedy))
     shown = [name for name, is_shown in sheets.items() if is_shown]
     usual = [name for name in sheets if name.casefold() == WIRES_SHEET]
     name = [*usual, *shown, *sheets][0]
@@ -165,7 +165,9 @@ def _spec(
     place = re.sub(r", column \d+$", "", row["wire"].place)
     place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
     named = _named(row, curves)
-    tables = [named[each].curve if each in named else None for each in FIRST_SLOPES]
+    tables = [
+        named[first_slope].curve if first_slope in named else None for first_slope in FIRST_SLOPES
+    ]
     return wire_spec(read, blank, place, *tables)
 
 

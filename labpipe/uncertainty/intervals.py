@@ -24,7 +24,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
-from labpipe.uncertainty.readings import Decide, Reading, Trace
+from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.replicates import Input, Replicates
 
 _LOW, _HIGH = 0.025, 0.975
@@ -118,13 +118,13 @@ def measure(
     if isinstance(found, Failure):
         return found
     if values is None:
-        values = [float(each) for each in found.numbers(replicates.measured)]
+        values = [float(number) for number in found.numbers(replicates.measured)]
     plain = _on_smooth(replicates, decide, found)
     if isinstance(plain, Failure):
         return plain
-    smooth = Decided.of(decide, replicates.smooth, plain)
+    smooth = SmoothNumbers.of(decide, replicates.smooth, plain)
     base = _of(plain, replicates.smooth)
-    drawn = [np.asarray(plain.drawn(each)) for each in replicates.traces()]
+    drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - base[:, None]
     between, share = _between_samples(replicates, found, smooth), 1.0 / np.sqrt(3.0)
     off = noise - np.outer(between, 0.5 + share * replicates.draws(_BETWEEN))
@@ -166,14 +166,14 @@ def measure(
     )
 
 
-def _between_samples(replicates: Replicates, found: Reading, smooth: Decided) -> Floats:
+def _between_samples(replicates: Replicates, found: Reading, smooth: SmoothNumbers) -> Floats:
     """What numbers would be more of if samples lay without end, by the curve that shows it best."""
     if found.between is not None:
         return np.array(found.between)
     measured = replicates.measured
     if not found.feels_corners or len(measured.time) != len(replicates.smooth.time):
         return smooth.between_samples()
-    return Decided.of(smooth.decide, measured, found).between_samples()
+    return SmoothNumbers.of(smooth.decide, measured, found).between_samples()
 
 
 def _on_smooth(replicates: Replicates, decide: Decide, found: Reading) -> Reading | Failure:
@@ -209,7 +209,7 @@ def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
     """Why an interval over so many samples may be too narrow."""
     coarse = any(given.cause == RESOLUTION for given in replicates.inputs)
     for name, noise in replicates.noises.items():
-        if noise.is_none or not replicates.feels(name):
+        if noise.is_none or not replicates.has_noise(name):
             continue
         # One sentence for all numbers of a test, whose samples stand beside them.
         memory, known = noise.memory, noise.count >= _TOLD
@@ -232,7 +232,7 @@ def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Decided:
+class SmoothNumbers:
     """Numbers of a curve without noise, and what is known of it between its samples.
 
     Windows end at samples. A curve of a few hundred samples has numbers that jump as an input moves
@@ -253,7 +253,7 @@ class Decided:
     fine_reading: Reading
 
     @classmethod
-    def of(cls, decide: Decide, trace: Trace, reading: Reading) -> Decided:
+    def of(cls, decide: Decide, trace: Trace, reading: Reading) -> SmoothNumbers:
         """Decide anew on finer samples where these alone cut its windows, and there is a number."""
         times = int(np.clip(_FINE // len(trace.time), 1, _FINEST)) if reading.is_cut else 1
         fine = trace.finer(times)
@@ -288,7 +288,7 @@ class Decided:
 
 
 def _of(reading: Reading, trace: Trace) -> Floats:
-    return np.array([float(each) for each in reading.numbers(trace)])
+    return np.array([float(number) for number in reading.numbers(trace)])
 
 
 def _mirrored(low: Floats, high: Floats) -> tuple[Floats, Floats]:

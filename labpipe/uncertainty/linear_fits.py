@@ -11,7 +11,14 @@ from scipy.special import beta, stdtr, stdtrit
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
-from labpipe.uncertainty.noise import TERMS, Evidence, Grid, Noise, cubic_basis, exact_covariance
+from labpipe.uncertainty.autocorrelation import (
+    TERMS,
+    Grid,
+    Noise,
+    ReducedTest,
+    cubic_basis,
+    exact_covariance,
+)
 
 _NOTHING = 1e-15
 """Chance of a spectrum below which it cannot move a half width."""
@@ -101,10 +108,10 @@ def fit_linear(
     basis, to_coefficients = orthonormal(design)
     plain = basis @ values
     residuals = values - plain @ basis
-    most = max([count, *(len(each) for each in beside)])
+    most = max([count, *(len(floats) for floats in beside)])
     grid = Grid(most, most if weighted else min(most, TERMS))
-    own = Evidence.of(basis, residuals, grid, count if weighted else TERMS)
-    others = [Evidence.of(cubic_basis(len(each)), each, grid, TERMS) for each in beside]
+    own = ReducedTest.of(basis, residuals, grid, count if weighted else TERMS)
+    others = [ReducedTest.of(cubic_basis(len(floats)), floats, grid, TERMS) for floats in beside]
     noise = Noise.of([own, *others], grid)
     if weighted:
         shifts, unit = own.shifts, own.unit

@@ -87,15 +87,15 @@ def _best_cuts(squares: list[Floats], count: int) -> tuple[float, tuple[int, ...
 def _sums_of_squares(values: Floats, degree: int) -> Floats:
     """What a polynomial leaves of samples from i to before j, shape (n + 1, n + 1); else inf."""
     count = len(values)
-    found = np.full((count + 1, count + 1), np.inf)
+    sums = np.full((count + 1, count + 1), np.inf)
     for length in range(degree + 1 + _FREE_SAMPLES, count + 1):
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         explained = windows @ _slopes(length, degree)
         first = np.arange(count - length + 1)
         left = np.sum(windows**2, axis=1) - np.sum(explained**2, axis=1)
-        found[first, first + length] = np.maximum(left, 0.0)
-    return found
+        sums[first, first + length] = np.maximum(left, 0.0)
+    return sums
 
 
 @lru_cache(maxsize=512)

@@ -20,9 +20,9 @@ from scipy.special import ndtri
 from labpipe.records.arrays import Floats, Singles
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Reason
-from labpipe.uncertainty.drawn_noise import LEAST, SHORT, Noise, noise_of
+from labpipe.uncertainty.extractors import Trace
+from labpipe.uncertainty.noise_model import LEAST, SHORT, Noise, noise_of
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
-from labpipe.uncertainty.readings import Trace
 
 COUNT = 400
 """Replicates: widths of intervals repeat within 5 %."""
@@ -129,7 +129,7 @@ class Replicates:
             return np.asarray(np.sqrt(3.0) * (2.0 * chance - 1.0), dtype=np.float64)
         return np.asarray(-chance, dtype=np.float64)
 
-    def feels(self, name: str) -> bool:
+    def has_noise(self, name: str) -> bool:
         """Whether the noise of a signal is more than dust beside its range.
 
         Parameters
@@ -230,11 +230,11 @@ def smooth_curve(
 
 def _polynomials(x: Floats, y: Floats) -> Floats:
     """Polynomials through the pieces of a short record."""
-    found = np.empty(len(y))
+    polynomials = np.empty(len(y))
     for start, stop, degree in polynomial_pieces(y):
         piece = slice(start, stop)
-        found[piece] = np.polynomial.Polynomial.fit(x[piece], y[piece], degree)(x[piece])
-    return found
+        polynomials[piece] = np.polynomial.Polynomial.fit(x[piece], y[piece], degree)(x[piece])
+    return polynomials
 
 
 def _stands(values: Floats, curve: Floats, parameters: int) -> bool:
@@ -343,9 +343,9 @@ def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> 
     """Noise of a record by its branches up to where the specimen failed, or by all pieces."""
     last = len(values) if trace.failed_at is None else trace.failed_at + 1
     pieces = _pieces(cuts, last)
-    if max(each.stop - each.start for each in pieces) < _PER_PART:
+    if max(piece.stop - piece.start for piece in pieces) < _PER_PART:
         pieces = _pieces(cuts, len(values))
-    of_pieces = [values[each] for each in pieces], [curve[each] for each in pieces]
+    of_pieces = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
     if len(trace.branches) < 2:
         return noise_of(*of_pieces)
     # Before the first branch of a cyclic test and behind its last one nothing moves.
@@ -354,5 +354,5 @@ def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> 
 
 
 def _pieces(cuts: Sequence[int], last: int) -> list[slice]:
-    ends = sorted({0, last, *(each for each in cuts if each < last)})
+    ends = sorted({0, last, *(cut for cut in cuts if cut < last)})
     return [slice(low, high) for low, high in pairwise(ends)]

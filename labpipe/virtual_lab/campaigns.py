@@ -110,7 +110,7 @@ class ChosenTests:
         KeyError
             If no campaign has a test of one of the names.
         """
-        tests = [each for campaign in self.campaigns for each in campaign.scenarios(seed)]
+        tests = [scenario for campaign in self.campaigns for scenario in campaign.scenarios(seed)]
         if missing := set(self.names) - {scenario.name for scenario, _ in tests}:
             raise KeyError(*sorted(missing))
         yield from (test for test in tests if test[0].name in self.names)

@@ -175,7 +175,7 @@ def _set_up(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
     if test.slack is None:
         return level, bend_to_travel(law, unbent, test.length, level, 0.0)
     hanging = bend_under_force(law, unbent, test.length, np.array([0.0, -weight]))
-    surplus = test.slack - level.taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+    surplus = test.slack - level.travel_to_taut_string(float(hanging.x[-1]), float(hanging.y[-1]))
     rig = StringRig(test.string_length, weight, test.length, test.string_length - surplus)
     return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
 
@@ -264,7 +264,7 @@ class _Cycle:
         """Travel at which the string would go taut or slack, from the history of a shape, m."""
         weight = np.array([0.0, -self.rig.weight])
         hanging = bend_under_force(law, shape.state, self.test.length, weight)
-        return self.rig.taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+        return self.rig.travel_to_taut_string(float(hanging.x[-1]), float(hanging.y[-1]))
 
 
 def _without_tension(shape: CantileverShape) -> CantileverShape:

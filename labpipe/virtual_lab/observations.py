@@ -15,7 +15,7 @@ from typing import Generic, TypeAlias, TypeVar, overload
 
 import numpy as np
 
-from labpipe.law.plays import MomentLaw, respond, virgin_plays
+from labpipe.law.plays import MomentLaw, respond, unbent_plays
 from labpipe.records.recording import Recording
 from labpipe.store.replace import storing
 from labpipe.virtual_lab.bundles import BundleModel
@@ -312,7 +312,7 @@ def _bundle_facts(test: MechanicalTest) -> dict[str, object] | None:
 def _first_loading(law: MomentLaw) -> dict[str, object]:
     """Corners of the law of first loading, from zero and straight in between, N m and 1/m."""
     moment = np.concatenate([[0.0], law.half_widths])
-    curvature = respond(law, moment, virgin_plays(law, len(moment))).curvature
+    curvature = respond(law, moment, unbent_plays(law, len(moment))).curvature
     return {"moment": moment.tolist(), "curvature": curvature.tolist()}
 
 

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from labpipe.law.plays import MomentLaw, respond, virgin_plays
+from labpipe.law.plays import MomentLaw, respond, unbent_plays
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.conduit_scenarios import ThreePointTest
 
@@ -138,7 +138,7 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
         If there is no equilibrium somewhere on it, or the bundle slides off its rollers.
     """
     half = half_bundle(test)
-    rest = half.free(virgin_plays(half.law, test.n_stations))
+    rest = half.free(unbent_plays(half.law, test.n_stations))
     loading = [rest, *_branch(half, rest, test.stroke, turns=False)]
     unloading = [loading[-1], *_branch(half, loading[-1], 0.0, turns=True)]
     return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))
@@ -150,9 +150,9 @@ def _branch(half: HalfBundle, begin: BentHalf, goal: float, *, turns: bool) -> I
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for wanted in (begin.displacement + share * (goal - begin.displacement)).tolist():
         if turns:
-            let_go = half.free(here.plays)
-            if let_go.displacement >= wanted - _SMALLEST_STEP:
-                yield let_go
+            curvature_after_release = half.free(here.plays)
+            if curvature_after_release.displacement >= wanted - _SMALLEST_STEP:
+                yield curvature_after_release
                 return
         here = _reach(half, here, wanted, begin.displacement, turns=turns)
         yield here

@@ -244,7 +244,7 @@ def evaluate_conduit(
     time: Floats = np.arange(0.0, schedule.end + scenario.clocks.camera_lead, 1.0 / rate)
     progress = schedule.progress_at(time - scenario.clocks.camera_lead)
     _, moment, curvature = path.middle(progress)
-    turns = [float(each) for each in schedule.turning_times]
+    turns = [float(turning_time) for turning_time in schedule.turning_times]
     return ConduitTruth(
         loading=loading,
         initial_bending_stiffness=scenario.bundle.law().stiffness,

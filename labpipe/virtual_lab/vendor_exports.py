@@ -256,7 +256,7 @@ def _label_rows(groups: Sequence[_Group]) -> list[str]:
     """Type, name, id, quantity and axis of every column."""
     columns = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
     for group in groups:
-        columns += [(group.kind, group.name, group.identity, *each) for each in group.columns]
+        columns += [(group.kind, group.name, group.identity, *column) for column in group.columns]
     return [",".join(row) for row in zip(*columns, strict=True)]
 
 

@@ -174,8 +174,8 @@ def on_one_side(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
     has the sites that are best balanced about x = 0, of those the ones nearest to it.
     """
     kind = np.full(len(sites), -1, dtype=np.int64)
-    for each in sorted(range(len(counts)), key=lambda each: -stiffness[each]):
-        kind[_topmost(sites, np.flatnonzero(kind < 0), counts[each])] = each
+    for key in sorted(range(len(counts)), key=lambda index: -stiffness[index]):
+        kind[_topmost(sites, np.flatnonzero(kind < 0), counts[key])] = key
     return kind
 
 
@@ -372,7 +372,7 @@ def _densest(number: int, seed: int) -> Floats:
         starts = [_nearest(number, core) for core in _CORES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
         found = [*found, densest_heap(starts, diameters)]
-    widths = np.array([holding_circle(each, diameters)[1] for each in found])
+    widths = np.array([holding_circle(finding, diameters)[1] for finding in found])
     return found[int(np.argmax(widths < widths.min() + _ALIKE))]  # of equal ones, the first
 
 

@@ -34,7 +34,7 @@ from labpipe.law.plays import (
     require_positive,
     require_within,
     respond,
-    virgin_plays,
+    unbent_plays,
 )
 from labpipe.records.arrays import Floats, frozen
 from labpipe.wire.newton import (
@@ -127,7 +127,7 @@ class StringRig:
     anchor_x: float
     anchor_height: float
 
-    def taut_travel(self, x: float, y: float) -> float:
+    def travel_to_taut_string(self, x: float, y: float) -> float:
         """Travel of the clamp at which the string just spans to a tip at (x, y), m."""
         rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
         return float(y + rise - self.anchor_height)
@@ -148,7 +148,7 @@ def straight(
     self_weight : N/m, of the wire; it acts from the first step on, and is kept from state to state
     """
     require_not_negative("self_weight", self_weight)
-    unbent = virgin_plays(law, n_stations)
+    unbent = unbent_plays(law, n_stations)
     return WireState(np.zeros(n_stations), unbent, np.zeros(2), self_weight=self_weight)
 
 
@@ -277,7 +277,10 @@ def bend_to_travel(
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
         found = settle(law, present, length, weight, travel=travel)
-        if found is None or rig.taut_travel(*_tip(law, found, length)) < travel - _GRAZING:
+        if (
+            found is None
+            or rig.travel_to_taut_string(*_tip(law, found, length)) < travel - _GRAZING
+        ):
             return None
         return replace(found, load=0.0)  # not the rounding that the last pull left behind
 

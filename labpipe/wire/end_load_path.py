@@ -19,7 +19,7 @@ from labpipe.law.plays import (
     require_not_negative,
     require_positive,
     respond,
-    virgin_plays,
+    unbent_plays,
 )
 from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import (
@@ -132,7 +132,7 @@ def _from_rest(
         with_changes=False,
     )
     done = at.count_loading()
-    plays = respond(law, at.rest, virgin_plays(law, len(at.rest))).plays
+    plays = respond(law, at.rest, unbent_plays(law, len(at.rest))).plays
     force = np.array([0.0, at.rest_tension])
     rest = WireState(at.rest, plays, force, at.rest_tension, self_weight=self_weight)
     still = shape_of(law, rest, length)

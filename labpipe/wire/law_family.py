@@ -59,7 +59,9 @@ def with_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
     if modulus is not None and table is not None:  # its curve is as much stiffer as its first slope
         strains, stresses = table
         stiffer = modulus / (stresses[0] / strains[0])
-        spec = replace(spec, insulation_table=(strains, tuple(stiffer * each for each in stresses)))
+        spec = replace(
+            spec, insulation_table=(strains, tuple(stiffer * stress for stress in stresses))
+        )
     return replace(
         spec,
         radial_force=known[RADIAL_FRICTION] / friction

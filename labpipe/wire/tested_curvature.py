@@ -8,8 +8,8 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.calibration.fit import Wire
+from labpipe.wire.calibration.law_components import loading_curve, take_apart
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.calibration.wire_parts import loading_curve, take_apart
 
 
 def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:

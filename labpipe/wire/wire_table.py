@@ -405,7 +405,7 @@ def _helices(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
     A strand takes 1 / cos(lay angle) of its area and of its width from the section. Circles are
     the field's way of laying out, and for a usual lay (up to 20 deg) they are little off.
     """
-    copper = sum(each.count * each.area / np.cos(each.lay_angle) for each in section.layers)
+    copper = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in section.layers)
     bore = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
     if copper > (1.0 + _STEEPEST) * bore:
         message = (

@@ -54,7 +54,7 @@ class Told(Generic[L]):
         raw = state(self.lab.home / "raw")
         ran = self.run("process", self.lab.raw, "--no-figures")
         found = self.lab.results.values()
-        failed = any(each["status"] == "failed" for each in found)
+        failed = any(finding["status"] == "failed" for finding in found)
         assert ran.status == int(failed), ran
         assert status in (None, ran.status)
         assert "Traceback" not in ran.err

@@ -128,7 +128,7 @@ def build_number(name: str, samples: Sequence[Sample]) -> GroupNumber:
     by_spool: dict[str, list[float]] = {}
     unit = "1"
     for sample in samples:
-        result = next(each for each in sample.results if each.name == name)
+        result = next(result for result in sample.results if result.name == name)
         unit = result.unit
         if result.value is None:
             left_out[sample.test] = result.reasons
@@ -139,7 +139,7 @@ def build_number(name: str, samples: Sequence[Sample]) -> GroupNumber:
         return GroupNumber(name, unit, None, values, left_out)
     spools = {spool: mean_of(each) for spool, each in by_spool.items()}
     over_samples = mean_of([value for each in by_spool.values() for value in each])
-    over_spools = mean_of([each.mean for each in spools.values()]) if len(spools) > 1 else None
+    over_spools = mean_of([spool.mean for spool in spools.values()]) if len(spools) > 1 else None
     is_pooled = over_spools is None or name != "stiffness_first"
     chosen = over_samples if is_pooled or over_spools is None else over_spools
     decision = (
@@ -205,7 +205,7 @@ def build_group(name: str, samples: Sequence[Sample], *, scaled: bool = True) ->
         name,
         "twist-tube",
         tuple(samples),
-        tuple(build_number(each, samples) for each in names),
+        tuple(build_number(name, samples) for name in names),
         band,
         share,
     )
@@ -232,8 +232,8 @@ def troubled_samples() -> list[Sample]:
     samples[0] = replace(samples[0], results=tuple(first))
     reasons = (Reason("too_few_samples", "3 samples where 8 are needed."),)
     nothing = tuple(
-        Result(each.name, None, each.unit, status=Status.FAILED, reasons=reasons)
-        for each in samples[4].results
+        Result(result.name, None, result.unit, status=Status.FAILED, reasons=reasons)
+        for result in samples[4].results
     )
     note = QualityNote("aborted", Severity.ERROR, "frame", "The export ends after 3 rows.")
     samples[4] = replace(

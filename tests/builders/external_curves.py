@@ -14,7 +14,7 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.report.calibration_summary import ValidationGroup
 from labpipe.wire.calibration.measured_curves import match
 
 GRID = np.linspace(0.0, 0.05, 51)

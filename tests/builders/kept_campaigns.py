@@ -12,7 +12,7 @@ from typing import Any
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog_file import open_catalog
 from labpipe.campaign.executors import Outcome, Task
-from labpipe.campaign.running import Ran, run_campaign
+from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError
 from labpipe.protocol.load import dump_protocol, known_protocols, load_test_sheet, resolve
 
@@ -141,7 +141,7 @@ class KeptCampaign:
         (folder / "test.yaml").write_text(sheet, encoding="utf-8")
         return folder
 
-    def run(self, **options: object) -> Ran:
+    def run(self, **options: object) -> RunSummary:
         """Run the campaign; `stand_in.processed` has the tests of this run alone."""
         self.stand_in.processed.clear()
         return run_campaign(self.folders, self.stand_in, **options)  # type: ignore[arg-type]

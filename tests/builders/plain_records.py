@@ -11,8 +11,8 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.recording import MarkerTracks
+from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
-from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Filter, Input, Replicates, replicated
 
 STIFFNESS = 100.0

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.process.story import Reduced, reduce_recordings
+from labpipe.process.story import ReductionOfTest, reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
-from labpipe.results.evidence import Evidence
+from labpipe.results.reduced_test import ReducedTest
 
 NOISE = 0.02
 STEP = 2e-5
@@ -59,9 +59,9 @@ def reduction(
     scale: str = "0 %",
     more: str = "",
     tested: date | None = None,
-) -> Reduced:
+) -> ReductionOfTest:
     """What a pull sampled at 10 Hz comes to, or its rows without times; more keys of the force."""
-    listed = "".join(f"  - {{result: {each}}}\n" for each in results)
+    listed = "".join(f"  - {{result: {result}}}\n" for result in results)
     text = (
         "version: 1\nname: p\nsources:\n  frame:\n    reader: load-frame\n    channels:\n"
         f"      force: {{channel: F, scale_uncertainty: {scale}{more and ', '}{more}}}\n"
@@ -81,13 +81,13 @@ def reduction(
     return reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"), tested=tested)
 
 
-def pulled(travel: Floats, force: Floats, **asked: Any) -> tuple[Evidence, dict[str, Result]]:
+def pulled(travel: Floats, force: Floats, **asked: Any) -> tuple[ReducedTest, dict[str, Result]]:
     """Evidence and results of a pull, asked for as `reduction` has it."""
     done = reduction(travel, force, **asked)
-    return done.evidence, {each.name: each for each in done.results}
+    return done.evidence, {result.name: result for result in done.results}
 
 
-def codes(test: Evidence) -> dict[str, str]:
+def codes(test: ReducedTest) -> dict[str, str]:
     """Messages of the notes, by code."""
     return {note.code: note.message for note in test.findings.notes}
 

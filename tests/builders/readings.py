@@ -22,8 +22,8 @@ Written = Callable[..., Path]
 
 
 def channel(recording: Recording, name: str) -> Channel:
-    named = [each for each in recording.channels if name in (each.name, each.path)]
-    assert len(named) == 1, f"{name} not once in {[each.path for each in recording.channels]}"
+    named = [channel for channel in recording.channels if name in (channel.name, channel.path)]
+    assert len(named) == 1, f"{name} not once in {[channel.path for channel in recording.channels]}"
     return named[0]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.records.quality import Finding, Findings
-from labpipe.results.evidence import Evidence
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.store.read import read_run
 
 
@@ -23,9 +23,9 @@ def why(result: Mapping[str, Any]) -> str:
     return "; ".join(f"{each['code']}: {each['message']}" for each in result["reasons"])
 
 
-def doubted(found: Evidence | Iterable[Finding]) -> dict[str, str]:
+def doubted(found: ReducedTest | Iterable[Finding]) -> dict[str, str]:
     """The first reason of each quantity that is in doubt anywhere in the record."""
-    findings = found.findings if isinstance(found, Evidence) else Findings() + found
+    findings = found.findings if isinstance(found, ReducedTest) else Findings() + found
     reasons: dict[str, str] = {}
     for doubt in findings.doubts:
         reasons.setdefault(doubt.quantity, str(doubt.reason))

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.process.story import Reduced, reduce_recordings
+from labpipe.process.story import ReductionOfTest, reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result
 from labpipe.records.signals import Clocks, Filter, Signal, Signals
-from labpipe.results.evidence import Evidence
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.signal.filters import in_pieces
 
 PROTOCOL = """\
@@ -62,7 +62,7 @@ def reduction(
     *,
     more: str = RESULTS,
     replaced: tuple[str, str] = ("", ""),
-) -> Reduced:
+) -> ReductionOfTest:
     """What a test comes to; `more` and what is `replaced` make the protocol."""
     channels = (
         Channel("force", "A", force, unit="V"),
@@ -81,10 +81,10 @@ def reduced(
     *,
     more: str = RESULTS,
     replaced: tuple[str, str] = ("", ""),
-) -> tuple[Evidence, dict[str, Result]]:
+) -> tuple[ReducedTest, dict[str, Result]]:
     """Evidence and results by name, of the same."""
     done = reduction(time, displacement, force, more=more, replaced=replaced)
-    return done.evidence, {each.name: each for each in done.results}
+    return done.evidence, {result.name: result for result in done.results}
 
 
 UP, DOWN = Direction.LOADING, Direction.UNLOADING
@@ -106,11 +106,11 @@ def recorded(
     clocks: Clocks | None = None,
     compliance: float = 0.0,
     **more: Any,
-) -> Evidence:
+) -> ReducedTest:
     """Filter two records branch by branch, and put them on one clock: a curve."""
     at = time if force_time is None else force_time
     branches, clocks = branches or one_loading(time), clocks or Clocks("one")
-    ends = [time[end - 1] for each in branches for end in (each.start, each.stop) if end]
+    ends = [time[end - 1] for branch in branches for end in (branch.start, branch.stop) if end]
     signals = Signals()
     for name, clock, unit, made, stamps, values in (
         ("force", "force" if clocks.force else "one", "N", filters, at, force),
@@ -130,6 +130,6 @@ def recorded(
     corrected = way.values - compliance * pull if compliance else way.values
     curve = Curve(way.time, corrected, pull, number, number + 1, branches)
     unfiltered = signals.raw["force"]
-    return Evidence(
+    return ReducedTest(
         signals, clocks, curve=curve, unfiltered=unfiltered, compliance=compliance, **more
     )

@@ -128,14 +128,14 @@ def reversed_case(line: Line, boundaries: list[Boundary]) -> tuple[Line, list[Bo
         flipped,
     )
     out: list[Boundary] = []
-    for each in boundaries:
-        if isinstance(each, Held):
-            frame = None if each.frame is None else multiply(each.frame, half)
-            out.append(Held(-1 - each.node, each.position, frame, each.release))
-        elif isinstance(each, Load):
-            out.append(Load(-1 - each.node, each.force))
+    for boundary in boundaries:
+        if isinstance(boundary, Held):
+            frame = None if boundary.frame is None else multiply(boundary.frame, half)
+            out.append(Held(-1 - boundary.node, boundary.position, frame, boundary.release))
+        elif isinstance(boundary, Load):
+            out.append(Load(-1 - boundary.node, boundary.force))
         else:
-            out.append(each)
+            out.append(boundary)
     return other, out
 
 

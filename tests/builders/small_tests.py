@@ -127,7 +127,7 @@ def state(folder: Path) -> State:
 
 
 @dataclass(frozen=True, slots=True)
-class Ran:
+class RunSummary:
     """How a command ended and what it said."""
 
     status: int
@@ -135,19 +135,19 @@ class Ran:
     err: str
 
 
-Run = Callable[..., Ran]
+Run = Callable[..., RunSummary]
 
 
 def runner(capsys: pytest.CaptureFixture[str]) -> Run:
     """Give a function that runs a command in-process."""
 
-    def run(*arguments: object) -> Ran:
+    def run(*arguments: object) -> RunSummary:
         capsys.readouterr()
         try:
             status = main([str(argument) for argument in arguments])
         except SystemExit as end:
             status = int(end.code or 0)
         said = capsys.readouterr()
-        return Ran(status, said.out, said.err)
+        return RunSummary(status, said.out, said.err)
 
     return run

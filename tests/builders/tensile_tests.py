@@ -69,7 +69,7 @@ def shipped(repository: Path, name: str) -> Protocol:
 def reduced_in_memory(test: TensileObservation, protocol: Protocol) -> tuple[Result, ...]:
     """Results of an observation, without files in between."""
     frame, names = test.record.recording(), {"Load": "force", "Crosshead": "displacement"}
-    channels = tuple(replace(each, name=names[each.name]) for each in frame.channels)
+    channels = tuple(replace(channel, name=names[channel.name]) for channel in frame.channels)
     return reduce_recordings({"frame": replace(frame, channels=channels)}, protocol).results
 
 

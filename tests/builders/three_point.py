@@ -19,7 +19,7 @@ from labpipe.protocol.overrides import without_absent
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import Result
-from labpipe.results.evidence import Evidence
+from labpipe.results.reduced_test import ReducedTest
 
 SPAN, STROKE, SPEED, RADIUS = 0.1524, 0.0294, 0.5e-3, 8.55e-3
 GAIN, OFFSET = -0.21082, 0.002846
@@ -156,7 +156,7 @@ def tracks(record: BendingRecord, random: np.random.Generator) -> MarkerTracks:
     places = 0.0127 * np.arange(-7, 8)
     half = np.abs(places)
     grid = np.stack(
-        [np.stack([each(half) for each in part]) for part in (xs, ys)]
+        [np.stack([piece(half) for piece in part]) for part in (xs, ys)]
     )  # (2, deflections, sections)
     slope = np.stack([np.arctan2(y(half, 1), x(half, 1)) for x, y in zip(xs, ys, strict=True)])
     x, y = (np.asarray(CubicSpline(known, part)(deflection)) for part in grid)
@@ -187,17 +187,19 @@ def reduced(
     without: tuple[str, ...] = (),
     change: tuple[tuple[str, str], ...] = (),
     tested: date | None = None,
-) -> tuple[Evidence, dict[str, Result]]:
+) -> tuple[ReducedTest, dict[str, Result]]:
     """Reduce a test by the shipped protocol and the rod's span, with some changes of their text."""
     text = CONDUIT.read_text(encoding="utf-8")
     text = text.replace("  section: {outer", "  span: 152.4 mm\n  section: {outer")
     for old, new in change:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    made = {role: each for role, each in recordings(record).items() if role not in without}
+    made = {
+        role: recording for role, recording in recordings(record).items() if role not in without
+    }
     protocol = without_absent(parse_protocol(text, "conduit-bundle.yaml"), made)
     done = reduce_recordings(made, protocol, tested=tested)
-    return done.evidence, {each.name: each for each in done.results}
+    return done.evidence, {result.name: result for result in done.results}
 
 
 def other(record: BendingRecord, **changes: object) -> BendingRecord:

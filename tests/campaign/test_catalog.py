@@ -34,11 +34,11 @@ from labpipe.campaign.catalog import (
     uri_of,
 )
 from labpipe.campaign.catalog_file import new_catalog, open_catalog
-from labpipe.campaign.claims import LONGEST, is_alive, own_claim
 from labpipe.campaign.machine import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.outcome_rows import ResultRow
 from labpipe.campaign.remote_drives import is_on_this_machine, shared_kind
 from labpipe.campaign.running import look
+from labpipe.campaign.test_locks import LONGEST, is_alive, new_claim
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 
@@ -299,18 +299,18 @@ def test_outcomes_and_what_changes_their_marks(campaign: CampaignFolders) -> Non
 def test_a_process_that_ended_does_not() -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # it is a zombie from here on
-    assert not is_alive(replace(own_claim(), pid=ended.pid, process=""))
+    assert not is_alive(replace(new_claim(), pid=ended.pid, process=""))
     ended.wait()
-    assert not is_alive(replace(own_claim(), pid=ended.pid, process=""))
+    assert not is_alive(replace(new_claim(), pid=ended.pid, process=""))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when a process began")
 def test_a_process_that_got_the_number_of_another_is_not_that_one() -> None:
-    assert not is_alive(replace(own_claim(), process="another boot 1"))
+    assert not is_alive(replace(new_claim(), process="another boot 1"))
 
 
 def test_of_another_host_the_claim_must_be_young() -> None:
-    other = replace(own_claim(), host="elsewhere", pid=1)
+    other = replace(new_claim(), host="elsewhere", pid=1)
     assert is_alive(other)
     for age in (LONGEST + 1, -LONGEST - 1):  # the second: a clock that was set back
         assert not is_alive(replace(other, since=time.time() - age))

@@ -45,7 +45,7 @@ def tasks_of(labs: list[TensileLab], out: Path) -> list[Task]:
 
 
 def by_name(outcomes: Iterator[Outcome]) -> dict[str, Outcome]:
-    return {each.sheet.parent.name: each for each in outcomes}
+    return {outcome.sheet.parent.name: outcome for outcome in outcomes}
 
 
 def _kept(dask_scheduler: Any) -> tuple[int, object]:
@@ -90,7 +90,7 @@ def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_p
     spoil(labs[2].sheet, "kill the worker")
     spoil(labs[4].sheet, "abort")
     found = by_name(dask(machines.address)(tasks_of(labs, tmp_path / "out")))
-    failed = {name: each.code for name, each in found.items() if each.state == "failed"}
+    failed = {name: finding.code for name, finding in found.items() if finding.state == "failed"}
     assert failed == {"S-0002": "worker_died", "S-0004": "process_died"}
     assert len(found) == 6
     assert found["S-0002"].reason == (
@@ -109,7 +109,7 @@ def test_what_cannot_be_processed_fails_as_on_one_machine(
     labs[1].export.unlink()
     labs[2].sheet.unlink()
     found = by_name(dask(machines.address)(tasks_of(labs, tmp_path / "out")))
-    assert {name: each.code for name, each in found.items() if each.state == "failed"} == {
+    assert {name: finding.code for name, finding in found.items() if finding.state == "failed"} == {
         "S-0001": "missing_export",
         "S-0002": "bad_sheet",
     }
@@ -152,7 +152,7 @@ def test_tests_go_to_workers_that_see_them(alone: Cluster, own: list[TensileLab]
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
     found = by_name(dask(alone.address)(hidden))
-    states = {name: each.code for name, each in found.items() if each.state == "failed"}
+    states = {name: finding.code for name, finding in found.items() if finding.state == "failed"}
     assert states == {"S-0005": "bad_sheet"}
     assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
 
@@ -168,7 +168,7 @@ def test_a_test_that_no_worker_sees_fails_alone(alone: Cluster, own: list[Tensil
         found = list(dask(alone.address)([*tasks, hidden]))
     finally:
         os.close(handle)
-    (failed,) = (each for each in found if each.state == "failed")
+    (failed,) = (finding for finding in found if finding.state == "failed")
     assert (failed.sheet, failed.code, failed.run) == (hidden.sheet, "worker_without_data", "0a")
     assert failed.reason == (
         f"{hidden.sheet}: expected a worker that sees the files that are seen here, found none"
@@ -217,13 +217,13 @@ def test_a_worker_with_another_labpipe_that_comes_in_mid_run(
     machines: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its first answer is as if it had been asked too early."""
-    judge, asked = cluster._Crew.judge, list[str]()
+    judge, asked = cluster._ClusterWorkers.judge, list[str]()
 
-    def late(crew: cluster._Crew, worker: str, said: object) -> None:
+    def late(crew: cluster._ClusterWorkers, worker: str, said: object) -> None:
         asked.append(worker)
         judge(crew, worker, batches.versions() if len(asked) <= 1 else said)
 
-    monkeypatch.setattr(cluster._Crew, "judge", late)
+    monkeypatch.setattr(cluster._ClusterWorkers, "judge", late)
     monkeypatch.setattr(cluster, "_CONNECT", 2.0)
     monkeypatch.setattr(cluster, "_NOBODY", 1.0)
     monkeypatch.setattr(cluster, "_LOOK", 0.5)

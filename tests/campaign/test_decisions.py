@@ -234,7 +234,9 @@ def processed(done: Path, tmp_path: Path) -> Path:
 
 
 def saved(path: Path, *decisions: Decision, campaign: str = "c") -> Path:
-    entries = [{key: value for key, value in asdict(each).items() if value} for each in decisions]
+    entries = [
+        {key: value for key, value in asdict(decision).items() if value} for decision in decisions
+    ]
     path.write_text(json.dumps({"schema": 1, "campaign": campaign, "decisions": entries}), "utf-8")
     return path
 

@@ -19,11 +19,11 @@ import pytest
 from labpipe.campaign.executors import executor_of, local
 from labpipe.campaign.outcomes import Outcome, outcome_of, settled
 from labpipe.campaign.runs import process_tests, run_jobs
-from labpipe.campaign.standing_worker import StandingWorker
-from labpipe.campaign.workers import Crew, Died, Raised, in_processes
+from labpipe.campaign.warm_worker import WarmWorker
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, in_processes
 from labpipe.errors import CODES, ProcessingError, UsageError
-from labpipe.process.attempts import Refused, Task
 from labpipe.process.run import Processed, process_test
+from labpipe.process.test_runner import Refused, Task
 from tests.builders.other_processes import Spoiled, spoil
 from tests.builders.pulls import broken, pull
 from tests.builders.small_pulls import small_pulls
@@ -62,7 +62,7 @@ def test_a_crash_costs_that_test(labs: list[TensileLab], end: str, how: str) -> 
     spoil(labs[0].sheet, end)
     spoil(labs[2].sheet, end)
     found = outcomes_of(labs, jobs=2)
-    assert [each.state == "failed" for each in found] == [True, False, True, False]
+    assert [finding.state == "failed" for finding in found] == [True, False, True, False]
     assert (found[0].code, found[0].run) == ("process_died", "0a")
     assert f"found that it was ended {how}." in found[0].reason
     said = json.loads((labs[2].processed / "failure.json").read_text("utf-8"))
@@ -74,7 +74,7 @@ def test_a_crash_costs_that_test(labs: list[TensileLab], end: str, how: str) -> 
 def test_a_test_that_takes_too_long_is_given_up(labs: list[TensileLab]) -> None:
     spoil(labs[1].sheet, "hang")
     found = outcomes_of(labs[1:], jobs=2, limit=10.0)
-    assert [each.state == "failed" for each in found] == [True, False, False]
+    assert [finding.state == "failed" for finding in found] == [True, False, False]
     assert found[0].code == "time_limit"
     assert "expected an end within 0.166667 minutes, found none" in found[0].reason
 
@@ -185,14 +185,14 @@ def test_a_process_that_dies_costs_its_call_alone(jobs: int) -> None:
         partial(int, "6"),
     ]
     found = list(in_processes(calls, jobs=jobs))
-    died = Died(-signal.SIGTERM), Died(-signal.SIGKILL), Died(3)
+    died = ProcessDied(-signal.SIGTERM), ProcessDied(-signal.SIGKILL), ProcessDied(3)
     assert found == [1, died[0], died[1], 4, died[2], 6]
     assert [each.how for each in died] == [
         "by the signal SIGTERM",
         "by the signal SIGKILL",
         "with exit code 3",
     ]
-    assert Died(-63).how == "by the signal 63"
+    assert ProcessDied(-63).how == "by the signal 63"
 
 
 def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> None:
@@ -206,7 +206,7 @@ def test_calls_that_were_begun_are_waited_for_and_no_others(tmp_path: Path) -> N
 def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
     calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
     late, second = in_processes(calls, jobs=2, limit=1.0)
-    assert isinstance(late, Died)
+    assert isinstance(late, ProcessDied)
     assert late.limit == 1.0
     assert second == 2
 
@@ -222,7 +222,7 @@ def test_what_is_printed_and_read_there_is_no_message_of_ours() -> None:
 
 
 def test_a_process_that_dies_between_two_calls_costs_none() -> None:
-    crew: Crew[str, int] = Crew(int, jobs=1)
+    crew: WorkerPool[str, int] = WorkerPool(int, jobs=1)
     try:
         assert list(crew.as_they_end(["1"])) == [("1", 1)]
         (worker,) = crew._workers
@@ -268,7 +268,7 @@ def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
     lab = small_pulls(tmp_path, 1)[0]
     said = outcome_of(Task(lab.sheet, figures=False))
     assert (said.folder, said.run) == (lab.processed, lab.summary["run"])
-    first = next(each for each in lab.results.values() if each["status"] != "ok")
+    first = next(result for result in lab.results.values() if result["status"] != "ok")
     reason = first["reasons"][0]
     assert said.state == "doubtful"
     assert said.code == reason["code"]
@@ -278,21 +278,21 @@ def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
 
 def test_what_came_of_a_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
-    died = settled(task, Died(-signal.SIGTERM))
+    died = settled(task, ProcessDied(-signal.SIGTERM))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
-    late = settled(task, Died(-signal.SIGTERM, 120.0))
+    late = settled(task, ProcessDied(-signal.SIGTERM, 120.0))
     assert late.code == "time_limit"
     assert "expected an end within 2 minutes, found none" in late.reason
     assert {died.code, late.code} <= CODES.keys()
     done = Outcome(task.sheet, None, "ok")
     assert settled(task, done) is done
     with pytest.raises(ZeroDivisionError):
-        settled(task, Raised(ZeroDivisionError()))
+        settled(task, CallRaised(ZeroDivisionError()))
 
 
 @pytest.fixture(scope="module")
-def worker() -> Iterator[StandingWorker]:
-    made = StandingWorker()
+def worker() -> Iterator[WarmWorker]:
+    made = WarmWorker()
     made.warm()
     yield made
     made.leave()
@@ -304,7 +304,7 @@ def refuse() -> None:
 
 
 @pytest.mark.slow
-def test_calls_are_done_in_one_process_that_stays(worker: StandingWorker) -> None:
+def test_calls_are_done_in_one_process_that_stays(worker: WarmWorker) -> None:
     first, second = (worker.call(os.getpid, about="x") for _ in range(2))
     assert first == second != os.getpid()
     with pytest.raises(UsageError, match="no"):
@@ -313,7 +313,7 @@ def test_calls_are_done_in_one_process_that_stays(worker: StandingWorker) -> Non
 
 
 @pytest.mark.slow
-def test_numbers_first_and_figures_behind(worker: StandingWorker, lab: Lab) -> None:
+def test_numbers_first_and_figures_behind(worker: WarmWorker, lab: Lab) -> None:
     (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
     assert outcome.folder == lab.processed
     assert not (lab.processed / "figures").exists()
@@ -328,16 +328,16 @@ def test_numbers_first_and_figures_behind(worker: StandingWorker, lab: Lab) -> N
     assert drawn == {path.name: path.read_bytes() for path in usual.figures}
 
 
-def test_a_process_that_dies_costs_one_call(worker: StandingWorker) -> None:
+def test_a_process_that_dies_costs_one_call(worker: WarmWorker) -> None:
     with pytest.raises(ProcessingError, match=r"x: .* ended with exit code 3"):
         worker.call(partial(os._exit, 3), about="x")
     assert worker.call(os.getpid, about="x") != os.getpid()
 
 
 def test_a_process_that_dies_in_a_test_is_an_outcome(
-    worker: StandingWorker, lab: Lab, monkeypatch: pytest.MonkeyPatch
+    worker: WarmWorker, lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.standing_worker.outcome_of", die)
+    monkeypatch.setattr("labpipe.campaign.warm_worker.outcome_of", die)
     (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
 

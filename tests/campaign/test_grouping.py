@@ -12,6 +12,7 @@ from labpipe.campaign.grouping import (
     QUESTIONS,
     Key,
     check_fields,
+    differing_settings,
     division,
     find_differences,
     group_names,
@@ -19,7 +20,6 @@ from labpipe.campaign.grouping import (
     key_of,
     setting_notes,
     settings_of,
-    unlike_words,
     with_own_spools,
     without,
 )
@@ -103,20 +103,20 @@ HALF_LAP = bundle_of("19 B2", conduit="corrugated-tube")
 
 def test_questions_come_first_and_count_from_less_to_more() -> None:
     found = bundle_campaign(conduit_cases()).differences
-    asked = [each.question for each in found]
+    asked = [finding.question for finding in found]
     assert list(dict.fromkeys(asked)) == ["wire", "number", "taping", "conduit", ""]
-    assert {each.family for each in found if not each.question} == {""}
-    assert {each.verdict for each in found if not each.question} == {Verdict.NOT_ASKED}
-    first = [each for each in found if each.family == QUESTIONS]
+    assert {finding.family for finding in found if not finding.question} == {""}
+    assert {finding.verdict for finding in found if not finding.question} == {Verdict.NOT_ASKED}
+    first = [finding for finding in found if finding.family == QUESTIONS]
     assert {each.name for each in first} == {MAIN[0]}
-    assert {each.name for each in found if each.family == OTHERS} == {MAIN[1]}
+    assert {finding.name for finding in found if finding.family == OTHERS} == {MAIN[1]}
     assert {each.tests for each in first} == {len(first)}
     assert asked == sorted(asked, key=list(dict.fromkeys(asked)).index)
-    taping = [each.fields["taping"] for each in found if each.question == "taping"]
+    taping = [finding.fields["taping"] for finding in found if finding.question == "taping"]
     assert set(taping) == {("none", "coarse"), ("none", "half-lap"), ("coarse", "half-lap")}
-    (number,) = {each.fields["number"] for each in found if each.question == "number"}
+    (number,) = {finding.fields["number"] for finding in found if finding.question == "number"}
     assert number == ("12", "19")
-    assert all(each.difference.mean > 0 for each in found if each.question == "number")
+    assert all(finding.difference.mean > 0 for finding in found if finding.question == "number")
 
 
 def test_half_lap_against_none_that_are_equal_within_two_percent() -> None:
@@ -149,7 +149,7 @@ def test_only_one_question() -> None:
         sample.source: {} for group in groups for sample in group.samples
     }
     found = find_differences(groups, wishes, settings, by=("type",), alone="taping")
-    assert {each.question for each in found.shown} == {"taping"}
+    assert {finding.question for finding in found.shown} == {"taping"}
     assert (len(found.shown), found.pairs_not_shown) == (6, 25)
 
 
@@ -157,7 +157,7 @@ def test_tests_that_were_processed_otherwise_are_told() -> None:
     samples = [*three_of(NONE), *three_of(HALF_LAP)]
     groups = grouped(samples)
     wishes = {PROTOCOL: Groups(main=MAIN)}
-    settings = {each.source: {"results.kink.to": "5 mm"} for each in samples}
+    settings = {sample.source: {"results.kink.to": "5 mm"} for sample in samples}
     settings[samples[0].source] = {"results.kink.to": "4 mm"}
     found = find_differences(groups, wishes, settings, by=("type",))
     assert found.shown[0].words.endswith(
@@ -184,12 +184,12 @@ def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
     (note,) = setting_notes({"a": own, "b": own, "c": other})
     assert (note.code, note.where) == ("protocols_differ", "curve.failure.force_below")
     assert note.message == "set otherwise from test to test: 20 % (c) and 50 % (a, b)"
-    assert unlike_words({"a": own, "c": other}) == (
+    assert differing_settings({"a": own, "c": other}) == (
         "the tests were processed otherwise: curve.failure.force_below differ",
     )
-    assert not unlike_words({"a": own, "b": own})
+    assert not differing_settings({"a": own, "b": own})
     bare = settings_of(tube.model_copy(update={"steps": (), "results": (), "branches": None}))
-    assert unlike_words({"a": own, "b": bare}) == (
+    assert differing_settings({"a": own, "b": bare}) == (
         "the tests were processed otherwise: steps, branches, results differ",
     )
 

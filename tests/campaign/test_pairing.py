@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from labpipe.campaign.file_stability import FileStability
 from labpipe.campaign.pairing import Candidate, list_candidates, pair_test, plan_of
-from labpipe.campaign.standing_files import StandingFiles
 from labpipe.errors import ProtocolError, StoreError, UsageError
 from labpipe.protocol.load import load_test_sheet
 from tests.builders.small_tests import Lab, state
@@ -121,7 +121,7 @@ def test_files_that_no_rule_takes(campaign: Path) -> None:
 
     listed = list_candidates(campaign, plan_of(campaign))
 
-    assert [each.name for each in listed.candidates] == ["A2-085-3", "A2-085-4"]
+    assert [candidate.name for candidate in listed.candidates] == ["A2-085-3", "A2-085-4"]
     assert {path.name: why for path, why in listed.strangers.items()} == {
         "notes.docx": "its name is of no pattern in campaign.yaml",
         "a\nb.csv": "its name has control characters; rename it",
@@ -150,7 +150,7 @@ def test_one_folder_per_test(lab: Lab) -> None:
     (folder / "empty").mkdir()
     plan = plan_of(folder)
     listed = list_candidates(folder, plan)
-    assert [each.name for each in listed.candidates] == ["T1"]
+    assert [candidate.name for candidate in listed.candidates] == ["T1"]
     assert listed.strangers == {folder / "loose.csv": "it is in no folder of a test"}
     written = pair_test(listed.candidates[0], plan)
     assert written.open == ("type", "spool", "sample")
@@ -220,7 +220,7 @@ def test_a_force_alone_waits_for_what_the_other_tests_need(
         text = SIBLING.format(folder.name, protocol)
         (folder / "test.yaml").write_text(text, encoding="utf-8")
     candidates = list_candidates(lab.raw.parent, plan_of(lab.raw.parent)).candidates
-    own = next(each for each in candidates if each.folder == lab.raw)
+    own = next(candidate for candidate in candidates if candidate.folder == lab.raw)
     written = pair_test(own, plan_of(lab.raw.parent), waited=waited)
     assert written.missing == missing
     assert (written.sheet is None) is bool(missing)
@@ -260,7 +260,7 @@ def clock() -> Clock:
 def test_a_file_stands_still_once_it_did_not_change_for_long_enough(
     tmp_path: Path, clock: Clock
 ) -> None:
-    files, path = StandingFiles(clock, 2.0), tmp_path / "x"
+    files, path = FileStability(clock, 2.0), tmp_path / "x"
     assert files.look(path) == "gone"
     path.write_bytes(b"1")
     assert files.look(path) == "growing"
@@ -280,7 +280,7 @@ def test_a_file_stands_still_once_it_did_not_change_for_long_enough(
 
 
 def test_a_file_that_changes_at_the_same_size_grows(tmp_path: Path, clock: Clock) -> None:
-    files, path = StandingFiles(clock, 2.0), tmp_path / "x"
+    files, path = FileStability(clock, 2.0), tmp_path / "x"
     path.write_bytes(b"1")
     files.look(path)
     clock.now += 5.0

@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
+from labpipe.campaign.protocol_facts import number_kinds, with_sizes
 from labpipe.campaign.report_samples import frames_at_steps, sample_of
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
-    Beside,
     Recipe,
-    Wanted,
+    ReportContext,
+    ReportOptions,
     make_campaign,
     report_tests,
 )
-from labpipe.campaign.stated import number_kinds, with_sizes
 from labpipe.campaign.test_pages import page_of_test, pages_of
 from labpipe.errors import LabpipeError, StoreError, UsageError
+from labpipe.process.output_paths import find_results
 from labpipe.process.run import process_test
-from labpipe.process.targets import find_results
 from labpipe.protocol.load import known_protocols, load_protocol
 from labpipe.protocol.schema import Section, SpecimenBlock
 from labpipe.records.group import Campaign, Sample
@@ -98,8 +98,13 @@ def test_main_numbers_come_first_and_are_compared(results: Path) -> None:
         "energy_to_break",
         "stiffness",
     ]
-    assert {each.name for each in campaign.differences} == {"energy_to_break", "stiffness"}
-    (difference,) = (each for each in campaign.differences if each.name == "stiffness")
+    assert {difference.name for difference in campaign.differences} == {
+        "energy_to_break",
+        "stiffness",
+    }
+    (difference,) = (
+        difference for difference in campaign.differences if difference.name == "stiffness"
+    )
     assert (difference.first, difference.second) == ("hose", "tube")
     assert difference.difference.mean == pytest.approx(1000.0, rel=0.05)
     assert difference.margin == pytest.approx(0.05 * 4050.0, rel=0.01)
@@ -119,7 +124,7 @@ def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
     ]
     add_decisions(campaign, "c", decide)
     reported = report_tests([results])
-    assert [[each.test for each in group.samples] for group in reported.campaign.groups] == [
+    assert [[sample.test for sample in group.samples] for group in reported.campaign.groups] == [
         ["H-1", "H-2"],
     ]  # fmt: skip
     again = "(open again: exports, sheet, protocol or labpipe changed since)"
@@ -172,30 +177,33 @@ def labelled(results: Path, labels: dict[str, str]) -> None:
 
 def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None:
     letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
-    beside, wanted = Beside(letterhead, ("png",), True), Wanted(("spool",), "", tmp_path / "w.xlsx")
+    beside, wanted = (
+        ReportContext(letterhead, ("png",), True),
+        ReportOptions(("spool",), "", tmp_path / "w.xlsx"),
+    )
     made = Recipe("Tubes", wanted, beside)
     (tmp_path / RECIPE_FILE).write_text(made.text(tmp_path), encoding="utf-8")
     assert Recipe.read(tmp_path) == made
-    typed = Recipe("Other", beside=Beside(Letterhead((("Order", "4712"),))))
+    typed = Recipe("Other", beside=ReportContext(Letterhead((("Order", "4712"),))))
     again = typed.or_earlier(Recipe.read(tmp_path))
     assert (again.title, again.wanted) == ("Other", wanted)
     assert again.beside.letterhead.facts == (("Customer", "a"), ("Order", "4712"))
     assert again.beside.letterhead.logo == "data:x"
     assert Recipe.read(results) == Recipe()
-    report = report_tests([results], title="Tubes", beside=Beside(letterhead))
+    report = report_tests([results], title="Tubes", beside=ReportContext(letterhead))
     assert Recipe.read(report.folder).beside.letterhead == letterhead
 
 
 def test_groups_by_a_field_of_the_sheets(results: Path) -> None:
     labelled(results, {"T-1": "24 h", "H-1": "24 h", "T-2": "48 h"})
     stored_protocol(results, "main: []", "main: [stiffness]")
-    by_cure = make_campaign(find_results([results]), "", wanted=Wanted(by=("cured",)))
+    by_cure = make_campaign(find_results([results]), "", wanted=ReportOptions(by=("cured",)))
     assert [group.name for group in by_cure.groups] == ["without cured", "cured 24 h", "cured 48 h"]
     assert by_cure.by == ("cured",)
     none, first, _ = by_cure.groups
     assert first.fields["cured"] == "24 h"
     assert none.notes[0].message == "the test sheets of these samples do not say cured"
-    assert [each.fields for each in by_cure.differences if each.question] == [
+    assert [difference.fields for difference in by_cure.differences if difference.question] == [
         {"cured": ("not said", "24 h")},
         {"cured": ("24 h", "48 h")},
     ]
@@ -207,7 +215,7 @@ def test_groups_by_a_field_of_the_sheets(results: Path) -> None:
 def test_only_pairs_that_differ_in_one_field(results: Path) -> None:
     labelled(results, {"T-1": "24 h", "T-2": "48 h"})
     stored_protocol(results, "main: []", "main: [stiffness]")
-    wanted = Wanted(by=("type", "cured"), alone="cured")
+    wanted = ReportOptions(by=("type", "cured"), alone="cured")
     campaign = make_campaign(find_results([results]), "", wanted=wanted)
     assert [group.name for group in campaign.groups] == [
         "hose, without cured", "tube, cured 24 h", "tube, cured 48 h"
@@ -218,11 +226,11 @@ def test_only_pairs_that_differ_in_one_field(results: Path) -> None:
 
 
 def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
-    campaign = make_campaign(find_results([done]), "", wanted=Wanted(wires=EXAMPLES))
+    campaign = make_campaign(find_results([done]), "", wanted=ReportOptions(wires=EXAMPLES))
     assert (campaign.wire_sheet, campaign.places) == ("wires.xlsx", ())
     said: list[str] = []
     with pytest.raises(LabpipeError, match=r"none\.xlsx"):
-        make_campaign(find_results([done]), "", said.append, Wanted(wires=Path("none.xlsx")))
+        make_campaign(find_results([done]), "", said.append, ReportOptions(wires=Path("none.xlsx")))
     assert not said
 
 
@@ -298,7 +306,9 @@ def test_a_sample_keeps_thinned_branches_up_to_the_failure(pulls: Path) -> None:
     assert not sample.unloading
     assert 400 < len(branch.displacement) <= 1000
     assert (np.diff(branch.displacement) > 0.0).all()
-    failure = next(each.value for each in result.results if each.name == "failure_displacement")
+    failure = next(
+        result.value for result in result.results if result.name == "failure_displacement"
+    )
     assert failure is not None
     assert branch.displacement[-1] == pytest.approx(failure, abs=4e-5)
     assert branch.force.min() > -0.1

@@ -19,8 +19,8 @@ import pytest
 from labpipe.campaign.campaign_folders import find_campaign, look_at_outcome
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE
 from labpipe.campaign.decisions import Decision
-from labpipe.campaign.file_accounts import account_for
 from labpipe.campaign.outcome_rows import StoredOutcome, plain, read_outcome_files
+from labpipe.campaign.raw_file_usage import account_for_files
 from labpipe.campaign.refreshing import opened_campaign
 from labpipe.campaign.running import clear_failures, decide, look, rebuild, run_some
 from labpipe.errors import LabpipeError, StoreError, UsageError
@@ -440,7 +440,7 @@ def test_every_file_is_used_waiting_failed_or_unknown(tmp_path: Path) -> None:
     (kept.raw / "T1" / "photo.jpg").write_text("", "utf-8")
     (kept.raw / "notes \x07.txt").write_text("", "utf-8")
     with opened_campaign(kept.folders) as keeper:
-        files = account_for(keeper, keeper.refresh())
+        files = account_for_files(keeper, keeper.refresh())
     assert files == {
         "used": ["T1/frame.csv", "T1/test.yaml", "campaign.yaml"],
         "waiting": ["T4/test.yaml", "more/T3/frame.csv", "more/T3/test.yaml"],
@@ -465,7 +465,7 @@ def test_files_that_a_campaign_yaml_pairs(tmp_path: Path) -> None:
         (kept.raw / "incoming" / name).write_text("", "utf-8")
 
     with opened_campaign(kept.folders) as keeper:
-        files = account_for(keeper, keeper.refresh())
+        files = account_for_files(keeper, keeper.refresh())
 
     assert "campaign.yaml" in files["used"]
     assert "incoming/T1_frame.csv" in files["used"]
@@ -497,7 +497,7 @@ def test_of_a_real_test(lab: Lab) -> None:
     assert (found.test, found.run, found.protocol) == (made.test, made.run, made.protocol)
     assert found.specimen["length"] == 0.085
     assert found.date == str(made.date)
-    assert [each.name for each in found.results] == [each.name for each in made.results]
+    assert [result.name for result in found.results] == [result.name for result in made.results]
     for mine, its in zip(found.results, made.results, strict=True):
         assert (mine.value, mine.unit, mine.status) == (its.value, its.unit, its.status)
     assert found.inputs == tuple((i.role, i.file, i.sha256) for i in made.inputs)

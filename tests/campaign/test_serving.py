@@ -42,7 +42,9 @@ class Asked:
 
     def raw(self, method: str, path: str, body: str | None = None, **headers: str) -> Answer:
         connection = HTTPConnection("127.0.0.1", self.server.server_port, timeout=10)
-        sent = {"Host": self.host} | {key.replace("_", "-"): each for key, each in headers.items()}
+        sent = {"Host": self.host} | {
+            key.replace("_", "-"): header for key, header in headers.items()
+        }
         connection.request(method, path, body, {key: each for key, each in sent.items() if each})
         got = connection.getresponse()
         answer = Answer(got.status, dict(got.getheaders()), got.read())

@@ -21,8 +21,8 @@ import pytest
 from labpipe.campaign.campaign_folders import find_campaign
 from labpipe.campaign.executors import Outcome, local
 from labpipe.campaign.pairing import pair_test
+from labpipe.campaign.quick_look import GroupsSoFar, Shown, actions, actions_for, refused, verdict
 from labpipe.campaign.running import look
-from labpipe.campaign.verdicts import GroupsSoFar, Shown, actions, actions_for, refused, verdict
 from labpipe.campaign.watched_campaign import WatchedCampaign
 from labpipe.campaign.watching import Watcher
 from labpipe.errors import CODES, ProcessingError, ProtocolError
@@ -75,7 +75,7 @@ class Campaign:
 
     def results(self) -> dict[Path, str]:
         folder = self.home / "processed" / "c"
-        return {each: each.name for each in folder.iterdir()} if folder.is_dir() else {}
+        return {path: path.name for path in folder.iterdir()} if folder.is_dir() else {}
 
 
 @dataclass
@@ -191,7 +191,7 @@ def test_a_locked_file_is_waited_for(
 ) -> None:
     put(bench, "A2-085-1", exports)
     with monkeypatch.context() as patch:
-        patch.setattr("labpipe.campaign.standing_files._opens", lambda path: path.suffix != ".mat")
+        patch.setattr("labpipe.campaign.file_stability._opens", lambda path: path.suffix != ".mat")
         assert bench.go(59, step=1) == ""
         assert bench.go(10, step=1) == (
             "A2-085-1: force.mat cannot be opened, another program holds it; waited for"
@@ -294,7 +294,7 @@ def test_a_restart_does_nothing_twice(bench: Bench, exports: dict[str, bytes]) -
     bench.watcher = bench.begin()
     bench.go(10)
     assert sorted(bench.campaign.asked) == ["A2-085-1", "A2-085-2", "A2-085-3"]
-    verdicts = [each for each in bench.said[before:] if "WELL" in each]
+    verdicts = [sentence for sentence in bench.said[before:] if "WELL" in sentence]
     assert len(verdicts) == 1
 
 
@@ -370,12 +370,12 @@ def begun() -> Iterator[list[Watch]]:
     """Watches that are ended with the test."""
     watches: list[Watch] = []
     yield watches
-    for each in watches:
-        if each.process.poll() is None:
-            each.process.kill()
-        each.process.wait(10)
-        if each.process.stdout is not None:
-            each.process.stdout.close()
+    for watch in watches:
+        if watch.process.poll() is None:
+            watch.process.kill()
+        watch.process.wait(10)
+        if watch.process.stdout is not None:
+            watch.process.stdout.close()
 
 
 def put_in_pieces(source: Path, goal: Path, names: tuple[str, ...], *, pieces: int) -> float:
@@ -459,7 +459,9 @@ def put_summary(folder: Path, said: Summary) -> Path:
 
 def lines(tmp_path: Path, said: Summary, before: Sequence[Summary] = ()) -> list[str]:
     groups = GroupsSoFar()
-    groups.read({put_summary(tmp_path / f"T{i}", each): "run" for i, each in enumerate(before)})
+    groups.read(
+        {put_summary(tmp_path / f"T{i}", summary): "run" for i, summary in enumerate(before)}
+    )
     return verdict("T", tmp_path / "T", said, groups.group_of(said), MM)
 
 
@@ -496,9 +498,9 @@ def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -
 
 def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None:
     doubting = {
-        each.code
-        for each in kinds_of_notes()
-        if each.origin == "processing" and (each.doubts or Severity.ERROR in each.severities)
+        kind.code
+        for kind in kinds_of_notes()
+        if kind.origin == "processing" and (kind.doubts or Severity.ERROR in kind.severities)
     }
     page = (repository / "docs" / "reference" / "results.md").read_text(encoding="utf-8")
     table = page.partition("## Reason codes of failed results")[2].partition("In a [report]")[0]
@@ -507,7 +509,7 @@ def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None
 
     missing = (doubting | failing | set(CODES)) - set(actions()) - {"mid_span", "code"}
     assert not missing
-    known = {each.code for each in kinds_of_notes()} | said | set(CODES)
+    known = {kind.code for kind in kinds_of_notes()} | said | set(CODES)
     assert not set(actions()) - known  # no action for a code that there is not
 
 

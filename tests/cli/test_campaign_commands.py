@@ -150,8 +150,8 @@ def test_letterhead_figures_and_pages_as_they_are_asked_for(
     page = (goal / "report.html").read_text(encoding="utf-8")
     assert "<dt>Lab</dt><dd>Bench &lt;3&gt;</dd>" in page
     assert "<dt>Order</dt><dd>42</dd>" in page
-    assert sorted(each.name for each in (goal / "tests").iterdir()) == ["P-1.html", "P-2.html"]
-    assert {each.suffix for each in (goal / "figures").iterdir()} == {".svg", ".pdf"}
+    assert sorted(path.name for path in (goal / "tests").iterdir()) == ["P-1.html", "P-2.html"]
+    assert {path.suffix for path in (goal / "figures").iterdir()} == {".svg", ".pdf"}
 
 
 def simulated(make: Callable[[Path], None] | list[Callable[[Path], None]], raw: Path) -> list[Path]:
@@ -215,7 +215,7 @@ def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Pat
         assert f"  {page}\n" in ran.out
     assert "radial_friction" in ran.out
     line = json.loads((done / "lines" / "harness-push" / "summary.json").read_text())
-    assert [each["role"] for each in line["inputs"]] == ["harness", "wires", "calibration"]
+    assert [element["role"] for element in line["inputs"]] == ["harness", "wires", "calibration"]
     assert line["bands"]["kind"] == "pointwise 95 %", "it has the law that was calibrated"
     assert "\nharness-push: " in ran.out
     assert (done / "wires" / "calibration" / "calibration.json").is_file()
@@ -246,7 +246,9 @@ def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
 
 def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
     def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
-        return Counter(protocol_of(test) for each in campaigns for test, _ in each.scenarios())
+        return Counter(
+            protocol_of(test) for campaign in campaigns for test, _ in campaign.scenarios()
+        )
 
     first = kinds(FIRST_LOOK)
     assert set(first) == set(kinds(each for several in CAMPAIGNS.values() for each in several))

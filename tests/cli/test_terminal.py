@@ -24,13 +24,13 @@ from labpipe.records.group import Campaign, GroupNumber
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Specimen, Status, TestResult
 from labpipe.records.wire import WireTable
-from labpipe.records.wire_calibration import Calibration, Identified, ParameterChoice
+from labpipe.records.wire_calibration import Calibration, Identifiability, ParameterChoice
 from labpipe.store.write import write_result
 from labpipe.studies.bundle_bounds import Conduit, ModelledBundle
 from labpipe.studies.calibration_study import Calibrated
 from labpipe.studies.first_loadings import FirstLoading
 from labpipe.studies.validation import compare
-from labpipe.studies.wire_models import Modelled
+from labpipe.studies.wire_models import ModelledWires
 from labpipe.wire.bundle_model import bundle_model
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from tests.approved import Approve
@@ -255,7 +255,7 @@ def test_rejected_tests_are_not_handed_over(
 
 
 def model_lines(*tables: WireTable, refused: dict[str, str] | None = None) -> list[str]:
-    modelled = Modelled(Path("wires.xlsx"), Path("processed/wires"), tables, refused or {}, ())
+    modelled = ModelledWires(Path("wires.xlsx"), Path("processed/wires"), tables, refused or {}, ())
     return model_table(modelled).splitlines()
 
 
@@ -303,9 +303,9 @@ def test_table_of_a_calibration(done: Calibrated, approved: Approve) -> None:
     reason = Reason("no_prediction", "too deep")
     lost = replace(group, prediction=None, errors=None, reason=reason)
     note = QualityNote("test_doubtful", Severity.WARNING, "T1", "taken as it is: gap")
-    silent = replace(first, value=float("nan"), intervals=(), verdict=Identified.FIXED)
+    silent = replace(first, value=float("nan"), intervals=(), verdict=Identifiability.FIXED)
     parts = (Interval(0.6, 1.8), Interval(4.0, 9.0))
-    two = replace(third, intervals=parts, verdict=Identified.TWO)
+    two = replace(third, intervals=parts, verdict=Identifiability.TWO)
     odd = (
         (replace(first, is_open_below=True), second, replace(third, intervals=())),
         (silent, second, two),

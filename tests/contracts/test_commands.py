@@ -215,7 +215,7 @@ def test_nothing_is_written_but_where_it_is_asked(
 def processed(pristine: Lab, tmp_path_factory: pytest.TempPathFactory) -> Lab:
     from labpipe.cli import main
 
-    lab = pristine.copy(tmp_path_factory.mktemp("door"))
+    lab = pristine.copy(tmp_path_factory.mktemp("api"))
     assert main(["process", str(lab.raw)]) == 0
     return lab
 
@@ -230,7 +230,7 @@ def test_importing_labpipe_imports_nothing_else() -> None:
     new = "{name.partition('.')[0] for name in {*sys.modules} - old} - sys.stdlib_module_names"
     code = f"import sys; old = {{*sys.modules}}; import labpipe; print(*sorted({new}))"
     assert python(code) == "labpipe"
-    assert python("import sys, labpipe; print('labpipe.door' in sys.modules)") == "False"
+    assert python("import sys, labpipe; print('labpipe.api' in sys.modules)") == "False"
 
 
 @pytest.mark.slow

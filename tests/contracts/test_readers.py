@@ -311,15 +311,15 @@ def test_no_vendor_s_card_reads_another_s_export(
 
 def same(one: Recording, other: Recording, paths: list[str]) -> None:
     """Whether `one` holds just these channels of `other`, sample by sample."""
-    assert sorted(each.path for each in one.channels) == sorted(paths)
-    whole = {each.path: each for each in other.channels}
-    for each in one.channels:
-        twin = whole[each.path]
-        assert (each.name, each.unit, each.unit_in_file) == (
+    assert sorted(channel.path for channel in one.channels) == sorted(paths)
+    whole = {channel.path: channel for channel in other.channels}
+    for part in one.channels:
+        twin = whole[part.path]
+        assert (part.name, part.unit, part.unit_in_file) == (
             *(twin.name, twin.unit, twin.unit_in_file),
         )
-        np.testing.assert_array_equal(each.values, twin.values)
-        clock, its = one.clock(each.clock), other.clock(twin.clock)
+        np.testing.assert_array_equal(part.values, twin.values)
+        clock, its = one.clock(part.clock), other.clock(twin.clock)
         assert clock.unit == its.unit
         np.testing.assert_array_equal(clock.time, its.time)
 
@@ -376,7 +376,7 @@ def test_a_lab_adds_a_dialect_without_python(bench: Path) -> None:
     assert [*lab_cards()] == ["bench"]
     recording = read_export(bench / "pull.txt", "load-frame", dialect=["bench"])
     assert recording.program == "Bench of the bench"
-    assert [each.name for each in recording.channels] == ["pull", "way"]
+    assert [channel.name for channel in recording.channels] == ["pull", "way"]
     np.testing.assert_allclose(recording.clocks[0].time, [0.1, 0.2, 0.3])
     np.testing.assert_allclose(recording.channels[0].values, [1.5, 2.5, 3.5])
     assert chosen_card(bench / "pull.txt", None).name == "bench"

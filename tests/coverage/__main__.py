@@ -61,7 +61,7 @@ def _publish(_: argparse.Namespace, kinds: list[str]) -> int:
 
 
 def _studies(kinds: list[str]) -> list[study.Study]:
-    return [each for each in study.STUDIES if set(each.seeds) & set(kinds)]
+    return [study for study in study.STUDIES if set(study.seeds) & set(kinds)]
 
 
 def _keep(options: argparse.Namespace, kinds: list[str]) -> int:

@@ -163,9 +163,9 @@ def holm(chances: Sequence[float], level: float) -> list[bool]:
 
 def judged(counts: Sequence[Held]) -> list[Verdict]:
     """On each result, in their order."""
-    family = [each for each in counts if each.asked >= LEAST]
+    family = [count for count in counts if count.asked >= LEAST]
     seldom = iter(holm([each.chance for each in family], LEVEL))
-    return [_verdict(each, is_seldom=each.asked >= LEAST and next(seldom)) for each in counts]
+    return [_verdict(count, is_seldom=count.asked >= LEAST and next(seldom)) for count in counts]
 
 
 def _verdict(count: Held, *, is_seldom: bool) -> Verdict:
@@ -179,8 +179,8 @@ def _verdict(count: Held, *, is_seldom: bool) -> Verdict:
 def pooled(counts: Iterable[Count]) -> dict[str, tuple[Held, Verdict]]:
     """By kind: all its intervals that are `ok`, and the verdict."""
     sums: dict[str, Held] = {}
-    for each in counts:
-        sums[each.kind] = sums.get(each.kind, Held(0, 0)) + each.ok
+    for count in counts:
+        sums[count.kind] = sums.get(count.kind, Held(0, 0)) + count.ok
     return {kind: (held, _of_all(held)) for kind, held in sums.items()}
 
 

@@ -9,7 +9,7 @@ from labpipe.records.result import Result
 from labpipe.virtual_lab import observe
 from tests.builders.tensile_tests import reduced_in_memory, shipped
 from tests.coverage import lab_bending, lab_tensile
-from tests.coverage.lab_bending import Checked
+from tests.coverage.lab_bending import CheckReport
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ON_A_STRING = {
@@ -22,7 +22,7 @@ PROTOCOLS = {"stranded-wire": "wire-cantilever"}
 """Of kinds that are not called as their protocol is."""
 
 
-def made(kind: str, seed: int, folder: Path) -> Checked:
+def made(kind: str, seed: int, folder: Path) -> CheckReport:
     """Observe and process a test.
 
     Parameters
@@ -56,9 +56,9 @@ def compared(results: tuple[Result, ...], truth: dict[str, float]) -> list[dict[
     """The same of results; where other slips were found than there are, none of them counts."""
     slips, found = (
         {name for name in names if name.startswith("slip_")}
-        for names in (truth, {each.name for each in results})
+        for names in (truth, {result.name for result in results})
     )
-    made = [_row(each, truth[each.name]) for each in results if each.name in truth]
+    made = [_row(result, truth[result.name]) for result in results if result.name in truth]
     if slips == found:
         return made
     nothing = dict.fromkeys(("value", "estimate", "lower", "upper"))

@@ -35,7 +35,7 @@ from tests.coverage.lab_tensile import wandering
 from tests.judges.foreign.rig import scale, stated
 
 Truth = dict[str, float]
-Checked = tuple[tuple[Result, ...], Truth]
+CheckReport = tuple[tuple[Result, ...], Truth]
 
 SPEED_ERROR = 0.005
 """Standard uncertainty of the speed that the protocol of conduits states."""
@@ -83,7 +83,9 @@ def _own_cell(test: CantileverScenario) -> CantileverScenario:
     return replace(test, load_cell=replace(test.load_cell, gain_error=None))
 
 
-def on_a_string(scenario: CantileverScenario, seed: int, folder: Path, protocols: Path) -> Checked:
+def on_a_string(
+    scenario: CantileverScenario, seed: int, folder: Path, protocols: Path
+) -> CheckReport:
     """Observe and process a test of a wire or of a taped bundle.
 
     Parameters
@@ -103,7 +105,9 @@ def on_a_string(scenario: CantileverScenario, seed: int, folder: Path, protocols
     return results, taped_truth(test) if name == "taped-bundle" else wire_truth(test)
 
 
-def on_two_supports(scenario: ConduitScenario, seed: int, folder: Path, protocols: Path) -> Checked:
+def on_two_supports(
+    scenario: ConduitScenario, seed: int, folder: Path, protocols: Path
+) -> CheckReport:
     """The same of a conduit bundle."""
     test = observe(scenario, seed)
     name, random = protocol_of(scenario), np.random.default_rng([seed, 71])
@@ -131,9 +135,9 @@ def on_two_supports(scenario: ConduitScenario, seed: int, folder: Path, protocol
     sheet = write_sheet(said, {role: (f"{role}.mat",) for role in roles})
     results = _reduced(roles, _plan(sheet, folder, protocols))
     truth = conduit_truth(test)
-    for each in results:
-        if each.name == "twist":  # which end of a specimen is its first is nobody's to say
-            truth["twist"] = abs(truth["twist"]) * float(np.sign(each.value or 1.0))
+    for result in results:
+        if result.name == "twist":  # which end of a specimen is its first is nobody's to say
+            truth["twist"] = abs(truth["twist"]) * float(np.sign(result.value or 1.0))
     return results, truth
 
 
@@ -142,7 +146,7 @@ def _filmed(markers: Recording, protocol: str, seed: int) -> Recording:
     by = 1.0 + scale(protocol, "markers") * float(np.random.default_rng([seed, 89]).normal())
     tracks = markers.markers
     assert tracks is not None
-    bodies = tuple(replace(each, position=by * each.position) for each in tracks.bodies)
+    bodies = tuple(replace(body, position=by * body.position) for body in tracks.bodies)
     return replace(markers, markers=replace(tracks, positions=by * tracks.positions, bodies=bodies))
 
 
@@ -151,12 +155,12 @@ def _wandering(force: Recording, cell: LoadCell, protocol: str, seed: int) -> Re
     step = 2.0 * cell.full_scale / 2**cell.bits
     channels = tuple(
         replace(
-            each,
-            values=wandering(each.values, force.clock(each.clock).time, protocol, seed, step),
+            channel,
+            values=wandering(channel.values, force.clock(channel.clock).time, protocol, seed, step),
         )
-        if each.path.startswith(FORCE_PATH)
-        else each
-        for each in force.channels
+        if channel.path.startswith(FORCE_PATH)
+        else channel
+        for channel in force.channels
     )
     return replace(force, channels=channels)
 
@@ -164,9 +168,9 @@ def _wandering(force: Recording, cell: LoadCell, protocol: str, seed: int) -> Re
 def _in_file(frame: Recording, by: float) -> Recording:
     """The crosshead in millimetres, before the protocol's names and units are put to it."""
     channels = tuple(
-        replace(each, values=1e3 * by * each.values, unit="mm")
-        for each in frame.channels
-        if each.name == "Crosshead"
+        replace(channel, values=1e3 * by * channel.values, unit="mm")
+        for channel in frame.channels
+        if channel.name == "Crosshead"
     )
     return replace(frame, channels=channels)
 

@@ -22,7 +22,7 @@ def predicted(rows: Sequence[Row], *, doubtful: bool = False) -> list[Row]:
 
 def counted(rows: Sequence[Row], name: str) -> Held:
     """How often the band of a number holds."""
-    return Held.of(each for row in rows for each in row["rows"] if each["name"] == name)
+    return Held.of(cell for row in rows for cell in row["rows"] if cell["name"] == name)
 
 
 def judged(rows: Sequence[Row]) -> dict[str, bool]:
@@ -31,7 +31,7 @@ def judged(rows: Sequence[Row]) -> dict[str, bool]:
     Significantly less often than in 95 % (Holm, one family of all numbers), or in less than 90 %.
     """
     counts = {name: counted(rows, name) for name in ASKED}
-    seldom = holm([each.chance for each in counts.values()], LEVEL)
+    seldom = holm([count.chance for count in counts.values()], LEVEL)
     return {
         name: is_seldom or held.share < ENOUGH
         for (name, held), is_seldom in zip(counts.items(), seldom, strict=True)
@@ -102,7 +102,7 @@ def _shares(rows: Sequence[Row]) -> Iterator[str]:
     for about in sure:
         for cause, share in about["shares"].items():
             causes[cause] = causes.get(cause, 0.0) + 100.0 * share / len(sure)
-    means = sorted(causes.items(), key=lambda each: each[1], reverse=True)
+    means = sorted(causes.items(), key=lambda cause: cause[1], reverse=True)
     said = ", ".join(f"{name} {share:.0f} %" for name, share in means)
     yield (
         "What the band of the smallest bend radius comes from, mean share of the variance of the"

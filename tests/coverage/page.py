@@ -55,7 +55,7 @@ def by_noise(rows: Iterable[Row]) -> dict[tuple[str, str], Held]:
         about = row["about"]
         if about.get("noise") and not about.get("fault"):
             key = row["kind"], about["noise"]
-            held = Held.of(each for each in row["rows"] if each["status"] == "ok")
+            held = Held.of(cell for cell in row["rows"] if cell["status"] == "ok")
             found[key] = found.get(key, Held(0, 0)) + held
     return found
 
@@ -71,7 +71,7 @@ def by_fault(rows: Iterable[Row]) -> dict[tuple[str, str], tuple[int, int, int]]
         if fault := row["about"].get("fault"):
             key = row["kind"], fault
             tests, n, wrong = found.get(key, (0, 0, 0))
-            ok = [each for each in row["rows"] if each["status"] == "ok"]
+            ok = [cell for cell in row["rows"] if cell["status"] == "ok"]
             found[key] = tests + 1, n + len(ok), wrong + sum(_wrong(each, fault) for each in ok)
     return found
 
@@ -87,13 +87,13 @@ def _wrong(row: Row, fault: str) -> bool:
 def tables(rows: Sequence[Row]) -> str:
     """Everything that was counted of tests, in markdown."""
     counts = counted(rows)
-    verdicts = judged([each.ok for each in counts])
+    verdicts = judged([count.ok for count in counts])
     parts = [_summary(rows, verdicts)]
     for simulator, title in TITLES.items():
         own = [
-            each
-            for each in zip(counts, verdicts, strict=True)
-            if each[0].kind.startswith(simulator)
+            count
+            for count in zip(counts, verdicts, strict=True)
+            if count[0].kind.startswith(simulator)
         ]
         parts += ["", f"### {title}", "", *_pooled([count for count, _ in own]), ""]
         parts += ["Of its results, those that are wide or hold in less than 93 %:", ""]
@@ -104,7 +104,7 @@ def tables(rows: Sequence[Row]) -> str:
 
 
 def _summary(rows: Sequence[Row], verdicts: Sequence[Verdict]) -> str:
-    sound = [each for row in rows if not row["about"].get("fault") for each in row["rows"]]
+    sound = [cell for row in rows if not row["about"].get("fault") for cell in row["rows"]]
     sound = [each for each in sound if each["status"] == "ok"]
     numbers = Counter(verdicts)
     return (
@@ -153,7 +153,7 @@ def _cells(judged_counts: list[tuple[Count, Verdict]]) -> Iterator[tuple[object,
 def every_result(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
     """List every result that was counted: cells of a table for a spreadsheet."""
     counts = counted(rows)
-    verdicts = judged([each.ok for each in counts])
+    verdicts = judged([count.ok for count in counts])
     yield "simulator", *HEADS
     for count, cells in zip(counts, _cells(list(zip(counts, verdicts, strict=True))), strict=True):
         yield count.kind.partition("/")[0], *(str(cell).strip("`*") for cell in cells)

@@ -13,7 +13,12 @@ from scipy.interpolate import PchipInterpolator
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.rod.bands import LineBands, bands_of
-from labpipe.rod.beliefs import Belief, calibrated_beliefs, joined, known
+from labpipe.rod.input_distributions import (
+    InputDistribution,
+    calibrated_distributions,
+    joined,
+    known,
+)
 from labpipe.rod.path import RodPath
 from labpipe.rod.response import Band
 from labpipe.units import GRAVITY
@@ -39,7 +44,7 @@ from tests.coverage.drawn_lines import (
     draw,
     wire_drawn,
 )
-from tests.coverage.true_lines import Laid, TrueLine, held_at, true_line
+from tests.coverage.true_lines import PreparedLine, TrueLine, held_at, true_line
 from tests.judges.foreign import wire_section as foreign
 
 SAMPLES, POINTS, DEEPEST = 3, 272, 0.05
@@ -106,7 +111,7 @@ def tests_of(seed: int) -> tuple[MeasuredCurve, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class KnownFacts:
     """What is known of a wire: its calibration, and how far its tests went, 1/m."""
 
     calibration: Calibration
@@ -114,7 +119,7 @@ class Known:
 
 
 @lru_cache(maxsize=4)
-def known_of(seed: int) -> Known:
+def known_of(seed: int) -> KnownFacts:
     """Calibrate the wire of a seed.
 
     Raises
@@ -127,10 +132,10 @@ def known_of(seed: int) -> Known:
     if not isinstance(found, Calibration):
         message = f"{found.code}: {found.message}"
         raise RuntimeError(message)
-    return Known(found, tested_curvature(wire, found.solutions[0].values, curves[:1]))
+    return KnownFacts(found, tested_curvature(wire, found.solutions[0].values, curves[:1]))
 
 
-def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[Belief, ...]:
+def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputDistribution, ...]:
     """What is known of the line's inputs, for each solution."""
     stated = [
         known(
@@ -142,7 +147,7 @@ def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[Belief
         for name, deviation in drawn.stated.items()
         if name != "specimen"
     ]
-    calibrated = calibrated_beliefs(found.solutions, found.widening, specimen=LAW_FACTOR)
+    calibrated = calibrated_distributions(found.solutions, found.widening, specimen=LAW_FACTOR)
     return tuple(joined([each, *stated]) for each in calibrated)
 
 
@@ -157,7 +162,7 @@ class Solver:
     def __call__(self, inputs: Mapping[str, float]) -> RodPath:
         """The whole path."""
         law = self.family.at(inputs)
-        laid = Laid(
+        laid = PreparedLine(
             law.law,
             law.torsional_stiffness,
             law.mass_per_length,
@@ -175,15 +180,15 @@ def solvers_of(kind: LineKind, drawn: Drawn, found: Calibration) -> list[Solver]
             kind,
             drawn,
             family_of(
-                spec_of(drawn.wire), dict(zip(PARAMETERS, each.values.tolist(), strict=True))
+                spec_of(drawn.wire), dict(zip(PARAMETERS, solution.values.tolist(), strict=True))
             ),
         )
-        for each in found.solutions
-        if each.is_allowed
+        for solution in found.solutions
+        if solution.is_allowed
     ]
 
 
-def predicted(kind: LineKind, drawn: Drawn, what: Known) -> LineBands | None:
+def predicted(kind: LineKind, drawn: Drawn, what: KnownFacts) -> LineBands | None:
     """The line with bands, held and on its way back."""
     return bands_of(
         solvers_of(kind, drawn, what.calibration),

@@ -156,7 +156,7 @@ def kinds_of(patterns: Iterable[str]) -> list[str]:
     if nothing := [pattern for pattern, kinds in fits.items() if not kinds]:
         message = f"{', '.join(nothing)}: expected kinds among {', '.join(BY_KIND)}"
         raise LookupError(message)
-    return [kind for kind in BY_KIND if not asked or any(kind in each for each in fits.values())]
+    return [kind for kind in BY_KIND if not asked or any(kind in fit for fit in fits.values())]
 
 
 def make_row(kind: str, seed: int) -> Row:
@@ -192,8 +192,8 @@ def differences(kept: Row, made: Row) -> list[str]:
 
 
 def _results(row: Row) -> dict[str, dict[str, Any]]:
-    results = {"about": row["about"], **{each["name"]: each for each in row["rows"]}}
-    return {name: dict(_leaves("", each)) for name, each in results.items()}
+    results = {"about": row["about"], **{cell["name"]: cell for cell in row["rows"]}}
+    return {name: dict(_leaves("", result)) for name, result in results.items()}
 
 
 def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -309,7 +309,7 @@ def keep(file: Path) -> dict[str, int]:
 
 
 def _cheapest(rows: Sequence[Row], known: Sequence[int]) -> Iterator[int]:
-    sizes = {row["seed"]: sum("lower" in each for each in row["rows"]) for row in rows}
+    sizes = {row["seed"]: sum("lower" in cell for cell in row["rows"]) for row in rows}
     for row in sorted(rows, key=lambda row: row["seconds"]):
         is_plain = not (row["error"] or row["about"].get("fault"))
         if is_plain and row["seed"] not in known and sizes[row["seed"]] >= median(sizes.values()):
@@ -318,7 +318,7 @@ def _cheapest(rows: Sequence[Row], known: Sequence[int]) -> Iterator[int]:
 
 def _line(row: Row) -> str:
     """A row as it is kept: numbers rounded; no words but codes; of an error the last line."""
-    rows = [{key: each[key] for key in each if key != "why"} for each in row["rows"]]
+    rows = [{key: cell[key] for key in cell if key != "why"} for cell in row["rows"]]
     error = row["error"].strip().rpartition("\n")[2]
     about = {key: row[key] for key in ("kind", "seed", "commit")}
     return (
@@ -347,7 +347,9 @@ def changes(made: Iterable[Row]) -> dict[str, list[str]]:
     for row in rows:
         said = differences(kept[row["kind"]][row["seed"]], row)
         if said:
-            found.setdefault(row["kind"], []).extend(f"seed {row['seed']}, {each}" for each in said)
+            found.setdefault(row["kind"], []).extend(
+                f"seed {row['seed']}, {sentence}" for sentence in said
+            )
     return found
 
 

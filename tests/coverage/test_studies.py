@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.law.sliders import SliderLaw
 from labpipe.virtual_lab.specimens import ElasticModel
-from labpipe.wire.calibration.wire_parts import loading_table, take_apart
+from labpipe.wire.calibration.law_components import loading_table, take_apart
 from labpipe.wire.heavy_loading import heavy_states
 from tests.coverage import lab_bending, line_judgement, study
 from tests.coverage.drawn_lines import KINDS as LINES
@@ -28,7 +28,7 @@ from tests.coverage.judgement import (
 from tests.coverage.line_judgement import ASKED
 from tests.coverage.page import by_fault, by_noise
 from tests.coverage.study import BY_KIND, STUDIES, Cost, append, differences
-from tests.coverage.true_lines import Laid, held_at, true_line, true_stops
+from tests.coverage.true_lines import PreparedLine, held_at, true_line, true_stops
 from tests.coverage.wire_campaigns import (
     DEEPEST,
     POINTS,
@@ -204,7 +204,7 @@ def test_every_protocol_with_a_curve_is_studied(repository: Path) -> None:
 def test_what_differs(change: dict[str, Any], expected: list[str]) -> None:
     kind = change.get("kind", BAR)
     found = differences(kept_row(kind, 1), kept_row(**{"kind": kind, "seed": 1, **change}))
-    assert [each.partition(":")[0] for each in found] == expected
+    assert [finding.partition(":")[0] for finding in found] == expected
 
 
 def test_a_difference_voids_the_earlier_rows_of_its_kind() -> None:
@@ -316,7 +316,7 @@ def test_both_rods_agree_on_a_line_with_memory(name: str) -> None:
     kept = stops.stiffness > 0.0
     law = SliderLaw(stops.spring, stops.stiffness[kept], stops.width[kept], 0.0, 100.0)
     mass = foreign.weight_of(foreign.BUILDS[drawn.wire]) / foreign.GRAVITY
-    laid = Laid(
+    laid = PreparedLine(
         *(law, 1e-3, mass * float(np.exp(off["mass_factor"]))),
         *(drawn.length * float(np.exp(off["length_factor"])), (0.0, off["free_curvature_2"]), off),
     )

@@ -56,7 +56,7 @@ class TrueLine:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class PreparedLine:
     """A line of the package, with what holds it.
 
     Parameters
@@ -196,7 +196,7 @@ def _in_plane(kind: LineKind, drawn: Drawn, length: float, weight: float) -> Tru
     fine = FINER * LOADING, FINER * RETURNING
     shapes = [rod.shape() for _ in _walk(rod, kind, drawn, fine)]
     if kind.lets_go:
-        rod.let_go()
+        rod.curvature_after_release()
     held, back = shapes[fine[0]], rod.shape()
     return TrueLine(
         _spatial(held.places[::FINER]),
@@ -228,7 +228,7 @@ def _in_space(kind: LineKind, drawn: Drawn, length: float, mass: float, torsion:
     kept = stops.stiffness > 0.0
     law = SliderLaw(stops.spring, stops.stiffness[kept], stops.width[kept], 0.0, float(_KNOTS[-1]))
     free = (off["free_curvature_1"], off["free_curvature_2"])
-    laid = Laid(
+    laid = PreparedLine(
         *(law, torsion, mass, length, free, off),
         *(FINER * NODES, FINER * LOADING, FINER * RETURNING),
     )

@@ -86,8 +86,8 @@ KINDS = (
     *(WireKind("foreign", *each, 2.0, 200) for each in MAIN),
     *(WireKind("own", *each, 2.0, 200) for each in MAIN),
     *(WireKind("foreign", *each, 0.1, 60) for each in MAIN),
-    *(WireKind("foreign", *each, 2.0, 60) for each in OTHERS),
-    *(WireKind("own", *each, 2.0, 60) for each in OTHERS),
+    *(WireKind("foreign", *other, 2.0, 60) for other in OTHERS),
+    *(WireKind("own", *other, 2.0, 60) for other in OTHERS),
 )
 TRUTH = foreign.Truth()
 _VALUES = dict(zip(PARAMETERS, (TRUTH.friction, TRUTH.modulus, TRUTH.copper), strict=True))
@@ -174,8 +174,8 @@ def rows(kind: WireKind, seed: int) -> dict[str, Any]:
     found = calibrate(wire_of(kind.wire), curves, Settings(gain=GAIN))
     if not isinstance(found, Calibration):
         return {"about": {"failed": found.code}}
-    parameters = [_row(each) for each in found.parameters]
-    solutions = sum(each.is_allowed for each in found.solutions)
+    parameters = [_row(parameter) for parameter in found.parameters]
+    solutions = sum(solution.is_allowed for solution in found.solutions)
     return {"rows": parameters + _bands(kind, found, gain), "about": {"solutions": solutions}}
 
 

@@ -26,13 +26,15 @@ def by_kind(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 def counted(rows: Iterable[Row], name: str, *, identified: bool) -> Held:
     """Intervals of a parameter, all or those that were called identified."""
-    said = [each for row in rows for each in row["rows"] if each["name"] == name]
-    return Held.of(each for each in said if not identified or each["status"] == IDENTIFIED)
+    said = [cell for row in rows for cell in row["rows"] if cell["name"] == name]
+    return Held.of(
+        sentence for sentence in said if not identified or sentence["status"] == IDENTIFIED
+    )
 
 
 def bands(rows: Iterable[Row]) -> Held:
     """Bands of the mean sample on another length."""
-    return Held.of(each for row in rows for each in row["rows"] if each["name"] not in NAMES)
+    return Held.of(cell for row in rows for cell in row["rows"] if cell["name"] not in NAMES)
 
 
 def too_seldom(rows: Iterable[Row]) -> dict[tuple[str, str], tuple[Held, bool]]:

@@ -18,7 +18,7 @@ from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.statics import follow
-from labpipe.studies.harness_line import Laid, laid
+from labpipe.studies.harness_line import PreparedLine, laid
 from labpipe.studies.harness_section import material_of
 from labpipe.wire.cantilever import bend_under_force, straight
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
@@ -179,7 +179,7 @@ def test_refused(changes: dict[str, Any], message: str) -> None:
         mujoco_deck(wire_table(), **changes)
 
 
-def ready(folder: Path, text: str) -> Laid:
+def ready(folder: Path, text: str) -> PreparedLine:
     file = written(folder, text)
     harness = load_harness(file)
     return laid(harness, material_of(harness, file).sections[0]({}), {})
@@ -217,7 +217,7 @@ def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 60
     return np.array([data.body(f"node_{node}").xpos for node in nodes])
 
 
-def along_rod(found: Laid, steps: int, places: int) -> Floats:
+def along_rod(found: PreparedLine, steps: int, places: int) -> Floats:
     """The same places of the rod: bodies begin at (i - 1/2) / 30 of the length."""
     path = follow(found.line, found.boundaries, steps=steps)
     nodes = np.round(np.linspace(1, 30, places)).astype(int)
@@ -308,13 +308,13 @@ def test_a_clip_may_be_called_as_the_chain_calls_its_bodies(tmp_path: Path) -> N
     assert len(set(bodies)) == len(bodies)
 
 
-def deck_of(found: Laid) -> str:
+def deck_of(found: PreparedLine) -> str:
     return line_deck(found.line, found.boundaries, title="a line")
 
 
 def test_a_line_that_may_fall_is_free_in_space(tmp_path: Path) -> None:
     found = ready(tmp_path, arch())
-    held = [each for each in found.boundaries if isinstance(each, rod.Held)]
+    held = [boundary for boundary in found.boundaries if isinstance(boundary, rod.Held)]
     loose = line_deck(found.line, held[1:], title="loose")
     fixed = line_deck(found.line, held, title="fixed")
     assert loose.count("<freejoint />") == 1

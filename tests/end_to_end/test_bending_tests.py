@@ -24,7 +24,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Bending, MeasuredLaw, PointFlag
 from labpipe.records.result import Result, Status, TestResult
-from labpipe.results.evidence import Evidence
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import NO_MISHAPS, CantileverScenario, Observation, WireCampaign, observe
 from labpipe.virtual_lab.conduit_scenarios import conduit_scenario
@@ -203,7 +203,7 @@ def test_every_number_against_its_truth(which: str, request: pytest.FixtureReque
     done: Conduit = request.getfixturevalue(which)
 
     assert done.status == 0
-    assert {each["status"] for each in done.results.values()} == {"ok"}
+    assert {result["status"] for result in done.results.values()} == {"ok"}
     for name in OF_CYCLES:
         assert done.holds(f"{name}.1", done.truth[name]), name
     assert done.holds("bending_stiffness", done.truth["bending_stiffness"])
@@ -265,7 +265,7 @@ def protocol(repository: Path, stroke: float) -> Protocol:
 def reduced(test: Observation, plan: Protocol) -> dict[str, Result]:
     force = name_channels(test.force, plan.sources["force"], Path("force.mat"))
     found = reduce_recordings({"force": force, "markers": test.markers}, plan).results
-    return {each.name: each for each in found}
+    return {finding.name: finding for finding in found}
 
 
 def gain_in_time(time: Floats, displacement: Floats, force: Floats) -> float:
@@ -284,7 +284,7 @@ def loading(test: Observation, cycle: int) -> tuple[Floats, Floats, Floats]:
 
 def between(curve: tuple[Floats, Floats, Floats], low: float, high: float) -> list[Floats]:
     chosen = (curve[1] >= low) & (curve[1] <= high) & (curve[2] > 0.0)
-    return [each[chosen] for each in curve]
+    return [point[chosen] for point in curve]
 
 
 def taken_up(test: Observation, cycle: int) -> float:
@@ -341,7 +341,7 @@ def test_numbers(repository: Path) -> None:
         # A wide net: coverage at 95 % is counted below, over many seeds.
         assert found.value == pytest.approx(true, abs=width(found)), name
     assert "plateau_displacement" not in results
-    assert not [each for each in results.values() if each.status is Status.FAILED]
+    assert not [result for result in results.values() if result.status is Status.FAILED]
 
 
 def test_bending_stiffness_of_a_bundle_that_sticks(repository: Path) -> None:
@@ -471,7 +471,7 @@ def _bending(repository: Path, seed: int) -> Bending:
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
     done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
     test, results = done.evidence, done.results
-    asked = [each for each in results if each.name.startswith("bending_stiffness")]
+    asked = [result for result in results if result.name.startswith("bending_stiffness")]
     assert {reason.code for each in asked for reason in each.reasons} <= {"turn_rounded"}, asked
     assert isinstance(test.bending, Bending)
     return test.bending
@@ -517,10 +517,10 @@ def test_stiffnesses_cover(repository: Path, name: str) -> None:
     for seed in range(TESTS):
         test, found = _stiffnesses(repository, virtual, seed)
         states[next(n.message[:40] for n in test.findings.notes if n.code == "string_at_rest")] += 1
-        for curvature, each in found.items():
+        for curvature, finding in found.items():
             true = _secant(law, curvature)
-            assert each.interval is not None
-            held[curvature] += each.interval.lower <= true <= each.interval.upper
+            assert finding.interval is not None
+            held[curvature] += finding.interval.lower <= true <= finding.interval.upper
     assert len(states) == 1, states
     assert min(held.values()) >= 51, held  # of 60 intervals of 95 %, as in 99 studies of 100
 
@@ -532,9 +532,9 @@ def test_stiffnesses_are_narrow(repository: Path, name: str) -> None:
     virtual, halves = strung(name), []
     law = virtual.mechanics.wire.law()
     for seed in range(3):
-        for curvature, each in _stiffnesses(repository, virtual, seed)[1].items():
-            assert each.interval is not None
-            half = 0.5 * (each.interval.upper - each.interval.lower)
+        for curvature, stiffness in _stiffnesses(repository, virtual, seed)[1].items():
+            assert stiffness.interval is not None
+            half = 0.5 * (stiffness.interval.upper - stiffness.interval.lower)
             halves.append((curvature, half / _secant(law, curvature)))
     for curvature, widest in ((1.0, 0.02), (3.0, 0.01)):
         assert np.median([half for at, half in halves if at == curvature]) < widest
@@ -546,7 +546,7 @@ def _secant(law: MomentLaw, curvature: float) -> float:
 
 def _stiffnesses(
     repository: Path, virtual: CantileverScenario, seed: int
-) -> tuple[Evidence, dict[float, Result]]:
+) -> tuple[ReducedTest, dict[float, Result]]:
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     text = text.replace("gain: 0.5 N/V", "gain: 0.05 N/V")
     rng = np.random.default_rng([seed, 12])
@@ -559,7 +559,7 @@ def _stiffnesses(
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
     done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
     test, results = done.evidence, done.results
-    named = {each.name: each for each in results}
+    named = {result.name: result for result in results}
     return test, {at: named[f"bending_stiffness_at_{at:g}"] for at in (1.0, 3.0)}
 
 

@@ -24,7 +24,7 @@ from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.wire_table import build, wire_table
 from tests.approved import Approve
-from tests.builders.small_tests import Ran, Run, state
+from tests.builders.small_tests import Run, RunSummary, state
 from tests.builders.tensile_tests import make_tensile
 from tests.builders.wire_lab import processed_rest, processed_wires
 
@@ -57,10 +57,10 @@ def test_truth_is_found_and_another_wire_predicted(
     assert done.status == 0, done.err
     found: dict[str, Any] = json.loads((out / "calibration.json").read_text("utf-8"))
     assert found["wire"] == "A2"
-    for each in found["parameters"]:
-        low, high = each["lower"], each["upper"]
-        assert low is None or low < TRUTH[each["name"]]
-        assert high is None or TRUTH[each["name"]] < high
+    for finding in found["parameters"]:
+        low, high = finding["lower"], finding["upper"]
+        assert low is None or low < TRUTH[finding["name"]]
+        assert high is None or TRUTH[finding["name"]] < high
     assert not any(found["friction_separability"]["identified"].values())
     first, second = found["groups"]
     assert (first["wire"], first["calibrating"]) == ("A2", True)
@@ -79,7 +79,7 @@ def test_decks_are_those_of_the_calibrated_wires(
     asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(out), "--json", "--no-figures")
     done = run("calibrate", str(campaign), "--wire", sheet, *asked)
     assert done.status == 0
-    values = {each["name"]: each["value"] for each in json.loads(done.out)["parameters"]}
+    values = {load["name"]: load["value"] for load in json.loads(done.out)["parameters"]}
     deck = json.loads((out / "decks" / "B1.json").read_text("utf-8"))
     nominal = next(spec for spec in read_wire_sheet(Path(sheet)) if spec.name == "B1")
     calibrated = replace(
@@ -107,7 +107,9 @@ def test_tests_beyond_the_range_of_the_insulation_are_told(
         done = run(*arguments)
         assert done.status == 0, done.err
         found = json.loads((tmp_path / "calibration.json").read_text("utf-8"))
-        return found, [each for each in found["quality"] if each["code"] == "insulation_doubtful"]
+        return found, [
+            finding for finding in found["quality"] if finding["code"] == "insulation_doubtful"
+        ]
 
     found, [note] = told("0.01,")
     assert note["message"].startswith(
@@ -161,12 +163,12 @@ def test_a_curve_from_elsewhere_is_compared_with_tests_and_model(
     found = json.loads((out / "calibration.json").read_text("utf-8"))
     (curve,) = found["comparisons"]
     assert (curve["name"], curve["load"]) == ("elements", "normal")
-    for each in (curve["tests"], curve["model"]):
-        pairs = zip(curve["force"], each["force"], strict=True)
+    for point in (curve["tests"], curve["model"]):
+        pairs = zip(curve["force"], point["force"], strict=True)
         left = [force - other for force, other in pairs if other is not None]
-        assert each["n"] == len(left) > 20
-        assert each["n"] + each["left_out"] == 26
-        assert each["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
+        assert point["n"] == len(left) > 20
+        assert point["n"] + point["left_out"] == 26
+        assert point["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
     assert "elements tests of A2, 85 mm" in " ".join(done.out.split())
     assert "its load stays normal to the axis, the tests' does not" in done.out
     assert (out / "figures" / "external-curves.svg").is_file()
@@ -176,10 +178,10 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def calibrate(sheet: str, tmp_path: Path, run: Run) -> Callable[..., Ran]:
+def calibrate(sheet: str, tmp_path: Path, run: Run) -> Callable[..., RunSummary]:
     """Calibrate tests, by a plan where one is given; without one, earlier results stay."""
 
-    def calibrated(*tests: Path, text: str = "") -> Ran:
+    def calibrated(*tests: Path, text: str = "") -> RunSummary:
         asked = ("--plan", plan(tmp_path, text)) if text else ()
         out = tmp_path / "out"
         out.mkdir(exist_ok=True)
@@ -223,7 +225,7 @@ PLANS = {
 
 
 def test_plans_that_cannot_be_followed(
-    campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran], approved: Approve
+    campaign: Path, tmp_path: Path, calibrate: Callable[..., RunSummary], approved: Approve
 ) -> None:
     (tmp_path / "fe.csv").write_text("deflection_mm,force\n0,0\n1,1\n2,2\n", encoding="utf-8")
     told = []
@@ -250,7 +252,7 @@ def test_wire_sheets_that_are_missing(
 
 
 def test_tests_that_cannot_be_taken(
-    campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran], approved: Approve
+    campaign: Path, tmp_path: Path, calibrate: Callable[..., RunSummary], approved: Approve
 ) -> None:
     """Alone they end a calibration; beside another test they are left out and named."""
     lab = make_tensile(tmp_path / "pulled", corrugated_tube("CT-10-3"), 1)
@@ -280,7 +282,7 @@ def test_tests_that_cannot_be_taken(
 
 
 def test_two_tests_of_one_name_and_half_of_a_third(
-    campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran]
+    campaign: Path, tmp_path: Path, calibrate: Callable[..., RunSummary]
 ) -> None:
     again = changed(campaign / "A2-085-1", tmp_path, lambda result: result)
     done = calibrate(campaign / "A2-085-1", campaign / "A2-085-2", again)
@@ -296,7 +298,7 @@ def test_two_tests_of_one_name_and_half_of_a_third(
 
 @pytest.mark.parametrize(("value", "side"), [("3000 MPa", "below"), ("300 MPa", "above")])
 def test_a_prior_that_contradicts_the_tests(
-    value: str, side: str, campaign: Path, calibrate: Callable[..., Ran]
+    value: str, side: str, campaign: Path, calibrate: Callable[..., RunSummary]
 ) -> None:
     text = (
         "wire: A2\nparameters:\n"

@@ -66,7 +66,7 @@ def test_bluehill_of_two_columns_only(write: Written) -> None:
     rows = frames.pull(TRAVEL, FORCE)
     content = frames.bluehill(names=("Extension", "Load"), units=("(mm)", "(N)"), rows=rows)
     recording = read_export(write(content))
-    assert [each.name for each in recording.channels] == ["Extension", "Load"]
+    assert [channel.name for channel in recording.channels] == ["Extension", "Load"]
     assert recording.clocks[0].unit == "1"
     assert "no_time" in codes(recording)
 
@@ -122,7 +122,7 @@ def test_793_blocks_of_other_columns_are_not_joined(write: Written) -> None:
     text = f"MTS793|MPT|DEU|1|2|,|.|:|49|1|1|A\r\n\r\n{first}\r\n{second}"
     recording = read_export(write(text.encode("cp1252")))
     for name, truth in (("Ch 1 Kraft", FORCE / 1e3), ("Ch 1 Weg", TRAVEL)):
-        parts = [each.values for each in recording.channels if each.name == name]
+        parts = [channel.values for channel in recording.channels if channel.name == name]
         np.testing.assert_allclose(np.concatenate(parts), truth, rtol=1e-6)
 
 
@@ -144,7 +144,7 @@ def test_a_workbook_in_pounds_and_inches(
     rows = frames.pull(TIME, FORCE, TRAVEL)
     file = write(frames.workbook({"Sheet1": [*TITLES[kind], *rows]}), "synthetic.xlsx")
     recording = read_export(file, "load-frame", dialect=dialect)
-    assert [each.unit_in_file for each in recording.channels] == ["lbf", "in"]
+    assert [channel.unit_in_file for channel in recording.channels] == ["lbf", "in"]
     np.testing.assert_allclose(time(recording), TIME)
     (stream,) = json.loads(run("inspect", file, "--json").out)["streams"]
     force, travel = stream["channels"]
@@ -310,7 +310,7 @@ def test_two_columns_of_one_name(write: Written) -> None:
     names = ("Time", "Extension", "Extension", "Load")
     content = frames.bluehill(names=names, units=("(s)", "(mm)", "(mm)", "(N)"), rows=rows)
     recording = read_export(write(content))
-    paths = [each.path for each in recording.channels]
+    paths = [channel.path for channel in recording.channels]
     assert len(set(paths)) == 3
     with pytest.raises(ReadError, match="only one channel"):
         read_export(write(content), "load-frame", channels=["Extension"])

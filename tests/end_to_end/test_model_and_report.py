@@ -217,7 +217,7 @@ def test_a_campaign(reported: Reported) -> None:
 
 def test_table_2_3_and_the_decision_not_to_pool(reported: Reported) -> None:
     first = [table[0] for table in TABLE_2_3.values()]
-    (line,) = (each for each in reported.out.splitlines() if "stiffness_first_per_peak" in each)
+    (line,) = (line for line in reported.out.splitlines() if "stiffness_first_per_peak" in line)
     assert float(line.split()[1]) == pytest.approx(sum(first) / len(first), rel=0.01)
     low, high = re.findall(r"95 %: (\S+) to (\S+)", line)[0]
     # Over two spools: one degree of freedom.

@@ -232,7 +232,7 @@ def started(home: Path) -> subprocess.Popen[str]:
 
 def children(process: int) -> list[int]:
     found = Path(f"/proc/{process}/task/{process}/children")
-    return [int(each) for each in found.read_text("ascii").split()] if found.exists() else []
+    return [int(part) for part in found.read_text("ascii").split()] if found.exists() else []
 
 
 def seconds(labs: list[TensileLab]) -> float:
@@ -249,7 +249,7 @@ def seconds(labs: list[TensileLab]) -> float:
 def keys(labs: list[TensileLab]) -> list[str]:
     """Key of each test, all of whose files are there and of one run."""
     found = [runs(lab.processed) for lab in labs]
-    assert {len(each) for each in found} == {1}
+    assert {len(finding) for finding in found} == {1}
     return [key for (key,) in found]
 
 
@@ -262,7 +262,7 @@ def kill(home: Path, after: float, chance: random.Random) -> str:
         os.kill(chance.choice(victims) if alone else process.pid, signal.SIGKILL)
         process.communicate()
     until = time.monotonic() + 30.0  # what belonged to it goes, too
-    while any(Path(f"/proc/{each}").exists() for each in victims):
+    while any(Path(f"/proc/{victim}").exists() for victim in victims):
         assert time.monotonic() < until
         time.sleep(0.02)
     return "a test" if alone else "the run"
@@ -300,9 +300,7 @@ def killed_and_looked_at(home: Path, *, tests: int, kills: int) -> None:
         for lab, text in zip(labs, texts, strict=True):
             lab.sheet.write_text(text + CHANGED * (number % 2), "utf-8")
         killed[kill(home, chance.uniform(0.1, 1.2) * whole, chance)] += 1
-        found.update(
-            seen(*each) for each in zip(labs, zip(first, second, strict=True), strict=True)
-        )
+        found.update(seen(*lab) for lab in zip(labs, zip(first, second, strict=True), strict=True))
     sys.stdout.write(
         f"{sum(killed.values())} kills: {dict(killed)}; {whole:.1f} s a run; {dict(found)}\n"
     )

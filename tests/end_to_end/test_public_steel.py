@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.judges.plain.judge import Ran, process
+from tests.judges.plain.judge import RunSummary, process
 
 PROTOCOL = """\
 version: 1
@@ -43,7 +43,7 @@ ISO, BAM = 26, 6
 QUICK = {0}
 
 
-def _processed(folder: Path, export: Path, area: float) -> Ran:
+def _processed(folder: Path, export: Path, area: float) -> RunSummary:
     files = {
         "steel.yaml": PROTOCOL.replace("AREA", f"{area:.6g}").encode(),
         "export.csv": export.read_bytes(),
@@ -51,7 +51,7 @@ def _processed(folder: Path, export: Path, area: float) -> Ran:
     return process(folder, SHEET, files)
 
 
-def _judged(ran: Ran, peak: float, columns: tuple[np.ndarray, np.ndarray]) -> None:
+def _judged(ran: RunSummary, peak: float, columns: tuple[np.ndarray, np.ndarray]) -> None:
     """Peak by the laboratory; stiffness by a least-squares line over the plain columns.
 
     The records end while the necked specimen still carries some 70 % of its largest force.

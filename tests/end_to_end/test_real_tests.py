@@ -91,7 +91,7 @@ def test_force_against_displacement(pulled: Lab) -> None:
     np.testing.assert_allclose(aligned.series["force"].values, signals[LOAD])
     # 20 ms at 500 Hz are 10 samples, 9 for a window with a middle; ends of branches aside.
     window = np.ones(9) / 9.0
-    ends = [at for each in curve.branches for at in (each.start, each.stop)]
+    ends = [at for branch in curve.branches for at in (branch.start, branch.stop)]
     inside = np.min(np.abs(np.subtract.outer(np.arange(len(time)), ends)), axis=1) > 10
     inside[:10], inside[-10:] = False, False
     assert inside.mean() > 0.7
@@ -225,8 +225,8 @@ def test_labels_that_switch_are_undone_and_flagged(soft_arm: Lab) -> None:
     said = [note.message for note in result.quality if note.code == "unlabelled_merged"]
     for number, track in MERGED.items():
         assert any(
-            f"SA-base:Marker{number} was labelled as {track}, frames 0 to 3931" in each
-            for each in said
+            f"SA-base:Marker{number} was labelled as {track}, frames 0 to 3931" in sentence
+            for sentence in said
         )
     merged = {note["message"] for note in soft_arm.summary["quality"]}
     assert set(said) <= merged
@@ -315,7 +315,7 @@ def test_results(pulls: dict[str, TensileLab], name: str) -> None:
     results, test = pulls[name].results, TESTS[name]
     failed = {each for each, found in results.items() if found["status"] == "failed"}
     assert failed == set(test.failed)
-    peaks = [each for each in results if each.startswith("peak_force.")]
+    peaks = [result for result in results if result.startswith("peak_force.")]
     assert len(peaks) == test.cycles
     for each in set(results) - failed:
         assert results[each]["lower"] <= results[each]["estimate"] <= results[each]["upper"]
@@ -324,8 +324,8 @@ def test_results(pulls: dict[str, TensileLab], name: str) -> None:
 @pytest.mark.parametrize("name", [name for name, test in TESTS.items() if test.peak is not None])
 def test_peaks(pulls: dict[str, TensileLab], name: str) -> None:
     found = [
-        each["value"]
-        for each_name, each in pulls[name].results.items()
+        result["value"]
+        for each_name, result in pulls[name].results.items()
         if each_name.startswith("peak_force.")
     ]
     assert max(found) == pytest.approx(TESTS[name].peak, rel=1e-6)
@@ -401,12 +401,12 @@ def bends(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 def test_two_segments_or_the_reason_why_not(bends: dict[str, TensileLab]) -> None:
     for name, lab in bends.items():
         found = lab.results
-        for each in (*SEGMENTS, "bending_stiffness"):
+        for segment in (*SEGMENTS, "bending_stiffness"):
             if name in STRAIGHT:
-                assert found[each]["status"] == "failed"
+                assert found[segment]["status"] == "failed"
                 continue
-            own = found[each]
-            assert own["lower"] < own["estimate"] < own["upper"], (name, each)
+            own = found[segment]
+            assert own["lower"] < own["estimate"] < own["upper"], (name, segment)
         if name in STRAIGHT:
             assert why(found["break_point"]).startswith("no_bend: ")
         else:

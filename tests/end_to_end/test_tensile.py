@@ -93,7 +93,7 @@ def test_every_number_within_a_tolerance(done: dict[str, Done], kind: str) -> No
     test = done[kind]
     assert test.status == 0
     assert state(test.lab.home / "raw") == test.before
-    assert {each["status"] for each in test.lab.results.values()} == {"ok"}
+    assert {result["status"] for result in test.lab.results.values()} == {"ok"}
     slipped = kind == "corrugated-tube"
     assert bool(read_result(test.lab.result).slips) == slipped
     for name, found in test.lab.results.items():
@@ -245,7 +245,7 @@ def test_a_quick_pull_at_10_hz(tmp_path: Path) -> None:
     quick = Done(tmp_path, replace(usual, instruments=replace(usual.instruments, rate=10.0)))
     assert quick.status == 0
     results = quick.lab.results
-    assert {each["status"] for each in results.values()} == {"ok"}
+    assert {result["status"] for result in results.values()} == {"ok"}
     for name in ("peak_force.1", "failure_force", "failure_displacement", "energy_to_break"):
         assert results[name]["lower"] <= quick.truth[name] <= results[name]["upper"], name
     for name in ("stiffness_first", "stiffness_second"):

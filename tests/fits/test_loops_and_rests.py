@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.fits.common_path import CommonPath, known_samples
 from labpipe.fits.loops import energy_of, secant_stiffness, sense_of_loading
-from labpipe.fits.one_path import OnePath, known_samples
 from labpipe.fits.residual_displacement import (
     AtRest,
     FollowedToZero,
@@ -125,7 +125,7 @@ ALL = np.arange(len(D))
 def test_a_sample_moved_along_the_curve_keeps_its_place_on_it() -> None:
     moved = D + np.random.default_rng(0).normal(0.0, 2e-5, (3, len(D)))
     bent, curvature = 800.0 * D - 2e4 * D**2, 2 * 2e4
-    found = OnePath.of(D, bent, ALL).force(800.0 * moved - 2e4 * moved**2, moved)
+    found = CommonPath.of(D, bent, ALL).force(800.0 * moved - 2e4 * moved**2, moved)
     second_order = 0.5 * curvature * (moved - D) ** 2
     assert np.abs(800.0 * (moved - D)).max() > 0.02
     # Slopes at the ends are read from one side: off by the curvature over half of four steps.
@@ -135,7 +135,7 @@ def test_a_sample_moved_along_the_curve_keeps_its_place_on_it() -> None:
 
 def test_slopes_are_local() -> None:
     kinked = np.where(D < 3e-3, 900.0, 300.0) * (D - 3e-3)
-    slope = OnePath.of(D, kinked, ALL).slope
+    slope = CommonPath.of(D, kinked, ALL).slope
     assert slope[:90] == pytest.approx(900.0)
     assert slope[110:] == pytest.approx(300.0)
     assert slope[100] == pytest.approx(600.0)
@@ -143,7 +143,7 @@ def test_slopes_are_local() -> None:
 
 def test_where_the_frame_stands_the_slope_is_that_of_the_stretch() -> None:
     d = np.concatenate([D[:100], np.full(40, D[100]), D[100:]])
-    slope = OnePath.of(d, 500.0 * d, np.arange(len(d))).slope
+    slope = CommonPath.of(d, 500.0 * d, np.arange(len(d))).slope
     assert np.isfinite(slope).all()
     assert slope == pytest.approx(500.0)
 
@@ -154,7 +154,7 @@ def test_some_samples_in_another_order() -> None:
     assert known_samples(d, force).tolist() == np.delete(ALL, [4, 9]).tolist()
     mixed = np.random.default_rng(0).permutation(known_samples(d, force))
     kinked = np.where(D < 3e-3, 900.0, 300.0) * (D - 3e-3)
-    path, plain = OnePath.of(d, kinked, mixed), OnePath.of(D, kinked, ALL)
+    path, plain = CommonPath.of(d, kinked, mixed), CommonPath.of(D, kinked, ALL)
     assert path.slope[D[mixed] < 2.8e-3] == pytest.approx(900.0)
     assert path.displacement.tolist() == D[mixed].tolist()
     curves = kinked + np.array([[0.0], [2.0]])
@@ -165,7 +165,7 @@ def test_some_samples_in_another_order() -> None:
 
 
 def test_the_same_displacements_change_nothing() -> None:
-    path = OnePath.of(D, 900.0 * D, ALL)
+    path = CommonPath.of(D, 900.0 * D, ALL)
     force = np.array([900.0 * D, 5.0 + 0.0 * D])
     assert path.force(force) is force
     assert path.force(force, D) is force
@@ -216,7 +216,7 @@ def test_it_is_where_the_force_is_back_at_zero(way: type[Unloaded]) -> None:
 def test_rows_are_as_each_alone(way: type[Unloaded]) -> None:
     path, force = WAYS[way]
     rng = np.random.default_rng(1)
-    paths, forces = (each + rng.normal(0, 1e-5, (3, len(TIME))) for each in (path, force))
+    paths, forces = (point + rng.normal(0, 1e-5, (3, len(TIME))) for point in (path, force))
     found = decided(path, force)
     alone = [found.of(d, f) for d, f in zip(paths, forces, strict=True)]
     np.testing.assert_allclose(found.of(paths, forces), alone, rtol=1e-12)

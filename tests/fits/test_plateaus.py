@@ -317,8 +317,8 @@ def test_intervals_from_replicates_cover() -> None:
         curves = SOFT_REPLICATES + noise(seed + 5000, 200, len(D_REPLICATES))
         drawn = tangents.onset(curves, initial, slope_below=0.1)
         shares = tangents.slope_at_end(curves) / initial
-        for number, each in enumerate((*drawn, shares)):
-            low, high = np.quantile(each - truth[number], [0.025, 0.975])
+        for number, share in enumerate((*drawn, shares)):
+            low, high = np.quantile(share - truth[number], [0.025, 0.975])
             hits[number] += float(numbers[number]) - high <= truth[number]
             hits[number] -= float(numbers[number]) - low < truth[number]
     for count in hits.tolist():

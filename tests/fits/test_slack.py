@@ -7,7 +7,7 @@ from labpipe.fits.least_squares import zero_of_line
 from labpipe.fits.slack import TakeUp, take_up, toe_line
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
-from labpipe.uncertainty.noise import limits_by_noise
+from labpipe.uncertainty.autocorrelation import limits_by_noise
 from tests.builders.noise_rows import KINDS, Number, noise_rows, spreads
 
 D = np.concatenate([np.full(100, 0.002), np.linspace(0.002, 0.012, 500)])
@@ -185,7 +185,7 @@ def test_the_line_goes_through_the_samples_between_the_shares() -> None:
     holes[100] = np.nan
     region = toe_line(D_TOE, holes, start_share=0.101, stop_share=0.301)
     assert isinstance(region, np.ndarray)
-    assert region.tolist() == [each for each in range(77, 149) if each != 100]
+    assert region.tolist() == [index for index in range(77, 149) if index != 100]
     flat = np.repeat([0.0, 1.0, 2.0], [10, 20, 10])
     steps = toe_line(np.zeros(40), flat, start_share=0.1, stop_share=0.9)
     assert steps == Failure("not_rising", "the force does not rise in the linear region")

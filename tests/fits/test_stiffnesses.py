@@ -322,8 +322,8 @@ def test_knife_edges_soften_rollers_and_friction_stiffen() -> None:
         stiffness_ratio(rollers, low=0.002, high=0.02)
         for rollers in (Rollers(0.1524), Rollers(0.1524, 0.012), Rollers(0.1524, 0.012, 0.2))
     ]
-    assert not any(isinstance(each, Failure) for each in ratios)
-    knife, round_, rough = (float(each) for each in ratios if not isinstance(each, Failure))
+    assert not any(isinstance(ratio, Failure) for ratio in ratios)
+    knife, round_, rough = (float(ratio) for ratio in ratios if not isinstance(ratio, Failure))
     assert knife < 1.0
     assert knife < round_ < rough
 
@@ -378,7 +378,7 @@ def test_missing_samples_are_left_out() -> None:
     holes[100] = np.nan
     window = compliance_window(holes, F, start=300.0, stop=900.0)
     assert isinstance(window, np.ndarray)
-    assert window.tolist() == [each for each in range(60, 181) if each != 100]
+    assert window.tolist() == [index for index in range(60, 181) if index != 100]
 
 
 def test_says_why_not() -> None:

@@ -218,7 +218,7 @@ REAL = (
 @pytest.mark.realdata
 @pytest.mark.parametrize("folder", REAL)
 def test_damaged_real_exports(realdata: Path, tmp_path: Path, folder: str) -> None:
-    files = [each for each in sorted((realdata / folder).rglob("*")) if each.is_file()]
+    files = [path for path in sorted((realdata / folder).rglob("*")) if path.is_file()]
     for i, original in enumerate(files):
         content = original.read_bytes()
         few = 4 if len(content) > 400_000 else 12

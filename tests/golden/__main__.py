@@ -74,9 +74,9 @@ def compared(name: str, new: list[Row], *, update: bool) -> int:
     """Print the differences of a campaign, and keep the new numbers if asked; how many."""
     path = HERE / f"{name}.csv"
     found = differences(read(path), new)
-    print("".join(f"{each}\n" for each in found), end="")
+    print("".join(f"{finding}\n" for finding in found), end="")
     tests = len({row.test for row in new})
-    changed = len({each.row.test for each in found})
+    changed = len({finding.row.test for finding in found})
     print(f"{name}: {tests} tests, {len(new)} rows, {len(found)} differences in {changed} tests")
     if update:
         write(path, new)

@@ -47,7 +47,7 @@ def real_rows(realdata: Path, folder: Path) -> list[Row]:
     """Process every real export that is a test, a folder each, and take its rows."""
     of_one = partial(_of_export, realdata, folder)
     with ProcessPoolExecutor(JOBS, mp_context=get_context("forkserver")) as pool:
-        return [row for each in pool.map(of_one, sorted(CASES)) for row in each]
+        return [row for case in pool.map(of_one, sorted(CASES)) for row in case]
 
 
 def _of_export(realdata: Path, folder: Path, name: str) -> list[Row]:

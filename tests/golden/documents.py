@@ -45,7 +45,7 @@ CURVES = {"curves": "curve", "scaled curves": "scaled"}
 
 def _curve(name: str, entries: Sequence[Entry]) -> Iterator[Row]:
     for head in entries[0]:
-        values: list[float] = [cell for each in entries if isinstance(cell := each[head], float)]
+        values: list[float] = [cell for entry in entries if isinstance(cell := entry[head], float)]
         if values:
             pure = "" if "(" in head or head == "n" else " (1)"
             yield _array(name, "curve", f"{head}{pure}", values)

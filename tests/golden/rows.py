@@ -41,13 +41,13 @@ class Row:
         return self.test, self.kind, self.name if self.kind != "test" else ""
 
 
-COLUMNS = tuple(each.name for each in fields(Row))
+COLUMNS = tuple(field.name for field in fields(Row))
 NUMBERS = ("value", "lower", "upper", "level", "n")
 
 
 def codes(reasons: Iterable[Mapping[str, str]]) -> str:
     """Codes of the reasons of a summary, in their order, each once."""
-    return " ".join(dict.fromkeys(each["code"] for each in reasons))
+    return " ".join(dict.fromkeys(reason["code"] for reason in reasons))
 
 
 def rows(test: str, folder: Path, *, status: str = "") -> list[Row]:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Flags, Floats
-from labpipe.rod.assembly import Assembly, Demands, Memory, Shape
+from labpipe.rod.assembly import Assembly, Demands, LineMemory, Shape
 from labpipe.rod.boundaries import Gravity, Held, Load, Plane
 from labpipe.rod.line import Line, Section, line_along
 from labpipe.rod.path import RodPath
@@ -148,7 +148,7 @@ def rate_on_joints(
         *(shape.positions[supports.held], np.zeros((0, 4)), np.zeros((elements + 1, 3))),
         *(moments, nothing, nothing),
     )
-    memory = Memory(
+    memory = LineMemory(
         np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, elements + 1, 3)), np.zeros(0)
     )
     balance = assembly.balance(shape, asked, memory)

@@ -244,7 +244,7 @@ class Kirchhoff:
         def slopes(at: Floats, y: Floats, force: Floats) -> Floats:
             return self._slopes(at, y, force, weight)
 
-        guess = np.vstack([each.T for each in start])
+        guess = np.vstack([floats.T for floats in start])
         found = solve_bvp(slopes, ends, s, guess, p=np.zeros(3), tol=TOLERANCE, max_nodes=50_000)
         assert found.success, found.message
         y = found.sol(np.linspace(0.0, self.length, stations))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.judges.contradictions import CYCLIC, PULLED, SEEDS, SHEET, Accident, made
-from tests.judges.plain.judge import Ran, process
+from tests.judges.plain.judge import RunSummary, process
 
 ALARMS = {
     *("cycle_scale", "cycle_level", "turn_jump", "force_late", "energy_gained"),
@@ -18,13 +18,13 @@ EVERY_ACCIDENT = [*((accident, False) for accident in CYCLIC), *((each, True) fo
 
 def processed(
     folder: Path, accident: Accident | None, seed: int, *, pulled: bool
-) -> tuple[Ran, dict[str, float]]:
+) -> tuple[RunSummary, dict[str, float]]:
     protocol, table, truth = made(accident, seed, pulled=pulled)
     files = {"cycles.yaml": protocol.encode(), "table.csv": table.encode()}
     return process(folder, SHEET, files), truth
 
 
-def silent(ran: Ran, truth: dict[str, float]) -> list[str]:
+def silent(ran: RunSummary, truth: dict[str, float]) -> list[str]:
     """Names of numbers that are ok and beyond three half widths, and half a per cent, of truth."""
     wrong = []
     for name, right in truth.items():

@@ -17,8 +17,8 @@ from labpipe.law.equivalent_material import (
 from labpipe.law.loading_panels import panel_rule
 from labpipe.law.loading_table import LoadingTable
 from labpipe.law.loss_card import fit_dahl, turn_loss
-from labpipe.law.plays import LinearLaw, PlayLaw, first_curvature, respond, virgin_plays
-from labpipe.law.sliders import fit_sliders, slide, virgin_rests
+from labpipe.law.plays import LinearLaw, PlayLaw, first_curvature, respond, unbent_plays
+from labpipe.law.sliders import fit_sliders, slide, unbent_rests
 from labpipe.records.arrays import Floats
 from labpipe.wire.wire_table import wire_table as table_of
 from tests.builders.wire_tables import loss_card, spec_of, wire_table
@@ -47,7 +47,7 @@ def test_a_law_of_plays_is_met_exactly_also_beyond_its_last_corner() -> None:
 @pytest.mark.parametrize("rest", [-2.0, -0.3, 0.0, 1.7])
 def test_on_from_a_rest_as_plays_remember_it(rest: float) -> None:
     table, still = LoadingTable.of_plays(PLAYS_TABLE), np.array([rest])
-    plays = respond(PLAYS_TABLE, still, virgin_plays(PLAYS_TABLE, 1)).plays
+    plays = respond(PLAYS_TABLE, still, unbent_plays(PLAYS_TABLE, 1)).plays
     for moment in np.linspace(rest, 5.0, 23):
         wanted = respond(PLAYS_TABLE, np.array([moment]), plays)
         curvature, slope = table.bend_on(still, np.array([[moment]]))
@@ -122,7 +122,7 @@ def test_the_way_back_step_by_step() -> None:
     worst = np.zeros(2)
     for turn in np.geomspace(2.0 * x[1], 0.5 * x[-1], 16):
         way = np.linspace(turn, 0.0, 401)
-        rests = slide(law, np.array([turn]), virgin_rests(law, 1)).rests
+        rests = slide(law, np.array([turn]), unbent_rests(law, 1)).rests
         top = float(np.interp(turn, x, y))
         carried, hardened = top, float(np.interp(turn, x, plastic))
         for before, at in pairwise(way):

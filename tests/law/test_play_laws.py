@@ -18,7 +18,7 @@ from labpipe.law.plays import (
     first_curvature,
     require_within,
     respond,
-    virgin_plays,
+    unbent_plays,
 )
 from labpipe.law.slider_directions import in_directions
 from labpipe.law.sliders import SliderLaw, fit_sliders, linear_moment_law
@@ -40,7 +40,7 @@ WIRE = stick_slip_law(
 
 def drive(law: MomentLaw, moments: list[float]) -> Floats:
     """Curvatures of one station that is taken through the moments one after the other."""
-    plays, curvatures = virgin_plays(law, 1), []
+    plays, curvatures = unbent_plays(law, 1), []
     for moment in moments:
         answer = respond(law, np.array([moment]), plays)
         plays = answer.plays
@@ -80,7 +80,7 @@ def test_rate_independent_halfway_stops_change_nothing(way: list[float], goal: f
 
 @given(st.lists(st.floats(-0.2, 0.2), min_size=1, max_size=6))
 def test_compliance_is_the_slope_of_the_step(way: list[float]) -> None:
-    plays = virgin_plays(WIRE, 1)
+    plays = unbent_plays(WIRE, 1)
     for moment in way[:-1]:
         plays = respond(WIRE, np.array([moment]), plays).plays
     at, tiny = np.array([way[-1]]), 1e-9
@@ -99,7 +99,7 @@ def test_unloading_starts_with_the_first_stiffness_and_leaves_curvature() -> Non
 
 
 def test_nan_stays_with_its_station() -> None:
-    answer = respond(WIRE, np.array([0.1, np.nan]), virgin_plays(WIRE, 2))
+    answer = respond(WIRE, np.array([0.1, np.nan]), unbent_plays(WIRE, 2))
     assert np.isfinite(answer.curvature[0])
     assert np.isnan(answer.curvature[1])
 
@@ -123,7 +123,7 @@ def test_a_stiffening_law_is_bridged_by_one_percent_at_most() -> None:
 def test_fitted_plays_meet_the_law_at_every_corner_and_are_near_it_between() -> None:
     corners = np.append(WIRE.half_widths, 0.2)
     for moments, close in ((corners, 1e-12), (np.linspace(0.0, 0.2, 1001), 2e-3)):
-        curvature = respond(WIRE, moments, virgin_plays(WIRE, len(moments))).curvature
+        curvature = respond(WIRE, moments, unbent_plays(WIRE, len(moments))).curvature
         assert first_curvature(WIRE, moments) == pytest.approx(curvature, rel=1e-12)
         law = moments / 5e-3 + 10.0 * (np.maximum(moments - 0.002, 0.0) / 0.05) ** 2
         assert curvature == pytest.approx(law, abs=close * law[-1])

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from labpipe.law.plays import respond, virgin_plays
+from labpipe.law.plays import respond, unbent_plays
 from labpipe.law.slider_directions import TURNS, in_directions, turned
 from labpipe.law.sliders import (
     SliderLaw,
@@ -21,7 +21,7 @@ from labpipe.law.sliders import (
     slide_vector,
     slider_moment,
     slip_moments,
-    virgin_rests,
+    unbent_rests,
 )
 from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
 from labpipe.law.thinning import thin
@@ -55,7 +55,7 @@ def test_first_loading_by_hand() -> None:
 
 def test_a_loop_by_hand() -> None:
     """To 3 1/m and back: everything holds at first, the first slider lets go after 1 1/m."""
-    top = slide(LAW, np.array([3.0]), virgin_rests(LAW, 1))
+    top = slide(LAW, np.array([3.0]), unbent_rests(LAW, 1))
     assert top.moment == pytest.approx(18.0)
     assert top.stiffness == pytest.approx(3.0)
     back = slide(LAW, np.array([2.5]), top.rests)
@@ -72,7 +72,7 @@ def test_a_loop_by_hand() -> None:
 def test_masing_against_plays(turns: list[float]) -> None:
     """The dual form: what the sliders answer bends the plays by what bent the sliders."""
     plays = as_plays(LAW)
-    rests, history = virgin_rests(LAW, 1), virgin_plays(plays, 1)
+    rests, history = unbent_rests(LAW, 1), unbent_plays(plays, 1)
     for turn in turns:
         found = slide(LAW, np.array([turn]), rests)
         answer = respond(plays, found.moment, history)
@@ -84,7 +84,7 @@ def test_masing_against_plays(turns: list[float]) -> None:
 @given(turn=st.floats(-np.pi, np.pi), turns=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=4))
 def test_vector_sliders_in_a_plane_are_plain_ones(turn: float, turns: list[float]) -> None:
     towards = np.array([np.cos(turn), np.sin(turn)])
-    plain, vector = virgin_rests(LAW, 1), virgin_rests(LAW, 1, is_vector=True)
+    plain, vector = unbent_rests(LAW, 1), unbent_rests(LAW, 1, is_vector=True)
     for bent in turns:
         one = slide(LAW, np.array([bent]), plain)
         two = slide_vector(LAW, bent * towards[None], vector)
@@ -111,7 +111,7 @@ def test_tangent_against_differences(seed: int) -> None:
 def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
     angle = np.linspace(0.0, 4.0 * np.pi, 4001)
     path = np.column_stack([3.0 * np.cos(angle), 3.0 * np.sin(angle)])
-    rests = slide_vector(LAW, path[:1], virgin_rests(LAW, 1, is_vector=True)).rests
+    rests = slide_vector(LAW, path[:1], unbent_rests(LAW, 1, is_vector=True)).rests
     moments = []
     for bent in path:
         found = slide_vector(LAW, bent[None], rests)
@@ -168,9 +168,9 @@ def test_a_law_with_fewer_corners_is_met() -> None:
 def test_a_constant_stiffness_has_no_sliders() -> None:
     law = linear_moment_law(0.5, 10.0)
     assert slider_moment(law, np.array([2.0])).tolist() == [1.0]
-    found = slide(law, np.array([2.0]), virgin_rests(law, 1))
+    found = slide(law, np.array([2.0]), unbent_rests(law, 1))
     assert (found.moment.tolist(), found.stiffness.tolist()) == ([1.0], [0.5])
-    answer = respond(as_plays(law), np.array([1.0]), virgin_plays(as_plays(law), 1))
+    answer = respond(as_plays(law), np.array([1.0]), unbent_plays(as_plays(law), 1))
     assert answer.curvature == pytest.approx(2.0)
 
 

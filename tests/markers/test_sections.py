@@ -175,7 +175,7 @@ def test_the_stated_noise_is_that_of_the_points() -> None:
 def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     """The elastica by another method: curvature at full stroke is moment over EI."""
     angles = np.radians([55.0, 125.0] if facing == "side" else [145.0, 215.0])
-    record = BendingRecord(noise=(0.0, 0.0, 1e-7), angles=tuple(float(each) for each in angles))
+    record = BendingRecord(noise=(0.0, 0.0, 1e-7), angles=tuple(float(angle) for angle in angles))
     made = tracks(record, np.random.default_rng(0))
     rest = np.asarray(made.time < 2.0)
     sections = find_sections(made.positions, rest=rest, apart=0.004)

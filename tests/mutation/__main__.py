@@ -89,9 +89,9 @@ def stages(mutant: Mutant, last: str) -> list[list[str]]:
     others = [path for files in users.values() for path in files]
     file = last.partition("::")[0]
     names = (
-        [path.relative_to(REPOSITORY).as_posix() for path in each] for each in (beside, others)
+        [path.relative_to(REPOSITORY).as_posix() for path in other] for other in (beside, others)
     )
-    return [sorted(each, key=lambda path: path != file) for each in names]
+    return [sorted(name, key=lambda path: path != file) for name in names]
 
 
 def token(mutant: Mutant) -> str:
@@ -109,7 +109,7 @@ def tried() -> dict[str, str]:
 
 def forget_others(drawn: Sequence[Mutant]) -> None:
     """Forget what was tried of functions that are gone or have changed."""
-    names, known = {token(each) for each in drawn}, tried()
+    names, known = {token(mutant) for mutant in drawn}, tried()
     write({name: by for name, by in known.items() if name in names})
 
 

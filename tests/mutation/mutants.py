@@ -122,7 +122,7 @@ def sampled(package: Path) -> list[Mutant]:
             path.relative_to(package).as_posix(), path.read_text(encoding="utf-8")
         )
     ]
-    return sorted(found, key=lambda each: each.rank)[:COUNT]
+    return sorted(found, key=lambda finding: finding.rank)[:COUNT]
 
 
 def mutants_of(module: str, source: str) -> Iterator[Mutant]:
@@ -226,7 +226,7 @@ def _bare(statement: ast.stmt) -> ast.stmt:
 def _head(statement: ast.stmt) -> str:
     """Text of a statement without the statements in it, in one line."""
     lines = ast.unparse(_bare(statement)).splitlines()
-    return " ".join(each.strip() for each in lines if each.strip() != "pass")
+    return " ".join(line.strip() for line in lines if line.strip() != "pass")
 
 
 def _digest(owner: ast.AST) -> str:
@@ -245,9 +245,9 @@ def _is_number(node: ast.AST) -> bool:
 
 def _is_text(node: ast.BinOp) -> bool:
     return any(
-        isinstance(each, ast.JoinedStr)
-        or (isinstance(each, ast.Constant) and isinstance(each.value, str))
-        for each in ast.walk(node)
+        isinstance(node, ast.JoinedStr)
+        or (isinstance(node, ast.Constant) and isinstance(node.value, str))
+        for node in ast.walk(node)
     )
 
 

@@ -22,7 +22,7 @@ LIMIT = 2
 
 
 def by_now() -> dict[str, Mutant]:
-    return {each.now: each for each in mutants_of("m.py", SOURCE)}
+    return {mutant.now: mutant for mutant in mutants_of("m.py", SOURCE)}
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_the_sample_is_the_same_each_time_and_each_mutant_has_tests(repository: 
 def test_a_trial_tells_the_test_that_fails(tmp_path: Path, repository: Path) -> None:
     module, beside = "fits/straight_lines.py", "tests/fits/test_straight_lines_areas.py"
     source = (repository / "labpipe" / module).read_text(encoding="utf-8")
-    mutants = {each.function: each for each in mutants_of(module, source)}
+    mutants = {mutant.function: mutant for mutant in mutants_of(module, source)}
     nothing = Demo.followed(tmp_path / "no demo")
     noticed = noticed_by(mutants["rectangle_area"], [[beside]], nothing)
     assert noticed.startswith(f"{beside}::test_")
@@ -77,7 +77,7 @@ def test_a_trial_tells_the_test_that_fails(tmp_path: Path, repository: Path) -> 
 
 def test_the_score() -> None:
     one, two, three, four, *_ = (
-        replace(each, module="law/plays.py") for each in mutants_of("m.py", SOURCE)
+        replace(mutant, module="law/plays.py") for mutant in mutants_of("m.py", SOURCE)
     )
     known = {token(one): "tests/law/test_plays.py::test_a", token(two): "", token(three): ""}
     counted = Counted.of([one, two, three, four], known, {two.key: "It is the same."})

@@ -80,8 +80,8 @@ class Demo:
         names = GOLDEN if folder.is_dir() else ()
         told = {name: json.loads(_apart(partial(_followed, name, folder))) for name in names}
         lines = {
-            name: {module: frozenset(ran) for module, ran in each.items()}
-            for name, each in told.items()
+            name: {module: frozenset(ran) for module, ran in note.items()}
+            for name, note in told.items()
         }
         return cls(folder, lines)
 
@@ -108,8 +108,8 @@ def noticed_by(mutant: Mutant, stages: Sequence[Sequence[str]], demo: Demo) -> s
     found = _apart(lambda: _failing(mutant, first))
     if not found and (names := demo.tests_of(mutant)):
         found = _apart(lambda: _changed(mutant, demo.folder, names))
-    for each in others:
-        found = found or (_apart(partial(_failing, mutant, each)) if each else "")
+    for other in others:
+        found = found or (_apart(partial(_failing, mutant, other)) if other else "")
     return found
 
 

@@ -166,7 +166,7 @@ def test_waits_have_two_corners(dwell: float) -> None:
         ):
             assert turn.middle == pytest.approx(float(true.mean()), abs=0.02)
             assert len(turn.corners) == 2
-            seen = [(each.time, each.time_error) for each in turn.corners]
+            seen = [(corner.time, corner.time_error) for corner in turn.corners]
             pulls += [(at - real) / error for (at, error), real in zip(seen, true, strict=True)]
     assert np.mean(np.abs(pulls) < 1.96) > 0.85
 

@@ -204,7 +204,7 @@ def test_a_curve_without_a_toe_is_not_moved() -> None:
     assert test.curve is not None
     np.testing.assert_allclose(test.curve.displacement, travel + 0.001)
     assert not doubted(test)
-    (note,) = (each for each in test.findings.notes if each.code == "no_toe")
+    (note,) = (note for note in test.findings.notes if note.code == "no_toe")
     assert note.severity is Severity.WARNING
 
 
@@ -334,14 +334,14 @@ def test_what_is_told_makes_it_available(tmp_path: Path, name: str) -> None:
     noise = np.random.default_rng(3).normal(0.0, 0.02, len(force))
     write_pull(lab, "tensile", force + noise, travel, rate=10.0)
     found = processed(lab)
-    assert {each for each in found if found[each]["status"] == "failed"} == failed
+    assert {key for key in found if found[key]["status"] == "failed"} == failed
     told = {key: value for each in failed for key, value in SAID.findall(why(found[each]))}
     assert set(told) == keys
     for key, value in told.items():
         lab.override(key, value)
     after = processed(lab)
-    assert not {each for each in after if after[each]["status"] == "failed"}
-    assert len(after) == len(found) - sum(each in failed for each in set(found) - set(after))
+    assert not {key for key in after if after[key]["status"] == "failed"}
+    assert len(after) == len(found) - sum(finding in failed for finding in set(found) - set(after))
 
 
 def test_too_short_for_slips_is_said() -> None:

@@ -20,7 +20,7 @@ from labpipe.records.quality import Findings
 from labpipe.records.recording import MarkerTracks
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signals
-from labpipe.results.evidence import Evidence
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.virtual_lab import Observation, observe
 from tests.builders.reasons import doubted
 from tests.builders.small_tests import small_scenario
@@ -231,7 +231,7 @@ SPAN = "span: 152.4 mm"
 
 
 @pytest.fixture(scope="module")
-def bent() -> tuple[Evidence, dict[str, Result]]:
+def bent() -> tuple[ReducedTest, dict[str, Result]]:
     return reduced(BendingRecord())
 
 
@@ -241,11 +241,11 @@ def holds(result: Result, truth: float) -> bool:
 
 
 @pytest.mark.slow
-def test_every_number_holds_its_truth(bent: tuple[Evidence, dict[str, Result]]) -> None:
+def test_every_number_holds_its_truth(bent: tuple[ReducedTest, dict[str, Result]]) -> None:
     _, results = bent
     record = BendingRecord()
 
-    assert {each.status for each in results.values()} == {Status.OK}
+    assert {result.status for result in results.values()} == {Status.OK}
     assert holds(results["mid_span_bending_stiffness"], record.rigidity)
     assert holds(results["mid_span_curvature"], curvature_at(STROKE))
     assert holds(results["peak_force.1"], float(load_at(record, np.array([STROKE]))[0]))
@@ -253,7 +253,7 @@ def test_every_number_holds_its_truth(bent: tuple[Evidence, dict[str, Result]]) 
     assert holds(results["clock_offset"], 0.0)
 
 
-def test_three_clocks_are_joined(bent: tuple[Evidence, dict[str, Result]]) -> None:
+def test_three_clocks_are_joined(bent: tuple[ReducedTest, dict[str, Result]]) -> None:
     test, _ = bent
     fit = test.clocks.others["markers"]
     shape = test.shape
@@ -271,7 +271,7 @@ def test_three_clocks_are_joined(bent: tuple[Evidence, dict[str, Result]]) -> No
     assert note.message.startswith("the cameras are 3.19") or "3.20" in note.message
 
 
-def test_shape_of_the_store(bent: tuple[Evidence, dict[str, Result]]) -> None:
+def test_shape_of_the_store(bent: tuple[ReducedTest, dict[str, Result]]) -> None:
     test, _ = bent
     shape = test.shape
 

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
-from labpipe.process.fitting_protocols import Fit, Known, all_protocols, fitting
-from labpipe.process.folder_contents import SeenExport, look_into
-from labpipe.process.new_sheets import new_from_sheet, new_seen, write_seen
-from labpipe.process.recorded_facts import (
+from labpipe.process.export_metadata import (
     FOLDER,
     Fact,
     agreed,
@@ -21,7 +18,10 @@ from labpipe.process.recorded_facts import (
     facts_of_export,
     facts_of_folder,
 )
-from labpipe.process.seen_tests import SeenTest, see_test, see_tests
+from labpipe.process.protocol_match import Fit, KnownFacts, all_protocols, fitting
+from labpipe.process.raw_folder import InspectedExport, look_into
+from labpipe.process.sheet_inference import InferredTest, infer_test, infer_tests
+from labpipe.process.sheet_writing import new_from_sheet, new_seen, write_seen
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -82,7 +82,7 @@ def test_bundles_from_a_table(tmp_path: Path) -> None:
         conduit="twist-tube",
     )
     assert three.bundle is None
-    assert [dict(each.labels) for each in (one, two, three)] == [{"cured": "24 h"}, {}, {}]
+    assert [dict(part.labels) for part in (one, two, three)] == [{"cured": "24 h"}, {}, {}]
     assert resolve(load_test_sheet(made.written[0]), made.written[0]).specimen.span == 0.1524
 
 
@@ -102,7 +102,7 @@ def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path)
 def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
     values = {"test": "t", "type": "A2", "span": "", "protocol": ""}
     open_ = ("protocol", "spool", "sample", "span", "frame")
-    seen = SeenTest(
+    seen = InferredTest(
         tmp_path, {k: v for k, v in values.items() if v}, {"force": ("a;b.mat",)}, open_
     )
 
@@ -193,12 +193,12 @@ def wire(lab: Lab) -> Path:
     return folder
 
 
-def has(seen: SeenTest, *parts: str) -> bool:
-    return any(all(part in each for part in parts) for each in seen.said)
+def has(seen: InferredTest, *parts: str) -> bool:
+    return any(all(part in sentence for part in parts) for sentence in seen.said)
 
 
 def test_all_that_can_be_seen(wire: Path) -> None:
-    seen = see_test(wire, {})
+    seen = infer_test(wire, {})
 
     assert seen.values == {
         "test": "A2-085-3",
@@ -217,7 +217,7 @@ def test_all_that_can_be_seen(wire: Path) -> None:
 
 def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
     given = {"operator": "jk", "spool": "s", "protocol": "taped-bundle", "date": "2026-01-01"}
-    seen = see_test(wire, given)
+    seen = infer_test(wire, given)
     assert given.items() <= seen.values.items()
     assert seen.open == ()
     assert not has(seen, "operator")
@@ -231,7 +231,7 @@ def test_contradictions_are_said(wire: Path) -> None:
         text.replace("2026-03-04", "2026-03-05").replace("Take Name,T1", "Take Name,A2-085-3"),
         encoding="utf-8",
     )
-    seen = see_test(folder, {"protocol": "wire-cantilever"})
+    seen = infer_test(folder, {"protocol": "wire-cantilever"})
     assert "date" not in seen.values
     assert has(seen, "date: 2026-03-04 in force.mat, 2026-03-05 in take.csv; left out")
     assert has(seen, "look: take.csv is of 'A2-085-3', the folder is called 'A2-120-3'")
@@ -241,9 +241,9 @@ def test_contradictions_are_said(wire: Path) -> None:
 def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     (tmp_path / "pull").mkdir()
     (tmp_path / "pull" / "x.txt").write_bytes(mts_suite())
-    seen = see_test(tmp_path / "pull", {})
+    seen = infer_test(tmp_path / "pull", {})
     assert seen.open == ("protocol", "type", "spool", "sample")
-    (first,) = (each for each in seen.said if each.startswith("protocol: "))
+    (first,) = (sentence for sentence in seen.said if sentence.startswith("protocol: "))
     asked, *named, decides = first.splitlines()
     assert "fit alike; name one with --protocol" in asked
     assert {"stiff-bar", "tensile", "three-point-bend"} <= {
@@ -251,49 +251,52 @@ def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     }
     assert "what would decide: a folder" in decides
     assert seen.files == {"frame": ("x.txt",)}
-    assert see_test(tmp_path / "pull", {"protocol": "three-point-bend"}).open[-1] == "span"
+    assert infer_test(tmp_path / "pull", {"protocol": "three-point-bend"}).open[-1] == "span"
 
 
 def test_two_exports_of_one_role(tmp_path: Path) -> None:
     for name in ("x.txt", "y.txt"):
         (tmp_path / name).write_bytes(mts_suite())
-    seen = see_test(tmp_path, {"protocol": "tensile"})
+    seen = infer_test(tmp_path, {"protocol": "tensile"})
     assert seen.files == {}
     assert "frame" in seen.open
     assert has(seen, "frame: x.txt, y.txt could each be it", "name one with --frame")
-    assert see_test(tmp_path, {"protocol": "tensile", "frame": "y.txt"}).files == {
+    assert infer_test(tmp_path, {"protocol": "tensile", "frame": "y.txt"}).files == {
         "frame": ("y.txt",)
     }
 
 
 def test_an_empty_folder_and_one_without_exports(tmp_path: Path) -> None:
-    assert has(see_test(tmp_path, {}), "no exports lie here yet")
+    assert has(infer_test(tmp_path, {}), "no exports lie here yet")
     (tmp_path / "x.bin").write_bytes(bytes(100))
-    assert has(see_test(tmp_path, {}), "no export that labpipe reads lies here")
-    assert has(see_test(tmp_path, {"frame": "a.txt"}), "not there yet: a.txt")
+    assert has(infer_test(tmp_path, {}), "no export that labpipe reads lies here")
+    assert has(infer_test(tmp_path, {"frame": "a.txt"}), "not there yet: a.txt")
 
 
 def test_a_name_of_a_folder_that_no_test_can_have(tmp_path: Path) -> None:
     folder = tmp_path / "Run 4, März (2)"
     folder.mkdir()
-    assert see_test(folder, {}).values["test"] == "Run-4-März-2"
+    assert infer_test(folder, {}).values["test"] == "Run-4-März-2"
 
 
 def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
     longer = wire.with_name("A1-100-1")
     shutil.copytree(wire, longer)
     shutil.copytree(wire, wire.with_name("A0-100-1"))
-    alone = see_test(longer, {})
+    alone = infer_test(longer, {})
     assert "protocol" in alone.values  # by the length that the markers show
 
-    seen = {each.folder.name: each for each in see_tests(sorted(wire.parent.iterdir()), {})}
+    seen = {
+        infer_test.folder.name: infer_test
+        for infer_test in infer_tests(sorted(wire.parent.iterdir()), {})
+    }
 
     assert {each.values["protocol"] for each in seen.values()} == {"wire-cantilever"}
 
 
 def facts(metadata: Mapping[str, object], name: str = "x.csv") -> dict[str, str]:
     return {
-        each.key: each.value for each in facts_of_export(name, Recording("r", metadata=metadata))
+        fact.key: fact.value for fact in facts_of_export(name, Recording("r", metadata=metadata))
     }
 
 
@@ -347,7 +350,7 @@ def test_what_programs_say_of_operator_and_specimen() -> None:
     }.items(),
 )
 def test_the_pattern_of_a_lab(name: str, said: dict[str, str]) -> None:
-    assert {each.key: each.value for each in facts_of_folder(name)} == said
+    assert {fact.key: fact.value for fact in facts_of_folder(name)} == said
 
 
 def test_what_all_say_is_taken_and_what_is_said_twice_is_left_open() -> None:
@@ -381,15 +384,15 @@ def protocols() -> list[Protocol]:
     return all_protocols()
 
 
-def cell() -> SeenExport:
+def cell() -> InspectedExport:
     """The load cell in volts, as the benches record it."""
     channel = Channel("Out1", "Model Root/Load Cell/Out1", np.sin(TIME))
-    return SeenExport(
+    return InspectedExport(
         Path("f.mat"), Recording("dspace-mat", "", "", (Clock("time", TIME),), (channel,))
     )
 
 
-def take(*, body: str = "Clamp", length: float = 0.085, stroke: float = 0.053) -> SeenExport:
+def take(*, body: str = "Clamp", length: float = 0.085, stroke: float = 0.053) -> InspectedExport:
     """A clamp that goes down, and markers along a wire."""
     down = np.zeros((len(TIME), 3))
     down[:, 1] = -stroke * np.clip(TIME / 60.0, 0.0, 1.0)
@@ -398,19 +401,19 @@ def take(*, body: str = "Clamp", length: float = 0.085, stroke: float = 0.053) -
     along = length + 0.006 - 0.004
     last = down + np.array([along, 0.0, 0.0])
     tracks = MarkerTracks(TIME, TIME, 10.0, ("Wire:Marker1",), last[:, None, :], bodies)
-    return SeenExport(Path("t.csv"), Recording("motive-csv", markers=tracks))
+    return InspectedExport(Path("t.csv"), Recording("motive-csv", markers=tracks))
 
 
 def frame(
     travel: float, speed: float, *, peak: float = 100.0, start: float = 0.0, name: str = "m.txt"
-) -> SeenExport:
+) -> InspectedExport:
     """A pull on a load frame at a steady speed."""
     time = np.linspace(start, start + travel / speed, 400)
     clock = Clock("time", time)
     moved = Channel("Crosshead", "Crosshead", (time - start) * speed * 1e3, unit_in_file="mm")
     force = Channel("Load", "Load", peak * np.linspace(0.0, 1.0, 400), unit_in_file="N")
     recording = Recording("load-frame", "", "", (clock,), (moved, force), metadata={"dialect": "x"})
-    return SeenExport(Path(name), recording)
+    return InspectedExport(Path(name), recording)
 
 
 def names(fits: Sequence[Fit]) -> list[str]:
@@ -418,22 +421,24 @@ def names(fits: Sequence[Fit]) -> list[str]:
 
 
 def test_a_wire_is_known_by_clamp_length_and_stroke(protocols: list[Protocol]) -> None:
-    (fit,) = fitting([cell(), take()], protocols, Known(("A2-085-1", "A2"), 0.085))
+    (fit,) = fitting([cell(), take()], protocols, KnownFacts(("A2-085-1", "A2"), 0.085))
     assert fit.protocol.name == "wire-cantilever"
     assert fit.files == {"force": ("f.mat",), "markers": ("t.csv",)}
     assert fit.faults == ()
 
 
 def test_a_bundle_is_longer(protocols: list[Protocol]) -> None:
-    assert names(fitting([cell(), take(length=0.1143)], protocols, Known())) == ["taped-bundle"]
+    assert names(fitting([cell(), take(length=0.1143)], protocols, KnownFacts())) == [
+        "taped-bundle"
+    ]
 
 
 def test_without_a_clamp_it_lies_on_two_supports(protocols: list[Protocol]) -> None:
-    assert names(fitting([cell(), take(body="")], protocols, Known())) == ["conduit-bundle"]
+    assert names(fitting([cell(), take(body="")], protocols, KnownFacts())) == ["conduit-bundle"]
 
 
 def test_a_take_alone(protocols: list[Protocol]) -> None:
-    assert names(fitting([take()], protocols, Known())) == ["markers-only"]
+    assert names(fitting([take()], protocols, KnownFacts())) == ["markers-only"]
 
 
 @pytest.mark.parametrize(
@@ -455,7 +460,7 @@ def test_what_fits_alike_is_settled_by_most_of_the_others(
     of_campaign: dict[str, int],
     expected: str,
 ) -> None:
-    known = Known(of_type=of_type, of_campaign=of_campaign)
+    known = KnownFacts(of_type=of_type, of_campaign=of_campaign)
     found = fitting([cell(), take(length=0.1)], protocols, known)
     assert names(found) == ([expected] if expected else ["taped-bundle", "wire-cantilever"])
     if expected:
@@ -470,36 +475,40 @@ def test_facts_of_the_export_count_before_the_others(
     """A short pull among tubes that are stretched by 50 mm is none of them."""
     pull = frame(0.012, 0.1e-3)
     among = {"corrugated-tube": 20}
-    undecided = names(fitting([pull], protocols, Known(of_campaign=among)))
+    undecided = names(fitting([pull], protocols, KnownFacts(of_campaign=among)))
     assert "tensile" in undecided
     assert "corrugated-tube" not in undecided
-    assert names(fitting([pull], protocols, Known((called,), of_campaign=among))) == ["tensile"]
+    assert names(fitting([pull], protocols, KnownFacts((called,), of_campaign=among))) == [
+        "tensile"
+    ]
 
 
 def test_tubes_and_tapes_by_stroke_speed_and_name(protocols: list[Protocol]) -> None:
     tube = frame(0.05, 0.423e-3)
-    assert names(fitting([tube], protocols, Known())) == ["corrugated-tube"]
+    assert names(fitting([tube], protocols, KnownFacts())) == ["corrugated-tube"]
     tape = frame(0.04, 0.5e-3, peak=400.0)
-    assert "tensile" in names(fitting([tape], protocols, Known()))  # one weak sign is too little
-    assert names(fitting([tape], protocols, Known(("pet-tape-1",)))) == ["pet-tape"]
+    assert "tensile" in names(
+        fitting([tape], protocols, KnownFacts())
+    )  # one weak sign is too little
+    assert names(fitting([tape], protocols, KnownFacts(("pet-tape-1",)))) == ["pet-tape"]
 
 
 def test_parts_of_one_recording_are_of_one_role(protocols: list[Protocol]) -> None:
     parts = [frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, start=11.0, name="2.txt")]
-    for fit in fitting(parts, protocols, Known()):
+    for fit in fitting(parts, protocols, KnownFacts()):
         assert fit.files == {"frame": ("1.txt", "2.txt")}
         assert not fit.unclear
 
 
 def test_nothing_fits_what_lacks_a_role(protocols: list[Protocol]) -> None:
-    wire = [each for each in protocols if each.name == "wire-cantilever"]
-    assert fitting([cell()], wire, Known()) == []
-    assert fitting([cell(), take()], wire, Known(roles={"frame": ("m.txt",)})) == []
+    wire = [protocol for protocol in protocols if protocol.name == "wire-cantilever"]
+    assert fitting([cell()], wire, KnownFacts()) == []
+    assert fitting([cell(), take()], wire, KnownFacts(roles={"frame": ("m.txt",)})) == []
 
 
 def test_real_parts_of_a_load_frame(protocols: list[Protocol], realdata: Path) -> None:
     folder = next((realdata / "mts" / "MTS_data").glob("*/Test Run 4*"))
-    fits = fitting(look_into(folder).exports, protocols, Known())
+    fits = fitting(look_into(folder).exports, protocols, KnownFacts())
     assert {len(fit.files["frame"]) for fit in fits} == {6}  # one of them is empty
 
 

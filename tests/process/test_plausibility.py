@@ -19,8 +19,8 @@ from labpipe.process.certificates import (
     instruments_of,
 )
 from labpipe.process.motion import Motion
-from labpipe.process.plausibility import check_rest, check_rig, check_signs, cut_at, file_is_cut
 from labpipe.process.reading import name_channels
+from labpipe.process.sanity_checks import check_rest, check_rig, check_signs, cut_at, file_is_cut
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -95,7 +95,7 @@ def test_no_faults_found(protocol: Protocol) -> None:
 def test_stroke_and_cycles(protocol: Protocol) -> None:
     motion = travel((0, 0), (5, 0), (15, 10), (25, 0), (35, 10), (45, 0), (50, 0))
     found = looked_at(seen(motion), protocol, motion)
-    cycles, stroke = (each.note.message for each in found)
+    cycles, stroke = (finding.note.message for finding in found)
     assert cycles == "2 cycles measured, the protocol expects 1"
     assert stroke.startswith("a stroke of 10.0")
     assert stroke.endswith("mm measured, 20 mm expected")
@@ -163,7 +163,7 @@ def test_another_speed_than_that_of_the_rig() -> None:
         r"expected: look at rig\.crosshead_speed, and at unit and name of the displacement",
         doubted(found)["displacement"],
     )
-    assert [(each.code, each.note.where) for each in found] == [
+    assert [(finding.code, finding.note.where) for finding in found] == [
         ("speed_unexpected", "rig.crosshead_speed")
     ]
 
@@ -209,12 +209,12 @@ def results(recording: Recording, text: str = FRAME) -> dict[str, Result]:
     protocol = parse_protocol(text, "p.yaml")
     named = name_channels(recording, protocol.sources["frame"], Path("frame.csv"))
     found = reduce_recordings({"frame": named}, protocol)
-    return {each.name: each for each in found.results}
+    return {result.name: result for result in found.results}
 
 
 def test_a_tensile_test_as_it_should_be() -> None:
     found = results(exported(units=("N", "mm")))
-    assert {each.status for each in found.values()} == {Status.OK}
+    assert {finding.status for finding in found.values()} == {Status.OK}
     assert found["stiffness"].value == pytest.approx(1e4, rel=0.01)
 
 
@@ -288,7 +288,7 @@ def checked(record: PlainRecord, reverse: str = "", clocks: Clocks = ONE_CLOCK) 
 def test_compression_that_counts_as_negative() -> None:
     found = checked(turned(up_and_down()))
     assert set(doubted(found)) == {"force_sign", "displacement_sign"}
-    (first, second) = (each.note for each in found)
+    (first, second) = (finding.note for finding in found)
     assert (first.code, second.code) == ("force_reversed", "displacement_reversed")
     assert first.message == (
         "the force goes to -0.994 N and the displacement goes to -10 mm while the specimen is "
@@ -365,7 +365,7 @@ def test_one_line_turns_a_frame_that_counts_down(tmp_path: Path) -> None:
         assert main(["process", str(lab.raw), "--no-figures"]) == 1  # it does not break
         found = lab.results
         assert "force_reversed" not in lab.notes
-        numbers[name] = {each: (found[each]["value"], found[each]["status"]) for each in found}
+        numbers[name] = {key: (found[key]["value"], found[key]["status"]) for key in found}
     assert numbers["up"] == numbers["down"]
     assert numbers["down"]["peak_force.1"][0] == pytest.approx(100.0, rel=0.01)
 
@@ -401,7 +401,7 @@ PEAKS_AND_ENERGY = (
 def doubtful(record: PlainRecord, more: str = PEAKS_AND_ENERGY) -> dict[str, str]:
     """Reasons by name of the results that are not ok."""
     _, results = reduced(*record.arrays(), more=more)
-    return {name: each.why for name, each in results.items() if each.status is not Status.OK}
+    return {name: result.why for name, result in results.items() if result.status is not Status.OK}
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0, 120.0, 200.0])
@@ -463,7 +463,7 @@ def test_a_force_that_is_full_in_each_cycle() -> None:
     record = up_and_down()
     full = replace(record, force=np.minimum(record.force, 0.7))
     test, results = reduced(*full.arrays())
-    assert {name for name, each in results.items() if each.status is not Status.OK} == {
+    assert {name for name, result in results.items() if result.status is not Status.OK} == {
         *("peak_force.1", "peak_force.2", "energy.1", "energy.2"),
         *("unloading_stiffness.1", "unloading_stiffness.2"),
         *("residual_displacement.1", "residual_displacement.2"),

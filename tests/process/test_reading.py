@@ -300,7 +300,9 @@ def test_calibrated_signal_and_notes() -> None:
     assert (signal.unit, signal.clock, signal.relative_error) == ("N", "force", 0.01)
     assert signal.zero_drift == 0.002
     assert made.signals.filtered["force"] is signal
-    assert [each.note for each in found] == [QualityNote("x", Severity.INFO, "force: file", "y")]
+    assert [finding.note for finding in found] == [
+        QualityNote("x", Severity.INFO, "force: file", "y")
+    ]
     assert made.take.tracks is None
 
 

@@ -15,10 +15,7 @@ import pytest
 
 from labpipe import __version__
 from labpipe.errors import CODES, ProcessingError, StoreError, UsageError
-from labpipe.process.attempts import Refused, Task, attempt, refuse
-from labpipe.process.folder_contents import folders_of_tests, look_into
-from labpipe.process.run import Processed, process_test
-from labpipe.process.targets import (
+from labpipe.process.output_paths import (
     files_below,
     find_copies,
     find_results,
@@ -26,6 +23,9 @@ from labpipe.process.targets import (
     recording_of,
     refuse_repeated,
 )
+from labpipe.process.raw_folder import folders_of_tests, look_into
+from labpipe.process.run import Processed, process_test
+from labpipe.process.test_runner import Refused, Task, attempt, refuse
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import InputFile, Specimen, Status, TestResult
@@ -201,7 +201,7 @@ def test_failed_results_are_counted(lab: Lab) -> None:
     lab.override("branches.min_stroke", "500 mm")
     made = process_test(lab.raw / "test.yaml", figures=False)
     assert made.n_failed == 10
-    assert {each.status for each in made.result.results} == {Status.FAILED}
+    assert {result.status for result in made.result.results} == {Status.FAILED}
     assert made.result.curve is None
     assert made.result.shape is not None
 

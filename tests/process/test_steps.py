@@ -53,7 +53,7 @@ def stepped(step: str, signal: Signal, **more: Any) -> Stepped:
     made = protocol(step, **more)
     prepared = Prepared(Signals().with_new("force", signal))
     prepared, found = take_step(prepared, made.steps[0], made)
-    return Stepped(prepared.signals, tuple(each.note for each in found))
+    return Stepped(prepared.signals, tuple(finding.note for finding in found))
 
 
 def after(step: str, values: Floats = VALUES, **more: Any) -> Stepped:
@@ -208,7 +208,7 @@ def test_it_ends_at_the_stroke_where_the_force_turns() -> None:
     assert peak.value == pytest.approx(STROKE, abs=1e-5)
     assert peak.interval is not None
     assert peak.interval.upper / STROKE - 1.0 == pytest.approx(0.01, abs=0.005)  # speed, 0.5 %
-    assert {each.status for each in results.values()} == {Status.OK}
+    assert {result.status for result in results.values()} == {Status.OK}
     assert test.clocks.force is None
     (note,) = (note for note in test.findings.notes if note.code == "displacement_from_speed")
     assert note.severity is Severity.INFO

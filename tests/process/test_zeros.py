@@ -18,7 +18,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.evidence import Evidence
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.virtual_lab import observe
 from tests.builders.plain_records import PlainRecord, up_and_down
 from tests.builders.reasons import doubted
@@ -59,7 +59,7 @@ def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
     assert force.zero_error == pytest.approx(1e-3 / np.sqrt(51), rel=0.8)
     apart = made.filtered["force"].values - force.values
     np.testing.assert_allclose(apart, 0.01, atol=1e-12)
-    (note,) = (each.note for each in found)
+    (note,) = (finding.note for finding in found)
     assert (note.code, note.where, note.severity.value) == ("short_rest", "force", "info")
     assert note.message == (
         "the machine rests for 1.00 s, less than the 2 s to zero on: the zero is the mean over "
@@ -102,7 +102,7 @@ def test_levels_hold_in_their_errors() -> None:
 
 def reduced_wire(
     repository: Path, *, rest: float, offset: float, seed: int = 4
-) -> tuple[Evidence, dict[str, Result]]:
+) -> tuple[ReducedTest, dict[str, Result]]:
     usual = small_scenario(cycles=3)
     scenario = replace(
         usual,
@@ -115,7 +115,7 @@ def reduced_wire(
     plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, seed)
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
     done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
-    return done.evidence, {each.name: each for each in done.results}
+    return done.evidence, {result.name: result for result in done.results}
 
 
 @pytest.mark.slow
@@ -144,7 +144,7 @@ def test_short_rests_leave_results_as_good(
 def test_a_rest_too_short_for_a_zero_is_doubted(repository: Path) -> None:
     made, results = reduced_wire(repository, rest=0.02, offset=0.0)
     assert ("force", "zero_not_at_rest") in {
-        (each.quantity, each.reason.code) for each in made.findings.doubts
+        (doubt.quantity, doubt.reason.code) for doubt in made.findings.doubts
     }
     assert results["peak_force.1"].status is Status.DOUBTFUL
 
@@ -204,7 +204,7 @@ def late(share: float, noise: float = 1e-3, cycles: int = 2) -> PlainRecord:
 
 def doubtful(record: PlainRecord, more: str = ASKED) -> dict[str, str]:
     _, results = reduced(*record.arrays(), more=more)
-    return {name: each.why for name, each in results.items() if each.status is not Status.OK}
+    return {name: result.why for name, result in results.items() if result.status is not Status.OK}
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1, 0.2])

@@ -17,8 +17,16 @@ from pydantic import TypeAdapter
 
 from labpipe.errors import Fault, ProtocolError
 from labpipe.protocol.grammar import validated
-from labpipe.protocol.yaml_text import Spot, _quickly_composed, parse_yaml, read_text
-from labpipe.records.declarations import Above, Distance, Key, Length, Snake, Span, Tagged
+from labpipe.protocol.yaml_text import YamlPosition, _quickly_composed, parse_yaml, read_text
+from labpipe.records.declarations import (
+    Distance,
+    Key,
+    LargerThan,
+    Length,
+    Snake,
+    Span,
+    TaggedChoice,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +42,7 @@ class Line:
 
     kind: ClassVar = "line"
     start: Annotated[Distance, Key("from")]
-    stop: Annotated[Distance, Key("to"), Above("start"), "Where it ends"]
+    stop: Annotated[Distance, Key("to"), LargerThan("start"), "Where it ends"]
     name: Snake = "line"
     grip: Grip | None = None
     number: int = field(default=0, compare=False)
@@ -54,7 +62,7 @@ class Stretch:
     over: Span
 
 
-Entry = Annotated[Line | Stretch, Tagged("kind")]
+Entry = Annotated[Line | Stretch, TaggedChoice("kind")]
 
 
 ENTRIES: TypeAdapter[Any] = TypeAdapter(validated(tuple[Entry, ...]))
@@ -68,7 +76,7 @@ def test_plain_settings_come_out_of_yaml_and_go_back() -> None:
         Line(start=0.001, stop=0.002, grip=Grip(jaw=0.005)),
         Stretch(over=Span("samples", 51.0)),
     )
-    assert [type(each) for each in found] == [Line, Stretch]
+    assert [type(finding) for finding in found] == [Line, Stretch]
     assert ENTRIES.dump_python(found, mode="json", by_alias=True) == [
         {"kind": "line", "from": "1 mm", "to": "2 mm", "name": "line", "grip": {"jaw": "5 mm"}},
         {"kind": "stretch", "over": "51 samples"},
@@ -130,7 +138,7 @@ def test_any_text_is_parsed_or_refused(text: str) -> None:
     try:
         spots = parse_yaml(text, "x").spots
     except ProtocolError:
-        spots = {(): Spot("x", (1, 1), (1, 1))}
+        spots = {(): YamlPosition("x", (1, 1), (1, 1))}
 
     assert () in spots
 

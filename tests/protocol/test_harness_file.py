@@ -69,7 +69,7 @@ def test_a_whole_file(tmp_path: Path) -> None:
     assert isinstance(left, Clip)
     assert left.direction == pytest.approx((0.6, 0.0, 0.8))
     assert isinstance(grip, Grip)
-    assert [each.step for each in grip.path] == [10, 20]
+    assert [point.step for point in grip.path] == [10, 20]
     assert grip.path[1].position is None
     assert grip.path[1].turn == pytest.approx(12.566370614)
     assert (left.at, grip.at, getattr(pin, "at", None)) == (START, 0.2, END)

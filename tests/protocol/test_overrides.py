@@ -278,7 +278,7 @@ def test_without_a_frame_the_displacement_is_made_on_one_clock(whole: Protocol) 
 
     assert steps(kept) == ["zero force", "travel-from-speed displacement", "smooth force"]
     assert kept.align == AlignNone()
-    assert "clock" not in [each.result for each in kept.results]
+    assert "clock" not in [result.result for result in kept.results]
     assert list(absent_faults(kept, whole)) == []
 
 

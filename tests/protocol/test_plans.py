@@ -121,8 +121,8 @@ USUAL = {
 def comparing(folder: Path, *comparisons: dict[str, str]) -> Path:
     path = folder / "plan.yaml"
     lines = [
-        f"  - {{{', '.join(f'{key}: {value}' for key, value in each.items())}}}"
-        for each in comparisons
+        f"  - {{{', '.join(f'{key}: {value}' for key, value in comparison.items())}}}"
+        for comparison in comparisons
     ]
     path.write_text("\n".join(["version: 1", "comparisons:", *lines, ""]), encoding="utf-8")
     return path

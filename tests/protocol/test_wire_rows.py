@@ -60,7 +60,7 @@ def test_every_number_of_a_spec_has_a_column() -> None:
     elsewhere = {"name", "layout", "stress_table", "insulation_table", "defaults", "place"}
     merged = {"strands", "conductor_area", "strand_diameter"}
     assert {field_of(name) for name in COLUMNS} - merged == {
-        each.name for each in fields(WireSpec)
+        field.name for field in fields(WireSpec)
     } - elsewhere
     assert get_args(WireRow.model_fields["layout"].annotation) == LAYOUTS
 

@@ -36,7 +36,7 @@ from labpipe.records.declarations import (
     Share,
     Span,
     Speed,
-    Whole,
+    WholeNumber,
 )
 from labpipe.units import si_factor
 
@@ -90,7 +90,7 @@ def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: f
 
 @pytest.mark.parametrize("text", ["three", "2.5", "1", "13", "", True, None, "0x3"])
 def test_a_whole_number_in_its_range(text: object) -> None:
-    whole = Whole(2, 12)
+    whole = WholeNumber(2, 12)
 
     with pytest.raises(ValueError, match="expected a whole number from 2 to 12, found "):
         parse_whole(whole, text)
@@ -123,7 +123,7 @@ KINDS = (
 
 def _quantities() -> Iterator[QuantityText]:
     for kind in KINDS:
-        yield from (QuantityText(each) for each in get_args(kind) if isinstance(each, Quantity))
+        yield from (QuantityText(arg) for arg in get_args(kind) if isinstance(arg, Quantity))
 
 
 @given(

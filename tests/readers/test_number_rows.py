@@ -16,7 +16,7 @@ from labpipe.readers.text_cells import (
     describe_cell,
     is_closing,
     name_and_unit,
-    regrouped_at,
+    thousandfold_jump,
 )
 from labpipe.records.arrays import Floats
 
@@ -250,10 +250,10 @@ def test_small_numbers_above_do_not_vouch_for_a_cut_one() -> None:
 def test_a_resaved_file_loses_nothing(seed: int, keep: int) -> None:
     """Numbers written as short as they are, the last one no shorter than many others."""
     values = np.random.default_rng(seed).integers(0, 10_000, keep + 30) / 100.0
-    shortest = values[np.argmin([len(f"{each:g}") for each in values[:-1]])]
+    shortest = values[np.argmin([len(f"{value:g}") for value in values[:-1]])]
     values[-1] = shortest
     values[-2] = shortest
-    text = "\n".join(f"{i},{each:g}" for i, each in enumerate(values))
+    text = "\n".join(f"{i},{value:g}" for i, value in enumerate(values))
     assert is_whole(text)
 
 
@@ -334,10 +334,10 @@ def lost(curve: Floats, decimals: list[int]) -> Floats:
 
 
 def test_the_example_of_the_format() -> None:
-    assert regrouped_at(np.array([999.0, 1063.0, 1110797.0, 1162.0])) == (1, 2)
-    assert regrouped_at(np.array([935.0, np.nan, 1063.0, np.nan, 1110797.0, 1162.0])) == (2, 4)
-    assert regrouped_at(np.array([1110797.0, 1115.0, 1120334.0])) == (0, 1)
-    assert regrouped_at(np.array([0.5, 801.0, 1063.0, 1.11, 1110797.0, 1162.0])) == (2, 4)
+    assert thousandfold_jump(np.array([999.0, 1063.0, 1110797.0, 1162.0])) == (1, 2)
+    assert thousandfold_jump(np.array([935.0, np.nan, 1063.0, np.nan, 1110797.0, 1162.0])) == (2, 4)
+    assert thousandfold_jump(np.array([1110797.0, 1115.0, 1120334.0])) == (0, 1)
+    assert thousandfold_jump(np.array([0.5, 801.0, 1063.0, 1.11, 1110797.0, 1162.0])) == (2, 4)
 
 
 @given(
@@ -356,7 +356,7 @@ def test_a_curve_that_lost_its_signs_is_found(
     decimals = chance.choice([3, 6], len(curve), p=[0.9, 0.1])
     decimals[[10, 11, 12]] = [3, 6, 3]
     written = lost(np.round(curve, 6) + 1e-6, list(decimals))
-    assert regrouped_at(written) is not None
+    assert thousandfold_jump(written) is not None
 
 
 @given(
@@ -377,7 +377,7 @@ def test_spikes_in_numbers_with_few_digits_are_none(
     values = level * (1.0 + 0.3 * chance.standard_normal(400).cumsum() / 20.0)
     values[chance.integers(0, 400, 3)] *= size
     written = np.array([float(f"{value:.{digits}g}") for value in values])
-    assert regrouped_at(written) is None
+    assert thousandfold_jump(written) is None
 
 
 @given(seed=st.integers(0, 2**32 - 1), top=st.sampled_from([2047, 32767, 65535, 8388607]))
@@ -387,7 +387,7 @@ def test_an_overflow_of_a_counter_is_none(seed: int, top: int) -> None:
     level = int(chance.choice([7, 20, 300, 5000]))
     counts = np.asarray(level + chance.integers(-3, 4, 400), dtype=np.float64)
     counts[chance.integers(1, 399)] = top
-    assert regrouped_at(counts) is None
+    assert thousandfold_jump(counts) is None
 
 
 @pytest.mark.parametrize(
@@ -407,4 +407,4 @@ def test_an_overflow_of_a_counter_is_none(seed: int, top: int) -> None:
 )
 def test_other_whole_numbers_are_none(values: Floats) -> None:
     """Counters, codes, bits, steps that stay, numbers too few or too far apart."""
-    assert regrouped_at(values) is None
+    assert thousandfold_jump(values) is None

@@ -25,7 +25,7 @@ from labpipe.records.arrays import (
     times_of,
 )
 from labpipe.records.curve import AT_REST, ClockFit, Curve, Interval, Series, Shape
-from labpipe.records.drawn import DrawnLaw, DrawnShapes
+from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.group import SampleCurve
 from labpipe.records.recording import Clock, MarkerTracks, RigidBody
 from labpipe.records.wire import WireLayout

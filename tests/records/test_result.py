@@ -110,8 +110,8 @@ def test_doubts_of_stretches(
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
     found = doubtful_stretches("force", note, "recorder", most=2)
     assert found.note.severity is Severity.WARNING
-    assert [each.during for each in found.doubts] == during
-    assert {(each.quantity, each.clock) for each in found.doubts} == {("force", "recorder")}
+    assert [doubt.during for doubt in found.doubts] == during
+    assert {(doubt.quantity, doubt.clock) for doubt in found.doubts} == {("force", "recorder")}
 
 
 def test_notes_and_doubts_count_once() -> None:
@@ -125,7 +125,7 @@ def test_notes_and_doubts_count_once() -> None:
 
 def test_what_another_finding_explains_better_is_left_out() -> None:
     found = Findings((warning("a", "", ""), warning("b", "", ""), warning("a", "", "again")))
-    assert [each.code for each in found.without("a").found] == ["b"]
+    assert [finding.code for finding in found.without("a").found] == ["b"]
 
 
 def test_the_first_that_blocks_counts() -> None:

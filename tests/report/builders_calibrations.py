@@ -13,7 +13,7 @@ from labpipe.records.wire_calibration import (
     ParameterChoice,
     Prediction,
 )
-from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
+from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
 from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.wire.calibration.calibrate_wire import MeasuredCurve, Settings, calibrate
 from labpipe.wire.calibration.measured_curves import curve_errors

@@ -138,7 +138,9 @@ def test_a_view_has_the_line_in_mm_with_its_radius() -> None:
     assert ends[0, 0] == pytest.approx([0.0, 0.0])
     assert ends[-1, 1] == pytest.approx([100.0, 100.0])
     assert np.asarray(line.get_array()) == pytest.approx(np.full(10, 100.0))
-    (band,) = (each for each in axes.collections if isinstance(each, PolyCollection))
+    (band,) = (
+        collection for collection in axes.collections if isinstance(collection, PolyCollection)
+    )
     corners = np.vstack([path.vertices for path in band.get_paths()])
     assert corners.min(axis=0) == pytest.approx([-4.0, -4.0])
     assert corners.max(axis=0) == pytest.approx([104.0, 104.0])

@@ -27,7 +27,7 @@ from labpipe.report.calibration_card import (
     smooth,
 )
 from labpipe.report.calibration_figures import shapes_figure
-from labpipe.report.calibration_shown import BentShape, CalibrationReport
+from labpipe.report.calibration_summary import BentShape, CalibrationReport
 from labpipe.report.figure_page import finish_layout, style
 from tests.approved import Approve
 from tests.builders.external_curves import external_comparison, third_group, unmodelled, untested

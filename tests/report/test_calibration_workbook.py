@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.records.quality import Reason
 from labpipe.records.wire_calibration import Calibration
-from labpipe.report.calibration_shown import (
+from labpipe.report.calibration_summary import (
     CalibrationReport,
     length_words,
     parameter_row,

@@ -13,16 +13,16 @@ from labpipe.records.curve import SlipDecision
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.report.concerns import (
-    Concern,
+from labpipe.report.group_tables import cause_lines, method_tables, note_table
+from labpipe.report.issue_ranking import find_causes, find_notes
+from labpipe.report.issues import (
+    Issue,
     Kind,
     decision_words,
-    find_concerns,
+    find_issues,
     sentence,
     sentences,
 )
-from labpipe.report.group_tables import cause_lines, method_tables, note_table
-from labpipe.report.ranked_causes import find_causes, find_notes
 from labpipe.statistics import groups
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_sample
@@ -30,8 +30,8 @@ from tests.builders.campaigns import build_campaign, build_group, build_sample, 
 from tests.report.figure_words import table_words
 
 
-def only(concerns: tuple[Concern, ...], kind: Kind) -> list[Concern]:
-    return [each for each in concerns if each.kind is kind]
+def only(concerns: tuple[Issue, ...], kind: Kind) -> list[Issue]:
+    return [concern for concern in concerns if concern.kind is kind]
 
 
 def test_numbers_without_interval_and_samples_left_out() -> None:
@@ -46,8 +46,8 @@ def test_numbers_without_interval_and_samples_left_out() -> None:
     )
     note = QualityNote("short_overlap", Severity.WARNING, "curves", "They share 2 mm only.")
     group = replace(group, numbers=(number,), notes=(note,))
-    concerns = find_concerns(Campaign("Synthetic", (group,)))
-    assert [(each.kind, each.test, each.what) for each in concerns] == [
+    concerns = find_issues(Campaign("Synthetic", (group,)))
+    assert [(concern.kind, concern.test, concern.what) for concern in concerns] == [
         (Kind.LEFT_OUT, "tt-s1a", "Stiffness, first region"),
         (Kind.WARNING, "", "curves"),
         (Kind.NO_INTERVAL, "tt-s1a", "Peak force, cycle 1"),
@@ -63,7 +63,7 @@ def test_tests_that_were_not_processed_alike_come_before_all_numbers() -> None:
         for where in ("stiffness_first", "stiffness_first_per_peak_force", "curve.failure.from")
     ]
     group = replace(build_group("A", troubled_samples()), notes=tuple(notes))
-    first = find_concerns(Campaign("Synthetic", (group,)))[0]
+    first = find_issues(Campaign("Synthetic", (group,)))[0]
     assert first.kind is Kind.UNLIKE
     stiffness = "Stiffness, first region"
     assert first.what == f"align; {stiffness}; {stiffness}, per peak force; curve.failure.from"
@@ -105,9 +105,9 @@ def test_one_cause_in_many_tests_is_one_line() -> None:
     first = group_of({"a": 10, "b": 11, "c": 15}, doubtful=["a", "c"])
     second = group_of({"d": 10, "e": 11, "f": 12}, doubtful=["f"], name="B")
     (cause,) = find_causes(campaign_of(first, second))
-    assert cause.whom == "3 tests in 2 groups"
+    assert cause.subject == "3 tests in 2 groups"
     assert len(cause.concerns) == 3
-    assert find_causes(campaign_of(first))[0].whom == "2 tests of A"
+    assert find_causes(campaign_of(first))[0].subject == "2 tests of A"
 
 
 def test_reasons_that_share_a_code_are_one_cause() -> None:
@@ -117,14 +117,14 @@ def test_reasons_that_share_a_code_are_one_cause() -> None:
     other = replace(samples[0].results[0], reasons=both)
     samples[0] = replace(samples[0], results=(other,))
     (cause,) = find_causes(campaign_of(replace(own, samples=tuple(samples))))
-    assert [each.code for each in cause.concerns] == ["switch, drift", "drift"]
+    assert [concern.code for concern in cause.concerns] == ["switch, drift", "drift"]
 
 
 def test_a_rejected_test_is_named_and_ranked_as_decided() -> None:
     own = group_of({"a": 10, "b": 11, "c": 15}, doubtful=["c"])
     first, last = find_causes(replace(campaign_of(own), rejected={"x/result.h5": "it slipped"}))
     assert first.kind is Kind.DOUBTFUL
-    assert (last.kind, last.whom, last.sentence) == (Kind.REJECTED, "x/result.h5", "it slipped")
+    assert (last.kind, last.subject, last.sentence) == (Kind.REJECTED, "x/result.h5", "it slipped")
     assert last.effect is not None
     assert last.effect.words == "in no mean, as was decided"
 
@@ -134,11 +134,11 @@ def test_the_largest_effect_comes_first_and_the_unknown_last() -> None:
     small = group_of({"a": 10, "b": 11, "c": 15, "d": 12}, doubtful=["d"], name="A", notes=(note,))
     lost = group_of({"e": None, "f": None}, name="B")
     found = find_causes(replace(campaign_of(small, lost), left_out={"x.h5": "x.h5: no result"}))
-    assert [each.kind for each in found] == [
+    assert [finding.kind for finding in found] == [
         Kind.UNREADABLE, Kind.FAILED, Kind.DOUBTFUL, Kind.WARNING
     ]  # fmt: skip
     assert found[-1].effect is None
-    assert found[-1].whom == "A"
+    assert found[-1].subject == "A"
 
 
 def test_tests_that_a_note_of_the_group_names_are_left_out_for_its_effect() -> None:
@@ -147,7 +147,7 @@ def test_tests_that_a_note_of_the_group_names_are_left_out_for_its_effect() -> N
     (cause,) = find_causes(campaign_of(group_of({"a": 10, "b": 11, "c": 15}, notes=(note,))))
     assert cause.effect is not None
     assert cause.effect.words.startswith("without it, Stiffness of A would be 12 % lower")
-    assert cause.whom == "c (A)"
+    assert cause.subject == "c (A)"
     assert cause.sentence == "Processed otherwise than the other tests of their group: align."
 
 
@@ -160,7 +160,7 @@ def test_a_note_that_no_number_rests_on_is_no_cause() -> None:
     (cause,) = find_causes(campaign_of(own))
     assert (cause.kind, len(cause.concerns)) == (Kind.DOUBTFUL, 1)
     (note,) = find_notes(campaign_of(own))
-    assert (note.code, note.whom, note.effect) == ("gap_left", "2 tests of A", None)
+    assert (note.code, note.subject, note.effect) == ("gap_left", "2 tests of A", None)
 
 
 def test_notes_of_which_nothing_follows_are_one_table() -> None:
@@ -224,7 +224,7 @@ def test_sentences() -> None:
 
 def test_lines_of_causes(approved: Approve) -> None:
     lines = cause_lines(find_causes(build_campaign()))
-    heads = [f"{line.head}: {line.said} {line.whom}: {line.effect}" for line in lines]
+    heads = [f"{line.head}: {line.said} {line.subject}: {line.effect}" for line in lines]
     tables = [words for line in lines for words in table_words(line.details)]
     (methods,) = method_tables(build_campaign())
     approved([*heads, *tables, *table_words(methods)])

@@ -19,9 +19,7 @@ from labpipe.report.budget_figures import (
     draw_group_budgets,
     half_width,
 )
-from labpipe.report.figure_page import style
-from labpipe.report.page_comparisons import questions
-from labpipe.report.question_figures import (
+from labpipe.report.comparison_figures import (
     caption,
     draw_family,
     figures_of_families,
@@ -29,7 +27,9 @@ from labpipe.report.question_figures import (
     plot_bands,
     plot_means,
 )
-from labpipe.report.questions import Family, families
+from labpipe.report.comparisons import Family, families
+from labpipe.report.figure_page import style
+from labpipe.report.page_comparisons import questions
 from labpipe.report.wording import Scale
 from labpipe.statistics.groups import build_group
 from tests.approved import Approve
@@ -75,11 +75,11 @@ def result() -> TestResult:
 
 def pieces(axes: Axes) -> list[tuple[float, float, bool]]:
     """Where each piece begins, how long it is, and whether it is hatched."""
-    found = [each for each in axes.get_children() if isinstance(each, Rectangle)]
+    found = [child for child in axes.get_children() if isinstance(child, Rectangle)]
     return [
-        (round(each.get_x(), 6), round(each.get_width(), 6), bool(each.get_hatch()))
-        for each in found
-        if each is not axes.patch
+        (round(finding.get_x(), 6), round(finding.get_width(), 6), bool(finding.get_hatch()))
+        for finding in found
+        if finding is not axes.patch
     ]
 
 
@@ -96,8 +96,8 @@ def group_with_budgets(count: int = 6) -> Group:
         return replace(each, budget=(Contribution("noise", size), shared))
 
     samples = [
-        replace(each, results=tuple(map(with_budget, each.results)))
-        for each in six_samples()[:count]
+        replace(six_sample, results=tuple(map(with_budget, six_sample.results)))
+        for six_sample in six_samples()[:count]
     ]
     return build_group("tube", "twist-tube", samples)
 
@@ -135,7 +135,7 @@ def test_groups_that_differ_in_one_field_are_drawn_together() -> None:
     assert [key.words for key in means.keys] == ["B1 (n = 3)", "B2 (n = 3)"]
     dots = [line for line in numbers.lines if line.look.startswith("dot")]
     group = campaign.groups[0]
-    mean = next(each.mean for each in group.numbers if each.name == "bending_stiffness")
+    mean = next(number.mean for number in group.numbers if number.name == "bending_stiffness")
     assert mean is not None
     np.testing.assert_allclose(dots[0].x, 1e6 * mean.chosen.mean)
     assert [float(line.y[0]) for line in dots] == [0.0, -1.0]
@@ -177,7 +177,7 @@ def test_a_bar_for_each_number_of_the_first_cycle(result: TestResult, approved: 
     """0.003 and 0.004: 36 and 64 %; the interval of 0.02 N is written as half of it."""
     later = replace(result.results[0], name="peak_force.2")
     clock = replace(result.results[0], name="clock_offset", unit="s")
-    bare = replace(result, results=tuple(replace(each, budget=()) for each in result.results))
+    bare = replace(result, results=tuple(replace(result, budget=()) for result in result.results))
     with style():
         page = draw_budget(replace(result, results=(*result.results, later, clock)))
         pages = {

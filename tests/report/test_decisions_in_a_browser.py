@@ -118,7 +118,7 @@ def test_the_keyboard_alone(browser: Browser, twelve: Path) -> None:
         with seen.page.expect_download() as download:
             seen.press("Tab", "Enter")
         said = json.loads(Path(download.value.path()).read_text("utf-8"))
-    assert [(each["test"], each["decision"]) for each in said["decisions"][1:]] == [
+    assert [(sentence["test"], sentence["decision"]) for sentence in said["decisions"][1:]] == [
         ("T-3", "reject"), ("T-4", "accept"), ("T-5", "reject"),
     ]  # fmt: skip
 
@@ -173,7 +173,7 @@ def test_round_trip_offline(browser: Browser, processed: Path, tmp_path: Path) -
     taken, faults = take_in_file(processed, "c", file)
     assert (len(taken.added), taken.left, faults) == (1, [], ())
     again = report_tests([processed])
-    assert [each.test for group in again.campaign.groups for each in group.samples] == [
+    assert [sample.test for group in again.campaign.groups for sample in group.samples] == [
         "T-1", "T-3",
     ]  # fmt: skip
     with shown(browser, again.files[0]) as seen:
@@ -214,7 +214,7 @@ def test_a_served_page_saves_without_a_download(
         seen.page.get_by_role("button", name="Save decisions", exact=True).click()
         seen.page.get_by_text("1 decision saved.").wait_for()
         assert bar(seen) == "Nothing decided here"
-        assert [each.test for each in read_decisions(processed).decisions] == ["T-1", "T-3"]
+        assert [decision.test for decision in read_decisions(processed).decisions] == ["T-1", "T-3"]
         with seen.page.expect_navigation():
             seen.page.get_by_role("button", name="Make the report again").click()
         assert row(seen, "T-3").get_attribute("data-state") == "rejected"

@@ -18,8 +18,6 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
 from labpipe.records.arrays import Floats
-from labpipe.report.drawn_points import bends, extremes, worst
-from labpipe.report.drawn_rig import Rig, rig_of
 from labpipe.report.figure_page import (
     STYLE_FILE,
     finish_layout,
@@ -32,6 +30,8 @@ from labpipe.report.figure_page import (
     style,
     titled_page,
 )
+from labpipe.report.plot_thinning import bends, extremes, worst
+from labpipe.report.rig_drawing import Rig, rig_of
 from tests.store.builders_result import build_result
 
 RESULT = build_result(half_cycle=0.2, cycles=1, force_rate=50.0)

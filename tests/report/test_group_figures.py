@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.curve import FittedLine
-from labpipe.records.drawn import DrawnLaw, DrawnShapes
+from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.group import Group, Outlier
 from labpipe.report.figure_page import style
 from labpipe.report.group_dots import MOST_ROWS, draw_dots, numbers_to_draw, rows_of
@@ -33,12 +33,14 @@ from tests.report.figure_words import all_words
 
 def test_figures_that_a_group_has_data_for() -> None:
     full = build_group("A", six_samples())
-    assert [each.name for each in drawings(full)] == [
+    assert [drawing.name for drawing in drawings(full)] == [
         "curves", "scaled", "slips", "lines", "numbers",
     ]  # fmt: skip
     bare = [replace(build_sample("s1", "a"), lines=())]
-    assert [each.name for each in drawings(build_group("A", bare, scaled=False))] == ["curves"]
-    assert [each.name for each in drawings(build_group("A", []))] == ["curves"]
+    assert [drawing.name for drawing in drawings(build_group("A", bare, scaled=False))] == [
+        "curves"
+    ]
+    assert [drawing.name for drawing in drawings(build_group("A", []))] == ["curves"]
 
 
 def test_letters_are_lines_so_that_no_font_of_a_reader_changes_them(tmp_path: Path) -> None:
@@ -107,7 +109,7 @@ LAW = DrawnLaw(KAPPA, 3e-4 * KAPPA, 2.9e-4 * KAPPA, 3.1e-4 * KAPPA)
 
 
 def bent(count: int = 6) -> Group:
-    samples = [replace(each, shapes=SHAPES, law=LAW) for each in six_samples()[:count]]
+    samples = [replace(six_sample, shapes=SHAPES, law=LAW) for six_sample in six_samples()[:count]]
     return build_group("A", samples)
 
 

@@ -77,7 +77,8 @@ def test_any_name_is_reported(name: str, tmp_path: Path) -> None:
     specimen = replace(samples[0].specimen, type=name, sample=name, labels={"cured": name})
     note = QualityNote("code", Severity.WARNING, name, f"about {name}")
     odd = [
-        replace(each, test=name + each.test, specimen=specimen, quality=(note,)) for each in samples
+        replace(sample, test=name + sample.test, specimen=specimen, quality=(note,))
+        for sample in samples
     ]
     groups = (build_group(name, odd), build_group("plain", samples))
     campaign = replace(build_campaign(), title=name, groups=groups, differences=())

@@ -13,7 +13,6 @@ from matplotlib.patches import Circle
 from labpipe.records.curve import PointFlag
 from labpipe.records.result import TestResult
 from labpipe.report import marker_figures
-from labpipe.report.drawn_rig import Rig
 from labpipe.report.figure_page import style
 from labpipe.report.marker_figures import (
     FLAG_COLOURS,
@@ -23,6 +22,7 @@ from labpipe.report.marker_figures import (
     plot_flags,
     plot_shapes,
 )
+from labpipe.report.rig_drawing import Rig
 from tests.approved import Approve
 from tests.report.figure_words import all_words
 from tests.store.builders_result import build_result

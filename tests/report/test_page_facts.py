@@ -8,8 +8,8 @@ from datetime import date
 from labpipe.records.group import Campaign, Decision, Outlier
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
-from labpipe.report.first_screen import answers, count_words, key_blocks, to_decide
 from labpipe.report.group_tables import Table, slip_table, spool_means
+from labpipe.report.issue_ranking import find_causes
 from labpipe.report.page_facts import (
     PageTests,
     days_words,
@@ -26,7 +26,7 @@ from labpipe.report.page_groups import (
     samples_tables,
 )
 from labpipe.report.page_tests import page_file, test_rows
-from labpipe.report.ranked_causes import find_causes
+from labpipe.report.summary_page import answers, count_words, key_blocks, to_decide
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import (
@@ -48,7 +48,7 @@ def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     out = samples[2]
     campaign = Campaign("S", groups, rejected={out.source: "bent"}, rejected_samples=(out,))
     tests = PageTests(campaign, ["a", "b"])
-    assert [(each.number, each.stem, each.state) for each in tests.every] == [
+    assert [(test.number, test.stem, test.state) for test in tests.every] == [
         (0, "a", "ok"), (1, "a", "ok"), (2, "b", "ok"), (3, "b", "ok"), (4, "b", "ok"),
         (5, "a", "rejected"),
     ]  # fmt: skip
@@ -72,7 +72,7 @@ def test_the_worst_number_is_the_state_of_a_test() -> None:
 
 
 def test_an_overdue_calibration_is_said_with_its_tests() -> None:
-    one, two, three = (replace(each, instruments=(CELL,)) for each in six_samples()[:3])
+    one, two, three = (replace(six_sample, instruments=(CELL,)) for six_sample in six_samples()[:3])
     one, two = replace(one, date=date(2025, 12, 31)), replace(two, date=date(2026, 1, 2))
     (fine,) = instrument_lines([one, three])
     assert (fine.due, fine.is_overdue) == ("calibration due 2026-01-01", False)
@@ -139,7 +139,7 @@ def test_many_samples_are_rows() -> None:
 
 
 def test_pairs_are_folded_by_their_question() -> None:
-    found = {each.field: each for each in answers(bundle_campaign(conduit_cases()))}
+    found = {answer.field: answer for answer in answers(bundle_campaign(conduit_cases()))}
     number = found["wire"]
     assert number.question == "Wire: B1, B1 & B2, B2"
     assert number.verdict.startswith("DIFFERENT ")
@@ -164,21 +164,21 @@ def test_key_numbers_of_each_protocol() -> None:
     assert "\u00b1" in lone.numbers[0].text  # how well the one test was measured
     assert "one test" in lone.numbers[0].tip
     assert [cell.text for cell in empty.numbers] == ["\u2013"] * 3
-    assert first.spark is not None
-    assert (empty.spark, empty.strip) == (None, None)
+    assert first.sparkline is not None
+    assert (empty.sparkline, empty.strip) == (None, None)
     other = replace(campaign.groups[1], protocol="another")
     two = key_blocks(replace(campaign, groups=(campaign.groups[0], other)), ["a", "b"])
-    assert [len(each.rows) for each in two] == [1, 1]
+    assert [len(side.rows) for side in two] == [1, 1]
 
 
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
     tests = PageTests(campaign, ["a", "b", "c"])
     open_ones = to_decide(find_causes(campaign), tests)
-    assert {each.line.head for each in open_ones} == {"Failed", "Doubtful", "Outlier"}
+    assert {open_one.line.head for open_one in open_ones} == {"Failed", "Doubtful", "Outlier"}
     assert count_words(campaign, open_ones).endswith(" 3 to decide")
     first = campaign.groups[0]
-    decided = [replace(each, decided="fine (me)") for each in first.samples]
+    decided = [replace(sample, decided="fine (me)") for sample in first.samples]
     settled = replace(campaign, groups=(replace(first, samples=tuple(decided)),))
     assert not to_decide(find_causes(settled), PageTests(settled, ["a"]))
     assert count_words(settled, []).endswith(" 0 to decide")

@@ -50,11 +50,13 @@ def test_its_policy_lets_nothing_else_run(browser: Browser, twelve: Path, tmp_pa
         assert seen.page.locator("h1").is_visible()
         assert seen.page.locator("#shown").is_visible()
         assert seen.page.locator("#tests .reject").count() == len(NAMES)
-        refused = [each for each in seen.complaints if "Content Security Policy" in each]
+        refused = [
+            error_text for error_text in seen.complaints if "Content Security Policy" in error_text
+        ]
         assert len(refused) >= 4
         answer = seen.page.evaluate("fetch('http://127.0.0.1:9/').catch(() => 'refused')")
         assert answer == "refused"
-        assert any("connect-src 'none'" in each for each in seen.complaints)
+        assert any("connect-src 'none'" in error_text for error_text in seen.complaints)
         seen.complaints.clear()
 
 
@@ -196,17 +198,17 @@ class Drawn(NamedTuple):
         words = self.figure.locator(".readout").text_content() or ""
         found = re.fullmatch(r"(.+) · ([-\u2212\d.]+) mm · ([-\u2212\d.]+) N", words)
         assert found, words
-        across, up = (float(each.replace("\u2212", "-")) for each in found.groups()[1:])
+        across, up = (float(group.replace("\u2212", "-")) for group in found.groups()[1:])
         return found[1], across, up
 
     def ticks(self, axis: str) -> list[float]:
         """Numbers at an axis, as they stand there."""
         texts = self.figure.locator(f".{axis}-axis .tick text").all_text_contents()
-        return [float(each.replace("\u2212", "-")) for each in texts]
+        return [float(text.replace("\u2212", "-")) for text in texts]
 
     def view(self) -> list[float]:
         found = self.figure.locator("svg.area").get_attribute("viewBox") or ""
-        return [float(each) for each in found.split()]
+        return [float(part) for part in found.split()]
 
 
 def drawn(seen: Shown) -> Drawn:
@@ -222,7 +224,7 @@ def drawn(seen: Shown) -> Drawn:
 @pytest.mark.slow
 def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, six: Path) -> None:
     """Along the curve of one sample, by keyboard, against the samples it was drawn of."""
-    (sample,) = (each for each in campaign_of(SIX).groups[0].samples if each.test == "T-3")
+    (sample,) = (sample for sample in campaign_of(SIX).groups[0].samples if sample.test == "T-3")
     curve = sample.loading[0]
     with shown(browser, six) as seen:
         plot = drawn(seen)
@@ -234,7 +236,7 @@ def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, six: Path) ->
             seen.press("ArrowRight")
             read.append(plot.reads())
     assert {who for who, _, _ in read} == {"T-3"}
-    x, force = (np.array(each) for each in zip(*[row[1:] for row in read], strict=True))
+    x, force = (np.array(cell) for cell in zip(*[row[1:] for row in read], strict=True))
     assert (np.diff(x) > 0).all()
     # The curve was drawn to 1/65535 of its axes, and its values are read to four figures.
     gap = np.abs(np.interp(x * MM, curve.displacement, curve.force) - force)
@@ -266,7 +268,7 @@ def test_page_one_is_one_screen(browser: Browser, tmp_path: Path) -> None:
     with shown(browser, written(crowded(), tmp_path)) as seen:
         end = seen.page.evaluate("document.getElementById('first').getBoundingClientRect().bottom")
         assert end <= WIDE["height"]
-        for words in ("Tested", "Checked", "Date"):
+        for words in ("Tested", "CheckReport", "Date"):
             assert seen.page.locator(".sign span", has_text=words).first.is_visible()
         assert seen.page.locator("#to-decide li").first.is_visible()
         assert seen.page.locator("details.answer").count() == 4

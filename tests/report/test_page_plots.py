@@ -11,7 +11,7 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
-from labpipe.records.drawn import DrawnLaw, DrawnShapes
+from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.report.group_panels import group_panels
 from labpipe.report.page_facts import PageTests
@@ -22,7 +22,7 @@ from labpipe.report.page_plots import (
     Plot,
     axis_over,
     even,
-    spark,
+    sparkline,
     steps_of,
     strip,
     svg,
@@ -96,7 +96,7 @@ def test_strips_and_sparks() -> None:
     none = str(strip((1.0, 1.0), None, float("nan")))
     assert "<path" not in none
     x = np.linspace(0, 1, 5)
-    assert str(spark([(x, x)])).count("<path") == 1
+    assert str(sparkline([(x, x)])).count("<path") == 1
     assert even(200, Axis("", "mm", 0, 100), Axis("", "mm", 0, 25)) == 50
 
 
@@ -112,7 +112,7 @@ def looks(plot: Plot) -> list[str]:
 def test_curves_are_drawn_where_they_are() -> None:
     sample = build_sample("s1", "a")
     plot = panels(build_group("A", [sample], scaled=False))["curves"]
-    (line,) = (each for each in plot.lines if each.look == "curve c0")
+    (line,) = (line for line in plot.lines if line.look == "curve c0")
     assert len(line.x) <= 90
     curve = sample.loading[0]
     force = np.interp(line.x / 1e3, curve.displacement, curve.force)
@@ -126,7 +126,8 @@ def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
     places = np.stack([np.stack([along, way * along / 0.1], axis=1) for way in rise])
     law = DrawnLaw(np.array([0.0, 10.0]), *(np.array([0.0, m]) for m in (0.02, 0.018, 0.022)))
     samples = [
-        replace(each, shapes=DrawnShapes(rise, places), law=law) for each in six_samples()[:2]
+        replace(six_sample, shapes=DrawnShapes(rise, places), law=law)
+        for six_sample in six_samples()[:2]
     ]
     found = panels(build_group("A", samples))
     shapes, moment = found["shapes"], found["moment"]

@@ -7,7 +7,7 @@ from dataclasses import replace
 from labpipe.records.curve import Interval
 from labpipe.records.group import Contrast, Difference, MeanInterval
 from labpipe.records.quality import Reason
-from labpipe.report.questions import (
+from labpipe.report.comparisons import (
     MOST_TOGETHER,
     Pair,
     answering_pairs,
@@ -35,7 +35,7 @@ from tests.report.figure_words import table_words
 
 def test_families_hold_all_that_differ_in_one_field() -> None:
     found = families(bundle_campaign(conduit_cases()))
-    assert [(each.field, each.words) for each in found] == [
+    assert [(finding.field, finding.words) for finding in found] == [
         ("wire", ("B1", "B1 & B2", "B2")),
         ("wire", ("B1", "B2")),
         ("number", ("12", "19")),
@@ -53,7 +53,7 @@ def test_two_tapes_and_none_are_three_families() -> None:
         bundle_of("7 B1", tape="PET"),
     ]
     campaign = bundle_campaign([each for bundle in bundles for each in three_of(bundle)])
-    assert [(each.field, each.words) for each in families(campaign)] == [
+    assert [(family.field, family.words) for family in families(campaign)] == [
         ("taping", ("none", "half-lap")),
         ("taping", ("none", "half-lap")),
         ("tape", ("PET", "PVC")),
@@ -72,8 +72,8 @@ def test_a_large_family_is_cut_and_keeps_its_first_group() -> None:
 def test_types_are_a_question_too() -> None:
     tubes = [bundle_sample(None, at) for at in (1, 2, 3)]
     hoses = [
-        replace(each, specimen=replace(each.specimen, type="hose"), source=f"{each.source}-hose")
-        for each in tubes
+        replace(tube, specimen=replace(tube.specimen, type="hose"), source=f"{tube.source}-hose")
+        for tube in tubes
     ]
     (pair,) = answering_pairs(bundle_campaign([*tubes, *hoses]))
     assert question_words(pair) == "Type: tube against hose, all else equal (length 114.3 mm)"

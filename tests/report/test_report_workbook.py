@@ -78,7 +78,9 @@ def test_budgets_of_tests_and_of_groups(tmp_path: Path) -> None:
         replace(
             sample,
             results=tuple(
-                replace(each, budget=_budget(each.value)) for each in sample.results if each.value
+                replace(result, budget=_budget(result.value))
+                for result in sample.results
+                if result.value
             ),
         )
         for sample in six_samples()[:3]

@@ -97,13 +97,17 @@ def scaled(table: WireTable, factor: float) -> WireTable:
 
 def test_compressed_strands_fill_their_circle_with_their_areas() -> None:
     table = compressed_wire()
-    wedges = [each for each in strand_patches(table.layout) if isinstance(each, Wedge)]
+    wedges = [
+        strand_patch
+        for strand_patch in strand_patches(table.layout)
+        if isinstance(strand_patch, Wedge)
+    ]
     assert len(wedges) == 7
     areas = []
-    for each in wedges:
-        assert each.width is not None
-        ring = each.r**2 - (each.r - each.width) ** 2
-        areas.append(np.radians(each.theta2 - each.theta1) / 2.0 * ring)
+    for wedge in wedges:
+        assert wedge.width is not None
+        ring = wedge.r**2 - (wedge.r - wedge.width) ** 2
+        areas.append(np.radians(wedge.theta2 - wedge.theta1) / 2.0 * ring)
     np.testing.assert_allclose(areas, 0.35 / 7, rtol=1e-9)
     assert wedges[1].theta1 == pytest.approx(-30.0)
     page = section_figure([table])
@@ -126,7 +130,7 @@ def test_strands_wall_bore_and_bar_to_scale() -> None:
     plot_section(table, axes)
     (wall,) = (patch for patch in axes.patches if isinstance(patch, Annulus))
     assert (wall.get_radii()[0], wall.get_width()) == pytest.approx((0.9, 0.3))
-    bore = next(each for each in axes.patches if isinstance(each, Circle) and not each.fill)
+    bore = next(patch for patch in axes.patches if isinstance(patch, Circle) and not patch.fill)
     assert bore.radius == pytest.approx(0.6)
     axis, bar = axes.lines
     assert np.asarray(axis.get_ydata()).tolist() == [0.0, 0.0]

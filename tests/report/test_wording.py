@@ -123,7 +123,7 @@ def test_words() -> None:
 
 
 def test_results_are_worded_as_their_kinds_say() -> None:
-    outputs = [each for kind in KINDS for each in kind.outputs if "{" not in each.name]
+    outputs = [output for kind in KINDS for output in kind.outputs if "{" not in output.name]
 
     assert len(outputs) > 25
     for each in outputs:
@@ -179,8 +179,8 @@ def test_means_have_the_digits_of_their_interval() -> None:
 
 def test_two_digits_of_the_interval_are_seen_and_all_are_there() -> None:
     found = shown_with_ends(0.0522841, Interval(0.046271, 0.058296), 1e3)
-    assert [each and each.form for each in found] == ["0.0"] * 3
-    values = [each and each.value for each in found]
+    assert [finding and finding.form for finding in found] == ["0.0"] * 3
+    values = [finding and finding.value for finding in found]
     assert values == [pytest.approx(each) for each in (52.2841, 46.271, 58.296)]
     alone = shown(0.0522841, None, 1e3)
     assert alone is not None

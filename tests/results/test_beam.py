@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProtocolError
-from labpipe.process.story import Reduced
+from labpipe.process.story import ReductionOfTest
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SHAPE, TANGENT
 from labpipe.records.result import Result, Status
 from labpipe.results.beam import Plateau, _Corner
-from labpipe.results.evidence import Evidence
+from labpipe.results.curve_replicates import replicate_curves
 from labpipe.results.kinds import to_result
-from labpipe.results.likely_curves import likely_curves
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.two_lines import Kink
 from tests.builders.bundle_loops import (
     FIRST,
@@ -53,21 +53,21 @@ PLATEAU = "plateau, slope_below: 10 %, of: stiffness, over: 2 mm"
 
 def asked(
     loop: tuple[Floats, Floats, Floats], more: str = LENGTH + ASKED
-) -> tuple[Evidence, dict[str, Result]]:
+) -> tuple[ReducedTest, dict[str, Result]]:
     return reduced(*loop, more=more)
 
 
 @pytest.fixture(scope="module")
-def done() -> Reduced:
+def done() -> ReductionOfTest:
     return reduction(*cycles(noise=NOISE), more=LENGTH + ASKED)
 
 
 @pytest.fixture(scope="module")
-def usual(done: Reduced) -> tuple[Evidence, dict[str, Result]]:
-    return done.evidence, {each.name: each for each in done.results}
+def usual(done: ReductionOfTest) -> tuple[ReducedTest, dict[str, Result]]:
+    return done.evidence, {result.name: result for result in done.results}
 
 
-def test_plateau(done: Reduced, usual: tuple[Evidence, dict[str, Result]]) -> None:
+def test_plateau(done: ReductionOfTest, usual: tuple[ReducedTest, dict[str, Result]]) -> None:
     test, results = usual
     below = 0.2 * FIRST
     onset = ONSET - 0.001 + 0.002 * (SECOND - below) / (SECOND - FLAT)
@@ -99,7 +99,7 @@ def test_a_corner_that_tangents_smear_is_in_the_interval(over: str) -> None:
         assert found.estimate is not None
         assert found.value is not None
         assert found.interval.lower < true < found.interval.upper
-        assert max(found.budget, key=lambda each: abs(each.change)).cause == TANGENT
+        assert max(found.budget, key=lambda contribution: abs(contribution.change)).cause == TANGENT
         if name == "plateau_displacement":
             assert found.value - true > 3.0 * abs(found.estimate - true)  # a quarter is left
 
@@ -146,9 +146,9 @@ def test_the_doubt_about_a_corner_by_hand() -> None:
     change = onset(0.001) - onset(0.002)
     by_hand = abs(change) * 3.0 / np.sqrt(12.0)  # a rectangle on one side
     (found,) = (
-        each.change
-        for each in cornered("2 mm")["plateau_displacement"].budget
-        if each.cause == TANGENT
+        contribution.change
+        for contribution in cornered("2 mm")["plateau_displacement"].budget
+        if contribution.cause == TANGENT
     )
     assert abs(found) == pytest.approx(by_hand, rel=0.06)
 
@@ -160,7 +160,11 @@ def test_the_doubt_about_a_corner_by_hand() -> None:
         for near in (np.abs(travel - at) <= 0.5e-3, np.abs(travel - at) <= 1e-3)
     )
     by_hand = 2.0 * (short - whole) - 3.0 * abs(change) * 100.0  # 0.1 N/mm behind the corner
-    (found,) = (each.change for each in results["plateau_force"].budget if each.cause == TANGENT)
+    (found,) = (
+        contribution.change
+        for contribution in results["plateau_force"].budget
+        if contribution.cause == TANGENT
+    )
     assert found == pytest.approx(by_hand / np.sqrt(12.0), rel=0.06)
 
 
@@ -209,12 +213,12 @@ def test_width_of_an_onset_as_the_scatter_over_records(shaken: float) -> None:
         seen = travel + np.random.default_rng(seed + 1000).normal(0.0, shaken, len(travel))
         found.append(pulled(seen, force, results=asked)[1])
     for name in ("end_slope", "plateau_displacement", "plateau_force"):
-        values = [each[name].value for each in found]
-        spread = float(np.std([each for each in values if each is not None], ddof=1))
+        values = [finding[name].value for finding in found]
+        spread = float(np.std([value for value in values if value is not None], ddof=1))
         noise = [
             change.change
-            for each in found
-            for change in each[name].budget
+            for finding in found
+            for change in finding[name].budget
             if change.cause == "noise"
         ]
         assert 0.8 < float(np.median(noise)) / spread < 1.8
@@ -233,7 +237,7 @@ def test_no_plateau_is_a_finding_and_no_failure() -> None:
     assert said.message.endswith(" mm")
 
 
-def test_bending_stiffness(usual: tuple[Evidence, dict[str, Result]]) -> None:
+def test_bending_stiffness(usual: tuple[ReducedTest, dict[str, Result]]) -> None:
     """The length is uncertain by 1 %, which counts three times."""
     _, results = usual
     found = results["bending_stiffness"]
@@ -276,7 +280,7 @@ def test_window_outside_the_loading() -> None:
 def test_nothing_moves() -> None:
     time, path, force = cycles(noise=NOISE)
     _, results = asked((time, 0.01 * path, force))
-    assert {each.status for each in results.values()} == {Status.FAILED}
+    assert {result.status for result in results.values()} == {Status.FAILED}
     assert "hardening.2" in results
 
 
@@ -312,10 +316,10 @@ def test_another_shape_widens_places() -> None:
     moved = {SHAPE: 1.01 * test.displacement.values}
     signal = replace(test.displacement, moved=moved)
     test = replace(test, signals=test.signals.with_filtered("displacement", signal))
-    test = replace(test, replicates=likely_curves(test))
+    test = replace(test, replicates=replicate_curves(test))
     for entry in (Kink(start=2e-4, stop=5e-3), Plateau(slope_below=0.2)):
         numbers = entry.compute(test).numbers
-        after = {each.name: each for each in (to_result(test, number) for number in numbers)}
+        after = {number.name: number for number in (to_result(test, number) for number in numbers)}
         (name,) = (each for each in after if each.endswith("_displacement"))
         assert after[name].value == before[name].value
         assert width(after[name]) > width(before[name])
@@ -350,9 +354,9 @@ def test_the_size_of_each_correction_is_said() -> None:
     found = stiffness(f"{more}, roller: {{diameter: 10 mm, friction: 0.2}}")
 
     _, _, said = found.remark.partition("corrected as an elastic beam: ")
-    names = [each.split()[0] for each in said.split(", ")]
+    names = [part.split()[0] for part in said.split(", ")]
     assert names == ["large-deflection", "roller-radius", "roller-friction"]
-    sizes = [float(each.split()[1]) for each in said.split(", ")]
+    sizes = [float(part.split()[1]) for part in said.split(", ")]
     assert sizes[0] > 0.0 > sizes[1]
     assert sizes[2] < 0.0
 

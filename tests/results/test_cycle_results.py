@@ -10,10 +10,10 @@ from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signal, Signals
+from labpipe.results.curve_replicates import replicate_curves
 from labpipe.results.cycles import PeakForce, _when, stretch_of_cycle
-from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import to_result
-from labpipe.results.likely_curves import likely_curves
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
 from labpipe.uncertainty.intervals import Measured
 from tests.builders.bundle_loops import LATER, NOISE, cycles, first_loading, holds, width
@@ -53,7 +53,11 @@ def test_uncertain_gain_is_in_the_interval(name: str) -> None:
     interval, value = results[name].interval, results[name].value
     assert interval is not None
     assert value is not None
-    (scale,) = (each.change for each in results[name].budget if each.cause == SCALE_OF_FORCE)
+    (scale,) = (
+        contribution.change
+        for contribution in results[name].budget
+        if contribution.cause == SCALE_OF_FORCE
+    )
     assert scale == pytest.approx(0.01 * value, rel=1e-3)
     # Widths of 400 draws repeat within 5 %.
     assert interval.standard_error >= 0.95 * scale
@@ -130,7 +134,7 @@ def test_a_gap_costs_only_its_cycle() -> None:
 def test_nothing_moves() -> None:
     time, path, force = loop(noise=1e-3)
     _, results = reduced(time, 0.01 * path, force)
-    assert {each.value for each in results.values()} == {None}
+    assert {result.value for result in results.values()} == {None}
     assert results["peak_force.1"].why.startswith("no_motion: the motion spans 0.1")
 
 
@@ -199,7 +203,9 @@ def test_the_largest_of_many_noisy_samples_is_held_by_its_interval() -> None:
 def test_zero_and_scale_come_on_top() -> None:
     """1 % of scale, of 1 N."""
     test, found = reduced(*loop(noise=1e-4))
-    budget = {each.cause: each.change for each in found["peak_force.1"].budget}
+    budget = {
+        contribution.cause: contribution.change for contribution in found["peak_force.1"].budget
+    }
     assert budget["scale of the force"] == pytest.approx(0.01, rel=0.01)
     zero = budget.get("zero of the force", 0.0)
     assert zero == pytest.approx(test.raw_force.zero_error, rel=1e-6)
@@ -243,7 +249,7 @@ def usual() -> dict[str, Result]:
 
 
 def shares(found: Result) -> dict[str, float]:
-    return {each.cause: each.change for each in found.budget}
+    return {contribution.cause: contribution.change for contribution in found.budget}
 
 
 def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> None:
@@ -261,8 +267,8 @@ def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> 
     for name, values, unit in (("force", force, "N"), ("displacement", seen, "m")):
         signals = signals.with_new(name, Signal(time, values, unit, "force"))
     curve = Curve(time, seen, force, numbers, numbers + 1, (up, down))
-    test = Evidence(signals, curve=curve, unfiltered=signals.raw["force"])
-    test = replace(test, replicates=likely_curves(test))
+    test = ReducedTest(signals, curve=curve, unfiltered=signals.raw["force"])
+    test = replace(test, replicates=replicate_curves(test))
     (number,) = UnloadingStiffness(over=0.003).compute(test).numbers
     found = number.outcome
     assert isinstance(found, Measured)
@@ -353,7 +359,7 @@ def test_a_force_that_drifts_at_rest_is_told() -> None:
         numbers = np.zeros(len(time), dtype=np.int64)
         up = Branch(0, len(time), 1, Direction.LOADING, 0.0, 25.0)
         curve = Curve(time, seen, force, numbers, numbers + 1, (up,))
-        test = Evidence(signals, curve=curve, unfiltered=signals.raw["force"])
-        test = replace(test, replicates=likely_curves(test))
+        test = ReducedTest(signals, curve=curve, unfiltered=signals.raw["force"])
+        test = replace(test, replicates=replicate_curves(test))
         (number,) = LoadingStiffness(over=0.005).compute(test).numbers
-        assert ("rest_in_window" in {each.code for each in number.doubts}) is doubted
+        assert ("rest_in_window" in {doubt.code for doubt in number.doubts}) is doubted

@@ -102,7 +102,7 @@ def test_nothing_moves() -> None:
     travel, force = pull()
     curve = f"{BREAK}, {MARKED}, slack: {{from: 10 %, to: 30 %}}"
     _, results = pulled(0.01 * travel, force, curve=curve, results=[*EVERYTHING, "slips"])
-    assert {each.value for each in results.values()} == {None}
+    assert {result.value for result in results.values()} == {None}
     assert len(results) == 11
     for found in results.values():
         assert found.why.startswith("no_motion: the motion spans 0.2 mm, less"), found

@@ -12,16 +12,16 @@ from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Finding, Findings, Reason, blocking, doubtful
 from labpipe.records.result import Contribution, Status
 from labpipe.records.signals import Clocks, Signal, Signals
-from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import ClockResult, Number, Outcome, blocked_or, to_result
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.uncertainty.intervals import Measured
 from tests.builders.reduced import loop, reduced
 
 STIFFNESS = Output("stiffness", "N/m", rests_on=("force", "displacement"))
 
 
-def evidence(*found: Finding) -> Evidence:
-    return Evidence(Signals(), findings=Findings(found))
+def evidence(*found: Finding) -> ReducedTest:
+    return ReducedTest(Signals(), findings=Findings(found))
 
 
 def asked(outcome: Outcome, *doubts: Reason, part: str = "") -> Number:
@@ -109,14 +109,14 @@ def fit(drift: Interval) -> ClockFit:
 def test_one_clock() -> None:
     test, _ = reduced(*loop())
     assert test.clocks.force is None
-    found = [to_result(test, each) for each in ClockResult().compute(test).numbers]
-    assert [each.why for each in found] == ["one_clock: there is only one clock"] * 2
-    assert [each.unit for each in found] == ["s", "1"]
+    found = [to_result(test, number) for number in ClockResult().compute(test).numbers]
+    assert [finding.why for finding in found] == ["one_clock: there is only one clock"] * 2
+    assert [finding.unit for finding in found] == ["s", "1"]
 
 
 def test_offset_and_drift_as_the_clocks_were_joined() -> None:
-    test = Evidence(Signals(), Clocks("markers", fit(Interval(1e-5, 3e-5))))
-    offset, drift = (to_result(test, each) for each in ClockResult().compute(test).numbers)
+    test = ReducedTest(Signals(), Clocks("markers", fit(Interval(1e-5, 3e-5))))
+    offset, drift = (to_result(test, number) for number in ClockResult().compute(test).numbers)
     assert (offset.name, offset.value, offset.method) == ("clock_offset", 10.0, "by turns")
     assert offset.interval is not None
     assert offset.interval.lower == pytest.approx(9.9)
@@ -125,8 +125,8 @@ def test_offset_and_drift_as_the_clocks_were_joined() -> None:
 
 def test_one_turn_gives_no_drift() -> None:
     nothing = Interval(float("nan"), float("nan"))
-    test = Evidence(Signals(), Clocks("markers", fit(nothing)))
-    offset, drift = (to_result(test, each) for each in ClockResult().compute(test).numbers)
+    test = ReducedTest(Signals(), Clocks("markers", fit(nothing)))
+    offset, drift = (to_result(test, number) for number in ClockResult().compute(test).numbers)
     assert offset.status is Status.OK
     assert drift.why.startswith("one_event: ")
 
@@ -143,14 +143,14 @@ APART = Clocks("markers")
 FROZEN = (Reason("frozen", "stands"),)
 
 
-def located(clocks: Clocks = APART) -> Evidence:
+def located(clocks: Clocks = APART) -> ReducedTest:
     """A force in doubt from 40 s to 42 s of its own clock."""
     time = np.arange(0.0, 100.0)
     signals = Signals()
     for name, clock in (("force", "force"), ("displacement", "markers")):
         signals = signals.with_new(name, Signal(time, time, "N", clock))
     found = doubtful("frozen", "force", "stands", "force", during=(40.0, 42.0), clock="force")
-    return Evidence(signals, clocks, findings=Findings((found,)))
+    return ReducedTest(signals, clocks, findings=Findings((found,)))
 
 
 def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
@@ -202,7 +202,7 @@ def curve(branches: tuple[Branch, ...] = BRANCHES) -> Curve:
 
 
 def test_branches_by_cycle() -> None:
-    test = Evidence(Signals(), curve=curve())
+    test = ReducedTest(Signals(), curve=curve())
     assert test.cycles == [list(BRANCHES[:2]), [BRANCHES[2]]]
     assert test.first_loading is BRANCHES[0]
     assert test.loading_stretch == slice(0, 2)
@@ -211,7 +211,7 @@ def test_branches_by_cycle() -> None:
 def test_the_first_loading_ends_with_the_sample_of_the_failure() -> None:
     def until(sample: int) -> slice:
         failure = FailurePoint(sample)
-        return Evidence(Signals(), curve=curve(), failure=failure).loading_stretch
+        return ReducedTest(Signals(), curve=curve(), failure=failure).loading_stretch
 
     assert until(0) == slice(0, 1)
     assert until(1) == slice(0, 2)
@@ -219,7 +219,7 @@ def test_the_first_loading_ends_with_the_sample_of_the_failure() -> None:
 
 
 def test_without_a_curve() -> None:
-    test = Evidence(Signals())
+    test = ReducedTest(Signals())
     assert test.cycles == []
     assert test.first_loading is None
     assert test.loading_stretch == slice(0, 0)
@@ -229,19 +229,19 @@ def test_without_a_curve() -> None:
 
 
 def test_a_record_that_begins_with_an_unloading() -> None:
-    assert Evidence(Signals(), curve=curve(BRANCHES[1:2])).first_loading is None
+    assert ReducedTest(Signals(), curve=curve(BRANCHES[1:2])).first_loading is None
 
 
 def test_when_the_first_loading_went_between_two_displacements() -> None:
-    test = Evidence(Signals(), curve=curve((Branch(0, 3, 1, UP, 0.0, 2.5),)))
+    test = ReducedTest(Signals(), curve=curve((Branch(0, 3, 1, UP, 0.0, 2.5),)))
     assert test.while_loading() == (0.0, 2.5)
     assert test.while_loading(0.5, 1.5) == (1.0, 2.0)
     assert test.while_loading(0.5, 9.0) == (1.0, 2.5)
 
 
 def test_error_of_the_slack() -> None:
-    assert Evidence(Signals()).slack_error == 0.0
+    assert ReducedTest(Signals()).slack_error == 0.0
     assert (
-        Evidence(Signals(), slack=Measured(1e-3, np.array([-2e-5, 2e-5]), (), 50)).slack_error
+        ReducedTest(Signals(), slack=Measured(1e-3, np.array([-2e-5, 2e-5]), (), 50)).slack_error
         == 2e-5
     )

@@ -27,14 +27,14 @@ from labpipe.records.causes import (
 )
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
+from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
 from labpipe.results.cycles import PeakDisplacement, PeakForce
-from labpipe.results.evidence import Evidence, Setup
-from labpipe.results.force_samples import ForceSamples, Top, _frames_of, cuts_of
-from labpipe.results.likely_curves import likely_curves, loading_of, traced
+from labpipe.results.load_cell_noise import ForceSamples, PeakSamples, _frames_of, cuts_of
+from labpipe.results.reduced_test import ReducedTest, Setup
 from labpipe.results.stiffness import LineStiffness
 from labpipe.signal.filters import Butterworth, Smoothing
+from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
-from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Input, Replicates
 from tests.builders.plain_records import Numbers
 from tests.builders.reduced import DOWN, UP, recorded
@@ -42,8 +42,8 @@ from tests.builders.reduced import DOWN, UP, recorded
 RNG = np.random.default_rng
 
 
-def curves(test: Evidence) -> Replicates:
-    found = likely_curves(test)
+def curves(test: ReducedTest) -> Replicates:
+    found = replicate_curves(test)
     assert found is not None
     return found
 
@@ -53,7 +53,7 @@ def off(found: Replicates, part: slice = slice(None)) -> Floats:
     return (found.force - found.smooth.force)[:, part]
 
 
-def noise(test: Evidence, part: slice = slice(None)) -> float:
+def noise(test: ReducedTest, part: slice = slice(None)) -> float:
     """Standard deviation that the replicates have on a sample."""
     return float(np.nanstd(off(curves(test), part), axis=0).mean())
 
@@ -66,23 +66,25 @@ def end(trace: Trace) -> tuple[Floats]:
     return (trace.force[..., 1800:].mean(axis=-1),)
 
 
-def largest(test: Evidence) -> Measured:
+def largest(test: ReducedTest) -> Measured:
     found = measure(curves(test), lambda trace: Reading(top, len(trace.time)))
     assert isinstance(found, tuple)
     return found[0]
 
 
-def inputs(test: Evidence) -> dict[str, Input]:
-    return {each.cause: each for each in curves(test).inputs}
+def inputs(test: ReducedTest) -> dict[str, Input]:
+    return {curve.cause: curve for curve in curves(test).inputs}
 
 
-def straight(count: int = 800, rate: float = 100.0, spread: float = 1.0, seed: int = 0) -> Evidence:
+def straight(
+    count: int = 800, rate: float = 100.0, spread: float = 1.0, seed: int = 0
+) -> ReducedTest:
     time = np.arange(count) / rate
     force = 10.0 * time + RNG(seed).normal(0.0, spread, count)
     return recorded(time, 1e-3 * time, force)
 
 
-def broken(at: int, count: int) -> Evidence:
+def broken(at: int, count: int) -> ReducedTest:
     """To 100 N, in noise of 0.1 N, then nothing."""
     time: Floats = np.arange(float(count)) * 1e-3
     force = np.where(np.arange(count) <= at, 100.0 * np.arange(count) / at, 0.0)
@@ -92,7 +94,7 @@ def broken(at: int, count: int) -> Evidence:
 
 
 def test_without_a_curve_there_is_nothing_to_draw() -> None:
-    assert likely_curves(Evidence(Signals())) is None
+    assert replicate_curves(ReducedTest(Signals())) is None
 
 
 def test_the_trace_is_the_curve() -> None:
@@ -301,7 +303,7 @@ def slip(decision: SlipDecision, start: int, drop: float, error: float = 0.5) ->
     return Slip(1e-3, drop, around, around, decision, start, start + 2)
 
 
-def slipped(decision: SlipDecision) -> Evidence:
+def slipped(decision: SlipDecision) -> ReducedTest:
     """Twice 20 N are lost within two steps, at samples 200 and 500."""
     time, losses = np.arange(800) / 100.0, np.zeros(800)
     for start in (200, 500):
@@ -334,7 +336,7 @@ def test_marked_slips_stay_and_are_no_noise() -> None:
 
 def test_each_repaired_slip_moves_what_follows_by_its_error() -> None:
     found = curves(slipped(SlipDecision.REPAIRED))
-    first, second = (each for each in found.inputs if each.cause == REPAIRED_SLIPS)
+    first, second = (finding for finding in found.inputs if finding.cause == REPAIRED_SLIPS)
     trace = found.smooth
     for given, behind in ((first, 202), (second, 502)):
         more = given.moved(trace, 2.0).force - trace.force
@@ -354,7 +356,7 @@ def test_a_cut_curve_is_unknown_behind_its_end() -> None:
     assert np.std(off(found, slice(400))) == pytest.approx(1.0, rel=0.15)
 
 
-def uncertain(name: str, scale: float, zero: float) -> Evidence:
+def uncertain(name: str, scale: float, zero: float) -> ReducedTest:
     """800 samples, one signal of which is uncertain."""
     test = straight()
     changed = replace(test.signals.raw[name], relative_error=scale, zero_error=zero)
@@ -398,13 +400,13 @@ def test_what_an_offset_changes_frame_by_frame_has_no_noise(cause: str, spread: 
     signal, noise = test.displacement, RNG(5).normal(0.0, 1e-5, 800)
     seen = replace(signal, moved={cause: 1.1 * signal.values + noise})
     found = curves(replace(test, signals=test.signals.with_new("displacement", seen)))
-    (given,) = (each for each in found.inputs if each.cause == cause)
+    (given,) = (finding for finding in found.inputs if finding.cause == cause)
     change = given.moved(found.smooth, 1.0).displacement - found.smooth.displacement
     left = change - 0.1 * signal.values
     assert np.std(left) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
 
 
-def plateau(seed: int, level: float, step: float) -> Evidence:
+def plateau(seed: int, level: float, step: float) -> ReducedTest:
     """Noise of 1 N on a way up to a level, in steps of a converter."""
     time = np.arange(2000) / 100.0
     force = level * (1.0 - (1.0 - time / 20.0) ** 4) + RNG(seed).normal(size=2000)
@@ -414,7 +416,7 @@ def plateau(seed: int, level: float, step: float) -> Evidence:
 def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
     """Steps of 7 standard deviations: the level is known to half a step, a rectangle."""
     test = plateau(0, 100.0, 7.0)
-    (given,) = (each for each in curves(test).inputs if each.cause == RESOLUTION)
+    (given,) = (curve for curve in curves(test).inputs if curve.cause == RESOLUTION)
     trace = curves(test).smooth
     assert given.law == "uniform"
     more = given.moved(trace, 1.0).force - trace.force
@@ -492,7 +494,9 @@ def test_sizes() -> None:
     )
     test = replace(straight(), setup=setup)
     found, trace = curves(test), curves(test).smooth
-    span, width, thickness, area = (each for each in found.inputs if each.cause in (SPAN, SECTION))
+    span, width, thickness, area = (
+        finding for finding in found.inputs if finding.cause in (SPAN, SECTION)
+    )
     assert [each.cause for each in (span, width, thickness)] == [SPAN, SECTION, SECTION]
     assert span.moved(trace, 2.0).sizes["span"] == pytest.approx(0.1002)
     assert width.moved(trace, -1.0).sizes["width"] == pytest.approx(1.99e-3)
@@ -548,23 +552,23 @@ PLACES = np.pi * np.array([0.5, 1.5, 2.5])
 SCALE = SHARE * PEAK / np.sqrt(np.sum(PLACES**-2.0))
 
 
-def straight_of_drift(share: float = SHARE, spread: float = 0.0) -> Evidence:
+def straight_of_drift(share: float = SHARE, spread: float = 0.0) -> ReducedTest:
     """80 N along 8 mm in 20 s, from its zero on."""
     tau = np.linspace(0.0, 1.0, COUNT)
     force = PEAK * tau + np.random.default_rng(0).normal(0.0, spread, COUNT)
     return drifting(recorded(20.0 * tau, WAY * tau, force), share)
 
 
-def drifting(test: Evidence, share: float) -> Evidence:
+def drifting(test: ReducedTest, share: float) -> ReducedTest:
     raw = replace(test.signals.raw["force"], zero_drift=share)
     return replace(test, signals=test.signals.with_new("force", raw))
 
 
-def modes(test: Evidence) -> list[Input]:
-    return [each for each in curves(test).inputs if each.cause == DRIFT_OF_ZERO]
+def modes(test: ReducedTest) -> list[Input]:
+    return [curve for curve in curves(test).inputs if curve.cause == DRIFT_OF_ZERO]
 
 
-def drift_of(test: Evidence, numbers: Numbers) -> float:
+def drift_of(test: ReducedTest, numbers: Numbers) -> float:
     found = measure(curves(test), lambda trace: Reading(numbers, len(trace.time)))
     assert isinstance(found, tuple)
     (number,) = found
@@ -668,7 +672,7 @@ def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
 
 
 def test_a_zero_that_stands_still_is_no_input() -> None:
-    assert {each.cause for each in curves(straight_of_drift(0.0)).inputs} == {STEP}
+    assert {curve.cause for curve in curves(straight_of_drift(0.0)).inputs} == {STEP}
 
 
 def test_it_adds_to_what_there_was_and_changes_nothing_else() -> None:
@@ -696,7 +700,7 @@ def test_a_drift_as_large_as_the_force_makes_numbers_wide_or_doubtful(share: flo
     test = straight_of_drift(share, 0.5)
     test = replace(test, replicates=curves(test))
     kinds = LineStiffness(start=1e-3, stop=4e-3), PeakDisplacement(), PeakForce()
-    for number in (each for kind in kinds for each in kind.compute(test).numbers):
+    for number in (number for kind in kinds for number in kind.compute(test).numbers):
         found = number.outcome
         assert isinstance(found, Measured)
         assert np.isfinite([found.interval.lower, found.interval.upper, found.estimate]).all()
@@ -729,7 +733,7 @@ def force_at(time: Floats) -> Floats:
     return 100.0 + np.where(time < TURN, BEFORE, BEHIND) * (time - TURN)
 
 
-def evidence(force: Floats, *, rate: float = SINGLE, filters: bool = True) -> Evidence:
+def evidence(force: Floats, *, rate: float = SINGLE, filters: bool = True) -> ReducedTest:
     """A force on its own clock, that of the curve but for its name."""
     time = rate * np.arange(float(len(force)))
     signal = Signal(time, force, "N", "recorder")
@@ -737,7 +741,7 @@ def evidence(force: Floats, *, rate: float = SINGLE, filters: bool = True) -> Ev
     signals = Signals(raw={"force": signal}, filtered={"force": signal}, filters=act)
     same, at = Interval(0.0, 0.0), np.array([TURN])
     joined = ClockFit(0.0, 0.0, same, same, 0.0, at, at, 0.01 * at, "by turns")
-    return Evidence(signals, Clocks("cameras", joined), unfiltered=signal)
+    return ReducedTest(signals, Clocks("cameras", joined), unfiltered=signal)
 
 
 def curve() -> Trace:
@@ -764,7 +768,7 @@ def plainly_smoothed(rows: Floats) -> Floats:
     return found
 
 
-def top_of(samples: ForceSamples | None, trace: Trace, sense: float = 1.0) -> Top:
+def top_of(samples: ForceSamples | None, trace: Trace, sense: float = 1.0) -> PeakSamples:
     """The only cycle."""
     assert samples is not None
     found = samples.of_cycle(trace, slice(0, 501), sense)
@@ -786,7 +790,7 @@ def test_the_largest_of_all_samples_in_noise() -> None:
     near = slice(900, 1100)
     rows = force_at(time)[near] + NOISE * RNG(2).normal(size=(4000, 200))
     (cut,) = set(samples.cuts) - {0, 2000, int(np.searchsorted(time, trace.time[-1], "right")), 2}
-    parts = [plainly_smoothed(each) for each in (rows[:, : cut - 900], rows[:, cut - 900 :])]
+    parts = [plainly_smoothed(row) for row in (rows[:, : cut - 900], rows[:, cut - 900 :])]
     by_hand = np.hstack(parts).max(axis=1) - samples.smooth.max()
     assert np.mean(raised) == pytest.approx(np.mean(by_hand), abs=0.12 * float(np.std(by_hand)))
     assert np.std(raised) == pytest.approx(np.std(by_hand), rel=0.06)

@@ -21,7 +21,6 @@ from labpipe.records.curve import (
 )
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Specimen, Status, TestResult
-from labpipe.results.evidence import Evidence
 from labpipe.results.moment_curvature import (
     SLACK,
     AtRest,
@@ -31,6 +30,7 @@ from labpipe.results.moment_curvature import (
     notes_of,
     stated,
 )
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import MomentCurvature, _not_weighed
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
@@ -56,7 +56,7 @@ TAUT = replace(SMALL, mechanics=replace(SMALL.mechanics, slack=None, cycles=1))
 
 def reduced(
     repository: Path, *changes: tuple[str, str], scenario: CantileverScenario = SMALL
-) -> tuple[Evidence, dict[str, Result]]:
+) -> tuple[ReducedTest, dict[str, Result]]:
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     for old, new in changes:
         assert text.count(old) == 1, old
@@ -64,10 +64,10 @@ def reduced(
     plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, 3)
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
     done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
-    return done.evidence, {each.name: each for each in done.results}
+    return done.evidence, {result.name: result for result in done.results}
 
 
-def notes(test: Evidence, code: str) -> list[str]:
+def notes(test: ReducedTest, code: str) -> list[str]:
     return [note.message for note in test.findings.notes if note.code == code]
 
 

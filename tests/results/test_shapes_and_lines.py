@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from labpipe.process.curve_corrections import correct_curve
-from labpipe.process.story import Reduced
+from labpipe.process.story import ReductionOfTest
 from labpipe.protocol.schema import CurveBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SLACK, ZERO_OF_DISPLACEMENT, ZERO_OF_FORCE
@@ -17,12 +17,12 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signals
 from labpipe.results.cycles import PeakDisplacement
-from labpipe.results.evidence import Evidence
-from labpipe.results.kinds import Found
+from labpipe.results.kinds import CalibrationFit
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.shapes import TipTravel, _at_turn, _Frames
-from labpipe.results.taut_curves import counted_from_taut, slack_of
+from labpipe.results.slack_correction import counted_from_taut, slack_of
+from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
-from labpipe.uncertainty.readings import Reading, Trace
 from tests.builders.bundle_loops import FIRST, KINK, SECOND, cycles, width
 from tests.builders.bundle_loops import NOISE as LOOP_NOISE
 from tests.builders.bundle_loops import holds as holds_in_bundles
@@ -54,8 +54,8 @@ def swung() -> Shape:
     return shape(positions + np.random.default_rng(4).normal(0.0, 1e-5, positions.shape))
 
 
-def travel(seen: Shape | None) -> Found:
-    (number,) = TipTravel().compute(Evidence(Signals(), shape=seen)).numbers
+def travel(seen: Shape | None) -> CalibrationFit:
+    (number,) = TipTravel().compute(ReducedTest(Signals(), shape=seen)).numbers
     return number.outcome
 
 
@@ -104,7 +104,7 @@ def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     frames = _Frames(time, time < 4.0, loading, (100, 900, 1700), b"seed")
     off, errors, together = list[float](), list[float](), list[float]()
     for seed in range(0, 60, 6):
-        rows = [way + wandering(each) for each in range(seed, seed + 6)]
+        rows = [way + wandering(index) for index in range(seed, seed + 6)]
         others = [5.0 * row for row in rows[1:]]
         found = _at_turn(rows[0], frames, "twist", others)
         assert isinstance(found, Estimate)
@@ -133,7 +133,7 @@ def bilinear(seed: int = 0) -> tuple[Floats, Floats]:
 
 def test_two_segments() -> None:
     done = reduction(*bilinear(), results=[TWO])
-    results = {each.name: each for each in done.results}
+    results = {result.name: result for result in done.results}
     holds(results["segment_stiffness_first"], 5000.0, "N/m")
     holds(results["segment_stiffness_second"], 2000.0, "N/m")
     holds(results["break_point"], 0.008, "m")
@@ -167,10 +167,14 @@ def test_budget() -> None:
     """A slope is in proportion to the scale of the force, a place is not."""
     _, results = pulled(*bilinear(), results=[TWO], scale="1 %")
     first, _, place = (results[name] for name in NAMES)
-    changes = {each.cause: each.change for each in first.budget}
+    changes = {contribution.cause: contribution.change for contribution in first.budget}
     assert changes["scale of the force"] == pytest.approx(50.0, rel=5e-3)
     assert width(first) == pytest.approx(2.0 * 1.96 * np.hypot(50.0, changes["noise"]), rel=0.15)
-    scale = [abs(each.change) for each in place.budget if each.cause == "scale of the force"]
+    scale = [
+        abs(contribution.change)
+        for contribution in place.budget
+        if contribution.cause == "scale of the force"
+    ]
     assert max(scale, default=0.0) < 1e-9
 
 
@@ -183,9 +187,9 @@ def test_width_of_the_break_as_the_scatter_over_records(shaken: float) -> None:
         travel, force = bilinear(seed)
         seen = travel + np.random.default_rng(seed + 1000).normal(0.0, shaken, len(travel))
         found.append(pulled(seen, force, results=[TWO])[1]["break_point"])
-    values = [each.value for each in found if each.value is not None]
+    values = [finding.value for finding in found if finding.value is not None]
     spread = float(np.std(values, ddof=1))
-    typical = float(np.median([width(each) for each in found]))
+    typical = float(np.median([width(finding) for finding in found]))
     assert 0.8 < typical / (2.0 * 1.96 * spread) < 1.8
 
 
@@ -253,17 +257,17 @@ def test_a_kink_does_not_depend_on_where_samples_lie(phase: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def bundle() -> Reduced:
+def bundle() -> ReductionOfTest:
     more = "specimen: {length: 100 mm}\nresults:\n  - {result: kink, from: 0.2 mm, to: 5 mm}\n"
     return reduced_bundle(*cycles(noise=LOOP_NOISE), more=more)
 
 
 @pytest.fixture(scope="module")
-def kink(bundle: Reduced) -> dict[str, Result]:
-    return {each.name: each for each in bundle.results}
+def kink(bundle: ReductionOfTest) -> dict[str, Result]:
+    return {result.name: result for result in bundle.results}
 
 
-def test_kink(bundle: Reduced, kink: dict[str, Result]) -> None:
+def test_kink(bundle: ReductionOfTest, kink: dict[str, Result]) -> None:
     holds_in_bundles(kink["kink_displacement"], KINK, "m")
     holds_in_bundles(kink["kink_force"], FIRST * KINK, "N")
     assert width(kink["kink_displacement"]) < 2e-4
@@ -279,9 +283,9 @@ def test_scale_of_the_force_is_in_the_force_of_the_kink_alone(kink: dict[str, Re
     """The bundle's load cell is known to 1 %."""
     assert width(kink["kink_force"]) > 2 * 1.96 * 0.01 * FIRST * KINK
     scale = [
-        abs(each.change)
-        for each in kink["kink_displacement"].budget
-        if each.cause == "scale of the force"
+        abs(contribution.change)
+        for contribution in kink["kink_displacement"].budget
+        if contribution.cause == "scale of the force"
     ]
     assert max(scale, default=0.0) < 1e-9
 
@@ -314,7 +318,7 @@ TRACE = Trace(
 )
 
 
-def taut(**errors: float) -> Evidence:
+def taut(**errors: float) -> ReducedTest:
     """A pull of 5 N/mm with 3 mm of slack, whose zeros are known so well, counted from taut."""
     test, _ = pulled(*pull(slack=0.003))
     raw, filtered = dict(test.signals.raw), dict(test.signals.filtered)
@@ -330,10 +334,10 @@ def taut(**errors: float) -> Evidence:
 
 def shares(found: Measured | Failure | None) -> dict[str, float]:
     assert isinstance(found, Measured)
-    return {each.cause: abs(each.change) for each in found.budget}
+    return {contribution.cause: abs(contribution.change) for contribution in found.budget}
 
 
-def peak(test: Evidence) -> dict[str, float]:
+def peak(test: ReducedTest) -> dict[str, float]:
     (number,) = PeakDisplacement().compute(test).numbers
     assert isinstance(number.outcome, Measured)
     return shares(number.outcome)

@@ -9,7 +9,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.result import Status
 from labpipe.records.signals import Signals
-from labpipe.results.evidence import Evidence
+from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.stiffness import Hardening, LoadingStiffness
 from tests.builders.pulls import (
     BREAK,
@@ -33,7 +33,7 @@ def bilinear() -> tuple[Floats, Floats]:
 
 def test_line() -> None:
     done = reduction(*pull(), results=[LINE])
-    results = {each.name: each for each in done.results}
+    results = {result.name: result for result in done.results}
     holds(results["stiffness"], 5000.0, "N/m")
     assert results["stiffness"].method == (
         "straight line from 2 mm to 10 mm of the first loading, interval for correlated noise"
@@ -48,7 +48,9 @@ def test_line() -> None:
 def test_scale_of_the_force_is_in_the_interval() -> None:
     _, results = pulled(*pull(), results=[LINE], scale="1 %")
     found = results["stiffness"]
-    (scale,) = (each for each in found.budget if each.cause == "scale of the force")
+    (scale,) = (
+        contribution for contribution in found.budget if contribution.cause == "scale of the force"
+    )
     assert scale.change == pytest.approx(50.0, rel=0.001)
     assert scale.is_common
     assert found.interval is not None
@@ -210,8 +212,8 @@ def test_stretches_are_named_in_millimetres() -> None:
     assert LoadingStiffness(over=0.005).method == (
         "line over 5 mm from where the force takes up, time as instrument"
     )
-    found = Hardening(over=0.005).compute(Evidence(Signals()))
-    assert [each.method for each in found.numbers] == [
+    found = Hardening(over=0.005).compute(ReducedTest(Signals()))
+    assert [number.method for number in found.numbers] == [
         "slope over 5 mm from the take-up / that of cycle 1, scale cancelled"
     ]
 
@@ -221,5 +223,5 @@ def test_compliance_of_a_stiff_bar() -> None:
     _, results = pulled(travel, force, results=["compliance, from: 10 N, to: 80 N"], scale="1 %")
     found = results["compliance"]
     holds(found, 1.0 / 5000.0, "m/N")
-    shares = {each.cause: each.change for each in found.budget}
+    shares = {contribution.cause: contribution.change for contribution in found.budget}
     assert abs(shares[SCALE_OF_FORCE]) == pytest.approx(0.01 / 5000.0, rel=1e-3)

@@ -9,15 +9,15 @@ import pytest
 
 from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Floats
-from labpipe.rod.assembly import Assembly, Demands, Drag, Memory, Shape
+from labpipe.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.rod.banded import Band, entries, places_of
-from labpipe.rod.beliefs import joined, known
 from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
 from labpipe.rod.cells import BentCells, bend_cells
+from labpipe.rod.equilibrium import settle
+from labpipe.rod.input_distributions import joined, known
 from labpipe.rod.line import Line, Section
 from labpipe.rod.response import Fields, band_of, field_band, respond
 from labpipe.rod.rotations import from_rotation_vectors, multiply, skew, unit
-from labpipe.rod.settling import settle
 from labpipe.rod.states import merged_rests, parted_rests
 from labpipe.rod.supports import supports_of
 from tests.builders.rods import (
@@ -61,7 +61,7 @@ class Case:
         strings = (np.array([2]), np.array([0.05]))
         self.assembly = Assembly(self.line, supports, (plane,), strings, n_rings=1, force=1e-4)
         contacts = self.line.positions + 0.02 * random.normal(size=(N + 1, 3))
-        self.memory = Memory(
+        self.memory = LineMemory(
             0.5 * random.normal(size=(len(supports.nodes), 3, 2)), contacts[None], np.array([4.2])
         )
         self.demands = Demands(
@@ -79,18 +79,18 @@ class Case:
             self.line.positions, self.line.frames, stretches, 0.05 * random.normal(size=(N, 3))
         )
 
-    def residual(self, change: Floats, drag: Drag | None = None) -> Floats:
+    def residual(self, change: Floats, drag: ArtificialDrag | None = None) -> Floats:
         shape = self.assembly.changed(self.shape, change)
         return self.assembly.balance(shape, self.demands, self.memory, drag).residual
 
-    def matrix(self, drag: Drag | None = None) -> Floats:
+    def matrix(self, drag: ArtificialDrag | None = None) -> Floats:
         values = self.assembly.balance(self.shape, self.demands, self.memory, drag).values
         total = self.assembly.places.total
         out = np.zeros((total, total))
         np.add.at(out, self.assembly.pattern, values)
         return out
 
-    def differences(self, drag: Drag | None = None) -> Floats:
+    def differences(self, drag: ArtificialDrag | None = None) -> Floats:
         total = self.assembly.places.total
         scale = self.assembly.band.scale / np.max(self.assembly.band.scale)
         columns = []
@@ -101,7 +101,7 @@ class Case:
             columns.append((ahead - back) / (2.0 * STEP * scale[k]))
         return np.stack(columns, axis=1)
 
-    def without_skew(self, matrix: Floats, drag: Drag | None = None) -> Floats:
+    def without_skew(self, matrix: Floats, drag: ArtificialDrag | None = None) -> Floats:
         """Take off the part of a gradient's derivative that vanishes where it is in balance."""
         residual = self.residual(np.zeros(self.assembly.places.total), drag)
         out = matrix.copy()
@@ -125,7 +125,7 @@ def test_the_tangent_is_that_of_differences(section: Section, dragged: bool) -> 
     if dragged:
         place = replace(case.shape, positions=case.shape.positions + 0.01)
         before = case.assembly.turns(case.shape, case.demands) - 0.02
-        drag = Drag(10.0, place, before)
+        drag = ArtificialDrag(10.0, place, before)
     free = ~case.assembly.band.fixed
     free = np.ones_like(free) if not case.assembly.is_rigid else free
     scale = case.assembly.band.scale
@@ -317,7 +317,7 @@ def numbers(side: int) -> tuple[Floats, Floats]:
                 (ahead.behind - back.behind) / (2 * STEP_CELLS),
             )
         )
-    first, second = (np.stack(each, axis=2) for each in zip(*columns, strict=True))
+    first, second = (np.stack(column, axis=2) for column in zip(*columns, strict=True))
     return first, second
 
 
@@ -468,7 +468,7 @@ def test_a_least_value_is_taken_in_every_draw() -> None:
 def test_bands_of_several_beliefs_are_joined() -> None:
     other = joined([known("a", 0.3, centre=2.0), known("b", 0.4)])
     responses = [respond(straight, BELIEF), respond(straight, other)]
-    band = field_band([each for each in responses if each is not None], "sum")
+    band = field_band([response for response in responses if response is not None], "sum")
     assert band.value[1] == 0.0
     assert band.lower[1] == pytest.approx(-1.96 * 0.6, rel=0.06)
     assert band.upper[1] == pytest.approx(4.0 + 1.96 * 0.6, rel=0.06)
@@ -586,7 +586,7 @@ ASSEMBLY = Assembly(
 SHAPE = Shape(LINE.positions, LINE.frames, np.zeros(N_SETTLING), np.zeros((N_SETTLING, 3)))
 
 
-MEMORY = Memory(np.zeros((N_SETTLING, 0, 2)), np.zeros((0, N_SETTLING + 1, 3)), np.zeros(0))
+MEMORY = LineMemory(np.zeros((N_SETTLING, 0, 2)), np.zeros((0, N_SETTLING + 1, 3)), np.zeros(0))
 
 
 def demands(tip: Floats) -> Demands:

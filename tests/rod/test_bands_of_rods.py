@@ -10,8 +10,13 @@ from scipy.special import stdtrit
 from labpipe.law.sliders import SliderLaw
 from labpipe.records.wire_calibration import Calibration
 from labpipe.rod.bands import bands_of, bent
-from labpipe.rod.beliefs import Belief, calibrated_beliefs, joined, known
 from labpipe.rod.boundaries import Gravity, Held, Load
+from labpipe.rod.input_distributions import (
+    InputDistribution,
+    calibrated_distributions,
+    joined,
+    known,
+)
 from labpipe.rod.line import Line, Section
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
@@ -51,7 +56,7 @@ def pushed(inputs: Mapping[str, float]) -> RodPath:
     return follow(line, (held, Load(-1, force), Gravity()), steps=STEPS)
 
 
-def solved(belief: Belief, count: int) -> list[RodPath]:
+def solved(belief: InputDistribution, count: int) -> list[RodPath]:
     return [pushed(belief.inputs(amounts)) for amounts in belief.amounts[:count]]
 
 
@@ -95,8 +100,8 @@ def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
     assert other is not None
     assert both is not None
     ends = [
-        (each.states[0].positions.lower[-1, 2], each.states[0].positions.upper[-1, 2])
-        for each in (one, other, both)
+        (part.states[0].positions.lower[-1, 2], part.states[0].positions.upper[-1, 2])
+        for part in (one, other, both)
     ]
     assert ends[2] == (min(ends[0][0], ends[1][0]), max(ends[0][1], ends[1][1]))
     assert both.states[0].positions.value[-1, 2] == one.states[0].positions.value[-1, 2]
@@ -157,25 +162,29 @@ def calibration() -> Calibration:
     return found
 
 
-def drawn(belief: Belief, direction: dict[str, float]) -> np.ndarray:
+def drawn(belief: InputDistribution, direction: dict[str, float]) -> np.ndarray:
     weights = np.array([direction.get(name, 0.0) for name in belief.names])
     return np.asarray(belief.amounts @ belief.steps.T @ weights)
 
 
 def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> None:
-    beliefs = calibrated_beliefs(calibration.solutions, calibration.widening, specimen=LAW_FACTOR)
+    beliefs = calibrated_distributions(
+        calibration.solutions, calibration.widening, specimen=LAW_FACTOR
+    )
     assert len(beliefs) == 2
     for belief, solution in zip(beliefs, calibration.solutions, strict=True):
         assert belief.inputs()["copper_scale"] == pytest.approx(np.log(solution.values[2]))
         assert belief.inputs()[LAW_FACTOR] == 0.0
     far = replace(calibration.solutions[1], rise=2.0 * calibration.solutions[1].limit)
-    assert len(calibrated_beliefs([calibration.solutions[0], far])) == 1
+    assert len(calibrated_distributions([calibration.solutions[0], far])) == 1
 
 
 @pytest.mark.parametrize("one_more", [0.0, 1.0])
 def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_more: float) -> None:
     solution = calibration.solutions[0]
-    belief = calibrated_beliefs([replace(solution, rise=0.0)], specimen=LAW_FACTOR, draws=MANY)[0]
+    belief = calibrated_distributions(
+        [replace(solution, rise=0.0)], specimen=LAW_FACTOR, draws=MANY
+    )[0]
     for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.2, 0.5, 0.3)):
         direction = dict(zip(belief.names, weights, strict=False)) | {LAW_FACTOR: one_more}
         found = np.quantile(drawn(belief, direction), [0.025, 0.975])
@@ -188,7 +197,7 @@ def test_as_many_draws_as_usual_say_where_a_band_ends(calibration: Calibration) 
     """By chance alone widths would differ by 2 % here and there."""
     widths = []
     for seed in range(16):
-        belief = calibrated_beliefs(calibration.solutions, specimen=LAW_FACTOR, seed=seed)[0]
+        belief = calibrated_distributions(calibration.solutions, specimen=LAW_FACTOR, seed=seed)[0]
         moved = drawn(belief, {"copper_scale": 0.3, LAW_FACTOR: 1.0})
         widths.append(np.ptp(np.quantile(moved, [0.025, 0.975])))
     assert np.std(widths) < 0.012 * np.mean(widths)
@@ -197,7 +206,7 @@ def test_as_many_draws_as_usual_say_where_a_band_ends(calibration: Calibration) 
 def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
     solution = calibration.solutions[0]
     half = replace(solution, rise=0.75 * solution.limit)
-    one, other = calibrated_beliefs([replace(solution, rise=0.0), half])
+    one, other = calibrated_distributions([replace(solution, rise=0.0), half])
     ratio = np.std(other.amounts @ other.steps.T, axis=0) / np.std(
         one.amounts @ one.steps.T, axis=0
     )
@@ -211,7 +220,7 @@ def test_what_is_fixed_does_not_move(calibration: Calibration) -> None:
     shift, covariance = mixture.shift.copy(), mixture.covariance.copy()
     shift[:, 0], covariance[:, 0, :], covariance[:, :, 0] = 0.0, 0.0, 0.0
     fixed = replace(solution, mixture=replace(mixture, shift=shift, covariance=covariance))
-    belief = calibrated_beliefs([fixed])[0]
+    belief = calibrated_distributions([fixed])[0]
     assert len(belief.causes) == 2
     assert np.ptp(drawn(belief, {"radial_friction": 1.0})) < 1e-9
 

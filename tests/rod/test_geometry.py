@@ -8,7 +8,7 @@ from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Shape
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane, Ring, String
-from labpipe.rod.directions import directions_of, lent_directions
+from labpipe.rod.directions import clamp_directions, directions_of
 from labpipe.rod.line import Line, Section, line_along
 from labpipe.rod.rotations import (
     conjugate,
@@ -366,7 +366,7 @@ def test_clamps_that_leave_a_formed_line_as_it_is_lend_it_nothing_new() -> None:
     supports = supports_of(line, ((0, True), (3, True), (6, True)))
     clamps = np.array([line.frame_at(node) for node in (0, 3, 6)])
     frames = matrices(line.frames)
-    lent = lent_directions(supports, clamps)
+    lent = clamp_directions(supports, clamps)
     way = directions_of(supports, frames, lent, np.zeros((6, 3)))
     np.testing.assert_allclose(way.along, frames[:, :, 2], atol=1e-12)
 
@@ -375,7 +375,7 @@ def test_directions_turn_with_the_frame_by_its_share() -> None:
     line = line_along(ARC, linear_section())
     supports = supports_of(line, ((0, True),))
     clamps = multiply(line.frames[:1], from_rotation_vectors(np.array([[0.1, 0.0, 0.0]])))
-    lent = lent_directions(supports, clamps)
+    lent = clamp_directions(supports, clamps)
     way = directions_of(supports, matrices(line.frames), lent, np.zeros((6, 3)))
     turned = np.arccos(way.along[0] @ matrices(line.frames)[0, :, 2])
     assert turned == pytest.approx(0.1 * END_SHARE, rel=2e-3)
@@ -389,7 +389,7 @@ def test_pull_and_stiffness_are_derivatives() -> None:
     random = np.random.default_rng(4)
     clamps = multiply(line.frames[[0, -1]], from_rotation_vectors(random.normal(size=(2, 3)) * 0.3))
     pulls = random.normal(size=(6, 3))
-    lent = lent_directions(supports, clamps)
+    lent = clamp_directions(supports, clamps)
     plain = directions_of(supports, matrices(line.frames), lent, pulls)
     for axis in np.eye(3):
         values = []

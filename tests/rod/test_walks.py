@@ -7,9 +7,11 @@ import pytest
 
 from labpipe.law.sliders import linear_moment_law
 from labpipe.records.arrays import Floats
-from labpipe.rod.assembly import Assembly, Balance, Demands, Memory, Shape
+from labpipe.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane
 from labpipe.rod.line import Section
+from labpipe.rod.plane_contact import added_at, pull_strings, touch_plane
+from labpipe.rod.ring_contact import nearest_place, point_at, thread
 from labpipe.rod.rotations import (
     conjugate,
     from_rotation_vectors,
@@ -20,9 +22,7 @@ from labpipe.rod.rotations import (
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.statics import RodSettings, follow
 from labpipe.rod.supports import Grip, supports_of
-from labpipe.rod.threaded import nearest_place, point_at, thread
-from labpipe.rod.touching import added_at, pull_strings, touch_plane
-from labpipe.studies.harness_memory import kept_curvature
+from labpipe.studies.residual_curvature import kept_curvature
 from tests.builders.rods import (
     LENGTH,
     STIFFNESS,
@@ -163,7 +163,7 @@ def test_a_circle_rolled_by_a_moment_of_constant_direction_would_whirl(
     moment = ramp((0.0, 2.0 * np.pi * STIFFNESS / LENGTH, 0.0), 20)
     path = follow(line, [clamp(line), Moment(-1, moment)], steps=20)
     assert path.status == "doubtful"
-    assert [(each.code, each.step) for each in path.reasons] == [("whirls", first)]
+    assert [(reason.code, reason.step) for reason in path.reasons] == [("whirls", first)]
     assert path.reasons[0].sentence == (
         f"step {first}: the equilibrium is not stable, and moments of constant direction set the "
         "line whirling; it gives way most at node 20"
@@ -213,7 +213,7 @@ def test_what_stays_unstable_is_said_once_and_walked_on() -> None:
     pins = [Held(node, line.positions[node]) for node in (0, -1)]
     path = follow(line, [*pins, Moment(0, -moments), Moment(-1, moments)], steps=10)
     assert (path.status, len(path.states), path.snapped) == ("doubtful", 11, (10,))
-    assert [(each.code, each.step) for each in path.reasons] == [("unstable", 10)]
+    assert [(reason.code, reason.step) for reason in path.reasons] == [("unstable", 10)]
 
 
 def test_an_equilibrium_that_is_not_checked_may_be_unstable() -> None:
@@ -456,7 +456,7 @@ def column(grips: tuple[Grip, ...], load: float) -> tuple[StabilityCheck, Balanc
         np.zeros((0, 3)),
         np.zeros((0, 3)),
     )
-    memory = Memory(np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0))
+    memory = LineMemory(np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0))
     pressed = np.tile([-load, 0.0, 0.0], (N, 1))
     shape = Shape(LINE.positions, LINE.frames, np.zeros(N), pressed)
     return StabilityCheck(assembly), assembly.balance(shape, asked, memory), shape
@@ -520,7 +520,7 @@ def turned_cantilever(moment: float) -> tuple[StabilityCheck, Balance, Shape]:
     )
     twist = moment / LINE.section.torsional_stiffness * (LINE.stations[1:] + LINE.stations[:-1])
     frames = multiply(LINE.frames, from_rotation_vectors(np.outer(0.5 * twist, [0.0, 0.0, 1.0])))
-    memory = Memory(np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0))
+    memory = LineMemory(np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0))
     shape = Shape(LINE.positions, frames, np.zeros(N), np.zeros((N, 3)))
     check = StabilityCheck(assembly, is_turned=True)
     return check, assembly.balance(shape, asked, memory), shape

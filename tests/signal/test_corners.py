@@ -48,9 +48,9 @@ def test_a_stop_without_noise_is_exact() -> None:
     time, motion = stopped(0, 3.0, 0.0)
     found = fit_stop(time, motion, near=(20.1, 22.9), window=2.0)
     assert found is not None
-    assert [each.time for each in found] == pytest.approx([20.0, 23.0], abs=1e-9)
-    assert [each.value for each in found] == pytest.approx([20e-3, 20e-3], abs=1e-12)
-    assert max(each.time_error for each in found) < 1e-9
+    assert [finding.time for finding in found] == pytest.approx([20.0, 23.0], abs=1e-9)
+    assert [finding.value for finding in found] == pytest.approx([20e-3, 20e-3], abs=1e-12)
+    assert max(finding.time_error for finding in found) < 1e-9
 
 
 @pytest.mark.parametrize("dwell", [0.1, 0.4, 3.0])

@@ -49,7 +49,7 @@ def test_numbers_and_band_of_two_spools() -> None:
 
 def test_order_of_samples_does_not_matter() -> None:
     one, two = built(samples()), built(samples()[::-1])
-    assert [each.test for each in one.samples] == [each.test for each in two.samples]
+    assert [sample.test for sample in one.samples] == [sample.test for sample in two.samples]
     assert one.numbers == two.numbers
 
 
@@ -78,7 +78,7 @@ def test_what_is_left_out_says_why() -> None:
 def test_groups_are_compared_in_what_both_have() -> None:
     first, second = built(samples()[:3]), built(samples()[3:])
     found = compare_groups(first, second, names=["stiffness", "energy"], margin=0.1)
-    assert [each.name for each in found] == ["stiffness"]
+    assert [finding.name for finding in found] == ["stiffness"]
     assert found[0].difference.mean == pytest.approx(47.12 - 57.44)
     assert found[0].margin == pytest.approx(5.744)
     assert found[0].verdict is Verdict.NOT_ASKED
@@ -108,7 +108,7 @@ def wires(*lengths: float | None, **labels: Sequence[str]) -> list[Sample]:
 
 
 def divided(parts: Sequence[Part]) -> list[tuple[Mapping[str, str], list[str]]]:
-    return [(part.fields, [each.test for each in part.samples]) for part in parts]
+    return [(part.fields, [sample.test for sample in part.samples]) for part in parts]
 
 
 def test_two_lengths_are_two_parts() -> None:
@@ -223,7 +223,7 @@ def test_notes_of_groups(approved: Approve) -> None:
         for at, (words, cured) in enumerate(wires, start=1)
     ]
     slips = [build_sample("s1", "a", slips=2), build_sample("s1", "b", slips=1)]
-    marked = tuple(replace(each, decision=SlipDecision.MARKED) for each in slips[1].slips)
+    marked = tuple(replace(slip, decision=SlipDecision.MARKED) for slip in slips[1].slips)
     notes = [
         *sample_notes(bundles),
         *sample_notes([bundles[0], bundle_sample(None, 2)]),
@@ -246,7 +246,7 @@ def test_decisions_on_pooling(approved: Approve) -> None:
         {"a": [1.0, 2.0, 3.0, 4.0], "b": near},
         {"a": [1.0, 2.0, 3.0, 4.0], "b": far},
     ]
-    means = [nested_mean(each) for each in spools]
+    means = [nested_mean(spool) for spool in spools]
     approved(f"{mean.decision} [{mean.chosen.reason or 'interval'}]" for mean in means)
 
 
@@ -309,9 +309,9 @@ def measured(value: float, **changes: float) -> Result:
 
 
 def budgeted(*results: Result) -> GroupNumber:
-    values = {f"T{place}": each for place, each in enumerate(results)}
+    values = {f"T{place}": result for place, result in enumerate(results)}
     mean = with_shared(
-        nested_mean({"s1": [each.value or 0.0 for each in results]}), {"s1": list(results)}
+        nested_mean({"s1": [result.value or 0.0 for result in results]}), {"s1": list(results)}
     )
     return GroupNumber("k", "N/m", mean, values, {})
 

@@ -92,7 +92,7 @@ def test_three_curves_have_intervals_at_three_displacements() -> None:
     assert band.n == 3
     assert not band.has_area
     assert (1e3 * band.displacement[band.marks]).tolist() == pytest.approx([5.0, 10.0, 20.0])
-    force = np.array([each.loading[0].force for each in group.samples])
+    force = np.array([sample.loading[0].force for sample in group.samples])
     at = [int(np.argmin(abs(group.samples[0].loading[0].displacement - x))) for x in (0.01,)]
     half = 4.302653 * force[:, at].std(axis=0, ddof=1) / np.sqrt(3)
     middle = band.marks[1]

@@ -172,7 +172,7 @@ def test_what_a_rig_shares_is_in_it() -> None:
         for value in (9.0, 10.0, 14.0)
     ]
     base = bundle_sample(None, 1)
-    samples = [replace(base, test=str(at), results=(each,)) for at, each in enumerate(results)]
+    samples = [replace(base, test=str(at), results=(result,)) for at, result in enumerate(results)]
     number = group_number("k", samples)
     assert number.mean is not None
     half = np.hypot(stats.t.ppf(0.975, 2) * np.sqrt(7.0 / 3.0), stats.norm.ppf(0.975) * 0.5)
@@ -200,7 +200,7 @@ T_1, NORMAL = 12.7062047362, 1.9599639845
 def measured(value: float, *, off: float = 0.0, **changes: float) -> Result:
     """A result with noise, and with common causes by the first word of their names."""
     names = {"force": "scale of the force", "frame": "compliance of the frame"}
-    common = [Contribution(names[key], each, is_common=True) for key, each in changes.items()]
+    common = [Contribution(names[key], change, is_common=True) for key, change in changes.items()]
     budget = (Contribution("noise", 5.0), *common)
     return Result("stiffness", value, "N/m", estimate=value - off, budget=budget)
 

@@ -87,7 +87,7 @@ def test_a_ratio_by_hand() -> None:
     assert contrast.errors == pytest.approx((0.057735, 0.048113), rel=1e-4)
     assert contrast.margin == pytest.approx(log1p(0.1))
     squares = 0.057735**2, 0.048113**2
-    degrees = sum(squares) ** 2 / sum(each**2 / 2.0 for each in squares)
+    degrees = sum(squares) ** 2 / sum(square**2 / 2.0 for square in squares)
     assert contrast.degrees == pytest.approx(degrees, rel=1e-4)
     assert found.share == pytest.approx(0.2)
     half = float(stats.t.ppf(0.975, degrees)) * 0.075154
@@ -162,9 +162,9 @@ def test_beyond_eight_standard_errors_there_is_no_chance(sigmas: float, chance: 
 def test_an_example_by_hand() -> None:
     """0.01 x 4, 0.015 x 3 = 0.045, 0.03 x 2 = 0.06: the third and all that follow do not hold."""
     found = holm([0.03, 0.01, 0.2, 0.015])
-    assert [each.p for each in found] == pytest.approx([0.06, 0.04, 0.2, 0.045])
-    assert [each.divisor for each in found] == [2, 4, 2, 3]
-    assert {each.tests for each in found} == {4}
+    assert [finding.p for finding in found] == pytest.approx([0.06, 0.04, 0.2, 0.045])
+    assert [finding.divisor for finding in found] == [2, 4, 2, 3]
+    assert {finding.tests for finding in found} == {4}
 
 
 def test_what_has_no_test_does_not_count() -> None:
@@ -214,9 +214,9 @@ def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
     pair = {"c1": 4.0 + shift, "c2": 9.0 + shift}
     values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9, **pair}
     found = mark_outliers(values, {name: name[0] for name in values})
-    assert {each.sample for each in found} == {"c1", "c2"}
+    assert {finding.sample for finding in found} == {"c1", "c2"}
     assert found[0].p == found[1].p
-    assert {each.method for each in found} == {
+    assert {finding.method for finding in found} == {
         "Grubbs' test within spools, which cannot tell it from c1",
         "Grubbs' test within spools, which cannot tell it from c2",
     }
@@ -234,7 +234,7 @@ def test_too_few_samples_are_said() -> None:
 @pytest.mark.parametrize("counts", [(3,), (6,), (3, 3), (20,)])
 def test_false_marks_are_as_rare_as_said(counts: tuple[int, ...]) -> None:
     rng, runs, marked = np.random.default_rng(4), 2000, 0
-    names = [f"{spool}-{each}" for spool, count in enumerate(counts) for each in range(count)]
+    names = [f"{spool}-{index}" for spool, count in enumerate(counts) for index in range(count)]
     spools = {name: name.partition("-")[0] for name in names}
     for _ in range(runs):
         marked += bool(
@@ -259,10 +259,10 @@ def group_of(name: str, numbers: Mapping[str, list[float]]) -> Group:
 
 def marks(groups: list[Group]) -> list[tuple[str, str]]:
     return [
-        (number.name, each.sample)
+        (number.name, outlier.sample)
         for group in groups
         for number in group.numbers
-        for each in number.outliers
+        for outlier in number.outliers
     ]
 
 
@@ -302,6 +302,6 @@ def test_an_exact_fit_but_for_one() -> None:
 
 def test_what_the_rig_sets_is_not_tested() -> None:
     group = group_of("A", {"k": [1.0, 1.1, 0.9, 1.05, 9.0]})
-    is_set = [replace(each, is_set_by_rig=True) for each in group.numbers]
+    is_set = [replace(number, is_set_by_rig=True) for number in group.numbers]
     assert not marks(with_outliers([replace(group, numbers=tuple(is_set))]))
     assert marks(with_outliers([group]))

@@ -110,7 +110,7 @@ def test_a_file_from_before_there_were_budgets(tmp_path: Path) -> None:
         for name in ("estimate", "seal"):
             del root["results/peak_force.1"].attrs[name]
     found = read_outcome(tmp_path / "result.h5").results
-    assert found == tuple(replace(each, budget=(), estimate=None) for each in made.results)
+    assert found == tuple(replace(result, budget=(), estimate=None) for result in made.results)
 
 
 def test_a_number_that_was_changed_is_refused(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ TABLES = {
 def before_columns(root: h5py.File) -> None:
     """Turn a result file into one from before tables were columns: compounds, UTF-8, no scales."""
     for name, table in TABLES.items():
-        columns = {each: root[name][each][()] for each in table.columns}
+        columns = {column: root[name][column][()] for column in table.columns}
         kinds = [(each, values.dtype.str) for each, values in columns.items()]
         rows = np.array(list(zip(*columns.values(), strict=True)), dtype=kinds)
         del root[name]
@@ -197,13 +197,13 @@ def glued(root: h5py.File) -> None:
     """Turn a result file into one of schema 1: reasons are one text, remarks are in methods."""
     root.attrs["labpipe_schema"] = 1
     results = [each for each in root["results"] if each != "table"]
-    for name in (*(f"results/{each}" for each in results), "bending", "bending/law"):
+    for name in (*(f"results/{result}" for result in results), "bending", "bending/law"):
         if name in root:
             attributes = root[name].attrs
             told = zip(attributes["reason_codes"], attributes["reason_messages"], strict=True)
             attributes["reason"] = "; ".join(f"{code}: {message}" for code, message in told)
             del attributes["reason_codes"], attributes["reason_messages"]
-    for result in (root["results"][each].attrs for each in results):
+    for result in (root["results"][result].attrs for result in results):
         if result["remark"]:
             result["method"] += f"; {result['remark']}"
         del result["made_of"], result["remark"]

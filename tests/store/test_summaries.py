@@ -54,7 +54,9 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
             },
         ],
     }
-    assert [sealed(entry) for entry in read["results"]] == [each.seal for each in result.results]
+    assert [sealed(entry) for entry in read["results"]] == [
+        result.seal for result in result.results
+    ]
     assert read["results"][1]["lower"] is None
     assert (read["results"][1]["estimate"], read["results"][1]["budget"]) == (0.0031, [])
     assert (read["results"][2]["value"], read["results"][2]["estimate"]) == (None, None)

@@ -18,7 +18,7 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     ParameterChoice,
 )
-from labpipe.studies.calibrated_file import read_calibrated
+from labpipe.studies.calibration_file import read_calibrated
 from labpipe.studies.calibration_study import (
     Calibrated,
     as_json,
@@ -122,7 +122,7 @@ def test_json_is_plain_and_says_what_is_not_identified(calibration: Calibration)
     done = Calibrated(Path("out"), calibration, groups, {"T9": "why"}, ())
     found = json.loads(json.dumps(as_json(done), allow_nan=False))
     assert found["wire"] == "A2"
-    assert [each["name"] for each in found["parameters"]] == [
+    assert [finding["name"] for finding in found["parameters"]] == [
         *("radial_friction", "insulation_modulus", "copper_scale"),
     ]
     assert not any(found["friction_separability"]["identified"].values())
@@ -136,7 +136,7 @@ def test_json_has_solutions_and_parts() -> None:
     assert isinstance(made, Calibration)
     found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
     assert len(found["solutions"]) == 2
-    assert all(each["in_95_percent_set"] for each in found["solutions"])
+    assert all(finding["in_95_percent_set"] for finding in found["solutions"])
     assert found["widening"] == made.widening > 1.0
     copper = found["parameters"][2]
     assert len(copper["intervals"]) == len(copper["profiles"]) == 2
@@ -179,7 +179,7 @@ def third(
 
 
 def held(calibration: Calibration, curve: ExternalCurve) -> ExternalCurveComparison:
-    loadings = [FirstLoading(each, 0.0, ()) for each in CURVES]
+    loadings = [FirstLoading(curve, 0.0, ()) for curve in CURVES]
     groups = compare(calibration, WIRES, loadings)
     (found,) = compare_external_curves([curve], calibration, WIRES, groups, loadings)
     return found
@@ -188,10 +188,10 @@ def held(calibration: Calibration, curve: ExternalCurve) -> ExternalCurveCompari
 def test_held_against_tests_and_model(calibration: Calibration) -> None:
     found = held(calibration, third())
     assert found.tests is not None
-    for each in (found.tests, found.model):
-        assert each.errors is not None
-        assert each.errors.n == 16
-        assert each.errors.rmse_share < 0.03  # scatter of three samples of 3 %
+    for test in (found.tests, found.model):
+        assert test.errors is not None
+        assert test.errors.n == 16
+        assert test.errors.rmse_share < 0.03  # scatter of three samples of 3 %
     assert found.model.errors is not None
     assert found.model.errors.inside == 1.0
     assert found.prediction is not None

@@ -15,7 +15,7 @@ from labpipe.law.sliders import (
     linear_moment_law,
     slide_vector,
     slider_moment,
-    virgin_rests,
+    unbent_rests,
 )
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
@@ -25,17 +25,17 @@ from labpipe.rod.line import Section
 from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import matrices
 from labpipe.rod.statics import follow
-from labpipe.studies.harness_fields import ON_THE_WAY, RADIUS, fields_of, measured, names_of
-from labpipe.studies.harness_line import Laid, laid
-from labpipe.studies.harness_memory import (
-    kept_at_most,
+from labpipe.studies.harness_line import PreparedLine, laid
+from labpipe.studies.harness_numbers import numbers_of
+from labpipe.studies.harness_responses import ON_THE_WAY, RADIUS, fields_of, measured, names_of
+from labpipe.studies.harness_section import Material, material_of
+from labpipe.studies.residual_curvature import (
+    curvature_after_release,
     kept_curvature,
-    let_go,
+    largest_kept_curvature,
     unbent,
     unloading_reason,
 )
-from labpipe.studies.harness_numbers import numbers_of
-from labpipe.studies.harness_section import Material, material_of
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.wire_table import wire_table
 from tests.builders.harness_files import EXAMPLES, SHEET, STIFFNESS, arch, pushed, written
@@ -48,12 +48,12 @@ def harness(tmp_path: Path, text: str) -> HarnessFile:
     return load_harness(written(tmp_path, text))
 
 
-def ready(tmp_path: Path, text: str, **inputs: float) -> Laid:
+def ready(tmp_path: Path, text: str, **inputs: float) -> PreparedLine:
     return laid(harness(tmp_path, text), SECTION, inputs)
 
 
-def held(found: Laid, name: str) -> rod.Held:
-    (one,) = (each for each in found.boundaries if each.name == name)
+def held(found: PreparedLine, name: str) -> rod.Held:
+    (one,) = (boundary for boundary in found.boundaries if boundary.name == name)
     assert isinstance(one, rod.Held)
     return one
 
@@ -82,7 +82,7 @@ def test_every_named_place_is_a_node(tmp_path: Path) -> None:
     lengths = found.line.lengths
     assert lengths[:node] == pytest.approx(np.full(node, 0.077 / node))
     assert lengths.max() < 1.3 * lengths.min()
-    (load,) = (each for each in found.boundaries if isinstance(each, rod.Load))
+    (load,) = (boundary for boundary in found.boundaries if isinstance(boundary, rod.Load))
     assert load.force[:, 2] == pytest.approx([0, -0.25, -0.5, -0.75, -1, -1, -1, -1, -1])
 
 
@@ -113,16 +113,22 @@ def test_a_pin_and_a_grip_by_position_may_turn(tmp_path: Path) -> None:
 
 def test_weight_grows_only_where_the_line_begins_taut(tmp_path: Path) -> None:
     (weight,) = (
-        each for each in ready(tmp_path, arch(steps=10)).boundaries if isinstance(each, rod.Gravity)
+        boundary
+        for boundary in ready(tmp_path, arch(steps=10)).boundaries
+        if isinstance(boundary, rod.Gravity)
     )
     assert weight.vector[:, 2] / -9.80665 == pytest.approx([0, 0.5, *[1] * 9])
     alone = pushed().partition("  - kind: grip")[0] + "steps: 10\n"
     (weight,) = (
-        each for each in ready(tmp_path, alone).boundaries if isinstance(each, rod.Gravity)
+        boundary
+        for boundary in ready(tmp_path, alone).boundaries
+        if isinstance(boundary, rod.Gravity)
     )
     assert weight.vector.tolist() == [[0.0, 0.0, -9.80665]]
     none = arch(more="gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")
-    assert not any(isinstance(each, rod.Gravity) for each in ready(tmp_path, none).boundaries)
+    assert not any(
+        isinstance(boundary, rod.Gravity) for boundary in ready(tmp_path, none).boundaries
+    )
 
 
 def test_a_spool_leaves_an_arc_that_is_at_rest(tmp_path: Path) -> None:
@@ -166,7 +172,7 @@ def test_rings_and_strings_come_from_the_line(tmp_path: Path) -> None:
         "  - {kind: string, name: long, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], length: 95 mm}\n"
         "steps:",
     )
-    found = {each.name: each for each in ready(tmp_path, text).boundaries}
+    found = {boundary.name: boundary for boundary in ready(tmp_path, text).boundaries}
     guide, eye, short, long = (found[name] for name in ("guide", "eye", "tie", "long"))
     assert isinstance(guide, rod.Ring)
     assert isinstance(eye, rod.Ring)
@@ -192,7 +198,7 @@ def test_a_line_comes_to_a_ring_between_its_clips(tmp_path: Path) -> None:
     assert path.status == "ok"
     apart = np.linalg.norm(path.last.positions - [0.08, 0.012, 0.0], axis=1)
     assert np.min(apart) < 0.2 / 16 / 2
-    assert max(np.max(np.abs(each.reaction_forces)) for each in path.states) < 2.0
+    assert max(np.max(np.abs(state.reaction_forces)) for state in path.states) < 2.0
 
 
 def test_all_kinds_of_boundaries(tmp_path: Path) -> None:
@@ -203,7 +209,7 @@ def test_all_kinds_of_boundaries(tmp_path: Path) -> None:
         "  - {kind: string, name: thread, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], length: 95 mm}\n"
         "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:",
     )
-    kinds = [type(each).__name__ for each in ready(tmp_path, text).boundaries]
+    kinds = [type(boundary).__name__ for boundary in ready(tmp_path, text).boundaries]
     assert kinds == ["Held", "Held", "Held", "Ring", "String", "Plane", "Gravity"]
 
 
@@ -224,7 +230,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert found.limit == pytest.approx(table.doubtful_curvature)
     assert found.limit_words == "the straight line of its insulation"
     assert (found.beliefs, found.best) == ((), {})
-    assert [each.role for each in found.files] == ["wires"]
+    assert [file.role for file in found.files] == ["wires"]
 
 
 def test_a_deck_has_the_same_law(tmp_path: Path) -> None:
@@ -310,7 +316,7 @@ def test_a_file_without_a_law(tmp_path: Path, section: str, message: str) -> Non
 def test_numbers_are_those_of_the_line(tmp_path: Path) -> None:
     _, ready, path = followed(tmp_path, pushed())
     fields = fields_of(path, ready)
-    numbers = {each.name: each.value for each in numbers_of(path, ready)}
+    numbers = {number.name: number.value for number in numbers_of(path, ready)}
     assert set(names_of(fields)) == set(numbers)
     for name, value in numbers.items():
         found = float(measured(name, fields.__getitem__, ready, len(path.states) - 1))
@@ -328,7 +334,7 @@ SOME = SliderLaw(0.5, np.array([9.0, 3.0, 1.0]), np.array([0.5, 2.0, 5.0]), 0.0,
 
 def bent(law: SliderLaw, way: list[tuple[float, float]]) -> Floats:
     """Where the sliders of one station rest after some curvatures."""
-    rests = virgin_rests(law, 1, is_vector=True)
+    rests = unbent_rests(law, 1, is_vector=True)
     for curvature in way:
         rests = slide_vector(law, np.array([curvature]), rests).rests
     return rests
@@ -344,7 +350,7 @@ def bent(law: SliderLaw, way: list[tuple[float, float]]) -> Floats:
     ],
 )
 def test_one_slider(to: float, kept: float) -> None:
-    found = let_go(ONE, bent(ONE, [(to, 0.0)]))
+    found = curvature_after_release(ONE, bent(ONE, [(to, 0.0)]))
     assert found[0] == pytest.approx([kept, 0.0], abs=1e-8)
 
 
@@ -360,31 +366,33 @@ def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
     least = minimize(
         energy, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}
     )
-    assert let_go(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
+    assert curvature_after_release(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
 
 
 def test_without_a_spring_it_is_found_too() -> None:
     """A slider of 6 that slides at 1 alone: back by 1."""
     law = replace(ONE, stiffness=0.0)
-    assert let_go(law, bent(law, [(3.0, 0.0)]))[0] == pytest.approx([2.0, 0.0], abs=1e-8)
+    assert curvature_after_release(law, bent(law, [(3.0, 0.0)]))[0] == pytest.approx(
+        [2.0, 0.0], abs=1e-8
+    )
 
 
 def test_many_stations_of_a_real_law_are_let_go() -> None:
     file = EXAMPLES / "harness-slack.yaml"
     law = material_of(load_harness(file), file).sections[0]({}).law
     rng = np.random.default_rng(5)
-    rests, now = virgin_rests(law, 300, is_vector=True), np.zeros((300, 2))
+    rests, now = unbent_rests(law, 300, is_vector=True), np.zeros((300, 2))
     for _ in range(6):
         now = now + rng.normal(scale=10.0, size=now.shape)
         rests = slide_vector(law, now, rests).rests
-    found = let_go(law, rests)
+    found = curvature_after_release(law, rests)
     left = slide_vector(law, found, rests).moment
     assert np.abs(left).max() < 1e-8 * law.stiffnesses @ law.slip_curvatures
 
 
 def test_a_law_without_sliders_keeps_nothing() -> None:
     spring = SliderLaw(1.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
-    assert not let_go(spring, np.zeros((4, 0, 2))).any()
+    assert not curvature_after_release(spring, np.zeros((4, 0, 2))).any()
 
 
 @pytest.fixture(scope="module")
@@ -406,7 +414,7 @@ def test_a_laid_line_keeps_what_its_own_law_says(
 ) -> None:
     """A tenth of its bend by the rule, nearly all of it if nothing slid back."""
     path, law, _ = example
-    kept, most = kept_curvature(path.last, law), kept_at_most(path, law)
+    kept, most = kept_curvature(path.last, law), largest_kept_curvature(path, law)
     bends = np.array([state.bendings for state in path.states])
     node = int(np.argmax(most))
     assert kept[node] == pytest.approx(1.49, abs=0.01)

@@ -19,18 +19,16 @@ from labpipe.rod.boundaries import Gravity, Held, Plane
 from labpipe.rod.path import Reason as RodReason
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
-from labpipe.studies.harness_coarse import (
+from labpipe.studies.harness_convergence import (
     ALLOWED,
     coarse_doubt,
+    depends_on_history,
     few_elements_doubt,
     kept_rows,
-    remembers,
-    walked_otherwise,
+    walk_with_other_steps,
 )
-from labpipe.studies.harness_drawn import drawn_harness, drawn_sweep
-from labpipe.studies.harness_followed import FollowedHarness
-from labpipe.studies.harness_line import Laid, laid
-from labpipe.studies.harness_memory import kept_curvature
+from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
+from labpipe.studies.harness_line import PreparedLine, laid
 from labpipe.studies.harness_numbers import (
     Doubt,
     Number,
@@ -46,8 +44,10 @@ from labpipe.studies.harness_numbers import (
     unloading_doubt,
 )
 from labpipe.studies.harness_section import Material, material_of
+from labpipe.studies.harness_solution import FollowedHarness
 from labpipe.studies.harness_study import follow_harness
 from labpipe.studies.harness_tables import forces_csv, shape_columns, shape_csv, shape_vtk
+from labpipe.studies.residual_curvature import kept_curvature
 from tests.builders.harness_files import EXAMPLES, STIFFNESS, arch, pushed, written
 from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line
 
@@ -63,7 +63,7 @@ ALONE = pushed(STIFFNESS).partition("  - kind: grip")[0] + "steps: 2\n"
 ENERGIES = ("work", "stored", "lost", "rubbed", "jumped", "lost_in_jumps")
 
 
-def followed(folder: Path, text: str) -> tuple[Material, Laid, RodPath]:
+def followed(folder: Path, text: str) -> tuple[Material, PreparedLine, RodPath]:
     file = written(folder, text)
     harness = load_harness(file)
     material = material_of(harness, file)
@@ -71,14 +71,14 @@ def followed(folder: Path, text: str) -> tuple[Material, Laid, RodPath]:
     return material, ready, follow(ready.line, ready.boundaries, steps=harness.steps)
 
 
-def by_name(path: RodPath, ready: Laid) -> dict[str, Number]:
-    return {each.name: each for each in numbers_of(path, ready)}
+def by_name(path: RodPath, ready: PreparedLine) -> dict[str, Number]:
+    return {number.name: number for number in numbers_of(path, ready)}
 
 
-def doubtful_of(path: RodPath, ready: Laid, doubt: Doubt | None) -> set[str]:
+def doubtful_of(path: RodPath, ready: PreparedLine, doubt: Doubt | None) -> set[str]:
     doubts = () if doubt is None else (doubt,)
     found = results_of(numbers_of(path, ready), (), {}, doubts)
-    return {each.name for each in found if each.status is Status.DOUBTFUL}
+    return {finding.name for finding in found if finding.status is Status.DOUBTFUL}
 
 
 def test_a_heavy_cantilever(tmp_path: Path) -> None:
@@ -116,8 +116,8 @@ def test_reasons_say_places_and_not_nodes(tmp_path: Path) -> None:
         "it gives way most at node 12",
         "the line slid out of r with its node 0",
     ]
-    path = replace(path, reasons=tuple(RodReason("taut", each, 1, 6) for each in said))
-    assert [each.message for each in reasons_of(path, ready.line, material)] == [
+    path = replace(path, reasons=tuple(RodReason("taut", sentence, 1, 6) for sentence in said))
+    assert [reason.message for reason in reasons_of(path, ready.line, material)] == [
         "between 0 mm and 50 mm from the start the line is 0.05 m long",
         "it gives way most at 100 mm from the start",
         "the line slid out of r with its end 0 mm from the start: put it further in, or move less",
@@ -133,7 +133,7 @@ def test_elements_that_turn_far_are_too_long(
     """A limp cantilever: where nothing is doubtful its bend radius is that of 200 elements."""
     text = ALONE.replace("bending_stiffness: 150", f"bending_stiffness: {stiffness}")
 
-    def at(count: int) -> tuple[Laid, RodPath, float]:
+    def at(count: int) -> tuple[PreparedLine, RodPath, float]:
         _, ready, path = followed(tmp_path, text.replace("elements: 12", f"elements: {count}"))
         return ready, path, by_name(path, ready)["smallest_bend_radius"].value
 
@@ -172,9 +172,9 @@ def test_what_was_lost_in_a_jump_is_doubtful(tmp_path: Path) -> None:
         "a law without memory"
     )
     _, ready, path = followed(tmp_path, RELEASED)
-    let_go = jump_doubt(path, ready)
+    curvature_after_release = jump_doubt(path, ready)
     shape = {"springback.gripper", "smallest_bend_radius", "lowest_point"}
-    assert doubtful_of(path, ready, let_go) == memory | shape
+    assert doubtful_of(path, ready, curvature_after_release) == memory | shape
 
 
 @pytest.mark.slow
@@ -314,7 +314,7 @@ def test_a_wire_that_is_pulled_beyond_its_copper(tmp_path: Path) -> None:
         (loaded.replace("100 N, ", "20 N, ").replace(STIFFNESS, "{wire: A2}"), []),
     ):
         material, ready, path = followed(tmp_path, text)
-        assert [each.code for each in reasons_of(path, ready.line, material)] == codes
+        assert [reason.code for reason in reasons_of(path, ready.line, material)] == codes
 
 
 def test_nothing_was_reached(tmp_path: Path) -> None:
@@ -348,7 +348,7 @@ STEPS = (4, 8)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[RodPath, Laid]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[RodPath, PreparedLine]:
     file = written(tmp_path_factory.mktemp("harness"), arch().replace("left", """'le"ft, one'"""))
     harness = load_harness(file)
     ready = laid(harness, material_of(harness, file).sections[0]({}), {})
@@ -363,7 +363,7 @@ def column(table: list[dict[str, str]], name: str) -> Floats:
     return np.array([float(row[name]) for row in table])
 
 
-def test_the_shape_has_a_row_for_each_node(made: tuple[RodPath, Laid]) -> None:
+def test_the_shape_has_a_row_for_each_node(made: tuple[RodPath, PreparedLine]) -> None:
     path, ready = made
     table = rows(shape_csv(path, ready.line, STEPS, {}))
     assert [int(row["step"]) for row in table] == [4] * 17 + [8] * 17
@@ -375,7 +375,7 @@ def test_the_shape_has_a_row_for_each_node(made: tuple[RodPath, Laid]) -> None:
     assert list(last[0])[:3] == ["step", "node", "along [m]"]
 
 
-def test_moments_and_tension_are_those_of_the_forces(made: tuple[RodPath, Laid]) -> None:
+def test_moments_and_tension_are_those_of_the_forces(made: tuple[RodPath, PreparedLine]) -> None:
     """EI times the curvature is the bending moment; the pull of the clip is that in the line."""
     path, ready = made
     columns = shape_columns(path.last, ready.line)
@@ -389,7 +389,7 @@ def test_moments_and_tension_are_those_of_the_forces(made: tuple[RodPath, Laid])
     assert columns["torque [N*m]"] == pytest.approx(np.zeros(17), abs=1e-9)
 
 
-def test_bands_stand_beside_what_they_are_of(made: tuple[RodPath, Laid]) -> None:
+def test_bands_stand_beside_what_they_are_of(made: tuple[RodPath, PreparedLine]) -> None:
     path, ready = made
     band = np.full((17, 4), 1.0), np.full((17, 4), 2.0)
     table = rows(shape_csv(path, ready.line, STEPS, {8: band}))
@@ -398,7 +398,7 @@ def test_bands_stand_beside_what_they_are_of(made: tuple[RodPath, Laid]) -> None
     assert float(table[33]["curvature_lower [1/m]"]) == 1.0
 
 
-def test_forces_of_every_step_in_balance(made: tuple[RodPath, Laid]) -> None:
+def test_forces_of_every_step_in_balance(made: tuple[RodPath, PreparedLine]) -> None:
     path, ready = made
     table = rows(forces_csv(path, ready, {}))
     assert len(table) == 9 * 2
@@ -413,7 +413,7 @@ def test_forces_of_every_step_in_balance(made: tuple[RodPath, Laid]) -> None:
     assert (with_bands[-1]["fz_upper [N]"], with_bands[0]["fz_upper [N]"]) == ("9", "")
 
 
-def test_the_vtk_is_a_line_for_each_step(made: tuple[RodPath, Laid]) -> None:
+def test_the_vtk_is_a_line_for_each_step(made: tuple[RodPath, PreparedLine]) -> None:
     path, ready = made
     lines = shape_vtk(path, ready.line, STEPS, "a line, 2 µm").splitlines()
     assert lines[:4] == [
@@ -498,20 +498,22 @@ CORNERS = LENGTH * np.array(
 )
 
 
-def led_round(steps: int) -> Laid:
+def led_round(steps: int) -> PreparedLine:
     """The end of a line with sliders is led round a space polygon, in steps for each side."""
     line = straight_line(LENGTH, 12, sliding_section())
     at = np.linspace(0.0, 5.0, 5 * steps + 1)
     way = np.column_stack([np.interp(at, range(6), axis) for axis in CORNERS.T])
-    return Laid(line, (replace(clamp(line), name="foot"), Held(-1, way, name="end")), {})
+    return PreparedLine(line, (replace(clamp(line), name="foot"), Held(-1, way, name="end")), {})
 
 
-def followed_of_coarse(ready: Laid, steps: int) -> RodPath:
+def followed_of_coarse(ready: PreparedLine, steps: int) -> RodPath:
     return follow(ready.line, ready.boundaries, steps=steps)
 
 
-def truths(ready: Laid, steps: int) -> dict[str, float]:
-    return {each.name: each.value for each in numbers_of(followed_of_coarse(ready, steps), ready)}
+def truths(ready: PreparedLine, steps: int) -> dict[str, float]:
+    return {
+        number.name: number.value for number in numbers_of(followed_of_coarse(ready, steps), ready)
+    }
 
 
 @pytest.mark.slow
@@ -520,8 +522,8 @@ def test_it_speaks_of_all_numbers_that_are_off() -> None:
     for steps in (1, 2, 4, 16):
         ready = led_round(steps)
         path = followed_of_coarse(ready, 5 * steps)
-        doubt = coarse_doubt(path, ready, walked_otherwise(ready, 5 * steps), {})
-        numbers = {each.name: each.value for each in numbers_of(path, ready)}
+        doubt = coarse_doubt(path, ready, walk_with_other_steps(ready, 5 * steps), {})
+        numbers = {number.name: number.value for number in numbers_of(path, ready)}
         names = ("force.foot", "moment.foot", "energy_lost", "kept_curvature")
         off = {name: abs(numbers[name] / truth[name] - 1.0) / ALLOWED for name in names}
         said = set() if doubt is None else set(doubt.names)
@@ -534,41 +536,41 @@ def test_it_is_silent_where_few_steps_do() -> None:
     truth = truths(_bent_over(64), 64)
     ready = _bent_over(8)
     path = followed_of_coarse(ready, 8)
-    for each in numbers_of(path, ready):
-        assert each.value == pytest.approx(truth[each.name], rel=ALLOWED, abs=1e-6)
-    assert coarse_doubt(path, ready, walked_otherwise(ready, 8), {}) is None
+    for number in numbers_of(path, ready):
+        assert number.value == pytest.approx(truth[number.name], rel=ALLOWED, abs=1e-6)
+    assert coarse_doubt(path, ready, walk_with_other_steps(ready, 8), {}) is None
 
 
-def _bent_over(steps: int) -> Laid:
+def _bent_over(steps: int) -> PreparedLine:
     line = straight_line(LENGTH, 12, sliding_section())
     share = np.linspace(0.0, 1.0, steps + 1)[:, None]
     way = line.positions[-1] + share * LENGTH * np.array([-0.2, 0.3, 0.1])
-    return Laid(line, (replace(clamp(line), name="foot"), Held(-1, way, name="end")), {})
+    return PreparedLine(line, (replace(clamp(line), name="foot"), Held(-1, way, name="end")), {})
 
 
 @pytest.mark.slow
 def test_it_says_where_and_how_many_steps_should_do() -> None:
     ready = led_round(2)
-    doubt = coarse_doubt(followed_of_coarse(ready, 10), ready, walked_otherwise(ready, 10), {})
+    doubt = coarse_doubt(followed_of_coarse(ready, 10), ready, walk_with_other_steps(ready, 10), {})
     assert doubt is not None
     assert doubt.reason.code == "too_coarse"
     assert doubt.reason.message.startswith("half as many steps change it by more than 2 % (or ")
     assert ", most at step 10, 0 mm from the start: 10 steps are too few; " in doubt.reason.message
     wide = {name: Interval(-1e6, 1e6, 0.95) for name in doubt.names}
     assert (
-        coarse_doubt(followed_of_coarse(ready, 10), ready, walked_otherwise(ready, 10), wide)
+        coarse_doubt(followed_of_coarse(ready, 10), ready, walk_with_other_steps(ready, 10), wide)
         is None
     )
 
 
-def _arched(elements: int) -> Laid:
+def _arched(elements: int) -> PreparedLine:
     """A line without memory between two clamps, one brought nearer and lifted."""
     line = straight_line(LENGTH, elements, linear_section(mass=0.02))
     share = np.linspace(0.2, 1.0, 9)[:, None]
     way = line.positions[-1] + share * LENGTH * np.array([-0.35, 0.1, 0.2])
     near = replace(clamp(line), name="near")
     end = Held(-1, way, line.frames[-1:], name="far")
-    return Laid(line, (near, end, Gravity(name="weight")), {})
+    return PreparedLine(line, (near, end, Gravity(name="weight")), {})
 
 
 @pytest.mark.slow
@@ -581,10 +583,10 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
         doubt = few_elements_doubt(path, ready, _arched(elements // 2), {})
         named = set() if doubt is None else set(doubt.names)
         off = {
-            each.name
-            for each in numbers_of(path, ready)
-            if not each.is_signed
-            and abs(each.value - truth[each.name]) > ALLOWED * truth[each.name]
+            number.name
+            for number in numbers_of(path, ready)
+            if not number.is_signed
+            and abs(number.value - truth[number.name]) > ALLOWED * truth[number.name]
         }
         assert off <= named
         assert bool(named) is (elements < 40)
@@ -600,7 +602,7 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
 
 def test_a_walk_of_corners_alone_is_halved() -> None:
     ready = led_round(1)
-    other = walked_otherwise(ready, 5)
+    other = walk_with_other_steps(ready, 5)
     assert other.words == "twice as many"
     np.testing.assert_allclose(other.times, np.arange(11) / 2.0)
     np.testing.assert_allclose(_path(other.laid)[::2], _path(ready))
@@ -608,7 +610,7 @@ def test_a_walk_of_corners_alone_is_halved() -> None:
     np.testing.assert_allclose(_path(other.laid)[1::2], middles)
 
 
-def _path(ready: Laid) -> Floats:
+def _path(ready: PreparedLine) -> Floats:
     end = ready.boundaries[1]
     assert isinstance(end, Held)
     return end.position
@@ -630,8 +632,8 @@ def test_a_release_stays_where_it_was() -> None:
     line = straight_line(LENGTH, 8, sliding_section())
     way = line.positions[-1] + np.linspace(0.0, 1.0, 10)[:, None] * [-0.03, 0.1, 0.0]
     path = np.concatenate([way, way[-1:]])
-    ready = Laid(line, (clamp(line), Held(-1, path, release=10)), {})
-    other = walked_otherwise(ready, 10)
+    ready = PreparedLine(line, (clamp(line), Held(-1, path, release=10)), {})
+    other = walk_with_other_steps(ready, 10)
     grip = other.laid.boundaries[1]
     assert isinstance(grip, Held)
     assert other.times.tolist() == [0, 2, 4, 6, 8, 9, 10]
@@ -641,13 +643,13 @@ def test_a_release_stays_where_it_was() -> None:
 @pytest.mark.slow
 def test_a_line_that_cannot_be_followed_otherwise_is_doubtful_throughout() -> None:
     ready = led_round(2)
-    other = walked_otherwise(ready, 10)
+    other = walk_with_other_steps(ready, 10)
     why = RodReason("torn", "step 2: torn", 2)
     other = replace(other, path=replace(other.path, status="failed", reasons=(why,)))
     path = followed_of_coarse(ready, 10)
     doubt = coarse_doubt(path, ready, other, {})
     assert doubt is not None
-    assert set(doubt.names) == {each.name for each in numbers_of(path, ready)}
+    assert set(doubt.names) == {number.name for number in numbers_of(path, ready)}
     assert "the line cannot be followed (torn)" in doubt.reason.message
     assert doubt.reason.message.endswith("take 20")
 
@@ -656,5 +658,5 @@ def test_a_line_that_cannot_be_followed_otherwise_is_doubtful_throughout() -> No
 def test_sliders_and_friction_remember(friction: float, does: bool) -> None:
     line = straight_line(LENGTH, 4, linear_section(mass=0.01))
     table = Plane(np.zeros(3), friction=friction)
-    assert remembers(Laid(line, (table, Gravity()), {})) is does
-    assert remembers(led_round(1))
+    assert depends_on_history(PreparedLine(line, (table, Gravity()), {})) is does
+    assert depends_on_history(led_round(1))

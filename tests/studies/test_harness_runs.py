@@ -16,9 +16,9 @@ from labpipe.protocol.load import load_harness
 from labpipe.records.result import Status
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_bands import HarnessBands, harness_bands
-from labpipe.studies.harness_followed import FollowedHarness, followed, shown_steps, swept
 from labpipe.studies.harness_line import Inputs, laid
 from labpipe.studies.harness_section import material_of
+from labpipe.studies.harness_solution import FollowedHarness, followed, shown_steps, swept
 from labpipe.studies.harness_study import as_json, follow_harness
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 
@@ -53,8 +53,8 @@ def test_all_files_are_written_and_say_the_same(tmp_path: Path) -> None:
     said = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert said == json.loads(json.dumps(as_json(done)))
     assert (said["schema"], said["harness"], said["status"]) == (1, "line", "ok")
-    assert [each["role"] for each in said["inputs"]] == ["harness", "wires"]
-    values = {each["name"]: each["value"] for each in said["results"]}
+    assert [sentence["role"] for sentence in said["inputs"]] == ["harness", "wires"]
+    values = {sentence["name"]: sentence["value"] for sentence in said["results"]}
     assert values["springback.gripper"] > 0.01
     assert said["line"]["of"] == "A2"
     assert said["bend_radius"]["assumed"]
@@ -80,7 +80,7 @@ def test_a_sweep_shows_each_length(tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = follow_harness(written(tmp_path, arch(more=SWEEP)), out=out, png=True)
     assert names(out) >= {"sweep.csv", "figures/harness-sweep.svg", "figures/harness-sweep.png"}
-    radii = [each.bend.radius for each in done.sweep]
+    radii = [run.bend.radius for run in done.sweep]
     assert radii[0] > radii[1] > radii[2], "more slack, a sharper bend"
     assert radii[1] == pytest.approx(done.results[0].value)
     lines = (out / "sweep.csv").read_text().splitlines()
@@ -96,7 +96,7 @@ def test_bands_go_to_the_files(tmp_path: Path) -> None:
     done = follow_harness(written(tmp_path, arch(section, more=SWEEP)), out=tmp_path / "out")
     assert done.bands is not None
     said = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
-    force = next(each for each in said["results"] if each["name"] == "force.left")
+    force = next(sentence for sentence in said["results"] if sentence["name"] == "force.left")
     assert force["lower"] < force["value"] < force["upper"]
     head, *rows = (tmp_path / "out" / "shape.csv").read_text().splitlines()
     assert head.endswith("curvature_lower [1/m],curvature_upper [1/m]")
@@ -106,7 +106,7 @@ def test_bands_go_to_the_files(tmp_path: Path) -> None:
     cells = dict(zip(head.split(","), rows[-2].split(","), strict=True))
     assert float(cells["fx_lower [N]"]) < float(cells["fx [N]"]) < float(cells["fx_upper [N]"])
     assert said["bands"]["shares"]["reaction_forces"] == {"stiffness as stated": 1.0}
-    assert all(each["upper"] > each["lower"] for each in said["sweep"])
+    assert all(sentence["upper"] > sentence["lower"] for sentence in said["sweep"])
 
 
 @pytest.mark.slow
@@ -183,7 +183,7 @@ def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     found = run(tmp_path, arch())
     assert (found.status, found.reasons, found.bands) == (Status.OK, (), None)
     assert found.steps == (8,)
-    assert {each.status for each in found.results if each.value is not None} == {Status.OK}
+    assert {result.status for result in found.results if result.value is not None} == {Status.OK}
     assert found.sharpest.radius <= found.results[0].value  # type: ignore[operator]
     assert not (tmp_path / "out").exists(), "nothing is written here"
 
@@ -194,8 +194,8 @@ def test_one_beyond_it_is_doubtful_with_all_its_numbers(tmp_path: Path) -> None:
     for text in (arch(), arch(section)):
         found = run(tmp_path, text, limit=2.0)
         assert found.status is Status.DOUBTFUL
-        assert [each.code for each in found.reasons] == ["beyond_backed"], "said once"
-        assert {each.status for each in found.results} == {Status.DOUBTFUL}
+        assert [reason.code for reason in found.reasons] == ["beyond_backed"], "said once"
+        assert {result.status for result in found.results} == {Status.DOUBTFUL}
     assert found.bands is not None
 
 
@@ -203,7 +203,7 @@ def test_one_beyond_it_is_doubtful_with_all_its_numbers(tmp_path: Path) -> None:
 def test_one_beyond_the_range_of_its_law_says_so(tmp_path: Path) -> None:
     found = run(tmp_path, arch(STIFFNESS.replace("80 1/m", "5 1/m")))
     assert found.status is Status.DOUBTFUL
-    assert [each.code for each in found.reasons] == ["beyond_law"]
+    assert [reason.code for reason in found.reasons] == ["beyond_law"]
     assert "step" in found.reasons[0].message
 
 
@@ -225,10 +225,10 @@ def test_what_is_nothing_but_rounding_is_no_doubt(tmp_path: Path) -> None:
     text = pushed(STIFFNESS).partition("  - kind: grip")[0]
     text = text.replace(f"{STIFFNESS}}}", f"{STIFFNESS}, spool: {{curvature: 1 1/m}}}}")
     found = run(tmp_path, f"{text}steps: 2\ngravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")
-    (moment,) = (each for each in found.results if each.name == "moment.bench")
+    (moment,) = (result for result in found.results if result.name == "moment.bench")
     assert moment.value == pytest.approx(0.0, abs=1e-9)
     assert moment.value != 0.0
-    assert {each.status for each in found.results} == {Status.OK}
+    assert {result.status for result in found.results} == {Status.OK}
 
 
 @pytest.mark.slow
@@ -242,7 +242,7 @@ def test_a_length_of_a_sweep_has_all_doubts_of_its_numbers(tmp_path: Path) -> No
     one = swept(followed(harness, file, material, tmp_path), harness.line.length)
     assert radius.status is Status.DOUBTFUL
     assert one.status == "doubtful"
-    assert {each.code for each in radius.reasons} <= {each.code for each in one.reasons}
+    assert {reason.code for reason in radius.reasons} <= {reason.code for reason in one.reasons}
 
 
 @pytest.mark.slow
@@ -334,7 +334,7 @@ def test_without_weight_forces_go_with_the_stiffness_and_shapes_do_not(tmp_path:
     found, count = bands(tmp_path, TEN_PERCENT, NO_WEIGHT)
     assert found is not None
     assert count == 3, "at its best and to both sides, each once"
-    assert [each.step for each in found.line.states] == [4, 8]
+    assert [state.step for state in found.line.states] == [4, 8]
     radius = found.intervals["smallest_bend_radius"]
     assert radius.upper == pytest.approx(radius.lower, rel=0.01)
     force = found.intervals["force.left"]

@@ -30,7 +30,7 @@ from labpipe.studies.first_loadings import (
     with_weight,
     zero_error,
 )
-from labpipe.studies.stress_tables import Conditions, Proof, ramberg_osgood_curve
+from labpipe.studies.stress_tables import Conditions, ProofStress, ramberg_osgood_curve
 from labpipe.studies.wire_specs import read_wire_sheet, read_wires
 from labpipe.units import GRAVITY
 from labpipe.wire.materials import RambergOsgood
@@ -425,16 +425,16 @@ HEADING = "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg,insul
 NUMBERS = "modulus_mpa,proof_stress_mpa,exponent,largest_strain"
 
 
-PVC = Proof(modulus_mpa="900", proof_stress_mpa="11", exponent="4", largest_strain="0.08")
+PVC = ProofStress(modulus_mpa="900", proof_stress_mpa="11", exponent="4", largest_strain="0.08")
 
 
-def strain_of(numbers: Proof, stress: float) -> float:
+def strain_of(numbers: ProofStress, stress: float) -> float:
     """The formula as data sheets have it, MPa."""
     over = float(stress / numbers.proof_stress_mpa)
     return stress / numbers.modulus_mpa + float(0.002 * over**numbers.exponent)
 
 
-def stress_of(numbers: Proof, strain: float) -> float:
+def stress_of(numbers: ProofStress, strain: float) -> float:
     """The formula inverted, MPa."""
     most = 1.000001 * numbers.modulus_mpa * strain
     return float(brentq(lambda stress: strain_of(numbers, stress) - strain, 0.0, most, xtol=1e-13))
@@ -454,7 +454,7 @@ def stress_of(numbers: Proof, strain: float) -> float:
 def test_straight_lines_are_on_the_formula(
     modulus: str, proof: str, exponent: str, largest: str
 ) -> None:
-    numbers = Proof(
+    numbers = ProofStress(
         modulus_mpa=modulus, proof_stress_mpa=proof, exponent=exponent, largest_strain=largest
     )
     strains, stresses = ramberg_osgood_curve(numbers)
@@ -478,7 +478,7 @@ def test_the_proof_stress_leaves_two_thousandths() -> None:
 def test_it_is_the_curve_of_the_copper_in_other_words() -> None:
     copper = RambergOsgood(110e9, 530e6, 0.44)
     proof = f"{530.0 * 0.002**0.44:.12g}"
-    numbers = Proof(
+    numbers = ProofStress(
         modulus_mpa="110000",
         proof_stress_mpa=proof,
         exponent=f"{1 / 0.44:.12g}",
@@ -510,7 +510,7 @@ def test_the_law_of_a_wire_is_that_of_a_dense_table_and_of_the_formula() -> None
         assert found == pytest.approx(by_hand, rel=2e-3)
 
 
-def _bar(numbers: Proof, radius: float, curvature: float) -> float:
+def _bar(numbers: ProofStress, radius: float, curvature: float) -> float:
     """Moment of a full bar, N m: stresses of the formula summed up over its height."""
 
     def lamina(height: float) -> float:
@@ -655,7 +655,7 @@ def test_the_model_carries_what_a_sheet_of_a_workbook_states(
 
 def test_every_column_is_documented_with_its_range(repository: Path) -> None:
     page = (repository / "docs" / "how-to" / "wire-sheet.md").read_text(encoding="utf-8")
-    for kind in (Proof, Conditions):
+    for kind in (ProofStress, Conditions):
         for name, field in kind.model_fields.items():
             [column] = field.metadata
             least = 0.1 if name == "modulus_mpa" else column.least

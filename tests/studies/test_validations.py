@@ -129,7 +129,7 @@ def test_from_where_on_a_prediction_is_doubtful(calibration: Calibration) -> Non
     for group in with_doubtful_parts(groups, calibration, wires, weak, both):
         assert group.prediction is not None
         assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
-        curve = next(each.curve for each in both if each.curve.wire == group.wire)
+        curve = next(side.curve for side in both if side.curve.wire == group.wire)
         ends = np.linspace(0.0, group.doubtful_deflection, 9)
         curvature = reached(
             wires[group.wire],

@@ -17,7 +17,7 @@ from labpipe.decks import deck_texts
 from labpipe.errors import ProcessingError, ReadError, StoreError
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.studies import wire_models as modelling
-from labpipe.studies.wire_models import Modelled, as_json, make_tables, model_wires
+from labpipe.studies.wire_models import ModelledWires, as_json, make_tables, model_wires
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire import wire_table as making
 from tests.builders.wire_tables import wire_table
@@ -148,7 +148,7 @@ def test_a_disk_that_refuses_is_told(many: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_json_is_plain_and_whole() -> None:
     table: WireTable = wire_table("A2")
-    modelled = Modelled(SHEET, Path("out"), (table,), {"X1": "why"}, ())
+    modelled = ModelledWires(SHEET, Path("out"), (table,), {"X1": "why"}, ())
     found = json.loads(json.dumps(as_json(modelled), allow_nan=False))
     assert found["sheet"] == "wires.csv"
     assert found["refused"] == {"X1": "why"}

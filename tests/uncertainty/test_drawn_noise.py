@@ -11,7 +11,7 @@ import pytest
 from scipy import signal
 
 from labpipe.records.arrays import Floats
-from labpipe.uncertainty.drawn_noise import Noise, _processes, noise_of
+from labpipe.uncertainty.noise_model import Noise, _processes, noise_of
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 from labpipe.uncertainty.replicates import smooth_curve
 
@@ -29,7 +29,7 @@ def autoregressive(factor: float, shape: Sequence[int], seed: int) -> Floats:
 def judged(values: Floats, *more: Floats) -> Noise:
     """Of records whose smooth curve is zero."""
     branches = [values, *more]
-    return noise_of(branches, [np.zeros(len(each)) for each in branches])
+    return noise_of(branches, [np.zeros(len(branch)) for branch in branches])
 
 
 def draws(values: Floats, replicates: int = 400, seed: int = 9) -> Floats:
@@ -68,9 +68,11 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
     """
     noise = judged(autoregressive(factor, (20_000,), 2))
     steep = _processes(noise.longest, noise.count).steep[: len(noise.chances)]
-    remembers = np.where(steep > 0.0, 0.0, noise.chances)
-    assert remembers.sum() > (5.0 / 6.0 if factor < 0.98 else 1.0 / 3.0)
-    drawn = replace(noise, chances=remembers / remembers.sum()).draw(20_000, 400, RNG(1))
+    depends_on_history = np.where(steep > 0.0, 0.0, noise.chances)
+    assert depends_on_history.sum() > (5.0 / 6.0 if factor < 0.98 else 1.0 / 3.0)
+    drawn = replace(noise, chances=depends_on_history / depends_on_history.sum()).draw(
+        20_000, 400, RNG(1)
+    )
     for at in (slice(0, 200), slice(10_000, 10_200), slice(-200, None)):
         part = drawn[:, at]
         for lag in (0, 1, 5, 20):
@@ -215,8 +217,8 @@ def wander(rows: Floats, *, at_rest: bool) -> float:
     found = []
     for row in rows:
         branches = [row[200 + 650 * at : 850 + 650 * at] for at in range(4)]
-        rests = [[row[each]] if at_rest else [] for each in RESTS]
-        noise = noise_of(branches, [0.0 * each for each in branches], *rests)
+        rests = [[row[rest]] if at_rest else [] for rest in RESTS]
+        noise = noise_of(branches, [0.0 * branch for branch in branches], *rests)
         drawn = noise.draw(3000, 400, RNG(8))
         found.append(np.std(drawn[:, RESTS[1]].mean(axis=1) - drawn[:, RESTS[0]].mean(axis=1)))
     return float(np.mean(found))

@@ -20,8 +20,8 @@ from labpipe.records.causes import (
 )
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Reason
+from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
-from labpipe.uncertainty.readings import Reading, Trace
 from labpipe.uncertainty.replicates import Input
 from tests.builders.plain_records import measured, replicates_of, trace_of
 
@@ -86,7 +86,7 @@ def later(trace: Trace, x: float) -> Trace:
 
 
 def budget(found: Measured) -> dict[str, float]:
-    return {each.cause: each.change for each in found.budget}
+    return {contribution.cause: contribution.change for contribution in found.budget}
 
 
 def test_gain_and_zero_by_hand() -> None:
@@ -94,7 +94,7 @@ def test_gain_and_zero_by_hand() -> None:
     gain, zero = Input(SCALE_OF_FORCE, gained), Input(ZERO_OF_FORCE, raised)
     (found,) = measured(trace_of(FORCE), mean, gain, zero)
     assert budget(found) == pytest.approx({SCALE_OF_FORCE: 1.0, ZERO_OF_FORCE: -0.3})
-    assert [each.is_common for each in found.budget] == [True, False]
+    assert [contribution.is_common for contribution in found.budget] == [True, False]
     assert found.error == pytest.approx(np.hypot(1.0, 0.3), rel=0.07)
     half = 1.96 * np.hypot(1.0, 0.3)
     assert found.interval.lower == pytest.approx(50.0 - half, abs=0.25)

@@ -10,11 +10,10 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from labpipe.records.arrays import Floats
-from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
-from labpipe.uncertainty.noise import (
-    Evidence,
+from labpipe.uncertainty.autocorrelation import (
     Grid,
     Noise,
+    ReducedTest,
     cubic_basis,
     exact_covariance,
     fast_noise,
@@ -23,6 +22,7 @@ from labpipe.uncertainty.noise import (
     slowest_cosines,
     smooth_stretches,
 )
+from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
 
 
 def test_white_noise_has_its_plain_variance() -> None:
@@ -85,7 +85,7 @@ def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
     values[100] = np.nan
     found = smooth_stretches(values)
     assert len(found) == 6
-    assert all(len(each) == 100 for each in found)
+    assert all(len(finding) == 100 for finding in found)
     assert smooth_stretches(values[:99]) == ()
 
 
@@ -147,10 +147,10 @@ def test_the_residual_deviation_is_that_of_the_textbook() -> None:
 
 def test_more_stretches_know_the_correlation_better() -> None:
     grid = Grid(100, 100)
-    evidence = [Evidence.of(cubic_basis(100), noise(k, 100, 5.0), grid, 128) for k in range(8)]
+    evidence = [ReducedTest.of(cubic_basis(100), noise(k, 100, 5.0), grid, 128) for k in range(8)]
     one, all_of_them = (Noise.of(evidence[:count], grid) for count in (1, 8))
     entropies = [
-        -float(np.sum(each.chances * np.log(each.chances + 1e-300))) for each in (one, all_of_them)
+        -float(np.sum(part.chances * np.log(part.chances + 1e-300))) for part in (one, all_of_them)
     ]
     assert entropies[1] < entropies[0]
     assert all_of_them.freedom == 8 * one.freedom

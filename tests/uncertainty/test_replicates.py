@@ -10,9 +10,9 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure
-from labpipe.uncertainty.readings import Reading, Trace, combined
+from labpipe.uncertainty.extractors import Reading, Trace, combined
 from labpipe.uncertainty.replicates import COUNT, Input, Law, replicated, smooth_curve
-from labpipe.uncertainty.wandering_zeros import wanders
+from labpipe.uncertainty.zero_drift import drift_modes
 from tests.builders.plain_records import replicates_of, trace_of
 
 RNG = np.random.default_rng
@@ -217,8 +217,8 @@ RECORD_TIME = np.linspace(0.0, 50.0, 501)
 
 def test_the_variance_is_that_of_a_walk() -> None:
     """As stated at the end, and within a tenth of a walk from a quarter of the record on."""
-    assert wanders(RECORD_TIME, 0.0) == []
-    waves = np.array(wanders(RECORD_TIME, 0.3))
+    assert drift_modes(RECORD_TIME, 0.0) == []
+    waves = np.array(drift_modes(RECORD_TIME, 0.3))
     spread = np.sqrt(np.sum(waves**2, axis=0))
     assert spread[-1] == pytest.approx(0.3, rel=1e-12)
     assert spread[0] == 0.0
@@ -226,7 +226,7 @@ def test_the_variance_is_that_of_a_walk() -> None:
 
 
 def overlaps() -> tuple[list[np.ndarray], list[np.ndarray]]:
-    one, two, three = wanders(RECORD_TIME, 1.0)
+    one, two, three = drift_modes(RECORD_TIME, 1.0)
     return [one, one, two], [two, three, three]
 
 
@@ -257,7 +257,7 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     assert finer.time == pytest.approx(0.005 * np.arange(7))
     assert np.isnan(finer.displacement[1:4]).all()
     assert finer.displacement[[0, 4, 5, 6]].tolist() == [0.0, 2.0, 3.0, 4.0]
-    assert [(each.start, each.stop) for each in finer.branches] == [(0, 5), (4, 7)]
+    assert [(branch.start, branch.stop) for branch in finer.branches] == [(0, 5), (4, 7)]
     assert finer.failed_at == 4
     assert trace.finer(1) is trace
     assert (trace.steps, finer.steps, finer.finer(3).steps) == (1, 2, 6)

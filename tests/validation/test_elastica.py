@@ -250,7 +250,7 @@ def load_by_shooting(rollers: Rollers, deflection: float) -> float:
     span, radius, friction = rollers.span, rollers.radius, rollers.friction
 
     def missed(unknown: Floats) -> list[float]:
-        slope, push, length = (float(each) for each in unknown)
+        slope, push, length = (float(floats) for floats in unknown)
         up = push * (np.cos(slope) + friction * np.sin(slope))
         out = push * (-np.sin(slope) + friction * np.cos(slope))
 

@@ -95,8 +95,8 @@ def segment_hits(count: int, share: float, runs: int) -> tuple[list[int], list[f
 def test_two_segments_quick(share: float, widest: float) -> None:
     """White noise, and noise with a memory of a hundredth of the window."""
     hits, wide = segment_hits(200, share, RUNS)
-    for each in hits:
-        assert_covers(each, may_be_wide=True)
+    for hit in hits:
+        assert_covers(hit, may_be_wide=True)
     assert max(wide) < widest
 
 

@@ -79,8 +79,8 @@ def test_three_are_marked() -> None:
     values = dict(enumerate(np.array(VALUES.split(), dtype=np.float64)))
     named = {str(name): float(value) for name, value in values.items()}
     found = find_suspects(named, dict.fromkeys(named, "one"), most=10).below(0.05)
-    assert [each.value for each in found] == [6.01, 5.42, 5.34]
-    assert {each.method for each in found} == {"generalised ESD test"}
+    assert [finding.value for finding in found] == [6.01, 5.42, 5.34]
+    assert {finding.method for finding in found} == {"generalised ESD test"}
 
 
 def test_one_alone_is_not() -> None:

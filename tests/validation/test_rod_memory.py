@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
-from labpipe.law.plays import respond, virgin_plays
+from labpipe.law.plays import respond, unbent_plays
 from labpipe.law.sliders import as_plays
 from labpipe.law.table_sliders import sliders_of
 from labpipe.records.arrays import Floats
@@ -43,7 +43,7 @@ def test_a_node_there_and_back_follows_masing() -> None:
     path = walked(line, [clamp(line), Moment(-1, moments)], steps)
     # d1 is up: a moment about it bends by the first component
     found = np.array([state.curvatures[0, 1, 0] for state in path.states])
-    plays, expected = virgin_plays(PLAYS, 1), []
+    plays, expected = unbent_plays(PLAYS, 1), []
     for moment in moments[:, 2]:
         response = respond(PLAYS, np.array([moment]), plays)
         plays = response.plays
@@ -93,7 +93,9 @@ def rod_tips(
     pulls = np.column_stack([0.0 * loads, loads * np.cos(angles), loads * np.sin(angles)])
     corners = np.vstack([np.zeros(3), pulls])
     at = np.arange(parts * len(loads) + 1) / parts
-    force = np.column_stack([np.interp(at, np.arange(len(corners)), each) for each in corners.T])
+    force = np.column_stack(
+        [np.interp(at, np.arange(len(corners)), corner) for corner in corners.T]
+    )
     path = follow(line, [clamped(line), Load(-1, force)], steps=len(force) - 1)
     assert path.status == "ok", path.reasons
     return np.array([state.positions[-1] for state in path.states])[parts::parts]

@@ -48,7 +48,7 @@ def hung(points: Floats, wire: str, *, elements: int = 200) -> Floats:
     """Places of a wire of 1.5 m that hangs between the level clamps of a photograph."""
     shares = np.linspace(0.0, 1.0, elements + 1)
     seen = np.linspace(0.0, 1.0, len(points))
-    nodes = np.column_stack([np.interp(shares, seen, each) for each in points.T])
+    nodes = np.column_stack([np.interp(shares, seen, point) for point in points.T])
     normal = np.sign(np.sum(np.cross(points[:-1], points[1:]), axis=0)[1])
     along = line_along(nodes, section_of(wire), up=(0.0, float(normal), 0.0))
     free = np.zeros((elements - 1, 3))
@@ -62,7 +62,7 @@ def hung(points: Floats, wire: str, *, elements: int = 200) -> Floats:
     path = follow(line, [*held, Gravity()], steps=0)
     assert path.status != "failed", path.reasons
     places = path.last.positions.T
-    return np.column_stack([np.interp(seen, shares, each) for each in places])
+    return np.column_stack([np.interp(seen, shares, place) for place in places])
 
 
 @pytest.mark.parametrize(("wire", "bound"), [("white", 6e-3), ("black", 15e-3)])

@@ -33,7 +33,7 @@ CAMPAIGNS = (WireCampaign(), TensileCampaign())
 def test_chosen_tests_are_as_in_their_campaigns() -> None:
     names = ("twist-tube-2b", "pet-tape-3", "B1-100-5")
     chosen = list(ChosenTests(CAMPAIGNS, names).scenarios(seed=3))
-    all_of_them = [each for campaign in CAMPAIGNS for each in campaign.scenarios(seed=3)]
+    all_of_them = [scenario for campaign in CAMPAIGNS for scenario in campaign.scenarios(seed=3)]
     assert [scenario.name for scenario, _ in chosen] == ["B1-100-5", "twist-tube-2b", "pet-tape-3"]
     assert chosen == [each for each in all_of_them if each[0].name in names]
 
@@ -77,7 +77,11 @@ SCENARIOS = {scenario.name: scenario for scenario in tensile_scenarios()}
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_twist_tubes_bend_and_tear_where_the_source_says(seed: int) -> None:
-    tubes = [each for each in tensile_scenarios(seed) if each.protocol == "twist-tube"]
+    tubes = [
+        tensile_scenario
+        for tensile_scenario in tensile_scenarios(seed)
+        if tensile_scenario.protocol == "twist-tube"
+    ]
     for tube in tubes:
         truth = observe(tube, seed).truth
         assert truth.break_point is not None

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.law.plays import corners_of, respond, virgin_plays
+from labpipe.law.plays import corners_of, respond, unbent_plays
 from labpipe.virtual_lab.bundles import TAPED_TYPES, BundleModel, lay_wires
 from labpipe.virtual_lab.cantilever_path import solve_path
 from labpipe.virtual_lab.cantilever_scenarios import taped_scenario
@@ -24,7 +24,7 @@ def test_first_loading_is_that_of_the_wire_model(wire: StrandedWire) -> None:
     law = wire.law()
     curvature = np.geomspace(1e-3, 70.0, 200)
     moment = moment_curvature(wire.section(), wire.contacts(), curvature).moment
-    found = respond(law, moment, virgin_plays(law, len(moment))).curvature
+    found = respond(law, moment, unbent_plays(law, len(moment))).curvature
     assert found == pytest.approx(curvature, rel=2e-3)  # a polygon between its corners
     assert law.stiffness == pytest.approx(stick_stiffness(wire.section()), rel=1e-3)
 
@@ -35,7 +35,7 @@ def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWir
     there, back = np.linspace(0.3, peak, 97), np.linspace(peak, -5.0, 140)[1:]
     path = bend_along(wire.section(), wire.contacts(), np.concatenate([there, back]))
     top, down = path[len(there) - 1], path[len(there) :]
-    history = respond(law, np.array([top]), virgin_plays(law, 1)).plays
+    history = respond(law, np.array([top]), unbent_plays(law, 1)).plays
     found = respond(law, down, np.repeat(history, len(down), axis=0)).curvature
     moment = np.interp(back[::-1], found[::-1], down[::-1])[::-1]
     assert np.max(np.abs(moment - down)) < 1e-3 * top

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from labpipe.law.plays import respond, virgin_plays
+from labpipe.law.plays import respond, unbent_plays
 from labpipe.wire.bending_law import (
     moment_curvature,
     orientation_range,
@@ -276,11 +276,11 @@ def test_plays_follow_first_loading_and_unload_as_strands_do(name: str) -> None:
     law = play_law(section, contacts, largest_curvature=40.0)
     curvature = np.geomspace(1e-4, 39.9, 500)
     moment = moment_curvature(section, contacts, curvature).moment
-    bent = respond(law, moment, virgin_plays(law, 500)).curvature
+    bent = respond(law, moment, unbent_plays(law, 500)).curvature
     assert bent == pytest.approx(curvature, rel=3e-3)
     path = np.concatenate([np.linspace(0.1, 20.0, 80), np.linspace(20.0, -20.0, 81)])
     moment = bend_along(section, contacts, path)
-    peak = respond(law, moment[79:80], virgin_plays(law, 1))
+    peak = respond(law, moment[79:80], unbent_plays(law, 1))
     back = respond(law, moment[120:121], peak.plays)
     # Friction differs by 7 % between the sides: a small part of a small part of the moment.
     assert back.curvature[0] == pytest.approx(path[120], abs=0.01 * 20.0)

@@ -80,7 +80,7 @@ def unevenness(places: Floats, kind: Ints) -> float:
     size = np.mean(x**2 + y**2)
     traits = [x / size**0.5, y / size**0.5, (x**2 - y**2) / size, 2.0 * x * y / size]
     traits.append((x**2 + y**2) / size - 1.0)
-    sums = [[each[kind == k].sum() for each in traits] for k in range(kind.max() + 1)]
+    sums = [[trait[kind == k].sum() for trait in traits] for k in range(kind.max() + 1)]
     return float(np.sum(np.square(sums) / np.bincount(kind)[:, None]))
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from labpipe.law.plays import first_curvature, respond, virgin_plays
+from labpipe.law.plays import first_curvature, respond, unbent_plays
 from labpipe.records.arrays import Floats
 from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleModel, BundleWire
 from labpipe.wire.bundle_friction import Friction, fit_friction, friction_law, friction_moment
@@ -160,7 +160,7 @@ def test_loops_follow_masing() -> None:
     friction = Friction(0.13, 0.4, 5.0, 0.2)
     law = friction_law(model, tables, friction)
     top = friction_moment(np.array([8.0]), model, tables, friction)
-    loaded = respond(law, top, virgin_plays(law, 1))
+    loaded = respond(law, top, unbent_plays(law, 1))
     for share in (0.3, 0.9, 1.4):
         back = respond(law, (1.0 - share) * top, loaded.plays)
         half = first_curvature(law, 0.5 * share * top)

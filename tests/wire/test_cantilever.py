@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.law.play_fits import polygon_law
-from labpipe.law.plays import LinearLaw, MomentLaw, virgin_plays
+from labpipe.law.plays import LinearLaw, MomentLaw, unbent_plays
 from labpipe.records.arrays import Floats
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.cantilever import (
@@ -126,7 +126,7 @@ def test_jacobian_against_central_differences(condition: Condition) -> None:
     n, law, h = 12, LinearLaw(1.0), 1e-6
     stations = chebyshev_stations(n)
     beyond = 0.8 * (1.0 - stations.position)
-    problem = _Problem(law, virgin_plays(law, n), condition, stations, beyond)
+    problem = _Problem(law, unbent_plays(law, n), condition, stations, beyond)
     moment, load = 1.2 * (1.0 - stations.position), 0.9
     exact = _linearise(problem, moment, load).jacobian
     for column in range(n + 1):
@@ -192,7 +192,7 @@ def test_slack_and_level_wires_are_as_the_textbook_says() -> None:
 @pytest.mark.parametrize(("moment", "deflection"), [(0.0, 1.5), (np.nan, 0.1)])
 def test_no_equilibrium_is_none(moment: float, deflection: float) -> None:
     law, start = LinearLaw(1.0), Unknowns(np.full(12, moment), 0.0)
-    assert solve(law, virgin_plays(law, 12), 1.0, EndLoad(deflection), start) is None
+    assert solve(law, unbent_plays(law, 12), 1.0, EndLoad(deflection), start) is None
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from labpipe.law.plays import LinearLaw, MomentLaw, respond, virgin_plays
+from labpipe.law.plays import LinearLaw, MomentLaw, respond, unbent_plays
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.cantilever import bend_to_deflection, straight
 from labpipe.wire.end_load import deflection_at, end_loads, polygon_of
@@ -66,7 +66,7 @@ def test_a_bilinear_law_by_adaptive_quadrature(clamp: float) -> None:
 
 def test_the_polygon_is_the_first_loading_of_the_plays() -> None:
     polygon = polygon_of(STRANDED, 0.05)
-    plays = virgin_plays(STRANDED, len(polygon.moment))
+    plays = unbent_plays(STRANDED, len(polygon.moment))
     answer = respond(STRANDED, polygon.moment, plays).curvature
     assert polygon.curvature == pytest.approx(answer, rel=1e-12)
     energy = complementary_energy(STRANDED, polygon.moment)

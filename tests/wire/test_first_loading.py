@@ -134,7 +134,7 @@ def test_it_is_that_of_the_path_station_by_station() -> None:
     law = law_of(wire)
     shape = bend_to_travel(law, straight(law), 0.085, rig_of(0.085), DEEPEST)
     curves = [replace(each, deflection=np.clip(each.deflection, 0.0, None)) for each in measured()]
-    deepest = max(float(each.deflection.max()) for each in curves)
+    deepest = max(float(curve.deflection.max()) for curve in curves)
     found = curvature_of(wire, TRUTH, curves)
     bent = float(np.abs(shape.curvature).max()) * deepest / float(shape.y[-1])
     assert found == pytest.approx(bent, rel=0.03)

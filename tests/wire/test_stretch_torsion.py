@@ -120,7 +120,7 @@ def helix(layer: Layer, radius: float) -> Floats:
         return np.asarray(np.array([around**2, around * up]) / per_length)
 
     steps = ((1e-6, 0.0), (0.0, 1e-3))
-    changes = np.array([(turns(*each) - turns(*(-s for s in each))) / 2 for each in steps])
+    changes = np.array([(turns(*step) - turns(*(-s for s in step))) / 2 for step in steps])
     changes /= np.array([[1e-6], [1e-3]])
     stiff = flexural(layer) * np.diag([1.0, 1.0 / (1.0 + layer.poisson)])
     return np.asarray(changes @ stiff @ changes.T * length)

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from labpipe.readers.channels import Wanted
+from labpipe.readers.channels import ReportOptions
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.load_frame.frame_recording import (
     Export,
@@ -53,7 +53,7 @@ def recognise(path: Path) -> bool:
 def read(
     path: Path,
     *,
-    channels: Sequence[Wanted] | None = None,
+    channels: Sequence[ReportOptions] | None = None,
     dialect: Named = None,
     part: str | None = None,
 ) -> Recording:
@@ -79,13 +79,13 @@ def read(
     """
     card = chosen_card(path, dialect)
     export = _tables(path, card, channels if part is None else None)
-    tables = (without_codes(without_last_row(each, card), card) for each in export.tables)
+    tables = (without_codes(without_last_row(table, card), card) for table in export.tables)
     kept = choose_part(list(tables), part, path)
     notes = (*export.notes, *_counted(export, kept, card), *_generic(card))
     return assemble(replace(export, tables=kept, notes=notes), card, path, channels)
 
 
-def _tables(path: Path, card: Card, channels: Sequence[Wanted] | None) -> Export:
+def _tables(path: Path, card: Card, channels: Sequence[ReportOptions] | None) -> Export:
     if card.kind == "text":
         return read_tables(read_content(path), Place(path, card, channels))
     try:

@@ -10,7 +10,7 @@ import numpy as np
 
 from labpipe.errors import nearest
 from labpipe.readers.channels import (
-    Wanted,
+    ReportOptions,
     channel_notes,
     find_channel,
     find_in_parts,
@@ -46,7 +46,7 @@ class _Part:
 
 
 def assemble(
-    export: Export, card: Card, path: object, channels: Sequence[Wanted] | None = None
+    export: Export, card: Card, path: object, channels: Sequence[ReportOptions] | None = None
 ) -> Recording:
     """Make a recording of the tables of an export.
 
@@ -96,7 +96,7 @@ def _metadata(export: Export, card: Card, parts: Sequence[_Part]) -> dict[str, o
     return {"dialect": card.name, **export.about, "clocks": times}
 
 
-def _chosen(made: list[Channel], wanted: Sequence[Wanted], path: object) -> list[Channel]:
+def _chosen(made: list[Channel], wanted: Sequence[ReportOptions], path: object) -> list[Channel]:
     if not made:
         return []
     return [made[i] for i in sorted(set(find_in_parts(wanted, made, path)))]
@@ -257,7 +257,7 @@ def word_columns(names: Sequence[str], card: Card) -> list[int]:
 
 
 def wanted_columns(
-    header: Header, card: Card, channels: Sequence[Wanted] | None, path: object
+    header: Header, card: Card, channels: Sequence[ReportOptions] | None, path: object
 ) -> list[int]:
     """Choose the columns to read: those asked for, and time.
 

@@ -75,16 +75,20 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
 
 def _without_samples(tables: Mapping[str, Table], card: Card) -> set[str]:
     """Find sheets of results beside sheets of samples: other columns, and no time or few rows."""
-    rows = {name: max(map(len, each.columns.values()), default=0) for name, each in tables.items()}
+    rows = {
+        name: max(map(len, table.columns.values()), default=0) for name, table in tables.items()
+    }
     longest = tables[max(rows, key=lambda name: rows[name])]
     has_time = {
-        name: time_column(each.names, each.units, card) is not None for name, each in tables.items()
+        name: time_column(table.names, table.units, card) is not None
+        for name, table in tables.items()
     }
     needs_time = any(has_time.values())
     return {
         name
-        for name, each in tables.items()
-        if each.names != longest.names and (rows[name] < FEW or (needs_time and not has_time[name]))
+        for name, table in tables.items()
+        if table.names != longest.names
+        and (rows[name] < FEW or (needs_time and not has_time[name]))
     }
 
 

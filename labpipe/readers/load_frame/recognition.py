@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from labpipe.errors import ReadError, complaint, nearest
+from labpipe.errors import ReadError, error_text, nearest
 from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards, shipped_names
 from labpipe.readers.load_frame.column_titles import Header, find_header, header_of_rows
 from labpipe.readers.load_frame.frame_recording import time_column
@@ -111,7 +111,7 @@ def _refuse_unknown(allowed: Sequence[str], known: Sequence[str], path: Path) ->
 
 
 def _ambiguous(names: Sequence[str], path: Path) -> str:
-    return complaint(
+    return error_text(
         path,
         "",
         expected="an export that one card recognises",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.readers.channels import Wanted, unique_names
+from labpipe.readers.channels import ReportOptions, unique_names
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.load_frame.column_titles import Header, find_header
 from labpipe.readers.load_frame.frame_recording import (
@@ -156,7 +156,7 @@ class Place:
 
     path: Path
     card: Card
-    channels: Sequence[Wanted] | None = None
+    channels: Sequence[ReportOptions] | None = None
 
 
 def no_samples(message: str) -> QualityNote:

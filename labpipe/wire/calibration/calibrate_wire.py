@@ -24,7 +24,7 @@ from labpipe.records.wire_calibration import (
     Calibration,
     CalibrationFailure,
     CurveAgreement,
-    Identified,
+    Identifiability,
     NoiseLevels,
     PriorConflict,
     Profile,
@@ -35,7 +35,7 @@ from labpipe.wire.calibration.fit import (
     FRICTION_NAMES,
     NAMES,
     WELL,
-    Found,
+    CalibrationFit,
     Settings,
     Wire,
     find,
@@ -47,10 +47,10 @@ from labpipe.wire.calibration.fit import (
     weigh_prior,
     words_of,
 )
+from labpipe.wire.calibration.local_minima import LocalMinimum
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, agreement, whiten
 from labpipe.wire.calibration.parameter_search import P, pull_of, search
 from labpipe.wire.calibration.profile_likelihood import Trace, limit_of, reach, traces, union
-from labpipe.wire.calibration.valleys import Valley
 from labpipe.wire.calibration.variances import uncertainty
 
 __all__ = ["MeasuredCurve", "Settings", "Wire", "calibrate"]
@@ -97,7 +97,7 @@ _PLAIN = 0.05  # half the slope of the objective: flatter is no wall that was ru
 _SLOW = 0.3  # correlation of neighbouring residuals that is worth a note
 
 
-def tell(found: Found) -> Calibration:
+def tell(found: CalibrationFit) -> Calibration:
     """Make the record of a calibration.
 
     Parameters
@@ -106,7 +106,9 @@ def tell(found: Found) -> Calibration:
     """
     problem = found.problem
     solutions = tuple(_solution(found, valley) for valley in found.valleys)
-    solutions = tuple(each for each in solutions if each.rise <= _UNLIKELY * each.limit)
+    solutions = tuple(
+        solution for solution in solutions if solution.rise <= _UNLIKELY * solution.limit
+    )
     parameters = tuple(_parameter(found, solutions, number) for number in range(P))
     compared = tuple(_agreements(found))
     sse = sum(curve.sse for curve in compared)
@@ -132,7 +134,7 @@ def tell(found: Found) -> Calibration:
     )
 
 
-def _solution(found: Found, valley: Valley) -> Solution:
+def _solution(found: CalibrationFit, valley: LocalMinimum) -> Solution:
     left = [
         curve.force - model.force
         for curve, model in zip(found.problem.curves, valley.fit.models, strict=True)
@@ -148,7 +150,9 @@ def _solution(found: Found, valley: Valley) -> Solution:
     )
 
 
-def _parameter(found: Found, solutions: tuple[Solution, ...], number: int) -> CalibratedParameter:
+def _parameter(
+    found: CalibrationFit, solutions: tuple[Solution, ...], number: int
+) -> CalibratedParameter:
     """One parameter, with profile, verdict and the weighing of its prior."""
     name = PARAMETERS[number]
     value = float(np.exp(found.fit.point.logs[number]))
@@ -168,20 +172,24 @@ def _parameter(found: Found, solutions: tuple[Solution, ...], number: int) -> Ca
         is_open_below=any(each.is_open_below for each in traced),
         is_open_above=any(each.is_open_above for each in traced),
         at_bound=_bound(found, number),
-        verdict=Identified.WELL,
+        verdict=Identifiability.WELL,
         words="",
         profiles=tuple(map(_profile, traced)),
         conflict=conflict,
     )
     others = tuple(
-        (float(each.values[number]), each.likelihood) for each in solutions if not each.is_allowed
+        (float(solution.values[number]), solution.likelihood)
+        for solution in solutions
+        if not solution.is_allowed
     )
     ends = _widest(found, number, parameter)
     parameter = replace(parameter, verdict=_verdict(found, number, parameter, others, ends))
     return replace(parameter, words=words_of(parameter, others, ends))
 
 
-def _widest(found: Found, number: int, parameter: CalibratedParameter) -> tuple[float, float]:
+def _widest(
+    found: CalibrationFit, number: int, parameter: CalibratedParameter
+) -> tuple[float, float]:
     """Ends of what the tests allow at 99 %, along the line of the leasts, or at all.
 
     Noise that happens to end an interval early, so that it just spans too little for a weak
@@ -196,12 +204,12 @@ def _widest(found: Found, number: int, parameter: CalibratedParameter) -> tuple[
 
 
 def _verdict(
-    found: Found,
+    found: CalibrationFit,
     number: int,
     parameter: CalibratedParameter,
     others: Sequence[tuple[float, float]],
     ends: tuple[float, float],
-) -> Identified:
+) -> Identifiability:
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     wide = [*ends, *(value for value, _ in others)]
     conflict = parameter.conflict
@@ -218,7 +226,7 @@ def _verdict(
     )
 
 
-def _held(found: Found, number: int, value: float) -> CalibratedParameter:
+def _held(found: CalibrationFit, number: int, value: float) -> CalibratedParameter:
     """A parameter that was not fitted; NaN where the wire has no such thing."""
     name = PARAMETERS[number]
     acts = found.problem.parts.has[number]
@@ -232,7 +240,7 @@ def _held(found: Found, number: int, value: float) -> CalibratedParameter:
         is_open_below=False,
         is_open_above=False,
         at_bound="",
-        verdict=Identified.FIXED,
+        verdict=Identifiability.FIXED,
         words="",
         source=found.settings.choices[name].source if name in found.settings.choices else "",
     )
@@ -241,11 +249,11 @@ def _held(found: Found, number: int, value: float) -> CalibratedParameter:
     )
 
 
-def _has_prior(found: Found, number: int) -> bool:
+def _has_prior(found: CalibrationFit, number: int) -> bool:
     return bool(found.problem.precision[number] > 0.0)
 
 
-def _bound(found: Found, number: int) -> str:
+def _bound(found: CalibrationFit, number: int) -> str:
     """The bound that the search ran into; none where it only ran out on a plain."""
     at, problem = found.fit.point.logs[number], found.problem
     pull = float(pull_of(problem, found.levels, found.fit)[number])
@@ -260,14 +268,14 @@ def _profile(traced: Trace) -> Profile:
     )
 
 
-def _conflict(found: Found, number: int) -> PriorConflict:
+def _conflict(found: CalibrationFit, number: int) -> PriorConflict:
     """Fit again without one prior: what the objective loses is the square of the conflict."""
     name = PARAMETERS[number]
     precision = found.problem.precision.copy()
     precision[number] = 0.0
     alone = replace(found.problem, precision=precision)
     fits = [search(alone, found.levels, valley.fit.point, found.free) for valley in found.valleys]
-    fit = min(fits, key=lambda each: each.objective)
+    fit = min(fits, key=lambda fit: fit.objective)
     spread = uncertainty(
         alone, fit, found.free, found.levels, is_scatter_known=found.is_scatter_known
     )
@@ -294,7 +302,7 @@ def _correlations(covariance: Floats, free: Flags) -> Floats:
     return out
 
 
-def _agreements(found: Found) -> Iterator[CurveAgreement]:
+def _agreements(found: CalibrationFit) -> Iterator[CurveAgreement]:
     point = found.fit.point
     for curve, model, sample in zip(
         found.problem.curves, found.fit.models, found.problem.sample, strict=True
@@ -302,7 +310,7 @@ def _agreements(found: Found) -> Iterator[CurveAgreement]:
         yield agreement(curve, model.force, float(np.exp(point.gain + point.offsets[sample])))
 
 
-def _noise_levels(found: Found) -> NoiseLevels:
+def _noise_levels(found: CalibrationFit) -> NoiseLevels:
     spread, levels = found.spread.level_covariance, found.levels
     scatter_freedom = np.inf if found.is_scatter_known else 0.0
     if spread[1, 1] > 0.0:
@@ -317,7 +325,7 @@ def _noise_levels(found: Found) -> NoiseLevels:
     )
 
 
-def _separability(found: Found) -> Separability:
+def _separability(found: CalibrationFit) -> Separability:
     """Of the parameters that act on the wire, by noise alone, as if samples did not scatter."""
     acting = [number for number in range(P) if found.problem.parts.has[number]]
     columns = []
@@ -330,7 +338,7 @@ def _separability(found: Found) -> Separability:
     )
 
 
-def _friction_separability(found: Found) -> Separability | None:
+def _friction_separability(found: CalibrationFit) -> Separability | None:
     """Of mu_s, mu_p and F_rad."""
     if not found.problem.parts.has[0]:
         return None
@@ -347,7 +355,7 @@ def _friction_separability(found: Found) -> Separability | None:
 
 
 def _notes(
-    found: Found,
+    found: CalibrationFit,
     parameters: tuple[CalibratedParameter, ...],
     solutions: tuple[Solution, ...],
     compared: tuple[CurveAgreement, ...],
@@ -361,7 +369,9 @@ def _notes(
     yield from _level_notes(found, compared)
 
 
-def _level_notes(found: Found, compared: tuple[CurveAgreement, ...]) -> Iterator[QualityNote]:
+def _level_notes(
+    found: CalibrationFit, compared: tuple[CurveAgreement, ...]
+) -> Iterator[QualityNote]:
     levels, where = found.levels, found.problem.curves[0].wire
     if found.problem.n_samples == 1 and not found.is_scatter_known:
         message = (
@@ -377,10 +387,10 @@ def _level_notes(found: Found, compared: tuple[CurveAgreement, ...]) -> Iterator
         )
         yield QualityNote("noise_misstated", Severity.WARNING, where, message)
     if levels.correlation > _SLOW:
-        worst = max(compared, key=lambda curve: curve.lag_one)
+        worst = max(compared, key=lambda curve: curve.lag_one_correlation)
         message = (
             f"neighbouring residuals are alike (correlation {levels.correlation:.2f}, most in "
-            f"{worst.test} with {worst.lag_one:.2f}): slow noise, or a model that does not have "
+            f"{worst.test} with {worst.lag_one_correlation:.2f}): slow noise, or a model without "
             f"the shape of the curves; the intervals count correlated points for less"
         )
         yield QualityNote("residuals_correlated", Severity.WARNING, where, message)
@@ -392,7 +402,7 @@ def _level_notes(found: Found, compared: tuple[CurveAgreement, ...]) -> Iterator
 def _parameter_notes(parameter: CalibratedParameter) -> Iterator[QualityNote]:
     if parameter.at_bound:
         yield QualityNote("at_bound", Severity.WARNING, parameter.name, parameter.words)
-    if parameter.verdict is Identified.NOT:
+    if parameter.verdict is Identifiability.NOT:
         yield QualityNote("not_identified", Severity.WARNING, parameter.name, parameter.words)
     if parameter.conflict is not None and parameter.conflict.contradicts:
         yield QualityNote(

@@ -16,18 +16,18 @@ from labpipe.records.wire_calibration import (
     RADIAL_FRICTION,
     CalibratedParameter,
     CalibrationFailure,
-    Identified,
+    Identifiability,
     ParameterChoice,
     PriorConflict,
     ScatterMixture,
     Separability,
     Solution,
 )
+from labpipe.wire.calibration.law_components import WireParts, model_forces, take_apart
+from labpipe.wire.calibration.local_minima import Line, LocalMinimum, local_minimum_of, settle
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, usable, whiten
 from labpipe.wire.calibration.parameter_search import Fit, Levels, Problem
-from labpipe.wire.calibration.valleys import Line, Valley, settle, valley_of
 from labpipe.wire.calibration.variances import Uncertainty, quantile
-from labpipe.wire.calibration.wire_parts import WireParts, model_forces, take_apart
 from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.friction import Contacts
 
@@ -68,7 +68,7 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class CalibrationFit:
     """The fit of a calibration.
 
     Parameters
@@ -86,7 +86,7 @@ class Found:
     problem: Problem
     free: Flags
     levels: Levels
-    valleys: tuple[Valley, ...]
+    valleys: tuple[LocalMinimum, ...]
     line: Line
     widening: float = 1.0
 
@@ -113,7 +113,7 @@ class Found:
 
 def find(
     wire: Wire, curves: Sequence[MeasuredCurve], settings: Settings
-) -> Found | CalibrationFailure:
+) -> CalibrationFit | CalibrationFailure:
     """Fit a wire to its tests.
 
     Parameters
@@ -140,10 +140,10 @@ def find(
         return CalibrationFailure("model_cannot_follow", str(error))
     fits, levels = settled.fits, settled.levels
     valleys = tuple(
-        valley_of(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
+        local_minimum_of(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
         for fit in fits
     )
-    return Found(
+    return CalibrationFit(
         wire, settings, problem, free, levels, valleys, settled.line, widening=settled.widening
     )
 
@@ -292,7 +292,7 @@ def verdict_of(
     contradicts: bool = False,
     is_apart: bool = False,
     span_with_others: float = 1.0,
-) -> Identified:
+) -> Identifiability:
     """Judge an interval.
 
     Parameters
@@ -308,16 +308,16 @@ def verdict_of(
         solutions, and the line on which insulation and copper trade places
     """
     if at_bound:
-        return Identified.AT_BOUND
+        return Identifiability.AT_BOUND
     if contradicts:
-        return Identified.AGAINST_PRIOR
+        return Identifiability.AGAINST_PRIOR
     if log_error > _MOSTLY_PRIOR * prior_error:
-        return Identified.BY_PRIOR
+        return Identifiability.BY_PRIOR
     if is_open or span > HOPELESS:
-        return Identified.NOT
+        return Identifiability.NOT
     if max(span, span_with_others) < WELL:
-        return Identified.WELL
-    return Identified.TWO if is_apart else Identified.WEAKLY
+        return Identifiability.WELL
+    return Identifiability.TWO if is_apart else Identifiability.WEAKLY
 
 
 def in_display_unit(name: str, *values: float) -> str:
@@ -374,10 +374,12 @@ def words_of(
             f"bounds it reaches to {other} (95 %)"
         )
     place = _place_of(parameter)
-    if parameter.verdict is Identified.AGAINST_PRIOR:
+    if parameter.verdict is Identifiability.AGAINST_PRIOR:
         return f"{name} is doubtful, for prior and tests contradict each other: it {place} (95 %)"
-    said = "has two solutions" if parameter.verdict is Identified.TWO else parameter.verdict.value
-    is_said = said if parameter.verdict is Identified.TWO else f"is {said}"
+    said = (
+        "has two solutions" if parameter.verdict is Identifiability.TWO else parameter.verdict.value
+    )
+    is_said = said if parameter.verdict is Identifiability.TWO else f"is {said}"
     return (
         f"{name} {is_said}: it {place} (95 %){_near(parameter, others)}{_at_last(parameter, ends)}"
     )
@@ -386,14 +388,14 @@ def words_of(
 def _at_last(parameter: CalibratedParameter, ends: tuple[float, float] | None) -> str:
     """What the tests allow at 99 %, if that is why a short interval is not called identified."""
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    if ends is None or parameter.verdict is not Identified.WEAKLY or high >= WELL * low:
+    if ends is None or parameter.verdict is not Identifiability.WEAKLY or high >= WELL * low:
         return ""
     return f", and at 99 % between {in_display_unit(parameter.name, *ends)}"
 
 
 def _near(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> str:
     """Where other solutions have a value, if that is what makes two of them."""
-    if parameter.verdict is not Identified.TWO or not is_elsewhere(parameter, others):
+    if parameter.verdict is not Identifiability.TWO or not is_elsewhere(parameter, others):
         return ""
     said = (
         f"near {in_display_unit(parameter.name, value)}, by a solution that is {chance:.2g} times "

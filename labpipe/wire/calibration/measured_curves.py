@@ -222,12 +222,12 @@ def agreement(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreem
         sse=errors.sse,
         rmse=errors.rmse,
         rmse_share=errors.rmse_share,
-        lag_one=lag_one(left),
+        lag_one_correlation=lag_one_correlation(left),
         runs_p=runs_p(left),
     )
 
 
-def lag_one(residuals: Floats) -> float:
+def lag_one_correlation(residuals: Floats) -> float:
     """Correlation of neighbours about zero; 0 for residuals that are all zero."""
     power = float(residuals @ residuals)
     return float(residuals[1:] @ residuals[:-1]) / power if power > 0.0 else 0.0

@@ -17,8 +17,14 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.wire_calibration import PARAMETERS
+from labpipe.wire.calibration.law_components import (
+    COLUMNS,
+    ModelForce,
+    WireParts,
+    gram,
+    model_forces,
+)
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.calibration.wire_parts import COLUMNS, ModelForce, WireParts, gram, model_forces
 
 P = len(PARAMETERS)
 _MOST_STEPS, _FEW_STEPS = 60, 8

@@ -11,8 +11,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction, Solution
 from labpipe.wire.calibration.fit import Wire
+from labpipe.wire.calibration.law_components import loading_curve, take_apart
 from labpipe.wire.calibration.scatter_mixture import quantiles
-from labpipe.wire.calibration.wire_parts import loading_curve, take_apart
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import force_at
 
@@ -68,7 +68,7 @@ def predict(
     gain = _NORMAL * (other_gain or 0.0)
     read = _NORMAL * noise / np.sqrt(n_samples)
     forces, bands = [], []
-    for solution in (each for each in calibration.solutions if each.is_allowed):
+    for solution in (solution for solution in calibration.solutions if solution.is_allowed):
         values = np.where(np.isnan(solution.values), parts.given, solution.values)
         curve = loading_curve(parts, values, length, rig, deepest, self_weight=wire.self_weight)
         force, change = force_at(curve, deflection)
@@ -102,7 +102,7 @@ def _notes(calibration: Calibration) -> Iterator[QualityNote]:
     if calibration.levels.scatter_freedom == 0.0:
         message = "the scatter of samples is not known from one sample: the bands leave it out"
         yield QualityNote("one_sample", Severity.WARNING, calibration.wire, message)
-    allowed = sum(each.is_allowed for each in calibration.solutions)
+    allowed = sum(solution.is_allowed for solution in calibration.solutions)
     if allowed > 1:
         message = (
             f"{allowed} solutions fit the tests: the bands reach over all of "

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
-from labpipe.wire.calibration.fit import Found
+from labpipe.wire.calibration.fit import CalibrationFit
+from labpipe.wire.calibration.local_minima import LocalMinimum
 from labpipe.wire.calibration.parameter_search import (
     Fit,
     Levels,
@@ -28,7 +29,6 @@ from labpipe.wire.calibration.parameter_search import (
     search,
 )
 from labpipe.wire.calibration.scatter_mixture import quantiles
-from labpipe.wire.calibration.valleys import Valley
 
 _LEAST = 1.96
 _CLOSE = 0.01  # of the root of the threshold
@@ -68,7 +68,7 @@ class _Side:
     seen: tuple[tuple[float, float], ...]
 
 
-def traces(found: Found, number: int, *, unlikely: float = 1.0) -> tuple[Trace, ...]:
+def traces(found: CalibrationFit, number: int, *, unlikely: float = 1.0) -> tuple[Trace, ...]:
     """Follow the objective from each of its leasts that the interval of a parameter takes in.
 
     Parameters
@@ -85,7 +85,7 @@ def traces(found: Found, number: int, *, unlikely: float = 1.0) -> tuple[Trace, 
 def union(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
     """Ends of the parts that several traces make together, in logarithms, rising."""
     joined: list[tuple[float, float]] = []
-    for lower, upper in sorted((each.lower, each.upper) for each in parts):
+    for lower, upper in sorted((part.lower, part.upper) for part in parts):
         if joined and lower <= joined[-1][1]:
             joined[-1] = (joined[-1][0], max(joined[-1][1], upper))
         else:
@@ -93,7 +93,7 @@ def union(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
     return tuple(joined)
 
 
-def limit_of(found: Found, valley: Valley) -> float:
+def limit_of(found: CalibrationFit, valley: LocalMinimum) -> float:
     """Rise of the objective below which a least is in the 95 % set.
 
     Parameters
@@ -112,7 +112,7 @@ def limit_of(found: Found, valley: Valley) -> float:
     return float(_limits(found, way[None, :])[0])
 
 
-def reach(found: Found, number: int, unlikely: float) -> tuple[float, float]:
+def reach(found: CalibrationFit, number: int, unlikely: float) -> tuple[float, float]:
     """Least and greatest value of a parameter on the line of the leasts, in logarithms.
 
     Parameters
@@ -135,7 +135,7 @@ def reach(found: Found, number: int, unlikely: float) -> tuple[float, float]:
     return float(reached.min()), float(reached.max())
 
 
-def _limits(found: Found, ways: Floats) -> Floats:
+def _limits(found: CalibrationFit, ways: Floats) -> Floats:
     """Squares of the quantiles of combinations of parameters and gain, in standard errors."""
     lowest = found.valleys[0]
     error = np.sqrt(np.einsum("ni,ij,nj->n", ways, lowest.spread.covariance, ways))
@@ -147,7 +147,9 @@ def _limits(found: Found, ways: Floats) -> Floats:
     return np.asarray((found.widening * np.array(roots)) ** 2)
 
 
-def trace(found: Found, number: int, valley: Valley, *, unlikely: float = 1.0) -> Trace:
+def trace(
+    found: CalibrationFit, number: int, valley: LocalMinimum, *, unlikely: float = 1.0
+) -> Trace:
     """Follow the objective to both sides of a least, all other unknowns fitted anew.
 
     Parameters

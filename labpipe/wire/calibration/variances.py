@@ -17,9 +17,9 @@ from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
 from labpipe.records.arrays import Flags, Floats
+from labpipe.wire.calibration.law_components import ModelForce
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, shared_errors
 from labpipe.wire.calibration.parameter_search import Fit, Levels, P, Problem
-from labpipe.wire.calibration.wire_parts import ModelForce
 
 _HIGHEST_CORRELATION = 0.98
 _RATIOS = (-6.0, 14.0, 41)  # logarithms of scatter^2 times information over noise, and how many

@@ -116,7 +116,7 @@ class PlanarRod:
         message = f"no equilibrium under {load}"
         raise RuntimeError(message)
 
-    def let_go(self, steps: int = 20) -> None:
+    def curvature_after_release(self, steps: int = 20) -> None:
         """Take away what holds the far end, force and moment in proportion."""
         force, moment = self.force, self.far_moment
         for share in np.linspace(1.0, 0.0, steps + 1)[1:]:

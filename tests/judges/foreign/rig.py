@@ -89,7 +89,7 @@ def drifted() -> float:
 
     The square of sin(a + d) - sin(a) is 1 - cos(d) in the mean over a; that over d, in between.
     """
-    low, high = (2.0 * np.pi * each for each in WAVES)
+    low, high = (2.0 * np.pi * wave for wave in WAVES)
     return float(DRIFT * np.sqrt(1.0 - (np.sin(high) - np.sin(low)) / (high - low)))
 
 

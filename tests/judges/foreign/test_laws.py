@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.calibration.wire_parts import loading_curve, take_apart
+from labpipe.wire.calibration.law_components import loading_curve, take_apart
 from labpipe.wire.first_loading import force_at
 from tests.coverage.wire_campaigns import rig_of, wire_of
 from tests.judges.foreign.planar_rod import PlanarRod, Stops, stops_through
@@ -66,7 +66,7 @@ def test_stops_keep_what_they_slid() -> None:
     for angle in np.linspace(0.2, 2.0, 10):
         rod.hold(along_circle(float(angle)), float(angle))
     assert rod.far_moment == pytest.approx(0.2 * 20.0 + 0.8 * 5.0, rel=1e-3)
-    rod.let_go()
+    rod.curvature_after_release()
     assert rod.shape().curvature[:-1] == pytest.approx(np.full(40, 20.0 - 8.0), rel=3e-3)
 
 
@@ -74,7 +74,7 @@ def test_weight_is_carried() -> None:
     rod = PlanarRod(LENGTH, 60, SPRING, weight=2.0, has_far_clamp=False)
     rod.hold(LENGTH * np.array([0.95, -0.2]))
     assert rod.shape().start_force[1] + rod.force[1] == pytest.approx(2.0 * LENGTH)
-    rod.let_go()
+    rod.curvature_after_release()
     fallen = solve_bvp(
         lambda s, y: np.stack([y[1], 2.0 * (LENGTH - s) * np.cos(y[0]) / 1e-3, np.sin(y[0])]),
         lambda clamp, tip: np.array([clamp[0], tip[1], clamp[2]]),

@@ -194,7 +194,7 @@ def nonsense(row: dict[str, Any]) -> str:
     ends = row["lower"], row["upper"]
     if row["status"] == "ok" and None in ends:
         return "no interval"
-    given = [each for each in (row["value"], row["estimate"], *ends) if each is not None]
+    given = [cell for cell in (row["value"], row["estimate"], *ends) if cell is not None]
     if not all(isfinite(each) for each in given):
         return "not a number"
     return "" if None in ends or ends[0] < ends[1] else "no width"

@@ -176,8 +176,8 @@ def cord_torsion(of: Values) -> Bounds:
 
 
 MODELS: dict[str, Callable[[Values], Bounds]] = {
-    each.__name__: each
-    for each in (
+    six_wire.__name__: six_wire
+    for six_wire in (
         *(mass, axial, modulus, modulus_share, strand_mass),
         *(bending, six_wires, cord, cord_torsion),
     )

@@ -15,7 +15,7 @@ from tests.judges.outside.cards import (
 )
 
 CARDS = read_cards()
-NUMBERS = [pytest.param(each, id=each.name) for card in CARDS for each in card.numbers]
+NUMBERS = [pytest.param(number, id=number.name) for card in CARDS for number in card.numbers]
 AREA = np.pi * 2.1e-3**2 / 4.0
 
 
@@ -41,11 +41,11 @@ def test_the_axial_stiffness_of_seven_wires_by_hand() -> None:
 
 
 def test_the_line_through_published_points() -> None:
-    found = [each for card in CARDS for each in card.numbers if each.points]
+    found = [number for card in CARDS for number in card.numbers if number.points]
     assert found
-    for each in found:
-        slope = np.polyfit(each.points["strain"], each.points["force_mn"], 1)[0]
-        assert each.value == pytest.approx(slope, rel=1e-3)
+    for finding in found:
+        slope = np.polyfit(finding.points["strain"], finding.points["force_mn"], 1)[0]
+        assert finding.value == pytest.approx(slope, rel=1e-3)
 
 
 @pytest.mark.realdata

@@ -342,7 +342,7 @@ def plain_numbers(record: Record, asked: Asked) -> dict[str, Plain | None]:
     if asked.segments and asked.window is not None:
         low, high = 1e-3 * asked.window[0], 1e-3 * asked.window[1]
         values = two_segments(*window(record, parts[0], low, high))
-        found |= {name: Plain.of(each) for name, each in zip(SEGMENTS, values, strict=True)}
+        found |= {name: Plain.of(value) for name, value in zip(SEGMENTS, values, strict=True)}
     for number, cycle in enumerate(parts, start=1):
         way = sense(record.force[parts[0].begin : parts[0].turn + 1])
         found[f"peak_force.{number}"] = peak_force(record, cycle, way)
@@ -355,7 +355,7 @@ def either(found: Iterable[dict[str, Plain | None]]) -> dict[str, Plain | None]:
     """Numbers that were taken in several ways: from the lowest to the highest."""
     first, *others = found
     return {
-        name: plain and Plain.of(*(end for each in (first, *others) for end in _ends(each[name])))
+        name: plain and Plain.of(*(end for other in (first, *others) for end in _ends(other[name])))
         for name, plain in first.items()
     }
 

@@ -23,7 +23,7 @@ from tests.judges.plain.definitions import Plain
 
 
 @dataclass(frozen=True)
-class Ran:
+class RunSummary:
     """Exit status, what was said on the terminal, and summary.json (empty if there is none)."""
 
     status: int
@@ -43,7 +43,7 @@ class Ran:
 CRASHED = -1
 
 
-def process(home: Path, sheet: str, files: dict[str, bytes]) -> Ran:
+def process(home: Path, sheet: str, files: dict[str, bytes]) -> RunSummary:
     """Write ``test.yaml`` and `files` beside it, and process; the test is called T."""
     folder = home / "raw" / "c" / "T"
     folder.mkdir(parents=True)
@@ -55,7 +55,7 @@ def process(home: Path, sheet: str, files: dict[str, bytes]) -> Ran:
         status = _run(folder)
     summary = home / "processed" / "c" / "T" / "summary.json"
     said = json.loads(summary.read_text(encoding="utf-8")) if summary.is_file() else {}
-    return Ran(status, out.getvalue(), err.getvalue(), said)
+    return RunSummary(status, out.getvalue(), err.getvalue(), said)
 
 
 def _run(folder: Path) -> int:
@@ -113,7 +113,7 @@ ABOUT_INTERVALS = {"no_width", "slow_noise", "uneven_noise", "value_outside", "w
 """Doubts about how far a number may be off, not about the number: it is plain all the same."""
 
 
-def complaints(ran: Ran, expected: Expected) -> list[str]:
+def complaints(ran: RunSummary, expected: Expected) -> list[str]:
     """Every breach of the rule, in a sentence with its numbers."""
     found = list(_terminal(ran))
     if not ran.summary:
@@ -123,12 +123,12 @@ def complaints(ran: Ran, expected: Expected) -> list[str]:
     for name, plain in expected.numbers.items():
         if name in ran.results:
             found += _judged(name, ran.results[name], plain, expected, ran)
-        elif plain is not None and not any(fnmatch(name, each) for each in expected.causes):
+        elif plain is not None and not any(fnmatch(name, cause) for cause in expected.causes):
             found.append(f"{name}: not in the summary, plainly {_shown(plain)}")
     found += [
-        f"{name}: {each['value']:.6g} is ok, but there is no such number"
-        for name, each in ran.results.items()
-        if each["status"] == "ok" and _counted(name) and name not in expected.numbers
+        f"{name}: {result['value']:.6g} is ok, but there is no such number"
+        for name, result in ran.results.items()
+        if result["status"] == "ok" and _counted(name) and name not in expected.numbers
     ]
     return found
 
@@ -137,7 +137,7 @@ def _counted(name: str) -> bool:
     return name.startswith(("peak_force.", "peak_displacement.", "energy."))
 
 
-def _terminal(ran: Ran) -> Iterator[str]:
+def _terminal(ran: RunSummary) -> Iterator[str]:
     for stream in (ran.out, ran.err):
         yield from (
             f"terminal: {line.strip()[:200]}"
@@ -148,7 +148,7 @@ def _terminal(ran: Ran) -> Iterator[str]:
         yield f"exit status {ran.status}: {ran.err.strip().splitlines()[-1:]}"
 
 
-def _refused(ran: Ran, expected: Expected) -> Iterator[str]:
+def _refused(ran: RunSummary, expected: Expected) -> Iterator[str]:
     said = ran.err.strip()
     if ran.status != 2:
         yield f"no summary, but exit status {ran.status}"
@@ -156,23 +156,23 @@ def _refused(ran: Ran, expected: Expected) -> Iterator[str]:
         yield f"refused: {said[:300]}"
 
 
-def _sentences(ran: Ran) -> Iterator[str]:
-    for name, each in ran.results.items():
-        if NAN.search(why(each)) or NAN.search(each["method"]):
-            yield f"{name}: no sentence: {why(each)} {each['method']}"
+def _sentences(ran: RunSummary) -> Iterator[str]:
+    for name, result in ran.results.items():
+        if NAN.search(why(result)) or NAN.search(result["method"]):
+            yield f"{name}: no sentence: {why(result)} {result['method']}"
     for note in ran.notes:
         if NAN.search(note["message"]):
             yield f"note {note['code']}: no sentence: {note['message']}"
 
 
-def _status(ran: Ran) -> Iterator[str]:
-    failed = any(each["status"] == "failed" for each in ran.results.values())
+def _status(ran: RunSummary) -> Iterator[str]:
+    failed = any(result["status"] == "failed" for result in ran.results.values())
     if ran.status in (0, 1) and ran.status != int(failed):
         yield f"exit status {ran.status}, with {'a' if failed else 'no'} failed result"
 
 
 def _judged(
-    name: str, result: dict[str, Any], plain: Plain | None, expected: Expected, ran: Ran
+    name: str, result: dict[str, Any], plain: Plain | None, expected: Expected, ran: RunSummary
 ) -> Iterator[str]:
     if result["status"] == "ok" or (result["reasons"] and set(codes(result)) <= ABOUT_INTERVALS):
         yield from _value(name, result, plain, expected, ran)
@@ -191,7 +191,7 @@ def _judged(
 
 
 def _value(
-    name: str, result: dict[str, Any], plain: Plain | None, expected: Expected, ran: Ran
+    name: str, result: dict[str, Any], plain: Plain | None, expected: Expected, ran: RunSummary
 ) -> Iterator[str]:
     value = float(result["value"])
     if plain is None:
@@ -208,7 +208,7 @@ def _value(
         yield f"{name}: {value:.6g} is negative, and no reason is given"
 
 
-def _sign_said(ran: Ran) -> bool:
+def _sign_said(ran: RunSummary) -> bool:
     return any(SIGN.search(note["code"]) for note in ran.notes)
 
 

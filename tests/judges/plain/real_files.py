@@ -71,7 +71,7 @@ class Real:
 def read(real: Real, root: Path) -> Record:
     """Rows of all files in the order of their times; NaN where a cell is blank."""
     tables = [_table(root / name, real.columns) for name in real.files if _filled(root / name)]
-    table = np.concatenate(sorted(tables, key=lambda each: float(each[0, -1])))
+    table = np.concatenate(sorted(tables, key=lambda table: float(table[0, -1])))
     time = None if real.columns.time is None else table[:, 2] * (60.0 if real.minutes else 1.0)
     newton, metre = NEWTON[real.units[0]], METRE[real.units[1]]
     late = slice(0 if time is None else int(np.searchsorted(time, real.since)), None)
@@ -114,7 +114,7 @@ def controldesk(path: Path) -> dict[str, Samples]:
     if not h5py.is_hdf5(path):
         content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
         (data,) = (each for name, each in content.items() if not name.startswith("_"))
-        found = {f"{each.Path}/{each.Name}": each.Data for each in data.Y}
+        found = {f"{datum.Path}/{datum.Name}": datum.Data for datum in data.Y}
         return {"": data.X.Data, **found}
     with h5py.File(path) as file:
         (group,) = (file[name] for name in file if not name.startswith("#"))
@@ -200,9 +200,9 @@ class Recorder:
         record, asked = self.record(root), Asked(None, self.stroke, failure=False)
         samples = self.samples(record)
         ways = filtered(record, samples, 1e-3 * self.stroke)
-        numbers = either(plain_numbers(each, asked) for each in ways)
+        numbers = either(plain_numbers(way, asked) for way in ways)
         if self.position_only:
-            numbers = {name: each for name, each in numbers.items() if "displacement" in name}
+            numbers = {name: number for name, number in numbers.items() if "displacement" in name}
         return Expected(numbers, causes=excused(record, asked) | dict(self.hurt))
 
     def record(self, root: Path) -> Record:
@@ -221,7 +221,7 @@ def exported(path: Path) -> dict[str, Samples]:
     """Time ("") and channels of a CSV of ControlDesk, whose first samples follow their label."""
     text = path.read_text(encoding="utf-8-sig")
     head, _, body = text.partition("\ntrace_values,")
-    (line,) = (each for each in head.splitlines() if each.startswith("trace_names,"))
+    (line,) = (line for line in head.splitlines() if line.startswith("trace_names,"))
     rows = pd.read_csv(StringIO(body.replace("\n,", "\n")), header=None).to_numpy(dtype=float)
     return dict(zip(["", *line.split(",")[2:]], rows.T, strict=True))
 

@@ -23,7 +23,7 @@ from tests.judges.plain.definitions import (
     stiffness,
     trapezoid,
 )
-from tests.judges.plain.judge import Expected, Ran, complaints, marked, process
+from tests.judges.plain.judge import Expected, RunSummary, complaints, marked, process
 from tests.judges.plain.real_files import FRAMES, RECORDERS, Real, Recorder, Take, read
 
 TRAVEL = np.array([0.0, 1.0, 2.0, 3.0, 3.0, 2.0, 1.0, 0.0, 0.0, 1.0, 2.0])
@@ -60,11 +60,11 @@ def test_breaks(force: list[int], found: Break | None) -> None:
     assert failure(record, Cycle(0, len(force) - 1, len(force) - 1, None)) == found
 
 
-def ran(status: str = "ok", value: float = 100.0, reason: str = "", **more: Any) -> Ran:
-    told = [each.split(": ") for each in reason.split("; ") if each]
+def ran(status: str = "ok", value: float = 100.0, reason: str = "", **more: Any) -> RunSummary:
+    told = [part.split(": ") for part in reason.split("; ") if part]
     reasons = [{"code": code, "message": message} for code, message in told]
     result = {"name": "peak_force.1", "value": value, "status": status, "reasons": reasons}
-    return Ran(0, "", "", {"results": [{**result, "method": ""}], "quality": [], **more})
+    return RunSummary(0, "", "", {"results": [{**result, "method": ""}], "quality": [], **more})
 
 
 FINE = Expected({"peak_force.1": Plain(100.0, 100.0)})
@@ -89,12 +89,12 @@ CUT = replace(FINE, causes={"peak_*": "partial_cycle"}, own=False)
         (ran(), Expected({"energy.1": Plain(1.0, 1.0)}), "energy.1: not in the summary"),
         (replace(ran(), err="RuntimeWarning: x"), FINE, "terminal: "),
         (replace(ran(), status=1), FINE, "exit status 1, with no failed result"),
-        (Ran(2, "", "no"), FINE, "refused: no"),
-        (Ran(-1, "", "Traceback"), FINE, "exit status -1"),
+        (RunSummary(2, "", "no"), FINE, "refused: no"),
+        (RunSummary(-1, "", "Traceback"), FINE, "exit status -1"),
     ],
 )
-def test_what_is_wrong_is_found(outcome: Ran, rule: Expected, said: str) -> None:
-    assert any(said in each for each in complaints(outcome, rule))
+def test_what_is_wrong_is_found(outcome: RunSummary, rule: Expected, said: str) -> None:
+    assert any(said in error_text for error_text in complaints(outcome, rule))
 
 
 pytestmark = pytest.mark.realdata

@@ -15,13 +15,21 @@ from labpipe.records.wire_calibration import (
     RADIAL_FRICTION,
     Calibration,
     CalibrationFailure,
-    Identified,
+    Identifiability,
     ParameterChoice,
 )
 from labpipe.wire.calibration.calibrate_wire import calibrate
-from labpipe.wire.calibration.fit import BOUNDS, Found, Settings, Wire, find, log_error_of, pose
+from labpipe.wire.calibration.fit import (
+    BOUNDS,
+    CalibrationFit,
+    Settings,
+    Wire,
+    find,
+    log_error_of,
+    pose,
+)
+from labpipe.wire.calibration.law_components import WireParts, take_apart
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.calibration.wire_parts import WireParts, take_apart
 from labpipe.wire.cross_section import Layer, concentric
 from labpipe.wire.friction import Contacts, insulated
 from tests.approved import Approve
@@ -85,7 +93,7 @@ def test_a_parameter_at_its_bound() -> None:
     found = calibrated(THREE, Settings({"insulation_modulus": choice}, gain=0.005))
     modulus = found.parameter("insulation_modulus")
     assert modulus.at_bound == "lower"
-    assert modulus.verdict is Identified.AT_BOUND
+    assert modulus.verdict is Identifiability.AT_BOUND
     assert "at_bound" in codes(found)
     upper = ParameterChoice(0.7e9, upper=0.8e9)
     below = calibrated(THREE, Settings({"insulation_modulus": upper}, gain=0.005))
@@ -98,9 +106,9 @@ def test_what_is_identified_is_so_at_99_per_cent() -> None:
     copper, modulus = found.parameter("copper_scale"), found.parameter("insulation_modulus")
     (part,) = copper.intervals
     assert 1.7 < part.upper / part.lower < 1.8
-    assert copper.verdict is Identified.WEAKLY
+    assert copper.verdict is Identifiability.WEAKLY
     assert ", and at 99 % between 0.66" in copper.words
-    assert modulus.verdict is Identified.WELL
+    assert modulus.verdict is Identifiability.WELL
     assert "99 %" not in modulus.words
 
 
@@ -143,7 +151,7 @@ def test_not_identified_is_noted() -> None:
     found = calibrated(noisy, Settings({"copper_scale": FIXED}, gain=0.005))
     friction = found.parameter("radial_friction")
     assert friction.at_bound == ""
-    assert friction.verdict is Identified.NOT
+    assert friction.verdict is Identifiability.NOT
     assert friction.is_open_below
     assert "not_identified" in codes(found)
 
@@ -174,14 +182,17 @@ def test_values_lie_in_intervals_near_the_truth(usual: Calibration) -> None:
         assert parameter.interval.lower < parameter.value < parameter.interval.upper
         assert abs(np.log(parameter.value / truth)) < 4.0 * parameter.log_error
         assert parameter.profiles[0].deviance.min() == 0.0
-    assert usual.parameter("insulation_modulus").verdict is Identified.WELL
-    assert usual.parameter("radial_friction").verdict in {Identified.WEAKLY, Identified.NOT}
+    assert usual.parameter("insulation_modulus").verdict is Identifiability.WELL
+    assert usual.parameter("radial_friction").verdict in {
+        Identifiability.WEAKLY,
+        Identifiability.NOT,
+    }
     assert all(usual.separability.are_identified.values())
     assert usual.friction_separability is not None
     assert not any(usual.friction_separability.are_identified.values())
     exact = measured(noise=1e-5, scatter=0.0, gain=0.0, n=60)
     quiet = find(WIRE, exact, Settings(scatter=0.0))
-    assert isinstance(quiet, Found)
+    assert isinstance(quiet, CalibrationFit)
     assert np.abs(quiet.fit.point.logs - np.log(TRUTH)).max() < 0.02
     assert quiet.is_scatter_known
 
@@ -191,12 +202,12 @@ def test_a_prior_that_says_most_and_everything_held() -> None:
     copper = calibrated(THREE, Settings({"copper_scale": choice}, gain=0.005)).parameter(
         "copper_scale"
     )
-    assert copper.verdict is Identified.BY_PRIOR
+    assert copper.verdict is Identifiability.BY_PRIOR
     assert copper.conflict is not None
     assert not copper.conflict.contradicts
     held = calibrated(THREE, Settings(dict.fromkeys(PARAMETERS, FIXED)))
     assert [parameter.interval for parameter in held.parameters] == [None] * 3
-    assert {parameter.verdict for parameter in held.parameters} == {Identified.FIXED}
+    assert {parameter.verdict for parameter in held.parameters} == {Identifiability.FIXED}
     assert not held.solutions[0].covariance.any()
     assert np.isnan(held.correlations).all()
     assert held.rmse < 0.02

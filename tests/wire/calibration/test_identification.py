@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
-from labpipe.records.wire_calibration import CalibratedParameter, Identified, PriorConflict
+from labpipe.records.wire_calibration import CalibratedParameter, Identifiability, PriorConflict
 from labpipe.wire.calibration.fit import (
     FRICTION_NAMES,
     friction_jacobian,
@@ -33,7 +33,7 @@ KNOWN = CalibratedParameter(
     is_open_below=False,
     is_open_above=False,
     at_bound="",
-    verdict=Identified.WELL,
+    verdict=Identifiability.WELL,
     words="",
 )
 
@@ -41,23 +41,23 @@ KNOWN = CalibratedParameter(
 @pytest.mark.parametrize(
     ("span", "more", "expected"),
     [
-        (1.9, {}, Identified.WELL),
-        (2.1, {}, Identified.WEAKLY),
-        (101.0, {}, Identified.NOT),
-        (1.9, {"is_open": True}, Identified.NOT),
-        (1.9, {"prior_error": 0.11}, Identified.BY_PRIOR),
-        (1.9, {"prior_error": 0.12}, Identified.WELL),
-        (1.9, {"at_bound": True, "is_open": True}, Identified.AT_BOUND),
-        (1.9, {"prior_error": 0.11, "contradicts": True}, Identified.AGAINST_PRIOR),
-        (1.9, {"contradicts": True, "is_open": True}, Identified.AGAINST_PRIOR),
-        (1.9, {"contradicts": True, "at_bound": True}, Identified.AT_BOUND),
-        (1.9, {"is_apart": True}, Identified.WELL),
-        (2.1, {"is_apart": True}, Identified.TWO),
-        (1.9, {"is_apart": True, "span_with_others": 4.0}, Identified.TWO),
-        (101.0, {"is_apart": True}, Identified.NOT),
+        (1.9, {}, Identifiability.WELL),
+        (2.1, {}, Identifiability.WEAKLY),
+        (101.0, {}, Identifiability.NOT),
+        (1.9, {"is_open": True}, Identifiability.NOT),
+        (1.9, {"prior_error": 0.11}, Identifiability.BY_PRIOR),
+        (1.9, {"prior_error": 0.12}, Identifiability.WELL),
+        (1.9, {"at_bound": True, "is_open": True}, Identifiability.AT_BOUND),
+        (1.9, {"prior_error": 0.11, "contradicts": True}, Identifiability.AGAINST_PRIOR),
+        (1.9, {"contradicts": True, "is_open": True}, Identifiability.AGAINST_PRIOR),
+        (1.9, {"contradicts": True, "at_bound": True}, Identifiability.AT_BOUND),
+        (1.9, {"is_apart": True}, Identifiability.WELL),
+        (2.1, {"is_apart": True}, Identifiability.TWO),
+        (1.9, {"is_apart": True, "span_with_others": 4.0}, Identifiability.TWO),
+        (101.0, {"is_apart": True}, Identifiability.NOT),
     ],
 )
-def test_verdicts(span: float, more: dict[str, bool], expected: Identified) -> None:
+def test_verdicts(span: float, more: dict[str, bool], expected: Identifiability) -> None:
     usual = {"at_bound": False, "is_open": False, "log_error": 0.1, "prior_error": np.inf}
     assert verdict_of(span, **{**usual, **more}) is expected  # type: ignore[arg-type]
 
@@ -112,18 +112,18 @@ def test_words(approved: Approve) -> None:
     two = (Interval(0.9e9, 1.1e9), Interval(2e9, 3e9))
     changes: list[dict[str, Any]] = [
         {},
-        {"is_open_below": True, "verdict": Identified.NOT},
+        {"is_open_below": True, "verdict": Identifiability.NOT},
         {"is_open_above": True},
-        {"is_open_below": True, "is_open_above": True, "verdict": Identified.NOT},
+        {"is_open_below": True, "is_open_above": True, "verdict": Identifiability.NOT},
         {"intervals": (), "source": "data sheet"},
-        {"intervals": two, "verdict": Identified.TWO},
+        {"intervals": two, "verdict": Identifiability.TWO},
         {"intervals": two, "is_open_below": True, "is_open_above": True},
         {"at_bound": "lower", "value": 0.9e9},
         {"at_bound": "upper", "value": 1.1e9},
-        {"verdict": Identified.AGAINST_PRIOR},
+        {"verdict": Identifiability.AGAINST_PRIOR},
     ]
     lines = [words_of(replace(KNOWN, **change)) for change in changes]
-    lines.append(words_of(replace(KNOWN, verdict=Identified.TWO), [(4e8, 0.08)]))
+    lines.append(words_of(replace(KNOWN, verdict=Identifiability.TWO), [(4e8, 0.08)]))
     names = ("a", "b", "radial_force")
     for matrix in (np.diag([10.0, 4.0, 2.0]), np.diag([9.0, 4.0, 0.0]), np.ones((3, 3))):
         lines.append(separability(names, matrix, "three").words.partition(" (singular")[0])

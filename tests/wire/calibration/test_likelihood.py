@@ -12,13 +12,15 @@ from scipy.special import ndtr
 from labpipe.records.wire_calibration import (
     Calibration,
     CalibrationFailure,
-    Identified,
+    Identifiability,
     ParameterChoice,
     ScatterMixture,
 )
-from labpipe.wire.calibration.bent_family import tube_quantile
 from labpipe.wire.calibration.calibrate_wire import calibrate
-from labpipe.wire.calibration.fit import Found, Settings, find, pose
+from labpipe.wire.calibration.fit import CalibrationFit, Settings, find, pose
+from labpipe.wire.calibration.law_components import take_apart
+from labpipe.wire.calibration.local_minima import settle
+from labpipe.wire.calibration.nonlinearity import tube_quantile
 from labpipe.wire.calibration.parameter_search import (
     Fit,
     Levels,
@@ -29,9 +31,7 @@ from labpipe.wire.calibration.parameter_search import (
 )
 from labpipe.wire.calibration.profile_likelihood import reach, traces
 from labpipe.wire.calibration.scatter_mixture import quantiles
-from labpipe.wire.calibration.valleys import settle
 from labpipe.wire.calibration.variances import quantile
-from labpipe.wire.calibration.wire_parts import take_apart
 from tests.builders.loading_tests import TRUTH, measured, wire_of
 
 WIRE = wire_of("A2")
@@ -135,7 +135,7 @@ def test_both_solutions_are_kept_and_said() -> None:
     assert low.values[1:] == pytest.approx(TRUTH[1:], rel=0.3)
     assert high.values[2] > 5.0
     copper = found.parameter("copper_scale")
-    assert copper.verdict is Identified.TWO
+    assert copper.verdict is Identifiability.TWO
     first, second = copper.intervals
     assert first.lower < TRUTH[2] < first.upper < second.lower < high.values[2] < second.upper
     assert [profile.deviance.min() for profile in copper.profiles] == [0.0, other.rise]
@@ -165,7 +165,9 @@ def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> 
         assert isinstance(fit, Fit)
         return [replace(fit, objective=fit.objective - 1e-6)]
 
-    monkeypatch.setattr("labpipe.wire.calibration.valleys.leasts", lower_by_rounding)
+    monkeypatch.setattr(
+        "labpipe.wire.calibration.local_minima.find_local_minima", lower_by_rounding
+    )
     fits = settle(problem_of(), np.log(TRUTH), ALL, scatter=None).fits
     assert len(fits) == 1
 
@@ -173,7 +175,7 @@ def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> 
 FIXED = ParameterChoice(is_fixed=True)
 
 
-def found_of(settings: Settings, **more: float) -> Found:
+def found_of(settings: Settings, **more: float) -> CalibrationFit:
     found = find(wire_of("A2"), measured(seed=4, n=90, **more), settings)  # type: ignore[arg-type]
     assert not isinstance(found, CalibrationFailure)
     return found
@@ -241,7 +243,7 @@ def test_two_valleys_widen_and_a_prior_does_not() -> None:
 MEAN = np.eye(4)[[3]]
 
 
-def samples_of(samples: int, settings: Settings, seed: int = 1) -> Found:
+def samples_of(samples: int, settings: Settings, seed: int = 1) -> CalibrationFit:
     found = find(wire_of("A2"), measured(samples=samples, n=60, seed=seed), settings)
     assert not isinstance(found, CalibrationFailure)
     return found

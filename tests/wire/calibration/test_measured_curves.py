@@ -21,7 +21,7 @@ from labpipe.wire.calibration.measured_curves import (
     MeasuredCurve,
     agreement,
     curve_errors,
-    lag_one,
+    lag_one_correlation,
     match,
     runs_p,
     shared_errors,
@@ -88,7 +88,7 @@ def test_agreement_takes_the_sample_s_factor_out_of_residuals_only() -> None:
     curve = MeasuredCurve("A2", "t", "s", 0.085, 0.05 * model, force, 0.01)
     found = agreement(curve, model, 1.1)
     assert found.sse == pytest.approx(float((force - model) @ (force - model)))
-    assert found.lag_one == pytest.approx(-0.98)
+    assert found.lag_one_correlation == pytest.approx(-0.98)
     assert found.sample_factor == 1.1
     assert found.runs_p < 1e-6
 
@@ -172,8 +172,8 @@ def test_signs_and_neighbours_of_residuals() -> None:
     assert runs_p(np.ones(9)) == 0.0
     assert runs_p(np.array([1.0, -1.0])) == 1.0
     assert runs_p(np.repeat([1.0, -1.0], 50)) < 1e-10
-    assert lag_one(np.array([1.0, -1.0, 1.0, -1.0])) == -0.75
-    assert lag_one(np.zeros(5)) == 0.0
+    assert lag_one_correlation(np.array([1.0, -1.0, 1.0, -1.0])) == -0.75
+    assert lag_one_correlation(np.zeros(5)) == 0.0
 
 
 NOTHING, UNKNOWN = np.zeros(0), np.full(len(OTHER), np.nan)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
+from labpipe.wire.calibration.law_components import ModelForce, take_apart
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.wire.calibration.parameter_search import Fit, Levels, Point, Problem
 from labpipe.wire.calibration.variances import (
@@ -16,7 +17,6 @@ from labpipe.wire.calibration.variances import (
     quantile,
     uncertainty,
 )
-from labpipe.wire.calibration.wire_parts import ModelForce, take_apart
 from tests.builders.loading_tests import TRUTH, memory_noise, wire_of
 
 WIRE = wire_of("A2")

@@ -10,8 +10,7 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.calibration.measured_curves import shared_errors
-from labpipe.wire.calibration.wire_parts import (
+from labpipe.wire.calibration.law_components import (
     WireParts,
     gram,
     loading_curve,
@@ -20,6 +19,7 @@ from labpipe.wire.calibration.wire_parts import (
     model_forces,
     take_apart,
 )
+from labpipe.wire.calibration.measured_curves import shared_errors
 from labpipe.wire.cross_section import CrossSection, Layer, compressed, concentric
 from labpipe.wire.first_loading import force_at, load_cantilever
 from labpipe.wire.friction import Contacts, insulated
@@ -99,7 +99,7 @@ def test_an_insulation_with_a_stress_table_scales_by_its_modulus() -> None:
     made = [
         replace(tube(1.6e-3, modulus=scale * 1e9), curve=replace(SOFT, stresses=stresses))
         for scale in (1.0, 0.5)
-        for stresses in [tuple(scale * each for each in SOFT.stresses)]
+        for stresses in [tuple(scale * stress for stress in SOFT.stresses)]
     ]
     contacts = insulated(1, strand=MU_S, insulation=MU_P, radial_force=PHI / (MU_S + MU_P))
     whole, half = (replace(plain, insulation=each) for each in made)

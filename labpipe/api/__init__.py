@@ -1,0 +1,95 @@
+"""The API for Python and notebooks: open, process, table, groups, inspect.
+
+Everything is in SI units, as it is stored, unless it comes through `Test.display`. What cannot be
+done is said in a `LabpipeError`, in one sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from labpipe.api.export_facts import Export, inspect
+from labpipe.api.given_paths import PathLike, path_of
+from labpipe.api.many_tests import groups, table
+from labpipe.api.one_test import Test
+from labpipe.errors import UsageError, error_text
+from labpipe.process.output_paths import RESULT_FILE, find_results, find_tests
+from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.store.read import read_outcome, read_result
+
+__all__ = ["Export", "Test", "groups", "inspect", "open", "process", "table"]
+
+
+def open(path: PathLike) -> Test:
+    """Open a processed test.
+
+    Parameters
+    ----------
+    path : its ``result.h5``, or the folder of the test
+
+    Returns
+    -------
+    The test. Numbers and curve are read at once, shapes and recordings when they are asked for.
+
+    Raises
+    ------
+    UsageError
+        If there is no processed test, or more than one.
+    StoreError
+        If the file is damaged, none of labpipe's, or of a newer schema.
+
+    Examples
+    --------
+    >>> labpipe.open("processed/A2/A2-085-1").results  # doctest: +SKIP
+    """
+    file = _only_one(path_of(path), find_results, "labpipe.table(path) puts many tests together.")
+    return Test(read_outcome(file), whole=lambda: read_result(file), folder=file.parent)
+
+
+def process(source: PathLike, *, follow_links: bool = False) -> Test:
+    """Process a test in memory; nothing is written.
+
+    Parameters
+    ----------
+    source : folder of a test, its ``test.yaml``, or a ``result.h5`` whose recordings are processed
+        again
+    follow_links : whether exports may be links out of the folder of the test
+
+    Returns
+    -------
+    The test, as `open` gives it after ``labpipe process``.
+
+    Raises
+    ------
+    LabpipeError
+        If the source is no test, or more than one, or an input is bad.
+
+    Examples
+    --------
+    >>> labpipe.process("raw/A2/A2-085-1").results  # doctest: +SKIP
+    """
+    from labpipe.process.run import read_source, reduce_test  # as heavy as processing is
+
+    file = _only_one(path_of(source), _sources, "Name the folder of one test.")
+    result = reduce_test(*read_source(file, follow_links=follow_links))
+    return Test(result)
+
+
+def _sources(targets: Sequence[Path]) -> list[Path]:
+    """Tests to process; in a folder with results and no sheet, these."""
+    (target,) = targets
+    is_result = target.is_dir() and (target / RESULT_FILE).is_file()
+    if is_result and not (target / SHEET_NAME).is_file():
+        return [target / RESULT_FILE]
+    return find_tests([target])
+
+
+def _only_one(path: Path, find: Callable[[Sequence[Path]], list[Path]], remedy: str) -> Path:
+    found = find([path])
+    if len(found) > 1:
+        message = error_text(
+            path, "", expected="one test", found=f"{len(found)} of them", remedy=remedy
+        )
+        raise UsageError(message)
+    return found[0]

@@ -1,0 +1,273 @@
+"""Records as pandas tables: index, columns, types and units as the contract of the API states.
+
+Units stand in ``frame.attrs["units"]`` by column, or in a column ``unit``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from labpipe.errors import UsageError, error_text, nearest
+from labpipe.report.wording import Scale, shown_in
+from labpipe.store.layout import NO_UNIT
+from labpipe.units import si_factor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from labpipe.records.curve import Curve, Shape
+    from labpipe.records.quality import QualityNote
+    from labpipe.records.recording import MarkerTracks, Recording, RigidBody
+    from labpipe.records.result import Result
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """The units that numbers are given in.
+
+    Parameters
+    ----------
+    display : unit by quantity, as a protocol has them; None for SI
+    """
+
+    display: Mapping[str, str] | None = None
+
+    def of_result(self, name: str, unit: str) -> Scale:
+        """Find factor and unit of a result, or of a change of it."""
+        return Scale(1.0, unit) if self.display is None else shown_in(name, unit, self.display)
+
+    def of(self, quantity: str, unit: str) -> Scale:
+        """Find factor and unit of a quantity such as ``force``."""
+        wanted = unit if self.display is None else self.display.get(quantity, unit)
+        return Scale(1.0 / si_factor(wanted, unit), wanted)
+
+
+def _texts(words: Iterable[str]) -> pd.Series:
+    return pd.Series(list(words), dtype="str")
+
+
+def _numbers(values: Iterable[float | None]) -> pd.Series:
+    return pd.Series([np.nan if value is None else value for value in values], dtype="float64")
+
+
+def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
+    """Lay out results.
+
+    Parameters
+    ----------
+    results : of one test
+    units : to give them in
+
+    Returns
+    -------
+    By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (float64, NaN where not available),
+    ``unit``, ``status``, ``code``, ``reason`` (text, the last two empty where there is none).
+    """
+    given = list(results)
+    scales = [units.of_result(each.name, each.unit) for each in given]
+    ends = [(each.interval.lower, each.interval.upper) if each.interval else () for each in given]
+    numbers = {
+        "value": [each.value for each in given],
+        "estimate": [each.likely for each in given],
+        "lower": [end[0] if end else None for end in ends],
+        "upper": [end[1] if end else None for end in ends],
+    }
+    factors = np.array([scale.factor for scale in scales], dtype=np.float64)
+    columns = {name: _numbers(values) * factors for name, values in numbers.items()}
+    columns |= {
+        "unit": _texts(scale.unit for scale in scales),
+        "status": _texts(str(each.status) for each in given),
+        "code": _texts(", ".join(each.codes) for each in given),
+        "reason": _texts(each.why for each in given),
+    }
+    frame = pd.DataFrame(columns)
+    frame.index = pd.Index(_texts(each.name for each in given), name="name")
+    return frame
+
+
+def budget_frame(result: Result, units: Units) -> pd.DataFrame:
+    """Lay out what the interval of a result is made of.
+
+    Parameters
+    ----------
+    result : with or without a budget
+    units : to give it in
+
+    Returns
+    -------
+    By ``cause``: ``change`` by one standard uncertainty of the cause, in the unit of the result,
+    ``share`` of the variance, ``is_common`` to all tests of a rig. No rows where it is not known.
+    """
+    factor, unit = units.of_result(result.name, result.unit)
+    frame = pd.DataFrame(
+        {
+            "change": _numbers(factor * contribution.change for contribution in result.budget),
+            "share": _numbers(result.shares),
+            "is_common": pd.Series(
+                [contribution.is_common for contribution in result.budget], dtype="bool"
+            ),
+        }
+    )
+    frame.index = pd.Index(
+        _texts(contribution.cause for contribution in result.budget), name="cause"
+    )
+    frame.attrs["units"] = {"change": unit, "share": "1"}
+    return frame
+
+
+def curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
+    """Lay out a curve.
+
+    Parameters
+    ----------
+    curve : of one test
+    units : to give it in
+
+    Returns
+    -------
+    ``time``, ``displacement``, ``force`` (float64), ``branch`` (from 0 in order of travel, -1
+    outside every branch), ``cycle`` (from 1, 0 outside), int64.
+    """
+    scales = {
+        "time": Scale(1.0, curve.time_unit),
+        "displacement": units.of("displacement", "m"),
+        "force": units.of("force", "N"),
+    }
+    columns = {name: scale.factor * getattr(curve, name) for name, scale in scales.items()}
+    frame = pd.DataFrame(columns | {"branch": curve.branch, "cycle": curve.cycle})
+    frame.attrs["units"] = {name: scale.unit for name, scale in scales.items()}
+    return frame
+
+
+def shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
+    """Lay out the positions along the specimen.
+
+    Parameters
+    ----------
+    shape : of one test
+    units : to give it in
+
+    Returns
+    -------
+    By ``time`` (s): a column (point, axis) for x, y and z of the clamped end, each marker and the
+    pull point, in the frame of the specimen; NaN where a marker was not seen.
+    """
+    factor, unit = units.of("displacement", "m")
+    return _positions(shape.time, shape.names, factor * shape.positions, "point", unit)
+
+
+def _positions(
+    time: np.ndarray, names: tuple[str, ...], positions: np.ndarray, of: str, unit: str
+) -> pd.DataFrame:
+    columns = pd.MultiIndex.from_product([names, _AXES], names=[of, "axis"])
+    index = pd.Index(time, name="time")
+    frame = pd.DataFrame(positions.reshape(len(time), -1), index=index, columns=columns)
+    frame.attrs["units"] = {"time": "s", "position": unit}
+    return frame
+
+
+def quality_frame(notes: Iterable[QualityNote]) -> pd.DataFrame:
+    """Lay out quality notes: ``code``, ``severity``, ``where``, ``message``, all text."""
+    given = list(notes)
+    columns = ("code", "severity", "where", "message")
+    return pd.DataFrame(
+        {name: _texts(str(getattr(note, name)) for note in given) for name in columns}
+    )
+
+
+class Recordings:
+    """What the instruments of a test recorded, as tables by name.
+
+    A name is a role, such as ``force``: its channels by time. Where an export has several clocks
+    there is a table for each, ``<role>/<clock>``. Markers are a table of (marker, axis), and each
+    rigid body has one, ``<role>/<body>``: x, y, z, quaternion qx, qy, qz, qw and error.
+
+    Parameters
+    ----------
+    recordings : by role
+    """
+
+    def __init__(self, recordings: Mapping[str, Recording]) -> None:
+        self._tables = {
+            name: make
+            for role, recording in recordings.items()
+            for name, make in _tables(role, recording)
+        }
+
+    def __getitem__(self, name: str) -> pd.DataFrame:
+        if name not in self._tables:
+            known = list(self._tables)
+            raise UsageError(
+                error_text(
+                    "raw",
+                    "",
+                    expected=f"one of {', '.join(nearest(name, known))}" if known else "recordings",
+                    found=repr(name) if known else "none",
+                    remedy="`list(test.raw)` lists them." if known else "Process the test again.",
+                )
+            )
+        return self._tables[name]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._tables)
+
+    def __len__(self) -> int:
+        return len(self._tables)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._tables
+
+    def __repr__(self) -> str:
+        return f"<labpipe recordings: {', '.join(self._tables) or 'none'}>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._tables)
+
+
+def _tables(role: str, recording: Recording) -> Iterator[tuple[str, Callable[[], pd.DataFrame]]]:
+    """Tables of a recording, by name, each made when it is asked for."""
+    tracks = recording.markers
+    is_alone = len(recording.clocks) == 1 and tracks is None
+    for clock in recording.clocks:
+        name = role if is_alone else f"{role}/{clock.name}"
+        yield name, partial(_channels, recording, clock.name)
+    if tracks is not None:
+        yield role if not recording.clocks else f"{role}/markers", partial(_markers, tracks)
+        for body in tracks.bodies:
+            yield f"{role}/{body.name}", partial(_body, tracks, body)
+
+
+def _channels(recording: Recording, clock_name: str) -> pd.DataFrame:
+    clock = recording.clock(clock_name)
+    channels = [channel for channel in recording.channels if channel.clock == clock_name]
+    short = [channel.name for channel in channels]
+    names = [
+        channel.name if short.count(channel.name) == 1 else channel.path for channel in channels
+    ]
+    columns = {name: channel.values for name, channel in zip(names, channels, strict=True)}
+    frame = pd.DataFrame(columns, index=pd.Index(clock.time, name="time"))
+    units = {name: channel.unit or NO_UNIT for name, channel in zip(names, channels, strict=True)}
+    frame.attrs["units"] = {"time": clock.unit} | units
+    return frame
+
+
+def _markers(tracks: MarkerTracks) -> pd.DataFrame:
+    return _positions(tracks.time, tracks.names, tracks.positions, "marker", "m")
+
+
+def _body(tracks: MarkerTracks, body: RigidBody) -> pd.DataFrame:
+    values = np.column_stack([body.position, body.rotation, body.error])
+    names = [*_AXES, "qx", "qy", "qz", "qw", "error"]
+    frame = pd.DataFrame(values, index=pd.Index(tracks.time, name="time"), columns=names)
+    frame.attrs["units"] = {"time": "s"} | {
+        name: "1" if name.startswith("q") else "m" for name in names
+    }
+    return frame

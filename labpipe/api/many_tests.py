@@ -1,0 +1,280 @@
+"""Many processed tests in one table, and groups of them with means and intervals."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from labpipe.api.given_paths import Paths, fields_of, paths_of
+from labpipe.errors import LabpipeError, StoreError, UsageError, error_text, nearest
+from labpipe.process.output_paths import RESULT_FILE, files_below, find_results
+from labpipe.store.replace import is_cut_off
+from labpipe.store.summaries import SUMMARY_FILE, read_summary
+
+if TYPE_CHECKING:
+    from labpipe.records.group import Group, GroupNumber
+
+_NUMBERS = ("value", "estimate", "lower", "upper")
+_TEXTS = ("unit", "status", "code", "reason")
+_OF_TEST = ("protocol", "date", "operator", "folder")
+
+
+class LeftOutWarning(UserWarning):
+    """Some tests are not in a table, as they could not be read."""
+
+
+def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
+    """Put the results of processed tests into one table.
+
+    Parameters
+    ----------
+    folder : with processed tests at any depth, or several such folders
+    by : field or fields of the test sheets that come first and that rows are sorted by
+
+    Returns
+    -------
+    A row per test and result: ``test``; the fields of the sheets (``type``, ``spool``, ``sample``,
+    dimensions in m as float64, words of a bundle, labels; a label that would take the name of
+    another column is ``label_<name>``); ``protocol``, ``date`` (datetime64), ``operator``,
+    ``folder``; ``result`` (its name), ``value``, ``estimate``, ``lower``, ``upper`` (SI, float64,
+    NaN where not available), ``unit``, ``status``, ``code``, ``reason``. What a sheet does not say
+    is NaN. ``attrs["left_out"]`` says by folder why a test is not in it.
+
+    Raises
+    ------
+    UsageError
+        If there is no processed test, or no sheet has a field of `by`.
+    StoreError
+        If no summary can be read.
+
+    Warns
+    -----
+    LeftOutWarning
+        If some summaries cannot be read.
+
+    Examples
+    --------
+    >>> labpipe.table("processed/A2", by=["type", "length"])  # doctest: +SKIP
+    """
+    by = fields_of(by)
+    rows, left_out = _read(_summaries(paths_of(folder)))
+    fields = dict.fromkeys(name for test, _ in rows for name in test if name not in _OF_TEST)
+    _check(by, [name for name in fields if name != "test"])
+    order = dict.fromkeys(("test", *by, *fields, *_OF_TEST))
+    of_tests = {name: [test.get(name) for test, _ in rows] for name in order}
+    counts = [len(results) for _, results in rows]
+    frame = pd.DataFrame({name: _column(name, values) for name, values in of_tests.items()})
+    frame = frame.loc[np.repeat(np.arange(len(rows)), counts)].reset_index(drop=True)
+    entries = [result for _, results in rows for result in results]
+    for name in ("result", *_NUMBERS, *_TEXTS):
+        kind = "float64" if name in _NUMBERS else "str"
+        frame[name] = pd.Series([entry[name] for entry in entries], dtype=kind)
+    if by:
+        frame = frame.sort_values(list(by), kind="stable", ignore_index=True)
+    frame.attrs["left_out"] = left_out
+    return frame
+
+
+def _summaries(places: Sequence[Path]) -> list[Path]:
+    """Summaries of processed tests: those beside a result file."""
+    summaries: dict[Path, None] = {}
+    for place in places:
+        below = files_below(place, SUMMARY_FILE) if place.is_dir() else []
+        own = [each for each in below if (each.parent / RESULT_FILE).exists()]
+        if not own:
+            missing = "none" if place.is_dir() else "a file" if place.exists() else "nothing there"
+            message = error_text(
+                place,
+                "",
+                expected="a folder with processed tests",
+                found=missing,
+                remedy="`labpipe process` makes them from the exports of a test.",
+            )
+            raise UsageError(message)
+        summaries |= dict.fromkeys(own)
+    return list(summaries)
+
+
+_Row: TypeAlias = tuple[dict[str, Any], list[dict[str, Any]]]
+
+
+def _read(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
+    rows: list[_Row] = []
+    left_out: dict[str, str] = {}
+    for file in files:
+        try:
+            rows.append(_row(file))
+        except LabpipeError as error:
+            left_out[str(file.parent)] = str(error)
+    if not rows:
+        raise StoreError("\n".join(left_out.values()))
+    if left_out:
+        warnings.warn("\n".join(left_out.values()), LeftOutWarning, stacklevel=3)
+    return rows, left_out
+
+
+def _row(file: Path) -> _Row:
+    """What a summary says of the test, and its results."""
+    if is_cut_off(file.parent):
+        found = "one whose files are being replaced, or were when a process was killed"
+        remedy = f"Wait until it is done, or finish it: `labpipe process {file.parent}`."
+        text = error_text(file, "", expected="a whole result", found=found, remedy=remedy)
+        raise StoreError(text)
+    said = read_summary(file)
+    try:
+        day = said.get("date")
+        test = {
+            "test": str(said["test"]),
+            **_fields(said["specimen"]),
+            "protocol": str(said["protocol"]),
+            "date": date.fromisoformat(day) if day else None,
+            "operator": str(said.get("operator") or ""),
+            "folder": str(file.parent),
+        }
+        return test, [_result(sentence) for sentence in said["results"]]
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        text = error_text(
+            file,
+            "",
+            expected="a whole summary",
+            found=f"a damaged one ({error})",
+            remedy="Process the test again.",
+        )
+        raise StoreError(text) from error
+
+
+def _fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a sheet by name; of a bundle its words and sizes, not the list of wires."""
+    plain = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
+    bundle = {
+        name: value
+        for name, value in dict(specimen.get("bundle", {})).items()
+        if not isinstance(value, list)
+    }
+    taken = {*plain, *bundle, "test", "result", *_OF_TEST, *_NUMBERS, *_TEXTS}
+    labels = {
+        f"label_{name}" if name in taken else str(name): str(word)
+        for name, word in dict(specimen.get("labels", {})).items()
+    }
+    return plain | bundle | labels
+
+
+def _result(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """An entry of a summary; one of an earlier version says some things in other words."""
+    reasons = entry.get("reasons", [])
+    numbers = {name: entry.get(name) for name in _NUMBERS}
+    numbers["estimate"] = entry.get("estimate", entry["value"])
+    return {
+        "result": str(entry["name"]),
+        **{name: np.nan if number is None else float(number) for name, number in numbers.items()},
+        "unit": str(entry["unit"]),
+        "status": str(entry["status"]),
+        "code": entry.get("code", ", ".join(dict.fromkeys(reason["code"] for reason in reasons))),
+        "reason": str(
+            entry.get(
+                "reason", "; ".join(f"{reason['code']}: {reason['message']}" for reason in reasons)
+            )
+        ),
+    }
+
+
+def _column(name: str, values: Sequence[Any]) -> pd.Series:
+    if name == "date":
+        return pd.Series(pd.to_datetime(pd.Series(values, dtype="object")))
+    given = [value for value in values if value is not None]
+    is_number = bool(given) and all(isinstance(each, int | float) for each in given)
+    return pd.Series(values, dtype="float64" if is_number else "str")
+
+
+def _check(by: Sequence[str], known: list[str]) -> None:
+    for name in by:
+        if name not in known:
+            text = error_text(
+                "by",
+                "",
+                expected=f"a field of the test sheets: {', '.join(nearest(name, known))}",
+                found=repr(name),
+                remedy="Choose one of these.",
+            )
+            raise UsageError(text)
+
+
+def groups(
+    folder: Paths, *, by: str | Sequence[str] = (), say: Callable[[str], None] = lambda _: None
+) -> pd.DataFrame:
+    """Put processed tests into groups, as ``labpipe report`` does, with means and intervals.
+
+    Parameters
+    ----------
+    folder : with processed tests at any depth, or several such folders
+    by : field or fields that groups are made by; those that a report takes if empty
+    say : is given the name of each test as it is read
+
+    Returns
+    -------
+    A row per group and result: ``group``, ``protocol``, ``result``, ``mean``, ``estimate`` (the
+    mean less what noise adds to it), ``lower``, ``upper`` (95 % interval of the estimate),
+    ``deviation`` (standard deviation of what was averaged; all in SI, float64), ``n`` (values
+    averaged: samples, or means of spools), ``tests`` (that have the result), ``unit``, ``how``
+    (what was averaged, and why), ``reason`` (why there is no interval; empty otherwise).
+    ``attrs["left_out"]`` says by file why a test is not in it.
+
+    Raises
+    ------
+    LabpipeError
+        If there is no processed test, none can be read, two have one name, or no test sheet has
+        a field of `by`.
+    """
+    from labpipe.campaign.reporting import (
+        ReportOptions,
+        make_campaign,
+    )  # half a second, for this alone
+
+    campaign = make_campaign(
+        find_results(paths_of(folder)), "", say, ReportOptions(by=fields_of(by))
+    )
+    rows = [_group_row(group, number) for group in campaign.groups for number in group.numbers]
+    frame = pd.DataFrame(rows, columns=list(_GROUP_KINDS)).astype(_GROUP_KINDS)
+    frame.attrs["left_out"] = dict(campaign.left_out)
+    return frame
+
+
+_GROUP_KINDS = {
+    **dict.fromkeys(("group", "protocol", "result"), "str"),
+    **dict.fromkeys(("mean", "estimate", "lower", "upper", "deviation"), "float64"),
+    **dict.fromkeys(("n", "tests"), "int64"),
+    **dict.fromkeys(("unit", "how", "reason"), "str"),
+}
+
+
+def _group_row(group: Group, number: GroupNumber) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "group": group.name,
+        "protocol": group.protocol,
+        "result": number.name,
+        "tests": len(number.values),
+        "unit": number.unit,
+        "n": 0,
+        "how": "",
+        "reason": "no test has this result",
+    }
+    if number.mean is None:
+        return row
+    mean = number.mean.chosen
+    interval = mean.interval
+    return row | {
+        "mean": mean.mean,
+        "estimate": mean.mean if mean.estimate is None else mean.estimate,
+        "lower": np.nan if interval is None else interval.lower,
+        "upper": np.nan if interval is None else interval.upper,
+        "deviation": mean.deviation,
+        "n": mean.n,
+        "how": str(number.mean.decision),
+        "reason": "" if mean.reason is None else str(mean.reason),
+    }

@@ -1,0 +1,274 @@
+"""One processed test, for Python and notebooks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from labpipe.api.data_frames import (
+    Recordings,
+    Units,
+    budget_frame,
+    curve_frame,
+    quality_frame,
+    results_frame,
+    shape_frame,
+)
+from labpipe.api.notebook_page import page_of
+from labpipe.errors import ProcessingError, UsageError, error_text, nearest
+from labpipe.records.quality import Severity
+from labpipe.records.result import Status, TestResult
+from labpipe.store.summaries import summary
+
+if TYPE_CHECKING:
+    import datetime
+
+    import pandas as pd
+
+    from labpipe.api.data_sets import Dataset
+    from labpipe.records.result import Instrument, Result, Specimen
+    from labpipe.report.figures import Figure
+
+_RESULT, _FIGURE, _PART, _CURVE, _SHAPE = "result", "figure", "part", "curve", "shape"
+
+
+class Test:
+    """A processed test: numbers, curve, shapes, recordings, notes and figures.
+
+    `labpipe.open` and `labpipe.process` make it. All numbers are in SI units; the same test with
+    those of its protocol (mm, mJ ...) is `display`.
+
+    Parameters
+    ----------
+    outcome : the processed test; it may lack shapes and recordings if `whole` has them
+    whole : gives the test with everything, when it is asked for
+    folder : of its files; None where there are none
+    units : to give numbers in
+    """
+
+    __test__ = False  # not a test of this project, whatever its name suggests to pytest
+
+    def __init__(
+        self,
+        outcome: TestResult,
+        *,
+        whole: Callable[[], TestResult] | None = None,
+        folder: Path | None = None,
+        units: Units | None = None,
+    ) -> None:
+        self._outcome = outcome
+        self._read_whole = whole
+        self._units = units or Units()
+        self.folder = folder
+
+    @cached_property
+    def _whole(self) -> TestResult:
+        return self._outcome if self._read_whole is None else self._read_whole()
+
+    @property
+    def name(self) -> str:
+        """Name of the test."""
+        return self._outcome.test
+
+    @property
+    def protocol(self) -> str:
+        """Name of its protocol."""
+        return self._outcome.protocol
+
+    @property
+    def specimen(self) -> Specimen:
+        """What was tested; dimensions in m."""
+        return self._outcome.specimen
+
+    @property
+    def date(self) -> datetime.date | None:
+        """Day of the test; None where neither sheet nor exports say it."""
+        return self._outcome.date
+
+    @property
+    def operator(self) -> str:
+        """Who made the test; empty where the sheet does not say it."""
+        return self._outcome.operator
+
+    @property
+    def instruments(self) -> tuple[Instrument, ...]:
+        """Instruments whose certificates the protocol states."""
+        return self._outcome.instruments
+
+    @property
+    def summary(self) -> dict[str, object]:
+        """What stands in ``summary.json``, in SI units."""
+        return summary(self._outcome)
+
+    @property
+    def display(self) -> Test:
+        """The same test with numbers in the display units of its protocol."""
+        return Test(
+            self._outcome,
+            whole=lambda: self._whole,
+            folder=self.folder,
+            units=Units(dict(self._outcome.display)),
+        )
+
+    @property
+    def results(self) -> pd.DataFrame:
+        """The results, in the order of the protocol.
+
+        By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (ends of the 95 % interval; NaN
+        where not available), ``unit``, ``status``, ``code``, ``reason``.
+        """
+        return results_frame(self._outcome.results, self._units)
+
+    def budget(self, name: str) -> pd.DataFrame:
+        """Say what the interval of a result is made of.
+
+        Parameters
+        ----------
+        name : of the result, such as ``peak_force.1``
+
+        Returns
+        -------
+        By ``cause``: ``change`` of the result by one standard uncertainty of the cause, ``share``
+        of the variance, ``is_common`` (to all tests of a rig). Empty where it is not known.
+
+        Raises
+        ------
+        UsageError
+            If the test has no such result.
+        """
+        return budget_frame(self._result(name), self._units)
+
+    def _result(self, name: str) -> Result:
+        found = {result.name: result for result in self._outcome.results}
+        if name not in found:
+            raise self._unknown(_RESULT, name, list(found))
+        return found[name]
+
+    @property
+    def curve(self) -> pd.DataFrame:
+        """Force against displacement, after all steps and corrections.
+
+        ``time``, ``displacement``, ``force``, ``branch`` (from 0 in order of travel, -1 outside)
+        and ``cycle`` (from 1, 0 outside); units in ``attrs["units"]``.
+
+        Raises
+        ------
+        ProcessingError
+            If the test came to no curve.
+        """
+        if self._outcome.curve is None:
+            raise self._missing(_CURVE)
+        return curve_frame(self._outcome.curve, self._units)
+
+    @property
+    def shape(self) -> pd.DataFrame:
+        """Positions along the specimen by ``time``, in columns (point, axis).
+
+        x is along the undeformed specimen from the clamped end, y in the plane of bending.
+
+        Raises
+        ------
+        ProcessingError
+            If the test has no shapes.
+        """
+        found = self._whole.shape
+        if found is None:
+            raise self._missing(_SHAPE)
+        return shape_frame(found, self._units)
+
+    @property
+    def raw(self) -> Recordings:
+        """What was recorded, as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
+        return Recordings(self._whole.recordings)
+
+    @property
+    def quality(self) -> pd.DataFrame:
+        """The quality notes: ``code``, ``severity``, ``where``, ``message``."""
+        return quality_frame(self._outcome.quality)
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """Names of the figures that the protocol asks for."""
+        return self._outcome.figures
+
+    def figure(self, name: str) -> Figure:
+        """Draw a figure.
+
+        Parameters
+        ----------
+        name : such as ``force-displacement``; `figures` lists those that the protocol asks for, but
+            any may be drawn
+
+        Returns
+        -------
+        A figure of matplotlib, which a notebook shows. Where its data is missing, it says so.
+
+        Raises
+        ------
+        UsageError
+            If there is no such figure.
+        """
+        from labpipe.report.figures import FIGURES, draw_figure
+
+        if name not in FIGURES:
+            raise self._unknown(_FIGURE, name, list(FIGURES))
+        return draw_figure(self._whole, name)
+
+    def dataset(self, part: str) -> Dataset:
+        """Give a part of the test as an xarray Dataset with its axes and units, in SI.
+
+        Parameters
+        ----------
+        part : ``curve``, ``aligned``, ``shape``, ``bending``, ``law`` or the role of a recording
+
+        Raises
+        ------
+        UsageError
+            If xarray is not installed, or there is no such part.
+        ProcessingError
+            If the test did not come to it.
+        """
+        from labpipe.api.data_sets import PARTS, dataset_of
+
+        known = [*PARTS, *self._whole.recordings]
+        if part not in known:
+            raise self._unknown(_PART, part, known)
+        found = dataset_of(self._whole, part)
+        if found is None:
+            raise self._missing(part)
+        return found
+
+    def __repr__(self) -> str:
+        return f"<labpipe test {self.name} ({self.protocol}): {self._became}>"
+
+    @property
+    def _became(self) -> str:
+        counts = Counter(result.status for result in self._outcome.results)
+        return ", ".join(f"{counts[each]} {each}" for each in Status if counts[each]) or "nothing"
+
+    def _repr_html_(self) -> str:
+        return page_of(self._outcome)
+
+    def _unknown(self, kind: str, name: str, known: list[str]) -> UsageError:
+        some = ", ".join(nearest(name, known, most=7))
+        text = error_text(
+            self.name,
+            "",
+            expected=f"a {kind} such as {some}" if known else f"a {kind}",
+            found=repr(name) if known else "none",
+            remedy="Choose one of these." if known else "Look at `quality`.",
+        )
+        return UsageError(text)
+
+    def _missing(self, what: str) -> ProcessingError:
+        notes = self._outcome.quality
+        why = next((note.message for note in notes if note.severity is Severity.ERROR), "")
+        remedy = (
+            f"Why: {why.rstrip('.')}." if why else "Its protocol asks for none, or see `quality`."
+        )
+        return ProcessingError(
+            error_text(self.name, "", expected=f"a {what}", found="none", remedy=remedy)
+        )

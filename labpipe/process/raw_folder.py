@@ -1,0 +1,125 @@
+"""What lies in the folder of a test: exports, each by its own reader, and files that are none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.errors import LabpipeError, ReadError
+from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.values import has_control_characters
+from labpipe.readers import Reader, recognise_export
+from labpipe.readers.unknown_files import describe_unknown
+from labpipe.records.recording import Recording
+
+_OTHER = frozenset({".yaml", ".yml", ".md", ".ini"})
+"""Endings of files that no program exports; they are not asked."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InspectedExport:
+    """An export in the folder of a test.
+
+    Parameters
+    ----------
+    path : of the file
+    recording : everything that it holds
+    """
+
+    path: Path
+    recording: Recording
+
+    @property
+    def name(self) -> str:
+        """Of the file, as a test sheet writes it."""
+        return self.path.name
+
+    @property
+    def reader(self) -> str:
+        """Of its format."""
+        return self.recording.reader
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FolderContents:
+    """What lies in a folder.
+
+    Parameters
+    ----------
+    folder : looked into, but not into the folders below it
+    exports : those that can be read, by name
+    others : names of files that are no exports, and what each appears to be
+    unread : names of exports that cannot be read as they are, and why: damaged, cut, locked
+    """
+
+    folder: Path
+    exports: tuple[InspectedExport, ...]
+    others: dict[str, str]
+    unread: dict[str, str]
+
+
+def look_into(folder: Path) -> FolderContents:
+    """Read what lies in the folder of a test; by content, never by the names of files.
+
+    Parameters
+    ----------
+    folder : of the test; one that is not there holds nothing
+    """
+    exports, others, unread = list[InspectedExport](), dict[str, str](), dict[str, str]()
+    for path in files_in(folder):
+        if has_control_characters(path.name):
+            others[path.name] = "its name has control characters; rename it"
+            continue
+        try:
+            reader = _reader_of(path)
+            if reader is None:
+                others[path.name] = describe_unknown(path).what
+            else:
+                exports.append(InspectedExport(path, reader.read(path)))
+        except (LabpipeError, OSError) as error:
+            unread[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
+    return FolderContents(folder, tuple(exports), others, unread)
+
+
+def _reader_of(path: Path) -> Reader | None:
+    """The reader of an export; None where it is of no format that is read."""
+    with path.open("rb") as stream:  # what the system refuses is no matter of the format
+        stream.read(1)
+    try:
+        return recognise_export(path)
+    except ReadError:
+        return None
+
+
+def files_in(folder: Path) -> list[Path]:
+    """List the files of a folder that may be exports, by name; none that are hidden.
+
+    Parameters
+    ----------
+    folder : of a test
+    """
+    if not folder.is_dir():
+        return []
+    return [path for path in sorted(folder.iterdir()) if _may_be_export(path)]
+
+
+def _may_be_export(path: Path) -> bool:
+    is_other = path.name == SHEET_NAME or path.suffix in _OTHER or path.name.startswith(".")
+    return not is_other and path.is_file()
+
+
+def folders_of_tests(folder: Path) -> list[Path]:
+    """List the folders in a folder of a campaign that hold files, by name.
+
+    Parameters
+    ----------
+    folder : of a campaign
+
+    Returns
+    -------
+    None where the folder itself is that of a test: it has a test sheet, or no folder with files.
+    """
+    if (folder / SHEET_NAME).exists() or not folder.is_dir():
+        return []
+    below = [path for path in sorted(folder.iterdir()) if path.is_dir()]
+    return [each for each in below if not each.name.startswith(".") and files_in(each)]

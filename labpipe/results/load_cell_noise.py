@@ -1,0 +1,252 @@
+"""The largest force in noise on the clock of the force, which has more samples than the curve.
+
+A curve whose displacement cameras see has a sample a frame; the force has several, and its filter
+acts on those. The largest of more samples lies higher, and a line through the end of a branch is
+less sure where the filter has four times as many: so the noise of a peak is that of the force's own
+samples. Slow waves are those of the replicates, a level for each frame; what single samples have
+beside the level of their frame is taken from the record itself, a stretch from anywhere in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints, Singles
+from labpipe.records.signals import Clocks, Filter, Signal
+from labpipe.results.reduced_test import ReducedTest
+from labpipe.signal.filters import in_pieces
+from labpipe.uncertainty.extractors import Trace
+from labpipe.uncertainty.replicates import stream
+
+_FASTER = 2.0
+"""Samples of the force for each one of the curve, from which on its own are looked at."""
+_REACH, _MOST = 8.0, 20_000
+"""Standard deviations of noise below the top up to which a sample may be the largest; so many
+samples at most, of a longer plateau the curve has enough."""
+_PULSE, _FELT = 4001, 1e-3
+"""Samples that a filter may reach over, and share of its height that counts."""
+
+
+def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
+    """Samples of a signal at which a new piece begins.
+
+    Parameters
+    ----------
+    clocks : of the test
+    ends : s on the clock of the curve, of branches, and of the failure
+    signal : of which
+    """
+    at = [clocks.from_curve(end, signal.clock) for end in ends]
+    cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
+    return cuts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceSamples:
+    """The force of a curve without noise on its own clock, and what single samples add to it.
+
+    Parameters
+    ----------
+    time : shape (n,), s on the clock of the curve, increasing
+    smooth : shape (n,), N, without noise
+    left : shape (n,), N, what single samples of the record have beside the mean of their frame
+    frames : shape (n,), sample of the curve that each belongs to
+    filters : of the force
+    cuts : at which a new piece begins
+    reach : samples on either side that the filters need
+    seed : of draws
+    """
+
+    time: Floats
+    smooth: Floats
+    left: Floats
+    frames: Ints
+    filters: tuple[Filter, ...]
+    cuts: tuple[int, ...]
+    reach: int
+    seed: bytes
+
+    @classmethod
+    def of(cls, test: ReducedTest, trace: Trace) -> ForceSamples | None:
+        """Samples of a whole test.
+
+        Parameters
+        ----------
+        test : with a curve
+        trace : the curve without noise
+
+        Returns
+        -------
+        None where the force has hardly more samples than the curve, or no filter acts on them.
+        """
+        signal, filters = test.unfiltered, test.signals.filters.get(test.signals.force, ())
+        if signal is None or not filters or any(stride != 1 for _, stride in filters):
+            return None
+        reach = _reach_of(filters)
+        if reach is None or len(signal.time) < _FASTER * len(trace.time):
+            return None
+        time = test.clocks.times_on_curve(signal)
+        frames = _frames_of(time, trace.time)
+        ends = [at for branch in trace.branches for at in (branch.start_time, branch.stop_time)]
+        cuts = cuts_of(test.clocks, ends, signal)
+        smooth = _between_frames(trace, time, cuts, reach)
+        left = _beside_frames(signal.values - smooth, frames)
+        np.nan_to_num(left, copy=False)
+        return cls(time, smooth, left, frames, filters, tuple(cuts), reach, test.seed)
+
+    def of_cycle(self, trace: Trace, stretch: slice, sense: float) -> PeakSamples | None:
+        """The samples of a cycle.
+
+        Parameters
+        ----------
+        trace : the curve without noise
+        stretch : of it, the cycle
+        sense : which way loading goes
+
+        Returns
+        -------
+        None where the cycle has none, or the curve has gaps there.
+        """
+        if np.isnan(trace.force[stretch]).any():
+            return None
+        first, last = trace.time[stretch][[0, -1]]
+        low, high = np.searchsorted(self.time, first), np.searchsorted(self.time, last, "right")
+        over = sense * self.smooth[low:high]
+        known = ~np.isnan(over)
+        if not known.any():
+            return None
+        spread = float(self.left[low:high][known].std())
+        return PeakSamples(self, sense, int(low), over, float(over[known].max()), spread)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeakSamples:
+    """Samples of a cycle, of which the largest is looked for.
+
+    Parameters
+    ----------
+    samples : of the whole test
+    sense : which way loading goes
+    start : the first one of the cycle
+    over : shape (n,), N in that sense, without noise; NaN where not known
+    top : N, the largest of them
+    spread : N, standard deviation of what single samples add
+    """
+
+    samples: ForceSamples
+    sense: float
+    start: int
+    over: Floats
+    top: float
+    spread: float
+
+    def raised(self, noise: Floats | Singles) -> Floats | None:
+        """What noise adds to the largest sample of the cycle.
+
+        Parameters
+        ----------
+        noise : shape (replicates, frames), N, of the curve before all filters
+
+        Returns
+        -------
+        N in the sense of loading, shape (replicates,). None where too many samples may be the
+        largest.
+        """
+        size = float(np.hypot(noise.std(), self.spread))
+        near = np.flatnonzero(self.over >= self.top - _REACH * size) + self.start
+        if len(near) > _MOST:
+            return None
+        # Which stretch of the record goes with a replicate is drawn alike every time.
+        chance = stream(self.samples.seed, "samples of the force")
+        largest, apart = np.full(len(noise), -np.inf), 2 * self.samples.reach
+        for run in np.split(near, np.flatnonzero(np.diff(near) > apart) + 1):
+            made = self._filtered(noise, int(run[0]), int(run[-1]) + 1, chance)
+            made *= self.sense
+            largest = np.maximum(largest, made.max(axis=1))
+        return largest - self.top
+
+    def _filtered(
+        self, noise: Floats | Singles, first: int, stop: int, chance: np.random.Generator
+    ) -> Floats:
+        """Some samples of the force with noise, filtered, shape (replicates, samples)."""
+        own = self.samples
+        part = slice(max(first - own.reach, 0), min(stop + own.reach, len(own.smooth)))
+        count = part.stop - part.start
+        stretches = np.lib.stride_tricks.sliding_window_view(own.left, count)
+        force = own.smooth[part] + noise.take(own.frames[part], axis=1)
+        force += stretches[chance.integers(0, len(stretches), len(noise))]
+        made = in_pieces(force, [cut - part.start for cut in own.cuts], own.filters)
+        return made[:, first - part.start : stop - part.start]
+
+
+def _frames_of(time: Floats, frames: Floats) -> Ints:
+    """Number of the nearest frame for each of many times, both increasing: shape (n,)."""
+    ends = np.searchsorted(time, 0.5 * (frames[1:] + frames[:-1]), side="right")
+    return np.repeat(np.arange(len(frames)), np.diff(ends, prepend=0, append=len(time)))
+
+
+def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int) -> Floats:
+    """Force of a curve at other times: straight lines, carried on to where the next piece begins.
+
+    Parameters
+    ----------
+    trace : the curve
+    time : shape (n,), s on its clock
+    cuts : samples of `time` at which branches begin and end
+    reach : samples that the filter of the force feels, over which a piece joins the one before
+    """
+    frames = [at for branch in trace.branches for at in (branch.start, branch.stop)]
+    between_frames = np.empty(len(time))
+    ends = sorted({(0, 0), *zip(cuts, frames, strict=True), (len(time), len(trace.time))})
+    for (low, begin), (high, end) in pairwise(ends):
+        if end - begin > 1:
+            between_frames[low:high] = _carried_on(
+                time[low:high], trace.time[begin:end], trace.force[begin:end]
+            )
+            _join(between_frames, low, min(reach, high - low))
+        else:
+            between_frames[low:high] = np.interp(time[low:high], trace.time, trace.force)
+    return between_frames
+
+
+def _join(values: Floats, cut: int, over: int) -> None:
+    """Let a piece begin where the one before it ends, but for what a step of either explains.
+
+    A force does not jump where the motion turns, while a spline may be off at its end.
+    """
+    if not 1 < cut < len(values) - 1 or over < 2:
+        return
+    step = max(abs(values[cut - 1] - values[cut - 2]), abs(values[cut + 1] - values[cut]))
+    gap = values[cut - 1] - values[cut]
+    ramp = 1.0 - np.arange(over) / over
+    values[cut : cut + over] += (gap - np.clip(gap, -step, step)) * ramp
+
+
+def _carried_on(at: Floats, time: Floats, values: Floats) -> Floats:
+    """Values at other times, beyond both ends on the line through the last two samples."""
+    found = np.interp(at, time, values)
+    for pair, there in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
+        (before, after), (low, high) = time[pair], values[pair]
+        found[there] = low + (high - low) / (after - before) * (at[there] - before)
+    return found
+
+
+def _beside_frames(values: Floats, frames: Ints) -> Floats:
+    """Values less the mean of their frame."""
+    count = np.bincount(frames)
+    mean = np.bincount(frames, values) / np.maximum(count, 1)
+    return values - mean[frames]
+
+
+def _reach_of(filters: Sequence[Filter]) -> int | None:
+    """Samples on either side that a filter feels; None for one that reaches farther than looked."""
+    pulse = np.zeros(_PULSE)
+    pulse[_PULSE // 2] = 1.0
+    felt = in_pieces(pulse, (), filters)
+    far = np.flatnonzero(np.abs(felt) > _FELT * np.abs(felt).max())
+    reach = int(np.abs(far - _PULSE // 2).max()) + 1
+    return 2 * reach if 4 * reach < _PULSE else None

@@ -1,0 +1,296 @@
+"""What results are computed from: the corrected curve of a test, and what is known beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from labpipe.fits.failure_point import FailurePoint
+from labpipe.fits.loops import sense_of_loading
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import (
+    Aligned,
+    Bending,
+    Branch,
+    Curve,
+    Direction,
+    Shape,
+    Slip,
+)
+from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.quality import Doubt, Findings, Reason
+from labpipe.records.signals import Clocks, Signal, Signals, Stretch
+from labpipe.uncertainty.extractors import Decide
+from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.replicates import Replicates
+
+if TYPE_CHECKING:
+    from labpipe.markers.three_point_axis import SpanShape
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpanBend:
+    """The bent axis between two supports, as the cameras saw it.
+
+    Parameters
+    ----------
+    shape : in every frame
+    time : shape (frames,), s, on the clock of the cameras
+    rest : shape (frames,), frames before the loading
+    """
+
+    shape: SpanShape
+    time: Floats
+    rest: Flags
+
+
+@dataclass(frozen=True, slots=True)
+class LoadString:
+    """The string between specimen and load cell.
+
+    Parameters
+    ----------
+    length : m
+    counterweight : kg, hangs at the tip
+    at_rest : whether it carried the counterweight before the test
+    """
+
+    length: float
+    counterweight: float
+    at_rest: Literal["by-data", "taut", "slack"]
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What protocol and test sheet say of specimen and rig, as far as results need it.
+
+    Parameters
+    ----------
+    length, span : m, of the specimen, and between its supports; None where not given
+    mass_per_length : kg/m; None where not given
+    section : m (the area m^2), sizes of the cross-section by the keys of the protocol
+    uncertainties : m (of the area m^2), standard uncertainties of length, span and section by the
+        keys of the protocol; what is not there is taken as exact
+    string : that loads the specimen; None where there is none
+    has_markers : whether the specimen carries markers
+    centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
+    free_tip : whether the shape may bend up to its tip
+    compliance_stated : whether the protocol says how far frame and grips give way
+    """
+
+    length: float | None = None
+    span: float | None = None
+    mass_per_length: float | None = None
+    section: Mapping[str, float] = field(default_factory=dict)
+    uncertainties: Mapping[str, float] = field(default_factory=dict)
+    string: LoadString | None = None
+    has_markers: bool = False
+    centre_offset: float = 0.0
+    offset_uncertainty: float = 0.0
+    centre_uncertainty: float = 0.0
+    free_tip: bool = False
+    compliance_stated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Stiffness:
+    """A stiffness that other results can be made of.
+
+    Parameters
+    ----------
+    decide : how it is read from a curve
+    estimate : N/m
+    during : s, the stretch that it was read from
+    window : m, displacements that it was read between
+    bends_with : m, stretch in which a slip would bend it; None where slips are not looked at
+    """
+
+    decide: Decide
+    estimate: Estimate
+    during: Stretch | None
+    window: tuple[float, float]
+    bends_with: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedTest:
+    """A test from which results can be computed.
+
+    Parameters
+    ----------
+    signals, clocks : of the test
+    setup : what is said of specimen and rig
+    aligned : the raw signals at the times of the displacement; None while there is no curve
+    curve : corrected; None where there is none
+    replicates : curves that the curve may have been, by noise and inputs; None where there is none
+    unfiltered : the force that makes the curve, outliers bridged, before any filter
+    shape : of the specimen; None where no step fits one
+    span : the bent axis between two supports, or why there is none; None where not asked for
+    bending : measured moment-curvature, or why there is none; None where not asked for
+    failure : where the specimen broke; None where it did not, or is not asked for
+    slips : the slip ledger
+    compliance : m/N, of frame and grips, times the force taken off the displacement
+    slack : displacement before the specimen was taut, m; None where not asked for
+    cut_at : by quantity, s on the clock of the curve, where its record ends in mid-branch
+    stiffnesses : by name, of the results so far
+    findings : so far
+    seed : of draws, by what was recorded
+    """
+
+    signals: Signals
+    clocks: Clocks = field(default_factory=Clocks)
+    setup: Setup = Setup()
+    aligned: Aligned | None = None
+    curve: Curve | None = None
+    replicates: Replicates | None = None
+    unfiltered: Signal | None = None
+    shape: Shape | None = None
+    span: SpanBend | Failure | None = None
+    bending: Bending | Failure | None = None
+    failure: FailurePoint | Failure | None = None
+    slips: tuple[Slip, ...] = ()
+    compliance: float = 0.0
+    slack: Measured | Failure | None = None
+    cut_at: Mapping[str, float] = field(default_factory=dict)
+    stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
+    findings: Findings = field(default_factory=Findings)
+    seed: bytes = b""
+
+    @property
+    def force(self) -> Signal:
+        """The force that makes the curve, filtered."""
+        return self.signals.filtered[self.signals.force]
+
+    @property
+    def displacement(self) -> Signal:
+        """The displacement that makes the curve, filtered."""
+        return self.signals.filtered[self.signals.displacement]
+
+    @property
+    def raw_force(self) -> Signal:
+        """The force that makes the curve, calibrated and zeroed but not filtered."""
+        return self.signals.raw[self.signals.force]
+
+    @property
+    def known_curve(self) -> Curve:
+        """The curve, of which there is one where there are cycles.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        if self.curve is None:
+            message = "a number of a cycle was asked for before there is a curve"
+            raise ValueError(message)
+        return self.curve
+
+    def measure(
+        self, decide: Decide, values: Sequence[float] | None = None
+    ) -> tuple[Measured, ...] | Failure:
+        """Measure numbers of the curve, with all that they rest on.
+
+        Parameters
+        ----------
+        decide, values : as `labpipe.uncertainty.intervals.measure` takes them
+
+        Raises
+        ------
+        ValueError
+            If there is no curve.
+        """
+        if self.replicates is None:
+            message = "a number was to be measured before there is a curve"
+            raise ValueError(message)
+        return measure(self.replicates, decide, values)
+
+    @property
+    def cycles(self) -> list[list[Branch]]:
+        """The branches of the curve, cycle by cycle."""
+        branches = self.curve.branches if self.curve else ()
+        numbers = sorted({branch.cycle for branch in branches})
+        return [[branch for branch in branches if branch.cycle == number] for number in numbers]
+
+    @property
+    def first_loading(self) -> Branch | None:
+        """The first loading branch of the curve; None where there is none."""
+        branches = self.curve.branches if self.curve is not None else ()
+        return next((branch for branch in branches if branch.direction is Direction.LOADING), None)
+
+    @property
+    def loading_stretch(self) -> slice:
+        """Samples of the first loading, up to the failure if it lies there; may be empty."""
+        branch = self.first_loading
+        if branch is None:
+            return slice(0, 0)
+        if isinstance(self.failure, FailurePoint) and self.failure.sample < branch.stop:
+            return slice(branch.start, max(self.failure.sample + 1, branch.start))
+        return slice(branch.start, branch.stop)
+
+    @property
+    def slack_error(self) -> float:
+        """Standard error of the slack that was taken off the displacement, m; 0 for none."""
+        return self.slack.error if isinstance(self.slack, Measured) else 0.0
+
+    def sense_of(self, values: Floats) -> float:
+        """Which way a quantity of the curve goes when the specimen is loaded for the first time."""
+        branch = self.known_curve.branches[0]
+        return sense_of_loading(values[branch.start : branch.stop])
+
+    def while_loading(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
+        """Tell when the first loading went from one displacement to another.
+
+        Parameters
+        ----------
+        low, high : m
+
+        Returns
+        -------
+        s, on the clock of the curve: when it first was at `low`, and when it first was beyond
+        `high`, which is its end where it never was. None without a curve or a branch.
+        """
+        curve = self.curve
+        if curve is None or not curve.branches:
+            return None
+        branch = curve.branches[0]
+        path = curve.displacement[branch.start : branch.stop]
+        at, beyond = (np.flatnonzero(each) for each in (path >= low, path > high))
+        start = curve.time[branch.start + int(at[0])] if len(at) else branch.start_time
+        stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
+        return float(start), float(stop)
+
+    def why_doubtful(self, quantity: str, during: Stretch | None = None) -> tuple[Reason, ...]:
+        """Tell why a number is doubtful that rests on a stretch of a quantity.
+
+        Parameters
+        ----------
+        quantity : as `Doubt` has it
+        during : s, on the clock of the curve; None where the number rests on the whole record
+
+        Returns
+        -------
+        Of each code the first reason that touches the stretch, or the stretch that the zero of the
+        quantity was taken from.
+        """
+        found: dict[str, Reason] = {}
+        for doubt in self.findings.doubts:
+            if doubt.quantity == quantity and self._touches(doubt, during):
+                found.setdefault(doubt.reason.code, doubt.reason)
+        return tuple(found.values())
+
+    def _touches(self, doubt: Doubt, during: Stretch | None) -> bool:
+        if doubt.during is None or during is None:
+            return True
+        start, stop = (self.clocks.to_curve(at, doubt.clock) for at in doubt.during)
+        signals, stretches = self.signals, [during]
+        name = {"force": signals.force, "displacement": signals.displacement}.get(
+            doubt.quantity, ""
+        )
+        if name in signals.zeroed or name in signals.lined:
+            zero = signals.zeroed.get(name) or signals.lined[name]
+            first, last = (self.clocks.to_curve(at, signals.raw[name].clock) for at in zero)
+            stretches.append((first, last))
+        return any(start <= end and begin <= stop for begin, end in stretches)

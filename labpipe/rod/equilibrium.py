@@ -1,0 +1,140 @@
+"""One step of a line to the equilibrium under new demands, by Newton's method."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.rod.assembly import ArtificialDrag, Assembly, Balance, Demands, LineMemory, Shape
+from labpipe.rod.rotations import (
+    conjugate,
+    from_rotation_vectors,
+    multiply,
+    rotation_vectors,
+    unit,
+)
+
+_ITERATIONS = 20
+_CLOSE = 1e-10
+"""Of force, moment and length of the whole line, by which an equilibrium may be off."""
+_STILL = 1e-11
+"""Of length and rad: a change so small ends the search where rounding keeps forces off."""
+_STRAY = 4
+"""Iterations without a smaller turn than before: between corners of the law Newton's method may
+circle or stray for ever."""
+_NEAR = 1e-5
+_TAUT = 1e4
+"""Of the forces on the line as a whole: a line that pulls more is taut, and its shape hangs on
+rounding."""
+_LARGEST_TURN = 0.7
+"""rad, of an element in one iteration."""
+_LARGEST_MOVE = 0.35
+"""Of the line's length, of a node in one iteration."""
+_SMALLEST_SHARE = 0.1
+"""Of a change: one that is so much too large says nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """An equilibrium: its shape, the balance there, and how many iterations it took."""
+
+    shape: Shape
+    balance: Balance
+    iterations: int
+
+
+def settle(
+    assembly: Assembly,
+    shape: Shape,
+    memory: LineMemory,
+    demands: tuple[Demands, Demands],
+    *,
+    force: float,
+    earlier: LineMemory | None = None,
+    drag: ArtificialDrag | None = None,
+) -> Settled | None:
+    """Go from one equilibrium to the next.
+
+    Parameters
+    ----------
+    assembly : the line with its supports
+    shape, memory : where it is, and what it remembers
+    demands : what was asked there, and what is asked now
+    force : N, of the size that acts on the line as a whole
+    earlier : memory before the step that led there: the same forces, but what slid is sliding on,
+        which is the better guess where the walk goes on as it did
+    drag : where it holds the line to
+
+    Returns
+    -------
+    The equilibrium; None where Newton's method does not find one near.
+    """
+    now, goal = demands
+    nodes = assembly.supports.held
+    # held nodes and clamps go there with the first change, or as far as it is taken
+    partly = replace(goal, held=now.held, clamps=now.clamps)
+    balance = assembly.balance(shape, partly, memory if earlier is None else earlier, drag)
+    least, strayed = math.inf, 0
+    for iteration in range(1, _ITERATIONS + 1):
+        held = goal.held - shape.positions[nodes]
+        clamps = rotation_vectors(multiply(conjugate(partly.clamps), goal.clamps))
+        right = assembly.right_side(balance, shape, partly, held, clamps)
+        change = assembly.band.solve(balance.values, right)
+        if change is None:
+            return None
+        turn = _largest_turn(assembly, change)
+        least, strayed = (turn, 0) if turn < least else (least, strayed + 1)
+        share = _modest_share(assembly, change, turn)
+        if share < _SMALLEST_SHARE or strayed == _STRAY:
+            return None
+        shape = assembly.changed(shape, share * change)
+        partly = goal if share == 1.0 else _turned(partly, share * clamps)
+        balance = assembly.balance(shape, partly, memory, drag)
+        if share == 1.0 and _is_close(assembly, balance, shape, change, force):
+            return Settled(shape, balance, iteration)
+    return None
+
+
+def _turned(demands: Demands, clamps: Floats) -> Demands:
+    return replace(demands, clamps=unit(multiply(demands.clamps, from_rotation_vectors(clamps))))
+
+
+def _largest_turn(assembly: Assembly, change: Floats) -> float:
+    return float(np.max(np.abs(change[assembly.places.turns[:, None] + np.arange(3)])))
+
+
+def _modest_share(assembly: Assembly, change: Floats, turn: float) -> float:
+    """Share of a change that turns and moves no part of the line too far."""
+    p = assembly.places
+    move = float(np.max(np.abs(change[p.positions[:, None] + np.arange(3)])))
+    return 1.0 / max(1.0, turn / _LARGEST_TURN, move / (_LARGEST_MOVE * assembly.line.length))
+
+
+def _is_close(
+    assembly: Assembly, balance: Balance, shape: Shape, change: Floats, force: float
+) -> bool:
+    p = assembly.places
+    three = np.arange(3)
+    length = assembly.line.length
+    residual = np.where(assembly.band.fixed, 0.0, balance.residual)
+    pull = float(np.max(np.abs(shape.forces)))
+    if assembly.is_rigid and pull > _TAUT * force:
+        return False
+    force = max(force, pull)
+    unbalanced = float(np.max(np.abs(residual[p.positions[:, None] + three])))
+    off = max(
+        max(unbalanced - assembly.rounding, 0.0) / force,
+        float(np.max(np.abs(residual[p.turns[:, None] + three]))) / (force * length),
+        float(np.max(np.abs(residual[p.stretches]))) / (force * length),
+        float(np.max(np.abs(residual[p.forces[:, None] + three]))) / length,
+    )
+    if off < _CLOSE:
+        return True
+    moved = max(
+        _largest_turn(assembly, change),
+        float(np.max(np.abs(change[p.positions[:, None] + three]))) / length,
+    )
+    return moved < _STILL and off < _NEAR

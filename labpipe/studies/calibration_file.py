@@ -1,0 +1,98 @@
+"""What ``calibration.json`` knows of a wire: its solutions, for predictions made later."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe.errors import ProcessingError, error_text
+from labpipe.records.arrays import Floats
+from labpipe.records.wire_calibration import PARAMETERS, ScatterMixture, Solution
+
+_REMEDY = "Calibrate again with this version of labpipe: labpipe calibrate."
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedFile:
+    """A calibration as far as predictions want it.
+
+    Parameters
+    ----------
+    wire : name
+    solutions : the best first
+    widening : of quantiles
+    tested_curvature : 1/m, largest that the tests reached
+    """
+
+    wire: str
+    solutions: tuple[Solution, ...]
+    widening: float
+    tested_curvature: float
+
+    def values(self, number: int = 0) -> dict[str, float]:
+        """Values of `PARAMETERS` of a solution by name; NaN where the wire has no such thing."""
+        return dict(zip(PARAMETERS, self.solutions[number].values.tolist(), strict=True))
+
+
+def read_calibrated(path: Path) -> CalibratedFile:
+    """Read what ``labpipe calibrate`` wrote.
+
+    Parameters
+    ----------
+    path : calibration.json
+
+    Raises
+    ------
+    ProcessingError
+        If it cannot be read, or was written by a version that did not say what predictions want.
+    """
+    try:
+        return _calibrated(json.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        found = error.strerror or "no file"
+    except (ValueError, LookupError, TypeError) as error:
+        found = f"something else ({type(error).__name__}: {error})"
+    expected = "a calibration.json with solutions, their mixtures and the tested curvature"
+    raise ProcessingError(
+        error_text(path, "calibration", expected=expected, found=found, remedy=_REMEDY)
+    )
+
+
+def _calibrated(said: dict[str, Any]) -> CalibratedFile:
+    solutions = tuple(_solution(sentence) for sentence in said["solutions"])
+    if not solutions:
+        message = "no solution"
+        raise ValueError(message)
+    return CalibratedFile(
+        str(said["wire"]), solutions, float(said["widening"]), _float(said["tested_curvature"])
+    )
+
+
+def _solution(said: dict[str, Any]) -> Solution:
+    mixture = said["mixture"]
+    return Solution(
+        values=np.array([_float(said[name]) for name in PARAMETERS]),
+        rise=float(said["rise"]),
+        rmse=float(said["rmse"]),
+        covariance=_array(said["covariance"]),
+        mixture=ScatterMixture(
+            chance=_array(mixture["chance"]),
+            scatter=_array(mixture["scatter"]),
+            shift=_array(mixture["shift"]),
+            covariance=_array(mixture["covariance"]),
+            freedom=np.inf if mixture["freedom"] is None else float(mixture["freedom"]),
+        ),
+        limit=float(said["limit"]),
+    )
+
+
+def _float(value: float | None) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _array(values: object) -> Floats:
+    return np.array(values, dtype=np.float64)

@@ -1,0 +1,243 @@
+"""One test, its parts, its page in a notebook, exports, and paths of any kind."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from labpipe.api.data_sets import PARTS, dataset_of
+from labpipe.api.export_facts import inspect
+from labpipe.api.given_paths import path_of, paths_of
+from labpipe.api.notebook_page import page_of
+from labpipe.api.one_test import Test
+from labpipe.errors import ProcessingError, ReadError, UsageError
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.result import Specimen, TestResult
+from labpipe.store.summaries import summary
+from tests.builders.measured_bending import some_bending
+from tests.builders.small_tests import Lab, Run
+from tests.store.builders_result import build_result
+
+
+@pytest.fixture(scope="module")
+def result() -> TestResult:
+    made = build_result(half_cycle=1.0)
+    return replace(made, date=date(2026, 3, 4), operator="lab")
+
+
+@pytest.fixture(scope="module")
+def test(result: TestResult) -> Test:
+    return Test(result)
+
+
+def test_what_a_test_says_of_itself(test: Test, result: TestResult) -> None:
+    assert (test.name, test.protocol, test.operator) == ("A2-085-1", "wire-cantilever", "lab")
+    assert (test.date, test.instruments, test.folder) == (date(2026, 3, 4), (), None)
+    assert test.specimen.dimensions == {"length": 0.085}
+    assert test.summary == summary(result)
+    assert test.figures == result.figures
+    assert repr(test) == "<labpipe test A2-085-1 (wire-cantilever): 1 ok, 1 doubtful, 1 failed>"
+    assert test._repr_html_().startswith("<div>")
+
+
+def test_display_converts_and_leaves_the_test_alone(test: Test) -> None:
+    shown = test.display
+    assert shown.results.loc["residual_displacement.1", "unit"] == "mm"
+    assert shown.results.loc["residual_displacement.1", "value"] == pytest.approx(3.1)
+    assert shown.curve.attrs["units"]["displacement"] == "mm"
+    assert shown.shape.attrs["units"]["position"] == "mm"
+    assert shown.raw["force/HostService"].equals(test.raw["force/HostService"])
+    assert test.results.loc["residual_displacement.1", "unit"] == "m"
+    assert shown.budget("peak_force.1").equals(test.budget("peak_force.1"))
+
+
+def test_shapes_and_recordings_are_read_when_they_are_asked_for(result: TestResult) -> None:
+    asked = []
+
+    def whole() -> TestResult:
+        asked.append(1)
+        return result
+
+    test = Test(replace(result, shape=None, recordings={}), whole=whole)
+    assert isinstance(test.curve, pd.DataFrame)
+    assert len(test.results) == 3
+    assert asked == []
+    assert len(test.shape) == len(test.raw["markers"])
+    assert len(test.display.raw) == 5
+    assert asked == [1]
+
+
+def test_names_that_are_not_there(test: Test) -> None:
+    with pytest.raises(UsageError, match=r"A2-085-1: expected a result such as peak_force\.1, .*"):
+        test.budget("peak_forse.1")
+    with pytest.raises(UsageError, match=r"expected a figure such as .*wire-shapes.*found 'shape'"):
+        test.figure("shape")
+    with pytest.raises(UsageError, match=r"a part such as .*, found 'raw'\. Choose one of these\."):
+        test.dataset("raw")
+
+
+def test_stages_that_are_not_there(result: TestResult) -> None:
+    note = QualityNote("no_branches", Severity.ERROR, "force", "The motion never turns.")
+    bare = Test(replace(result, curve=None, shape=None, quality=(note,)))
+    with pytest.raises(ProcessingError, match=r"expected a curve, found none\. Why: The motion ne"):
+        _ = bare.curve
+    with pytest.raises(ProcessingError, match="expected a shape, found none"):
+        _ = bare.shape
+    nothing = Test(replace(result, results=(), quality=()))
+    assert repr(nothing) == "<labpipe test A2-085-1 (wire-cantilever): nothing>"
+    with pytest.raises(UsageError, match=r"expected a result, found none\. Look at `quality`\."):
+        nothing.budget("peak_force.1")
+
+
+pytest.importorskip("xarray")
+
+
+@pytest.fixture(scope="module")
+def written() -> TestResult:
+    return replace(build_result(half_cycle=1.0), bending=some_bending())
+
+
+SIZES = {
+    "curve": {"time"},
+    "aligned": {"time"},
+    "shape": {"time", "names", "xyz", "term", "specimen", "lab"},
+    "bending": {"time", "arc_length"},
+    "law": {"curvature", "knots", "knots_2"},
+    "markers": {"time", "marker", "xyz"},
+    "force": {"time_HostService", "time_slow raster"},
+}
+
+
+@pytest.mark.parametrize("part", SIZES)
+def test_parts_have_their_axes_as_in_the_file(part: str, written: TestResult) -> None:
+    found = dataset_of(written, part)
+    assert found is not None
+    assert set(found.sizes) == SIZES[part]
+    assert set(found.coords) == SIZES[part] - {"term"}
+    for name, variable in found.data_vars.items():
+        assert isinstance(variable.attrs["units"], str), name
+
+
+def test_values_are_found_by_their_axes(written: TestResult) -> None:
+    shape, curve = dataset_of(written, "shape"), dataset_of(written, "curve")
+    assert shape is not None
+    assert curve is not None
+    assert written.shape is not None
+    tip = shape.positions.sel(names="pull", xyz="y")
+    np.testing.assert_array_equal(tip, written.shape.positions[:, -1, 1])
+    assert curve.force.attrs["units"] == "N"
+    assert set(curve.data_vars) == {"displacement", "force", "branch", "cycle"}
+
+
+def test_channels_of_one_name_are_told_apart(written: TestResult) -> None:
+    force = dataset_of(written, "force")
+    assert force is not None
+    assert force["Out1"].attrs == {"units": "V", "name_in_file": "Model Root/Load Cell/Out1"}
+    assert force["Out1_2"].attrs["units"] == "unknown"
+    assert force["Out1_2"].dims == ("time_slow raster",)
+
+
+def test_parts_that_a_test_lacks(written: TestResult) -> None:
+    bare = replace(written, curve=None, aligned=None, shape=None, bending=None)
+    assert [dataset_of(bare, part) for part in PARTS] == [None] * len(PARTS)
+
+
+def test_without_xarray(written: TestResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(UsageError, match=r"expected the package, found none\. Install it: pip ins"):
+        dataset_of(written, "curve")
+
+
+def test_an_export_says_what_the_command_prints(pristine: Lab, run: Run) -> None:
+    export = pristine.raw / "force.mat"
+    found = inspect(export)
+    assert f"{found!r}\n" == run("inspect", export).out
+    assert found.facts == json.loads(run("inspect", export, "--json").out)
+    assert found.file == export
+
+
+def test_tables_of_an_export(pristine: Lab) -> None:
+    found = inspect(str(pristine.raw / "force.mat"))
+    texts, numbers = ("clock", "name", "path", "unit", "unit_in_file"), ("first", "last")
+    kinds = {str(name): str(kind) for name, kind in found.channels.dtypes.items()}
+    wanted = dict.fromkeys(texts, "str") | dict.fromkeys((*numbers, "min", "max"), "float64")
+    assert kinds == wanted | {"missing": "int64"}
+    assert found.channels["path"][0] == "Model Root/Load Cell/Out1"
+    assert found.channels["unit"].isna().all()  # a MAT file does not say it
+    assert "units_not_stated" in found.notes["code"].tolist()
+    assert list(found.data) == ["force"]
+    assert len(found.data["force"]) == found.facts["streams"][0]["samples"]
+
+
+def test_markers_have_no_channels(pristine: Lab) -> None:
+    found = inspect(pristine.raw / "take.csv")
+    assert len(found.channels) == 0
+    assert found.channels.dtypes["first"] == "float64"
+    assert next(iter(found.data)) == "take"
+
+
+def test_what_is_no_export(pristine: Lab) -> None:
+    with pytest.raises(ReadError, match="expected an export of a known format"):
+        inspect(pristine.sheet)
+
+
+def test_paths_of_any_kind(tmp_path: Path) -> None:
+    assert path_of(str(tmp_path)) == path_of(tmp_path) == tmp_path
+    assert path_of(tmp_path / "none") == tmp_path / "none"
+    assert paths_of(tmp_path) == [tmp_path]
+    assert paths_of([str(tmp_path), tmp_path / "a"]) == [tmp_path, tmp_path / "a"]
+    assert paths_of(each for each in [tmp_path]) == [tmp_path]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("x" * 5000, "expected a file that can be used, found file name too long"),
+        ("a\0b", r"'a\\x00b': expected a path, found embedded null"),
+    ],
+)
+def test_paths_that_cannot_be(given: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        path_of(given)
+    with pytest.raises(UsageError, match=said):
+        paths_of([given])
+
+
+RESULT = build_result(half_cycle=0.5)
+
+
+def texts(page: str) -> list[str]:
+    return [text for text in ET.fromstring(page).itertext() if text]
+
+
+def test_numbers_are_shown_in_display_units_with_their_intervals() -> None:
+    said = texts(page_of(RESULT))
+    assert said[0] == "A2-085-1"
+    assert said[2:5] == ["Peak force, cycle 1", "0.620 N", "estimate 0.600, 0.590 to 0.610"]
+    assert "3.100 mm" in said
+    assert "doubtful: extrapolated: the force never fell below 5 mN" in said
+    assert "failed: not_reached: too short" in said
+    assert said[-1] == "95 % intervals, 1 warning in .quality"
+
+
+def test_hostile_words_are_text() -> None:
+    bad = "<script>alert(1)</script>&\x07\"'"
+    hostile = replace(
+        RESULT,
+        test=bad,
+        operator=bad,
+        specimen=Specimen(bad, bad, bad),
+        results=(replace(RESULT.results[0], name=bad), *RESULT.results[1:]),
+    )
+    page = page_of(hostile)
+    assert "<script" not in page
+    assert "\x07" not in page
+    assert texts(page)[0] == bad.replace("\x07", "\ufffd")
