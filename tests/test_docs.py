@@ -260,13 +260,13 @@ def result_units() -> dict[str, str]:
 
 
 def test_every_result_is_documented_and_no_other() -> None:
-    documented = sections(page("docs/reference/results.md"))
-    units = {heading.partition(".")[0]: text for heading, text in documented.items()}
-    assert set(units) == set(result_units())
-    for heading, text in documented.items():
-        unit = result_units()[heading.partition(".")[0]].replace("*", " ")
-        assert re.search(rf"\*\*Unit\*\*: {re.escape(unit)}( \(|\.)", text), heading
-        assert "**Example**: " in text, heading
+    text = page("docs/reference/results.md")
+    documented, units = sections(text), result_units()
+    table = dict(re.findall(r"\[`([^`]+)`\]\(#\w+\) \(([^)]+)\)", text))
+    assert {heading.partition(".")[0] for heading in documented} == set(units)
+    for heading, section in documented.items():
+        assert table[heading] == units[heading.partition(".")[0]].replace("*", " "), heading
+        assert "**Example**: " in section, heading
 
 
 @cache

@@ -108,7 +108,7 @@ class KeyRow:
     n : samples
     strip : the first number with its interval, on the scale of its column; None for none
     numbers : cells
-    spark : its curves; None without any
+    sparkline : its curves; None without any
     """
 
     name: str

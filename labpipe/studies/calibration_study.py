@@ -236,12 +236,13 @@ def _separability(each: Separability) -> dict[str, object]:
 
 
 def _curve(each: CurveAgreement) -> dict[str, object]:
-    names = ("sample_factor", "sse", "rmse", "rmse_share", "lag_one", "runs_p")
+    names = ("sample_factor", "sse", "rmse", "rmse_share", "runs_p")
     return {
         "test": each.test,
         "sample": each.sample,
         "length": each.length,
         **{name: _number(getattr(each, name)) for name in names},
+        "lag_one": _number(each.lag_one_correlation),
     }
 
 
