@@ -7,9 +7,6 @@ from typing import Annotated, get_args
 
 import pytest
 
-from labpipe.protocol.source import MARKER_READERS
-from labpipe.protocol.source import READERS as NAMED_READERS
-from labpipe.readers import READERS
 from labpipe.records import declarations
 from labpipe.records.declarations import (
     STEPS,
@@ -68,18 +65,3 @@ def test_what_a_step_comes_after_is_a_step() -> None:
     befores = {kind.after for kind in STEPS.values() if kind.after}
     assert befores <= set(STEPS)
     assert all(kind.on_markers for kind in STEPS.values() if kind.after)
-
-
-def test_what_steps_make() -> None:
-    made = {word: kind.makes for word, kind in STEPS.items() if kind.makes}
-    assert made == {
-        "specimen-frame": ("travel",),
-        "fit-shape": ("deflection",),
-        "three-point-shape": ("mid_span",),
-        "travel-from-speed": ("{channel}",),
-    }
-
-
-def test_protocols_can_name_just_the_readers_that_there_are() -> None:
-    assert set(NAMED_READERS) == set(READERS)
-    assert {"motive-csv", "motive-xlsx"} == MARKER_READERS

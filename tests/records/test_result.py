@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,20 +27,21 @@ from labpipe.records.result import Contribution, Result, Specimen, Status
 
 
 @pytest.mark.parametrize(
-    ("value", "status"), [(None, Status.OK), (None, Status.DOUBTFUL), (1.0, Status.FAILED)]
+    ("value", "status", "codes", "message"),
+    [
+        (None, Status.OK, ["gap"], "a result is failed exactly when it has no"),
+        (None, Status.DOUBTFUL, ["gap"], "a result is failed exactly when it has no"),
+        (1.0, Status.FAILED, ["gap"], "a result is failed exactly when it has no"),
+        (None, Status.FAILED, [], "a failed result must say why"),
+        (1.0, Status.DOUBTFUL, [], "a doubtful result must say why"),
+    ],
 )
-def test_failed_exactly_without_a_value(value: float | None, status: Status) -> None:
-    with pytest.raises(ValueError, match=r"energy.1: a result is failed exactly when it has no"):
-        Result("energy.1", value, "J", status=status, reasons=(Reason("gap", "x"),))
-
-
-@pytest.mark.parametrize(("value", "status"), [(None, Status.FAILED), (1.0, Status.DOUBTFUL)])
-def test_must_say_why(value: float | None, status: Status) -> None:
-    with pytest.raises(ValueError, match=f"energy.1: a {status} result must say why"):
-        Result("energy.1", value, "J", status=status)
-    assert (
-        Result("energy.1", value, "J", status=status, reasons=(Reason("gap", "x"),)).why == "gap: x"
-    )
+def test_results_that_contradict_themselves(
+    value: float | None, status: Status, codes: list[str], message: str
+) -> None:
+    reasons = tuple(Reason(code, "x") for code in codes)
+    with pytest.raises(ValueError, match=f"energy.1: {message}"):
+        Result("energy.1", value, "J", status=status, reasons=reasons)
 
 
 def test_shares_of_the_variance() -> None:
@@ -59,10 +62,7 @@ def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool
     interval = Interval(7.0, 11.0)
     found = Result("energy.1", 10.0, "J", interval, estimate=estimate)
     assert found.apart == (estimate if is_apart else None)
-
-
-def test_an_estimate_without_an_interval_says_nothing() -> None:
-    assert Result("energy.1", 10.0, "J", estimate=3.0).apart is None
+    assert replace(found, interval=None).apart is None
 
 
 LOPSIDED = Estimate(1.0, 0.1, 9, Interval(0.9, 1.4))
@@ -95,18 +95,10 @@ def test_a_doubt_of_several_quantities_is_one_note() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("stretches", "during"),
-    [
-        ((), [None]),
-        (((0.0, 1.0), (4.0, 5.0)), [(0.0, 1.0), (4.0, 5.0)]),
-        (((0.0, 1.0), (4.0, 5.0), (7.0, 8.0)), [(0.0, 8.0)]),
-    ],
-    ids=["all of it", "each", "too many are one"],
-)
-def test_doubts_of_stretches(
-    stretches: tuple[tuple[float, float], ...], during: list[tuple[float, float] | None]
-) -> None:
+@pytest.mark.parametrize(("count", "during"), [(0, [None]), (2, [(0, 1), (4, 5)]), (3, [(0, 8)])])
+def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None]) -> None:
+    """Of all of it, of each, and of one long stretch where there are too many."""
+    stretches = ((0.0, 1.0), (4.0, 5.0), (7.0, 8.0))[:count]
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
     found = doubtful_stretches("force", note, "recorder", most=2)
     assert found.note.severity is Severity.WARNING
@@ -123,33 +115,19 @@ def test_notes_and_doubts_count_once() -> None:
     assert [doubt.quantity for doubt in found.doubts] == ["force", "clock"]
 
 
-def test_what_another_finding_explains_better_is_left_out() -> None:
-    found = Findings((warning("a", "", ""), warning("b", "", ""), warning("a", "", "again")))
-    assert [finding.code for finding in found.without("a").found] == ["b"]
-
-
-def test_the_first_that_blocks_counts() -> None:
+def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     assert Findings((not_available("x", "", ""),)).blocked is None
+    several = Findings((warning("a", "", ""), warning("b", "", ""), warning("a", "", "again")))
+    assert [finding.code for finding in several.without("a").found] == ["b"]
     found = Findings((warning("b", "", ""), blocking("c", "align", "three")))
     assert (found + iter([blocking("d", "align", "four")])).blocked == Reason("c", "three")
 
 
-@pytest.mark.parametrize(
-    ("cause", "is_common"),
-    [
-        ("noise", False),
-        ("scale of the force", True),
-        ("compliance of the frame", True),
-        ("pull offset", False),
-        ("grip offset", True),
-        ("span", True),
-    ],
-)
-def test_what_tests_of_a_rig_share(cause: str, is_common: bool) -> None:
-    assert contribution(cause, -0.2) == Contribution(cause, -0.2, is_common)
-
-
-def test_a_cause_that_nobody_has_placed() -> None:
+def test_what_tests_of_a_rig_share() -> None:
+    causes = ("noise", "scale of the force", "compliance of the frame", "pull offset", "span")
+    common = [contribution(cause, -0.2).is_common for cause in (*causes, "grip offset")]
+    assert common == [False, True, True, False, True, True]
+    assert contribution("span", -0.2) == Contribution("span", -0.2, is_common=True)
     with pytest.raises(KeyError):
         contribution("the moon", 0.1)
 
@@ -159,22 +137,9 @@ MIXED = Bundle(
 )
 
 
-def test_words_of_a_bundle() -> None:
-    assert (MIXED.number, MIXED.composition) == (19, "10 B1 + 9 B2")
-    assert MIXED.fields == {
-        "wire": "B1 & B2",
-        "number": "19",
-        "composition": "10 B1 + 9 B2",
-        "arrangement": "asymmetric",
-        "tape": "PVC",
-        "taping": "half-lap",
-        "conduit": "none",
-    }
-
-
 def test_fields_of_a_specimen() -> None:
-    plain = Specimen("A2", "s1", "1")
-    assert plain.fields == {"type": "A2", "spool": "s1"}
+    assert Specimen("A2", "s1", "1").fields == {"type": "A2", "spool": "s1"}
     taped = Specimen("TWB", "s1", "1", bundle=MIXED, labels={"tape": "PVC 3", "cured": "24 h"})
-    assert (taped.fields["tape"], taped.fields["cured"]) == ("PVC 3", "24 h")
-    assert taped.fields["wire"] == "B1 & B2"
+    bundle = {"number": "19", "composition": "10 B1 + 9 B2", "arrangement": "asymmetric"}
+    tape = {"tape": "PVC 3", "taping": "half-lap", "conduit": "none", "cured": "24 h"}
+    assert taped.fields == {"type": "TWB", "spool": "s1", "wire": "B1 & B2"} | bundle | tape

@@ -10,7 +10,6 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET, GRIP
 from labpipe.records.curve import ClockFit, Interval
-from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Clocks, Signal, Signals
 
 TIME: Floats = np.arange(0.0, 10.0)
@@ -66,27 +65,25 @@ def test_what_is_done_to_a_signal_is_done_to_all_that_it_may_have_been() -> None
     np.testing.assert_allclose(zeroed.raw["way"].moved[GRIP], 1e-3 * TIME + 5e-4)
 
 
-def test_one_clock_needs_no_joining() -> None:
-    for clocks in (Clocks(), Clocks("frame")):
-        assert clocks.to_curve(3.0, "frame") == clocks.from_curve(3.0, "frame") == 3.0
-        assert clocks.to_curve(3.0, "force") == clocks.from_curve(3.0, "force") == 3.0
-        assert clocks.error == 0.0
+@pytest.mark.parametrize("event_count", [1, 4])
+def test_times_go_from_clock_to_clock_and_back(event_count: int) -> None:
+    """One event moves no drift; four know the offset twice as well."""
+    joined = fit(2.0, 1e-3, (0.1,) * event_count)
+    clocks = Clocks("frame", joined, {"markers": fit(-5.0)})
+    for clock, time in (("force", 102.1), ("markers", 95.0), ("", 100.0), ("frame", 100.0)):
+        assert clocks.from_curve(100.0, clock) == pytest.approx(time)
+        assert clocks.to_curve(time, clock) == pytest.approx(100.0)
+    assert clocks.error == pytest.approx(0.1 / np.sqrt(event_count))
+    nothing = replace(joined, drift_interval=Interval(np.nan, np.nan))
+    assert list(Clocks("frame", nothing).moved) == [CLOCK_OFFSET]
+
+
+@pytest.mark.parametrize("clocks", [Clocks(), Clocks("frame")])
+def test_one_clock_needs_no_joining(clocks: Clocks) -> None:
+    for clock in ("frame", "force"):
+        assert clocks.to_curve(3.0, clock) == clocks.from_curve(3.0, clock) == 3.0
+    assert (clocks.error, clocks.moved) == (0.0, {})
     assert Clocks("frame").sampled(WAY, TIME) is WAY.values
-
-
-def test_times_go_from_clock_to_clock_and_back() -> None:
-    clocks = Clocks("frame", fit(2.0, 1e-3), {"markers": fit(-5.0)})
-    assert clocks.from_curve(100.0, "force") == pytest.approx(102.1)
-    assert clocks.to_curve(102.1, "force") == pytest.approx(100.0)
-    assert clocks.from_curve(100.0, "markers") == pytest.approx(95.0)
-    assert clocks.to_curve(95.0, "markers") == pytest.approx(100.0)
-    for clock in ("", "frame"):  # that of the curve
-        assert clocks.to_curve(7.0, clock) == clocks.from_curve(7.0, clock) == 7.0
-
-
-def test_the_offset_is_known_better_by_more_events() -> None:
-    assert Clocks("frame", fit(0.0, errors=(0.1,))).error == pytest.approx(0.1)
-    assert Clocks("frame", fit(0.0, errors=(0.1,) * 4)).error == pytest.approx(0.05)
 
 
 def test_samples_at_times_of_the_curve() -> None:
@@ -101,13 +98,8 @@ def test_samples_at_times_of_the_curve() -> None:
 def test_clocks_moved_by_what_is_not_known_of_them() -> None:
     """Events at 0, 100, 400 s, the last known half as well: weights 4, 4, 1, middle 800 / 9 s."""
     known = Interval.normal_95(1e-3, 2e-5)
-    joined = ClockFit(
-        *(2.0, 1e-3, known, known, 0.0),
-        np.array([0.0, 100.0, 400.0]),
-        np.zeros(3),
-        np.array([0.1, 0.1, 0.2]),
-        "",
-    )
+    events, errors = np.array([0.0, 100.0, 400.0]), np.array([0.1, 0.1, 0.2])
+    joined = ClockFit(2.0, 1e-3, known, known, 0.0, events, np.zeros(3), errors, "")
     clocks = Clocks("frame", joined)
     assert clocks.middle == pytest.approx((4.0 * 100.0 + 400.0) / 9.0)
     assert clocks.error == pytest.approx(0.2 / 3.0)
@@ -119,23 +111,3 @@ def test_clocks_moved_by_what_is_not_known_of_them() -> None:
         faster = clocks.moved[CLOCK_DRIFT].from_curve(at, "force")
         assert later - usual == pytest.approx(0.2 / 3.0)
         assert faster - usual == pytest.approx(2e-5 * (at - 800.0 / 9.0), abs=1e-12)
-
-
-def test_one_event_moves_no_drift() -> None:
-    nothing = Interval(np.nan, np.nan)
-    clocks = Clocks("frame", replace(fit(2.0), drift_interval=nothing))
-    assert clocks.drift_error == 0.0
-    assert list(clocks.moved) == [CLOCK_OFFSET]
-    assert Clocks("frame").moved == {}
-
-
-def tracks() -> MarkerTracks:
-    positions = np.zeros((5, 2, 3))
-    positions[1:3, 0, 2] = np.nan
-    body = RigidBody("Clamp", np.zeros((5, 3)), np.zeros((5, 4)), np.zeros(5))
-    time = np.arange(5.0)
-    return MarkerTracks(time, time, 1.0, ("a", "b"), positions, (body,))
-
-
-def test_frames_without_a_marker_are_counted() -> None:
-    assert tracks().missing == {"a": 2, "b": 0}
