@@ -1,10 +1,7 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from tests.builders.readings import Written
 from tests.builders.small_tests import Lab, state
 
 
@@ -17,13 +14,3 @@ def processed(pristine: Lab, tmp_path_factory: pytest.TempPathFactory) -> Lab:
     process_test(lab.sheet)
     assert len(state(lab.home / "processed")) == 8
     return lab
-
-
-@pytest.fixture
-def write(tmp_path: Path) -> Written:
-    def written(content: bytes, name: str = "synthetic.csv") -> Path:
-        file = tmp_path / name
-        file.write_bytes(content)
-        return file
-
-    return written
