@@ -14,7 +14,6 @@ from labpipe.law.equivalent_material import (
     EquivalentMaterial,
     equivalent_material,
 )
-from labpipe.law.loading_panels import panel_rule
 from labpipe.law.loading_table import LoadingTable
 from labpipe.law.loss_card import fit_dahl, turn_loss
 from labpipe.law.plays import LinearLaw, PlayLaw, first_curvature, respond, unbent_plays
@@ -22,12 +21,6 @@ from labpipe.law.sliders import fit_sliders, slide, unbent_rests
 from labpipe.records.arrays import Floats
 from labpipe.wire.wire_table import wire_table as table_of
 from tests.builders.wire_tables import loss_card, spec_of, wire_table
-
-
-def test_gauss_rule_is_exact_for_its_degree() -> None:
-    places, weights = panel_rule(3)
-    assert weights @ places**5 == pytest.approx(1.0 / 6.0, rel=1e-14)
-
 
 PLAYS_TABLE = PlayLaw(2.0, np.array([0.5, 1.0, 3.0]), np.array([0.5, 0.25, 1.0]))
 
@@ -79,23 +72,6 @@ def test_derivatives_by_a_parameter_with_those_of_the_rest() -> None:
     assert found[0] == pytest.approx(wanted, rel=1e-5, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", ["A2", "C5"])
-def test_example_wires_over_bends_of_a_harness(name: str) -> None:
-    """0.1 to 10 1/m: constant EI 53 to 78 %, Dahl 3 to 9 %, 4 sliders 1.2 %, 8 sliders 0.4 %."""
-    table = wire_table(name)
-    card = loss_card(table.curvature, table.moment, first=0.1, last=10.0)
-    assert (card.first, card.last) == (0.1, 10.0)
-    assert 0.5 < card.constant < 0.8
-    assert 0.03 < card.dahl.error < 0.09
-    losses = dict(card.sliders)
-    assert losses[4] < 0.012
-    assert losses[8] < 0.004
-    assert losses[12] < losses[8] < losses[6] < losses[4]
-    spread = dict(card.directions)
-    assert spread[4] < 0.04
-    assert spread[16] < spread[4]
-
-
 def test_the_best_dahl_law_against_a_search() -> None:
     table = wire_table("A3")
     use = (table.curvature >= 0.1) & (table.curvature <= 10.0)
@@ -121,7 +97,7 @@ def test_the_way_back_step_by_step() -> None:
     plastic = x - y / slope  # of first loading, against its moment
     worst = np.zeros(2)
     for turn in np.geomspace(2.0 * x[1], 0.5 * x[-1], 16):
-        way = np.linspace(turn, 0.0, 401)
+        way = np.linspace(turn, 0.0, 201)
         rests = slide(law, np.array([turn]), unbent_rests(law, 1)).rests
         top = float(np.interp(turn, x, y))
         carried, hardened = top, float(np.interp(turn, x, plastic))
@@ -178,7 +154,7 @@ def test_a_perfectly_plastic_bar_is_found_again() -> None:
     yields = EquivalentMaterial(
         DIAMETER, 1e10, np.array([0.004, 0.1]), np.array([4e7, 4e7]), np.ones(1), np.zeros(1)
     )
-    curvature = np.geomspace(0.1, 120.0, 200)
+    curvature = np.geomspace(0.1, 120.0, 100)
     moment = bar_moment(yields, curvature)
     assert moment[0] == pytest.approx(1e10 * SECOND_MOMENT * 0.1)
     assert moment[-1] == pytest.approx(4e7 * DIAMETER**3 / 6.0, rel=1e-2)
@@ -188,7 +164,7 @@ def test_a_perfectly_plastic_bar_is_found_again() -> None:
     assert material.stress[-1] == pytest.approx(4e7, rel=0.01)
 
 
-@pytest.mark.parametrize("name", ["A1", "A2", "A3", "C4"])
+@pytest.mark.parametrize("name", ["A2", "C4"])
 def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str) -> None:
     material, curvature, moment = of_wire(name)
     start = material.holds_from(0.01)
@@ -199,10 +175,10 @@ def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str
     assert (np.diff(material.plastic_strain) > 0.0).all()
     assert material.strain[-1] == pytest.approx(curvature[-1] * 0.5 * material.diameter)
     assert material.elastic_curvature == pytest.approx(0.002 * curvature[-1])
-    near = curvature >= start
-    found = bar_moment(material, curvature)
-    assert found[near] == pytest.approx(moment[near], rel=0.01)
-    np.testing.assert_allclose(material.error, found / moment - 1.0, atol=1e-6)
+    some = slice(None, None, 5)
+    error = bar_moment(material, curvature[some]) / moment[some] - 1.0
+    assert largest(error[curvature[some] >= start]) < 0.01
+    np.testing.assert_allclose(material.error[some], error, atol=1e-6)
 
 
 def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
@@ -213,6 +189,7 @@ def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
     assert starts[0] < 0.1 * starts[1]  # type: ignore[operator]
 
 
+@pytest.mark.slow
 def test_a_search_with_many_turns_is_not_ended_half_way() -> None:
     sticks = replace(
         spec_of("C5", "C5"), layout="packed", copper_n=0.23, friction_insulation=0.003,
@@ -253,7 +230,11 @@ def test_a_dahl_law_is_recovered(parts: tuple[float, float, float]) -> None:
 
 
 def test_a_constant_stiffness_by_hand() -> None:
-    """Secants from 3 to 1: 1.5 is half too low and half too high."""
-    card = loss_card(np.array([0.0, 1.0, 2.0, 6.0]), np.array([0.0, 3.0, 4.0, 6.0]), counts=(2,))
+    """Secants from 3 to 1: 1.5 is half too low and half too high; from 1 to 2 1/m from 3 to 2."""
+    curvature, moment = np.array([0.0, 1.0, 2.0, 6.0]), np.array([0.0, 3.0, 4.0, 6.0])
+    card = loss_card(curvature, moment, counts=(2,))
     assert (card.stiffness, card.constant) == pytest.approx((1.5, 0.5))
     assert card.sliders[0] == pytest.approx((2, 0.0), abs=1e-12)
+    part = loss_card(curvature, moment, first=1.0, last=2.0, counts=(2,))
+    assert (part.first, part.last) == (1.0, 2.0)
+    assert (part.stiffness, part.constant) == pytest.approx((2.4, 0.2))

@@ -28,14 +28,19 @@ from tests.approved import Approve
 from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.wire_tables import wire_table
 
-WIRE = stick_slip_law(
-    stick_stiffness=5e-3,
-    stick_moment=0.002,
-    slip_stiffness=5e-3,
-    reference_moment=0.05,
-    hardening=0.5,
-    last_moment=0.2,
-)
+
+def stick_slip(hardening: float = 0.5) -> PlayLaw:
+    return stick_slip_law(
+        stick_stiffness=5e-3,
+        stick_moment=0.002,
+        slip_stiffness=5e-3,
+        reference_moment=0.05,
+        hardening=hardening,
+        last_moment=0.2,
+    )
+
+
+WIRE = stick_slip()
 
 
 def drive(law: MomentLaw, moments: list[float]) -> Floats:
@@ -92,12 +97,6 @@ def test_compliance_is_the_slope_of_the_step(way: list[float]) -> None:
     assert min(sides) * 0.999 <= float(here.compliance[0]) <= max(sides) * 1.001
 
 
-def test_unloading_starts_with_the_first_stiffness_and_leaves_curvature() -> None:
-    peak, little, empty = drive(WIRE, [0.1, 0.0970, 0.0])
-    assert (0.1 - 0.0970) / (peak - little) == pytest.approx(5e-3, rel=1e-9)
-    assert empty > 0.1 * peak
-
-
 def test_nan_stays_with_its_station() -> None:
     answer = respond(WIRE, np.array([0.1, np.nan]), unbent_plays(WIRE, 2))
     assert np.isfinite(answer.curvature[0])
@@ -129,18 +128,8 @@ def test_fitted_plays_meet_the_law_at_every_corner_and_are_near_it_between() -> 
         assert curvature == pytest.approx(law, abs=close * law[-1])
 
 
-def test_a_law_may_end() -> None:
-    law = PlayLaw(2.0, np.array([1.0]), np.array([0.5]), 3.0)
-    require_within(law, np.array([-3.0, 3.0]), "bending")
-    require_within(LinearLaw(2.0), np.array([1e9]), "bending")
-    require_within(bilinear_law(2.0, 1.0, 1.0), np.array([1e9]), "bending")
-
-
 CURVATURE: Floats = np.linspace(0.0, 10.0, 401)
 LINE: Floats = np.arange(11.0)
-STICK_SLIP = {
-    "stick_stiffness": 1.0, "stick_moment": 0.1, "slip_stiffness": 1.0, "reference_moment": 1.0,
-}  # fmt: skip
 
 
 def row(*numbers: float) -> Floats:
@@ -157,24 +146,19 @@ def sliders(n_sliders: int = 4, **options: float) -> SliderLaw:
 
 CASES: dict[str, list[Callable[[], object]]] = {
     "plays": [
-        *(lambda value=value: LinearLaw(value) for value in (0.0, -1.0, np.nan, np.inf)),
+        *(lambda value=value: LinearLaw(value) for value in (0.0, np.nan, np.inf)),
         lambda: PlayLaw(1.0, row(1.0), row(-0.1)),
-        *(
-            lambda pair=pair: PlayLaw(1.0, row(*pair), row(1, 1))
-            for pair in ((0, 1), (2, 1), (1, 1))
-        ),
+        lambda: PlayLaw(1.0, row(0, 1), row(1, 1)),
+        lambda: PlayLaw(1.0, row(1, 1), row(1, 1)),
         *(lambda last=last: PlayLaw(2.0, row(1.0), row(0.5), last) for last in (0.0, np.nan)),
         lambda: require_within(PlayLaw(2.0, row(1.0), row(0.5), 3.0), row(1.0, -4.0), "bending"),
         lambda: plays_of(lambda moment: moment * (2.0 - moment)),
         lambda: plays_of(lambda moment: np.full_like(moment, 0.2)),
         lambda: plays_of(np.sqrt),
         lambda: plays_of(np.square, 0.1),
-        lambda: plays_of(np.square, 0.05),
         lambda: plays_of(np.square, 3.0, 0),
-        *(
-            lambda share=share: stick_slip_law(**STICK_SLIP, hardening=share, last_moment=2.0)  # type: ignore[arg-type]
-            for share in (0.0, 1.0)
-        ),
+        lambda: stick_slip(hardening=0.0),
+        lambda: stick_slip(hardening=1.0),
         lambda: polygon_law(row(1.0, 2.0, 3.0), row(1e-3, 1.5e-3, 1.4e-3)),
         lambda: polygon_law(row(1.0, 2.0, 3.0), row(1.0, 3.0, 3.5)),
         lambda: concave_law(row(1.0, 2.0, 3.0), row(4.0, 5.0, 7.0)),

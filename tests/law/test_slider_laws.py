@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import nnls
 
 from labpipe.law.plays import respond, unbent_plays
 from labpipe.law.slider_directions import TURNS, in_directions, turned
@@ -40,31 +39,26 @@ def root(curvature: Floats) -> Floats:
 
 
 def test_first_loading_by_hand() -> None:
-    bent = np.array([0.25, 1.0, 3.0, 5.0, -1.0])
-    by_hand = [
-        0.25 * 12.0,
-        2.0 + 3.0 + 3.0 + 1.0,
-        6.0 + 3.0 + 6.0 + 3.0,
-        10.0 + 3.0 + 6.0 + 4.0,
-        -9.0,
-    ]
+    by_hand = [0.25 * 12.0, 2.0 + 3.0 + 3.0 + 1.0, 6.0 + 3.0 + 6.0 + 3.0, 10.0 + 3.0 + 6.0 + 4.0]
+    bent = np.array([0.25, 1.0, 3.0, 5.0])
     assert slider_moment(LAW, bent) == pytest.approx(by_hand)
+    assert slider_moment(LAW, -bent) == pytest.approx(-np.array(by_hand))
     assert LAW.first_stiffness == 12.0
     assert slip_moments(LAW).tolist() == [3.0, 6.0, 4.0]
 
 
 def test_a_loop_by_hand() -> None:
     """To 3 1/m and back: everything holds at first, the first slider lets go after 1 1/m."""
-    top = slide(LAW, np.array([3.0]), unbent_rests(LAW, 1))
-    assert top.moment == pytest.approx(18.0)
-    assert top.stiffness == pytest.approx(3.0)
-    back = slide(LAW, np.array([2.5]), top.rests)
-    assert back.moment == pytest.approx(18.0 - 0.5 * 12.0)
-    assert back.stiffness == pytest.approx(12.0)
-    further = slide(LAW, np.array([1.0]), back.rests)
-    assert further.moment == pytest.approx(18.0 - 2.0 * 2.0 - 1.0 * 6.0 - 2.0 * 3.0 - 2.0 * 1.0)
-    again = slide(LAW, np.array([3.0]), further.rests)
-    assert again.moment == pytest.approx(18.0)  # loops close
+    rests = unbent_rests(LAW, 1)
+    for bent, moment, stiffness in (
+        (3.0, 18.0, 3.0),
+        (2.5, 18.0 - 0.5 * 12.0, 12.0),
+        (1.0, 18.0 - 2.0 * 2.0 - 1.0 * 6.0 - 2.0 * 3.0 - 2.0 * 1.0, 6.0),
+        (2.9, 18.0 - 0.1 * 6.0, 6.0),  # loops close
+    ):
+        answer = slide(LAW, np.array([bent]), rests)
+        assert (answer.moment[0], answer.stiffness[0]) == pytest.approx((moment, stiffness))
+        rests = answer.rests
 
 
 @settings(max_examples=30, deadline=None)
@@ -109,7 +103,7 @@ def test_tangent_against_differences(seed: int) -> None:
 
 
 def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
-    angle = np.linspace(0.0, 4.0 * np.pi, 4001)
+    angle = np.linspace(0.0, 4.0 * np.pi, 2401)
     path = np.column_stack([3.0 * np.cos(angle), 3.0 * np.sin(angle)])
     rests = slide_vector(LAW, path[:1], unbent_rests(LAW, 1, is_vector=True)).rests
     moments = []
@@ -126,7 +120,7 @@ def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
     assert second == pytest.approx(lost, rel=2e-3)
 
 
-@pytest.mark.parametrize("number", [4, 8, 12])
+@pytest.mark.parametrize("number", [4, 12])
 def test_errors_of_a_smooth_law(number: int) -> None:
     law = fit_sliders(CURVATURE, root(CURVATURE), number, first=0.1)
     fine = np.linspace(0.1, 10.0, 5000)
@@ -134,27 +128,6 @@ def test_errors_of_a_smooth_law(number: int) -> None:
     assert np.max(np.abs(off)) == pytest.approx(law.error, rel=1e-3)
     assert len(law.stiffnesses) == number
     assert off.max() == pytest.approx(-off.min(), rel=1e-3)  # as much above as below
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("number", "most"), [(4, 0.03), (8, 0.008), (12, 0.004)])
-@pytest.mark.parametrize("name", ["A2", "A3", "C5"])
-def test_example_wires_against_least_squares_on_a_grid(name: str, number: int, most: float) -> None:
-    """Non-negative least squares with as many sliders as it likes, thinned to as many as here."""
-    table = wire_table(name)
-    law = fit_sliders(table.curvature, table.moment, number)
-    assert law.error < most
-    x, y = table.curvature[1:], table.moment[1:]
-    grid = np.geomspace(x[0], x[-1], 200)[:-1]
-    for _ in range(200):
-        columns = np.column_stack([x, np.minimum(x[:, None], grid)]) / y[:, None]
-        found = nnls(columns, np.ones(len(x)))[0]
-        used = found[1:] > 0.0
-        if used.all() and len(grid) <= number:
-            break
-        grid = grid[used] if not used.all() else np.delete(grid, np.argmin(found[1:] * grid))
-    off = float(np.max(np.abs(columns @ found - 1.0)))
-    assert law.error < off
 
 
 def test_a_law_with_fewer_corners_is_met() -> None:
@@ -186,27 +159,6 @@ def test_a_spring_and_one_slider_that_slides_all_along() -> None:
     assert spring.stiffness == pytest.approx(2.0 * 0.5 / 3.0)
 
 
-@pytest.mark.parametrize("name", ["A2", "C5"])
-def test_errors_by_the_sliders_themselves(name: str) -> None:
-    """Each direction by the planar sliders, some curvatures and angles; no more than is stated."""
-    table = wire_table(name)
-    law = fit_sliders(table.curvature, table.moment, 8)
-    found = in_directions(law, 4)
-    assert len(found.stiffnesses) <= 16
-    assert found.error < 0.06
-    one = SliderLaw(found.stiffness, found.stiffnesses, found.slip_curvatures, 0.1, 10.0)
-    for angle in (0.0, 0.2, np.pi / 8.0, 1.0):
-        towards = np.array([np.cos(angle), np.sin(angle)])
-        for size in (0.2, 3.0, 40.0):
-            bent = size * found.normals @ towards
-            held = slide(one, bent, np.zeros((4, len(one.stiffnesses)))).moment
-            moment = held @ found.normals
-            wanted = slider_moment(law, np.array([size]))[0]
-            assert moment @ towards == pytest.approx(wanted, rel=1.05 * found.error)
-            aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
-            assert aside <= 1.05 * found.sideways * wanted
-
-
 def test_more_directions_lose_less() -> None:
     table = wire_table("A2")
     law = fit_sliders(table.curvature, table.moment, 8, first=0.1, last=10.0)
@@ -216,27 +168,29 @@ def test_more_directions_lose_less() -> None:
 
 
 @pytest.mark.parametrize("name", ["A2", "C5"])
-def test_nodes_that_are_turned_are_more_alike_together(name: str) -> None:
-    """The mean of four nodes, each by its own sliders: within what is stated, closer than one."""
+def test_errors_by_the_sliders_themselves(name: str) -> None:
+    """A node, and the mean of four that are turned: each direction by its own planar sliders."""
     table = wire_table(name)
     law = fit_sliders(table.curvature, table.moment, 8)
     alone = in_directions(law, 4)
     together = turned(law, alone)
+    assert len(alone.stiffnesses) <= 16
     assert together.directions == 16
+    assert together.error < alone.error < 0.06
     assert together.sideways < 0.2 * alone.sideways
-    assert together.error < alone.error
     one = SliderLaw(alone.stiffness, alone.stiffnesses, alone.slip_curvatures, 0.1, 10.0)
-    for angle in np.linspace(0.0, 1.5, 7):
-        towards = np.array([np.cos(angle), np.sin(angle)])
-        moment = np.zeros(2)
-        for share in TURNS:
-            normals = alone.turned_normals(share)
-            held = slide(one, 5.0 * normals @ towards, np.zeros((4, len(one.stiffnesses))))
-            moment += held.moment @ normals / len(TURNS)
-        wanted = slider_moment(law, np.array([5.0]))[0]
-        assert moment @ towards == pytest.approx(wanted, rel=1.05 * together.error)
-        aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
-        assert aside <= 1.1 * together.sideways * wanted + 1e-12
+    for stated, shares in ((alone, (0.0,)), (together, TURNS)):
+        for angle, size in product((0.0, 0.2, np.pi / 8.0, 1.0, 1.5), (0.2, 5.0, 40.0)):
+            towards = np.array([np.cos(angle), np.sin(angle)])
+            moment = np.zeros(2)
+            for share in shares:
+                normals = alone.turned_normals(share)
+                held = slide(one, size * normals @ towards, np.zeros((4, len(one.stiffnesses))))
+                moment += held.moment @ normals / len(shares)
+            wanted = slider_moment(law, np.array([size]))[0]
+            assert moment @ towards == pytest.approx(wanted, rel=1.05 * stated.error)
+            aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
+            assert aside <= 1.1 * stated.sideways * wanted + 1e-12
 
 
 def test_sliders_follow_the_table_and_their_card_says_how_well() -> None:
@@ -275,8 +229,8 @@ def concave(count: int, seed: int) -> tuple[Floats, Floats]:
     return x, np.concatenate([[0.0], np.cumsum(slopes * steps)])
 
 
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("most", [2, 3, 4, 6])
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("most", [2, 3, 6])
 def test_no_other_choice_has_a_smaller_error(seed: int, most: int) -> None:
     curvature, moment = concave(9, seed)
     thinned = thin(curvature, moment, most=most)
@@ -285,25 +239,17 @@ def test_no_other_choice_has_a_smaller_error(seed: int, most: int) -> None:
     assert thinned.error == pytest.approx(by_trying_all(curvature, moment, most), rel=2e-6)
 
 
-def test_twenty_points_hold_a_wire_within_a_quarter_of_a_per_cent() -> None:
-    for name in ("A1", "A2", "A3", "C5"):
-        table = wire_table(name)
-        assert thin(table.curvature, table.moment, most=21).error < 0.0025
-
-
-@pytest.mark.parametrize(
-    ("points", "kept", "error"),
-    [
-        (concave(6, 1), concave(6, 1)[0].tolist(), 0.0),
-        ((np.linspace(0.0, 1.0, 50), 3e-3 * np.linspace(0.0, 1.0, 50)), [0.0, 1.0], 0.0),
+def test_few_points() -> None:
+    """Of few corners all are kept, of a straight law two; one that stiffens is bridged."""
+    corners, straight = concave(6, 1), (np.linspace(0.0, 1.0, 50), np.linspace(0.0, 3e-3, 50))
+    for points, kept, error in (
+        (corners, corners[0].tolist(), 0.0),
+        (straight, [0.0, 1.0], 0.0),
         ((np.arange(3.0), np.array([0.0, 1.0, 3.0])), [0.0, 2.0], 0.5),
-    ],
-    ids=["few corners", "straight", "stiffens"],
-)
-def test_few_points(points: tuple[Floats, Floats], kept: list[float], error: float) -> None:
-    thinned = thin(*points, most=6)
-    assert thinned.curvature.tolist() == kept
-    assert thinned.error == pytest.approx(error, abs=1e-14)
+    ):
+        thinned = thin(*points, most=6)
+        assert thinned.curvature.tolist() == kept
+        assert thinned.error == pytest.approx(error, abs=1e-14)
 
 
 STEPS = st.lists(st.tuples(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3)), min_size=1, max_size=40)
