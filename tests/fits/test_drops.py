@@ -34,10 +34,6 @@ TIME = D / SPEED
 F = np.where(D <= 0.02, 5000.0 * D, 3.0)
 
 
-def test_the_sample_before_the_loss() -> None:
-    assert final_loss(TIME, F, RULE) == 200
-
-
 @pytest.mark.parametrize(("low", "is_lost"), [(45.0, True), (46.0, False)])
 def test_a_loss_of_just_the_share_is_one(low: float, *, is_lost: bool) -> None:
     """A sample a second, 5 N slower each, and 10 % of 100 N on the way below half of it."""
@@ -46,10 +42,12 @@ def test_a_loss_of_just_the_share_is_one(low: float, *, is_lost: bool) -> None:
     assert found == 11 if is_lost else isinstance(found, Failure)
 
 
-def test_missing_samples_are_left_out() -> None:
-    force = F.copy()
-    force[50], force[198] = np.nan, np.nan
-    assert final_loss(TIME, force, RULE) == 200
+def test_the_sample_before_the_loss() -> None:
+    """Missing samples are left out; rows without time lose their force in one step."""
+    holes = F.copy()
+    holes[50], holes[198] = np.nan, np.nan
+    losses = [(TIME, F), (TIME, holes), (np.arange(301.0), F)]
+    assert [final_loss(time, force, RULE) for time, force in losses] == [200] * 3
 
 
 def broken(rate: float, *, takes: float = 0.004, neck: float = 0.0) -> tuple[Floats, Floats]:
@@ -61,8 +59,8 @@ def broken(rate: float, *, takes: float = 0.004, neck: float = 0.0) -> tuple[Flo
     return time, (rising - necked) * left + 1.0 * (1.0 - left)
 
 
-@pytest.mark.parametrize("rate", [10.0, 50.0, 100.0, 1000.0, 10_000.0])
-@pytest.mark.parametrize("neck", [0.0, 10.0, 40.0])
+@pytest.mark.parametrize("rate", [10.0, 100.0, 10_000.0])
+@pytest.mark.parametrize("neck", [0.0, 40.0])
 def test_a_break_is_found_at_any_rate_behind_the_necking(rate: float, neck: float) -> None:
     time, force = broken(rate, neck=neck)
     sample = final_loss(time, force, RULE)
@@ -71,13 +69,22 @@ def test_a_break_is_found_at_any_rate_behind_the_necking(rate: float, neck: floa
     assert force[sample] == pytest.approx(100.0 - neck, rel=0.05)
 
 
-def test_a_slow_fall_is_no_break() -> None:
+def test_why_there_is_no_break() -> None:
+    """A force that relaxes, a yarn that breaks fibre by fibre, one that holds, and a way back."""
     time = np.arange(0.0, 40.0, 0.01)
     relaxed = np.where(time < 10.0, 10.0 * time, 100.0 * np.exp(-(time - 10.0) / 10.0))
-    found = final_loss(time, relaxed, RULE)
-    assert isinstance(found, Failure)
-    assert found.code == "no_break"
-    assert "slowly" in found.message
+    steps = np.maximum(100.0 - 5.0 * np.floor(np.arange(200) / 10.0), 0.0)
+    back = np.concatenate([F[:200], F[:200][::-1]])
+    why = [
+        *(final_loss(time, relaxed, RULE), final_loss(0.1 * np.arange(200.0), steps, RULE)),
+        final_loss(TIME[:200], F[:200], RULE),
+        final_loss(0.1 * np.arange(400.0), back, RULE, np.arange(400) >= 200),
+    ]
+    messages = ("slowly", "slowly", "the force ends at 99.5 N, 100% of its peak 99.5 N; below 50%")
+    for failure, message in zip(why, (*messages, "while the displacement goes back"), strict=True):
+        assert isinstance(failure, Failure)
+        assert failure.code == "no_break"
+        assert message in failure.message
 
 
 @pytest.mark.parametrize(
@@ -97,37 +104,10 @@ def test_a_slow_loss_needs_a_motion_that_goes_on(motion: Floats, sample: int | N
     assert slow_loss(motion, force, RULE) == sample
 
 
-def test_a_yarn_that_breaks_fibre_by_fibre_has_no_single_break() -> None:
-    steps = 100.0 - 5.0 * np.floor(np.arange(200) / 10.0)
-    found = final_loss(0.1 * np.arange(200.0), np.maximum(steps, 0.0), RULE)
-    assert isinstance(found, Failure)
-    assert found.code == "no_break"
-
-
-def test_rows_without_time_lose_their_force_in_one_step() -> None:
-    rows = np.arange(301.0)
-    assert final_loss(rows, F, RULE) == 200
-
-
-def test_says_why_not() -> None:
-    held = final_loss(TIME[:200], F[:200], RULE)
-    assert held == Failure(
-        "no_break", "the force ends at 99.5 N, 100% of its peak 99.5 N; below 50% counts as lost"
-    )
-
-
-def test_a_force_that_goes_down_as_the_frame_goes_back_is_not_lost() -> None:
-    force = np.concatenate([F[:200], F[:200][::-1]])
-    time = 0.1 * np.arange(400.0)
-    found = final_loss(time, force, RULE, np.arange(400) >= 200)
-    assert found == Failure("no_break", "the force goes down while the displacement goes back")
-
-
-@pytest.mark.parametrize(("force", "most"), [(-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")])
-def test_no_tension(force: Floats, most: str) -> None:
-    assert final_loss(TIME, force, RULE) == Failure(
-        "no_tension", f"the force is nowhere above zero, at most {most} N"
-    )
+def test_no_tension() -> None:
+    for force, most in ((-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")):
+        message = f"the force is nowhere above zero, at most {most} N"
+        assert final_loss(TIME, force, RULE) == Failure("no_tension", message)
 
 
 @pytest.mark.parametrize(
@@ -191,20 +171,12 @@ def test_what_is_no_slip(seed: int) -> None:
     spike = np.where(np.arange(600) == 300, -8.0, 0.0)
     dip = np.where(np.arange(600) == 200, -0.8, 0.0)
     gone = np.where(D_SLIPS > 0.045, 0.05 * SMOOTH, SMOOTH)
-    for force in (SMOOTH, kink, SMOOTH + spike, SMOOTH + dip, gone):
+    yields = SMOOTH - 1.5 * np.clip((D_SLIPS - 0.02) / 0.003, 0.0, 1.0)
+    for force in (SMOOTH, kink, SMOOTH + spike, SMOOTH + dip, gone, yields):
         assert found(force + noise(seed)) == ()
-
-
-def test_small_drops_are_not_looked_at() -> None:
-    assert found(SMOOTH - 0.47 * (D_SLIPS > 0.02) + noise(), min_drop=1.0) == ()
-
-
-def test_a_force_that_never_changes() -> None:
-    for force in (0.0, 3.0):
-        assert found(np.full(len(D_SLIPS), force)) == ()
-
-
-def test_too_few_samples() -> None:
+    assert found(SMOOTH - 0.47 * (D_SLIPS > 0.02) + noise(seed), min_drop=1.0) == ()
+    for level in (0.0, 3.0):
+        assert found(np.full(600, level)) == ()
     few = find_slips(D_SLIPS[:20], SMOOTH[:20], min_drop=0.2, decision=SlipDecision.MARKED)
     assert few == Failure("too_few_samples", "20 samples in the branch, 64 are needed")
 
@@ -220,14 +192,11 @@ def test_losses_add_up_and_samples_inside_lie_on_a_line() -> None:
     assert repaired == pytest.approx([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
     force[2] = np.nan
     assert np.isnan(add_back(force, (ledger(1, 3, 1.0),))[2])
-
-
-def test_a_cut_curve_ends_before_its_first_slip() -> None:
     assert samples_before((ledger(4, 5, 0.5), ledger(1, 3, 1.0)), 7) == 2
     assert samples_before((), 7) == 7
 
 
-@pytest.mark.parametrize("rate", [20, 50, 100, 200, 1000])
+@pytest.mark.parametrize("rate", [20, 100, 1000])
 def test_what_is_found_does_not_depend_on_the_sampling_rate(rate: int) -> None:
     """Falls over 0.1 s at 5 mm/s, and at once."""
     d = np.arange(0.0, 0.05, 5e-3 / rate)
@@ -242,12 +211,7 @@ def test_what_is_found_does_not_depend_on_the_sampling_rate(rate: int) -> None:
             assert slip.drop == pytest.approx(drop, abs=0.2)
 
 
-def test_a_long_fall_is_a_yield() -> None:
-    fall = np.clip((D_SLIPS - 0.02) / 0.003, 0.0, 1.0)
-    assert found(SMOOTH - 1.5 * fall + noise()) == ()
-
-
-@pytest.mark.parametrize(("rate", "memory"), [(50, 15.0), (100, 10.0), (20, 12.0)])
+@pytest.mark.parametrize(("rate", "memory"), [(100, 10.0), (20, 12.0)])
 def test_a_clear_slip_in_slow_noise(rate: int, memory: float) -> None:
     d, factor = np.arange(0.0, 0.05, 5e-3 / rate), np.exp(-1.0 / memory)
     seen = 0
@@ -335,23 +299,22 @@ def test_start_and_stop_are_the_samples_around_the_fall() -> None:
     assert found.latest >= found.stop - 1
 
 
-def test_noise_is_no_fall() -> None:
-    """At its deepest place in noise_of_drops of either kind."""
+def test_what_is_no_fall() -> None:
+    """Noise of either kind at its deepest place; a long fall; no room on a side; a coarse step.
+
+    Around the place of the coarse converter nothing moves at all, elsewhere steps of twelve.
+    """
     for memory in (0.0, 3.0, 10.0):
         for seed in range(8):
             extra = noise_of_drops(seed, memory)
             place = int(np.argmin(np.diff(extra)[30:-30])) + 30
             assert fit_load_drop(pull(0.0, 1.0, 0.0, extra), place) is None
-
-
-def test_a_long_fall_is_none() -> None:
     assert fit_load_drop(pull(195.0, 16.0, 1.5, noise_of_drops(1, 0.0)), 200) is None
-
-
-def test_no_room_on_a_side() -> None:
     whole = pull(3.0, 0.5, 1.0, noise_of_drops(1, 0.0))
-    assert fit_load_drop(whole, 3) is None
-    assert fit_load_drop(whole, COUNT - 3) is None
+    assert fit_load_drop(whole, 3) is fit_load_drop(whole, COUNT - 3) is None
+    force = 1.2 * np.round(0.1 * NUMBER / 1.2)
+    force[150:260] = force[150]
+    assert fit_load_drop(PullCurve(STEP * NUMBER, force, most=10, blurred=0), 205) is None
 
 
 def test_added_back() -> None:
@@ -361,10 +324,3 @@ def test_added_back() -> None:
     mended = curve.without([found])
     assert mended.f == pytest.approx(0.1 * NUMBER, abs=1e-6)
     assert curve.f[300] == pytest.approx(28.0)
-
-
-def test_a_coarse_converter_is_no_fall() -> None:
-    """Around the place nothing moves at all, and elsewhere in steps of twelve samples."""
-    force = 1.2 * np.round(0.1 * NUMBER / 1.2)
-    force[150:260] = force[150]
-    assert fit_load_drop(PullCurve(STEP * NUMBER, force, most=10, blurred=0), 205) is None

@@ -19,8 +19,7 @@ from labpipe.records.curve import (
     Series,
     Shape,
 )
-from labpipe.records.quality import Severity
-from labpipe.records.result import Result, Specimen, Status, TestResult
+from labpipe.records.result import Result, Status
 from labpipe.results.moment_curvature import (
     SLACK,
     AtRest,
@@ -35,6 +34,7 @@ from labpipe.results.shapes import MomentCurvature, _not_weighed
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.specimens import WireModel
+from tests.approved import Approve
 from tests.builders.bent_tests import law_moment
 from tests.builders.small_tests import small_scenario
 
@@ -71,6 +71,20 @@ def notes(test: ReducedTest, code: str) -> list[str]:
     return [note.message for note in test.findings.notes if note.code == code]
 
 
+def check_weight(test: ReducedTest, result: Result) -> None:
+    """1 g/m on 85 mm is 35 uN m: 1 % of 3.5 mN m; this wire has 4.8 mN m at 1 1/m."""
+    (note,) = notes(test, "weight_not_stated")
+    assert note.startswith("specimen.mass_per_length is not stated: moments leave out the spec")
+    assert "weight_not_stated" not in result.codes
+    assert isinstance(test.bending, Bending)
+    law = test.bending.law
+    assert law is not None
+    for factor, codes in ((0.8, []), (0.5, ["weight_not_stated"])):
+        soft = replace(law, moment=factor * law.moment)
+        doubts = _not_weighed(test, soft, MomentCurvature(at=1.0))
+        assert [reason.code for reason in doubts] == codes
+
+
 def test_stiffnesses_of_the_law(repository: Path) -> None:
     tangent = AT_1.replace("name:", "kind: tangent, name:").replace("at_1}", "t}")
     test, results = reduced(repository, (AT_1, f"{AT_1}\n{tangent}"))
@@ -88,28 +102,19 @@ def test_stiffnesses_of_the_law(repository: Path) -> None:
     assert slope.value == pytest.approx(4.53e-3, abs=3.0 * slope.interval.standard_error)
     assert slope.interval.standard_error < 0.2 * 4.53e-3
     assert "tangent at 1 1/m of the monotone law" in results["bending_stiffness_t"].method
-    (said,) = notes(test, "moment_curvature")
-    assert said.startswith("3383 points, each a mean over 3 frames, at 17 places; law from")
+    (note,) = notes(test, "moment_curvature")
+    assert note.startswith("3383 points, each a mean over 3 frames, at 17 places; law from")
+    check_weight(test, results["bending_stiffness_at_1"])
 
 
-def test_further_than_it_was_bent(repository: Path) -> None:
-    _, results = reduced(repository, ("at: 3 1/m", "at: 40 1/m"))
-    found = results["bending_stiffness_at_3"]
-    assert found.status is Status.FAILED
-    assert found.why.startswith("not_reached: the first loading bends the wire to 4.")
-    assert found.why.endswith("1/m, 40 1/m is asked for")
-
-
-def test_below_the_noise(repository: Path) -> None:
-    _, results = reduced(repository, ("at: 1 1/m", "at: 0.01 1/m"))
-    reason = results["bending_stiffness_at_1"].why
-    assert reason.startswith("below_noise: curvatures up to 0.")
-    assert reason.endswith("1/m are not distinct from their noise, 0.01 1/m is asked for")
-
-
-def test_what_stopped_the_test_comes_first(repository: Path) -> None:
-    _, results = reduced(repository, ("min_stroke: 5 mm", "min_stroke: 500 mm"))
-    assert results["bending_stiffness_at_1"].why.startswith("no_motion: ")
+def test_curvatures_that_are_not_in_the_test(repository: Path) -> None:
+    """Further than the wire was bent, and below the noise."""
+    results = reduced(repository, ("at: 3 1/m", "at: 40 1/m"), ("at: 1 1/m", "at: 0.01 1/m"))[1]
+    far, near = results["bending_stiffness_at_3"].why, results["bending_stiffness_at_1"].why
+    assert far.startswith("not_reached: the first loading bends the wire to 4.")
+    assert far.endswith("1/m, 40 1/m is asked for")
+    assert near.startswith("below_noise: curvatures up to 0.")
+    assert near.endswith("1/m are not distinct from their noise, 0.01 1/m is asked for")
 
 
 def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None:
@@ -119,21 +124,6 @@ def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None
         "hanging at the tip"
     ]
     assert results["bending_stiffness_at_1"].value == pytest.approx(4.8e-3, rel=0.05)
-
-
-def test_without_a_mass_a_note_says_that_weight_is_left_out(repository: Path) -> None:
-    test, results = reduced(repository)
-    (said,) = notes(test, "weight_not_stated")
-    # 1 g/m on 85 mm is 35 uN m: 1 % of 3.5 mN m; this wire has 4.8 mN m at 1 1/m.
-    assert "weight_not_stated" not in results["bending_stiffness_at_1"].codes
-    assert isinstance(test.bending, Bending)
-    law = test.bending.law
-    assert law is not None
-    for factor, codes in ((0.8, []), (0.5, ["weight_not_stated"])):
-        soft = replace(law, moment=factor * law.moment)
-        doubts = _not_weighed(test, soft, MomentCurvature(at=1.0))
-        assert [reason.code for reason in doubts] == codes
-    assert said.startswith("specimen.mass_per_length is not stated: moments leave out the spec")
 
 
 def near(found: Result, scenario: CantileverScenario, curvature: float, within: float) -> bool:
@@ -265,79 +255,29 @@ def seen(*, ahead: float | None = None, sag: float | None = None) -> AtRest:
     aligned = None
     if ahead is not None:
         aligned = Aligned(TIME, {"travel": Series(one.displacement + ahead, "m")})
-    result = TestResult(
-        test="T1",
-        specimen=Specimen("A2", "A2-s1", "3"),
-        protocol="wire-cantilever",
-        protocol_yaml="",
-        test_yaml="",
-        labpipe_version="0",
-        inputs=(),
-        recordings={},
-        aligned=aligned,
-        curve=one,
-        shape=None if sag is None else shape(sag),
-        results=(),
-        quality=(),
-    )
-    return at_rest(result.aligned, result.shape, one, one.branches[0], WEIGHT)
+    return at_rest(aligned, None if sag is None else shape(sag), one, one.branches[0], WEIGHT)
 
 
 def test_a_taut_string_and_a_straight_wire() -> None:
-    found = seen(ahead=0.02e-3, sag=0.1e-3)
-    assert found.ahead == pytest.approx(0.02e-3)
-    assert found.sag == pytest.approx(0.1e-3)
-    assert found.reach == pytest.approx(WEIGHT / 4.0, rel=0.1)
-    assert found.state == "taut"
-    assert found.why_not_straight == ""
-    assert list(notes_of("T1", found)) == []
+    rest = seen(ahead=0.02e-3, sag=0.1e-3)
+    assert rest.ahead == pytest.approx(0.02e-3)
+    assert rest.sag == pytest.approx(0.1e-3)
+    assert rest.reach == pytest.approx(WEIGHT / 4.0, rel=0.1)
+    assert rest.state == "taut"
 
 
-def test_a_slack_string() -> None:
-    found = seen(ahead=1.5e-3, sag=12e-3)
-    assert found.why_not_straight == (
-        "its string was slack at rest: the clamp travels 1.5 mm before the tip follows, and until "
-        "then the wire hung under the counterweight of 26.5 mN, its tip 12 mm below; a first "
-        "loading begins with a straight wire that the string holds"
-    )
-    assert "26.5 mN; a first loading" in seen(ahead=1.5e-3).why_not_straight
-
-
-def test_a_string_that_just_spans_to_a_hanging_wire() -> None:
-    """The clamp is not ahead of the tip, and the wire has been bent all the same."""
-    found = seen(ahead=0.0, sag=6.5e-3)
-    assert found.why_not_straight == (
-        "its wire hung at rest: the tip stood 6.5 mm below the axis of the clamp, where the "
-        "counterweight of 26.5 mN bends the wire by about 6.7 mm; a first loading begins with a "
-        "straight wire that the string holds"
-    )
-
-
-def test_a_wire_that_is_not_quite_straight_is_told() -> None:
-    found = seen(ahead=0.0, sag=2e-3)
-    assert found.why_not_straight == ""
-    (note,) = notes_of("T1", found)
-    assert (note.code, note.where) == ("wire_not_straight", "T1")
-    assert note.message == (
-        "at rest the tip stood 2 mm below the axis of the clamp: the wire is taken as straight, "
-        "and its string as carrying all of the counterweight"
-    )
-
-
-def test_a_test_that_knows_nothing_of_it() -> None:
-    found = seen()
-    assert not found.is_known
-    assert found.why_not_straight == ""
-    (note,) = notes_of("T1", found)
-    assert note.code == "rest_unknown"
-    assert note.message.endswith("held the wire straight at rest; it is taken to have done so")
-
-
-def test_a_force_that_never_reaches_the_counterweight() -> None:
-    one = curve()
+def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> None:
+    """Its string is taut, slack, or just spans; the wire is not quite straight; nobody knows."""
+    one, lines = curve(), list[str]()
     weak = at_rest(None, shape(30e-3), one, one.branches[0], weight=1.0)
     assert weak.reach == pytest.approx(DEEP, rel=0.01)
-    assert weak.why_not_straight.startswith("its wire hung at rest: the tip stood 30 mm below")
+    for rest in (
+        *(seen(ahead=0.02e-3, sag=0.1e-3), seen(ahead=1.5e-3, sag=12e-3), seen(ahead=1.5e-3)),
+        *(seen(ahead=0.0, sag=6.5e-3), seen(ahead=0.0, sag=2e-3), seen(), weak),
+    ):
+        lines.append(f"{rest.state}, known: {rest.is_known}; {rest.why_not_straight or 'straight'}")
+        lines += [f"  {note.code} of {note.where}: {note.message}" for note in notes_of("T1", rest)]
+    approved(lines)
 
 
 def moved(*, tension: float, slack_for: float = 0.0) -> AtRest:
@@ -379,13 +319,9 @@ def test_a_string_that_goes_slack_later_tells_what_it_carried(tension: float) ->
     assert found.was_pulled is (tension > 0.0)
 
 
-@pytest.mark.parametrize(("slack_for", "is_told"), [(0.6e-3, True), (0.3e-3, False)])
-def test_two_quarters_of_a_millimetre_of_slack_tell(slack_for: float, *, is_told: bool) -> None:
-    found = moved(tension=WEIGHT, slack_for=slack_for)
-    if is_told:
-        assert found.slackened == pytest.approx(-WEIGHT, abs=3e-4)
-    else:
-        assert np.isnan(found.slackened)
+def test_two_quarters_of_a_millimetre_of_slack_tell() -> None:
+    assert moved(tension=WEIGHT, slack_for=0.6e-3).slackened == pytest.approx(-WEIGHT, abs=3e-4)
+    assert np.isnan(moved(tension=WEIGHT, slack_for=0.3e-3).slackened)
 
 
 def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
@@ -430,18 +366,13 @@ def test_what_the_evidence_says(
     """The force of a slack string before its lowest force, that before the clamp, then the sag."""
     found = replace(EVIDENCE, ahead=ahead, sag=sag, lowest=lowest, slackened=slackened)
     assert found.state == state
+    stiff = replace(found, reach=0.2e-3)  # hangs too little to be told by its sag
+    assert np.isnan(stiff.share)
     assert (found.why_not_straight == "") is (
         state in ("taut", "off the wire")
         or (state == "unknown" and ahead == 0.0 and sag < 4e-3)
         or bool(np.isnan(sag))
     )
-
-
-def test_a_stiff_wire_hangs_too_little_to_be_told_by_its_sag() -> None:
-    stiff = replace(EVIDENCE, reach=0.2e-3, sag=0.2e-3)
-    assert np.isnan(stiff.share)
-    assert stiff.state == "unknown"
-    assert replace(stiff, lowest=-0.01).state == "taut"
 
 
 TAUT_REST = AtRest(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.0084, error=1e-4)
@@ -455,64 +386,29 @@ def test_where_it_is_not_known_a_clamp_that_is_ahead_tells_what_is_likelier(
     assert (found.state, found.tension, found.other) == ("unknown", tension, WEIGHT - tension)
 
 
-def test_a_taut_string_carries_the_counterweight() -> None:
-    found = held(TAUT_REST)
-    assert (found.state, found.tension, found.weight, found.other) == ("taut", 0.0265, 0.0265, None)
-    note = found.note
-    assert (note.code, note.severity, note.where) == (
-        "string_at_rest",
-        Severity.INFO,
-        "rig.string",
-    )
-    assert note.message == (
-        "the string was taut at rest and carried the counterweight of 26.5 mN: its tip stood 0.01 "
-        "mm below the axis of the clamp, where the counterweight bends it by 5 mm; the clamp is 0 "
-        "mm ahead of it when the string pulls; the lowest force is -8.4 mN against that at rest"
-    )
-
-
-def test_a_slack_string_leaves_it_to_the_wire() -> None:
-    found = held(replace(TAUT_REST, ahead=1.2e-3, sag=5.5e-3, lowest=0.0, slackened=-1e-5))
-    assert (found.state, found.tension, found.weight, found.other) == ("slack", 0.0, 0.0265, None)
-    assert found.why.startswith(
-        "the string carried nothing at rest: the wire hung under the counterweight of 26.5 mN: "
-    )
-    assert found.why.endswith("later the string goes slack at -0.01 mN against the force at rest")
-
-
-def test_a_counterweight_that_does_not_pull_at_the_wire() -> None:
-    found = held(replace(TAUT_REST, ahead=1.2e-3, lowest=0.0))
-    assert (found.state, found.tension, found.weight, found.other) == ("off the wire", 0, 0, None)
-    assert "yet the wire did not hang: the counterweight is taken not to pull at it" in found.why
-
-
 def test_a_part_of_it_is_taken_as_measured() -> None:
-    found = held(replace(TAUT_REST, sag=2.5e-3, slackened=-0.013))
-    assert (found.state, found.tension, found.weight) == ("part", 0.013, 0.0265)
-    assert found.other == pytest.approx(0.013 - 1e-4 * 3**0.5)
-    assert found.why.startswith("the string carried 13 mN of the counterweight of 26.5 mN at rest:")
+    rest = held(replace(TAUT_REST, sag=2.5e-3, slackened=-0.013))
+    assert (rest.state, rest.tension, rest.weight) == ("part", 0.013, 0.0265)
+    assert rest.other == pytest.approx(0.013 - 1e-4 * 3**0.5)
 
 
-@pytest.mark.parametrize(("ahead", "taken", "other"), [(0.0, 0.0265, 0.0), (1e-3, 0.0, 0.0265)])
-def test_what_the_test_does_not_tell_is_in_the_intervals(
-    ahead: float, taken: float, other: float
-) -> None:
-    found = held(replace(TAUT_REST, ahead=ahead, sag=1.6e-3, lowest=0.0))
-    assert (found.state, found.tension, found.other) == ("unknown", taken, other)
-    assert found.note.severity is Severity.WARNING
-    assert found.why.startswith("it is not known whether the string carried the counterweight of ")
-    assert found.why.endswith(
-        ". If you know, write 'rig.string.at_rest: {value: taut, because: ...}' under 'overrides' "
-        "in test.yaml, or slack"
+def test_what_is_said_of_a_string_at_rest(approved: Approve) -> None:
+    """Forces in mN: at the wire's tip, of the weight that hangs, and what else it may be."""
+    slack = replace(TAUT_REST, ahead=1.2e-3, sag=5.5e-3, lowest=0.0, slackened=-1e-5)
+    unknown = replace(TAUT_REST, ahead=0.0, sag=1.6e-3, lowest=0.0)
+    strings = (
+        *(held(TAUT_REST), held(slack), held(replace(TAUT_REST, ahead=1.2e-3, lowest=0.0))),
+        *(held(replace(TAUT_REST, sag=2.5e-3, slackened=-0.013)), held(unknown)),
+        held(replace(unknown, ahead=1e-3)),
+        *(held(replace(rest, weight=0.0309, own=0.0044)) for rest in (TAUT_REST, slack)),
+        *(stated("taut", 0.0265), stated("slack", 0.0265), stated("taut", 0.0265, 0.0044)),
     )
-
-
-def test_it_can_be_stated() -> None:
-    assert stated("taut", 0.0265).tension == 0.0265
-    found = stated("slack", 0.0265)
-    assert (found.tension, found.weight, found.other) == (0.0, 0.0265, None)
-    assert found.why == (
-        "the string was slack at rest and carried nothing: so rig.string.at_rest states it"
+    for string in strings:
+        assert (string.note.code, string.note.where) == ("string_at_rest", "rig.string")
+    approved(
+        f"{string.state} {1e3 * string.tension:.4g} {1e3 * string.weight:.4g} "
+        f"{string.other and round(1e3 * string.other, 3)} {string.note.severity}: {string.why}"
+        for string in strings
     )
 
 
@@ -531,25 +427,3 @@ def test_a_tip_that_follows_by_a_third_of_the_way_is_pulled(
     found = _while_slack(travel, one, branches[0])
     assert bool(len(found)) is is_slack
     assert found == pytest.approx(np.full(len(found), -0.01))
-
-
-def test_the_load_at_the_tip_holds_some_of_the_wire() -> None:
-    """A taut string carried what a prop carries; a slack one left the wire to hang."""
-    own = replace(TAUT_REST, weight=0.0309, own=0.0044)
-    found = held(own)
-    assert (found.state, found.tension) == ("taut", 0.0309)
-    assert found.weight == pytest.approx(0.0265)
-    assert found.why.startswith(
-        "the string was taut at rest and carried the load at its tip of 30.9 mN (counterweight "
-        "26.5 mN, 3/8 of the wire's weight): its tip stood 0.01 mm below the axis of the clamp, "
-        "where that load bends it by 5 mm"
-    )
-    slack = held(replace(own, ahead=1.2e-3, sag=5.5e-3, lowest=0.0, slackened=-1e-5))
-    assert (slack.state, slack.tension) == ("slack", 0.0)
-    assert slack.weight == pytest.approx(0.0265)
-
-
-def test_a_taut_string_that_is_stated_carries_both() -> None:
-    found = stated("taut", 0.0265, 0.0044)
-    assert (found.tension, found.weight) == pytest.approx((0.0309, 0.0265))
-    assert "carried the counterweight and 3/8 of the wire's weight" in found.why
