@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.records.wire_calibration import Calibration, ExternalCurveComparison, Profile
+from labpipe.records.wire_calibration import ExternalCurveComparison
 from labpipe.report.calibration_agreement import (
-    ExternalPanel,
-    agreement_words,
     external_figure,
     external_pages,
     validation_figure,
@@ -55,27 +53,12 @@ def compared(*comparisons: ExternalCurveComparison) -> CalibrationReport:
 
 REASON = Reason("deflection_too_large", "the curve ends at 40 mm")
 LOST = replace(group(), prediction=None, errors=None, reason=REASON)
-A4_MM = 270.0
-"""Height of a page between its margins."""
 
 
-def _wordy() -> Calibration:
-    notes = tuple(
-        QualityNote(
-            "residuals_correlated", Severity.WARNING, "A2", f"note {number}: " + "x y " * 50
-        )
-        for number in range(4)
-    )
-    return replace(troubled(), notes=notes)
-
-
-@pytest.mark.parametrize("which", ["usual", "troubled", "wordy"])
-def test_the_page_is_one_page_and_its_words_stay_on_it(which: str) -> None:
-    makers: dict[str, Callable[[], Calibration]] = {
-        "usual": usual, "troubled": troubled, "wordy": _wordy,
-    }  # fmt: skip
-    page = calibration_card(makers[which]())
-    assert 25.4 * page.get_figheight() < A4_MM
+def test_the_page_is_one_page_and_its_words_stay_on_it() -> None:
+    note = QualityNote("residuals_correlated", Severity.WARNING, "A2", "a note: " + "x y " * 50)
+    page = calibration_card(replace(troubled(), notes=4 * (note,)))
+    assert 25.4 * page.get_figheight() < 270.0  # between the margins of A4
     finish_layout(page)
     page.canvas.draw()
     boxes = [text.get_window_extent() for text in page.axes[6].texts]
@@ -96,12 +79,10 @@ def test_residuals_with_and_without_the_factors_of_samples() -> None:
     curve = calibration.curves[0]
     left = 1e3 * (curve.force - curve.model)
     np.testing.assert_allclose(np.asarray(plain.lines[1].get_ydata()), left)
-    np.testing.assert_allclose(
-        np.asarray(plain.lines[2].get_ydata()), left.reshape(30, 3).mean(axis=1)
-    )
+    means = left.reshape(30, 3).mean(axis=1)
+    np.testing.assert_allclose(np.asarray(plain.lines[2].get_ydata()), means)
     scaled = 1e3 * (curve.force - curve.sample_factor * curve.model)
     np.testing.assert_allclose(np.asarray(own.lines[1].get_ydata()), scaled)
-    assert plain.get_ylabel() == "Measured \u2212 model (mN)"
 
 
 def test_profile_with_thresholds_value_and_interval() -> None:
@@ -121,16 +102,6 @@ def test_profile_with_thresholds_value_and_interval() -> None:
     assert [1e6 * left, 1e6 * right] == pytest.approx(
         [parameter.interval.lower, parameter.interval.upper]
     )
-    assert axes.get_xscale() == "log"
-    assert axes.get_xlabel() == "Insulation modulus (MPa)"
-
-
-def test_smooth_profile_passes_through_its_points() -> None:
-    logs = np.array([-2.0, -1.0, 0.0, 3.0])
-    profile = Profile(np.exp(logs), logs**2, 4.0, 4.0)
-    values, deviance = smooth(profile)
-    np.testing.assert_allclose(deviance, np.log(values) ** 2, atol=1e-12)
-    assert set(np.exp(logs)) <= set(values)
 
 
 def test_two_valleys_and_two_parts() -> None:
@@ -178,20 +149,8 @@ def test_words_of_agreement(approved: Approve) -> None:
         "other bands": [group(), other, LOST],
         "no prediction": [LOST],
     }
-    errors = group().errors
-    assert errors is not None
-    assert f"RMSE {1e3 * errors.rmse:.3g} mN" in agreement_words(group())
     fitted = {name: validation_figure(shown) for name, shown in groups.items()}
     approved([*all_words(pages), *map(without_digits, all_words(fitted))])
-
-
-@pytest.mark.parametrize("count", [0, 7])
-def test_number_of_panels(count: int) -> None:
-    panel = ExternalPanel("A2", 0.085, False, None, (untested(),))
-    with pytest.raises(ValueError, match=rf"{count} panels: allowed are 1 to 6 on a page"):
-        external_figure([panel] * count)
-    with pytest.raises(ValueError, match=rf"{count} groups: allowed are 1 to 6 on a page"):
-        validation_figure([group()] * count)
 
 
 def test_words_of_card_and_shapes(approved: Approve) -> None:
@@ -206,7 +165,4 @@ def test_words_of_card_and_shapes(approved: Approve) -> None:
     prior = calibration_card(troubled())
     keys = [[text.get_text() for text in page.legends[0].get_texts()] for page in (card, prior)]
     headings = [axes.get_title(loc="left") for axes in card.axes[:6]]
-    weights = {text.get_text(): text.get_fontweight() for text in prior.axes[6].texts}
-    assert (weights["not identified"], weights["fixed"]) == ("bold", "normal")
-    assert "without the band" in prior.texts[1].get_text()
     approved([*all_words(pages), "[card]", *headings, *keys])

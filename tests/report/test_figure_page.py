@@ -168,21 +168,8 @@ def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
     assert np.abs(drawn - force).max() <= 0.002 * np.ptp(force)
 
 
-def test_noise_keeps_its_largest_excursions_and_no_more_points_than_allowed() -> None:
-    force = np.random.default_rng(1).normal(size=3000)
-    kept = bends(np.arange(3000.0), force, points=50)
-    assert len(kept) == 50
-    assert {int(force.argmax()), int(force.argmin()), 0, 2999} <= set(kept.tolist())
 
 
-def test_gaps_and_standstill_in_bends() -> None:
-    force = np.arange(100.0)
-    force[40:45] = np.nan
-    assert bends(np.arange(100.0), force, points=10).tolist() == [0, 39, 40, 45, 99]
-    up = np.concatenate([np.zeros(50), np.linspace(0.0, 1.0, 50), np.zeros(50)])
-    assert {50, 99, 100} <= set(bends(np.zeros(150), up, points=20).tolist())
-    assert bends(np.zeros(3), np.full(3, np.nan), points=5).tolist() == [0]
-    assert bends(np.zeros(0), np.zeros(0), points=5).tolist() == []
 
 
 def with_protocol(text: str) -> Rig:
@@ -197,11 +184,6 @@ def test_rollers_and_span_of_a_conduit(repository: Path) -> None:
     assert rig.reach == pytest.approx(0.01205)
 
 
-def test_a_cantilever_has_no_rollers(repository: Path) -> None:
-    text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
-    rig = with_protocol(text)
-    assert (rig.span, rig.roller_radius) == (0.0, 0.0)
-    assert rig.centre_offset == pytest.approx(0.0008)
 
 
 @pytest.mark.parametrize("text", ["", "version: 0\nname: of an earlier grammar\n"])
@@ -209,6 +191,3 @@ def test_without_a_sound_protocol_nothing_is_known(text: str) -> None:
     assert with_protocol(text) == Rig()
 
 
-def test_bins_out_of_range() -> None:
-    with pytest.raises(ValueError, match="bins=0: expected at least 1"):
-        extremes(np.zeros(3), bins=0)

@@ -58,30 +58,8 @@ def fitted() -> TestResult:
     return replace(known, lines=(LINE,), slips=(SLIP,), results=found, display=display)
 
 
-def test_motion_is_travel_then_displacement_then_curve(result: TestResult) -> None:
-    assert result.aligned is not None
-    series = {key: one for key, one in result.aligned.series.items() if key != "travel"}
-    second = replace(result, aligned=replace(result.aligned, series=series))
-    found = [motion(one) for one in (result, second, replace(result, aligned=None))]
-    assert [one[0] for one in found if one] == ["Travel", "Displacement", "Displacement"]
-    assert motion(replace(result, aligned=None, curve=None)) is None
 
 
-def test_residuals_are_what_the_line_leaves_over(result: TestResult) -> None:
-    axes = Figure().subplots()
-    plot_residuals(result, axes)
-    assert result.aligned is not None
-    fit = result.aligned.clock_fit
-    assert fit is not None
-    expected = (fit.event_times_force - OFFSET - (1 + DRIFT) * fit.event_times_motion) * 1e3
-    bars: Any = axes.containers[0]
-    drawn = np.asarray(bars.lines[0].get_ydata(), dtype=np.float64)
-    np.testing.assert_allclose(drawn, expected, atol=1e-9)
-    lengths = [float(np.ptp(path.vertices[:, 1])) for path in bars.lines[2][0].get_paths()]
-    np.testing.assert_allclose(lengths, 2 * 1.96 * fit.event_errors * 1e3)
-    words = axes.get_title(loc="right")
-    assert words.startswith("offset 3.2170 ± 0.0020 s,  drift 48.0 ± 9.0 ppm")
-    assert f"residual 1.2 ms (rms of {len(fit.event_times_motion)})" in words
 
 
 @pytest.fixture(scope="module")

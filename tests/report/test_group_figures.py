@@ -43,13 +43,6 @@ def test_figures_that_a_group_has_data_for() -> None:
     assert [drawing.name for drawing in drawings(build_group("A", []))] == ["curves"]
 
 
-def test_letters_are_lines_so_that_no_font_of_a_reader_changes_them(tmp_path: Path) -> None:
-    group = build_group("A", [build_sample("s1", "a")])
-    (curves, *_) = save_report_figures(drawings(group), tmp_path)
-    drawn = curves.files[0].read_text(encoding="utf-8")
-    assert "<text" not in drawn
-    assert "Displacement (mm)" in drawn  # a comment, to be found by searches
-    assert "<dc:title>Force against displacement: A, 1 sample from 1 spool." in drawn
 
 
 def test_file_names() -> None:
@@ -113,28 +106,8 @@ def bent(count: int = 6) -> Group:
     return build_group("A", samples)
 
 
-def test_few_curves_have_intervals_at_three_displacements_and_no_band() -> None:
-    group = build_group("A", six_samples())
-    few = without_band(replace(group.band, n=3))
-    axes = draw_curves(replace(group, band=few)).axes[0]
-    assert not axes.collections
-    marks = [line for line in axes.lines if len(np.asarray(line.get_xdata())) == 2]
-    for line, at in zip(marks, few.marks, strict=True):
-        ends = np.asarray(line.get_ydata(), float)
-        np.testing.assert_allclose(ends, [group.band.lower[at], group.band.upper[at]])
 
 
-def test_what_a_group_has_not() -> None:
-    empty = build_group("A", [])
-    assert not has_lines(empty)
-    assert np.isfinite(seen(empty, empty.band)).all()
-    assert not has_lines(build_group("A", [replace(build_sample("s1", "a"), lines=())]))
-    assert numbers_to_draw(build_group("A", [build_sample("s1", "a")])) == []
-    group = build_group("A", six_samples())
-    assert not has_shapes(group)
-    assert not has_laws(group)
-    assert {drawing.name for drawing in drawings(group)}.isdisjoint({"shapes", "moment"})
-    assert {"shapes", "moment"} <= {drawing.name for drawing in drawings(bent())}
 
 
 def odd_groups() -> dict[str, Group]:

@@ -29,183 +29,8 @@ from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
 from tests.store.builders_result import build_result
 
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
-    folder = tmp_path_factory.mktemp("report")
-    return folder, write_report(build_campaign(), folder)
-
-
-def test_files(written: tuple[Path, list[Path]]) -> None:
-    folder, files = written
-    assert [path.name for path in files] == ["report.html", "tables.xlsx"]
-    assert {path for path in folder.rglob("*") if path.is_file()} == set(files)
-
-
-def test_pages_of_tests_stand_beside_it(tmp_path: Path) -> None:
-    extras = Extras(test_pages={"tests/tt-s1a.html": "<p>one</p>"})
-    files = write_report(build_campaign(), tmp_path, extras)
-    assert files[2].read_text(encoding="utf-8") == "<p>one</p>"
-    assert '<a class="test-page" href="tests/tt-s1a.html">' in files[0].read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("samples", [6, 15])
-def test_a_page_is_as_small_as_it_should_be(samples: int, tmp_path: Path) -> None:
-    """At most 0.3 MB and 3 kB a test, as few groups of 60 tests show."""
-    groups = 60 // samples
-    shown = 1 if samples > 3 else 3  # groups that are made; the others are as large
-    made = [
-        build_group(
-            f"type {number}",
-            [build_sample(f"s{n % 3}", str(n), cycles=3, slips=1, seed=n) for n in range(samples)],
-        )
-        for number in range(shown)
-    ]
-    page = write_report(Campaign("Synthetic", tuple(made)), tmp_path)[0]
-    empty = write_report(Campaign("Synthetic", ()), tmp_path / "empty")[0]
-    own = (page.stat().st_size - empty.stat().st_size) / shown
-    assert groups * own + empty.stat().st_size < 0.3e6 + 60 * 3e3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["$x_1$ <b> & 'q'", "\\frac{$", "A\x07\x1b\x002\n\ud800\ufffe", "x" * 300, "\U0001f600"]
-)
-def test_any_name_is_reported(name: str, tmp_path: Path) -> None:
-    """As channels and exports may be called, or a result file of another program says."""
-    samples = [build_sample(name, letter, slips=1, seed=seed) for seed, letter in enumerate("abc")]
-    specimen = replace(samples[0].specimen, type=name, sample=name, labels={"cured": name})
-    note = QualityNote("code", Severity.WARNING, name, f"about {name}")
-    odd = [
-        replace(sample, test=name + sample.test, specimen=specimen, quality=(note,))
-        for sample in samples
-    ]
-    groups = (build_group(name, odd), build_group("plain", samples))
-    campaign = replace(build_campaign(), title=name, groups=groups, differences=())
-    files = write_report(campaign, tmp_path, Extras(formats=("svg",)))
-    page = files[0].read_text(encoding="utf-8")
-    assert html.escape(printable(name)).replace("&#x27;", "&#39;") in page
-    for drawing in tmp_path.rglob("*.svg"):
-        ElementTree.fromstring(drawing.read_bytes())
-    book = load_workbook(tmp_path / "tables.xlsx")
-    assert printable(name) in {row[0] for row in book["means"].iter_rows(values_only=True)}
-
-
 VOID = {"meta", "br", "link", "img"}
 HEADS = {"h1", "h2", "h3", "caption", "summary"}
-
-
-@pytest.fixture(scope="module")
-def page() -> str:
-    return render_page(build_campaign())
-
-
-def test_every_tag_is_closed_and_tables_have_heads(page: str) -> None:
-    outline = Outline(page)
-    assert outline.open == []
-    assert outline.tags["table"] > 10
-    assert page.count('scope="col"') + page.count('scope="row"') == len(re.findall("<th[ >]", page))
-    assert '<html lang="en">' in page
-    assert 'name="viewport"' in page
-
-
-def test_ids_are_unique_and_links_lead_to_them(page: str) -> None:
-    ids = re.findall(r' id="([^"]+)"', page)
-    assert len(ids) == len(set(ids))
-    assert set(re.findall(r'href="#([^"]+)"', page)) <= set(ids)
-
-
-def test_only_its_own_style_and_script_count(page: str) -> None:
-    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)
-    assert policy.startswith("default-src 'none'; ")
-    assert policy.count("connect-src 'none'") == 1
-    for tag in ("style", "script"):
-        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
-        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-        assert f"{tag}-src 'sha256-{digest}'" in policy
-    assert not re.findall(r" (?:style|on[a-z]+)=", page.partition("<script>")[0])
-
-
-def test_nothing_is_fetched(page: str) -> None:
-    assert "<link" not in page
-    assert not re.findall(r"(?:src|href)=\"(?!#)", page)
-    assert "@import" not in page
-    assert "url(" not in page
-
-
-def test_text_of_people_is_escaped() -> None:
-    name = "<script>alert(1)</script>"
-    sample = replace(build_sample("s<1>", "a"), test=name, label=f"a/{name}", operator="<b>")
-    page = render_page(
-        Campaign("A & <b> */ </style>", (build_group("<i>", [sample]),), name="<i>"),
-        letterhead=Letterhead((("Lab", "<u>"),)),
-    )
-    assert page.count("<script") == 2
-    assert page.count("</style>") == 1
-    assert "<i>" not in page
-    assert "<u>" not in page
-    assert "<b>" not in re.sub(r"<b>(CANNOT|DIFFERENT|[^<]*</b>)", "", page)
-    assert "<title>A &amp; &lt;b&gt; */ &lt;/style&gt;</title>" in page
-    assert Outline(page).open == []
-
-
-HOSTILE = "</script><!-- & \u2028 \ud800 '\""
-
-
-def test_data_cannot_end_their_element() -> None:
-    entry = {"test": HOSTILE, "run": "r", "decision": "reject", "because": HOSTILE, "by": "A"}
-    campaign = Campaign(HOSTILE, (), labpipe_version="1.2", name=HOSTILE, decisions=(entry,))
-    text = page_data(campaign, report="abc")
-    assert not set("<>&") & set(text)
-    assert text.isascii()
-    assert json.loads(text) == {
-        "schema": 1,
-        "campaign": HOSTILE,
-        "report": "abc",
-        "labpipe": "1.2",
-        "decisions": [entry],
-    }
-
-
-def test_the_script_asks_no_network_and_makes_no_markup_of_text() -> None:
-    script = page_script()
-    assert "</script" not in script.lower()
-    assert script.startswith('"use strict";\n(() => {')
-    for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(",
-                 "XMLHttpRequest", "WebSocket", "sendBeacon", "import("):  # fmt: skip
-        assert word not in script
-    # Where a machine serves the page itself, it talks to that, by names beside the page.
-    assert re.findall(r"fetch\((\S+?)[,)]", script) == ['"decisions"', '"report"']
-
-
-def test_a_served_page_may_talk_to_its_machine() -> None:
-    page = "<head><meta content=\"default-src 'none'; connect-src 'none'\"></head><body>x</body>"
-    assert served(page) == page.replace("connect-src 'none'", "connect-src 'self'")
-    told = "<head></head><body>connect-src 'none'</body>"
-    assert served(told) == told
-
-
-def test_who_when_with_what_and_every_number() -> None:
-    cell = Instrument("force", ("force",), "LC-500", date(2025, 1, 1), date(2026, 1, 1))
-    result = replace(
-        build_result(half_cycle=1.0), date=date(2026, 3, 2), operator="A <b>", instruments=(cell,),
-        figures=("force-displacement",),
-    )  # fmt: skip
-    first = replace(
-        result.results[0], status=Status.DOUBTFUL, reasons=(Reason("code_1", "it slipped"),)
-    )
-    same = replace(result.results[1], status=Status.DOUBTFUL, reasons=first.reasons)
-    page = render_test(replace(result, results=(first, same, *result.results[2:])), report="abc")
-    assert "2026-03-02 by A &lt;b&gt;" in page
-    assert "force LC-500 (calibrated 2025-01-01, due 2026-01-01)" in page
-    assert page.count("It slipped.") == page.count("As above.") == 1
-    assert 'title="code_1"' in page
-    assert page.count("<svg") == 1
-    for each in result.results:
-        assert f'title="{each.name}"' in page
-    assert "<script" not in page
-    assert not re.findall(r' style="', page)
-    assert all(each.sha256 in page for each in result.inputs)
 
 
 class Outline(HTMLParser):
@@ -233,12 +58,142 @@ class Outline(HTMLParser):
         assert self.open.pop() == tag
 
 
+def test_files_and_pages_of_tests_beside_them(tmp_path: Path) -> None:
+    extras = Extras(test_pages={"tests/tt-s1a.html": "<p>one</p>"})
+    files = write_report(build_campaign(), tmp_path, extras)
+    assert [path.name for path in files] == ["report.html", "tables.xlsx", "tt-s1a.html"]
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(files)
+    assert files[2].read_text(encoding="utf-8") == "<p>one</p>"
+    assert '<a class="test-page" href="tests/tt-s1a.html">' in files[0].read_text(encoding="utf-8")
+
+
+def test_a_page_is_as_small_as_it_should_be() -> None:
+    """At most 0.3 MB and 3 kB a test, as one group of 15 of 60 tests shows."""
+    samples = [build_sample(f"s{n % 3}", str(n), cycles=3, slips=1, seed=n) for n in range(15)]
+    group = build_group("type", samples)
+    own, empty = (len(render_page(Campaign("S", made))) for made in ((group,), ()))
+    assert 4 * (own - empty) + empty < 0.3e6 + 60 * 3e3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["$x_1$ <b> & 'q' \\frac{$ \U0001f600", "A\x07\x1b\x002\n\ud800\ufffe", "x" * 300]
+)
+def test_any_name_is_reported(name: str, tmp_path: Path) -> None:
+    """As channels and exports may be called, or a result file of another program says."""
+    samples = [build_sample(name, letter, slips=1, seed=seed) for seed, letter in enumerate("abc")]
+    specimen = replace(samples[0].specimen, type=name, sample=name, labels={"cured": name})
+    note = QualityNote("code", Severity.WARNING, name, f"about {name}")
+    odd = [
+        replace(sample, test=name + sample.test, specimen=specimen, quality=(note,))
+        for sample in samples
+    ]
+    groups = (build_group(name, odd), build_group("plain", samples))
+    campaign = replace(build_campaign(), title=name, groups=groups, differences=())
+    files = write_report(campaign, tmp_path, Extras(formats=("svg",)))
+    page = files[0].read_text(encoding="utf-8")
+    assert html.escape(printable(name)).replace("&#x27;", "&#39;") in page
+    for drawing in tmp_path.rglob("*.svg"):
+        ElementTree.fromstring(drawing.read_bytes())
+    book = load_workbook(tmp_path / "tables.xlsx")
+    assert printable(name) in {row[0] for row in book["means"].iter_rows(values_only=True)}
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render_page(build_campaign())
+
+
+def test_the_page_is_well_formed_and_fetches_nothing(page: str) -> None:
+    assert page.count('scope="col"') + page.count('scope="row"') == len(re.findall("<th[ >]", page))
+    assert '<html lang="en">' in page
+    assert 'name="viewport"' in page
+    ids = re.findall(r' id="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'href="#([^"]+)"', page)) <= set(ids)
+    assert not re.findall(r"(?:src|href)=\"(?!#)|<link|@import|url\(", page)
+
+
+def test_only_its_own_style_and_script_count(page: str) -> None:
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', page)
+    assert policy.startswith("default-src 'none'; ")
+    assert policy.count("connect-src 'none'") == 1
+    for tag in ("style", "script"):
+        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}'" in policy
+    assert not re.findall(r" (?:style|on[a-z]+)=", page.partition("<script>")[0])
+
+
+def test_text_of_people_is_escaped() -> None:
+    name = "<script>alert(1)</script>"
+    sample = replace(build_sample("s<1>", "a"), test=name, label=f"a/{name}", operator="<b>")
+    page = render_page(
+        Campaign("A & <b> */ </style>", (build_group("<i>", [sample]),), name="<i>"),
+        letterhead=Letterhead((("Lab", "<u>"),)),
+    )
+    assert page.count("<script") == 2
+    assert page.count("</style>") == 1
+    assert not re.findall("<[iu]>", page)
+    assert "<b>" not in re.sub(r"<b>(CANNOT|DIFFERENT|[^<]*</b>)", "", page)
+    assert "<title>A &amp; &lt;b&gt; */ &lt;/style&gt;</title>" in page
+    assert Outline(page).open == []
+
+
+def test_data_cannot_end_their_element() -> None:
+    hostile = "</script><!-- & \u2028 \ud800 '\""
+    entry = {"test": hostile, "run": "r", "decision": "reject", "because": hostile, "by": "A"}
+    campaign = Campaign(hostile, (), labpipe_version="1.2", name=hostile, decisions=(entry,))
+    text = page_data(campaign, report="abc")
+    assert not set("<>&") & set(text)
+    assert text.isascii()
+    assert json.loads(text) == {
+        "schema": 1, "campaign": hostile, "report": "abc", "labpipe": "1.2", "decisions": [entry],
+    }  # fmt: skip
+
+
+def test_the_script_asks_no_network_and_makes_no_markup_of_text() -> None:
+    script = page_script()
+    assert script.startswith('"use strict";\n(() => {')
+    for word in ("</script", "innerHTML", "outerHTML", "insertAdjacentHTML", "document.write",
+                 "eval(", "XMLHttpRequest", "WebSocket", "sendBeacon", "import("):  # fmt: skip
+        assert word not in script
+    # Where a machine serves the page itself, it talks to that, by names beside the page.
+    assert re.findall(r"fetch\((\S+?)[,)]", script) == ['"decisions"', '"report"']
+
+
+def test_a_served_page_may_talk_to_its_machine() -> None:
+    page = "<head><meta content=\"default-src 'none'; connect-src 'none'\"></head><body>x</body>"
+    assert served(page) == page.replace("connect-src 'none'", "connect-src 'self'")
+    text = "<head></head><body>connect-src 'none'</body>"
+    assert served(text) == text
+
+
+def test_who_when_with_what_and_every_number() -> None:
+    cell = Instrument("force", ("force",), "LC-500", date(2025, 1, 1), date(2026, 1, 1))
+    result = replace(
+        build_result(half_cycle=1.0), date=date(2026, 3, 2), operator="A <b>", instruments=(cell,),
+        figures=("force-displacement",),
+    )  # fmt: skip
+    reasons = (Reason("code_1", "it slipped"),)
+    first, second = (
+        replace(number, status=Status.DOUBTFUL, reasons=reasons) for number in result.results[:2]
+    )
+    page = render_test(replace(result, results=(first, second, *result.results[2:])), report="abc")
+    assert "2026-03-02 by A &lt;b&gt;" in page
+    assert "force LC-500 (calibrated 2025-01-01, due 2026-01-01)" in page
+    assert page.count("It slipped.") == page.count("As above.") == page.count("<svg") == 1
+    for name in ("code_1", *(number.name for number in result.results)):
+        assert f'title="{name}"' in page
+    assert not re.findall(r' style="|<script', page)
+    assert all(source.sha256 in page for source in result.inputs)
+
+
 def test_what_stands_on_pages_in_their_order(page: str, approved: Approve) -> None:
     """Of a usual campaign, of one without faults, and of bundles with questions and places."""
     bundles = bundle_campaign(conduit_cases())
-    place = BundlePlace(
-        bundles.groups[0].name, "t-1", None, None, reasons=(Reason("x", "no bounds: why"),)
-    )
+    reasons = (Reason("x", "no bounds: why"),)
+    place = BundlePlace(bundles.groups[0].name, "t-1", None, None, reasons=reasons)
     placed = render_page(replace(bundles, places=(place,), wire_sheet="<wires>.xlsx"))
     plain = render_page(Campaign("Synthetic", (build_group("A", six_samples(slips=0)),)))
     outlines = [Outline(text) for text in (page, plain, render_page(bundles), placed)]
@@ -252,9 +207,8 @@ def test_what_stands_on_pages_in_their_order(page: str, approved: Approve) -> No
 
 
 def test_a_rejected_test_is_named_drawn_and_listed() -> None:
-    samples = six_samples(slips=0)
-    out = samples[0]
-    group = replace(build_group("A", samples[1:]), fields={"type": "twist-tube-10"})
+    out, *samples = six_samples(slips=0)
+    group = replace(build_group("A", samples), fields={"type": "twist-tube-10"})
     page = render_page(
         Campaign("Synthetic", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
     )

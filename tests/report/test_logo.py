@@ -26,25 +26,19 @@ def test_a_picture_is_read_into_the_page(kind: str, tmp_path: Path) -> None:
     assert base64.b64decode(data) == content
 
 
-@pytest.mark.parametrize(
-    ("content", "found"),
-    [
+def test_what_is_no_picture_is_one_message(tmp_path: Path) -> None:
+    for content, fault in (
         (b"<svg onload='x'/>", "a file that is no such picture"),
         (b"", "0 bytes"),
         (picture("GIF"), "a file that is no such picture"),
         (picture("PNG")[:45], "a damaged picture"),
         (picture("PNG", (3000, 3000)), "a picture of 3000 x 3000 points"),
         (b"\x89PNG" + bytes(300_000), "300004 bytes"),
-    ],
-)
-def test_what_is_no_picture_is_one_message(content: bytes, found: str, tmp_path: Path) -> None:
-    (tmp_path / "logo").write_bytes(content)
-    with pytest.raises(UsageError, match=f"expected a picture, PNG or JPEG, .*, found {found}"):
-        read_logo(tmp_path / "logo")
-
-
-def test_a_logo_that_is_not_there(tmp_path: Path) -> None:
+    ):
+        (tmp_path / "logo").write_bytes(content)
+        with pytest.raises(UsageError, match=f"expected a picture, PNG or JPEG, .*found {fault}"):
+            read_logo(tmp_path / "logo")
     with pytest.raises(UsageError, match="found nothing there"):
-        read_logo(tmp_path / "logo")
+        read_logo(tmp_path / "none")
     with pytest.raises(UsageError, match="found a folder or a device"):
         read_logo(tmp_path)

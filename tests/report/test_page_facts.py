@@ -66,9 +66,6 @@ def test_a_rejected_test_goes_where_it_fits_best() -> None:
     assert home_of(replace(sample, protocol="other"), Campaign("S", (a, b))) == ""
 
 
-def test_the_worst_number_is_the_state_of_a_test() -> None:
-    states = [state_of(sample) for sample in troubled_samples()]
-    assert states == [Status.DOUBTFUL, "ok", "ok", "ok", Status.FAILED, "ok"]
 
 
 def test_an_overdue_calibration_is_said_with_its_tests() -> None:
@@ -100,17 +97,6 @@ def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:
 test_rows.__test__ = False  # type: ignore[attr-defined] # a function of the page, no test
 
 
-def test_rows_say_state_day_first_number_and_decision() -> None:
-    campaign = build_campaign()
-    tests = PageTests(campaign, ["a", "b", "c"])
-    rows = test_rows(campaign, tests, {"a": "twist-tube-10", "b": "twist-tube-7", "c": "x"})
-    assert [row.test.state for row in rows] == [
-        "doubtful", "ok", "ok", "ok", "failed", "ok", "ok",
-    ]  # fmt: skip
-    assert rows[0].why == "A slip at 5.2 mm."
-    assert rows[0].first.small == "Peak force, cycle 1 (N)"
-    assert rows[4].first.text == "\u2013"
-    assert (rows[6].group, rows[6].day, rows[6].operator) == ("twist-tube-7", "", "")
 
 
 def test_decided_and_rejected() -> None:
@@ -128,14 +114,6 @@ def test_decided_and_rejected() -> None:
     assert odd.address == "tests/a%231%2050%20%25%3F.html"
 
 
-def test_many_samples_are_rows() -> None:
-    campaign = build_campaign()
-    tests = PageTests(campaign, ["a", "b", "c"])
-    (first,) = samples_tables(campaign.groups[0], tests)
-    assert len(first.heads) == 2 + 7
-    assert [cells[0].text for cells in first.rows] == [f"tt-s{n}{x}" for n in "12" for x in "abc"]
-    assert first.rows[3][0].link == "#t3"
-    assert first.rows[0][3].mark == "?"
 
 
 def test_pairs_are_folded_by_their_question() -> None:

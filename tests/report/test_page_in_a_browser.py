@@ -1,101 +1,48 @@
-"""A report's page in a real browser: offline, at every width, with tables and figures."""
+"""A report's page in Chromium: offline, at every width; decisions are made, kept and saved."""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterator
-from dataclasses import replace
+import shutil
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from datetime import date
+from hashlib import sha256
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from labpipe.campaign.decisions import read_decisions
+from labpipe.campaign.reporting import report_tests
+from labpipe.campaign.serving import ReportServer, Site
+from labpipe.campaign.test_pages import page_of_test
 from labpipe.records.group import Campaign
 from labpipe.report.lab_report import Letterhead, render_page
 from labpipe.report.wording import printable
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
-from tests.builders.campaigns import build_group, six_samples, troubled_samples
-from tests.builders.report_pages import PHONE, WIDE, Shown, campaign_of, launched, page_of, shown
+from tests.builders.campaigns import (
+    build_difference,
+    build_group,
+    build_sample,
+    six_samples,
+    troubled_samples,
+)
+from tests.builders.pulled_campaigns import make_pulls
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Locator, Page
+pytestmark = pytest.mark.slow
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+WIDE = {"width": 1400, "height": 900}
+PHONE = {"width": 390, "height": 844}
 NAMES = [f"T-{number}" for number in range(1, 13)]
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    yield from launched()
-
-
-@pytest.fixture(scope="module")
-def twelve(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return page_of(tmp_path_factory.mktemp("twelve"), campaign_of(NAMES))
-
-
-def test_its_policy_lets_nothing_else_run(browser: Browser, twelve: Path, tmp_path: Path) -> None:
-    """A page that somebody wrote into: what they wrote does nothing, the page works on."""
-    text = twelve.read_text("utf-8")
-    evil = (
-        "<script>document.title = 'run'</script><img src=x onerror=\"document.title = 'run'\">"
-        "<style>h1 { display: none }</style><p style='display: none' id=shown>x</p>"
-    )
-    page = tmp_path / "report.html"
-    page.write_text(text.replace("</main>", f"{evil}</main>", 1), "utf-8")
-    assert page.read_text("utf-8") != text
-    with shown(browser, page) as seen:
-        assert seen.page.title() == "Synthetic"
-        assert seen.page.locator("h1").is_visible()
-        assert seen.page.locator("#shown").is_visible()
-        assert seen.page.locator("#tests .reject").count() == len(NAMES)
-        refused = [
-            error_text for error_text in seen.complaints if "Content Security Policy" in error_text
-        ]
-        assert len(refused) >= 4
-        answer = seen.page.evaluate("fetch('http://127.0.0.1:9/').catch(() => 'refused')")
-        assert answer == "refused"
-        assert any("connect-src 'none'" in error_text for error_text in seen.complaints)
-        seen.complaints.clear()
-
-
-def test_without_its_script_it_is_a_page_all_the_same(browser: Browser, twelve: Path) -> None:
-    with shown(browser, twelve, java_script_enabled=False) as seen:
-        assert seen.page.locator("#tests tbody tr").count() == len(NAMES)
-        assert seen.page.locator("figure.plot path.curve").count() > 5
-        assert seen.page.get_by_role("button").count() == 0
-        assert seen.page.locator("#tools").is_hidden()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("look", ["light", "dark", "phone"])
-def test_rules_of_accessibility(browser: Browser, tmp_path: Path, look: str) -> None:
-    """Those of axe-core: contrast, names of controls, order of headings, tables, ids."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
-    looks: dict[str, dict[str, Any]] = {
-        "light": {"color_scheme": "light"},
-        "dark": {"color_scheme": "dark"},
-        "phone": {"viewport": PHONE, "is_mobile": True, "has_touch": True},
-    }
-    with shown(browser, page_of(tmp_path, campaign_of(NAMES)), **looks[look]) as seen:
-        seen.page.locator("#t2").get_by_role("button", name="reject").click()
-        seen.page.locator("details").evaluate_all("(all) => all.forEach((d) => { d.open = true; })")
-        # With a mouse rows are close by design: page one is one screen. A finger gets its 24 px.
-        rules = {"target-size": {"enabled": look == "phone"}}
-        options = {"runOnly": {"type": "tag", "values": RULES}, "rules": rules}
-        results = axe.Axe().run(seen.page, options=options)
-    broken = [
-        f"{rule['id']}: {node['html'][:120]} {node.get('failureSummary', '')[:200]}"
-        for rule in results.response["violations"]
-        for node in rule["nodes"][:3]
-    ]
-    assert len(results.response["passes"]) > 20
-    assert broken == []
-
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
 HOSTILE = [
     "<script>document.title='X'</script>",
     "<img src=x onerror=\"document.title='X'\">",
@@ -108,170 +55,264 @@ HOSTILE = [
 ]
 
 
-def rows(page: Page) -> list[str]:
-    """Names of the tests that are shown, in the order of the table."""
-    script = """() => [...document.querySelectorAll("#tests tbody tr:not([hidden]) > th")]
-        .map((head) => head.firstChild.textContent)"""
-    found: list[str] = page.evaluate(script)
-    return found
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Chromium of this machine, of a module at the longest: its loop would disturb other tests."""
+    api = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
+    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    if program is None:
+        pytest.skip("no Chromium on this machine (apt-get install chromium)")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@dataclass
+class Shown:
+    """A page in a browser, what it asked of the network, and what the browser complained of."""
+
+    page: Page
+    asked: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def focused(self) -> str:
+        """What a screen reader would say of what has the focus."""
+        script = "() => document.activeElement.ariaLabel || document.activeElement.textContent"
+        return str(self.page.evaluate(script))
+
+    def status(self) -> str:
+        return self.page.locator("#said").text_content() or ""
+
+    def bar(self) -> str:
+        return self.page.locator("#tools .count").text_content() or ""
+
+    def button(self, name: str) -> Locator:
+        return self.page.get_by_role("button", name=name, exact=True)
+
+    def row(self, name: str) -> Locator:
+        return self.page.locator(f'#tests tr[data-test="{name}"]')
+
+    def decided(self, name: str) -> list[str]:
+        """What is decided on a test, by the buttons in its row."""
+        return self.row(name).locator("button[aria-pressed=true]").all_text_contents()
+
+    def reject(self, name: str, because: str) -> None:
+        self.row(name).get_by_role("button", name="reject").click()
+        self.row(name).locator(".because").fill(because)
+
+    def sign(self) -> None:
+        self.page.get_by_label("Decided by").fill("A. Tester")
+
+    def names(self) -> list[str]:
+        """Names of the tests that are shown, in the order of the table."""
+        script = """() => [...document.querySelectorAll("#tests tbody tr:not([hidden]) > th")]
+            .map((head) => head.firstChild.textContent)"""
+        names: list[str] = self.page.evaluate(script)
+        return names
+
+    def saved(self, *keys: str) -> dict[str, Any]:
+        """What the page saves, by mouse or by some keys."""
+        with self.page.expect_download() as download:
+            if keys:
+                self.press(*keys)
+            else:
+                self.button("Save decisions.json").click()
+        assert download.value.suggested_filename == "decisions.json"
+        content: dict[str, Any] = json.loads(Path(download.value.path()).read_text("utf-8"))
+        return content
+
+
+@contextmanager
+def shown(browser: Browser, address: str | Path, **wanted: Any) -> Iterator[Shown]:
+    """Open a page: a file without a network, or an address of this machine."""
+    settings: dict[str, Any] = {"offline": isinstance(address, Path), "viewport": WIDE} | wanted
+    context = browser.new_context(**settings)
+    context.set_default_timeout(60_000)  # a busy machine is slow, not wrong
+    seen = Shown(context.new_page())
+    seen.page.on("request", lambda request: seen.asked.append(request.url))
+    seen.page.on("console", lambda message: seen.complaints.append(message.text))
+    seen.page.on("pageerror", lambda error: seen.complaints.append(str(error)))
+    seen.page.goto(address.as_uri() if isinstance(address, Path) else address)
+    try:
+        yield seen
+    finally:
+        context.close()
+    assert not seen.complaints, "\n".join(seen.complaints)
+
+
+def key_of(name: str) -> str:
+    """Key of the results of a synthetic test."""
+    return sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def campaign_of(names: Sequence[str], *decisions: Mapping[str, str]) -> Campaign:
+    """Tests of these names, six in a group; of the first group one is doubtful, one failed."""
+    samples = [
+        build_sample(f"s{number % 2}", f"{number}", seed=number, scale=1 + 0.01 * number)
+        for number in range(len(names))
+    ]
+    if len(names) >= 6:
+        samples[:6] = troubled_samples()
+    samples = [
+        replace(
+            sample, test=name, label=name, run=key_of(name), date=date(2026, 3, 9),
+            operator="virtual lab", source=f"processed/c/{name}/result.h5",
+        )
+        for sample, name in zip(samples, names, strict=True)
+    ]  # fmt: skip
+    starts = range(0, len(samples), 6)
+    groups = [build_group(f"tube {at // 6}", samples[at : at + 6], scaled=False) for at in starts]
+    pairs = [(one.name, other.name) for one, other in pairwise(groups)]
+    differences = [
+        replace(build_difference(), first=pair[0], second=pair[1], fields={"type": pair})
+        for pair in pairs
+    ]
+    return Campaign(
+        "Synthetic", tuple(groups), tuple(differences), labpipe_version="0.0", name="c",
+        decisions=decisions,
+    )  # fmt: skip
+
+
+def page_of(folder: Path, campaign: Campaign, **how: Any) -> Path:
+    """Write the page of a campaign; gives the file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "report.html"
+    path.write_text(printable(render_page(campaign, **how)), encoding="utf-8")
+    return path
+
+
+OLD = {
+    "test": "T-2", "run": key_of("T-2"), "decision": "reject", "because": "bent <i>before</i>",
+    "by": "B. Tester", "when": "2026-03-10T08:00:00+00:00",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def twelve(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return page_of(tmp_path_factory.mktemp("twelve"), campaign_of(NAMES, OLD))
+
+
+def test_its_policy_lets_nothing_else_run(browser: Browser, twelve: Path, tmp_path: Path) -> None:
+    """A page that somebody wrote into: what they wrote does nothing, the page works on."""
+    text = twelve.read_text("utf-8")
+    evil = (
+        "<script>document.title = 'run'</script><img src=x onerror=\"document.title = 'run'\">"
+        "<style>h1 { display: none }</style><p style='display: none' id=shown>x</p>"
+    )
+    page = tmp_path / "report.html"
+    page.write_text(text.replace("</main>", f"{evil}</main>", 1), "utf-8")
+    with shown(browser, page) as seen:
+        assert seen.page.title() == "Synthetic"
+        assert seen.page.locator("h1").is_visible()
+        assert seen.page.locator("#shown").is_visible()
+        assert seen.page.locator("#tests .reject").count() == len(NAMES)
+        answer = seen.page.evaluate("fetch('http://127.0.0.1:9/').catch(() => 'refused')")
+        assert answer == "refused"
+        refused = [text for text in seen.complaints if "Content Security Policy" in text]
+        assert len(refused) >= 5
+        seen.complaints.clear()
+
+
+def test_without_its_script_it_is_a_page_all_the_same(browser: Browser, twelve: Path) -> None:
+    with shown(browser, twelve, java_script_enabled=False) as seen:
+        assert seen.page.locator("#tests tbody tr").count() == len(NAMES)
+        assert seen.page.locator("figure.plot path.curve").count() > 5
+        assert seen.page.get_by_role("button").count() == 0
+        assert seen.page.locator("#tools").is_hidden()
+
+
+@pytest.mark.parametrize(
+    "look",
+    [{"color_scheme": "dark"}, {"viewport": PHONE, "is_mobile": True, "has_touch": True}],
+    ids=["dark", "phone"],
+)
+def test_rules_of_accessibility(browser: Browser, twelve: Path, look: dict[str, Any]) -> None:
+    """Those of axe-core: contrast, names of controls, order of headings, tables, ids."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+    with shown(browser, twelve, **look) as seen:
+        seen.page.locator("#t2").get_by_role("button", name="reject").click()
+        seen.page.locator("details").evaluate_all("(all) => all.forEach((d) => { d.open = true; })")
+        # With a mouse rows are close by design: page one is one screen. A finger gets its 24 px.
+        rules = {"target-size": {"enabled": "viewport" in look}}
+        options = {"runOnly": {"type": "tag", "values": RULES}, "rules": rules}
+        results = axe.Axe().run(seen.page, options=options)
+    broken = [(rule["id"], rule["nodes"][:3]) for rule in results.response["violations"]]
+    assert len(results.response["passes"]) > 20
+    assert broken == []
 
 
 def test_a_table_sorts_by_number_with_those_without_last(browser: Browser, twelve: Path) -> None:
-    values = """() => [...document.querySelectorAll("#tests tbody td[data-v], #tests tbody tr")]
-        .filter((each) => each.matches("tr"))
+    script = """() => [...document.querySelectorAll("#tests tbody tr")]
         .map((row) => Number(row.querySelector("td[data-v]")?.dataset.v ?? NaN))"""
+    orders = []
     with shown(browser, twelve) as seen:
         head = seen.page.locator("#tests thead th[data-sort=number]").first
-        head.get_by_role("button").click()
-        up = seen.page.evaluate(values)
-        head.get_by_role("button").click()
-        down = seen.page.evaluate(values)
-    known = [each for each in up if each == each]
-    assert known == sorted(known)
-    assert 0 < len(known) < len(up)  # the failed one has no number
-    assert [each for each in down if each == each] == known[::-1]
-    assert up[-1] != up[-1]
-    assert down[-1] != down[-1]
+        for _ in ("up", "down"):
+            head.get_by_role("button").click()
+            orders.append(np.array(seen.page.evaluate(script)))
+    up, down = (order[np.isfinite(order)] for order in orders)
+    assert 0 < len(up) < len(NAMES)  # the failed one has no number
+    assert (np.diff(up) >= 0.0).all()
+    assert down.tolist() == up[::-1].tolist()
+    assert np.isnan([order[-1] for order in orders]).all()
 
 
 def test_a_table_is_filtered_by_words_and_states(browser: Browser, twelve: Path) -> None:
     with shown(browser, twelve) as seen:
         finder = seen.page.get_by_role("search").filter(has=seen.page.get_by_role("searchbox"))
-        find = seen.page.get_by_role("searchbox").last
-        find.fill("t-1")
-        assert rows(seen.page) == ["T-1", "T-10", "T-11", "T-12"]
+        search = seen.page.get_by_role("searchbox").last
+        search.fill("t-1")
+        assert seen.names() == ["T-1", "T-10", "T-11", "T-12"]
         assert finder.last.locator("output").text_content() == "4 of 12 rows"
-        find.fill("LAB t-11")
-        assert rows(seen.page) == ["T-11"]
-        find.fill("")
-        seen.page.get_by_role("button", name="doubtful", exact=True).click()
-        assert rows(seen.page) == ["T-1"]
-        seen.page.get_by_role("button", name="failed", exact=True).click()
-        assert rows(seen.page) == ["T-1", "T-5"]
-        seen.page.get_by_role("button", name="doubtful", exact=True).click()
-        assert rows(seen.page) == ["T-5"]
+        search.fill("LAB t-11")
+        assert seen.names() == ["T-11"]
+        search.fill("")
+        for state, names in (
+            ("doubtful", ["T-1"]), ("failed", ["T-1", "T-5"]), ("doubtful", ["T-5"]),
+        ):  # fmt: skip
+            seen.button(state).click()
+            assert seen.names() == names
 
 
-@pytest.mark.slow
 def test_hostile_names_are_shown_as_text(browser: Browser, tmp_path: Path) -> None:
-    page = page_of(tmp_path, campaign_of([*HOSTILE, "T-1"]))
-    with shown(browser, page) as seen:
-        assert seen.page.title() == "Synthetic"
-        assert rows(seen.page)[0] == HOSTILE[0]
-        assert rows(seen.page)[3] == HOSTILE[3]
+    with shown(browser, page_of(tmp_path, campaign_of([*HOSTILE, "T-1"]))) as seen:
+        assert seen.names()[:4:3] == HOSTILE[:4:3]
         script = "document.querySelectorAll('img, script:not([type]), [onerror], [onfocus]').length"
         assert seen.page.evaluate(script) == 1  # the page's own script
         seen.page.locator("#t7 .reject").click()
-        seen.page.get_by_role("button", name="Save decisions.json").click()
-        assert seen.said() == f"{HOSTILE[7]}: a rejection needs its reason."
-        wide = seen.page.evaluate("document.documentElement.scrollWidth")
-        assert wide <= 1400
+        seen.button("Save decisions.json").click()
+        assert seen.status() == f"{HOSTILE[7]}: a rejection needs its reason."
+        assert seen.page.evaluate("document.documentElement.scrollWidth") <= 1400
         for number in range(len(HOSTILE)):
             seen.page.locator(f"#t{number} .reject").click()
         assert seen.page.title() == "Synthetic"
 
 
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, FloatRect, Locator
-SIX = [f"T-{number}" for number in range(1, 7)]
-MM = 1e-3
-
-
-@pytest.fixture(scope="module")
-def six(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return page_of(tmp_path_factory.mktemp("six"), campaign_of(SIX))
-
-
-class Drawn(NamedTuple):
-    """The first figure of curves, and where its axes lie on the screen."""
-
-    seen: Shown
-    figure: Locator
-    box: FloatRect
-
-    def at(self, across: float, up: float) -> tuple[float, float]:
-        """A place of the figure, as shares of its axes, on the screen."""
-        return self.box["x"] + across * self.box["width"], self.box["y"] + up * self.box["height"]
-
-    def reads(self) -> tuple[str, float, float]:
-        """Who is pointed at, mm and N."""
-        words = self.figure.locator(".readout").text_content() or ""
-        found = re.fullmatch(r"(.+) · ([-\u2212\d.]+) mm · ([-\u2212\d.]+) N", words)
-        assert found, words
-        across, up = (float(group.replace("\u2212", "-")) for group in found.groups()[1:])
-        return found[1], across, up
-
-    def ticks(self, axis: str) -> list[float]:
-        """Numbers at an axis, as they stand there."""
-        texts = self.figure.locator(f".{axis}-axis .tick text").all_text_contents()
-        return [float(text.replace("\u2212", "-")) for text in texts]
-
-    def view(self) -> list[float]:
-        found = self.figure.locator("svg.area").get_attribute("viewBox") or ""
-        return [float(part) for part in found.split()]
-
-
-def drawn(seen: Shown) -> Drawn:
-    figure = seen.page.locator("figure.plot[data-kind=curves]").first
-    figure.scroll_into_view_if_needed()
-    script = "(area) => { const r = area.farthestViewportElement.getBoundingClientRect(),"
-    script += " s = r.width / area.farthestViewportElement.viewBox.baseVal.width,"
-    script += " v = (name) => Number(area.getAttribute(name)) * s; return {x: r.x + v('x'),"
-    script += " y: r.y + v('y'), width: v('width'), height: v('height')}; }"
-    return Drawn(seen, figure, figure.locator("svg.area").evaluate(script))
-
-
-@pytest.mark.slow
-def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, six: Path) -> None:
+def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, tmp_path: Path) -> None:
     """Along the curve of one sample, by keyboard, against the samples it was drawn of."""
-    (sample,) = (sample for sample in campaign_of(SIX).groups[0].samples if sample.test == "T-3")
-    curve = sample.loading[0]
-    with shown(browser, six) as seen:
-        plot = drawn(seen)
-        plot.figure.locator(".legend").get_by_role("button", name="none", exact=True).click()
-        plot.figure.locator(".legend li[data-t='2'] button").click()
-        plot.figure.locator("svg.frame").focus()
-        read = []
+    campaign, read = campaign_of(NAMES[:6]), []
+    curve = campaign.groups[0].samples[2].loading[0]
+    with shown(browser, page_of(tmp_path, campaign)) as seen:
+        figure = seen.page.locator("figure.plot[data-kind=curves]").first
+        figure.locator(".legend").get_by_role("button", name="none", exact=True).click()
+        figure.locator(".legend li[data-t='2'] button").click()
+        figure.locator("svg.frame").focus()
         for _ in range(25):
             seen.press("ArrowRight")
-            read.append(plot.reads())
-    assert {who for who, _, _ in read} == {"T-3"}
-    x, force = (np.array(cell) for cell in zip(*[row[1:] for row in read], strict=True))
+            words = figure.locator(".readout").text_content() or ""
+            value = re.fullmatch(r"T-3 · ([-\u2212\d.]+) mm · ([-\u2212\d.]+) N", words)
+            assert value, words
+            read.append([float(number.replace("\u2212", "-")) for number in value.groups()])
+    x, force = np.transpose(read)
     assert (np.diff(x) > 0).all()
     # The curve was drawn to 1/65535 of its axes, and its values are read to four figures.
-    gap = np.abs(np.interp(x * MM, curve.displacement, curve.force) - force)
+    gap = np.abs(np.interp(1e-3 * x, curve.displacement, curve.force) - force)
     assert gap.max() < 0.003 * float(np.ptp(curve.force))
-
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
-
-def written(campaign: Campaign, folder: Path) -> Path:
-    letterhead = Letterhead((("Lab", "Bench 3"), ("Customer", "Somebody"), ("Order", "42")))
-    dated = replace(campaign, made_on=date(2026, 3, 9))
-    page = folder / "report.html"
-    page.write_text(printable(render_page(dated, letterhead=letterhead)), encoding="utf-8")
-    return page
-
-
-def crowded() -> Campaign:
-    """Twenty-five groups of two families, four questions, three tests to decide on."""
-    bundles = bundle_campaign(conduit_cases())
-    more = [build_group(f"tube {n}", six_samples()[:3], scaled=False) for n in range(16)]
-    odd = build_group("odd", troubled_samples()[:5])
-    return replace(bundles, groups=(*bundles.groups, *more, odd))
-
-
-@pytest.mark.slow
-def test_page_one_is_one_screen(browser: Browser, tmp_path: Path) -> None:
-    with shown(browser, written(crowded(), tmp_path)) as seen:
-        end = seen.page.evaluate("document.getElementById('first').getBoundingClientRect().bottom")
-        assert end <= WIDE["height"]
-        for words in ("Tested", "CheckReport", "Date"):
-            assert seen.page.locator(".sign span", has_text=words).first.is_visible()
-        assert seen.page.locator("#to-decide li").first.is_visible()
-        assert seen.page.locator("details.answer").count() == 4
 
 
 FAULTS = """() => {
@@ -294,15 +335,136 @@ FAULTS = """() => {
 }"""
 
 
-@pytest.mark.parametrize(
-    "width", [360, *(pytest.param(w, marks=pytest.mark.slow) for w in (800, 1920))]
-)
+@pytest.mark.parametrize("width", [360, 800, 1400, 1920])
 def test_page_one_at_every_width(browser: Browser, tmp_path: Path, width: int) -> None:
-    """Nothing is wider than the page, a letter a line, or over its neighbour, opened or not."""
-    viewport = {"width": width, "height": 900}
-    with shown(browser, written(crowded(), tmp_path), viewport=viewport) as seen:
+    """Of 25 groups and four questions: one screen; nothing too wide, or over its neighbour."""
+    bundles = bundle_campaign(conduit_cases())
+    more = [build_group(f"tube {n}", six_samples()[:3], scaled=False) for n in range(16)]
+    odd = build_group("odd", troubled_samples()[:5])
+    crowded = replace(bundles, groups=(*bundles.groups, *more, odd), made_on=date(2026, 3, 9))
+    letterhead = Letterhead((("Lab", "Bench 3"), ("Customer", "Somebody"), ("Order", "42")))
+    page = page_of(tmp_path, crowded, letterhead=letterhead)
+    with shown(browser, page, viewport={"width": width, "height": 900}) as seen:
+        end = seen.page.evaluate("document.getElementById('first').getBoundingClientRect().bottom")
+        assert width != WIDE["width"] or end <= WIDE["height"]
         assert seen.page.evaluate(FAULTS) == []
+        for words in ("Tested", "Checked", "Date"):
+            assert seen.page.locator(".sign span", has_text=words).first.is_visible()
+        assert seen.page.locator("#to-decide li").first.is_visible()
+        assert seen.page.locator("details.answer").count() == 4
         for details in seen.page.locator("#first details").all():
-            details.evaluate("(each) => { each.open = true; }")
+            details.evaluate("(node) => { node.open = true; }")
         assert seen.page.locator("details.answer table").first.is_visible()
         assert seen.page.evaluate(FAULTS) == []
+
+
+def test_a_decision_by_mouse_is_saved_behind_those_there_are(
+    browser: Browser, twelve: Path
+) -> None:
+    with shown(browser, twelve) as seen:
+        assert seen.decided("T-2") == ["reject"]
+        assert seen.bar() == "Nothing decided here"
+        seen.reject("T-3", "slipped <b>twice</b>")
+        seen.row("T-4").get_by_role("button", name="accept").click()
+        assert "is-rejected" in (seen.row("T-3").get_attribute("class") or "")
+        assert seen.bar().startswith("2 decisions not saved; the numbers of this report do not kn")
+        seen.page.get_by_label("Decided by").fill(" A. Tester ")
+        content = seen.saved()
+        assert seen.bar().startswith("2 decisions saved in a file")
+    assert (content["schema"], content["campaign"]) == (1, "c")
+    old, rejected, accepted = content["decisions"]
+    assert old == OLD
+    when = rejected.pop("when")
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", when)
+    assert rejected == {
+        "test": "T-3", "run": key_of("T-3"), "decision": "reject",
+        "because": "slipped <b>twice</b>", "by": "A. Tester",
+    }  # fmt: skip
+    assert accepted["because"] == "accepted on the page of the report, without a remark"
+
+
+def test_the_keyboard_alone(browser: Browser, twelve: Path) -> None:
+    """From the top of the page to a saved file, without a mouse."""
+    inside = "!!document.activeElement.closest('#tests')"
+    with shown(browser, twelve) as seen:
+        stops = 0
+        while seen.focused() != "accept T-1" or not seen.page.evaluate(inside):
+            seen.press("Tab")
+            stops += 1
+            assert stops < 150
+        seen.press("ArrowDown", "ArrowDown", "r")
+        assert seen.focused() == "why, T-3"
+        seen.page.keyboard.type("slipped")
+        seen.press("Enter")
+        assert seen.focused() == "reject T-3"
+        seen.press("ArrowDown", "a", "ArrowDown", "c")
+        assert seen.focused() == "why, T-5"
+        seen.press("Escape", "r", "ArrowUp", "a")  # no reason; and T-4 taken back: typed into why
+        seen.press("Shift+Tab", "Shift+Tab")
+        assert [seen.decided(name) for name in NAMES[2:5]] == [["reject"], ["accept"], ["reject"]]
+        seen.button("Save decisions.json").press("Enter")
+        assert "T-5: a rejection needs its reason." in seen.status()
+        assert seen.focused() == "why, T-5"
+        seen.page.keyboard.type("no signal")
+        seen.button("Save decisions.json").press("Enter")
+        assert "A name is needed." in seen.status()
+        seen.page.keyboard.type("A. Tester")  # the field has the focus
+        entries = seen.saved("Tab", "Enter")["decisions"][1:]
+    assert [(entry["test"], entry["decision"]) for entry in entries] == [
+        ("T-3", "reject"), ("T-4", "accept"), ("T-5", "reject"),
+    ]  # fmt: skip
+
+
+def test_decisions_outlive_the_page_and_end_when_a_report_knows_them(
+    browser: Browser, tmp_path: Path
+) -> None:
+    first = page_of(tmp_path / "one", campaign_of(NAMES))
+    with shown(browser, first) as seen:
+        seen.reject("T-3", "slipped")
+        seen.row("T-6").get_by_role("button", name="accept").click()
+        seen.sign()
+        seen.page.reload()
+        assert seen.decided("T-3") == ["reject"]
+        assert seen.row("T-3").locator(".because").input_value() == "slipped"
+        assert seen.page.get_by_label("Decided by").input_value() == "A. Tester"
+        other = page_of(tmp_path / "two", campaign_of(NAMES[:4], *seen.saved()["decisions"]))
+        seen.page.goto(other.as_uri())  # another report of the campaign, which knows them
+        assert seen.decided("T-3") == ["reject"]
+        assert seen.bar() == "Nothing decided here"
+        seen.page.goto(first.as_uri())  # the earlier one again: its own are still there
+        assert seen.decided("T-6") == ["accept"]
+        seen.page.get_by_role("button", name="Forget").click()
+        seen.page.reload()
+        assert seen.decided("T-6") == []
+        assert seen.bar() == "Nothing decided here"
+
+
+def test_a_served_page_saves_without_a_download(browser: Browser, tmp_path: Path) -> None:
+    processed = make_pulls(tmp_path, NAMES[:3])
+
+    def make_again() -> None:
+        report_tests([processed])
+
+    make_again()
+    site = Site(processed, processed.name, processed / "report", make_again, page_of_test)
+    with ReportServer(site, 0) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        try:
+            with shown(browser, server.address) as seen:
+                assert seen.page.url.endswith("/report/report.html")
+                seen.reject("T-3", "slipped")
+                seen.sign()
+                seen.button("Save decisions").click()
+                seen.page.get_by_text("1 decision saved.").wait_for()
+                assert seen.bar() == "Nothing decided here"
+                decisions = read_decisions(processed).decisions
+                assert [decision.test for decision in decisions] == ["T-3"]
+                with seen.page.expect_navigation():
+                    seen.button("Make the report again").click()
+                assert seen.row("T-3").get_attribute("data-state") == "rejected"
+                hosts = {url.split("/")[2] for url in seen.asked}
+                assert hosts == {server.address.split("/")[2]}
+        finally:
+            server.shutdown()
+            thread.join()

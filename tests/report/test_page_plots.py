@@ -66,12 +66,6 @@ def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
     assert len(set(tick_words(values))) == len(values)
 
 
-def test_an_axis_shows_all_that_is_finite() -> None:
-    axis = axis_over("Force", "N", [np.array([1.0, np.nan, 3.0]), np.empty(0)], room=0.1)
-    assert [axis.low, axis.high] == pytest.approx([0.8, 3.2])
-    flat = axis_over("Force", "N", [np.array([2.0])])
-    assert flat.low < 2.0 < flat.high
-    assert axis_over("", "", []).high > 0.0
 
 
 def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
@@ -88,16 +82,6 @@ def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
     assert (path.get("data-t"), path.get("data-group")) == ("3", 'a"b')
 
 
-def test_strips_and_sparks() -> None:
-    drawn = str(strip((0.0, 10.0), Interval(2.0, 4.0), 3.0, [1.0, float("nan")]))
-    assert 'd="M24 6H48"' in drawn
-    assert 'd="M36 6h0"' in drawn
-    assert 'd="M12 12h0"' in drawn
-    none = str(strip((1.0, 1.0), None, float("nan")))
-    assert "<path" not in none
-    x = np.linspace(0, 1, 5)
-    assert str(sparkline([(x, x)])).count("<path") == 1
-    assert even(200, Axis("", "mm", 0, 100), Axis("", "mm", 0, 25)) == 50
 
 
 def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
@@ -105,8 +89,6 @@ def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
     return {plot.kind: plot for plot in group_panels(group, "g", PageTests(campaign, ["g"]))}
 
 
-def looks(plot: Plot) -> list[str]:
-    return [line.look for line in plot.lines]
 
 
 def test_curves_are_drawn_where_they_are() -> None:
@@ -140,13 +122,5 @@ def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
     assert moment.lines[2].y[-1] == pytest.approx(0.02)
 
 
-def test_force_over_peak_force() -> None:
-    plot = panels(build_group("A", six_samples(slips=0)))["scaled"]
-    tops = [np.nanmax(line.y) for line in plot.lines if line.look.startswith("curve")]
-    assert tops == pytest.approx([1.0] * 6, abs=0.05)
 
 
-def test_a_group_without_curves_has_no_plots() -> None:
-    assert not panels(build_group("A", []))
-    assert not panels(build_group("A", [replace(build_sample("s", "a"), loading=(), lines=())],
-                                  scaled=False))  # fmt: skip

@@ -80,12 +80,6 @@ def test_types_are_a_question_too() -> None:
     assert len(not_asked(build_campaign())) == 1
 
 
-def test_what_differs_in_several_fields_is_not_asked() -> None:
-    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B2", tape="PET"))]
-    campaign = bundle_campaign(samples)
-    assert not answering_pairs(campaign)
-    assert not families(campaign)
-    assert len(not_asked(campaign)) == 2
 
 
 def pair_of(difference: Difference) -> Pair:
@@ -115,13 +109,6 @@ def test_words_of_questions(approved: Approve) -> None:
     ])  # fmt: skip
 
 
-def test_arrangement_is_context() -> None:
-    wires = bundle_sample(bundle_of("19 B1"), 1)
-    one, other = (
-        grouped([wires, bundle_sample(bundle_of("10 B1 + 9 B2", arrangement=how), 1)])
-        for how in ("symmetric", "asymmetric")
-    )
-    assert context_words([*one], "wire") != context_words([*other], "wire")
 
 
 def test_tables_of_questions(approved: Approve) -> None:

@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
-from xml.etree import ElementTree
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -22,7 +21,6 @@ from matplotlib.figure import Figure
 from labpipe.errors import StoreError
 from labpipe.protocol.schema import FigureName
 from labpipe.records.group import Campaign
-from labpipe.records.result import TestResult
 from labpipe.report.calibration_figures import save_calibration_figures
 from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.report.figure_page import style, titled_page
@@ -42,6 +40,8 @@ from tests.builders.wire_tables import wire_table
 from tests.report.builders_calibrations import report
 from tests.store.builders_result import build_result
 
+RESULT = build_result(half_cycle=1.0)
+
 
 def page() -> Figure:
     figure = titled_page("title", "", width_mm=25.4, height_mm=25.4)
@@ -49,28 +49,26 @@ def page() -> Figure:
     return figure
 
 
-def test_the_svg_does_not_depend_on_the_png(tmp_path: Path) -> None:
-    wanted = [FigureToSave("a", page)]
+def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:
+    """The SVG does not depend on the PNG; letters are lines, so that no font changes them."""
+    wanted = [FigureToSave("a", page, "How to\x07 read it.", "One & two")]
     both = save_pages(wanted, tmp_path / "both", what="figures", again="draw", png=True)
     (alone,) = save_pages(wanted, tmp_path / "alone", what="figures", again="draw")
     assert [path.name for path in both] == ["a.svg", "a.png"]
     assert alone.read_bytes() == both[0].read_bytes()
     assert list((tmp_path / "alone").iterdir()) == [alone]
-
-
-def test_each_figure_of_a_report_says_what_it_is(tmp_path: Path) -> None:
-    wanted = [FigureToSave("one", page, "How to\x07 read it.", "One & two")]
     (one,) = save_report_figures(wanted, tmp_path, formats=("svg",))
-    assert [file.name for file in one.files] == ["one.svg"]
+    assert [file.name for file in one.files] == ["a.svg"]
     drawn = one.files[0].read_text(encoding="utf-8")
     assert "<dc:title>One &amp; two</dc:title>" in drawn
     assert "<dc:description>How to\ufffd read it.</dc:description>" in drawn
+    assert "<text" not in drawn
 
 
 def test_words_are_as_wide_in_pixels_as_in_an_svg() -> None:
     """Else they would leave the room that they were given, or the page."""
+    widths = []
     with style():
-        widths = []
         for canvas in (FigureCanvasAgg, FigureCanvasSVG):
             figure = Figure(dpi=200)
             canvas(figure)
@@ -97,64 +95,46 @@ L 5.00001 -6.5
 </svg>"""
 
 
-def test_small_and_named() -> None:
-    inline = inline_svg(DRAWING, prefix="a2", title='Force <of> "A2"')
-    root = ET.fromstring(inline.element)
-    assert root.get("role") == "img"
-    assert root.get("aria-label") == 'Force <of> "A2"'
-    assert root.get("viewBox") == "0 0 100 50"
-    assert root.get("width") is None
-    for gone in ("made today", "<?xml", "style=", "figure_1", "<g"):
-        assert gone not in inline.element
-    assert 'd="M 1.23 2 3 4 5 -6.5"' in inline.element
-    assert "a &lt; b" in inline.element
+def inline(drawing: bytes = DRAWING, prefix: str = "a2", title: str = "") -> str:
+    return inline_svg(drawing, prefix=prefix, title=title).element
+
+
+def test_an_inline_drawing_is_small_and_named_and_its_ids_are_its_own() -> None:
+    element = inline(title='Force <of> "A2"')
+    attributes = {"role": "img", "aria-label": 'Force <of> "A2"', "viewBox": "0 0 100 50"}
+    assert attributes.items() <= ET.fromstring(element).attrib.items()
+    assert not re.findall(r"made today|<\?xml|style=|figure_1|<g|<svg[^>]* width", element)
+    for part in ('d="M 1.23 2 3 4 5 -6.5"', "a &lt; b", 'id="a2-mark"', 'href="#a2-mark"',
+                 'clip-path="url(#a2-clip)"'):  # fmt: skip
+        assert part in element
 
 
 def test_words_keep_the_width_that_they_were_laid_out_with() -> None:
     """By the metrics of the font itself, in 1/1000 of its size: STIX has an 'a' of 444."""
-    words = DRAWING.replace(b"a &lt; b", b"aaaa").replace(b"9px", b"10px")
-    element = inline_svg(words, prefix="a", title="").element
+    element = inline(DRAWING.replace(b"a &lt; b", b"aaaa").replace(b"9px", b"10px"))
     assert 'textLength="17.8"' in element
     assert 'lengthAdjust="spacingAndGlyphs"' in element
-    assert (
-        "textLength"
-        not in inline_svg(DRAWING.replace(b"a &lt; b", b"10"), prefix="a", title="").element
-    )
-
-
-def test_ids_belong_to_the_drawing_and_references_follow() -> None:
-    one, other = (inline_svg(DRAWING, prefix=name, title="").element for name in ("one", "other"))
-    assert 'id="one-mark"' in one
-    assert 'href="#one-mark"' in one
-    assert 'clip-path="url(#one-clip)"' in one
-    assert "one-" not in other
+    assert "textLength" not in inline(DRAWING.replace(b"a &lt; b", b"10"))
 
 
 def test_long_lines_are_steps_that_do_not_add_up_to_an_error() -> None:
     x, y = np.linspace(0.0, 100.0, 300), np.random.default_rng(1).uniform(0.0, 50.0, 300)
     points = " L ".join(f"{a:.6f} {b:.6f}" for a, b in zip(x, y, strict=True))
     drawing = f'<svg xmlns="http://www.w3.org/2000/svg"><path d="M {points} M 1.26 2 L 3 4"/></svg>'
-    element = inline_svg(drawing.encode(), prefix="a", title="t").element
-    path = re.search(r' d="M(.*?)"', element)
+    path = re.search(r' d="M(.*?)"', inline(drawing.encode()))
     assert path is not None
     line, other = path[1].split("M")
     first, steps = (re.findall(r"-?[\d.]+", part) for part in line.split("l"))
-    found = np.cumsum(np.array([*first, *steps], dtype=float).reshape(-1, 2), axis=0)
-    np.testing.assert_allclose(found, np.column_stack([x, y]), atol=0.0551)  # to 0.01, then to 0.1
+    drawn = np.cumsum(np.array([*first, *steps], dtype=float).reshape(-1, 2), axis=0)
+    np.testing.assert_allclose(drawn, np.column_stack([x, y]), atol=0.0551)  # to 0.01, then to 0.1
     assert other == "1.3 2l1.7 2"
 
 
-@pytest.fixture(scope="module")
-def result() -> TestResult:
-    return build_result(half_cycle=1.0)
-
-
 @pytest.mark.slow
-def test_all_figures_in_both_formats_with_the_same_bytes(
-    result: TestResult, tmp_path: Path
-) -> None:
-    every = replace(result, figures=tuple(FIGURES))
+def test_all_figures_in_both_formats_with_the_same_bytes(tmp_path: Path) -> None:
+    every = replace(RESULT, figures=tuple(FIGURES))
     one, other = (save_figures(every, tmp_path / name, png=True) for name in "ab")
+    assert set(get_args(FigureName)) == set(FIGURES)
     assert [path.name for path in one] == [
         f"{name}.{kind}" for name in FIGURES for kind in ("svg", "png")
     ]
@@ -168,24 +148,14 @@ def test_all_figures_in_both_formats_with_the_same_bytes(
         assert int.from_bytes(content[16:20]) == int(180 / 25.4 * 300)
 
 
-def test_every_figure_that_a_protocol_may_ask_for_can_be_drawn() -> None:
-    assert set(get_args(FigureName)) == set(FIGURES)
-
-
-def test_only_what_the_protocol_asks_for(result: TestResult, tmp_path: Path) -> None:
-    paths = save_figures(replace(result, figures=("timeline",)), tmp_path)
-    assert list(tmp_path.iterdir()) == paths
-    assert [path.name for path in paths] == ["timeline.svg"]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["$\\frac{$", "A\x07\n\ud8002", "x" * 300, "<b>&\U0001f600"])
-def test_any_name_is_drawn(result: TestResult, tmp_path: Path, name: str) -> None:
-    specimen = replace(result.specimen, type=name, spool=name, sample=name)
-    notes = tuple(replace(note, where=name, message=name) for note in result.quality)
-    odd = replace(result, test=name, specimen=specimen, quality=notes, figures=tuple(FIGURES))
+@pytest.mark.parametrize("name", ["$\\frac{$ <b>&\U0001f600", "A\x07\n\ud8002", "x" * 300])
+def test_any_name_is_drawn(tmp_path: Path, name: str) -> None:
+    specimen = replace(RESULT.specimen, type=name, spool=name, sample=name)
+    notes = tuple(replace(note, where=name, message=name) for note in RESULT.quality)
+    odd = replace(RESULT, test=name, specimen=specimen, quality=notes, figures=tuple(FIGURES))
     for drawn in save_figures(odd, tmp_path):
-        ElementTree.fromstring(drawn.read_bytes())
+        ET.fromstring(drawn.read_bytes())
 
 
 SAVE: dict[str, Callable[[Path], object]] = {
@@ -200,22 +170,23 @@ SAVE: dict[str, Callable[[Path], object]] = {
 
 def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
     (tmp_path / "x").write_text("")
-    told = []
+    messages = []
     for name, save in SAVE.items():
         with pytest.raises(StoreError) as refusal:
             save(tmp_path / "x")
-        told.append(f"{name}: {re.sub(r'.Errno.*?: ', '', str(refusal.value))}")
+        messages.append(f"{name}: {re.sub(r'.Errno.*?: ', '', str(refusal.value))}")
     with pytest.raises(ValueError, match=r"figures=\['pie'\]: expected some of \['force-disp"):
-        save_figures(replace(build_result(half_cycle=1.0), figures=("pie", "timeline")), tmp_path)
+        save_figures(replace(RESULT, figures=("pie", "timeline")), tmp_path)
     (tmp_path / "a.png").mkdir()
     with style(), ThreadPoolExecutor(max_workers=1) as packer:
         saved = save_page(page(), tmp_path, "a", packer)
     with pytest.raises(IsADirectoryError):
         saved.whole()
     assert {path.name for path in tmp_path.iterdir()} == {"x", "a.png", "a.svg"}
-    approved(told)
+    approved(messages)
 
 
+@pytest.mark.slow
 def test_heavy_programs_are_loaded_only_when_needed() -> None:
     modules = ("figures", "calibration_figures", "calibration_workbook", "wire_workbook")
     code = (

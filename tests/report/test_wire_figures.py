@@ -32,18 +32,8 @@ from tests.report.builders_wires import compressed_wire, troubled
 from tests.report.figure_words import all_words
 
 
-def names_of(count: int) -> list[str]:
-    table = wire_table("A1")
-    tables = [replace(table, name=f"w{number}") for number in range(count)]
-    return [drawing.name for drawing in wire_drawings(tables)]
 
 
-def test_names_of_figures() -> None:
-    assert names_of(1) == ["sections-1", "w0.stiffness", "w0.moment", "w0.cantilever"]
-    assert names_of(2)[:3] == ["sections-1", "comparison-1", "w0.stiffness"]
-    assert names_of(13)[:4] == ["sections-1", "comparison-1", "sections-2", "w0.stiffness"]
-    assert len(names_of(13)) == 3 + 13 * 3
-    assert names_of(0) == []
 
 
 def test_what_is_doubtful_is_lighter() -> None:
@@ -150,11 +140,6 @@ def test_sections_on_a_page() -> None:
     assert sum(axes.axison or bool(axes.patches) for axes in page.axes) == 12
 
 
-@pytest.mark.parametrize("figure", [section_figure, comparison_figure])
-@pytest.mark.parametrize("count", [0, 13])
-def test_number_of_wires_on_a_page(figure: Callable[..., Figure], count: int) -> None:
-    with pytest.raises(ValueError, match=f"{count} wires: allowed are 1 to 12 on a page"):
-        figure([wire_table("A1")] * count)
 
 
 def test_words(approved: Approve) -> None:
