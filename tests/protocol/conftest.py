@@ -109,18 +109,9 @@ def tube() -> str:
 @pytest.fixture
 def told() -> Told:
     """Give the lines of the error that a protocol with some changes (old, new) leads to."""
-    return _teller(WIRE)
 
-
-@pytest.fixture
-def told_of_tube() -> Told:
-    """Give the same of the tensile protocol."""
-    return _teller(TUBE)
-
-
-def _teller(protocol: str) -> Told:
     def told(*changes: tuple[str, str]) -> list[str]:
-        text = protocol
+        text = WIRE
         for old, new in changes:
             assert text.count(old) == 1, old
             text = text.replace(old, new)

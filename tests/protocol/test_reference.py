@@ -16,7 +16,8 @@ from labpipe.protocol.reference import (
     json_schema,
     with_tables,
 )
-from labpipe.protocol.schema import Protocol
+from tests.protocol.conftest import WIRE
+from tests.protocol.test_harness_file import WHOLE
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
@@ -26,44 +27,62 @@ def test_the_schema_for_editors_is_fresh(name: str, repository: Path) -> None:
     assert kept == json_schema(SCHEMAS[name]), "run: make reference"
 
 
-@pytest.mark.parametrize("name", SCHEMAS)
-def test_the_schema_is_one(name: str) -> None:
-    jsonschema.Draft202012Validator.check_schema(json.loads(json_schema(SCHEMAS[name])))
+TEST_SHEET: dict[str, object] = {
+    "test": "A1",
+    "protocol": "wire",
+    "specimen": {"type": "A", "spool": "s", "sample": 1, "length": "8 mm", "width": "1 mm"},
+    "files": {"force": "a.mat", "markers": ["b.csv"]},
+    "overrides": {"rig.cycles": {"value": 3, "because": "x"}},
+}
+HARNESS: dict[str, Any] = yaml.safe_load(WHOLE)
+CLIP = HARNESS["boundaries"][0]
 
 
-def _refused(data: Any) -> bool:
-    return not jsonschema.Draft202012Validator(json.loads(json_schema(Protocol))).is_valid(data)
-
-
-def test_the_schema_takes_and_refuses_as_labpipe_does(wire: str) -> None:
-    data = yaml.safe_load(wire)
-
-    assert not _refused(data)
-    assert _refused(data | {"resluts": []})
-    assert _refused(data | {"specimen": {"length": 85}})
-    assert _refused(data | {"rig": {"cycles": 0}})
-    assert _refused(data | {"steps": [{"step": "smoth"}]})
-    assert _refused(data | {"sources": {"forse": {"reader": "motive-csv"}}})
-    assert _refused(data | {"sources": {"markers": {"reader": "motive-cvs"}}})
-    assert _refused(data | {"report": {"figures": ["wire-shape"]}})
-
-
-def test_a_test_sheet_fits_its_schema() -> None:
-    sheet = {
-        "test": "A1",
-        "protocol": "wire",
-        "specimen": {"type": "A", "spool": "s", "sample": 1, "length": "8 mm", "width": "1 mm"},
-        "files": {"force": "a.mat", "markers": ["b.csv"]},
-        "overrides": {"rig.cycles": {"value": 3, "because": "x"}},
-    }
-    validator = jsonschema.Draft202012Validator(
-        json.loads(json_schema(SCHEMAS["test-sheet.schema.json"]))
-    )
-
-    assert validator.is_valid(sheet)
-    assert not validator.is_valid(
-        sheet | {"specimen": {"type": "A", "spool": "s", "sample": 1, "w": 1}}
-    )
+@pytest.mark.parametrize(
+    ("name", "data", "changes"),
+    [
+        (
+            "protocol.schema.json",
+            yaml.safe_load(WIRE),
+            [
+                {"resluts": []},
+                {"specimen": {"length": 85}},
+                {"rig": {"cycles": 0}},
+                {"steps": [{"step": "smoth"}]},
+                {"sources": {"forse": {"reader": "motive-csv"}}},
+                {"sources": {"markers": {"reader": "motive-cvs"}}},
+                {"report": {"figures": ["wire-shape"]}},
+            ],
+        ),
+        (
+            "test-sheet.schema.json",
+            TEST_SHEET,
+            [{"specimen": {"type": "A", "spool": "s", "sample": 1, "w": 1}}],
+        ),
+        (
+            "harness.schema.json",
+            HARNESS,
+            [
+                {"line": HARNESS["line"] | {"length": 300}},
+                {"boundaries": []},
+                {"boundaries": [CLIP | {"kind": "clib"}]},
+                {"boundaries": [CLIP | {"position": ["0 mm", "0 mm"]}]},
+                {"gravity": "down"},
+                {"sweep": {"length": ["310 mm"]}},
+                {"branches": []},
+            ],
+        ),
+    ],
+)
+def test_a_schema_takes_and_refuses_as_labpipe_does(
+    name: str, data: dict[str, object], changes: list[dict[str, object]]
+) -> None:
+    schema = json.loads(json_schema(SCHEMAS[name]))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    checker = jsonschema.Draft202012Validator(schema)
+    assert checker.is_valid(data)
+    for wrong in changes:
+        assert not checker.is_valid(data | wrong), wrong
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import nullcontext
 from typing import Annotated, Any, get_args
 
 import jsonschema
@@ -40,52 +41,43 @@ from labpipe.records.declarations import (
 )
 from labpipe.units import si_factor
 
-POSITIVE = {
-    "Length": (Length, "53 mm", 0.053),
-    "Area": (Area, "5.26 mm^2", 5.26e-6),
-    "Duration": (Duration, "0.5 s", 0.5),
-    "Speed": (Speed, "0.423 mm/s", 0.000423),
-    "Frequency": (Frequency, "10 Hz", 10.0),
-}
-
-
-OTHERS = {
-    "Offset": (Offset, "-0.8 mm", -0.0008),
-    "Distance": (Distance, "0 mm", 0.0),
-    "Force": (Force, "5 mN", 0.005),
-    "Mass": (Mass, "2.7 g", 0.0027),
-    "Compliance": (Compliance, "0 um/N", 0.0),
-    "Ratio": (Ratio, "0.2 %", 0.002),
-    "Ratio in ppm": (Ratio, "500 ppm", 0.0005),
-    "bare ratio": (Ratio, "0.5", 0.5),
-    "Share": (Share, "10 %", 0.1),
-    "the whole as a share": (Share, "1", 1.0),
-}
-
 
 def _parse(kind: Any, text: object) -> object:
     return TypeAdapter(validated(kind)).validate_python(text)
 
 
-def _fault(kind: Any, text: object) -> str:
-    with pytest.raises(ValidationError) as info:
-        _parse(kind, text)
-    return info.value.errors()[0]["msg"].strip()
-
-
-@pytest.mark.parametrize("case", [*POSITIVE.values(), *OTHERS.values()], ids=[*POSITIVE, *OTHERS])
-def test_a_quantity_becomes_si(case: tuple[object, str, float]) -> None:
-    kind, text, value = case
-
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [
+        (Length, "53 mm", 0.053),
+        (Area, "5.26 mm^2", 5.26e-6),
+        (Duration, "0.5 s", 0.5),
+        (Speed, "0.423 mm/s", 0.000423),
+        (Frequency, "10 Hz", 10.0),
+        (Offset, "-0.8 mm", -0.0008),
+        (Distance, "0 mm", 0.0),
+        (Force, "5 mN", 0.005),
+        (Mass, "2.7 g", 0.0027),
+        (Compliance, "0 um/N", 0.0),
+        (Ratio, "0.2 %", 0.002),
+        (Ratio, "500 ppm", 0.0005),
+        (Ratio, "0.5", 0.5),
+        (Share, "10 %", 0.1),
+        (Share, "1", 1.0),
+    ],
+)
+def test_a_quantity_becomes_si(kind: object, text: str, value: float) -> None:
     assert _parse(kind, text) == value
 
 
-@pytest.mark.parametrize(("kind", "text", "value"), POSITIVE.values(), ids=POSITIVE)
-def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: float) -> None:
-    number, unit = text.split()
-
-    assert f"above 0 {unit}, found '0 {unit}'." in _fault(kind, f"0 {unit}")
-    assert f"above 0 {unit}, found '-{number} {unit}'." in _fault(kind, f"-{number} {unit}")
+@pytest.mark.parametrize(
+    ("kind", "unit"),
+    [(Length, "mm"), (Area, "mm^2"), (Duration, "s"), (Speed, "mm/s"), (Frequency, "Hz")],
+)
+@pytest.mark.parametrize("number", ["0", "-5"])
+def test_what_must_be_above_zero(kind: object, unit: str, number: str) -> None:
+    with pytest.raises(ValidationError, match=rf"above 0 {re.escape(f'{unit}, found')} '{number} "):
+        _parse(kind, f"{number} {unit}")
 
 
 @pytest.mark.parametrize("text", ["three", "2.5", "1", "13", "", True, None, "0x3"])
@@ -129,12 +121,12 @@ def _quantities() -> Iterator[QuantityText]:
 @given(
     quantity=st.sampled_from(list(_quantities())),
     number=st.floats(min_value=1e-300, max_value=1e308),
-    prefix=st.sampled_from(["", "shown"]),
+    is_shown=st.booleans(),
 )
 def test_a_quantity_written_reads_back_as_the_same_float(
-    quantity: QuantityText, number: float, prefix: str
+    quantity: QuantityText, number: float, is_shown: bool
 ) -> None:
-    unit = quantity.of.shown if prefix else quantity.of.unit
+    unit = quantity.of.shown if is_shown else quantity.of.unit
     try:
         value = quantity.parse(f"{number!r} {unit}")
     except ValueError:
@@ -145,62 +137,52 @@ def test_a_quantity_written_reads_back_as_the_same_float(
     assert quantity.parse(quantity.written(value)) == value
 
 
-def test_a_quantity_is_written_as_a_person_would() -> None:
-    assert QuantityText(Quantity("m", "mm", "1 mm")).written(0.053) == "53 mm"
+@pytest.mark.parametrize(("value", "text"), [(0.053, "53 mm"), (1e308, "1e+308 m")])
+def test_a_quantity_is_written_as_a_person_would(value: float, text: str) -> None:
+    """In SI where it is too large for the unit of people."""
+    assert QuantityText(Quantity("m", "mm", "1 mm")).written(value) == text
 
 
-def test_a_value_too_large_for_the_unit_of_people_is_written_in_si() -> None:
-    assert QuantityText(Quantity("m", "mm", "1 mm")).written(1e308) == "1e+308 m"
-
-
-@given(st.sampled_from(["5 mm", "-.5e3 s", "+2. N/V", "3 %", "1e-3ppm"]))
-def test_the_json_schema_takes_a_number_with_unit(text: str) -> None:
-    jsonschema.validate(text, TypeAdapter(validated(Length)).json_schema())
-
-
-@pytest.mark.parametrize("text", ["mm", "5", 5, "five mm"])
-def test_the_json_schema_refuses_what_has_no_unit(text: object) -> None:
-    with pytest.raises(jsonschema.ValidationError, match=re.escape(repr(text))):
-        jsonschema.validate(text, TypeAdapter(validated(Length)).json_schema())
+@pytest.mark.parametrize("text", ["5 mm", "-.5e3 s", "+2. N/V", "3 %", "1e-3ppm"])
+@pytest.mark.parametrize("wrong", ["mm", "5", 5, "five mm"])
+def test_the_json_schema_takes_a_number_with_unit(text: str, wrong: object) -> None:
+    checker = jsonschema.Draft202012Validator(TypeAdapter(validated(Length)).json_schema())
+    assert checker.is_valid(text)
+    assert not checker.is_valid(wrong)
 
 
 NAME = TypeAdapter(Annotated[str, file_inside("the folder of the test", "Copy it.")])
-
-
-@pytest.mark.parametrize("name", ["a.csv", "below/a.csv", "..a.csv", "DAQ\u00a0- \u2026 力.txt"])
-def test_a_file_is_in_its_folder_or_below(name: str) -> None:
-    assert NAME.validate_python(name) == name
+ELSEWHERE = "expected a file inside the folder of the test, found .* Copy it"
+UPWARDS = ["../a.csv", "a/../../b", r"a\..\b", "/a.csv", r"C:\a.csv", "C:a.csv"]
 
 
 @pytest.mark.parametrize(
-    "name", ["../a.csv", "a/../../b", r"a\..\b", "/a.csv", r"C:\a.csv", "C:a.csv"]
+    ("name", "message"),
+    [
+        *((name, "") for name in ("a.csv", "below/a.csv", "..a.csv", "DAQ\u00a0- \u2026 力.txt")),
+        *((name, ELSEWHERE) for name in UPWARDS),
+        *((name, "the name of a file") for name in (" ", "", 1, None, "a\0b", "a\nb", "a\ud800")),
+    ],
 )
-def test_a_file_elsewhere_is_refused(name: str) -> None:
-    with pytest.raises(ValidationError) as info:
+def test_a_file_is_in_its_folder_or_below(name: object, message: str) -> None:
+    if not message:
+        assert NAME.validate_python(name) == name
+        return
+    with pytest.raises(ValidationError, match=message):
         NAME.validate_python(name)
-    expected = f"expected a file inside the folder of the test, found {name!r}. Copy it."
-    assert info.value.errors()[0]["msg"] == expected
 
 
-@pytest.mark.parametrize("value", [" ", "", 1, None, "a\0b", "a\nb", "a\ud800"])
-def test_what_is_no_name_of_a_file_is_refused(value: object) -> None:
-    with pytest.raises(ValidationError, match="expected the name of a file"):
-        NAME.validate_python(value)
-
-
-@pytest.mark.parametrize("name", ["A2-085-1", "0333", "Größe_1", "v1.2+b", "console", "a" * 120])
-def test_names_of_tests(name: str) -> None:
-    assert is_name_of_a_test(name)
-    assert TypeAdapter(FileStem).validate_python(name) == name
+NAMES = ["A2-085-1", "0333", "Größe_1", "v1.2+b", "console", "a" * 120]
+NO_NAMES = ["", ".", "..", "../x", "a/b", r"a\b", "a b", "CON", "lpt1.x", "a.", "ö" * 61, "a\n"]
 
 
 @pytest.mark.parametrize(
-    "name", ["", ".", "..", "../x", "a/b", r"a\b", "a b", "CON", "lpt1.x", "a.", "ö" * 61, "a\n"]
+    ("name", "is_name"), [*((name, True) for name in NAMES), *((name, False) for name in NO_NAMES)]
 )
-def test_what_cannot_be_the_name_of_a_test(name: str) -> None:
-    assert not is_name_of_a_test(name)
-    with pytest.raises(ValidationError):
-        TypeAdapter(FileStem).validate_python(name)
+def test_names_of_tests(name: str, is_name: bool) -> None:
+    assert is_name_of_a_test(name) is is_name
+    with nullcontext() if is_name else pytest.raises(ValidationError):
+        assert TypeAdapter(FileStem).validate_python(name) == name
 
 
 MATCHES = [
@@ -213,7 +195,6 @@ MATCHES = [
     ("{test}/DAQ* (Timed).txt", "T1/DAQ- Crosshead, … - (Timed).txt", {"test": "T1"}),
     ("{type}/{type}_{sample} *", "A/A_2 take.csv", {"type": "A", "sample": "2"}),
     ("{date}_{test}", "20260304_T", {"date": "2026-03-04", "test": "T"}),
-    ("{date} {test}", "2026-03-04 T", {"date": "2026-03-04", "test": "T"}),
     ("{outer_diameter in}x{test}", "0,5xT", {"outer_diameter": "0.5 in", "test": "T"}),
     ("{labels.batch}.{test}", "b.c.T", {"labels.batch": "b.c", "test": "T"}),
     ("a.b{test}", "axbT", None),
