@@ -7,7 +7,7 @@ from datetime import date
 
 from labpipe.records.group import Campaign, Decision, Outlier
 from labpipe.records.quality import Reason
-from labpipe.records.result import Instrument, Status
+from labpipe.records.result import Instrument
 from labpipe.report.group_tables import Table, slip_table, spool_means
 from labpipe.report.issue_ranking import find_causes
 from labpipe.report.page_facts import (
@@ -17,7 +17,6 @@ from labpipe.report.page_facts import (
     instrument_lines,
     operators_words,
     report_id,
-    state_of,
 )
 from labpipe.report.page_groups import (
     about_group,
@@ -38,13 +37,14 @@ from tests.builders.campaigns import (
 )
 from tests.report.figure_words import table_words
 
-CELL = Instrument("force", ("force",), "LC-500", date(2025, 1, 1), date(2026, 1, 1))
+test_rows.__test__ = False  # type: ignore[attr-defined] # a function of the page, no test
+STEMS = ["a", "b", "c"]
 
 
 def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     samples = six_samples(slips=0)
     made = (build_group("A", samples[:2]), build_group("B", samples[3:]))
-    groups = tuple(replace(each, fields={"type": "twist-tube-10"}) for each in made)
+    groups = tuple(replace(group, fields={"type": "twist-tube-10"}) for group in made)
     out = samples[2]
     campaign = Campaign("S", groups, rejected={out.source: "bent"}, rejected_samples=(out,))
     tests = PageTests(campaign, ["a", "b"])
@@ -52,7 +52,7 @@ def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
         (0, "a", "ok"), (1, "a", "ok"), (2, "b", "ok"), (3, "b", "ok"), (4, "b", "ok"),
         (5, "a", "rejected"),
     ]  # fmt: skip
-    assert [each.why for each in tests.rejected("a")] == ["bent"]
+    assert [test.why for test in tests.rejected("a")] == ["bent"]
     assert tests.by_name[samples[4].test].number == 3
 
 
@@ -66,37 +66,46 @@ def test_a_rejected_test_goes_where_it_fits_best() -> None:
     assert home_of(replace(sample, protocol="other"), Campaign("S", (a, b))) == ""
 
 
-
-
 def test_an_overdue_calibration_is_said_with_its_tests() -> None:
-    one, two, three = (replace(six_sample, instruments=(CELL,)) for six_sample in six_samples()[:3])
+    due = date(2026, 1, 1)
+    cell = Instrument("force", ("force",), "LC-500", date(2025, 1, 1), due)
+    one, two, three = (replace(sample, instruments=(cell,)) for sample in six_samples()[:3])
     one, two = replace(one, date=date(2025, 12, 31)), replace(two, date=date(2026, 1, 2))
-    (fine,) = instrument_lines([one, three])
-    assert (fine.due, fine.is_overdue) == ("calibration due 2026-01-01", False)
-    (late,) = instrument_lines([one, two, three])
-    assert (late.due, late.is_overdue) == (
-        "calibration OVERDUE since 2026-01-01 in 1 test", True,
-    )  # fmt: skip
-    (silent,) = instrument_lines([replace(one, instruments=(replace(CELL, due=None),))])
-    assert silent.due == "no due date stated"
+    undated = replace(one, instruments=(replace(cell, due=None),))
+    for samples, words in (
+        ([one, three], "calibration due 2026-01-01"),
+        ([one, two, three], "calibration OVERDUE since 2026-01-01 in 1 test"),
+        ([undated], "no due date stated"),
+    ):
+        (line,) = instrument_lines(samples)
+        assert (line.due, line.is_overdue) == (words, "OVERDUE" in words)
 
 
 def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:
     group = build_group("A", six_samples())
     campaign = Campaign("S", (group,))
-    known = report_id(campaign)
-    assert known == report_id(Campaign("S", (group,)))
-    fewer = replace(group, samples=group.samples[1:])
-    other = [
-        replace(campaign, groups=(fewer,)), replace(campaign, rejected={"x": "bent"}),
-        replace(campaign, title="T"),
+    others = [
+        replace(campaign, groups=(replace(group, samples=group.samples[1:]),)),
+        replace(campaign, rejected={"x": "bent"}), replace(campaign, title="T"),
     ]  # fmt: skip
-    assert len({known, *map(report_id, other)}) == 4
+    assert report_id(campaign) == report_id(Campaign("S", (group,)))
+    assert len(set(map(report_id, (campaign, *others)))) == 4
 
 
-test_rows.__test__ = False  # type: ignore[attr-defined] # a function of the page, no test
-
-
+def test_rows_say_state_day_first_number_and_decision() -> None:
+    """The worst number is the state of a test."""
+    campaign = build_campaign()
+    tests = PageTests(campaign, STEMS)
+    rows = test_rows(campaign, tests, {"a": "twist-tube-10", "b": "twist-tube-7", "c": "x"})
+    states = ["doubtful", "ok", "ok", "ok", "failed", "ok", "ok"]
+    assert [row.test.state for row in rows] == states
+    assert (rows[0].why, rows[0].first.small) == ("A slip at 5.2 mm.", "Peak force, cycle 1 (N)")
+    assert rows[4].first.text == "\u2013"
+    assert (rows[6].group, rows[6].day, rows[6].operator) == ("twist-tube-7", "", "")
+    (samples,) = samples_tables(campaign.groups[0], tests)
+    assert len(samples.heads) == 2 + 7
+    assert [cells[0].text for cells in samples.rows] == [f"tt-s{n}{x}" for n in "12" for x in "abc"]
+    assert (samples.rows[3][0].link, samples.rows[0][3].mark) == ("#t3", "?")
 
 
 def test_decided_and_rejected() -> None:
@@ -105,8 +114,7 @@ def test_decided_and_rejected() -> None:
     out = replace(samples[1], label="c/x")
     group = build_group("A", [kept])
     campaign = Campaign("S", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
-    tests = PageTests(campaign, ["a"])
-    one, two = test_rows(campaign, tests, {"a": "A"})
+    one, two = test_rows(campaign, PageTests(campaign, ["a"]), {"a": "A"})
     assert (one.decided, one.said, one.day) == ("accept", "fine (me)", "2026-03-02")
     assert (two.decided, two.said, two.why) == ("reject", "bent (me)", "Rejected: bent (me)")
     assert two.page == "tests/c__x.html" == page_file("c/x")
@@ -114,32 +122,28 @@ def test_decided_and_rejected() -> None:
     assert odd.address == "tests/a%231%2050%20%25%3F.html"
 
 
-
-
 def test_pairs_are_folded_by_their_question() -> None:
-    found = {answer.field: answer for answer in answers(bundle_campaign(conduit_cases()))}
-    number = found["wire"]
-    assert number.question == "Wire: B1, B1 & B2, B2"
-    assert number.verdict.startswith("DIFFERENT ")
-    assert number.difference.startswith("Bending stiffness +")
-    assert number.difference.endswith(f", largest of {len(number.pairs.rows)} pairs")
-    assert number.counts == "3 v 3"
+    by_field = {answer.field: answer for answer in answers(bundle_campaign(conduit_cases()))}
+    wire = by_field["wire"]
+    assert (wire.question, wire.counts) == ("Wire: B1, B1 & B2, B2", "3 v 3")
+    assert wire.verdict.startswith("DIFFERENT ")
+    assert wire.difference.startswith("Bending stiffness +")
+    assert wire.difference.endswith(f", largest of {len(wire.pairs.rows)} pairs")
     assert not answers(Campaign("S", ()))
 
 
 def test_key_numbers_of_each_protocol() -> None:
     campaign = build_campaign()
-    (block,) = key_blocks(campaign, ["a", "b", "c"])
+    (block,) = key_blocks(campaign, STEMS)
     assert block.heads == (
         "Peak force, cycle 1 (N)", "Stiffness, first region (N/mm)",
         "Stiffness, second region (N/mm)",
     )  # fmt: skip
-    assert [(row.name, row.n) for row in block.rows] == [
-        ("twist-tube-10", 6), ("twist-tube-7", 1), ("twist-tube-5", 0),
-    ]  # fmt: skip
+    counts = [("twist-tube-10", 6), ("twist-tube-7", 1), ("twist-tube-5", 0)]
+    assert [(row.name, row.n) for row in block.rows] == counts
     first, lone, empty = block.rows
-    assert "\u00b1" in first.numbers[0].text
-    assert "\u00b1" in lone.numbers[0].text  # how well the one test was measured
+    # of the lone test: how well it was measured
+    assert all("\u00b1" in row.numbers[0].text for row in (first, lone))
     assert "one test" in lone.numbers[0].tip
     assert [cell.text for cell in empty.numbers] == ["\u2013"] * 3
     assert first.sparkline is not None
@@ -151,13 +155,12 @@ def test_key_numbers_of_each_protocol() -> None:
 
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
-    tests = PageTests(campaign, ["a", "b", "c"])
-    open_ones = to_decide(find_causes(campaign), tests)
-    assert {open_one.line.head for open_one in open_ones} == {"Failed", "Doubtful", "Outlier"}
+    open_ones = to_decide(find_causes(campaign), PageTests(campaign, STEMS))
+    assert {decision.line.head for decision in open_ones} == {"Failed", "Doubtful", "Outlier"}
     assert count_words(campaign, open_ones).endswith(" 3 to decide")
     first = campaign.groups[0]
-    decided = [replace(sample, decided="fine (me)") for sample in first.samples]
-    settled = replace(campaign, groups=(replace(first, samples=tuple(decided)),))
+    decided = tuple(replace(sample, decided="fine (me)") for sample in first.samples)
+    settled = replace(campaign, groups=(replace(first, samples=decided),))
     assert not to_decide(find_causes(settled), PageTests(settled, ["a"]))
     assert count_words(settled, []).endswith(" 0 to decide")
 
@@ -172,54 +175,47 @@ def with_decisions(*decisions: Decision) -> Table:
     return spool_means(replace(group, numbers=tuple(numbers)))
 
 
-def test_days_operators_and_calibrations_in_words(approved: Approve) -> None:
-    one, two, three = six_samples()[:3]
-    march = replace(one, date=date(2026, 3, 6), operator="A. Tester")
-    later = replace(two, date=date(2026, 3, 2), operator="A. Tester")
-    tests = ([one], [march, later], [march, three], [march, later, three])
-    approved([
-        *(f"{days_words(some)} by {operators_words(some)}" for some in tests),
-        about_group(build_group("A", six_samples())),
-    ])  # fmt: skip
-
-
 def test_tables_of_a_group(approved: Approve) -> None:
-    """Columns and rows of samples, means of spools, reasons, outliers, slips."""
-    few, sample = build_group("A", six_samples()[:3]), troubled_samples()[4]
+    """Days and operators; numbers, means of spools, reasons, outliers, slips; what was decided.
+
+    A decision that holds for all numbers stands once, and what they share below the table.
+    """
+    six, failed = six_samples(), troubled_samples()[4]
+    few = build_group("A", six[:3])
+    march = replace(six[0], date=date(2026, 3, 6), operator="A. Tester")
+    later = replace(six[1], date=date(2026, 3, 2), operator="A. Tester")
+    days = ([six[0]], [march, later], [march, six[2]], [march, later, six[2]])
     odd = Outlier("tt-s1b", 1.0, "Grubbs' test", 0.01)
     marked = (replace(few.numbers[0], outliers=(odd,)), *few.numbers[1:])
-    reason = Reason("x", "the corner is at the end")
-    failed = tuple(replace(result, reasons=(reason,)) for result in sample.results)
-    assert not samples_tables(few, PageTests(build_campaign(), ["a", "b", "c"]))
+    reasons = (Reason("x", "the corner is at the end"),)
+    lost = tuple(replace(result, reasons=reasons) for result in failed.results)
+    assert not samples_tables(few, PageTests(build_campaign(), STEMS))
     assert slip_table(build_group("A", six_samples(slips=0))) is None
-    six = build_group("A", six_samples())
-    slips = slip_table(six)
+    slips = slip_table(build_group("A", six))
     assert slips is not None
+    one, over_two = "Over 3 samples of one spool", "Over 2 spool means"
+    unsure = "the test cannot tell"
     tables = [
         number_table(few),
         number_table(build_group("A", troubled_samples())),
         number_table(build_group("A", [build_sample("s1", "a")])),
         number_table(replace(few, numbers=marked)),
-        number_table(build_group("A", [sample])),
-        number_table(build_group("A", [replace(sample, results=failed)])),
-        spool_means(six),
+        number_table(build_group("A", [failed])),
+        number_table(build_group("A", [replace(failed, results=lost)])),
+        spool_means(build_group("A", six)),
         slips,
-    ]
-    approved(line for table in tables for line in table_words(table))
-    assert result_cell(None, 1.0).tip == "not asked for"
-
-
-def test_decisions_how_spools_are_averaged(approved: Approve) -> None:
-    """One that holds for all numbers stands once, and what they share below the table."""
-    one, over_two = "Over 3 samples of one spool", "Over 2 spool means"
-    tables = [
         with_decisions(*[Decision(one, ("the type is not known",))] * 2),
         with_decisions(
-            Decision(over_two, ("90 % lies between", "the test cannot tell")),
-            Decision(over_two, ("80 % lies between", "the test cannot tell")),
+            Decision(over_two, ("90 % lies between", unsure)),
+            Decision(over_two, ("80 % lies between", unsure)),
         ),
         with_decisions(
             Decision(over_two, ("no scatter", "no test")), Decision(over_two, ("no test",))
         ),
     ]
-    approved(line for table in tables for line in table_words(table))
+    approved([
+        *(f"{days_words(some)} by {operators_words(some)}" for some in days),
+        about_group(build_group("A", six)),
+        *(line for table in tables for line in table_words(table)),
+    ])  # fmt: skip
+    assert result_cell(None, 1.0).tip == "not asked for"

@@ -15,7 +15,7 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     Clocks,
     MechanicalTest,
 )
-from labpipe.virtual_lab.observations import Observation, observe, write_exports
+from labpipe.virtual_lab.observations import Observation, write_exports
 from labpipe.virtual_lab.recorders import plan_cantilever
 from labpipe.wire.cantilever import bend_to_travel
 
@@ -28,23 +28,22 @@ def path() -> MechanicalPath:
     return solve_path(CantileverScenario().mechanics)
 
 
-def test_segments_join_without_a_jump(path: MechanicalPath) -> None:
+def test_segments_join_without_a_jump_and_the_string_keeps_its_length(
+    path: MechanicalPath,
+) -> None:
     for before, after in zip(path.segments[:-1], path.segments[1:], strict=True):
         assert before.progress[-1] == pytest.approx(after.progress[0], abs=1e-12)
         assert before.travel[-1] == pytest.approx(after.travel[0], abs=1e-12)
         assert before.tension[-1] == pytest.approx(after.tension[0], abs=1e-9)
         np.testing.assert_allclose(before.y[-1], after.y[0], atol=1e-10)
-
-
-def test_string_and_wire_keep_their_lengths(path: MechanicalPath) -> None:
     for segment in path.segments:
         rise = path.rig.anchor_height + segment.travel - segment.y[:, -1]
         span = np.hypot(path.rig.anchor_x - segment.x[:, -1], rise)
-        taut = segment.tension > 0.0
-        np.testing.assert_allclose(span[taut], 0.76, atol=1e-10)
+        np.testing.assert_allclose(span[segment.tension > 0.0], 0.76, atol=1e-10)
         assert np.all(span <= 0.76 + 1e-10)
 
 
+@pytest.mark.slow
 def test_looking_up_between_solved_positions_is_exact_enough(path: MechanicalPath) -> None:
     finer = solve_path(replace(path.test, steps_per_branch=400, cycles=1))
     progress = np.sort(np.random.default_rng(0).uniform(0.0, TWO_STROKES, 5000))
@@ -94,20 +93,8 @@ def test_shapes_start_at_the_clamp_and_end_at_the_pull_point(observation: Observ
         assert np.sum(chords) == pytest.approx(0.085, rel=2e-4)
 
 
-def test_same_seed_same_records(scenario: CantileverScenario, observation: Observation) -> None:
-    again = observe(scenario, 11)
-    np.testing.assert_array_equal(again.force_record.volts, observation.force_record.volts)
-    np.testing.assert_array_equal(again.take.positions, observation.take.positions)
-    np.testing.assert_array_equal(again.take.body.rotation, observation.take.body.rotation)
-    assert again.take.log == observation.take.log
-
-
-@pytest.fixture(scope="module")
-def folder(observation: Observation, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_exports(observation, tmp_path_factory.mktemp("raw") / "A2-085-1")
-
-
-def test_truth(folder: Path, observation: Observation) -> None:
+def test_truth(observation: Observation, tmp_path: Path) -> None:
+    folder = write_exports(observation, tmp_path / "A2-085-1")
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     assert truth["synthetic"] is True
     assert truth["seed"] == 11
@@ -130,10 +117,9 @@ def test_truth(folder: Path, observation: Observation) -> None:
     assert len(truth["shapes"][0]["x"]) == 41
 
 
-def test_force_time_is_offset_and_drift_times_marker_time() -> None:
-    schedule = plan_cantilever(
-        CantileverScenario(clocks=Clocks(rate=100.0, offset=2.0, drift=1e-3))
-    )
+def test_the_force_has_its_own_clock() -> None:
+    clocks = Clocks(rate=100.0, offset=2.0, drift=1e-3)
+    schedule = plan_cantilever(CantileverScenario(clocks=clocks))
     np.testing.assert_allclose(schedule.force_clock, 2.0 + 1.001 * schedule.force_times)
 
 

@@ -15,12 +15,10 @@ from labpipe.virtual_lab.observations import observe, simulate_test
 from labpipe.virtual_lab.recorders import record_frame, sample_times, slow_noise
 from labpipe.virtual_lab.tensile_path import (
     TensilePath,
-    specimen_force,
 )
 from labpipe.virtual_lab.tensile_scenarios import (
     GIVE,
     BilinearLaw,
-    ExportLayout,
     FrameInstruments,
     GripSlip,
     TensileScenario,
@@ -28,17 +26,7 @@ from labpipe.virtual_lab.tensile_scenarios import (
     pet_tape,
     twist_tube,
 )
-from labpipe.virtual_lab.truth import TensileTruth, in_series
-
-LAW = BilinearLaw(2e3, 0.5e3, 10e-3, knee=4e-3, slack=1e-3, toe=0.6e-3)
-
-
-def test_lines_cross_at_foot_and_break_point() -> None:
-    on_first, on_second = np.array([3e-3, 8e-3]), np.array([15e-3, 25e-3])
-    first = np.polynomial.Polynomial.fit(on_first, specimen_force(LAW, on_first), 1).convert()
-    second = np.polynomial.Polynomial.fit(on_second, specimen_force(LAW, on_second), 1).convert()
-    assert first.roots()[0] == pytest.approx(1.3e-3)
-    assert (first - second).roots()[0] == pytest.approx(1.3e-3 + 10e-3)
+from labpipe.virtual_lab.truth import in_series
 
 
 def test_slip_goes_on_parallel_and_lower() -> None:
@@ -80,18 +68,6 @@ def test_unloading_starts_at_the_peak_with_the_first_stiffness_and_ends_slack() 
     assert force[-1] == 0.0
 
 
-def truth_of(scenario: TensileScenario) -> TensileTruth:
-    return observe(scenario, 1).truth
-
-
-def line(truth: TensileTruth, start: float, stop: float) -> np.polynomial.Polynomial:
-    """Through the true curve between two displacements, as seen at the crosshead."""
-    chosen = (truth.displacement > start) & (truth.displacement < stop)
-    return np.polynomial.Polynomial.fit(
-        truth.displacement[chosen], truth.force[chosen], 1
-    ).convert()
-
-
 @pytest.mark.parametrize(
     ("scenario", "first", "second"),
     [
@@ -104,8 +80,13 @@ def line(truth: TensileTruth, start: float, stop: float) -> np.polynomial.Polyno
 def test_stiffness_and_break_point(
     scenario: TensileScenario, first: tuple[float, float], second: tuple[float, float]
 ) -> None:
-    truth = truth_of(scenario)
-    one, two = line(truth, *first), line(truth, *second)
+    truth = observe(scenario, 1).truth
+    lines = []
+    for start, stop in (first, second):
+        chosen = (truth.displacement > start) & (truth.displacement < stop)
+        points = truth.displacement[chosen], truth.force[chosen]
+        lines.append(np.polynomial.Polynomial.fit(*points, 1).convert())
+    one, two = lines
     assert one.deriv()(0.0) == pytest.approx(truth.stiffness_first, rel=1e-6)
     assert two.deriv()(0.0) == pytest.approx(truth.stiffness_second, rel=1e-6)
     assert one.roots()[0] == pytest.approx(truth.foot, abs=1e-9)
@@ -117,23 +98,18 @@ def test_stiffness_and_break_point(
 
 
 def test_machine_gives_way() -> None:
-    truth = truth_of(pet_tape("1"))
+    truth = observe(pet_tape("1"), 1).truth
     assert truth.specimen_stiffness_first == 12e3
     assert 1.0 / truth.stiffness_first == pytest.approx(1.0 / 12e3 + GIVE)
     assert in_series(12e3, 0.0) == 12e3
 
 
 TUBE = replace(corrugated_tube("CT-10-slit-2"), slips=(GripSlip(18.75e-3, 0.47),))
-PARTED = replace(twist_tube("2b"), export=ExportLayout(in_parts=True, part_at=2.6))
 
 
-@pytest.fixture(scope="module")
-def tube_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulate_test(TUBE, tmp_path_factory.mktemp("raw") / TUBE.name, 21)
-
-
-def test_export_is_the_truth_with_small_errors(tube_folder: Path) -> None:
-    sheet = openpyxl.load_workbook(tube_folder / "CT-10-slit-2.xlsx")["Test Data"]
+def test_export_is_the_truth_with_small_errors(tmp_path: Path) -> None:
+    folder = simulate_test(TUBE, tmp_path / "raw" / TUBE.name, 21)
+    sheet = openpyxl.load_workbook(folder / "CT-10-slit-2.xlsx")["Test Data"]
     rows = list(sheet.iter_rows(min_row=6, values_only=True))
     time, force, displacement = np.array(rows, dtype=np.float64).T
     truth = observe(TUBE, 21).truth
@@ -143,20 +119,12 @@ def test_export_is_the_truth_with_small_errors(tube_folder: Path) -> None:
     assert abs(np.mean(off)) < 0.01
     moved = 25.4e-3 * displacement - TUBE.instruments.displacement_tare
     np.testing.assert_allclose(moved, truth.displacement, atol=7e-6)
-
-
-def test_a_file_in_place_of_the_folder(tmp_path: Path) -> None:
-    (tmp_path / "raw").write_text("mine")
+    (tmp_path / "file").write_text("mine")
     with pytest.raises(StoreError, match=r"a folder to write in, found a file in its place"):
-        simulate_test(PARTED, tmp_path / "raw" / "parts", 21)
+        simulate_test(TUBE, tmp_path / "file" / "parts", 21)
 
 
 QUIET = FrameInstruments(rate=100.0, first_sample=0.0195)
-
-
-def test_too_short() -> None:
-    with pytest.raises(ValueError, match=r"rate=100\.0: a test of 0\.03 s would have 2 samples"):
-        sample_times(QUIET, 0.03)
 
 
 @pytest.mark.parametrize("correlation_time", [0.02, 0.2])
@@ -185,28 +153,31 @@ def test_tare_and_gain() -> None:
 TUBE_TEST, TWIST_TEST = corrugated_tube("CT-10-1"), twist_tube("1a")
 
 
+def pulled(**changes: object) -> TensileScenario:
+    """A tube that tears, pulled otherwise."""
+    usual = twist_tube("1a")
+    return replace(usual, frame=replace(usual.frame, **changes))  # type: ignore[arg-type]
+
+
+def slipping(*positions: float) -> TensileScenario:
+    slips = tuple(GripSlip(position, 0.5) for position in positions)
+    return replace(corrugated_tube("CT-10-1"), slips=slips)
+
+
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: BilinearLaw(0.0, 1.0, 10e-3), "stiffness_first=0.0 must be above"),
         (lambda: BilinearLaw(1.0, -1.0, 10e-3), "stiffness_second=-1.0 not"),
         (lambda: BilinearLaw(2e3, 1e3, 10e-3, slack=-1e-3), r"slack=-0\.001, toe=0\.0: not neg"),
         (lambda: BilinearLaw(2e3, 1e3, 10e-3, toe=11e-3, knee=10e-3), "toe and knee overlap"),
-        (
-            lambda: replace(TUBE_TEST, slips=(GripSlip(30e-3, 0.5), GripSlip(20e-3, 0.5))),
-            "must be in order",
-        ),
-        (lambda: replace(TUBE_TEST, slips=(GripSlip(60e-3, 0.5),)), r"before 0\.05 m"),
-        (
-            lambda: replace(TWIST_TEST, frame=replace(TWIST_TEST.frame, stroke=10e-3)),
-            r"within the stroke of 0\.01 m",
-        ),
-        (
-            lambda: replace(TWIST_TEST, frame=replace(TWIST_TEST.frame, unloads=True)),
-            "that has failed is not unloaded",
-        ),
+        (lambda: slipping(30e-3, 20e-3), "must be in order"),
+        (lambda: slipping(60e-3), r"before 0\.05 m"),
+        (lambda: pulled(stroke=10e-3), r"within the stroke of 0\.01 m"),
+        (lambda: pulled(unloads=True), "that has failed is not unloaded"),
+        (lambda: sample_times(QUIET, 0.03), r"rate=100\.0: a test of 0\.03 s would have 2 sam"),
     ],
 )
-def test_tests_that_cannot_be(make: Callable[[], object], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_tests_that_cannot_be(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         make()

@@ -15,69 +15,52 @@ from labpipe.readers import dspace_mat
 from labpipe.virtual_lab.conduit_scenarios import (
     CONDUIT_TYPES,
     ConduitClocks,
-    ConduitScenario,
     ThreePointTest,
     conduit_scenario,
 )
-from labpipe.virtual_lab.observations import (
-    ConduitObservation,
-    observe,
-    simulate_test,
-)
+from labpipe.virtual_lab.observations import observe, simulate_test
 from labpipe.virtual_lab.recorders import plan_conduit, record_conduit_force
 from labpipe.virtual_lab.specimens import ElasticModel
-from labpipe.virtual_lab.three_point_path import (
-    BentHalf,
-    ThreePointPath,
-    solve_three_point,
-)
-from labpipe.virtual_lab.truth import ConduitTruth, evaluate_conduit
+from labpipe.virtual_lab.three_point_path import ThreePointPath, solve_three_point
+from labpipe.virtual_lab.truth import evaluate_conduit
 
 BUNDLE, _ = CONDUIT_TYPES["CWB-1"]
-SMOOTH = ThreePointTest(BUNDLE, friction=0.0)
-ROUGH = ThreePointTest(BUNDLE, friction=0.2)
-
-
-def positions(path: ThreePointPath) -> list[BentHalf]:
-    return [*path.loading, *path.unloading[1:]]
+BAR = ElasticModel(0.1)
 
 
 def outer_work(path: ThreePointPath) -> float:
-    halves = positions(path)
-    return float(
-        np.trapezoid([half.force for half in halves], [half.displacement for half in halves])
-    )
-
-
-def inner_work(path: ThreePointPath) -> float:
-    """What bending took up: twice the integral over half the bundle of M d(curvature)."""
-    weights = np.full(len(path.arc_length), path.arc_length[1])
-    weights[[0, -1]] *= 0.5
-    halves = positions(path)
-    return 2.0 * sum(
-        float(weights @ (0.5 * (a.moment + b.moment) * (b.curvature - a.curvature)))
-        for a, b in pairwise(halves)
-    )
+    halves = [*path.loading, *path.unloading[1:]]
+    forces = [half.force for half in halves]
+    return float(np.trapezoid(forces, [half.displacement for half in halves]))
 
 
 def test_work_is_stored_or_dissipated_in_bending() -> None:
-    path = solve_three_point(SMOOTH)
-    assert outer_work(path) == pytest.approx(inner_work(path), rel=1e-3)
+    """Twice the integral over half the bundle of M d(curvature)."""
+    path = solve_three_point(ThreePointTest(BUNDLE, friction=0.0))
+    weights = np.full(len(path.arc_length), path.arc_length[1])
+    weights[[0, -1]] *= 0.5
+    inner = 2.0 * sum(
+        float(weights @ (0.5 * (a.moment + b.moment) * (b.curvature - a.curvature)))
+        for a, b in pairwise([*path.loading, *path.unloading[1:]])
+    )
+    assert outer_work(path) == pytest.approx(inner, rel=1e-3)
     assert outer_work(path) > 0.05
 
 
 def test_an_elastic_bar_gives_everything_back() -> None:
-    path = solve_three_point(ThreePointTest(ElasticModel(0.1), friction=0.0))
+    path = solve_three_point(ThreePointTest(BAR, friction=0.0))
     assert path.residual == pytest.approx(0.0, abs=1e-9)
     down = [half.displacement for half in path.loading]
     stored = np.trapezoid([half.force for half in path.loading], down)
     assert abs(outer_work(path)) < 1e-4 * stored  # what the trapezoidal rule leaves
     progress = np.linspace(0.0, 0.0294, 50)
     assert path.force(progress) == pytest.approx(path.force(0.0588 - progress), abs=1e-4)
+    with pytest.raises(ValueError, match=r"displacement=.*: no equilibrium beyond 0\.0"):
+        solve_three_point(ThreePointTest(BAR, stroke=0.3))
 
 
 def test_the_roller_leaves_a_bent_bundle() -> None:
-    path = solve_three_point(ROUGH)
+    path = solve_three_point(ThreePointTest(BUNDLE, friction=0.2))
     assert 5e-3 < path.residual < 0.015
     after = np.linspace(0.0588 - 0.9 * path.residual, 0.0588, 20)
     assert path.force(after) == pytest.approx(0.0, abs=1e-12)
@@ -85,14 +68,6 @@ def test_the_roller_leaves_a_bent_bundle() -> None:
     assert way == pytest.approx(path.residual, abs=1e-12)
     assert moment == pytest.approx(0.0, abs=1e-12)
     assert path.displacement(after)[-1] == 0.0
-
-
-def test_what_cannot_be_reached() -> None:
-    with pytest.raises(ValueError, match=r"displacement=.*: no equilibrium beyond 0\.0"):
-        solve_three_point(ThreePointTest(ElasticModel(0.1), stroke=0.3))
-
-
-BAR = ElasticModel(0.1)
 
 
 def shot(test: ThreePointTest, displacement: float) -> float:
@@ -127,14 +102,15 @@ def shot(test: ThreePointTest, displacement: float) -> float:
     half = 0.5 * test.span
     start = [3 * displacement / half**2, 1.5 * displacement / half, 0.0, half]
     start[2] = 3.0 * stiffness * displacement / half**3
-    found = root(ends, start, tol=1e-12)
-    assert found.success
-    _, turn, normal, _ = found.x
+    solution = root(ends, start, tol=1e-12)
+    assert solution.success
+    _, turn, normal, _ = solution.x
     return float(2.0 * normal * (np.cos(turn) + friction * np.sin(turn)))
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.15])
-@pytest.mark.parametrize("displacement", [0.01, 0.0294])
+@pytest.mark.parametrize(
+    ("friction", "displacement"), [(0.0, 0.0294), (0.15, 0.01), (0.15, 0.0294)]
+)
 def test_large_deflections_agree_with_shooting(friction: float, displacement: float) -> None:
     test = ThreePointTest(BAR, friction=friction, build_up=1e-5, stroke=displacement)
     force = solve_three_point(test).loading[-1].force
@@ -150,51 +126,34 @@ def test_small_deflections_are_those_of_the_textbook() -> None:
     assert last.moment[0] == pytest.approx(0.25 * last.force * test.span, rel=1e-3)
 
 
-SCENARIO = replace(conduit_scenario("CWB-1"), factor=1.1)
-
-
-@pytest.fixture(scope="module")
-def truth() -> ConduitTruth:
-    path = solve_three_point(SCENARIO.test)
-    return evaluate_conduit(path, SCENARIO, plan_conduit(SCENARIO))
-
-
-def test_peak_energy_and_what_is_left(truth: ConduitTruth) -> None:
-    path = solve_three_point(SCENARIO.test)
+def test_truth_and_volts_of_a_bundle() -> None:
+    usual = conduit_scenario("CWB-1")
+    cell = replace(usual.load_cell, noise=0.0, gain_error=0.0)
+    markers = replace(usual.markers, noise=0.0, twist=0.1)
+    scenario = replace(usual, load_cell=cell, markers=markers, factor=1.1)
+    path, plan = solve_three_point(scenario.test), plan_conduit(scenario)
+    truth = evaluate_conduit(path, scenario, plan)
     assert truth.peak_force == pytest.approx(1.1 * path.loading[-1].force, rel=1e-3)
     assert truth.residual_displacement == path.residual
-    halves = [*path.loading, *path.unloading[1:]]
-    work = np.trapezoid([h.force for h in halves], [h.displacement for h in halves])
-    assert truth.energy == pytest.approx(1.1 * work, rel=2e-3)
+    assert truth.energy == pytest.approx(1.1 * outer_work(path), rel=2e-3)
+    record = record_conduit_force(path, scenario, plan, np.random.default_rng(1))
+    force = -0.21082 * record.volts + 0.002846
+    times = record.clock / (1.0 + 20e-6) + 6e-3
+    expected = 1.1 * path.force(plan.progress_at(times))
+    assert force == pytest.approx(expected, abs=0.21082 * 200.0 / 2**16)
+    assert np.min(record.volts) < -20.0
+    assert list(record.signals) == ["Model Root/Load Cell", "Model Root/Trigger"]
 
 
-QUICK = replace(conduit_scenario("CWB-1"), clocks=ConduitClocks(rate=50.0, fps=10.0))
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulate_test(
-        QUICK,
-        tmp_path_factory.mktemp("raw") / QUICK.name,
-        seed=5,
-    )
-
-
-@pytest.fixture(scope="module")
-def observation() -> ConduitObservation:
-    return observe(QUICK, 5)
-
-
-def test_force_comes_back(folder: Path, observation: ConduitObservation) -> None:
+def test_force_and_travel_come_back(tmp_path: Path) -> None:
+    scenario = replace(conduit_scenario("CWB-1"), clocks=ConduitClocks(rate=50.0, fps=10.0))
+    folder, observation = simulate_test(scenario, tmp_path / "raw", 5), observe(scenario, 5)
     recording = dspace_mat.read(folder / "force.mat")
     volts = next(c for c in recording.channels if c.path == "Model Root/Load Cell/Out1")
     np.testing.assert_array_equal(volts.values, observation.force_record.volts)
     gain = observation.force_record.true_gain
-    force = gain * (volts.values - QUICK.load_cell.offset)
+    force = gain * (volts.values - scenario.load_cell.offset)
     assert np.max(force) == pytest.approx(observation.truth.peak_force, abs=0.05)
-
-
-def test_travel_comes_back(folder: Path, observation: ConduitObservation) -> None:
     (file,) = folder.glob("*Timed*.txt")
     text = file.read_text(encoding="utf-8-sig")
     assert "SYNTHETIC three-point bending test" in text
@@ -208,37 +167,3 @@ def test_travel_comes_back(folder: Path, observation: ConduitObservation) -> Non
     values = observation.frame.channels[0].values
     np.testing.assert_array_equal(values, values.astype(np.float32))
     np.testing.assert_allclose(1e-3 * rows[:, 0], values, rtol=1e-14)
-
-
-@pytest.fixture(scope="module")
-def scenario() -> ConduitScenario:
-    usual = conduit_scenario("CWB-1")
-    return replace(
-        usual,
-        load_cell=replace(usual.load_cell, noise=0.0, gain_error=0.0),
-        markers=replace(usual.markers, noise=0.0, twist=0.1),
-        factor=1.1,
-    )
-
-
-@pytest.fixture(scope="module")
-def path(scenario: ConduitScenario) -> ThreePointPath:
-    return solve_three_point(scenario.test)
-
-
-def random() -> np.random.Generator:
-    return np.random.default_rng(1)
-
-
-def test_volts_are_force_by_the_calibration(
-    scenario: ConduitScenario, path: ThreePointPath
-) -> None:
-    plan = plan_conduit(scenario)
-    record = record_conduit_force(path, scenario, plan, random())
-    force = -0.21082 * record.volts + 0.002846
-    times = record.clock / (1.0 + 20e-6) + 6e-3
-    wanted = 1.1 * path.force(plan.progress_at(times))
-    assert force == pytest.approx(wanted, abs=0.21082 * 200.0 / 2**16)
-    assert np.max(record.volts) < 1.0
-    assert np.min(record.volts) < -20.0
-    assert list(record.signals) == ["Model Root/Load Cell", "Model Root/Trigger"]
