@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from openpyxl import load_workbook
 
 from labpipe.cli import main
 from labpipe.virtual_lab.observations import simulate_test
@@ -50,25 +49,6 @@ def sheet(folder: Path, *rows: str) -> Path:
 
 def contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-@pytest.mark.slow
-def test_the_example_of_the_project(repository: Path, tmp_path: Path, run: Run) -> None:
-    out = tmp_path / "out"
-    done = run(
-        "model", str(repository / "examples" / "wires.xlsx"), "--out", str(out), "--no-figures"
-    )
-    assert done.status == 0, done.err
-    model = json.loads((out / "model.json").read_text("utf-8"))
-    names = ["A1", "A2", "A3", "B1", "B2", "C1", "C2", "C3", "C4", "C5"]
-    assert list(model["wires"]) == names
-    assert [line.split()[0] for line in done.out.splitlines()[2:12]] == names
-    assert {path.name for path in (out / "decks").iterdir()} == {
-        f"{name}.{ending}" for name in names for ending in DECKS
-    }
-    laws = load_workbook(out / "wires.xlsx")["laws"]
-    assert list(dict.fromkeys(cell.value for cell in laws["A"][1:])) == names
-    assert not (out / "figures").exists()
 
 
 @pytest.fixture(scope="module")

@@ -16,11 +16,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from labpipe.errors import ReadError
 from labpipe.process.inspection import as_json, as_text, inspect_export
 from labpipe.process.reading import read_inputs
 from labpipe.protocol.load import load_test_sheet, resolve
-from tests.builders.small_tests import Run
 
 pytestmark = pytest.mark.realdata
 FOLDERS = (
@@ -53,17 +51,10 @@ protocol: tensile
 specimen: {{type: doubly-compressed, spool: "1", sample: "1"}}
 files: {{frame: {0}}}
 """
-REU = "mts/REU/"
 TIMED = "DAQ- Crosshead, … - (Timed)"
 PARTS = f"mts/MTS_data/I0-0.9-dc/Test Run 4 10-23-2023 6 43 09 PM/{TIMED}"
 BOM_ONLY = f"{PARTS}2.txt"
-CABLE_100 = f"{REU}SteelCableSD_100mm_Trial1/{TIMED}.csv"
-MODULUS = "mts/mts793/bam_emodul_specimen.dat"
-CRUSH = "mts/mts793/bam_druck_Wolf_8.2_Probe_2_specimen.dat"
-YARNS = "zwick/yarn_compressionTests.xls"
-CATMAN = "hbm_catman/DD11_7_1.ASC"
 MICROTEST = "deben/NANOCEL_KW.CHAL_450PPM_15.MTR"
-Q800 = "ta_dma/BC100GLU_01.txt"
 
 
 class Signal(NamedTuple):
@@ -166,15 +157,6 @@ def test_no_real_export_is_forgotten(realdata: Path) -> None:
     assert {str(p.relative_to(realdata)) for p in files if p.is_file()} == set(FACTS)
 
 
-def test_a_part_of_a_bom_and_nothing_else(inspect: Inspect, realdata: Path, run: Run) -> None:
-    facts = inspect(BOM_ONLY)
-    assert facts["reader"] == "load-frame"
-    assert facts["streams"] == []
-    assert [note["severity"] for note in facts["notes"]] == ["warning"]
-    assert "no sample" in facts["notes"][0]["message"]
-    assert run("inspect", realdata / BOM_ONLY).status == 0
-
-
 def test_parts_of_one_test_sort_by_time(realdata: Path, tmp_path: Path) -> None:
     """In the order 5, 1, 4, 3 and the one without number; part 2 holds a byte order mark only."""
     files = sorted((realdata / PARTS).parent.iterdir())
@@ -196,55 +178,6 @@ def test_parts_of_one_test_sort_by_time(realdata: Path, tmp_path: Path) -> None:
     force = next(channel for channel in whole.channels if channel.name == "force")
     assert (force.unit, force.values[523]) == ("N", pytest.approx(6.82898899e-05))
     assert any("no sample" in note.message for note in whole.notes)
-
-
-STEEL = """\
-version: 1
-name: steel
-sources:
-  frame:
-    reader: load-frame
-    dialect: [table, bluehill]
-    channels:
-      force: {channel: [Force, Load]}
-      displacement: {channel: [Machine Displacement, Crosshead separation]}
-curve: {force: force, displacement: displacement}
-branches: {channel: displacement, min_stroke: 1 mm}
-results: [{result: peak-force}]
-"""
-
-
-@pytest.mark.parametrize(
-    ("folder", "head", "force", "separator"),
-    [("iso6892/46*.csv", 25, 2, "\t"), ("bam_s355/Z*.csv", 2, 2, ";")],
-)
-def test_public_steel_is_read_by_a_protocol(
-    realdata: Path, tmp_path: Path, folder: str, head: int, force: int, separator: str
-) -> None:
-    """Where an export holds `nan`, other columns are read as they stand there."""
-    (tmp_path / "steel.yaml").write_text(STEEL, encoding="utf-8")
-    exports = sorted(realdata.glob(folder))
-    assert exports
-    for export in exports:
-        rows = export.read_text(encoding="utf-8-sig").splitlines()[head:]
-        loads = [float(row.split(separator)[force].replace(",", ".")) for row in rows]
-        assert inspect_export(export).recording.reader == "load-frame"
-        copy = shutil.copyfile(export, tmp_path / "a.csv")
-        sheet_path = tmp_path / "test.yaml"
-        text = PARTED.format(copy.name).replace("tensile", "./steel.yaml")
-        sheet_path.write_text(text, encoding="utf-8")
-        sheet = load_test_sheet(sheet_path)
-        recordings, _ = read_inputs(tmp_path, sheet, resolve(sheet, sheet_path))
-        measured = next(c for c in recordings["frame"].channels if c.name == "force")
-        assert (measured.unit, len(measured.values)) == ("N", len(loads))
-        assert measured.values.max() == pytest.approx(1e3 * max(loads), rel=1e-12)
-
-
-def test_exports_without_time_say_so(inspect: Inspect) -> None:
-    without = [name for name, streams in FACTS.items() if streams and streams[0].start is None]
-    assert len(without) == 7
-    for name in without:
-        assert any("time" in message for message in notes(inspect(name)).values()), name
 
 
 @pytest.mark.parametrize(
@@ -291,9 +224,6 @@ TAKES: dict[str, tuple[str, int, float, str, int, int]] = {
     POOL: ("1.23", 3856, 120.0, "Millimeters", 5, 0),
     ARM: ("1.23", 8708, 120.0, "Millimeters", 0, 16),
 }
-ADC = [f"Model Root/DS1104ADC_C{i}/ADC" for i in (5, 6, 7)]
-DC_MOTOR = [f"Model Root/{name}/In1" for name in ("Position1", "Speed Out", "Volt")]
-IMPULSE = [f'"Model Root"/"{name}"/"Out1"' for name in ("u1", "u2", "y1", "y2")]
 # file: reader, ControlDesk, (clock, samples, start, end, step) of each clock, number of channels
 RECORDINGS: dict[str, tuple[str, str, list[tuple[str, int, float, float, float]], int]] = {
     "0103_3_3.mat": (
@@ -412,26 +342,6 @@ def test_the_label_switch_of_the_soft_arm(take: Any) -> None:
     assert sum(not name.startswith("Unlabeled") for name in markers["names"]) == 13
 
 
-def test_a_c3d_file_is_recognised_and_refused(realdata: Path) -> None:
-    with pytest.raises(ReadError, match=r"a C3D file \(motion capture\), which is recognised b"):
-        inspect_export(realdata / "motive" / C3D)
-
-
-@pytest.mark.parametrize(
-    ("name", "paths"),
-    [
-        ("exp1_003.mat", DC_MOTOR),
-        ("rec1_003.mf4", DC_MOTOR),
-        ("exp1_030.mat", ADC),
-        ("exp1_033.mat", ADC),
-        ("u1_impulse.mat", IMPULSE),
-        ("u_rand.mat", IMPULSE),
-    ],
-)
-def test_paths_of_channels(recording: Any, name: str, paths: list[str]) -> None:
-    assert [channel["path"] for channel in recording(name)["streams"][0]["channels"]] == paths
-
-
 def test_the_mf4_holds_the_same_samples_as_the_mat(recording: Any) -> None:
     mat, mf4 = recording("exp1_003.mat")["streams"], recording("rec1_003.mf4")["streams"]
     assert mat == mf4
@@ -475,34 +385,6 @@ def test_load_frames(inspect: Inspect, name: str) -> None:
             assert channel["missing"] == signal.missing
 
 
-@pytest.mark.parametrize(
-    ("name", "program", "step", "said"),
-    [
-        (f"{PARTS}3.txt", "MTS", 0.01, ""),
-        (CABLE_100, "MTS", 0.1, "7/3/2025 12:23:28 PM"),
-        (MODULUS, "793", None, "147.20456"),
-        (CRUSH, "793", None, "354.12192"),
-        ("mts/mts793/1_3D850_s1.dat", "793", 0.019531, "Pappas.tst"),
-        ("instron/matolab_instron8852_example2.csv", "Instron", None, "AWA_3_03_Rz"),
-        ("instron/nosh_3pb_Specimen_RawData_1.csv", "Bluehill", 0.1, "131.18347"),
-        ("zwick/Allong 1.TRA", "testXpert", None, "43173.4"),
-        ("zwick/FSP_AB_1_Traction-11.XLSX", "testXpert", 0.01, "5939.49"),
-        ("shimadzu/Exemple_Shimadzu_Tract_L100_D2.csv", "Trapezium", 0.01, "C35"),
-        (CATMAN, "catman", 0.02, "-1000000"),
-        (MICROTEST, "Microtest", 0.1, "200N tensile"),
-        (Q800, "Q800", 2.0, "10.1955"),
-    ],
-)
-def test_what_a_load_frame_says_of_itself_is_kept(
-    inspect: Inspect, name: str, program: str, step: float | None, said: str
-) -> None:
-    facts = inspect(name)
-    assert program.casefold() in facts["program"].casefold()
-    assert said in json.dumps([facts["metadata"], facts["notes"]], ensure_ascii=False)
-    if step is not None:
-        assert facts["streams"][0]["step_median"] == pytest.approx(step, rel=3e-3)
-
-
 NOTES = {
     f"motive/{DECAR}": {"fitted_markers": "6 Rigid Body Marker", "unlabelled_markers": "3 of 9 "},
     f"motive/{EMPTY}": {"take_empty": "the take holds no rigid body and no marker"},
@@ -511,7 +393,7 @@ NOTES = {
     "dspace/exp1_030.mat": {"start_differs": "StartTimestamp says -0.0024", "time_holes": ""},
     "dspace/rec1_253.mat": {"several_clocks": "2 time axes: OnChange, Periodic Task 1"},
     "dspace/u1_impulse.mat": {"time_start_not_zero": ""},
-    YARNS: {}, BOM_ONLY: {"no_samples": ""},
+    BOM_ONLY: {"no_samples": ""},
     MICROTEST: {"last_row_left_out": ""},
 }  # fmt: skip
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ from labpipe.virtual_lab.tensile_scenarios import (
     twist_tube,
 )
 from tests.builders.small_tests import Run, state
-from tests.builders.tensile_tests import TensileLab, make_tensile, true_results
+from tests.builders.tensile_tests import make_tensile, true_results
 
 SLIPS = (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81))
 """Those of the source's specimen."""
@@ -42,6 +42,7 @@ KINDS: dict[str, TensileScenario] = {
     ),
     "stiff-bar": stiff_bar(gain_error=0.001),
 }
+VARIANTS = {"driven back", "twist-tube, other spool", "pet-tape, 10 Hz", "corrugated-tube, 10 Hz"}
 SEED = 1
 
 
@@ -51,14 +52,18 @@ class Done:
     def __init__(self, home: Path, scenario: TensileScenario) -> None:
         self.lab = make_tensile(home, scenario, SEED)
         self.before = state(self.lab.home / "raw")
-        self.status = main(["process", str(self.lab.raw)])
+        self.status = main(["process", str(self.lab.raw), "--no-figures"])
         self.truth = true_results(scenario, SEED)
         self.scenario = scenario
 
 
+Make = Callable[[str], Done]
+
+
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Done]:
-    return {kind: Done(tmp_path_factory.mktemp("lab"), KINDS[kind]) for kind in KINDS}
+def done(tmp_path_factory: pytest.TempPathFactory) -> Make:
+    """Give a test of a kind, each processed once."""
+    return cache(lambda kind: Done(tmp_path_factory.mktemp("lab"), KINDS[kind]))
 
 
 TOLERANCES = {
@@ -88,9 +93,12 @@ NEAR = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_number_within_a_tolerance(done: dict[str, Done], kind: str) -> None:
-    test = done[kind]
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=[pytest.mark.slow] if kind in VARIANTS else []) for kind in KINDS],
+)
+def test_every_number_within_a_tolerance(done: Make, kind: str) -> None:
+    test = done(kind)
     assert test.status == 0
     assert state(test.lab.home / "raw") == test.before
     assert {result["status"] for result in test.lab.results.values()} == {"ok"}
@@ -113,8 +121,8 @@ def test_every_number_within_a_tolerance(done: dict[str, Done], kind: str) -> No
             assert abs(found["value"] - test.truth[name]) < 0.1, name
 
 
-def test_slips_are_in_the_ledger_and_repaired(done: dict[str, Done]) -> None:
-    test = done["corrugated-tube"]
+def test_slips_are_in_the_ledger_and_repaired(done: Make) -> None:
+    test = done("corrugated-tube")
     result = read_result(test.lab.result)
     assert [slip.decision for slip in result.slips] == [SlipDecision.REPAIRED] * 2
     curve, aligned = result.curve, result.aligned
@@ -133,14 +141,14 @@ def test_slips_are_in_the_ledger_and_repaired(done: dict[str, Done]) -> None:
     assert test.lab.notes["slip_repaired"].endswith(": added back to all that follows")
 
 
-def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: dict[str, Done]) -> None:
+def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: Make) -> None:
     """The bar's own stretch is counted in: 3 % of what was found."""
-    found = done["stiff-bar"].lab.results["compliance"]["value"]
+    found = done("stiff-bar").lab.results["compliance"]["value"]
     lab = make_tensile(tmp_path, KINDS["twist-tube"], SEED)
     lab.override("curve.compliance", f"{{value: {1e6 * found:.6g} um/N, uncertainty: 5 %}}")
     assert run("process", lab.raw, "--no-figures").status == 0
-    plain, corrected = done["twist-tube"].lab.results, lab.results
-    truth = lab_truth(lab)
+    plain, corrected = done("twist-tube").lab.results, lab.results
+    truth = lab.truth
     for region in ("first", "second"):
         name = f"stiffness_{region}"
         assert corrected[name]["value"] > plain[name]["value"]
@@ -148,11 +156,6 @@ def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: dict[
         assert corrected[name]["value"] == pytest.approx(alone, rel=0.006)
     said = f"{1e6 * found:.4g} um/N x force taken off the displacement, "
     assert lab.notes["compliance_removed"].startswith(said)
-
-
-def lab_truth(lab: TensileLab) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((lab.raw / "truth.json").read_text("utf-8"))
-    return found
 
 
 def test_parts_out_of_order_and_one_without_samples(tmp_path: Path, run: Run) -> None:
@@ -188,7 +191,7 @@ time = ["Zeit"]
 
 
 def test_a_card_of_the_lab(
-    done: dict[str, Done], tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+    done: Make, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same numbers in a layout that only the lab's own card knows give the same results."""
     lab = make_tensile(tmp_path, KINDS["pet-tape"], SEED)
@@ -212,7 +215,7 @@ def test_a_card_of_the_lab(
     (tmp_path / "dialects").mkdir()
     (tmp_path / "dialects" / "acme.toml").write_text(ACME, encoding="utf-8")
     assert run("process", lab.raw, "--no-figures").status == 0
-    usual = done["pet-tape"].lab.results
+    usual = done("pet-tape").lab.results
     for name, found in lab.results.items():
         assert found["value"] == pytest.approx(usual[name]["value"], rel=1e-9), name
     key = lab.summary["run"]

@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.errors import ReadError
 from labpipe.readers.channels import (
     NoChannelError,
     find_channel,
 )
 from labpipe.readers.time_axes import clock_notes, find_holes
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import Severity
 from labpipe.records.recording import Clock
+from tests.approved import Approve
 
 KNOWN = [
     ("Out1", '"Model Root"/"u1"/"Out1"'),
@@ -43,27 +44,6 @@ def test_names_that_stand_for_one_channel(wanted: str, index: int) -> None:
     assert find_channel(wanted, KNOWN, "force.mat") == index
 
 
-def test_a_name_that_several_channels_have() -> None:
-    expected = (
-        r"force\.mat, channel 'In1': expected a name that only one channel has, found 2 channels"
-        r" of that name\. Give the full path, one of: 'Model Root/Laser Sensor\\n/laser_raw/In1',"
-        r" 'Model Root/Load Cell/In1'\."
-    )
-    with pytest.raises(ReadError, match=expected):
-        find_channel("In1", KNOWN, "force.mat")
-
-
-def test_a_wrong_name_brings_the_nearest_first() -> None:
-    expected = (
-        r"channel 'Model Root/Load Cel/In1': expected one of the 4 channels of the file, found no"
-        r" such channel\. Nearest: 'Model Root/Load Cell/In1', .*`labpipe inspect` lists them all"
-    )
-    with pytest.raises(ReadError, match=expected):
-        find_channel("Model Root/Load Cel/In1", KNOWN, "force.mat")
-    with pytest.raises(ReadError, match=r"The file holds no channels\.$"):
-        find_channel("Out1", [], "force.mat")
-
-
 OF_FRAMES = [
     (name, name)
     for name in ("Ch 1 Kraft", "Ch 1 Kraft Sollwert", "C_1_Déplacement", "_Load", "Traverse abs.")
@@ -86,10 +66,22 @@ def test_a_name_that_a_program_puts_more_before(wanted: str | tuple[str, ...], i
     assert find_channel(wanted, OF_FRAMES, "frame.csv") == index
 
 
-def test_two_that_are_nearly_so() -> None:
-    known = [("Ch 1 Force", "Ch 1 Force"), ("Ch 2 Force", "Ch 2 Force")]
-    with pytest.raises(NoChannelError, match=r"found 2 channels of that name.*'Ch 1 Force', 'Ch 2"):
-        find_channel(("Load", "Force"), known, "frame.csv")
+NEARLY = [("Ch 1 Force", "Ch 1 Force"), ("Ch 2 Force", "Ch 2 Force")]
+
+
+def test_names_that_are_refused(approved: Approve) -> None:
+    """Of several channels, wrong ones with the nearest first, of none, nearly of two."""
+    messages = []
+    for wanted, channels in (
+        ("In1", KNOWN),
+        ("Model Root/Load Cel/In1", KNOWN),
+        ("Out1", []),
+        (("Load", "Force"), NEARLY),
+    ):
+        with pytest.raises(NoChannelError) as refused:
+            find_channel(wanted, channels, "force.mat")
+        messages.append(refused.value)
+    approved(messages)
 
 
 @pytest.mark.parametrize("name", ["Chkraft", "C1kraft", "Kraft 1", "Last", "", "_"])
@@ -154,37 +146,41 @@ def test_so_many_long_steps_that_they_need_not_be_losses() -> None:
     )
 
 
+NOTED: list[tuple[Floats, dict[str, str]]] = [
+    (
+        np.array([0.0, 1.0, 1.0, 2.0, 3.0]),
+        {"time_repeats": "1 time stamps repeat the one before, first at sample 3 (1 s)"},
+    ),
+    (np.zeros(5), {"time_repeats": "4 time stamps repeat the one before, first at sample 2 (0 s)"}),
+    (np.array([-1.0, 0.0, 1.0]), {"time_start_not_zero": "time starts at -1 s, not at 0"}),
+    (np.empty(0), {"clock_empty": "it has no samples"}),
+    (np.zeros(1), {}),
+    (np.arange(10000) / 120.0, {}),
+    (
+        np.array([0.0, 1.0, 2.0, 3.0, 0.5, 5.0, 6.0]),
+        {
+            "time_not_increasing": (
+                "time runs backwards 1 times, first at sample 5: 0.5 s after 3 s"
+            )
+        },
+    ),
+    (
+        np.array([0.0, 1.0, np.nan]),
+        {"time_not_increasing": "1 time stamps are no numbers, the first at sample 3"},
+    ),
+]
+
+
+@pytest.mark.parametrize(("time", "expected"), NOTED)
+def test_what_is_noted_of_a_clock(time: Floats, expected: dict[str, str]) -> None:
+    messages = codes(time)
+    assert {code: messages.get(code) for code in expected} == expected
+    assert bool(messages) == bool(expected)
+    for note in clock_notes(Clock("time", time)):
+        assert (note.severity is Severity.ERROR) == (note.code == "time_not_increasing")
+
+
 def test_a_step_that_is_not_the_nominal_one() -> None:
     message = codes(np.arange(10000) * 0.99985e-3)["step_not_nominal"]
     assert message.startswith("mean step 0.99985 ms where 1 ms is nominal")
     assert message.endswith("wrong by 0.0015 s at the end")
-    assert codes(np.arange(10000) / 120.0) == {}
-
-
-def test_time_that_runs_backwards_is_an_error_with_its_place() -> None:
-    time = np.arange(10.0)
-    time[4] = 0.5
-    (note,) = clock_notes(Clock("time", time))
-    assert note.code == "time_not_increasing"
-    assert note.severity is Severity.ERROR
-    assert note.message == "time runs backwards 1 times, first at sample 5: 0.5 s after 3 s"
-
-
-def test_time_that_is_no_number_is_an_error_with_its_place() -> None:
-    (note,) = clock_notes(Clock("time", np.array([0.0, 1.0, np.nan])))
-    assert note.severity is Severity.ERROR
-    assert note.message == "1 time stamps are no numbers, the first at sample 3"
-
-
-def test_smaller_oddities() -> None:
-    assert codes(np.array([0.0, 1.0, 1.0, 2.0, 3.0]))["time_repeats"] == (
-        "1 time stamps repeat the one before, first at sample 3 (1 s)"
-    )
-    assert codes(np.array([-1.0, 0.0, 1.0]))["time_start_not_zero"] == (
-        "time starts at -1 s, not at 0"
-    )
-    assert codes(np.empty(0)) == {"clock_empty": "it has no samples"}
-    assert codes(np.zeros(1)) == {}
-    assert codes(np.zeros(5)) == {
-        "time_repeats": "4 time stamps repeat the one before, first at sample 2 (0 s)"
-    }

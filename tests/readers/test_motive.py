@@ -39,17 +39,9 @@ FRAMES = 30
 
 
 RANDOM = np.random.default_rng(7)
-
-
 TIP, BASE, CLAMP = (RANDOM.normal(size=(FRAMES, 3)).round(6) for _ in range(3))
-
-
 TURN = RANDOM.normal(size=(FRAMES, 4)).round(6)
-
-
 ERROR = np.full(FRAMES, 0.000105)
-
-
 LAYOUT = Layout()
 
 
@@ -210,8 +202,6 @@ def test_a_workbook_of_something_else(tmp_path: Path) -> None:
 
 
 TABLE_FRAMES = 40
-
-
 TRACK = np.random.default_rng(5).normal(size=(TABLE_FRAMES, 3)).round(6)
 
 
@@ -316,17 +306,9 @@ def test_the_derived_rate_leaves_holes_out() -> None:
 
 
 FILE = Path("take.csv")
-
-
 LINE_1 = "Format Version,1.23,Export Frame Rate,120.000000,Length Units,Meters"
-
-
 LABELS = [",Type,Marker,Marker,Marker", ",Name,A,A,A", ",ID,1,1,1"]
-
-
 QUANTITY, AXES = ",,Position,Position,Position", "Frame,Time (Seconds),X,Y,Z"
-
-
 WHOLE = [LINE_1, "", *LABELS, QUANTITY, AXES]
 
 
@@ -398,11 +380,7 @@ def test_takes_that_are_refused(tmp_path: Path, approved: Approve) -> None:
 
 
 ROWS = 12
-
-
 DRAWN = np.random.default_rng(11)
-
-
 TIMES = np.arange(ROWS) / 120.0
 
 
