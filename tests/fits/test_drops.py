@@ -87,21 +87,16 @@ def test_why_there_is_no_break() -> None:
         assert message in failure.message
 
 
-@pytest.mark.parametrize(
-    ("motion", "sample"),
-    [
-        (np.arange(400.0), 250),
-        (np.minimum(np.arange(400.0), 200.0), None),
-        (200.0 - np.abs(np.arange(400.0) - 200.0), None),
-        (np.arange(400.0)[:240], None),
-    ],
-    ids=["tears", "relaxes", "goes back", "ends too soon"],
-)
-def test_a_slow_loss_needs_a_motion_that_goes_on(motion: Floats, sample: int | None) -> None:
-    """100 N from sample 200 on, then 1 N less each sample: half of it in sample 250."""
-    force = np.where(np.arange(400) < 200, 0.5 * np.arange(400), 300.0 - np.arange(400.0))
-    force = np.maximum(force, 0.0)[: len(motion)]
-    assert slow_loss(motion, force, RULE) == sample
+def test_a_slow_loss_needs_a_motion_that_goes_on() -> None:
+    """100 N from sample 200 on, then 1 N less each sample: half of it in sample 250.
+
+    It tears; it relaxes; the frame goes back; the record ends too soon.
+    """
+    at = np.arange(400.0)
+    force = np.maximum(np.where(at < 200.0, 0.5 * at, 300.0 - at), 0.0)
+    motions = (at, np.minimum(at, 200.0), 200.0 - np.abs(at - 200.0), at[:240])
+    found = [slow_loss(motion, force[: len(motion)], RULE) for motion in motions]
+    assert found == [250, None, None, None]
 
 
 def test_no_tension() -> None:
@@ -211,10 +206,8 @@ def test_what_is_found_does_not_depend_on_the_sampling_rate(rate: int) -> None:
             assert slip.drop == pytest.approx(drop, abs=0.2)
 
 
-@pytest.mark.parametrize(("rate", "memory"), [(100, 10.0), (20, 12.0)])
-def test_a_clear_slip_in_slow_noise(rate: int, memory: float) -> None:
-    d, factor = np.arange(0.0, 0.05, 5e-3 / rate), np.exp(-1.0 / memory)
-    seen = 0
+def test_a_clear_slip_in_slow_noise() -> None:
+    d, factor, seen = np.arange(0.0, 0.05, 2.5e-4), np.exp(-1.0 / 12.0), 0
     for seed in range(10):
         kicks = np.random.default_rng(seed).normal(0.0, 0.05, len(d)) * np.sqrt(1.0 - factor**2)
         force = 900.0 * d - 0.6 * (d > 0.02) + lfilter([1.0], [1.0, -factor], kicks)

@@ -76,23 +76,6 @@ def test_energy_of_many_rows_is_the_trapezoid_of_each() -> None:
     assert energy_of(np.array([0.0, 2e-3, 3e-3]), np.array([1.0, 1.0, 3.0])) == pytest.approx(4e-3)
 
 
-def test_the_spread_of_the_energy_by_hand() -> None:
-    """An ellipse; noise of each sample times half the step of the other over two samples.
-
-    And times the noise of that.
-    """
-    phase = np.linspace(0.0, 2.0 * np.pi, 5001)
-    path, force = -1e-2 * np.cos(phase), 0.5 * np.sin(phase)
-    assert energy_of(path, force) == pytest.approx(np.pi * 1e-2 * 0.5, rel=1e-6)
-    energies = energy_of(
-        path + noise_rows("white", 5e-5, (200, 5001), seed=1),
-        force + noise_rows("white", 1e-3, (200, 5001), seed=2),
-    )
-    steps, rises = np.gradient(path), np.gradient(force)
-    parts = 1e-3 * steps, 5e-5 * rises, np.full(len(path), 1e-3 * 5e-5 / np.sqrt(2.0))
-    assert np.std(energies) == pytest.approx(np.linalg.norm(np.concatenate(parts)), rel=0.15)
-
-
 D = np.linspace(1e-3, 5e-3, 201)
 
 
@@ -277,30 +260,6 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
         else:
             assert each == pytest.approx(float(alone.of(d, f)), rel=1e-9)
     assert np.isfinite(found.of_each(path[:10], force[:10])).all()
-
-
-def test_a_foot_that_ends_in_noise_is_off_as_tests_are() -> None:
-    """The last sample beyond the limit is the one that noise lifted."""
-    (path, force), kind, deviation = WAYS[FollowedToZero], "white", 4e-3
-    shape = (200, len(TIME))
-    tests = []
-    paths = path + noise_rows(kind, 1e-5, shape, seed=1)
-    forces = force + noise_rows(kind, deviation, shape, seed=2)
-    for d, f in zip(paths, forces, strict=True):
-        found = decided(d, f)
-        assert isinstance(found, FollowedToZero)
-        tests.append(float(found.of(d, f)))
-    smooth = decided(path, force, like=found)
-    assert isinstance(smooth, FollowedToZero)
-    off = smooth.of_each(
-        path + noise_rows(kind, 1e-5, shape, seed=3),
-        force + noise_rows(kind, deviation, shape, seed=4),
-    ) - float(smooth.of(path, force))
-    # Quantiles, as a sample of the rest that noise lifts beyond the limit leads far astray.
-    low, middle, high = np.quantile(np.array(tests) - LEFT, (0.1, 0.5, 0.9))
-    below, centre, above = np.quantile(off, (0.1, 0.5, 0.9))
-    assert above - below == pytest.approx(high - low, rel=0.25)
-    assert centre == pytest.approx(middle, abs=0.15 * float(high - low))
 
 
 def test_a_weak_force_is_not_followed_from_far_off() -> None:

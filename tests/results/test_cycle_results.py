@@ -71,35 +71,19 @@ def test_loading_alone_has_no_loop() -> None:
     assert results["initial_stiffness"].status is Status.OK
 
 
-def test_loading_that_ends_in_a_rest_is_whole() -> None:
+def test_records_that_end_in_a_rest_or_while_unloading() -> None:
     time, path, force = loop(cycles=1, noise=1e-3)
     held, noise = time > 12.0, np.random.default_rng(1).normal(0.0, 1e-3, len(time))
     still = np.where(held, 0.010 + 1e-3 * noise, path), np.where(held, 1.0 + noise, force)
     _, results = reduced(time, *still)
     assert results["peak_force.1"].status is Status.OK
     assert results["peak_displacement.1"].value == pytest.approx(0.010, rel=5e-3)
-
-
-def test_record_that_breaks_off_while_unloading() -> None:
     time, path, force = loop(cycles=2, noise=1e-3)
     kept = time < 38.0
     _, results = reduced(time[kept], path[kept], force[kept])
     assert results["energy.2"].status is Status.DOUBTFUL
     assert results["energy.2"].why.endswith("while still unloading")
     assert results["peak_force.2"].status is Status.OK
-    assert results["energy.1"].status is Status.OK
-
-
-def test_downwards_is_a_way_to_load() -> None:
-    time, path, force = loop(noise=1e-3)
-    _, up = reduced(time, path, force)
-    _, down = reduced(time, -path, -force)
-    for name in ("peak_force.1", "peak_displacement.2"):
-        above, below = up[name].value, down[name].value
-        assert above is not None
-        assert below == pytest.approx(-above, rel=1e-9)
-    for name in ("energy.1", "energy.2"):
-        assert down[name].value == pytest.approx(up[name].value, rel=1e-9)
 
 
 def test_a_gap_costs_only_its_cycle() -> None:
@@ -129,24 +113,15 @@ def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
         assert stretch_of_cycle(curve, [*branches[2:]]) == slice(6, 13)
 
 
-@pytest.mark.parametrize(
-    ("reads", "stretch"),
-    [
-        ((0.0, 1.0), (0.0, 2.0)),
-        ((1.0, 2.0), (2.0, 5.0)),
-        ((0.5, 1.5), (1.0, 3.5)),
-        ((0.0, 2.0), (0.0, 5.0)),
-        ((0.0, 3.0), (0.0, 5.0)),
-        ((2.0, 3.0), None),
-    ],
-)
-def test_parts_of_a_cycle_counted_in_branches(
-    reads: tuple[float, float], stretch: tuple[float, float] | None
-) -> None:
+def test_parts_of_a_cycle_counted_in_branches() -> None:
     """Loaded for 2 s, unloaded for 3 s."""
     up = Branch(0, 2, 1, Direction.LOADING, 0.0, 2.0)
     down = Branch(2, 5, 1, Direction.UNLOADING, 2.0, 5.0)
-    assert _when([up, down], reads) == stretch
+    stretches = {
+        **{(0.0, 1.0): (0.0, 2.0), (1.0, 2.0): (2.0, 5.0), (0.5, 1.5): (1.0, 3.5)},
+        **{(0.0, 2.0): (0.0, 5.0), (0.0, 3.0): (0.0, 5.0), (2.0, 3.0): None},
+    }
+    assert {reads: _when([up, down], reads) for reads in stretches} == stretches
 
 
 PEAKS = "results:\n  - {result: peak-force}\n  - {result: peak-displacement}\n"
@@ -156,13 +131,15 @@ def peaks(time: np.ndarray, path: np.ndarray, force: np.ndarray) -> dict[str, Re
     return reduced(time, path, force, more=PEAKS)[1]
 
 
-def test_the_largest_sample_of_each_cycle_in_the_sense_of_loading() -> None:
+def test_downwards_is_a_way_to_load() -> None:
+    """Peaks are the largest samples in the sense of loading; the energy is the same."""
     time, path, force = loop(noise=1e-3)
-    for sense in (1.0, -1.0):
-        found = peaks(time, sense * path, sense * force)
-        for name, values in (("peak_force", force), ("peak_displacement", path)):
-            first = values[time < 22.0].max()
-            assert found[f"{name}.1"].value == pytest.approx(sense * first, abs=1e-12)
+    up, down = reduced(time, path, force)[1], reduced(time, -path, -force)[1]
+    for name, values in (("peak_force", force), ("peak_displacement", path)):
+        first = values[time < 22.0].max()
+        assert up[f"{name}.1"].value == pytest.approx(first, abs=1e-12)
+        assert down[f"{name}.1"].value == pytest.approx(-first, abs=1e-12)
+    assert down["energy.2"].value == pytest.approx(up["energy.2"].value, rel=1e-9)
 
 
 def test_a_gap_beside_the_peak() -> None:
@@ -194,11 +171,6 @@ results:
 
 def asked(loop: tuple[Floats, Floats, Floats]) -> dict[str, Result]:
     return reduced(*loop, more=ASKED)[1]
-
-
-@pytest.fixture(scope="module")
-def usual() -> dict[str, Result]:
-    return asked(cycles(noise=NOISE))
 
 
 def shares(found: Result) -> dict[str, float]:
@@ -235,33 +207,29 @@ def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> 
     assert found.value == pytest.approx(slope, rel=0.01)
 
 
-def test_stiffness_of_each_cycle_and_hardening(usual: dict[str, Result]) -> None:
+def test_stiffness_of_each_cycle_and_hardening() -> None:
+    """A gain of the force cancels in the hardening."""
+    time, loaded, force = cycles(noise=NOISE)
+    results, stronger = asked((time, loaded, force)), asked((time, loaded, 1.05 * force))
     path = np.linspace(0.0, 0.005, 251)
     lever = path - path.mean()
     first = float(lever @ first_loading(path) / (lever @ path))
     for number, true in ((1, first), (2, LATER), (3, LATER)):
-        holds(usual[f"loading_stiffness.{number}"], true, "N/m")
+        holds(results[f"loading_stiffness.{number}"], true, "N/m")
     for number in (2, 3):
-        holds(usual[f"hardening.{number}"], LATER / first, "1")
-    value = usual["loading_stiffness.2"].value
-    assert value is not None
-    assert shares(usual["loading_stiffness.2"])[SCALE_OF_FORCE] == pytest.approx(0.01 * value)
-    assert "hardening.1" not in usual
-    once = asked(cycles(1, noise=NOISE))
-    assert list(once) == ["loading_stiffness.1"]
-
-
-def test_a_gain_cancels_in_hardening(usual: dict[str, Result]) -> None:
-    time, path, force = cycles(noise=NOISE)
-    stronger = asked((time, path, 1.05 * force))
+        holds(results[f"hardening.{number}"], LATER / first, "1")
+    assert "hardening.1" not in results
+    assert list(asked(cycles(1, noise=NOISE))) == ["loading_stiffness.1"]
     for name, factor in (("loading_stiffness.2", 1.05), ("hardening.2", 1.0)):
-        value = usual[name].value
+        value = results[name].value
         assert value is not None
         assert stronger[name].value == pytest.approx(factor * value, rel=1e-9)
         # Other forces, other draws: a width between quantiles of 400 has a standard deviation of
         # 4.8 %, so two differ by less than 20 % (three of 6.8 %).
-        assert width(stronger[name]) == pytest.approx(factor * width(usual[name]), rel=0.2)
-    assert SCALE_OF_FORCE in shares(stronger["loading_stiffness.2"])
+        assert width(stronger[name]) == pytest.approx(factor * width(results[name]), rel=0.2)
+    value = results["loading_stiffness.2"].value
+    assert value is not None
+    assert shares(results["loading_stiffness.2"])[SCALE_OF_FORCE] == pytest.approx(0.01 * value)
     assert SCALE_OF_FORCE not in shares(stronger["hardening.2"])
 
 

@@ -118,12 +118,3 @@ def test_a_record_that_ends_while_loading() -> None:
     _, results = pulled(*pull(), curve=BREAK, results=["failure", "energy-to-break"])
     for result in results.values():
         assert result.why.startswith("no_break: the force ends at 99.9")
-
-
-def test_what_was_added_back_is_said_of_the_peak() -> None:
-    travel, force = pull()
-    curve = "slips: {decision: repaired, min_drop: 0.5 N}"
-    lower = slipped(travel, force, (0.006, 3.0))
-    _, results = pulled(travel, lower, curve=curve, results=["peak-force", LINE])
-    assert results["peak_force.1"].remark.endswith(" N of slips added back")
-    assert "added back" not in results["stiffness"].method

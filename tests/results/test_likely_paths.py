@@ -29,13 +29,11 @@ from labpipe.records.causes import (
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, SlipDecision
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curve_replicates import loading_of, replicate_curves, traced
-from labpipe.results.cycles import PeakDisplacement, PeakForce
 from labpipe.results.load_cell_noise import ForceSamples, PeakSamples, _frames_of, cuts_of
 from labpipe.results.reduced_test import ReducedTest, Setup
-from labpipe.results.stiffness import LineStiffness
 from labpipe.signal.filters import Butterworth, Smoothing
 from labpipe.uncertainty.extractors import Reading, Trace
-from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.intervals import measure
 from labpipe.uncertainty.replicates import Input, Replicates
 from tests.builders.plain_records import Numbers
 from tests.builders.reduced import DOWN, UP, recorded
@@ -159,29 +157,6 @@ def test_a_fast_force_has_the_noise_that_the_curve_has(window: int, drawn: float
     assert noise(test, slice(10, -10)) == pytest.approx(drawn, rel=0.15)
 
 
-def test_gaps_of_a_fast_force_do_not_lower_it() -> None:
-    """Every third sample is missing, and three frames whole."""
-    time, fast = np.arange(200) / 50.0, np.arange(40_000) / 10_000.0
-    force = 100.0 + 10.0 * fast + RNG(3).normal(0.0, 0.01, 40_000)
-    force[::3] = np.nan
-    long = ((Smoothing(2001), 1),)
-    test = recorded(time, 1e-3 * time, force, force_time=fast, filters=long)
-    smooth = curves(test).smooth.force
-    assert smooth[1:-1] == pytest.approx(100.0 + 10.0 * time[1:-1], abs=0.01)
-
-
-def test_a_thinned_displacement_is_not_filtered_again() -> None:
-    fast, rng = np.arange(3000) / 100.0, RNG(0)
-    path = 1e-3 * fast + 1e-5 * rng.normal(size=3000)
-    force = 10.0 * fast
-    thin = ((Smoothing(9), 3),)
-    branches = (Branch(0, 1000, 1, UP, 0.0, 29.97),)
-    test = recorded(fast, path, force, branches=branches, filters_of_displacement=thin)
-    found = curves(test)
-    more = found.displacement - found.smooth.displacement
-    assert np.std(more[:, 20:-20]) == pytest.approx(1e-5 / 3.0, rel=0.15)
-
-
 def test_a_filtered_displacement_has_its_noise_back_and_the_level_of_the_curve() -> None:
     """Another 5 mm were taken off the curve alone."""
     time = np.arange(3000) / 100.0
@@ -225,13 +200,6 @@ def test_a_long_record_has_the_noise_of_single_samples(count: int) -> None:
     assert found.smooth.force == pytest.approx(10.0 * found.smooth.time, abs=0.5)
     high = top(next(iter(found.traces())))[0].mean() - found.smooth.force.max()
     assert 0.0 < high < 4.0
-
-
-def test_a_long_filtered_record_is_averaged() -> None:
-    time = np.arange(60_000) / 1000.0
-    force = 10.0 * time + RNG(0).normal(size=60_000)
-    test = recorded(time, 1e-3 * time, force, filters=((Smoothing(101), 1),))
-    assert noise(test, slice(100, -100)) == pytest.approx(101**-0.5, rel=0.1)
 
 
 def test_hum_is_not_folded_away() -> None:
@@ -377,19 +345,7 @@ def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
         assert interval.lower <= level * (1.0 - 0.1**4 / 5.0) <= interval.upper
 
 
-def test_other_records_that_stand_are_not_coarse() -> None:
-    """Steps as fine as the noise; a full channel; what a spreadsheet computed."""
-    at = np.arange(2000) / 100.0
-    for test in (
-        plateau(0, 100.0, 1.0),
-        recorded(at, 1e-3 * at, np.minimum(10.0 * at, 30.0)),
-        recorded(at, 1e-3 * at, np.full(2000, 3.0)),
-        straight(),
-    ):
-        assert RESOLUTION not in inputs(test)
-
-
-@pytest.mark.parametrize(("count", "rate"), [(800, 100.0), (50_000, 1000.0)])
+@pytest.mark.parametrize(("count", "rate"), [(800, 100.0), (21_000, 1000.0)])
 def test_other_displacements(count: int, rate: float) -> None:
     """Of an offset normal, of another shape rectangular; of a long record averaged, too."""
     test = straight(count, rate)
@@ -553,12 +509,6 @@ def test_what_a_drift_does_to_a_number(numbers: Numbers, share: float, of_a_walk
     assert share == pytest.approx(SHARE * PEAK * np.sqrt(of_a_walk), rel=0.05)
 
 
-def test_of_a_push_the_largest_force_counts_too() -> None:
-    curve = straight_of_drift().known_curve
-    test = drifting(recorded(curve.time, curve.displacement, -curve.force), SHARE)
-    assert drift_of(test, last) == pytest.approx(SHARE * PEAK, rel=1e-9)
-
-
 def test_the_frame_gives_way_to_a_force_that_is_not_there() -> None:
     test = replace(straight_of_drift(), compliance=4e-5)
     trace = curves(test).smooth
@@ -603,29 +553,6 @@ def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
         assert given.moved(trace, 1.0).force[200] == pytest.approx(trace.force[200], abs=1e-9)
     total = np.sum([(g.moved(trace, 1.0).force - trace.force) ** 2 for g in modes(test)], axis=0)
     assert np.sqrt(total[-1]) == pytest.approx(SHARE * float(trace.force.max()), rel=1e-3)
-
-
-def test_it_adds_to_what_there_was_and_changes_nothing_else() -> None:
-    """Noise and other inputs are drawn as before; the modes independently of one another."""
-    still, moved = curves(straight_of_drift(0.0, 0.5)), curves(straight_of_drift(SHARE, 0.5))
-    assert np.array_equal(still.force, moved.force)
-    (step,) = still.inputs
-    again = next(given for given in moved.inputs if given.cause == STEP)
-    assert np.array_equal(still.draws(step), moved.draws(again))
-    drawn = [moved.draws(given) for given in moved.inputs if given.cause == DRIFT_OF_ZERO]
-    assert np.abs(np.corrcoef(drawn) - np.eye(3)).max() < 0.15
-
-
-def test_a_drift_far_larger_than_the_force_makes_numbers_wide_or_doubtful() -> None:
-    """Never NaN, never a width that is too small."""
-    test = straight_of_drift(30.0, 0.5)
-    test = replace(test, replicates=curves(test))
-    kinds = LineStiffness(start=1e-3, stop=4e-3), PeakDisplacement(), PeakForce()
-    for number in (number for kind in kinds for number in kind.compute(test).numbers):
-        found = number.outcome
-        assert isinstance(found, Measured)
-        assert np.isfinite([found.interval.lower, found.interval.upper, found.estimate]).all()
-        assert found.doubts or found.interval.upper - found.interval.lower > found.value
 
 
 FRAME, SINGLE, TURN = 0.04, 0.01, 10.015
@@ -704,31 +631,17 @@ def test_the_largest_of_all_samples_in_noise() -> None:
     trace = curve()
     samples = ForceSamples.of(evidence(noisy), trace)
     assert samples is not None
-    of_frames = 0.5 * NOISE * RNG(1).normal(size=(4000, 501))
+    of_frames = 0.5 * NOISE * RNG(1).normal(size=(2000, 501))
     raised = top_of(samples, trace).raised(of_frames)
     assert raised is not None
 
     near = slice(900, 1100)
-    rows = force_at(time)[near] + NOISE * RNG(2).normal(size=(4000, 200))
+    rows = force_at(time)[near] + NOISE * RNG(2).normal(size=(2000, 200))
     (cut,) = set(samples.cuts) - {0, 2000, int(np.searchsorted(time, trace.time[-1], "right")), 2}
     parts = [plainly_smoothed(row) for row in (rows[:, : cut - 900], rows[:, cut - 900 :])]
     by_hand = np.hstack(parts).max(axis=1) - samples.smooth.max()
     assert np.mean(raised) == pytest.approx(np.mean(by_hand), abs=0.12 * float(np.std(by_hand)))
     assert np.std(raised) == pytest.approx(np.std(by_hand), rel=0.06)
-
-
-def test_a_push_is_as_large_as_a_pull() -> None:
-    """On average: other stretches of the record go with them."""
-    time = SINGLE * np.arange(float(2000))
-    noisy = force_at(time) + NOISE * RNG(0).normal(size=2000)
-    drawn, rises = 0.5 * NOISE * RNG(1).normal(size=(50, 501)), list[Floats]()
-    for sense in (1.0, -1.0):
-        trace = replace(curve(), force=sense * curve().force)
-        samples = top_of(ForceSamples.of(evidence(sense * noisy), trace), trace, sense)
-        raised = samples.raised(sense * drawn)
-        assert raised is not None
-        rises.append(raised)
-    assert np.mean(rises[0]) == pytest.approx(np.mean(rises[1]), abs=0.4 * float(np.std(rises[0])))
 
 
 def test_without_noise_nothing_is_raised() -> None:

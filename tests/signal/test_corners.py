@@ -12,29 +12,17 @@ from labpipe.signal.reversals import Reversal, fit_reversal
 TURN, HEIGHT = 4.0013, 1.2
 
 
-def bent(seed: int, *, noise: float, correlated: int = 1) -> tuple[Floats, Floats]:
+def test_exact_without_noise() -> None:
     """A force that turns at 4.0013 s and 1.2 N, curved on both sides, 1 kHz."""
     time = np.arange(0.0, 8.0, 1e-3)
     past = time - TURN
-    force = HEIGHT + np.where(
-        past < 0, 0.05 * past + 0.004 * past**2, -0.12 * past + 0.01 * past**2
-    )
-    white = np.random.default_rng(seed).normal(0.0, noise, len(time) + correlated)
-    kernel = np.ones(correlated) / np.sqrt(correlated)
-    return time, force + np.convolve(white, kernel, mode="same")[: len(time)]
-
-
-def test_exact_without_noise() -> None:
-    time, force = bent(0, noise=0.0)
-    corner = fit_corner(time, force, near=4.2, window=2.0, degree=2)
+    up, down = 0.05 * past + 0.004 * past**2, -0.12 * past + 0.01 * past**2
+    corner = fit_corner(time, HEIGHT + np.where(past < 0, up, down), near=4.2, window=2.0, degree=2)
     assert corner is not None
     assert corner.time == pytest.approx(TURN, abs=1e-5)
     assert corner.value == pytest.approx(HEIGHT, abs=1e-6)
-
-
-def test_too_few_samples() -> None:
-    time = np.arange(0.0, 0.1, 0.02)
-    assert fit_corner(time, time, near=0.04, window=0.05, degree=2) is None
+    few = np.arange(0.0, 0.1, 0.02)
+    assert fit_corner(few, few, near=0.04, window=0.05, degree=2) is None
 
 
 def stopped(seed: int, dwell: float, noise: float) -> tuple[Floats, Floats]:
@@ -53,13 +41,13 @@ def test_a_stop_without_noise_is_exact() -> None:
     assert max(finding.time_error for finding in found) < 1e-9
 
 
-@pytest.mark.parametrize("dwell", [0.1, 0.4, 3.0])
+@pytest.mark.parametrize("dwell", [0.1, 3.0])
 def test_a_stop_and_a_start_hold_in_their_errors(dwell: float) -> None:
     pulls = []
-    for seed in range(60):
-        found = fit_stop(*stopped(seed, dwell, 1e-5), near=(19.9, 20.1), window=15.0)
-        assert found is not None
-        for corner, true in zip(found, (20.0, 20.0 + dwell), strict=True):
+    for seed in range(30):
+        ends = fit_stop(*stopped(seed, dwell, 1e-5), near=(19.9, 20.1), window=15.0)
+        assert ends is not None
+        for corner, true in zip(ends, (20.0, 20.0 + dwell), strict=True):
             pulls.append((corner.time - true) / corner.time_error)
             assert corner.value == pytest.approx(0.02, abs=5.0 * corner.value_error)
     assert np.mean(np.abs(pulls) < 1.96) > 0.85
@@ -67,14 +55,13 @@ def test_a_stop_and_a_start_hold_in_their_errors(dwell: float) -> None:
 
 def test_no_stop() -> None:
     """A corner has no level; a line has no corner; a few samples have neither."""
-    assert fit_stop(*stopped(0, 0.0, 0.0), near=(19.9, 20.1), window=15.0) is None
-    for apart in (0.02, 0.1):
-        time = np.arange(0.0, 40.0, apart) + 0.5 * apart  # two samples stand level at the corner
-        corner = -1e-3 * np.abs(time - 20.0)
-        assert fit_stop(time, corner, near=(19.9, 20.1), window=15.0) is None
     time = np.arange(0.0, 40.0, 0.02)
-    assert fit_stop(time, 1e-3 * time, near=(19.9, 20.1), window=15.0) is None
-    assert fit_stop(time, np.zeros_like(time), near=(19.9, 20.1), window=15.0) is None
+    records = [stopped(0, 0.0, 0.0), (time, 1e-3 * time), (time, np.zeros_like(time))]
+    for apart in (0.02, 0.1):
+        even = np.arange(0.0, 40.0, apart) + 0.5 * apart  # two samples stand level at the corner
+        records.append((even, -1e-3 * np.abs(even - 20.0)))
+    for record in records:
+        assert fit_stop(*record, near=(19.9, 20.1), window=15.0) is None
     assert fit_stop(time[:8], 1e-3 * time[:8], near=(0.05, 0.1), window=1.0) is None
 
 
@@ -144,19 +131,6 @@ def test_no_corner() -> None:
     assert reversal is None or reversal.corner.time_error > 0.05
 
 
-def waited(
-    seed: int, dwell: float, *, relaxes: float, noise: float = 5e-4
-) -> tuple[Floats, Floats]:
-    """As `turned` with a wait at the top, in which so many N are lost in the first second."""
-    time = np.arange(1.0, 7.0 + dwell, 5e-3)
-    past = time - REVERSAL
-    since = np.maximum(past - dwell, 0.0)
-    lost = relaxes * np.log1p(10.0 * np.clip(past, 0.0, dwell)) / np.log1p(10.0)
-    fall = 0.020 * np.clip(since, 0.0, 0.2) + 0.007 * np.maximum(since - 0.2, 0.0)
-    force = TOP + 4.9e-3 * np.minimum(past, 0.0) - lost - fall
-    return time, force + np.random.default_rng(seed).normal(0.0, noise, len(time))
-
-
 def test_the_ends_of_the_window_belong_to_it() -> None:
     """A second on each side at 256 samples a second, and half a second of waiting."""
     time = np.arange(2.0, 6.0, 2.0**-8)
@@ -168,15 +142,14 @@ def test_the_ends_of_the_window_belong_to_it() -> None:
         assert reversal.corner.n == samples
 
 
-@pytest.mark.parametrize("scale", [1e-6, 1e6])
-def test_the_unit_of_the_force_does_not_matter(scale: float) -> None:
+def test_the_unit_of_the_force_does_not_matter() -> None:
     time, force = turned(3, sticks=0.3)
-    plain, scaled = (
-        fit_reversal(time, factor * force, near=3.97, window=1.0) for factor in (1.0, scale)
-    )
-    assert plain is not None
-    assert scaled is not None
-    assert scaled.corner.time == pytest.approx(plain.corner.time, rel=1e-6)
-    assert scaled.corner.time_error == pytest.approx(plain.corner.time_error, rel=1e-3)
-    assert scaled.corner.value == pytest.approx(scale * plain.corner.value, rel=1e-6)
-    assert scaled.corner.value_error == pytest.approx(scale * plain.corner.value_error, rel=1e-3)
+    corners = []
+    for factor in (1.0, 1e-6):
+        reversal = fit_reversal(time, factor * force, near=3.97, window=1.0)
+        assert reversal is not None
+        corners.append(reversal.corner)
+    plain, scaled = corners
+    assert (scaled.time, scaled.value) == pytest.approx((plain.time, 1e-6 * plain.value), rel=1e-6)
+    errors = plain.time_error, 1e-6 * plain.value_error
+    assert (scaled.time_error, scaled.value_error) == pytest.approx(errors, rel=1e-3)

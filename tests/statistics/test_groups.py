@@ -45,12 +45,12 @@ def test_numbers_and_band_of_two_spools() -> None:
     np.testing.assert_allclose(group.band.mean, 52.28 * group.band.displacement)
     assert "not pooled over 6 samples" in said(group)["curve_pooling"]
     assert group.band_scaled is None
-
-
-def test_order_of_samples_does_not_matter() -> None:
-    one, two = built(samples()), built(samples()[::-1])
-    assert [sample.test for sample in one.samples] == [sample.test for sample in two.samples]
-    assert one.numbers == two.numbers
+    turned = built(samples()[::-1])
+    assert [sample.test for sample in turned.samples] == [sample.test for sample in group.samples]
+    assert turned.numbers == group.numbers
+    one, two = samples()[:2]
+    alike = built([replace(one, source="a/result.h5"), replace(two, test=one.test, source="b")])
+    assert list(alike.numbers[0].values) == ["s1-1 (a/result.h5)", "s1-1 (b)"]
 
 
 def test_what_is_left_out_says_why() -> None:
@@ -112,23 +112,14 @@ def divided(parts: Sequence[Part]) -> list[tuple[Mapping[str, str], list[str]]]:
 
 
 def test_two_lengths_are_two_parts() -> None:
+    """Measured ones stay together: no two neighbours more than 5 % apart; none is another one."""
     assert divided(divide(wires(85, 100, 85, 100.4))) == [
         ({"length": "85 mm"}, ["t0", "t2"]),
         ({"length": "100.2 mm"}, ["t1", "t3"]),
     ]
-
-
-def test_lengths_that_were_measured_stay_together() -> None:
-    assert len(divide(wires(96, 104, 100))) == 1  # no two neighbours more than 5 % apart
-    assert len(divide(wires(96, 104))) == 2
-    assert len(divide(wires(100, 104.9))) == 1
-    assert len(divide(wires(100, 105.1))) == 2
-
-
-def test_a_length_that_is_not_said_is_another_one() -> None:
-    assert [part.fields for part in divide(wires(85, None))] == [
-        {"length": "85 mm"}, {"length": "not said"}
-    ]  # fmt: skip
+    assert [part.fields["length"] for part in divide(wires(85, None))] == ["85 mm", "not said"]
+    lengths = [(96, 104, 100), (96, 104), (100, 104.9), (100, 105.1)]
+    assert [len(divide(wires(*length))) for length in lengths] == [1, 2, 1, 2]
 
 
 def test_a_label_divides_unless_it_names_each_test() -> None:
@@ -145,46 +136,36 @@ def of(bundle: Bundle | None, **more: object) -> Group:
     return group(bundle_sample(bundle, 1, **more), bundle_sample(bundle, 2, **more))  # type: ignore[arg-type]
 
 
-def differing(first: Bundle | None, second: Bundle | None) -> dict[str, tuple[str, str]]:
-    return differing_fields(of(first), of(second))
-
-
 def test_what_follows_from_another_field_is_no_difference() -> None:
     seven = bundle_of("7 B1")
-    assert differing(seven, seven) == {}
-    assert differing(seven, bundle_of("7 B2")) == {"wire": ("B1", "B2")}
-    assert differing(seven, bundle_of("12 B1")) == {"number": ("7", "12")}
-    assert differing(seven, bundle_of("7 B1", tape="none", taping="none")) == {
-        "taping": ("half-lap", "none")
-    }
-    assert differing(seven, bundle_of("7 B1", tape="PET")) == {"tape": ("PVC", "PET")}
     tube = bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.01)
-    assert differing(seven, tube) == {"conduit": ("none", "twist-tube")}
     wider = bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.012)
-    assert differing(tube, wider) == {"conduit_bore": ("10 mm", "12 mm")}
-    assert differing(seven, bundle_of("7 B1", arrangement="symmetric")) == {}
+    taped = bundle_of("7 B1", tape="none", taping="none")
+    for first, second, fields in (
+        (seven, seven, {}),
+        (seven, bundle_of("7 B1", arrangement="symmetric"), {}),
+        (seven, bundle_of("7 B2"), {"wire": ("B1", "B2")}),
+        (seven, bundle_of("12 B1"), {"number": ("7", "12")}),
+        (seven, taped, {"taping": ("half-lap", "none")}),
+        (seven, bundle_of("7 B1", tape="PET"), {"tape": ("PVC", "PET")}),
+        (seven, tube, {"conduit": ("none", "twist-tube")}),
+        (tube, wider, {"conduit_bore": ("10 mm", "12 mm")}),
+    ):
+        assert differing_fields(of(first), of(second)) == fields
 
 
-def test_the_type_counts_where_there_is_no_bundle() -> None:
-    tube = of(None)
-    assert "type" in differing_fields(tube, of(bundle_of("7 B1")))
+def test_types_spools_and_dimensions_that_differ() -> None:
+    """The type counts where there is no bundle; dimensions differ by more than a percent."""
+    plain = of(None)
+    assert "type" in differing_fields(plain, of(bundle_of("7 B1")))
     other = group(bundle_sample(None, 3, spool="other"))
-    assert differing_fields(tube, other) == {}
-    assert differing_fields(tube, other, by=("spool",)) == {"spool": ("tube-s1", "other")}
-
-
-def test_dimensions_differ_by_more_than_a_percent() -> None:
+    assert differing_fields(plain, other) == {}
+    assert differing_fields(plain, other, by=("spool",)) == {"spool": ("tube-s1", "other")}
     first = of(None, dimensions={"length": 0.1})
-    assert differing_fields(first, of(None, dimensions={"length": 0.1005})) == {}
-    longer = of(None, dimensions={"length": 0.12})
-    assert differing_fields(first, longer) == {"length": ("100 mm", "120 mm")}
-    assert differing_fields(first, of(None, dimensions={})) == {"length": ("100 mm", "not said")}
-
-
-def test_tests_of_one_name_are_both_kept() -> None:
-    one, two = samples()[:2]
-    group = built([replace(one, source="a/result.h5"), replace(two, test=one.test, source="b")])
-    assert list(group.numbers[0].values) == ["s1-1 (a/result.h5)", "s1-1 (b)"]
+    for length, words in ((0.1005, ""), (0.12, "120 mm"), (None, "not said")):
+        second = of(None, dimensions={"length": length} if length else {})
+        expected = {"length": ("100 mm", words)} if words else {}
+        assert differing_fields(first, second) == expected
 
 
 def test_notes_of_groups(approved: Approve) -> None:
@@ -250,50 +231,21 @@ def test_decisions_on_pooling(approved: Approve) -> None:
     approved(f"{mean.decision} [{mean.chosen.reason or 'interval'}]" for mean in means)
 
 
-SHORT, LONG = "line from 2 mm to 8 mm", "line from 1 mm to 14 mm"
-
-
-def result(name: str, method: str, made_of: str = "") -> Result:
-    why = (Reason("no_noise", "none"),)
-    return Result(name, 1.0, "N/m", reasons=why, method=method, made_of=made_of)
-
-
-def number(name: str, methods: Mapping[str, str]) -> GroupNumber:
-    values = {test: result(name, method) for test, method in methods.items()}
-    return GroupNumber(name, "N/m", None, values, {})
-
-
-def samples_of(*methods: str, **more: Result) -> list[Sample]:
-    """Samples a, b, c ... with a stiffness by these methods, and more results that are alike."""
-    made = [
-        (name, (result("stiffness", method), *more.values()))
-        for name, method in zip("abc", methods, strict=False)
-    ]
-    return [replace(build_sample("s1", name), test=name, results=own) for name, own in made]
-
-
 def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
-    samples = samples_of(SHORT, LONG, SHORT)
-    left_out = otherwise_made(samples)
-    why = Reason("made_otherwise", f"made by {LONG}; the mean: {SHORT}")
-    assert left_out == {"stiffness": {"b": why}}
-    (note,) = method_notes(left_out, samples)
-    assert (note.code, note.severity, note.where) == (
-        "protocols_differ", Severity.WARNING, "stiffness"
-    )  # fmt: skip
+    """Of two as frequent the way of the first test counts."""
+    short, long = "line from 2 mm to 8 mm", "line from 1 mm to 14 mm"
+    made = [
+        replace(build_sample("s1", name), test=name, results=(Result("k", 1.0, "N", method=how),))
+        for name, how in (("a", short), ("b", long), ("c", short))
+    ]
+    why = Reason("made_otherwise", f"made by {long}; the mean: {short}")
+    assert otherwise_made(made) == {"k": {"b": why}}
+    assert list(otherwise_made(made[1:])["k"]) == ["c"]
+    (note,) = method_notes(otherwise_made(made), made)
+    assert (note.code, note.severity, note.where) == ("protocols_differ", Severity.WARNING, "k")
     assert note.message == f"not in the mean, as it was made otherwise: b ({why.message})"
-    (stiffness,) = build_group("A", "p", samples).numbers
-    assert list(stiffness.values) == ["a", "c"]
-    assert stiffness.left_out == {"b": (why,)}
-
-
-def test_the_way_of_the_first_test_counts_where_two_are_as_frequent() -> None:
-    assert list(otherwise_made(samples_of(LONG, SHORT))["stiffness"]) == ["b"]
-
-
-def marked(sample: Sample) -> Sample:
-    slips = tuple(replace(slip, decision=SlipDecision.MARKED) for slip in sample.slips)
-    return replace(sample, slips=slips)
+    (number,) = build_group("A", "p", made).numbers
+    assert (list(number.values), number.left_out) == (["a", "c"], {"b": (why,)})
 
 
 FORCE = "scale of the force"
@@ -329,6 +281,10 @@ def test_medians_are_scaled_to_one_and_a_missing_cause_is_none() -> None:
     assert found.of_tests == pytest.approx({"noise": 0.9, FORCE: 0.1})
     once = budgeted(*(measured(1.0, noise=1.0, pull=by) for by in (0.0, 0.0, 1.0)))
     assert group_budget(once).of_tests == {"noise": 1.0}
+    alone = group_budget(budgeted(measured(1.0)))
+    assert (alone.of_tests, alone.of_mean) == ({}, {})
+    assert group_budget(GroupNumber("k", "N/m", None, {}, {})).of_mean == {}
+    assert group_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}
 
 
 def test_the_mean_is_made_of_scatter_and_what_is_common() -> None:
@@ -339,22 +295,11 @@ def test_the_mean_is_made_of_scatter_and_what_is_common() -> None:
     assert sum(found.of_mean.values()) == pytest.approx(1.0)
 
 
-def test_nothing_to_tell() -> None:
-    alone = group_budget(budgeted(measured(1.0)))
-    assert (alone.of_tests, alone.of_mean) == ({}, {})
-    none = GroupNumber("k", "N/m", None, {}, {})
-    assert group_budget(none).of_mean == {}
-    assert group_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("number", ["7", "12", "19"]),
-        ("taping", ["none", "coarse", "half-lap"]),
-        ("conduit", ["none", "corrugated-tube", "twist-tube-5", "twist-tube-10"]),
-        ("cured", ["not said", "2 h", "24 h"]),
-    ],
-)
-def test_words_have_an_order(name: str, words: list[str]) -> None:
-    assert sorted(sorted(words), key=lambda word: field_order(name, word)) == words
+def test_words_have_an_order() -> None:
+    for name, words in {
+        "number": ["7", "12", "19"],
+        "taping": ["none", "coarse", "half-lap"],
+        "conduit": ["none", "corrugated-tube", "twist-tube-5", "twist-tube-10"],
+        "cured": ["not said", "2 h", "24 h"],
+    }.items():
+        assert sorted(sorted(words), key=lambda word, name=name: field_order(name, word)) == words

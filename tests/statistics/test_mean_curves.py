@@ -36,18 +36,12 @@ def test_only_where_every_curve_has_data() -> None:
     np.testing.assert_allclose(shared.force[1], 2e3 * shared.displacement, rtol=1e-12)
 
 
-def test_two_curves_have_a_pointwise_band_only() -> None:
+def test_bands_of_two_and_of_three_curves() -> None:
+    """Pointwise of two; curves that differ in slope alone hang on one number, so have one band."""
     band = mean_band(common_curves([line(1e3), line(1.2e3)]), over="spool means")
     np.testing.assert_allclose(band.upper - band.mean, 12.7062 * 100 * band.displacement, rtol=1e-5)
     assert np.isnan(band.upper_all).all()
-    assert str(band.reason) == (
-        "two_curves: no simultaneous band over two spool means, which may cross and then show no "
-        "scatter at all"
-    )
-
-
-def test_curves_that_differ_in_slope_alone_have_one_band() -> None:
-    # The whole curve hangs on one number, so both bands are that of t with 2 degrees of freedom.
+    assert str(band.reason).startswith("two_curves: no simultaneous band over two spool means")
     band = mean_band(common_curves([line(slope, 0.001) for slope in (1e3, 1.1e3, 1.3e3)]))
     np.testing.assert_allclose(band.upper_all, band.upper, rtol=1e-4)
 
@@ -98,17 +92,8 @@ def test_three_curves_have_intervals_at_three_displacements() -> None:
     middle = band.marks[1]
     assert 0.5 * (band.upper - band.lower)[middle] == pytest.approx(float(half[0]), rel=0.05)
     assert np.isnan(band.lower_all).all()
-    assert str(band.reason) == (
-        "few_curves: 3 samples are too few for a band, which needs 6; the mean has its interval at"
-        " three displacements"
-    )
-
-
-def test_six_curves_have_their_bands() -> None:
     band = built([make("s1", at, 50.0 + at) for at in range(6)]).band
-    assert band.reason is None
-    assert band.has_area
-    assert not len(band.marks)
+    assert (band.reason, band.has_area, len(band.marks)) == (None, True, 0)
     assert np.isfinite(band.upper_all).all()
 
 

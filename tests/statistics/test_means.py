@@ -25,7 +25,7 @@ from labpipe.statistics.means import (
     smallest_p,
     spool_scatter,
 )
-from labpipe.statistics.shared_causes import widened_by, with_shared
+from labpipe.statistics.shared_causes import with_shared
 from labpipe.statistics.two_groups import (
     contrast_of,
     difference_of_means,
@@ -41,28 +41,21 @@ def test_no_samples_and_one_sample_say_so() -> None:
     none, one = mean_interval([], "sample"), mean_interval([3.0], "spool")
     assert np.isnan(none.mean)
     assert none.interval is None
-    assert str(none.reason) == "no_samples: there is no sample to average"
+    assert str(none.reason).startswith("no_samples: ")
     assert (one.mean, one.interval, one.n) == (3.0, None, 1)
-    assert (
-        str(one.reason)
-        == "one_sample: an interval needs the scatter of two values, there is one spool"
-    )
+    assert str(one.reason).endswith("scatter of two values, there is one spool")
+    scatter = spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
+    assert np.isnan([scatter.within, scatter.between, scatter.share]).all()
+    assert scatter.share_upper == 1.0
 
 
 @given(VALUES, st.floats(-1e3, 1e3), st.floats(0.1, 10.0))
 def test_moves_and_scales_with_its_values(values: list[float], shift: float, scale: float) -> None:
     first = mean_interval(values)
     second = mean_interval([scale * value + shift for value in reversed(values)])
-    assert first.interval is not None
-    assert second.interval is not None
     assert second.n == first.n == len(values)
-    assert second.mean == pytest.approx(scale * first.mean + shift, rel=1e-9, abs=1e-6)
-    assert second.interval.lower == pytest.approx(
-        scale * first.interval.lower + shift, rel=1e-9, abs=1e-6
-    )
-    assert second.interval.upper == pytest.approx(
-        scale * first.interval.upper + shift, rel=1e-9, abs=1e-6
-    )
+    expected = [scale * number + shift for number in (first.mean, *ends(first))]
+    assert [second.mean, *ends(second)] == pytest.approx(expected, rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.parametrize("n", [2, 3, 5, 6])
@@ -73,14 +66,6 @@ def test_interval_covers(n: int) -> None:
         assert found is not None
         hits += found.lower <= 7.0 <= found.upper
     assert binomtest(hits, runs, 0.95).pvalue > 0.01, hits
-
-
-COUNTS = st.lists(st.integers(1, 4), min_size=1, max_size=4)
-
-
-def draw(counts: list[int], seed: int) -> dict[str, list[float]]:
-    rng = np.random.default_rng(seed)
-    return {f"s{at}": rng.normal(50.0, 3.0, count).tolist() for at, count in enumerate(counts)}
 
 
 def test_spools_count_alike() -> None:
@@ -119,26 +104,15 @@ def test_upper_limit_of_the_share_holds(counts: tuple[int, ...], share: float) -
     assert binomtest(hits, runs, 0.95).pvalue > 0.01, hits
 
 
-def test_no_spool_with_two_samples() -> None:
-    scatter = spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
-    assert np.isnan([scatter.within, scatter.between, scatter.share]).all()
-    assert scatter.share_upper == 1.0
-
-
-def test_few_samples_give_an_exact_p() -> None:
-    # 2 of the 20 ways to deal six samples out to two spools keep them apart like this.
+def test_smallest_p_of_few_samples() -> None:
+    """2 of the 20 ways to deal six samples out to two spools keep them apart."""
     assert equal_spools_p([np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0])]) == 0.1
-
-
-@pytest.mark.parametrize(
-    ("counts", "expected"),
-    [((3, 3), 0.1), ((2, 3), 0.2), ((2, 2), 1 / 3), ((2, 2, 2), 1 / 15), ((9, 9), 0.001)],
-)
-def test_smallest_p_of_few_samples(counts: tuple[int, ...], expected: float) -> None:
-    assert smallest_p(counts) == pytest.approx(expected)
+    chances = {(3, 3): 0.1, (2, 3): 0.2, (2, 2): 1 / 3, (2, 2, 2): 1 / 15, (9, 9): 0.001}
+    assert {counts: smallest_p(counts) for counts in chances} == pytest.approx(chances)
 
 
 def ends(mean: MeanInterval) -> tuple[float, float]:
+    """Of the interval of a mean."""
     assert mean.interval is not None
     return mean.interval.lower, mean.interval.upper
 
@@ -160,26 +134,18 @@ def test_nothing_is_put_where_there_is_no_interval_or_no_positive_middle() -> No
 
 
 def test_what_a_rig_shares_is_in_it() -> None:
-    results = [
-        Result(
-            "k",
-            value,
-            "N/m",
-            method="m",
-            budget=(Contribution("scale of the force", 0.5, is_common=True),),
-            reasons=(),
-        )
+    base = bundle_sample(None, 1)
+    common = (Contribution("scale of the force", 0.5, is_common=True),)
+    samples = [
+        replace(base, test=f"{value}", results=(Result("k", value, "N/m", budget=common),))
         for value in (9.0, 10.0, 14.0)
     ]
-    base = bundle_sample(None, 1)
-    samples = [replace(base, test=str(at), results=(result,)) for at, result in enumerate(results)]
-    number = group_number("k", samples)
-    assert number.mean is not None
     half = np.hypot(stats.t.ppf(0.975, 2) * np.sqrt(7.0 / 3.0), stats.norm.ppf(0.975) * 0.5)
-    assert ends(number.mean.chosen) == pytest.approx((11 / exp(half / 11), 11 * exp(half / 11)))
-    signed = group_number("k", samples, is_signed=True)
-    assert signed.mean is not None
-    assert ends(signed.mean.chosen) == pytest.approx((11.0 - half, 11.0 + half))
+    on_a_log_scale = (11 / exp(half / 11), 11 * exp(half / 11))
+    for is_signed, expected in ((False, on_a_log_scale), (True, (11.0 - half, 11.0 + half))):
+        number = group_number("k", samples, is_signed=is_signed)
+        assert number.mean is not None
+        assert ends(number.mean.chosen) == pytest.approx(expected)
 
 
 def test_a_value_that_is_not_positive_keeps_the_scale_linear() -> None:
@@ -187,10 +153,6 @@ def test_a_value_that_is_not_positive_keeps_the_scale_linear() -> None:
     assert can_be_on_a_log_scale([base, replace(base, estimate=0.9)])
     assert not can_be_on_a_log_scale([base, replace(base, value=0.0)])
     assert not can_be_on_a_log_scale([replace(base, estimate=-0.1)])
-
-
-def _mean(values: list[float]) -> NestedMean:
-    return on_log_scale(nested_mean({"a": values}))
 
 
 T_1, NORMAL = 12.7062047362, 1.9599639845
@@ -210,36 +172,29 @@ def averaged(spools: Mapping[str, list[Result]]) -> NestedMean:
     return with_shared(nested_mean(values), spools)
 
 
-def ends_of(mean: MeanInterval | None) -> tuple[float, float]:
-    assert mean is not None
-    assert mean.interval is not None
-    return mean.interval.lower, mean.interval.upper
-
-
 def test_a_cause_that_all_share_is_added_in_quadrature() -> None:
-    """10 and 12: s / sqrt(n) = 1, so 11 -+ 12.7 of the scatter; 0.3 and 0.5 have the mean 0.4."""
-    found = averaged({"a": [measured(10.0, force=3.0), measured(12.0, force=5.0)]})
-    assert found.chosen.common == (Contribution("scale of the force", 4.0, is_common=True),)
+    """10 and 12: s / sqrt(n) = 1, so 11 -+ 12.7 of the scatter; 0.3 and 0.5 have the mean 0.4.
+
+    Changes keep their signs: +0.3 and -0.1 of the frame leave 0.1, and 0.4 of the force with them
+    sqrt(0.17).
+    """
+    mean = averaged({"a": [measured(10.0, force=3.0), measured(12.0, force=5.0)]})
+    assert mean.chosen.common == (Contribution("scale of the force", 4.0, is_common=True),)
     half = hypot(T_1, 4.0 * NORMAL)
-    assert ends_of(found.chosen) == pytest.approx((11.0 - half, 11.0 + half))
-    assert (found.chosen.mean, found.chosen.estimate) == (11.0, None)
-    assert found.chosen.deviation == pytest.approx(np.sqrt(2.0))
-    assert found.decision.because[-1].endswith("what all tests of a rig share: scale of the force")
-
-
-def test_changes_keep_their_signs_and_causes_are_independent() -> None:
-    """Of the frame +0.3 and -0.1 leave 0.1; with 0.4 of the force sqrt(0.17)."""
+    assert ends(mean.chosen) == pytest.approx((11.0 - half, 11.0 + half))
+    assert (mean.chosen.mean, mean.chosen.estimate) == (11.0, None)
+    assert mean.chosen.deviation == pytest.approx(np.sqrt(2.0))
+    assert mean.decision.because[-1].endswith("what all tests of a rig share: scale of the force")
     spool = [measured(10.0, force=0.4, frame=0.3), measured(12.0, force=0.4, frame=-0.1)]
-    found = averaged({"a": spool}).chosen
     half = hypot(T_1, NORMAL * np.sqrt(0.17))
-    assert ends_of(found) == pytest.approx((11.0 - half, 11.0 + half))
+    assert ends(averaged({"a": spool}).chosen) == pytest.approx((11.0 - half, 11.0 + half))
 
 
 def test_the_interval_lies_about_the_estimates() -> None:
     """Noise adds 1 and 3 to the largest samples: 2 on average."""
     found = averaged({"a": [measured(10.0, off=1.0), measured(12.0, off=3.0)]})
     assert (found.chosen.mean, found.chosen.estimate) == (11.0, 9.0)
-    assert ends_of(found.chosen) == pytest.approx((9.0 - T_1, 9.0 + T_1))
+    assert ends(found.chosen) == pytest.approx((9.0 - T_1, 9.0 + T_1))
     assert not found.chosen.common
     assert "share" not in str(found.decision)
 
@@ -255,8 +210,8 @@ def test_a_gain_acts_on_both_groups_alike() -> None:
     found = difference_of_means(one, two)
     assert found.common[0].change == pytest.approx(0.03)
     plain = difference_of_means(mean_interval([99.0, 101.0]), mean_interval([109.0, 111.0]))
-    half = hypot(ends_of(plain)[1] - 10.0, 0.03 * NORMAL)
-    assert ends_of(found) == pytest.approx((10.0 - half, 10.0 + half))
+    half = hypot(ends(plain)[1] - 10.0, 0.03 * NORMAL)
+    assert ends(found) == pytest.approx((10.0 - half, 10.0 + half))
 
 
 @pytest.mark.parametrize("change", [0.0, 2.0])
@@ -272,17 +227,3 @@ def test_equivalence_where_the_interval_ends(change: float) -> None:
     assert equivalence_p(replace(contrast, margin=1e9)) < 1e-6
     assert contrast.degrees == degrees
     assert difference_p(replace(contrast, between=half)) == pytest.approx(0.1)
-
-
-@pytest.mark.parametrize(("n", "shared"), [(2, 1.0), (3, 3.0), (6, 0.3), (6, 1.0)])
-def test_how_often_the_widened_interval_holds_the_mean(n: int, shared: float) -> None:
-    """Values scatter by 1 and are off together by `shared` / sqrt(n); 4000 groups know 0.4 %."""
-    rng = np.random.default_rng(1729)
-    together = shared / np.sqrt(n)
-    held = 0
-    for values in rng.normal(0.0, 1.0, (4000, n)) + rng.normal(0.0, together, (4000, 1)):
-        interval = mean_interval(values).interval
-        assert interval is not None
-        wide = widened_by(interval, [Contribution("scale of the force", together)])
-        held += wide.lower <= 0.0 <= wide.upper
-    assert 0.94 <= held / 4000 <= 0.99

@@ -64,6 +64,9 @@ def test_interval_is_that_of_welch() -> None:
     assert found.interval.lower == pytest.approx(ends.low, rel=1e-12)
     assert found.interval.upper == pytest.approx(ends.high, rel=1e-12)
     assert found.n == 7
+    single = difference_of_means(mean_interval(FIRST), mean_interval([1.0], "sample"))
+    assert single.interval is None
+    assert str(single.reason).startswith("one_sample: ")
     assert difference_p(linear(FIRST, SECOND)) == pytest.approx(expected.pvalue, rel=1e-9)
 
 
@@ -98,31 +101,30 @@ def test_a_ratio_by_hand() -> None:
 
 
 def test_nothing_scatters() -> None:
-    same = linear([1.0, 1.0], [2.0, 2.0])
-    assert (half_of(same), difference_p(same)) == (0.0, 0.0)
-    assert equivalence_p(linear([1.0, 1.0], [2.0, 2.0], 2.0)) == 0.0
-    assert equivalence_p(linear([1.0, 1.0], [2.0, 2.0], 0.5)) == 1.0
+    same = [1.0, 1.0], [2.0, 2.0]
+    assert (half_of(linear(*same)), difference_p(linear(*same))) == (0.0, 0.0)
+    assert (equivalence_p(linear(*same, 2.0)), equivalence_p(linear(*same, 0.5))) == (0.0, 1.0)
     assert difference_p(linear([1.0, 1.0], [1.0, 1.0])) == 1.0
 
 
-def test_verdicts_of_one_comparison() -> None:
-    said = alone(compared(FIRST, SECOND))
-    assert said.verdict is Verdict.DIFFERENT
-    assert said.words == (
-        "different: p = 0.025; one and two: one spool, so how spools differ is not in it"
-    )
-    assert alone(compared(FIRST, NEAR, 0.1)).why.startswith("within 10 %: p = ")
-    assert alone(compared(FIRST, NEAR, 0.1)).verdict is Verdict.EQUIVALENT
-    both = alone(compared(FIRST, SECOND, 0.5))
-    assert both.verdict is Verdict.EQUIVALENT
-    assert both.why.startswith("a real difference, but within 50 %: p = ")
-    none = alone(compared(FIRST, NEAR))
-    assert none.words.startswith("cannot tell: the interval holds zero, and no margin is stated;")
-    close = alone(compared(FIRST, NEAR, 0.01))
-    assert close.verdict is Verdict.CANNOT_TELL
-    assert close.why == "the interval holds zero, not shown to be within 1 %"
-    wider = alone(compared(FIRST, NEAR, 0.03))
-    assert wider.why.endswith("within 3 %; with this scatter n = 22 in each group would tell")
+@pytest.mark.parametrize(
+    ("second", "margin", "verdict", "message"),
+    [
+        (SECOND, None, Verdict.DIFFERENT, "different: p = 0.025; one and two: one spool, so how"),
+        (NEAR, 0.1, Verdict.EQUIVALENT, ": within 10 %: p = "),
+        (SECOND, 0.5, Verdict.EQUIVALENT, "a real difference, but within 50 %: p = "),
+        (NEAR, None, Verdict.CANNOT_TELL, "the interval holds zero, and no margin is stated;"),
+        (NEAR, 0.01, Verdict.CANNOT_TELL, "the interval holds zero, not shown to be within 1 %"),
+        (NEAR, 0.03, Verdict.CANNOT_TELL, "with this scatter n = 22 in each group would tell"),
+        ([1.0], None, Verdict.CANNOT_TELL, "an interval needs the scatter of two values, there"),
+    ],
+)
+def test_verdicts_of_one_comparison(
+    second: list[float], margin: float | None, verdict: Verdict, message: str
+) -> None:
+    difference = alone(compared(FIRST, second, margin))
+    assert difference.verdict is verdict
+    assert message in difference.words
 
 
 def test_many_comparisons_are_corrected() -> None:
@@ -222,18 +224,20 @@ def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
     }
 
 
-def test_too_few_samples_are_said() -> None:
-    assert not mark_outliers(*one_spool([1.0, 100.0]))
-    assert not mark_outliers({}, {})
+def test_what_has_no_outliers() -> None:
+    """Too few samples, equal values and NaN; of an exact fit the one that is off is one."""
+    for values in ([1.0, 100.0], [], [2.0] * 4, [1.0, 2.0, 3.0, nan]):
+        assert not mark_outliers(*one_spool(values))
+    assert [mark.sample for mark in mark_outliers(*one_spool([2.0] * 4 + [3.0]))] == ["t4"]
     assert too_few_for_outliers(["a", "a", "a"]) == ""
-    assert too_few_for_outliers(["a", "a", "b"]) == (
-        "too_few_samples: 3 samples of 2 spools, outliers are found from 4 on"
+    assert too_few_for_outliers(["a", "a", "b"]).startswith(
+        "too_few_samples: 3 samples of 2 spools"
     )
 
 
-@pytest.mark.parametrize("counts", [(3,), (6,), (3, 3), (20,)])
+@pytest.mark.parametrize("counts", [(3,), (6,), (3, 3)])
 def test_false_marks_are_as_rare_as_said(counts: tuple[int, ...]) -> None:
-    rng, runs, marked = np.random.default_rng(4), 2000, 0
+    rng, runs, marked = np.random.default_rng(4), 1000, 0
     names = [f"{spool}-{index}" for spool, count in enumerate(counts) for index in range(count)]
     spools = {name: name.partition("-")[0] for name in names}
     for _ in range(runs):
@@ -273,35 +277,11 @@ def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
     assert 0.01 < suspect.p < 0.04
     alone = with_outliers([group_of("A", {"k": odd})])
     assert marks(alone) == [("k", "A-4")]
+    is_set = [replace(number, is_set_by_rig=True) for number in alone[0].numbers]
+    unmarked = [replace(number, outliers=()) for number in is_set]
+    assert not marks(with_outliers([replace(alone[0], numbers=tuple(unmarked))]))
     more = {"k": odd, **{f"n{at}": plain for at in range(9)}}
     assert not marks(with_outliers([group_of("A", more)]))
     surer = {**more, "k": [1.0, 1.1, 0.9, 1.05, 9.0]}
     found = with_outliers([group_of("A", surer)])
     assert marks(found) == [("k", "A-4")]
-
-
-def test_no_interval_no_verdict() -> None:
-    found = difference_of_means(mean_interval(FIRST), mean_interval([1.0], "sample"))
-    assert found.interval is None
-    assert str(found.reason).startswith("one_sample: ")
-    assert contrast_of(mean_interval(FIRST), mean_interval([1.0])) is None
-    said = alone(compared(FIRST, [1.0]))
-    assert said.verdict is Verdict.CANNOT_TELL
-    assert said.why == "an interval needs the scatter of two values, there is one sample"
-
-
-def test_equal_values_and_nan() -> None:
-    assert not mark_outliers(*one_spool([2.0, 2.0, 2.0, 2.0]))
-    assert not mark_outliers(*one_spool([1.0, 2.0, 3.0, float("nan")]))
-
-
-def test_an_exact_fit_but_for_one() -> None:
-    (found,) = mark_outliers(*one_spool([2.0, 2.0, 2.0, 2.0, 3.0]))
-    assert found.sample == "t4"
-
-
-def test_what_the_rig_sets_is_not_tested() -> None:
-    group = group_of("A", {"k": [1.0, 1.1, 0.9, 1.05, 9.0]})
-    is_set = [replace(number, is_set_by_rig=True) for number in group.numbers]
-    assert not marks(with_outliers([replace(group, numbers=tuple(is_set))]))
-    assert marks(with_outliers([group]))

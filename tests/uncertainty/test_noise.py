@@ -20,28 +20,16 @@ from labpipe.uncertainty.autocorrelation import (
     limits_by_noise,
     long_run_variance,
     slowest_cosines,
-    smooth_stretches,
 )
 from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
 
 
-def test_white_noise_has_its_plain_variance() -> None:
-    found = [
-        long_run_variance(np.random.default_rng(seed).normal(0, 2.0, 800), parameters=1)
-        for seed in range(200)
-    ]
-    assert np.mean(found) == pytest.approx(4.0, rel=0.08)
-
-
-def test_autoregressive_noise() -> None:
-    rng, factor, found = np.random.default_rng(1), 0.5, []
-    for _ in range(100):
-        values = np.zeros(2000)
-        for i, kick in enumerate(rng.normal(size=1999), start=1):
-            values[i] = factor * values[i - 1] + kick
-        found.append(long_run_variance(values, parameters=1))
-    # Long-run variance of AR(1): s^2 / (1 - a)^2 = 4.
-    assert np.mean(found) == pytest.approx(4.0, rel=0.1)
+def test_long_run_variance() -> None:
+    """White noise has its plain one; that of AR(1) is s^2 / (1 - a)^2 = 4 as well."""
+    kicks = np.random.default_rng(1).normal(size=(100, 2000))
+    for rows in (2.0 * kicks, lfilter([1.0], [1.0, -0.5], kicks)):
+        variances = [long_run_variance(row, parameters=1) for row in rows]
+        assert np.mean(variances) == pytest.approx(4.0, rel=0.08)
 
 
 def test_fast_noise_does_not_see_the_curve() -> None:
@@ -66,7 +54,7 @@ def noise(seed: int, count: int, memory: float) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -factor], kicks)[200:], dtype=np.float64)
 
 
-@pytest.mark.parametrize("count", [5, 2001, 52_000, 76_001, 79_979])
+@pytest.mark.parametrize("count", [5, 2001, 76_001])
 def test_slowest_cosines(count: int) -> None:
     random = np.random.default_rng(1)
     rows = np.stack([random.normal(size=count), np.full(count, count**-0.5), np.arange(count)])
@@ -75,18 +63,6 @@ def test_slowest_cosines(count: int) -> None:
     expected = dct(rows, norm="ortho")[:, :terms]
     scale = np.abs(expected).max()
     np.testing.assert_allclose(slowest_cosines(rows, terms), expected, rtol=0, atol=1e-13 * scale)
-
-
-def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
-    values = 0.1 * noise(0, 820, 3.0) + 0.01 * np.arange(820.0)
-    assert len(smooth_stretches(values)) == 8
-    values[500:] += 3.0
-    values[650:] += 1.0 * np.arange(170.0)
-    values[100] = np.nan
-    found = smooth_stretches(values)
-    assert len(found) == 6
-    assert all(len(finding) == 100 for finding in found)
-    assert smooth_stretches(values[:99]) == ()
 
 
 def test_covariance_of_short_windows_is_exact() -> None:
@@ -102,19 +78,14 @@ def test_covariance_of_short_windows_is_exact() -> None:
     assert covariance[-1] == pytest.approx(basis @ mixed @ basis.T, rel=1e-9, abs=1e-12)
 
 
-def columns(count: int) -> Floats:
-    x = np.linspace(-1.0, 1.0, count)
-    return np.column_stack([np.ones(count), 1e-3 * x, 40.0 * np.maximum(x - 0.2, 0.0)])
-
-
-@pytest.mark.parametrize("count", [30, 9_999, 10_001, 60_000])
+@pytest.mark.parametrize("count", [30, 9_999, 10_001])
 def test_basis_is_orthonormal_and_spans_the_columns(count: int) -> None:
-    design = columns(count)
+    x = np.linspace(-1.0, 1.0, count)
+    design = np.column_stack([np.ones(count), 1e-3 * x, 40.0 * np.maximum(x - 0.2, 0.0)])
     basis, to_coefficients = orthonormal(design)
     np.testing.assert_allclose(basis @ basis.T, np.eye(3), rtol=0, atol=1e-14)
     wanted = np.array([2.0, -5e3, 0.3])
-    found = to_coefficients @ (basis @ (design @ wanted))
-    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+    np.testing.assert_allclose(to_coefficients @ (basis @ (design @ wanted)), wanted, rtol=1e-12)
 
 
 def test_too_few_samples() -> None:
@@ -124,8 +95,7 @@ def test_too_few_samples() -> None:
         fit_linear(np.eye(2), np.ones(2), beside=[np.arange(100.0)])
 
 
-@pytest.mark.parametrize("freedom", [2, 5, 40])
-@pytest.mark.parametrize("offset", [0.0, 2.0])
+@pytest.mark.parametrize(("freedom", "offset"), [(2, 2.0), (40, 0.0)])
 def test_half_widths_hold_95_percent_of_a_mixture(freedom: int, offset: float) -> None:
     """Of t-distributions of the deviations 1 and 3, the second perhaps moved aside."""
     noise = Noise(np.array([0.6, 0.4]), np.ones(2), freedom)

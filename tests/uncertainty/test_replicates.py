@@ -29,24 +29,15 @@ def test_a_cubic_is_its_own_smooth_curve() -> None:
     assert smooth_curve(uneven, cubic(uneven), [], 12) == pytest.approx(cubic(uneven), abs=1e-9)
 
 
-def test_every_piece_has_a_cubic_of_its_own() -> None:
-    """With a jump and a change of slope at samples 300 and 720."""
-    values = np.where(TIME < 3.0, cubic(TIME), -50.0 * TIME)
-    values = np.where(TIME < 7.2, values, 300.0 + TIME**2)
-    found = smooth_curve(TIME, values, [300, 720], 12)
-    assert found == pytest.approx(values, abs=1e-8)
-    assert np.abs(smooth_curve(TIME, values, [], 12) - values).max() > 1.0
-
-
 @pytest.mark.parametrize(
     ("count", "parts", "columns"), [(160, 12, 15), (160, 40, 23), (3000, 12, 15)]
 )
 def test_freedom_of_the_spline(count: int, parts: int, columns: int) -> None:
     """A projection on p columns leaves p / n of the variance; an interval has 8 samples or more."""
     time: Floats = 1000.0 + np.arange(float(count))
-    rows = RNG(1).normal(size=(600, count))
+    rows = RNG(1).normal(size=(200, count))
     left = np.array([smooth_curve(time, row, [], parts) for row in rows])
-    assert np.sum(left**2) / 600 == pytest.approx(columns, rel=0.06)
+    assert np.sum(left**2) / 200 == pytest.approx(columns, rel=0.06)
 
 
 def test_a_short_piece_is_a_line() -> None:
@@ -66,27 +57,20 @@ def unmoved(trace: Trace, x: float) -> Trace:
 
 
 @pytest.mark.parametrize(
-    ("law", "low", "high", "mean", "deviation"),
-    [
-        ("normal", -np.inf, np.inf, 0.0, 1.0),
-        ("uniform", -(3.0**0.5), 3.0**0.5, 0.0, 1.0),
-        ("step", -1.0, 0.0, -0.5, 12.0**-0.5),
-    ],
+    ("law", "low", "high"),
+    [("normal", -9.0, 9.0), ("uniform", -1.7321, 1.7321), ("step", -1.0, 0.0)],
 )
-def test_draws_of_an_input(
-    law: Law, low: float, high: float, mean: float, deviation: float
-) -> None:
+def test_draws_of_an_input(law: Law, low: float, high: float) -> None:
+    """Few of a normal one are beyond 1.96, none of a rectangle."""
     given = Input("zero of the force", unmoved, law=law)
-    found = replicates_of(trace_of(TIME)).draws(given)
-    assert found.shape == (COUNT,)
-    assert low <= found.min() < found.max() <= high
-    assert np.mean(found) == pytest.approx(mean, abs=0.01)
-    assert np.std(found) == pytest.approx(deviation, rel=0.02)
-    # Few of a normal one are beyond 1.96, none of a rectangle.
-    share = np.mean(np.abs(found - mean) > 1.96 * deviation)
+    drawn = replicates_of(trace_of(TIME)).draws(given)
+    mean, deviation = (-0.5, 12.0**-0.5) if law == "step" else (0.0, 1.0)
+    assert drawn.shape == (COUNT,)
+    assert low <= drawn.min() < drawn.max() <= high
+    assert (np.mean(drawn), given.deviation) == pytest.approx((mean, deviation), abs=0.01)
+    assert np.std(drawn) == pytest.approx(deviation, rel=0.02)
+    share = np.mean(np.abs(drawn - mean) > 1.96 * deviation)
     assert share == pytest.approx(0.05 if law == "normal" else 0.0, abs=0.004)
-    wanted = 12.0**-0.5 if law == "step" else 1.0
-    assert given.deviation == pytest.approx(wanted)
 
 
 def test_replicates_scatter_about_the_smooth_curve() -> None:
@@ -105,31 +89,18 @@ def test_replicates_scatter_about_the_smooth_curve() -> None:
     assert np.array_equal(found.measured.force, force)
 
 
-def test_what_is_left_of_a_specimen_is_not_its_noise() -> None:
-    """It swings after the break, 20 times as far."""
-    force = 10.0 * TIME + RNG(0).normal(size=1000)
-    force[600:] = 20.0 * RNG(1).normal(size=400)
-    found = replicates_of(trace_of(force, failed_at=599), cuts=[600])
-    off = found.force[:, :600] - found.smooth.force[:600]
+@pytest.mark.parametrize(("cuts", "swings"), [([6], 1.0), ([6, 12], 1.0), ([600], 20.0)])
+def test_noise_of_a_specimen_that_broke(cuts: list[int], swings: float) -> None:
+    """Six samples say nothing, nor do twice six; what follows them does.
+
+    Else what is left of a specimen is not its noise: it swings 20 times as far.
+    """
+    force, end = RNG(0).normal(size=1000), cuts[-1]
+    force[:end] += np.arange(float(end))
+    force[end:] *= swings
+    made = replicates_of(trace_of(force, failed_at=end - 1), cuts=cuts)
+    off = (made.force - made.smooth.force)[:, : end if swings > 1.0 else None]
     assert np.std(off) == pytest.approx(1.0, rel=0.15)
-
-
-@pytest.mark.parametrize("cuts", [[6], [6, 12]])
-def test_noise_of_a_specimen_that_broke_at_once(cuts: list[int]) -> None:
-    """Six samples say nothing, nor do twice six; what follows them does."""
-    force = RNG(0).normal(size=1000)
-    force[: cuts[-1]] += np.arange(float(cuts[-1]))
-    found = replicates_of(trace_of(force, failed_at=cuts[-1] - 1), cuts=cuts)
-    assert np.std(found.force - found.smooth.force) == pytest.approx(1.0, rel=0.2)
-
-
-@pytest.mark.slow
-def test_compliance_is_taken_off_with_the_noise_of_the_force() -> None:
-    """10 um/N and noise of 1 N: 10 um of the displacement, against that of the force."""
-    force = 10.0 * TIME + RNG(0).normal(size=1000)
-    found = replicates_of(trace_of(force, TIME), compliance=1e-5)
-    assert found.smooth.displacement == pytest.approx(TIME - 1e-5 * found.smooth.force, abs=1e-9)
-    assert found.displacement == pytest.approx(TIME - 1e-5 * found.force, abs=1e-9)
 
 
 def test_a_rest_without_a_course_is_its_mean() -> None:
@@ -151,7 +122,7 @@ def test_a_rest_without_a_course_is_its_mean() -> None:
 SAMPLES = np.arange(600.0)
 
 
-@pytest.mark.parametrize("late", [-0.9, -0.3, 0.0, 0.4, 0.8])
+@pytest.mark.parametrize("late", [-0.9, 0.0, 0.4])
 def test_no_piece_runs_past_a_turn(late: float) -> None:
     """Up to a stand, and down from it: the cuts are whole samples, the corners are not."""
     corners = np.array([0.0, 199.5 + late, 399.5 + late, 599.0])
@@ -225,11 +196,6 @@ def test_the_variance_is_that_of_a_walk() -> None:
     assert spread[125:] == pytest.approx(0.3 * np.sqrt(RECORD_TIME[125:] / 50.0), rel=0.1)
 
 
-def overlaps() -> tuple[list[np.ndarray], list[np.ndarray]]:
-    one, two, three = drift_modes(RECORD_TIME, 1.0)
-    return [one, one, two], [two, three, three]
-
-
 TRACE = trace_of(np.array([1.0, 2.0, 6.0]), np.array([0.0, 1.0, 2.0]), sizes={"length": 4.0})
 
 
@@ -268,6 +234,9 @@ def test_a_number_is_made_of_the_first_of_each_part() -> None:
     assert isinstance(found, Reading)
     assert found.n == 3
     assert found.numbers(TRACE)[0] == 6.0 / 2.0 * 4.0
+    why, later = Failure("no_peak", "none"), Failure("no_reach", "none")
+    assert combined(shared, largest, lambda _: later)(TRACE) is later
+    assert combined(shared, lambda _: why, lambda _: later)(TRACE) is why
     force = np.array([[1.0, 2.0, 3.0], [2.0, 8.0, 4.0]])
     way = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 4.0]])
     many = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
@@ -289,12 +258,6 @@ def test_in_noise_each_part_is_read_as_in_noise() -> None:
     assert isinstance(found, Reading)
     assert found.numbers(TRACE)[0] == 12.0
     assert found.drawn(TRACE)[0] == 2.0
-
-
-def test_without_one_part_there_is_no_number() -> None:
-    why, later = Failure("no_peak", "none"), Failure("no_reach", "none")
-    assert combined(shared, largest, lambda _: later)(TRACE) is later
-    assert combined(shared, lambda _: why, lambda _: later)(TRACE) is why
 
 
 def test_draws_that_are_given_and_displacements_from_elsewhere() -> None:
