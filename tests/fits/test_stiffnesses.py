@@ -353,6 +353,7 @@ def test_slope_by_hand() -> None:
 
 
 def test_every_row_has_its_own_line() -> None:
+    """No travel and no rise are no number."""
     x = np.array([[0.0, 1.0, 2.0], [0.0, 2.0, 4.0]])
     y = np.array([[1.0, 2.0, 6.0], [1.0, 2.0, 6.0]])
     np.testing.assert_allclose(slope_of_line(x, y), [2.5, 1.25])
@@ -360,12 +361,9 @@ def test_every_row_has_its_own_line() -> None:
     np.testing.assert_allclose(slope_of_line(x[0], y[np.newaxis]), [[2.5, 2.5]])
     # means 1 and 3 of x and y: 1 - 3 / 2.5, and 2 - 3 / 1.25
     np.testing.assert_allclose(zero_of_line(x, y), [-0.2, -0.4])
-
-
-def test_no_travel_and_no_rise_are_no_number() -> None:
-    x, y = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 2.0]]), np.array([3.0, 2.0, 1.0])
-    np.testing.assert_array_equal(slope_of_line(x, y), [np.nan, -1.0])
-    assert np.isnan(zero_of_line(x, y)).all()
+    still, falls = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 2.0]]), np.array([3.0, 2.0, 1.0])
+    np.testing.assert_array_equal(slope_of_line(still, falls), [np.nan, -1.0])
+    assert np.isnan(zero_of_line(still, falls)).all()
 
 
 def test_weights_give_the_polynomial_of_numpy() -> None:

@@ -237,23 +237,20 @@ def test_replicates_that_bend_far_more_do_not_hide_a_bend(sense: float) -> None:
 
 def test_a_break_that_may_be_an_end() -> None:
     """One replicate in forty within two places of an end: the interval has no end there."""
-    hinges = hinges_of(D, F)
+    hinges, plain = hinges_of(D, F), segments(0.011, 5000.0, 2700.0)
     step = (D[-8] - D[7]) / 299
-    slopes = 5000.0 + np.arange(40) % 2, np.full(40, 2700.0)
-    plain = segments(0.011, 5000.0, 2700.0)
-    for end, sense in ((D[7], 1.0), (D[-8], -1.0)):
-        at = np.full(40, 0.011)
-        at[3] = end + 2.1 * sense * step
-        assert bend_of(plain, segments(at, *slopes), hinges) is None
-        at[3] = end + 1.9 * sense * step
-        found = bend_of(plain, segments(at, *slopes), hinges)
-        assert found == Failure(
-            "no_bend", "the break may be at an end of the stretch, 0.002 to 0.02 m"
-        )
-        assert (
-            bend_of(plain, segments(np.append(at, 0.011), *([*x, x[0]] for x in slopes)), hinges)
-            is None
-        )
+    first = 5000.0 + np.arange(41) % 2
+    why = Failure("no_bend", "the break may be at an end of the stretch, 0.002 to 0.02 m")
+
+    def bend(place: float, count: int) -> Failure | None:
+        at = np.full(count, 0.011)
+        at[3] = place
+        return bend_of(plain, segments(at, first[:count], np.full(count, 2700.0)), hinges)
+
+    for end, inwards in ((D[7], step), (D[-8], -step)):
+        assert bend(end + 2.1 * inwards, 40) is None
+        assert bend(end + 1.9 * inwards, 40) == why
+        assert bend(end + 1.9 * inwards, 41) is None
 
 
 def test_an_interval_of_the_break_that_ends_at_an_end() -> None:

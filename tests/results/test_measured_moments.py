@@ -334,42 +334,34 @@ EVIDENCE = AtRest(ahead=0.0, sag=0.0, reach=5e-3, weight=WEIGHT, lowest=-1e-4, e
 NAN = float("nan")
 
 
-@pytest.mark.parametrize(
-    ("ahead", "sag", "lowest", "slackened", "state"),
-    [
-        (0.0, 0.0, -0.008, NAN, "taut"),
-        (0.0, 0.0, 0.0, NAN, "taut"),
-        (0.0, 5.5e-3, 0.0, NAN, "slack"),  # it just spans
-        (1.2e-3, 5.5e-3, 0.0, NAN, "slack"),
-        (1.2e-3, 0.1e-3, 0.0, NAN, "off the wire"),
-        (1.2e-3, 1.5e-3, 0.0, NAN, "unknown"),
-        (1.2e-3, 0.0, -0.02, NAN, "taut"),  # the clamp had play
-        (0.0, 2e-3, 0.0, NAN, "unknown"),  # a curled wire, or half of its weight held
-        (0.0, 2e-3, -0.008, NAN, "taut"),  # a curled wire
-        (0.0, 5e-3, -0.008, NAN, "unknown"),
-        (0.0, -4e-3, 0.0, NAN, "unknown"),
-        (0.0, 0.0, -0.026, -0.026, "taut"),
-        (0.0, 2e-3, -0.026, -0.026, "taut"),
-        (0.0, 2.5e-3, -0.013, -0.013, "part"),
-        (0.0, 5e-3, 0.0, 0.0, "slack"),
-        (0.0, 0.0, 0.0, 0.0, "off the wire"),
-        (0.0, NAN, 0.0, NAN, "unknown"),
-        (NAN, NAN, NAN, NAN, "unknown"),
+AHEAD_SAG_LOWEST_AND_SLACKENED = {
+    "taut": [
+        *((0.0, 0.0, -8.0, NAN), (0.0, 0.0, 0.0, NAN), (0.0, 0.0, -26.0, -26.0)),
+        *((1.2, 0.0, -20.0, NAN), (0.0, 2.0, -8.0, NAN), (0.0, 2.0, -26.0, -26.0)),
     ],
-)
-def test_what_the_evidence_says(
-    ahead: float, sag: float, lowest: float, slackened: float, state: str
-) -> None:
+    "slack": [(0.0, 5.5, 0.0, NAN), (1.2, 5.5, 0.0, NAN), (0.0, 5.0, 0.0, 0.0)],
+    "off the wire": [(1.2, 0.1, 0.0, NAN), (0.0, 0.0, 0.0, 0.0)],
+    "part": [(0.0, 2.5, -13.0, -13.0)],
+    "unknown": [
+        *((1.2, 1.5, 0.0, NAN), (0.0, 2.0, 0.0, NAN), (0.0, 5.0, -8.0, NAN)),
+        *((0.0, -4.0, 0.0, NAN), (0.0, NAN, 0.0, NAN), (NAN, NAN, NAN, NAN)),
+    ],
+}
+"""In mm and mN: the clamp had play, a wire is curled, the string just spans, part is held."""
+
+
+@pytest.mark.parametrize("state", AHEAD_SAG_LOWEST_AND_SLACKENED)
+def test_what_the_evidence_says(state: str) -> None:
     """The force of a slack string before its lowest force, that before the clamp, then the sag."""
-    found = replace(EVIDENCE, ahead=ahead, sag=sag, lowest=lowest, slackened=slackened)
-    assert found.state == state
-    stiff = replace(found, reach=0.2e-3)  # hangs too little to be told by its sag
-    assert np.isnan(stiff.share)
-    assert (found.why_not_straight == "") is (
-        state in ("taut", "off the wire")
-        or (state == "unknown" and ahead == 0.0 and sag < 4e-3)
-        or bool(np.isnan(sag))
-    )
+    for numbers in AHEAD_SAG_LOWEST_AND_SLACKENED[state]:
+        ahead, sag, lowest, slackened = (1e-3 * number for number in numbers)
+        rest = replace(EVIDENCE, ahead=ahead, sag=sag, lowest=lowest, slackened=slackened)
+        assert rest.state == state
+        straight = state in ("taut", "off the wire") or bool(np.isnan(sag))
+        straight |= state == "unknown" and ahead == 0.0 and sag < 4e-3
+        assert (rest.why_not_straight == "") is straight
+        stiff = replace(rest, reach=0.2e-3)  # hangs too little to be told by its sag
+        assert np.isnan(stiff.share)
 
 
 TAUT_REST = AtRest(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.0084, error=1e-4)

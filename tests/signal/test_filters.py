@@ -55,14 +55,12 @@ def test_window_out_of_range(window: int) -> None:
         moving_average(np.zeros(9), window=window)
 
 
-@pytest.mark.parametrize(
-    ("span", "count", "window"),
-    [(0.05, 2650, 133), (5, 100, 5), (6, 100, 5), (6.9, 100, 5), (500, 12, 11), (0.001, 9, 1)],
-)
-def test_window_length_is_that_of_smooth(span: float, count: int, window: int) -> None:
-    assert window_length(span, count) == window
-    with pytest.raises(ValueError, match=f"span=0, count={count}: expected a positive span"):
-        window_length(0, count)
+def test_window_length_is_that_of_smooth() -> None:
+    lengths = {(0.05, 2650): 133, (5, 100): 5, (6, 100): 5, (6.9, 100): 5, (500, 12): 11}
+    lengths[0.001, 9] = 1
+    assert {key: window_length(*key) for key in lengths} == lengths
+    with pytest.raises(ValueError, match="span=0, count=5: expected a positive span"):
+        window_length(0, 5)
 
 
 def test_seconds_to_window() -> None:
@@ -130,12 +128,11 @@ def test_many_rows_are_smoothed_as_each_alone() -> None:
         np.testing.assert_allclose(Smoothing(window)(rows), alone, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("window", "ratio", "coarse"),
-    [(101, 1, 101), (101, 5, 21), (9, 2, 5), (5, 2, 3), (3, 2, 1), (3, 50, 1), (5, 1 / 3, 15)],
-)
-def test_a_coarser_window_is_the_nearest_odd_one(window: int, ratio: float, coarse: int) -> None:
-    assert Smoothing(window).coarser(ratio) == Smoothing(coarse)
+def test_a_coarser_window_is_the_nearest_odd_one() -> None:
+    windows = {(101, 1.0): 101, (101, 5.0): 21, (9, 2.0): 5, (5, 2.0): 3, (3, 2.0): 1}
+    windows |= {(3, 50.0): 1, (5, 1.0 / 3.0): 15}
+    for (window, ratio), coarse in windows.items():
+        assert Smoothing(window).coarser(ratio) == Smoothing(coarse)
 
 
 def test_a_cutoff_too_fast_for_coarse_samples_does_nothing() -> None:
