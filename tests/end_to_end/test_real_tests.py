@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from labpipe.cli import main
-from labpipe.records.curve import PointFlag
 from labpipe.store.read import read_result
 from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, state
@@ -63,10 +62,6 @@ def soft_arm(realdata: Path, tmp_path_factory: pytest.TempPathFactory) -> Lab:
 
 
 RINGS = ("SA-base", "SA-low", "SA-middle", "SA-up")
-MERGED = {1: "Unlabeled 1366", 2: "Unlabeled 1364", 3: "Unlabeled 1365"}
-"""The nearest unlabelled track where each marker of the base comes back: 0.02 mm to 6 mm off,
-the others 51 mm and more."""
-FIRST_LABELLED = 3932
 
 
 def ring_centres(labels: list[str], positions: np.ndarray) -> list[np.ndarray]:
@@ -99,24 +94,6 @@ def test_shapes_of_the_soft_arm(soft_arm: Lab) -> None:
             np.testing.assert_allclose(found[seen], true[seen], rtol=0, atol=1e-9)
     names = {path.name for path in (soft_arm.processed / "figures").iterdir()}
     assert {"wire-shapes.svg", "marker-quality.svg"} <= names
-
-
-def test_labels_that_switch_are_undone_and_flagged(soft_arm: Lab) -> None:
-    result = read_result(soft_arm.result)
-    shape = result.shape
-    assert shape is not None
-    relabelled = shape.flags == PointFlag.RELABELLED
-    assert relabelled[:FIRST_LABELLED, 0].all()
-    assert not relabelled[FIRST_LABELLED:].any()
-    assert not relabelled[:, 1:].any()
-    said = [note.message for note in result.quality if note.code == "unlabelled_merged"]
-    for number, track in MERGED.items():
-        assert any(
-            f"SA-base:Marker{number} was labelled as {track}, frames 0 to 3931" in sentence
-            for sentence in said
-        )
-    merged = {note["message"] for note in soft_arm.summary["quality"]}
-    assert set(said) <= merged
 
 
 SPANS = {"1": 12.8, "1b": 12.8, "2": 12.8, "3": 73.6, "4": 40.0, "5": 57.6, "6": 76.8, "7": 96.0}

@@ -63,13 +63,6 @@ def test_a_centre_is_as_certain_as_its_least_certain_marker() -> None:
     assert rings.flags[4:8, 0].tolist() == [1, PointFlag.RELABELLED, PointFlag.FILLED, 1]
 
 
-@pytest.mark.parametrize("members", [(), ("low:0", "high:1")])
-def test_a_ring_of_unknown_markers_is_refused(members: tuple[str, ...]) -> None:
-    tracks = repaired(turning_ring(3)[0])
-    with pytest.raises(ValueError, match=r"ring low=\[.*\]: expected markers out of"):
-        ring_centres(tracks, {"low": members})
-
-
 STILL = (0.0, 0.0, 1e-9)
 
 
@@ -91,14 +84,6 @@ def test_frame_and_sections() -> None:
     assert np.nanmax(found.markers[..., 1]) > 0.9 * STROKE
 
 
-def test_too_few_markers_and_markers_that_stand_still() -> None:
-    made, rest = take()
-    with pytest.raises(ValueError, match="2 markers seen at rest: expected at least 3"):
-        find_sections(made.positions[:, :2], rest=rest, apart=0.004)
-    with pytest.raises(ValueError, match="the markers do not move: expected a specimen that is"):
-        find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], apart=0.004)
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     made, rest = take()
@@ -111,18 +96,17 @@ def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     assert -sign * axis[1] > 0.0
 
 
-def test_twist_of_a_section_and_none_of_one_row() -> None:
-    made, rest = take(twist=0.08)
-    found = find_sections(made.positions, rest=rest, apart=0.004)
-    twist, lever = section_twist(found, np.zeros((len(rest), 15)), radius=RADIUS)
-    assert np.nanmax(np.abs(twist[:, 7])) == pytest.approx(0.08, abs=1e-3)
-    assert np.allclose(lever, RADIUS * np.sin(np.radians(35.0)) * np.sqrt(2.0), rtol=1e-3)
-
-    made, rest = take(angles=(np.radians(90.0),))
-    found = find_sections(made.positions, rest=rest, apart=0.004)
-    twist, lever = section_twist(found, np.zeros((len(rest), 15)), radius=RADIUS)
-    assert np.isnan(twist).all()
-    assert not lever.any()
+@pytest.mark.parametrize("rows", [2, 1])
+def test_twist_of_a_section_and_none_of_one_row(rows: int) -> None:
+    made, rest = take(twist=0.08) if rows == 2 else take(angles=(np.radians(90.0),))
+    sections = find_sections(made.positions, rest=rest, apart=0.004)
+    twist, lever = section_twist(sections, np.zeros((len(rest), 15)), radius=RADIUS)
+    if rows == 2:
+        assert np.nanmax(np.abs(twist[:, 7])) == pytest.approx(0.08, abs=1e-3)
+        assert np.allclose(lever, RADIUS * np.sin(np.radians(35.0)) * np.sqrt(2.0), rtol=1e-3)
+    else:
+        assert np.isnan(twist).all()
+        assert not lever.any()
 
 
 PLACES = 0.0127 * np.arange(-7.0, 8.0)
@@ -194,25 +178,30 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     assert found.side_share < 0.02
 
 
-@pytest.mark.parametrize(
-    ("count", "message"),
-    [
-        (16, r"mm of mid-span: expected some 45.72 mm away on both sides"),
-        (10, "5 sections with markers: expected at least 6"),
-    ],
-)
-def test_too_few_sections(count: int, message: str) -> None:
-    made = tracks(BendingRecord(), np.random.default_rng(0))
-    rest = np.asarray(made.time < 2.0)
-    sections = find_sections(made.positions[:, :count], rest=rest, apart=0.004)
-    bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
-    with pytest.raises(ValueError, match=message):
-        fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=bent_most)
-
-
 def test_beyond_its_grid_an_axis_goes_on_straight() -> None:
     """A sine of 0.6 is a slope of 0.75 everywhere."""
     grid = np.linspace(-1.0, 1.0, 11)
     x = np.array([[-1.1, -1.0, 0.0, 0.55, 1.0, 1.2]])
     _, y = _linearised(np.array([[0.6, 0.2]]), np.ones((11, 1)), grid, x)
     assert y == pytest.approx(0.2 + 0.75 * x)
+
+
+def test_what_makes_no_sections() -> None:
+    """Unknown members of a ring, too few markers, none that moves, too few sections."""
+    ring = repaired(turning_ring(3)[0])
+    for members in ((), ("low:0", "high:1")):
+        with pytest.raises(ValueError, match=r"ring low=\[.*\]: expected markers out of"):
+            ring_centres(ring, {"low": members})
+    made, rest = take()
+    with pytest.raises(ValueError, match="2 markers seen at rest: expected at least 3"):
+        find_sections(made.positions[:, :2], rest=rest, apart=0.004)
+    with pytest.raises(ValueError, match="the markers do not move: expected a specimen that is"):
+        find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], apart=0.004)
+    bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
+    for count, message in (
+        (16, r"mm of mid-span: expected some 45.72 mm away on both sides"),
+        (10, "5 sections with markers: expected at least 6"),
+    ):
+        sections = find_sections(made.positions[:, :count], rest=rest, apart=0.004)
+        with pytest.raises(ValueError, match=message):
+            fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=bent_most)

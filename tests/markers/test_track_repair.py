@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.markers.track_repair import RepairedTracks, repair_tracks
-from labpipe.markers.tracklets import Tracklets
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
 from tests.approved import Approve
@@ -66,9 +65,8 @@ def test_any_permutation_of_labels_is_undone(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 300), (200, 350), (250, 600)])
-@pytest.mark.parametrize("name", ["Unlabeled 1364"])
-def test_an_unlabelled_track_is_given_back_to_its_marker(start: int, stop: int, name: str) -> None:
-    take = wire_take()
+def test_an_unlabelled_track_is_given_back_to_its_marker(start: int, stop: int) -> None:
+    take, name = wire_take(), "Unlabeled 1364"
     truth = take.tracks.positions
     mixed = blank_columns(truth, 1)
     mixed[start:stop, 6], mixed[start:stop, 4] = truth[start:stop, 4], np.nan
@@ -151,20 +149,6 @@ def test_a_reflection_is_dropped_and_told() -> None:
     np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=2e-4)
 
 
-def test_a_marker_missing_throughout_is_left_out() -> None:
-    take = wire_take()
-    blank = take.tracks.positions.copy()
-    blank[:, 1] = np.nan
-    repaired = repair(with_positions(take, blank))
-    assert repaired.names == ("M1", "M3", "M4", "M5", "M6")
-    assert message(repaired, "marker_missing") == "M2 is missing in every frame and was left out"
-
-
-def _turned(take: WireTake, rotation: Floats, shift: Floats) -> WireTake:
-    tracks = marker_tracks(take.tracks.names, take.tracks.positions @ rotation.T + shift)
-    return WireTake(tracks, take.clamp @ rotation.T + shift)
-
-
 @pytest.mark.realdata
 def test_soft_arm_take(realdata: Path) -> None:
     from labpipe.readers import read_export
@@ -228,9 +212,6 @@ def test_what_cannot_be_repaired(take: WireTake, changes: dict[str, float], mess
         repair(take, **changes)
 
 
-NONE = Tracklets(*(np.zeros(0, dtype=np.int64) for _ in range(3)))
-
-
 def test_two_orphans_at_once_are_not_given_to_anyone() -> None:
     take = wire_take()
     truth = take.tracks.positions
@@ -260,6 +241,8 @@ def test_notes_on_repairs(approved: Approve) -> None:
     for ghost in range(15):
         path = np.linspace(1, 1.001, 5)[:, None]
         ghosts[40 * ghost : 40 * ghost + 5, 6 + ghost] = path
+    missing = truth.copy()
+    missing[:, 1] = np.nan
     nameless = blank_columns(truth, 2)
     nameless[200:, 6], nameless[200:, 0] = truth[200:, 0], np.nan
     nameless[50:90, 7] = 0.5
@@ -271,7 +254,9 @@ def test_notes_on_repairs(approved: Approve) -> None:
         "two stand-ins": repair(with_positions(take, stand_ins, *names[:2])),
         "fifteen ghosts": repair(with_positions(take, ghosts, *names)),
         "without names": bare,
+        "a marker missing throughout": repair(with_positions(take, missing)),
     }
+    assert repairs["a marker missing throughout"].names == ("M1", "M3", "M4", "M5", "M6")
     np.testing.assert_array_equal(repairs["a jump that stays"].positions, jumped)
     np.testing.assert_allclose(repairs["two stand-ins"].positions, truth, atol=2e-4)
     assert bare.names == names[:6]

@@ -144,15 +144,14 @@ def test_of_two_images_equally_near_neither_is_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["Unlabeled 12", "Unlabeled:108", "unlabelled", "Take:Unlabeled 4"]
+    ("name", "expected"),
+    [
+        *((name, True) for name in ("Unlabeled 12", "unlabelled", "Take:Unlabeled 4")),
+        *((name, False) for name in ("M1", "SA-low:Marker1", "tip (Unlabeled 3)")),
+    ],
 )
-def test_names_the_program_gave_for_want_of_better(name: str) -> None:
-    assert is_unlabelled(name)
-
-
-@pytest.mark.parametrize("name", ["M1", "SA-low:Marker1", "tip (Unlabeled 3)"])
-def test_names_that_mean_something(name: str) -> None:
-    assert not is_unlabelled(name)
+def test_names_the_program_gave_for_want_of_better(name: str, expected: bool) -> None:
+    assert is_unlabelled(name) == expected
 
 
 def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> Naming:
@@ -168,28 +167,30 @@ def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> Nam
     )
 
 
-def test_the_first_settled_label_names_the_chain() -> None:
-    found = name([(0, 0, 0, 5), (0, 1, 5, 30), (0, 2, 30, 100)], ("A", "B", "C"))
-    assert list(found.markers) == [1]
+FIRST = [(0, 0, 0, 20), (1, 1, 0, 30), (0, 1, 30, 100)]
+"""A settles first; B is cut where the chain of A goes on under its label."""
+NAMED = {
+    "the first settled label": ([(0, 0, 0, 5), (0, 1, 5, 30), (0, 2, 30, 100)], {1: [0]}, [], []),
+    "the other goes to the only free marker": (
+        *([*FIRST, (2, 0, 40, 100)], {0: [0], 1: [0, 40]}, [], []),
+    ),
+    "two free markers": (
+        [*FIRST[:2], (3, 2, 0, 30), FIRST[2], (2, 0, 40, 100)],
+        *({0: [0], 1: [0], 2: [0]}, [40], []),
+    ),
+    "a glitch is no marker": ([*FIRST, (2, 0, 40, 45)], {0: [0], 1: [0]}, [], [40]),
+}
 
 
-def test_the_longer_of_two_keeps_the_name_and_the_other_goes_to_the_free_marker() -> None:
-    pieces = [(0, 0, 0, 20), (1, 1, 0, 30), (0, 1, 30, 100), (2, 0, 40, 100)]
-    found = name(pieces, ("A", "B"))
-    assert [chain.start for chain in found.markers[1]] == [0, 40]
-    assert [label for label, _ in found.eliminated] == [1]
-
-
-def test_with_two_free_markers_nothing_is_decided() -> None:
-    pieces = [(0, 0, 0, 20), (1, 1, 0, 30), (3, 2, 0, 30), (0, 1, 30, 100), (2, 0, 40, 100)]
-    found = name(pieces, ("A", "B", "C"))
-    assert found.eliminated == ()
-    assert [chain.start for chain in found.doubtful] == [40]
-
-
-def test_a_glitch_is_no_marker() -> None:
-    pieces = [(0, 0, 0, 20), (1, 1, 0, 30), (0, 1, 30, 100), (2, 0, 40, 45)]
-    found = name(pieces, ("A", "B"))
-    assert found.eliminated == ()
-    assert found.doubtful == ()
-    assert [chain.start for chain in found.leftover] == [40]
+@pytest.mark.parametrize("case", NAMED)
+def test_which_marker_a_chain_is(case: str) -> None:
+    """Starts of the chains of each marker, of doubtful chains and of those left over."""
+    pieces, markers, doubtful, leftover = NAMED[case]
+    names = ("A", "B", "C")[: 1 + max(column for _, column, _, _ in pieces)]
+    naming = name(pieces, names)
+    starts = {label: [chain.start for chain in of] for label, of in naming.markers.items()}
+    assert starts == markers
+    assert [chain.start for chain in naming.doubtful] == doubtful
+    assert [chain.start for chain in naming.leftover] == leftover
+    by_elimination = [label for label, _ in naming.eliminated]
+    assert by_elimination == ([1] if "only free" in case else [])

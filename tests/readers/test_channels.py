@@ -166,7 +166,7 @@ NOTED: list[tuple[Floats, dict[str, str]]] = [
     ),
     (
         np.array([0.0, 1.0, np.nan]),
-        {"time_not_increasing": "1 time stamps are no numbers, the first at sample 3"},
+        {"time_not_finite": "1 time stamps are no numbers, the first at sample 3"},
     ),
 ]
 
@@ -177,7 +177,9 @@ def test_what_is_noted_of_a_clock(time: Floats, expected: dict[str, str]) -> Non
     assert {code: messages.get(code) for code in expected} == expected
     assert bool(messages) == bool(expected)
     for note in clock_notes(Clock("time", time)):
-        assert (note.severity is Severity.ERROR) == (note.code == "time_not_increasing")
+        assert (note.severity is Severity.ERROR) == (
+            note.code in ("time_not_increasing", "time_not_finite")
+        )
 
 
 def test_a_step_that_is_not_the_nominal_one() -> None:
