@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from labpipe.law.sliders import linear_moment_law
-from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Balance, Demands, LineMemory, Shape
-from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane
-from labpipe.rod.line import Section
-from labpipe.rod.plane_contact import added_at, pull_strings, touch_plane
+from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane
+from labpipe.rod.line import Line, Section
+from labpipe.rod.plane_contact import pull_strings, touch_plane
 from labpipe.rod.ring_contact import nearest_place, point_at, thread
 from labpipe.rod.rotations import (
     conjugate,
@@ -23,6 +22,7 @@ from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.statics import RodSettings, follow
 from labpipe.rod.supports import Grip, supports_of
 from labpipe.studies.residual_curvature import kept_curvature
+from tests.approved import Approve
 from tests.builders.rods import (
     LENGTH,
     STIFFNESS,
@@ -61,33 +61,27 @@ def test_nothing_depends_on_the_order_of_the_nodes() -> None:
     for before, behind in zip(plain.states, other.states, strict=True):
         np.testing.assert_allclose(behind.positions[::-1], before.positions, atol=1e-9 * LENGTH)
         np.testing.assert_allclose(behind.forces[::-1], -before.forces, atol=1e-9)
-        np.testing.assert_allclose(
-            np.linalg.norm(behind.rests[::-1, ::-1], axis=3),
-            np.linalg.norm(before.rests, axis=3),
-            atol=1e-9 * 5.0,
+        sizes = (
+            np.linalg.norm(rests, axis=3) for rests in (behind.rests[::-1, ::-1], before.rests)
         )
+        np.testing.assert_allclose(*sizes, atol=1e-9 * 5.0)
         np.testing.assert_allclose(behind.reaction_forces, before.reaction_forces, atol=1e-9)
     np.testing.assert_allclose(other.lost, plain.lost, atol=1e-9 * plain.lost[-1])
 
 
-def test_a_line_that_does_not_stretch_keeps_its_length() -> None:
-    line, boundaries = space_case()
-    path = walked(line, boundaries, 6)
-    for state in path.states:
-        np.testing.assert_allclose(element_lengths(state), line.lengths, rtol=1e-8)
-
-
-def test_forces_and_moments_balance() -> None:
+def test_forces_and_moments_balance_and_lengths_are_kept() -> None:
     """Over the line as a whole, and over each element about its first node."""
     line, boundaries = space_case()
     state = walked(line, boundaries, 6).last
+    np.testing.assert_allclose(element_lengths(state), line.lengths, rtol=1e-8)
+    across = np.hypot(state.node_curvatures[..., 0], state.node_curvatures[..., 1])
+    np.testing.assert_allclose(state.bendings, across.max(axis=1))
     loads = np.zeros((13, 3))
     loads[4] = (0.0, 0.02, -0.01)
     loads[1:, 2] -= 0.02 * 9.81 * line.lengths / 2.0
     loads[:-1, 2] -= 0.02 * 9.81 * line.lengths / 2.0
-    np.testing.assert_allclose(
-        loads.sum(axis=0) + state.reaction_forces[:2].sum(axis=0), 0.0, atol=1e-9
-    )
+    total = loads.sum(axis=0) + state.reaction_forces[:2].sum(axis=0)
+    np.testing.assert_allclose(total, 0.0, atol=1e-9)
     arms = np.cross(state.positions, loads).sum(axis=0)
     ends = np.cross(state.positions[[0, -1]], state.reaction_forces[:2]).sum(axis=0)
     np.testing.assert_allclose(arms + ends + state.reaction_moments[:2].sum(axis=0), 0.0, atol=1e-9)
@@ -141,7 +135,7 @@ def test_a_moment_rolls_a_circle_to_second_order() -> None:
 def test_a_curled_wire_held_at_one_end_is_a_circle_to_second_order() -> None:
     """Straight at the start, without weight; its half cell at the clamp is curled as well."""
     curl, errors = 3.0 / LENGTH, []
-    for n in (10, 20, 40, 80):
+    for n in (10, 20, 40):
         straight = straight_line(LENGTH, n, linear_section())
         line = replace(straight, natural=np.tile([0.0, curl, 0.0], (n - 1, 1)))
         state = walked(line, [Held(0, line.positions[0], line.frames[0])], 1).last
@@ -152,9 +146,7 @@ def test_a_curled_wire_held_at_one_end_is_a_circle_to_second_order() -> None:
     np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4.0, rtol=0.01)
 
 
-@pytest.mark.parametrize(
-    ("torsion", "first"), [(0.3, 9), (0.8, 12), (3.0, 18)], ids=["soft", "middle", "stiff"]
-)
+@pytest.mark.parametrize(("torsion", "first"), [(0.3, 9), (3.0, 18)], ids=["soft", "stiff"])
 def test_a_circle_rolled_by_a_moment_of_constant_direction_would_whirl(
     torsion: float, first: int
 ) -> None:
@@ -162,26 +154,21 @@ def test_a_circle_rolled_by_a_moment_of_constant_direction_would_whirl(
     line = straight_line(LENGTH, 20, linear_section(torsion=torsion * STIFFNESS))
     moment = ramp((0.0, 2.0 * np.pi * STIFFNESS / LENGTH, 0.0), 20)
     path = follow(line, [clamp(line), Moment(-1, moment)], steps=20)
-    assert path.status == "doubtful"
+    assert (path.status, path.snapped) == ("doubtful", ())
     assert [(reason.code, reason.step) for reason in path.reasons] == [("whirls", first)]
-    assert path.reasons[0].sentence == (
-        f"step {first}: the equilibrium is not stable, and moments of constant direction set the "
-        "line whirling; it gives way most at node 20"
-    )
-    assert path.snapped == ()
+    assert path.reasons[0].sentence.endswith("line whirling; it gives way most at node 20")
 
 
 def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
     line, boundaries = space_case()
     whole = walked(line, boundaries, 6)
-    held = boundaries[1]
+    first, held, load, weight = boundaries
     assert isinstance(held, Held)
     assert held.frame is not None
-    load, weight = boundaries[2], boundaries[3]
     assert isinstance(load, Load)
     assert isinstance(weight, Gravity)
     rest = [
-        boundaries[0],
+        first,
         Held(-1, held.position[3:], held.frame[3:]),
         Load(load.node, load.force[3:]),
         Gravity(weight.vector[3:]),
@@ -189,20 +176,6 @@ def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
     again = follow(line, rest, steps=3, start=whole.states[3])
     np.testing.assert_allclose(again.last.positions, whole.last.positions, atol=1e-9)
     np.testing.assert_allclose(again.last.rests, whole.last.rests, atol=1e-7)
-
-
-@pytest.mark.slow
-def test_a_column_buckles_beyond_its_critical_load_only() -> None:
-    line = straight_line(LENGTH, 30, linear_section())
-    critical = np.pi**2 * STIFFNESS / (4.0 * LENGTH**2)
-    straight = walked(line, [clamp(line), Load(-1, ramp((-0.998 * critical, 0.0, 0.0), 3))], 3)
-    assert straight.snapped == ()
-    assert straight.last.positions[-1] == pytest.approx([LENGTH, 0.0, 0.0], abs=1e-9)
-    # Timoshenko and Gere, Theory of Elastic Stability, table 2-4: at 1.063 of it, 40 degrees
-    bent = walked(line, [clamp(line), Load(-1, ramp((-1.063 * critical, 0.0, 0.0), 3))], 3)
-    assert bent.snapped == (3,)
-    assert bent.last.positions[-1, 0] / LENGTH == pytest.approx(0.881, abs=2e-3)
-    assert np.linalg.norm(bent.last.positions[-1, 1:]) / LENGTH == pytest.approx(0.422, abs=3e-3)
 
 
 @pytest.mark.slow
@@ -216,14 +189,6 @@ def test_what_stays_unstable_is_said_once_and_walked_on() -> None:
     assert [(reason.code, reason.step) for reason in path.reasons] == [("unstable", 10)]
 
 
-def test_an_equilibrium_that_is_not_checked_may_be_unstable() -> None:
-    line = straight_line(LENGTH, 10, linear_section())
-    load = Load(-1, ramp((-2.0 * np.pi**2 * STIFFNESS / (4.0 * LENGTH**2), 0.0, 0.0), 3))
-    settings = RodSettings(checks_stability=False)
-    path = follow(line, [clamp(line), load], steps=3, settings=settings)
-    assert path.last.positions[-1] == pytest.approx([LENGTH, 0.0, 0.0], abs=1e-9)
-
-
 @pytest.mark.parametrize("node", [-1, 5])
 def test_what_is_let_go_springs_back_in_part(node: int) -> None:
     line = straight_line(LENGTH, 10, sliding_section())
@@ -233,10 +198,11 @@ def test_what_is_let_go_springs_back_in_part(node: int) -> None:
     grip = Held(node, np.concatenate([way, way[-1:]]), release=6)
     path = walked(line, [clamp(line), grip], 6)
     before, behind = path.states[5], path.states[6]
+    np.testing.assert_allclose(behind.forces, 0.0, atol=1e-9)
+    np.testing.assert_allclose(behind.moments, 0.0, atol=1e-9)
     np.testing.assert_allclose(behind.reaction_forces[1], 0.0, atol=1e-12)
     np.testing.assert_allclose(behind.reaction_moments[0], 0.0, atol=1e-9)
     assert 0.02 * reach < behind.positions[node, 1] < 0.9 * before.positions[node, 1]
-    assert path.lost[-1] > path.lost[-2] or path.snapped == ()
 
 
 @pytest.mark.slow
@@ -279,22 +245,10 @@ def test_what_a_line_keeps_that_is_let_go_does_not_hang_on_the_steps() -> None:
         np.testing.assert_allclose(there, here, atol=0.01 * LENGTH)
 
 
-def test_a_clamp_that_lets_go_leaves_no_moment() -> None:
-    line = straight_line(LENGTH, 10, sliding_section())
-    frames = multiply(from_rotation_vectors(ramp((0.0, 0.0, 0.8), 5)), line.frames[-1:])
-    way = line.positions[-1] + ramp((-0.05, 0.15, 0.0), 5)
-    grip = Held(-1, np.append(way, way[-1:], 0), np.append(frames, frames[-1:], 0), release=6)
-    path = walked(line, [clamp(line), grip], 6)
-    np.testing.assert_allclose(path.last.forces, 0.0, atol=1e-9)
-    np.testing.assert_allclose(path.last.moments, 0.0, atol=1e-9)
-    assert np.max(path.last.bendings) > 0.05
-
-
-@pytest.mark.parametrize("start", [0.0, 3e-3])
-def test_a_heavy_line_lies_on_a_table_with_its_axis_a_radius_above(start: float) -> None:
+def test_a_heavy_line_lies_on_a_table_with_its_axis_a_radius_above() -> None:
     """Drawn along it, it pulls by 0.4 of its weight, as a line without thickness would."""
     section = replace(linear_section(mass=0.2), diameter=6e-3)
-    line = straight_line(LENGTH, 20, section, start=(0.0, 0.0, start))
+    line = straight_line(LENGTH, 20, section)
     drawn = Held(0, np.array([0.0, 0.0, 3e-3]) + ramp((-0.05, 0.0, 0.0), 4))
     path = walked(line, [Plane(np.zeros(3), friction=0.4), Gravity(), drawn], 4)
     weight = 0.2 * LENGTH * 9.81 * 39.0 / 40.0  # the grip carries that of half an element
@@ -303,16 +257,6 @@ def test_a_heavy_line_lies_on_a_table_with_its_axis_a_radius_above(start: float)
         assert state.reaction_forces[0, 2] == pytest.approx(weight)
     assert path.last.reaction_forces[2, 0] == pytest.approx(-0.4 * weight)
     assert path.last.positions[-1, 0] == pytest.approx(LENGTH - 0.05)
-
-
-def test_bends_beyond_the_law_are_doubtful_and_said_once() -> None:
-    line = straight_line(LENGTH, 10, Section(linear_moment_law(STIFFNESS, 2.0), 8e-4))
-    load = Load(-1, ramp((0.0, 0.02, 0.0), 5))
-    path = follow(line, [clamp(line), load], steps=5)
-    assert path.status == "doubtful"
-    assert [reason.code for reason in path.reasons] == ["beyond_law"]
-    assert path.reasons[0].node == 0
-    assert len(path.states) == 6
 
 
 def test_faults_of_boundaries_are_said() -> None:
@@ -325,147 +269,57 @@ def test_faults_of_boundaries_are_said() -> None:
         follow(line, [clamp(line), Held(0, line.positions[0])], steps=2)
 
 
-def test_a_path_ends_with_its_last_state() -> None:
-    path = walked(*space_case(steps=2), 2)
-    assert path.last is path.states[-1]
-    assert len(path.work) == len(path.states) == 3
-
-
-@pytest.mark.slow
-def test_a_walk_without_a_state_has_no_last_one() -> None:
-    """A line that nothing holds falls."""
-    line = straight_line(LENGTH, 5, linear_section(mass=0.1))
-    path = follow(line, [Gravity()], steps=1)
-    assert path.status == "failed"
-    with pytest.raises(ValueError, match="no state was reached: step 0: no equilibrium follows"):
-        _ = path.last
-
-
-def test_bendings_are_the_larger_of_both_sides_without_the_twist() -> None:
-    state = walked(*space_case(steps=2), 2).last
-    across = np.hypot(state.node_curvatures[..., 0], state.node_curvatures[..., 1])
-    np.testing.assert_allclose(state.bendings, across.max(axis=1))
-    assert state.bendings.shape == (13,)
-
-
-def test_a_line_too_short_for_its_clips_fails_with_step_and_nodes() -> None:
-    line = straight_line(LENGTH, 10, linear_section())
-    way = line.positions[-1] + ramp((0.04, 0.0, 0.0), 4) + (-0.025, 0.0, 0.0)
-    path = follow(line, [clamp(line), Held(-1, way)], steps=4)
-    assert path.status == "failed"
-    assert len(path.states) == 3
-    (reason,) = path.reasons
-    assert (reason.code, reason.step, reason.node) == ("too_short", 3, 10)
-    assert reason.sentence == (
-        "step 3: between nodes 0 and 10 the line is 0.5 m long, and the places that hold them are "
-        "0.505 m apart"
-    )
-
-
-@pytest.mark.parametrize("row", [0, 2])
-def test_a_taut_line_that_keeps_its_length_cannot_be_pulled(row: int) -> None:
-    line = straight_line(LENGTH, 10, linear_section(mass=0.05))
-    slack: Floats = np.full((4, 1), 0.02)
-    slack[row] = 0.0
-    way = line.positions[-1] - slack * np.array([1.0, 0.0, 0.0])
-    path = follow(line, [clamp(line), Held(-1, way), Gravity()], steps=3)
-    assert (path.status, len(path.states)) == ("failed", row)
-    reason = path.reasons[0]
-    assert (reason.code, reason.step, reason.node) == ("taut", row, 10)
-    assert reason.sentence == (
-        f"step {row}: between nodes 0 and 10 the line is taut, 0.5 m long between places just as "
-        "far apart, and no tension can be told that balances its weight and loads: bring these on "
-        "as the places come together, make the line longer, or give it an axial stiffness"
-    )
-
-
 def test_a_taut_line_may_lie_without_weight_or_stretch() -> None:
+    """With a stretch or a slack of 1e-6 it hangs as a parabola."""
     bare = straight_line(LENGTH, 10, linear_section())
     load = Load(0, np.array([0.0, 0.0, -1.0]))
-    assert follow(bare, [clamp(bare), clamp(bare, -1), load], steps=1).status == "ok"
-    law = linear_moment_law(1e-9, 1e6)
-    section = Section(law, 1e-9, axial_stiffness=1e3, mass_per_length=0.05)
-    line = straight_line(LENGTH, 40, section)
-    path = follow(
-        line, [Held(0, line.positions[0]), Held(-1, line.positions[-1]), Gravity()], steps=1
-    )
-    assert path.status == "ok", path.reasons
-    # a parabola: H = (EA w^2 L^2 / 24)^(1/3)
+    walked(bare, [clamp(bare), clamp(bare, -1), load], 1)
     weight = 0.05 * 9.81
+    section = Section(linear_moment_law(1e-9, 1e6), 1e-9, axial_stiffness=1e3, mass_per_length=0.05)
+    line = straight_line(LENGTH, 40, section)
+    pins = [Held(node, line.positions[node]) for node in (0, -1)]
+    hung = walked(line, [*pins, Gravity()], 1).last
     pull = (1e3 * weight**2 * LENGTH**2 / 24.0) ** (1.0 / 3.0)
-    assert path.last.forces[20, 0] == pytest.approx(pull, rel=2e-3)
-
-
-def test_a_line_with_hardly_any_slack_hangs_as_a_parabola() -> None:
-    """Slack of 1e-6: it sags by L sqrt(3 slack / 8), and pulls by w L / (8 sag)."""
+    assert hung.forces[20, 0] == pytest.approx(pull, rel=2e-3)
     line = straight_line(LENGTH, 40, linear_section(1e-6, torsion=1e-6, mass=0.05))
-    way = line.positions[-1] + ramp((-1e-6 * LENGTH, 0.0, 0.0), 1)
-    pins = [Held(0, line.positions[0]), Held(-1, way)]
-    path = follow(line, [*pins, Gravity(ramp((0.0, 0.0, -9.81), 1))], steps=1)
-    assert path.status == "ok", path.reasons
+    nearer = Held(-1, line.positions[-1] + ramp((-1e-6 * LENGTH, 0.0, 0.0), 1))
+    hung = walked(line, [pins[0], nearer, Gravity(ramp((0.0, 0.0, -9.81), 1))], 1).last
     sag = np.sqrt(3.0 / 8.0 * 1e-6) * LENGTH
-    assert -np.min(path.last.positions[:, 2]) == pytest.approx(sag, rel=1e-3)
-    pull = 0.05 * 9.81 * LENGTH**2 / (8.0 * sag)
-    assert path.last.forces[20, 0] == pytest.approx(pull, rel=1e-3)
-
-
-def test_a_line_cannot_be_held_in_a_table() -> None:
-    section = replace(linear_section(), diameter=6e-3)
-    line = straight_line(LENGTH, 10, section, start=(0.0, 0.0, 0.01))
-    way = line.positions[-1] + ramp((0.0, 0.0, -0.01), 5)
-    down = Held(-1, way, line.frames[-1], name="grip")
-    path = follow(line, [down, Plane(np.zeros(3), name="table")], steps=5)
-    assert (path.status, len(path.states)) == ("failed", 4)
-    reason = path.reasons[0]
-    assert (reason.code, reason.step, reason.node) == ("in_plane", 4, 10)
-    assert reason.sentence == (
-        "step 4: grip holds the axis of the line 2 mm above table; with its diameter it lies 3 mm "
-        "above or higher"
-    )
-
-
-def test_a_line_that_stretches_too_far_is_torn() -> None:
-    section = Section(linear_moment_law(STIFFNESS, 1e3), 8e-4, axial_stiffness=1e3)
-    line = straight_line(LENGTH, 5, section)
-    way = line.positions[-1] + ramp((0.08, 0.0, 0.0), 8)
-    path = follow(line, [clamp(line), Held(-1, way)], steps=8)
-    assert path.status == "failed"
-    assert path.reasons[0].code == "torn"
-    assert path.reasons[0].step == 3  # 4 % in step 2, 6 % in step 3
-    assert path.last.forces[:, 0] == pytest.approx(1e3 * 0.02 / LENGTH, rel=1e-8)
+    assert -np.min(hung.positions[:, 2]) == pytest.approx(sag, rel=1e-3)
+    assert hung.forces[20, 0] == pytest.approx(weight * LENGTH**2 / (8.0 * sag), rel=1e-3)
 
 
 N = 40
 
-
 LINE = straight_line(LENGTH, N, linear_section())
 
 
-def column(grips: tuple[Grip, ...], load: float) -> tuple[StabilityCheck, Balance, Shape]:
-    """A straight column under a pressure, N."""
+def column(
+    grips: tuple[Grip, ...], *, load: float = 0.0, moment: float = 0.0
+) -> tuple[StabilityCheck, Balance, Shape]:
+    """A straight line pressed along itself, or its free end turned by a moment along it."""
     supports = supports_of(LINE, grips)
-    none = (np.zeros(0, dtype=np.int64), np.zeros(0))
-    assembly = Assembly(LINE, supports, (), none, n_rings=0, force=STIFFNESS / LENGTH**2)
-    forces: Floats = np.zeros((N + 1, 3))
-    forces[-1, 0] = -load
-    asked = Demands(
-        LINE.positions[supports.held],
-        LINE.frames[-np.arange(len(supports.clamps))],
-        forces,
-        np.zeros((N, 3)),
-        np.zeros((0, 3)),
-        np.zeros((0, 3)),
-    )
+    strings = (np.zeros(0, dtype=np.int64), np.zeros(0))
+    assembly = Assembly(LINE, supports, (), strings, n_rings=0, force=STIFFNESS / LENGTH**2)
+    forces, moments, none = np.zeros((N + 1, 3)), np.zeros((N, 3)), np.zeros((0, 3))
+    forces[-1, 0], moments[-1, 0] = -load, moment
+    clamps = LINE.frames[-np.arange(len(supports.clamps))]
+    asked = Demands(LINE.positions[supports.held], clamps, forces, moments, none, none)
+    twist = moment / LINE.section.torsional_stiffness * (LINE.stations[1:] + LINE.stations[:-1])
+    frames = multiply(LINE.frames, from_rotation_vectors(np.outer(0.5 * twist, [0.0, 0.0, 1.0])))
     memory = LineMemory(np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0))
-    pressed = np.tile([-load, 0.0, 0.0], (N, 1))
-    shape = Shape(LINE.positions, LINE.frames, np.zeros(N), pressed)
-    return StabilityCheck(assembly), assembly.balance(shape, asked, memory), shape
+    shape = Shape(LINE.positions, frames, np.zeros(N), np.tile([-load, 0.0, 0.0], (N, 1)))
+    check = StabilityCheck(assembly, is_turned=moment != 0.0)
+    return check, assembly.balance(shape, asked, memory), shape
+
+
+FREE: tuple[Grip, ...] = ((0, True),)
 
 
 @pytest.mark.parametrize(
     ("grips", "factor"),
     [
-        (((0, True),), 0.25),
+        (FREE, 0.25),
         (((0, False), (N, False)), 1.0),
         (((0, True), (N, False)), 2.0457),
         (((0, True), (N, True)), 4.0),
@@ -474,18 +328,22 @@ def column(grips: tuple[Grip, ...], load: float) -> tuple[StabilityCheck, Balanc
 )
 def test_critical_loads_of_columns(grips: tuple[Grip, ...], factor: float) -> None:
     critical = factor * np.pi**2 * STIFFNESS / LENGTH**2
-    below, above = column(grips, 0.996 * critical), column(grips, 1.004 * critical)
+    below = column(grips, load=0.996 * critical)
+    above = column(grips, load=1.004 * critical)
     assert below[0].is_stable(*below[1:])
     assert not above[0].is_stable(*above[1:])
 
 
-def test_rates_are_those_of_the_whole_matrix() -> None:
-    """A cantilever under a moment of constant direction along it; eigenvalues by numpy."""
-    check, balance, _ = turned_cantilever(0.5 * np.pi * STIFFNESS / LENGTH)
+def test_a_cantilever_turned_about_itself_whirls() -> None:
+    """Under a moment of constant direction along it; rates are eigenvalues of the whole matrix."""
+    for share, is_stable in ((0.6, True), (0.75, False)):
+        check, balance, shape = column(FREE, moment=share * 2.0 * np.pi * STIFFNESS / LENGTH)
+        assert check.is_stable(balance, shape) is is_stable
+        assert check.whirls(balance) is not is_stable
+    check, balance, _ = column(FREE, moment=0.5 * np.pi * STIFFNESS / LENGTH)
     assembly = check._assembly
-    rows, columns = assembly.pattern
     whole = np.zeros((assembly.places.total,) * 2)
-    np.add.at(whole, (rows, columns), balance.even)
+    np.add.at(whole, assembly.pattern, balance.even)
     fixed = assembly.band.fixed
     whole[fixed, :] = np.eye(len(whole))[fixed]
     own = np.flatnonzero((assembly.drag > 0.0) & ~fixed)
@@ -500,37 +358,10 @@ def test_rates_are_those_of_the_whole_matrix() -> None:
     assert not np.any(change[fixed])
 
 
-def test_a_cantilever_turned_about_itself_whirls() -> None:
-    for share, is_stable in ((0.6, True), (0.75, False)):
-        check, balance, shape = turned_cantilever(share * 2.0 * np.pi * STIFFNESS / LENGTH)
-        assert check.is_stable(balance, shape) is is_stable
-        assert check.whirls(balance) is not is_stable
-
-
-def turned_cantilever(moment: float) -> tuple[StabilityCheck, Balance, Shape]:
-    """A straight cantilever, its free end turned by a moment along it, N m."""
-    supports = supports_of(LINE, ((0, True),))
-    none = (np.zeros(0, dtype=np.int64), np.zeros(0))
-    assembly = Assembly(LINE, supports, (), none, n_rings=0, force=STIFFNESS / LENGTH**2)
-    moments: Floats = np.zeros((N, 3))
-    moments[-1, 0] = moment
-    nothing = np.zeros((0, 3))
-    asked = Demands(
-        *(LINE.positions[:1], LINE.frames[:1], np.zeros((N + 1, 3)), moments, nothing, nothing)
-    )
-    twist = moment / LINE.section.torsional_stiffness * (LINE.stations[1:] + LINE.stations[:-1])
-    frames = multiply(LINE.frames, from_rotation_vectors(np.outer(0.5 * twist, [0.0, 0.0, 1.0])))
-    memory = LineMemory(np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0))
-    shape = Shape(LINE.positions, frames, np.zeros(N), np.zeros((N, 3)))
-    check = StabilityCheck(assembly, is_turned=True)
-    return check, assembly.balance(shape, asked, memory), shape
-
-
 def test_a_column_gives_way_to_the_side_it_is_pushed_to() -> None:
     critical = np.pi**2 * STIFFNESS / (4.0 * LENGTH**2)
-    check, balance, shape = column(((0, True),), 1.01 * critical)
-    total = 10 * N + 3
-    push = np.zeros(total)
+    check, balance, shape = column(FREE, load=1.01 * critical)
+    push = np.zeros(10 * N + 3)
     push[10 * N + 2] = 1.0
     mode = check.lowest_mode(balance, shape, push)
     assert mode is not None
@@ -541,91 +372,80 @@ def test_a_column_gives_way_to_the_side_it_is_pushed_to() -> None:
     assert np.max(np.abs(moved[:, 1])) < 0.05 * moved[-1, 2]
 
 
-ANGLES = np.linspace(0.0, 2.0, 21)
-
-
-NODES = np.stack([np.cos(ANGLES), np.sin(ANGLES), 0.2 * ANGLES], axis=1)
-
-
-def test_the_curve_touches_every_element_in_its_middle() -> None:
-    for element in range(20):
-        middle = 0.5 * (NODES[element] + NODES[element + 1])
-        np.testing.assert_allclose(point_at(NODES, element + 0.5), middle, atol=1e-15)
-        ahead, back = (point_at(NODES, element + 0.5 + d) for d in (1e-6, -1e-6))
-        along = (ahead - back) / 2e-6
-        np.testing.assert_allclose(along, NODES[element + 1] - NODES[element], atol=1e-6)
-    np.testing.assert_array_equal(point_at(NODES, 0.0), NODES[0])
-    np.testing.assert_array_equal(point_at(NODES, 20.0), NODES[-1])
-
-
-@pytest.mark.parametrize("place", [0.2, 3.3, 7.5, 12.0, 19.8])
-def test_the_nearest_place_is_found_across_the_curve(place: float) -> None:
-    along = point_at(NODES, place + 1e-6) - point_at(NODES, place - 1e-6)
+@pytest.mark.parametrize("place", [0.2, 7.5, 19.8])
+def test_a_ring_pulls_across_at_the_nearest_place_of_a_smooth_curve(place: float) -> None:
+    turn = np.linspace(0.0, 2.0, 21)
+    nodes = np.stack([np.cos(turn), np.sin(turn), 0.2 * turn], axis=1)
+    middle = 0.5 * (nodes[7] + nodes[8])
+    np.testing.assert_allclose(point_at(nodes, 7.5), middle, atol=1e-15)
+    np.testing.assert_array_equal(point_at(nodes, 20.0), nodes[-1])
+    along = point_at(nodes, place + 1e-6) - point_at(nodes, place - 1e-6)
     across = np.cross(along, [0.3, 0.1, 1.0])
-    ring = point_at(NODES, place) + 0.02 * across / np.linalg.norm(across)
-    assert nearest_place(NODES, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
-
-
-@pytest.mark.parametrize("place", [0.2, 3.3, 7.6, 19.8])
-def test_a_ring_pulls_across_and_its_stiffness_is_that_of_differences(place: float) -> None:
-    ring = point_at(NODES, place) + np.array([1e-3, -2e-3, 1.5e-3])
-    plain = thread(NODES, ring, place, 50.0)
-    along = point_at(NODES, plain.place + 1e-6) - point_at(NODES, plain.place - 1e-6)
-    assert plain.force @ along == pytest.approx(0.0, abs=1e-12)
-    assert plain.weights.sum() == pytest.approx(1.0)
-    step = 1e-6
-    for j in range(3):
-        for k in range(3):
-            forces = []
-            for sign in (1.0, -1.0):
-                moved = NODES.copy()
-                moved[plain.first + j, k] += sign * step
-                near = thread(moved, ring, place, 50.0)
-                forces.append(near.weights[:, None] * near.force)
-            found = -(forces[0] - forces[1]) / (2.0 * step)
-            np.testing.assert_allclose(plain.stiffness[:, :, j, k], found, atol=2e-4)
-
-
-PLANE = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.5)
-
-
-STIFF = 1e4
-
-
-START = np.array([[0.0, 0.0, 0.0]])
-
-
-def test_a_node_above_the_plane_feels_nothing() -> None:
-    touch = touch_plane(PLANE, STIFF, np.array([[1.0, 2.0, 1e-6]]), START, close=1e-9)
-    assert not np.any(touch.forces)
-    assert not np.any(touch.stiffness)
-    np.testing.assert_array_equal(touch.contacts, [[1.0, 2.0, 1e-6]])
+    ring = point_at(nodes, place) + 0.02 * across / np.linalg.norm(across)
+    assert nearest_place(nodes, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
+    threaded = thread(nodes, ring, place, 50.0)
+    assert threaded.force @ along == pytest.approx(0.0, abs=1e-12)
+    assert np.linalg.norm(threaded.force) == pytest.approx(50.0 * 0.02)
+    assert threaded.weights.sum() == pytest.approx(1.0)
 
 
 def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -> None:
-    sticking = touch_plane(PLANE, STIFF, np.array([[4e-4, 0.0, -1e-3]]), START, close=0.0)
+    plane, start = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.5), np.zeros((1, 3))
+    above = touch_plane(plane, 1e4, np.array([[1.0, 2.0, 1e-6]]), start, close=1e-9)
+    assert not np.any(above.forces)
+    np.testing.assert_array_equal(above.contacts, [[1.0, 2.0, 1e-6]])
+    sticking = touch_plane(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, close=0.0)
     np.testing.assert_allclose(sticking.forces, [[-4.0, 0.0, 10.0]])
     assert sticking.rubbed == 0.0
-    sliding = touch_plane(PLANE, STIFF, np.array([[9e-4, 0.0, -1e-3]]), START, close=0.0)
+    sliding = touch_plane(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, close=0.0)
     np.testing.assert_allclose(sliding.forces, [[-5.0, 0.0, 10.0]])
     np.testing.assert_allclose(sliding.contacts[:, :2], [[4e-4, 0.0]])
     assert sliding.rubbed == pytest.approx(5.0 * 4e-4)
-    back = touch_plane(PLANE, STIFF, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, close=0.0)
+    back = touch_plane(plane, 1e4, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, close=0.0)
     np.testing.assert_allclose(back.forces, [[-4.0, 0.0, 10.0]])
 
 
-@pytest.mark.parametrize("aside", [3e-4, 9e-4])
-def test_stiffness_of_a_plane_is_that_of_differences(aside: float) -> None:
-    plane = Plane(np.zeros(3), np.array([0.2, -0.1, 1.0]), 0.5)
-    at = np.array([[aside, 0.5 * aside, -1.2e-3]])
-    touch = touch_plane(plane, STIFF, at, START, close=0.0)
-    for k in range(3):
-        step = 1e-9 * np.eye(3)[k]
-        ahead = touch_plane(plane, STIFF, at + step, START, close=0.0).forces
-        back = touch_plane(plane, STIFF, at - step, START, close=0.0).forces
-        np.testing.assert_allclose(touch.stiffness[0, :, k], -(ahead - back)[0] / 2e-9, atol=1e-2)
-    even = touch.stiffness - touch.pressing
-    np.testing.assert_allclose(even, np.swapaxes(even, 1, 2), atol=1e-9)
+def ended(line: Line, boundaries: list[Boundary], steps: int) -> tuple[str, tuple[object, ...]]:
+    """Sentence of the only reason of a walk; its status, number of states, code, step and node."""
+    path = follow(line, boundaries, steps=steps)
+    (reason,) = path.reasons
+    facts = (path.status, len(path.states), reason.code, reason.step, reason.node)
+    return reason.sentence, facts
+
+
+def test_what_ends_a_walk_or_makes_it_doubtful(approved: Approve) -> None:
+    """Bends beyond the law; clips too far apart, without slack, in a table; a line that is torn."""
+    ends = []
+    line = straight_line(LENGTH, 10, Section(linear_moment_law(STIFFNESS, 2.0), 8e-4))
+    bent = [clamp(line), Load(-1, ramp((0.0, 0.02, 0.0), 5))]
+    ends.append((ended(line, bent, 5), ("doubtful", 6, "beyond_law", 2, 0)))
+    line = straight_line(LENGTH, 10, linear_section(mass=0.05))
+    far = line.positions[-1] + ramp((0.04, 0.0, 0.0), 4) - (0.025, 0.0, 0.0)
+    apart = ended(line, [clamp(line), Held(-1, far)], 4)
+    ends.append((apart, ("failed", 3, "too_short", 3, 10)))
+    for row in (0, 2):
+        slack = 0.02 * (np.arange(4) != row)[:, None] * np.array([1.0, 0.0, 0.0])
+        taut = [clamp(line), Held(-1, line.positions[-1] - slack), Gravity()]
+        ends.append((ended(line, taut, 3), ("failed", row, "taut", row, 10)))
+    line = straight_line(LENGTH, 10, replace(linear_section(), diameter=6e-3), start=(0, 0, 0.01))
+    way = line.positions[-1] + ramp((0.0, 0.0, -0.01), 5)
+    lowered = [Held(-1, way, line.frames[-1], name="grip"), Plane(np.zeros(3), name="table")]
+    ends.append((ended(line, lowered, 5), ("failed", 4, "in_plane", 4, 10)))
+    section = Section(linear_moment_law(STIFFNESS, 1e3), 8e-4, axial_stiffness=1e3)
+    line = straight_line(LENGTH, 5, section)
+    torn = [clamp(line), Held(-1, line.positions[-1] + ramp((0.08, 0.0, 0.0), 8))]
+    # 4 % in step 2, 6 % in step 3
+    ends.append((ended(line, torn, 8), ("failed", 3, "torn", 3, 1)))
+    assert [facts for (_, facts), _ in ends] == [expected for _, expected in ends]
+    approved(sentence for (sentence, _), _ in ends)
+
+
+@pytest.mark.slow
+def test_a_line_that_nothing_holds_falls() -> None:
+    path = follow(straight_line(LENGTH, 5, linear_section(mass=0.1)), [Gravity()], steps=1)
+    assert path.status == "failed"
+    with pytest.raises(ValueError, match="no state was reached: step 0: no equilibrium follows"):
+        _ = path.last
 
 
 def test_strings_pull_and_do_not_push() -> None:
@@ -635,8 +455,3 @@ def test_strings_pull_and_do_not_push() -> None:
     np.testing.assert_allclose(forces, [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]], atol=1e-12)
     np.testing.assert_allclose(stiffness[0], np.diag([1.0 / 1.01, 1.0 / 1.01, 100.0]), atol=1e-9)
     assert not np.any(stiffness[1])
-
-
-def test_values_add_up_at_their_nodes() -> None:
-    out = added_at(np.array([1, 1, 2]), np.array([1.0, 2.0, 4.0]), 4)
-    assert out.tolist() == [0.0, 3.0, 4.0, 0.0]

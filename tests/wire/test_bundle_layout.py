@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.harness_bundle import ARRANGEMENTS, BundleLayout
+from labpipe.records.harness_bundle import ARRANGEMENTS
 from labpipe.wire.bundle_layout import (
     arrange,
     by_chance,
@@ -30,31 +30,30 @@ from labpipe.wire.cross_section import largest_overlap
 from tests.builders.bundles import bundle
 
 
-@pytest.mark.parametrize("number", [2, 5, 8, 13, 19, 23, 27])
+@pytest.mark.parametrize("number", [2, 8, 13, 19])
 def test_wires_touch_and_do_not_overlap(number: int) -> None:
-    found = sites(number)
-    assert found.shape == (number, 2)
-    assert largest_overlap(found, np.ones(number) / 2.0) < 1e-9
-    distance = np.hypot(*(found[:, None] - found[None]).transpose(2, 0, 1))
+    places = sites(number)
+    assert places.shape == (number, 2)
+    assert largest_overlap(places, np.ones(number) / 2.0) < 1e-9
+    distance = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     assert distance.min(axis=1) == pytest.approx(1.0, abs=1e-4)
     if number == 8:  # the densest eight in a circle need 3.3048 radii (Pirl 1969)
-        assert 3.3047 < 2.0 * holding_circle(found, np.ones(8))[1] < 1.11 * 3.3048
+        assert 3.3047 < 2.0 * holding_circle(places, np.ones(8))[1] < 1.11 * 3.3048
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [10, 22, 23, 38, 43, 45, 47, 48, 59, 61, 127, 300])
-@pytest.mark.parametrize("middle", [(0.0, 0.0), (0.5, 0.0), (0.5, 3.0**-0.5 / 2.0)])
-def test_a_heap_is_no_wider_than_the_lattice_around(
-    number: int, middle: tuple[float, float]
-) -> None:
-    """The points of a lattice of triangles nearest to a point of it, or in the middle of two or
-    three."""
+@pytest.mark.parametrize("number", [10, 22, 43, 61, 127, 300])
+def test_a_heap_is_no_wider_than_the_lattice_around(number: int) -> None:
+    """The points of a lattice of triangles nearest to a point of it, or the middle of 2 or 3."""
     along, up = np.mgrid[-25:26, -25:26].reshape(2, -1)
-    points = np.column_stack([along + 0.5 * up, 0.75**0.5 * up]) - middle
-    nearest = points[np.argsort(np.hypot(*points.T).round(9), kind="stable")[:number]]
+    points = np.column_stack([along + 0.5 * up, 0.75**0.5 * up])
     ones = np.ones(number)
-    assert holding_circle(sites(number), ones)[1] <= holding_circle(nearest, ones)[1] + 1e-6
+    radius = holding_circle(sites(number), ones)[1]
+    for middle in ((0.0, 0.0), (0.5, 0.0), (0.5, 3.0**-0.5 / 2.0)):
+        away = np.hypot(*(points - middle).T).round(9)
+        nearest = points[np.argsort(away, kind="stable")[:number]]
+        assert radius <= holding_circle(nearest, ones)[1] + 1e-6
 
 
 @settings(max_examples=20, deadline=None)
@@ -96,14 +95,7 @@ def test_even_spread_is_evener_than_chance_and_repeats() -> None:
 DIAMETERS, STIFFNESS = (1.10e-3, 1.25e-3), (37e3, 52e3)
 
 
-def centres(layout: BundleLayout) -> np.ndarray:
-    return np.column_stack([layout.x, layout.y])
-
-
-SEVEN = np.full(7, 1e-3)
-
-
-@pytest.mark.parametrize("number", [7, 19, 40])
+@pytest.mark.parametrize("number", [7, 19])
 def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     """The pull on each wire is balanced by wires that touch it to 1e-12 of a diameter."""
     rng = np.random.default_rng(number)
@@ -150,11 +142,7 @@ def test_circle_around_many_wires_touches_some_and_leaves_out_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "core", "farthest"),
-    [
-        *((1, 1, 0.0), (7, 1, 1.0), (19, 1, 2.0), (37, 1, 3.0)),
-        *((3, 3, (1 / 3) ** 0.5), (12, 3, (7 / 3) ** 0.5), (27, 3, (19 / 3) ** 0.5)),
-    ],
+    ("number", "core", "farthest"), [(7, 1, 1.0), (37, 1, 3.0), (12, 3, (7 / 3) ** 0.5)]
 )
 def test_hexagons(number: int, core: int, farthest: float) -> None:
     """Around one wire or three; from the middle outwards, then by angle."""
@@ -168,31 +156,32 @@ def test_hexagons(number: int, core: int, farthest: float) -> None:
         assert angle == pytest.approx(np.arange(6) * 60.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("diameters", [DIAMETERS, (1.10e-3, 1.1005e-3)])
 @pytest.mark.parametrize("arrangement", ARRANGEMENTS)
-def test_mixed_bundles(arrangement: str, diameters: tuple[float, float]) -> None:
+def test_mixed_bundles(arrangement: str) -> None:
     """Half a micrometre makes wires unequal, too."""
+    diameters = (1.10e-3, 1.1005e-3) if arrangement == "symmetric" else DIAMETERS
     mixed = bundle(("B1", 10), ("B2", 9), arrangement=arrangement)
     layout = arrange(mixed, diameters, STIFFNESS)
+    centres = np.column_stack([layout.x, layout.y])
     assert layout.kind.tolist() == [0] * 10 + [1] * 9
     assert layout.diameter == pytest.approx(np.repeat(diameters, [10, 9]))
-    assert largest_overlap(centres(layout), layout.diameter / 2.0) < 1e-12
-    centroid = np.average(centres(layout), axis=0, weights=layout.diameter**2)
+    assert largest_overlap(centres, layout.diameter / 2.0) < 1e-12
+    centroid = np.average(centres, axis=0, weights=layout.diameter**2)
     assert centroid == pytest.approx([0.0, 0.0], abs=1e-9)
-    reach = np.hypot(*centres(layout).T) + layout.diameter / 2.0
+    reach = np.hypot(*centres.T) + layout.diameter / 2.0
     assert layout.radius == pytest.approx(reach.max())
     assert 2.5 * diameters[0] < layout.radius < 2.5 * diameters[1] + 1e-4
-    gap = np.hypot(*(centres(layout)[:, None] - centres(layout)[None]).transpose(2, 0, 1))
+    gap = np.hypot(*(centres[:, None] - centres[None]).transpose(2, 0, 1))
     gap -= 0.5 * (layout.diameter[:, None] + layout.diameter)
     np.fill_diagonal(gap, np.inf)
     assert gap.min(axis=1).max() < 1e-8
-    again = arrange(mixed, diameters, STIFFNESS)
-    assert np.array_equal(layout.x, again.x)
     if arrangement == "asymmetric":
         stiff, soft = (layout.y[layout.kind == kind].mean() for kind in (1, 0))
         assert stiff > 1e-3 > 0.0 > soft
     elif arrangement == "packed":
-        assert not np.array_equal(layout.x, arrange(mixed, diameters, STIFFNESS, seed=5).x)
+        again, other = (arrange(mixed, diameters, STIFFNESS, seed=seed) for seed in (0, 5))
+        assert np.array_equal(layout.x, again.x)
+        assert not np.array_equal(layout.x, other.x)
 
 
 def test_stated_positions_are_kept_about_their_centroid() -> None:
@@ -206,23 +195,22 @@ def test_stated_positions_are_kept_about_their_centroid() -> None:
 
 
 def test_packing_fractions_and_bores() -> None:
-    assert packing_fraction(SEVEN, 3e-3) == pytest.approx(7.0 / 9.0)
+    seven = np.full(7, 1e-3)
+    assert packing_fraction(seven, 3e-3) == pytest.approx(7.0 / 9.0)
     mixed = np.array([1.1e-3] * 10 + [1.25e-3] * 9)
     assert packing_fraction(mixed, bore_for(mixed)) == pytest.approx(0.7)
-    assert bore_for(SEVEN, 7.0 / 9.0) == pytest.approx(3e-3)
-    assert choose_bore(SEVEN, (2.9e-3, 3.2e-3, 3.6e-3), smallest=3e-3) == 3.2e-3
-    assert choose_bore(SEVEN, (3.6e-3, 9e-3), smallest=3e-3) == 3.6e-3
-    assert choose_bore(SEVEN, (3e-3,), smallest=3e-3) == 3e-3
+    assert bore_for(seven, 7.0 / 9.0) == pytest.approx(3e-3)
+    assert choose_bore(seven, (2.9e-3, 3.2e-3, 3.6e-3), smallest=3e-3) == 3.2e-3
+    assert choose_bore(seven, (3.6e-3, 9e-3), smallest=3e-3) == 3.6e-3
+    assert choose_bore(seven, (3e-3,), smallest=3e-3) == 3e-3
     assert fits(3e-3 * (1.0 + 1e-12), 3e-3)
     assert not fits(3.001e-3, 3e-3)
 
 
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 10**6), number=st.integers(1, 12))
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 10**6), number=st.integers(1, 10))
 @example(seed=148, number=5)
-@example(seed=122, number=6)
 @example(seed=28, number=9)
-@example(seed=60, number=11)
 def test_heaps_are_dense_without_overlap_at_any_scale(seed: int, number: int) -> None:
     """The examples come to rest in loose heaps, which are shaken."""
     rng = np.random.default_rng(seed)

@@ -44,35 +44,16 @@ def test_bounds_and_laws_of_a_mixed_bundle() -> None:
     assert model.high == model.tensor[1, 1]
     assert abs(model.principal_angle) == pytest.approx(np.pi / 2.0, abs=0.1)  # across the border
     assert np.all(model.moment_stick[1:] > model.moment_slip[1:])
-    first = model.moment_stick[1] / model.curvature[1]
-    assert model.free < first < model.high
+    assert model.free < model.moment_stick[1] / model.curvature[1] < model.high
     assert model.packing_fraction is None
     assert codes(model) == ["range_shortened", "copper_yields", "insulation_doubtful"]
+    regular = bundle_model(bundle(("S", 7)), {"S": solid_wire()})
+    assert regular.principal[0] == pytest.approx(regular.principal[1])
+    assert regular.principal_angle == 0.0
+    assert regular.neutral == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
-@pytest.mark.parametrize("number", [7, 12, 19, 27])
-def test_regular_bundles_are_alike_in_all_directions(number: int) -> None:
-    model = bundle_model(bundle(("S", number)), {"S": solid_wire()})
-    assert model.principal[0] == pytest.approx(model.principal[1])
-    assert model.principal_angle == 0.0
-    assert model.neutral == pytest.approx((0.0, 0.0), abs=1e-12)
-
-
-@given(turn=st.floats(-1.5, 1.5))
-def test_a_turned_bundle_has_turned_axes(turn: float) -> None:
-    along = np.array([-1e-3, 0.0, 1e-3])
-    stuck = sticking(along * np.cos(turn), along * np.sin(turn), np.full(3, 1e-3), np.full(3, 1e4))
-    assert stuck.angle == pytest.approx(turn, abs=1e-9)
-    assert stuck.principal == pytest.approx((3e-3, 0.023))
-    axis = np.array([np.cos(turn), np.sin(turn)])
-    assert axis @ stuck.tensor @ axis == pytest.approx(0.023)
-
-
-@given(
-    seed=st.integers(0, 10**6),
-    number=st.integers(1, 20),
-    scale=st.floats(0.1, 10.0),
-)
+@given(seed=st.integers(0, 10**6), number=st.integers(1, 20), scale=st.floats(0.1, 10.0))
 def test_properties_of_the_tensor(seed: int, number: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     x, y = rng.normal(size=(2, number))
@@ -80,38 +61,13 @@ def test_properties_of_the_tensor(seed: int, number: int, scale: float) -> None:
     stuck = sticking(x, y, bending, axial)
     assert stuck.tensor == pytest.approx(stuck.tensor.T)
     assert stuck.principal[0] >= bending.sum() * (1.0 - 1e-12)  # sticking never softens
-    order = rng.permutation(number)
-    other = sticking(x[order], y[order], bending[order], axial[order])
-    assert other.tensor == pytest.approx(stuck.tensor)
+    axis = np.array([np.cos(stuck.angle), np.sin(stuck.angle)])
+    assert axis @ stuck.tensor @ axis == pytest.approx(stuck.principal[1])
     # all lengths times c: EA grows with c^2, EI with c^4
     grown = sticking(scale * x, scale * y, scale**4 * bending, scale**2 * axial)
     assert grown.tensor == pytest.approx(scale**4 * stuck.tensor, rel=1e-9)
     moved = sticking(x + 3.0, y - 2.0, bending, axial)
     assert moved.tensor == pytest.approx(stuck.tensor, rel=1e-9, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("value", "share"),
-    [(1.0, 0.0), (10.0, 1.0 / 11.0), (100.0, 1.0), (1000.0, 999.0 / 99.0), (-0.1, -1.1 / 99.0)],
-)
-def test_shares(value: float, share: float) -> None:
-    assert share_of_bounds(value, 1.0, 100.0) == pytest.approx(share)
-
-
-def test_unequal_wires_share_a_neutral_axis() -> None:
-    tables = [solid_wire(), solid_wire("H", modulus=3e11)]
-    y, kind = np.array([0.0, 4e-3]), np.arange(2)
-    found = stretching_moment(np.array([2.0]), y, kind, tables)
-    soft, hard = (table.axial_stiffness for table in tables)
-    assert found[0] == pytest.approx(2.0 * soft * hard / (soft + hard) * 4e-3**2, rel=1e-9)
-
-
-def test_yielding_wires_against_a_plain_sum() -> None:
-    """Symmetric about y = 0, the axis stays there, and the moment is a sum of forces."""
-    table, y = example_wires()["B2"], np.array([-2e-3, -1e-3, 0.0, 1e-3, 2e-3])
-    found = stretching_moment(np.array([0.5]), y, np.zeros(5, dtype=np.int64), [table])
-    plain = 2.0 * (axial_force(table, 0.5 * y[3:]) @ y[3:])
-    assert found[0] == pytest.approx(plain, rel=1e-3)
 
 
 LENGTH = 0.1143
@@ -167,28 +123,21 @@ def test_loops_follow_masing() -> None:
         assert back.curvature == pytest.approx(loaded.curvature - 2.0 * half, rel=1e-9)
 
 
-def small_loading(model: BundleModel, friction: Friction, load: float) -> float:
-    """Tip deflection of a cantilever at small slopes, by quadrature of the curvature."""
-    tables = [example_wires()["B1"]]
-    curvature = np.geomspace(1e-4, 40.0, 4000)
-    moment = friction_moment(curvature, model, tables, friction)
-    x = np.linspace(0.0, LENGTH, 2001)
-    bent: Floats = np.interp(load * (LENGTH - x), np.append(0.0, moment), np.append(0.0, curvature))
-    return float(np.trapezoid(bent * (LENGTH - x), x))
-
-
 def test_the_share_held_is_found_again() -> None:
     """Loading of small slopes by quadrature; its unloading, left out, does not matter."""
     model, tables = seven(), [example_wires()["B1"]]
     kink, deflection = 1.8e-3, np.linspace(0.4e-3, 8e-3, 12)
     friction = Friction(0.13, 3.0 * kink / LENGTH**2, np.inf, 0.25)
+    curvature, x = np.geomspace(1e-4, 40.0, 4000), np.linspace(0.0, LENGTH, 2001)
+    moment = np.append(0.0, friction_moment(curvature, model, tables, friction))
 
-    def load_at(tip: float) -> float:
-        return float(brentq(lambda load: small_loading(model, friction, load) - tip, 1e-6, 2.0))
+    def too_far(load: float, tip: float) -> float:
+        bent = np.interp(load * (LENGTH - x), moment, np.append(0.0, curvature))
+        return float(np.trapezoid(bent * (LENGTH - x), x)) - tip
 
     # a kink force that says the share exactly
     stiffness = model.free + friction.composite_share * (model.high - model.free)
-    force = np.array([load_at(tip) for tip in deflection])
+    force = np.array([float(brentq(too_far, 1e-6, 2.0, args=(tip,))) for tip in deflection])
     loop = BundleLoop(
         length=LENGTH,
         deflection=np.append(deflection, deflection[-2]),
@@ -197,12 +146,12 @@ def test_the_share_held_is_found_again() -> None:
         kink=(kink, 3.0 * stiffness * kink / LENGTH**3),
         slide=np.inf,
     )
-    found = fit_friction(model, tables, loop)
-    assert found.composite_share == pytest.approx(0.13)
-    assert found.held == pytest.approx(0.25, abs=0.01)
-    assert found.error_fitted < 0.01
-    assert found.is_held_out.tolist() == [False] * 12 + [True]
-    assert found.error_held_out == pytest.approx(found.predicted[-1] / force[-1])
+    fitted = fit_friction(model, tables, loop)
+    assert fitted.composite_share == pytest.approx(0.13)
+    assert fitted.held == pytest.approx(0.25, abs=0.01)
+    assert fitted.error_fitted < 0.01
+    assert fitted.is_held_out.tolist() == [False] * 12 + [True]
+    assert fitted.error_held_out == pytest.approx(fitted.predicted[-1] / force[-1])
 
 
 def test_the_interval_of_the_share_is_that_of_the_linear_model() -> None:
@@ -269,15 +218,9 @@ def test_slipping_moments_add_up_as_far_as_the_shortest_law() -> None:
     assert moment == pytest.approx(3 * b1.moment[:5] + 2 * second)
 
 
-ROW = ((0.0, 0.0), (1e-3, 1e-3), (2e-3, 2e-3))
-
-
-FAR = bundle(("S", 2), positions=((0.0, 0.0), (0.0, 0.2)))
-
-
 NOTED: dict[str, Bundle] = {
-    "range_shortened": FAR,
-    "oblique_axes": bundle(("S", 3), positions=ROW),
+    "range_shortened": bundle(("S", 2), positions=((0.0, 0.0), (0.0, 0.2))),
+    "oblique_axes": bundle(("S", 3), positions=((0.0, 0.0), (1e-3, 1e-3), (2e-3, 2e-3))),
     "diameter_differs": Bundle((BundleWire("S", 7, 1.9e-3),)),
     "": Bundle((BundleWire("S", 7, 1.04e-3),)),
     "copper_yields": bundle(("B1", 19)),
@@ -296,9 +239,10 @@ def test_notes_of_bundles(approved: Approve) -> None:
 
 def test_numbers_that_the_notes_name() -> None:
     """Wires 200 mm apart reach a strain of 0.5 long before the end of their own law."""
-    assert bundle_model(FAR, {"S": solid_wire()}).curvature[-1] == pytest.approx(2.5)
-    wide = bundle_model(NOTED["diameter_differs"], {"S": solid_wire()})
-    assert wide.smallest_bore == pytest.approx(5.7e-3)
+    solid = {"S": solid_wire()}
+    far = bundle_model(NOTED["range_shortened"], solid)
+    assert far.curvature[-1] == pytest.approx(2.5)
+    assert bundle_model(NOTED["diameter_differs"], solid).smallest_bore == pytest.approx(5.7e-3)
     table = example_wires()["B1"]
     model, radius = bundle_model(bundle(("B1", 7)), {"B1": table}), table.layout.wire_radius
     assert model.doubtful_curvature == pytest.approx(0.03 / radius)
@@ -309,10 +253,26 @@ def test_numbers_that_the_notes_name() -> None:
     secant = model.moment_stick[1:] / model.curvature[1:]
     yields = model.curvature[1:][secant < 0.5 * model.high][0]
     assert f"beyond {yields:.3g} 1/m" in model.notes[0].message
-    full = bundle_model(bundle(("S", 7), conduit_bore=3.3e-3), {"S": solid_wire()})
+    full = bundle_model(bundle(("S", 7), conduit_bore=3.3e-3), solid)
     assert full.packing_fraction == pytest.approx(7.0 / 3.3**2)
-    assert full.middle == pytest.approx((0.0, 0.0), abs=1e-9)
-    oblique = bundle_model(bundle(("S", 3), positions=ROW), {"S": solid_wire()})
+    oblique = bundle_model(NOTED["oblique_axes"], solid)
     assert np.degrees(oblique.principal_angle) == pytest.approx(45.0)
     lost = 1.0 - 1.0 / (np.linalg.inv(oblique.tensor)[1, 1] * oblique.high)
     assert f"is {100.0 * lost:.2g} % less stiff" in oblique.notes[0].message
+
+
+def test_shares_of_the_bounds() -> None:
+    shares = [share_of_bounds(value, 1.0, 100.0) for value in (1.0, 10.0, 100.0, -0.1)]
+    assert shares == pytest.approx([0.0, 1.0 / 11.0, 1.0, -1.1 / 99.0])
+
+
+def test_stretched_wires_by_hand() -> None:
+    """Unequal ones share a neutral axis; of equal ones that yield it stays in the middle."""
+    tables = [solid_wire(), solid_wire("H", modulus=3e11)]
+    soft, hard = (table.axial_stiffness for table in tables)
+    moment = stretching_moment(np.array([2.0]), np.array([0.0, 4e-3]), np.arange(2), tables)
+    assert moment[0] == pytest.approx(2.0 * soft * hard / (soft + hard) * 4e-3**2, rel=1e-9)
+    table, y = example_wires()["B2"], np.array([-2e-3, -1e-3, 0.0, 1e-3, 2e-3])
+    moment = stretching_moment(np.array([0.5]), y, np.zeros(5, dtype=np.int64), [table])
+    plain = 2.0 * (axial_force(table, 0.5 * y[3:]) @ y[3:])
+    assert moment[0] == pytest.approx(plain, rel=1e-3)

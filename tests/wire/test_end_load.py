@@ -21,7 +21,6 @@ from tests.builders.stranded_wires import contacts_of, wire
 
 SECTION = wire("A2")
 
-
 STRANDED = play_law(SECTION, contacts_of(SECTION), largest_curvature=125.0)
 
 
@@ -94,13 +93,13 @@ def test_it_ends_where_parts_near_the_tip_unload() -> None:
     assert len(linear.load) - 1 == len(deflections)
 
 
-@pytest.mark.parametrize("length", [0.085, 0.3, 1.0, 3.0, 30.0])
+@pytest.mark.parametrize("length", [0.085, 30.0])
 def test_a_far_bent_wire_stands_upright(length: float) -> None:
     """The limit of the elastica: k = 1, E(k) = 1, E(phi, k) = sin(phi) = 1 / sqrt(2)."""
     curvature = 125.0
-    found = deflection_at(LinearLaw(3e-3), length, 3e-3 * curvature)
+    deflection = deflection_at(LinearLaw(3e-3), length, 3e-3 * curvature)
     rise = 1.0 - 2.0 * (np.sqrt(2.0) - 1.0) / (curvature * length)
-    assert found / length == pytest.approx(rise, rel=1e-6)
+    assert deflection / length == pytest.approx(rise, rel=1e-6)
 
 
 def test_a_curve_that_turns_back_goes_on_from_its_first_loading() -> None:
@@ -111,17 +110,15 @@ def test_a_curve_that_turns_back_goes_on_from_its_first_loading() -> None:
 
 
 def test_a_curve_from_zero_and_one_to_the_other_side() -> None:
-    assert end_load_path(WIRE, LENGTH, np.array([0.0, 0.02])).load[0] == pytest.approx(
-        0.0, abs=1e-15
-    )
-    up, down = (
-        end_load_path(WIRE, LENGTH, side * np.array([0.02, 0.04])).load for side in (1.0, -1.0)
-    )
+    from_zero = end_load_path(WIRE, LENGTH, np.array([0.0, 0.02])).load
+    assert from_zero[0] == pytest.approx(0.0, abs=1e-15)
+    up = end_load_path(WIRE, LENGTH, np.array([0.02, 0.04])).load
+    down = end_load_path(WIRE, LENGTH, np.array([-0.02, -0.04])).load
     assert down == pytest.approx(-up, rel=1e-4)
     assert end_load_path(WIRE, LENGTH, np.zeros(0)).load.shape == (0,)
 
 
-@pytest.mark.parametrize("tip_angle", [1e-3, 0.3, 0.8, 1.2, 1.43, 1.5, 1.565, 1.57])
+@pytest.mark.parametrize("tip_angle", [1e-3, 0.8, 1.43, 1.5, 1.57])
 def test_the_elastica(tip_angle: float) -> None:
     load, rise = elastica(tip_angle)
     clamp = np.sqrt(2.0 * load * np.sin(tip_angle)) * 2e-3 / LENGTH
@@ -136,12 +133,11 @@ def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads() -> None:
     section = wire("C4")
     law = play_law(section, contacts_of(section), largest_curvature=95.0)
     deflections = np.linspace(0.0, 0.8 * LENGTH, 41)[1:]
-    state, loads, moments = straight(law, 64), [], []
+    state, shapes = straight(law, 64), []
     for deflection in deflections.tolist():
-        shape = bend_to_deflection(law, state, LENGTH, deflection)
-        state = shape.state
-        loads.append(shape.force[1])
-        moments.append(shape.moment[0])
+        shapes.append(bend_to_deflection(law, state, LENGTH, deflection))
+        state = shapes[-1].state
+    loads, moments = zip(*((shape.force[1], shape.moment[0]) for shape in shapes), strict=True)
     for step in (40, 4, 1):
         path = end_load_path(law, LENGTH, deflections[step - 1 :: step])
         assert path.load == pytest.approx(loads[step - 1 :: step], rel=1e-4)
@@ -149,9 +145,9 @@ def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads() -> None:
 
 
 def test_a_path_ends_where_the_law_does() -> None:
-    short, long = (
-        play_law(SECTION, contacts_of(SECTION), largest_curvature=last) for last in (20.0, 60.0)
-    )
+    contacts = contacts_of(SECTION)
+    short = play_law(SECTION, contacts, largest_curvature=20.0)
+    long = play_law(SECTION, contacts, largest_curvature=60.0)
     deflections = np.linspace(0.0, 0.05, 26)[1:]
     path = end_load_path(short, LENGTH, deflections)
     assert 5 < len(path.load) < 25

@@ -26,68 +26,15 @@ from tests.judges.reference_wires import HeavyWire, yielding
 
 LENGTH = 0.085
 
-
-CLOSE = 5e-5  # 64 stations straddle a corner of the law: they are good to 4e-5 of a small load
-
-
 GOALS = (0.0005, 0.002, 0.005, 0.01, 0.02, 0.035, 0.05)
 
-
 A2 = law_of(wire_of("A2"), n_plays=60)
-
 
 LAWS = [LinearLaw(4e-4), bilinear_law(5e-3, 4e-4, 5e-4), A2]
 
 
 def curve_of(law: MomentLaw, rig: StringRig | None, n_points: int = 240) -> LoadingCurve:
     return load_cantilever(law_of_plays(law, 0.03, n_points=n_points), LENGTH, rig)
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_end_load_as_station_by_station(law: MomentLaw) -> None:
-    state, curve = straight(law), curve_of(law, None)
-    for goal in GOALS:
-        shape = bend_to_deflection(law, state, LENGTH, goal)
-        state = shape.state
-        force, _ = force_at(curve, np.array([goal]))
-        assert force[0] == pytest.approx(shape.force[1], rel=CLOSE)
-        angle = CubicSpline(curve.deflection, curve.tip_angle)(goal)
-        assert angle == pytest.approx(shape.angle[-1], rel=2e-4)
-        moment = CubicSpline(curve.deflection, curve.clamp_moment)(goal)
-        assert moment == pytest.approx(shape.moment[0], rel=2e-4)
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_string_and_counterweight_as_station_by_station(law: MomentLaw) -> None:
-    rig, state = rig_of(LENGTH), straight(law)
-    curve = curve_of(law, rig)
-    assert curve.tension[0] == rig.weight
-    for goal in GOALS:
-        shape = bend_to_travel(law, state, LENGTH, rig, goal)
-        state = shape.state
-        force, _ = force_at(curve, shape.y[-1:])
-        assert force[0] == pytest.approx(shape.tension - rig.weight, rel=CLOSE)
-
-
-@pytest.mark.parametrize(
-    ("alpha", "deflection", "shortening", "angle"),
-    [
-        (1, 0.301721, 0.056433, 0.461352),
-        (2, 0.493457, 0.160642, 0.781750),
-        (5, 0.713792, 0.387628, 1.215368),
-        (10, 0.810609, 0.554996, 1.430286),
-    ],
-)
-def test_published_elastica(
-    alpha: float, deflection: float, shortening: float, angle: float
-) -> None:
-    law = law_of_plays(LinearLaw(3.0), 3.0 * 5.0 / 2.0, n_points=400)
-    curve = load_cantilever(law, 2.0, has_memory=False)
-    share = curve.tension * 2.0**2 / 3.0
-    found = CubicSpline(share, np.column_stack([curve.deflection, curve.x, curve.tip_angle]))(alpha)
-    assert found[0] / 2.0 == pytest.approx(deflection, abs=2e-6)
-    assert 1.0 - found[1] / 2.0 == pytest.approx(shortening, abs=2e-6)
-    assert found[2] == pytest.approx(angle, abs=2e-6)
 
 
 def test_forces_are_odd_and_nan_stays() -> None:
@@ -102,15 +49,11 @@ def test_forces_are_odd_and_nan_stays() -> None:
 
 HEAVY_LENGTH, WEIGHT = 0.12, 0.097
 
-
 RIG = StringRig(0.76, 0.0265, HEAVY_LENGTH, 0.76)
-
 
 KNOTS: Floats = np.geomspace(1e-7, 2e-2, 300)
 
-
 LAW = polygon_law(yielding(KNOTS), KNOTS)
-
 
 TABLE = LoadingTable.of_plays(LAW)
 
@@ -177,3 +120,40 @@ def test_stiffnesses_are_the_slopes_of_the_forces() -> None:
     at = heavy_states(TABLE, HEAVY_LENGTH, RIG, WEIGHT, np.array([0.0099, 0.01, 0.0101]))
     slope = (at.tension[2] - at.tension[0]) / 2e-4
     assert at.tension_change[0, 1] == pytest.approx(slope, rel=1e-3)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("rig", [None, rig_of(LENGTH)], ids=["end load", "string"])
+def test_first_loading_is_that_of_the_path_by_stations(
+    law: MomentLaw, rig: StringRig | None
+) -> None:
+    """Its 64 stations straddle a corner of the law: they are good to 4e-5 of a small load."""
+    state, curve = straight(law), curve_of(law, rig)
+    assert curve.tension[0] == (rig.weight if rig else 0.0)
+    numbers = np.column_stack([curve.tip_angle, curve.clamp_moment])
+    angle_and_moment = CubicSpline(curve.deflection, numbers)
+    for goal in GOALS:
+        if rig is None:
+            shape = bend_to_deflection(law, state, LENGTH, goal)
+            wanted = (shape.angle[-1], shape.moment[0])
+            assert angle_and_moment(goal) == pytest.approx(wanted, rel=2e-4)
+            load = shape.force[1]
+        else:
+            shape = bend_to_travel(law, state, LENGTH, rig, goal)
+            load = shape.tension - rig.weight
+        state = shape.state
+        assert force_at(curve, shape.y[-1:])[0][0] == pytest.approx(load, rel=5e-5)
+
+
+def test_the_elastica_of_the_textbooks() -> None:
+    """P L^2 / EI = 1 and 10: deflection, shortening and tip angle (Mattiasson 1981)."""
+    law = law_of_plays(LinearLaw(3.0), 3.0 * 5.0 / 2.0, n_points=400)
+    curve = load_cantilever(law, 2.0, has_memory=False)
+    share = curve.tension * 2.0**2 / 3.0
+    shape = CubicSpline(share, np.column_stack([curve.deflection, curve.x, curve.tip_angle]))
+    for alpha, printed in (
+        (1, (0.301721, 0.056433, 0.461352)),
+        (10, (0.810609, 0.554996, 1.430286)),
+    ):
+        deflection, x, angle = shape(alpha)
+        assert (deflection / 2.0, 1.0 - x / 2.0, angle) == pytest.approx(printed, abs=2e-6)

@@ -22,15 +22,9 @@ from labpipe.wire.materials import (
 )
 from labpipe.wire.strand_bending import elastic_share, helix_factor, strand_moment, tube_moment
 
-COPPER_TABLE = StressTable((0.001, 0.01, 0.05), (100e6, 150e6, 200e6), "made up")
+SHARP = ElasticPerfectlyPlastic(110e9, 60e6)
 
-
-MATERIALS: list[Material] = [
-    ANNEALED_COPPER,
-    Elastic(1e9),
-    ElasticPerfectlyPlastic(1e11, 5e7),
-    COPPER_TABLE,
-]
+TABLE = StressTable((5e-4, 2e-3, 0.02), (55e6, 80e6, 150e6))
 
 
 @given(st.floats(1e-15, 0.5), st.floats(0.05, 0.95), st.floats(1e7, 1e10))
@@ -40,9 +34,9 @@ def test_stress_undoes_strain(strain: float, exponent: float, strength: float) -
     assert back == pytest.approx([strain, -strain], rel=1e-10)
 
 
-@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("material", [ANNEALED_COPPER, Elastic(1e9), SHARP, TABLE])
 def test_odd_and_starting_with_the_modulus(material: Material) -> None:
-    strain = np.array([1e-18, 1e-4, 3e-3, 0.04])
+    strain = np.array([1e-18, 1e-4, 3e-3, 0.02])
     stress = material.stress(strain)
     assert material.stress(-strain) == pytest.approx(-stress)
     assert material.stress(np.zeros(1))[0] == 0.0
@@ -53,12 +47,6 @@ def test_odd_and_starting_with_the_modulus(material: Material) -> None:
 
 
 DIAMETER = 0.32e-3
-
-
-SHARP = ElasticPerfectlyPlastic(110e9, 60e6)
-
-
-TABLE = StressTable((5e-4, 2e-3, 0.02), (55e6, 80e6, 150e6))
 
 
 @pytest.mark.parametrize("angle", [0.0, 5.0, 12.0, 15.0, 30.0])
@@ -82,23 +70,22 @@ STEEPER = StressTable((5e-4, 2e-3, 3e-3, 0.02), (55e6, 80e6, 120e6, 150e6))
 
 
 @pytest.mark.parametrize("material", [SHARP, TABLE, STEEPER], ids=["sharp", "table", "steeper"])
-@pytest.mark.parametrize("rim", [1e-4, 5.4e-4, 5.5e-4, 6e-4, 1e-3, 2.5e-3, 5e-3, 0.02])
 def test_a_curve_of_straight_lines_is_exact(
-    material: ElasticPerfectlyPlastic | StressTable, rim: float
+    material: ElasticPerfectlyPlastic | StressTable,
 ) -> None:
-    def part(angle: float) -> float:
+    def part(angle: float, rim: float) -> float:
         stress = float(material.stress(np.array([rim * np.sin(angle)]))[0])
         return stress * float(np.sin(angle) * np.cos(angle) ** 2)
 
     strains, _ = material.corners
-    ends = [0.0, *np.arcsin(strains[strains < rim] / rim).tolist(), np.pi / 2.0]
-    whole = sum(quad(part, a, b, epsrel=1e-13)[0] for a, b in pairwise(ends))
-    share = 16.0 / np.pi * whole / (material.modulus * rim)
-    assert elastic_share(material, np.array([rim]))[0] == pytest.approx(share, rel=1e-13)
+    for rim in (1e-4, 5.4e-4, 5.5e-4, 1e-3, 2.5e-3, 5e-3, 0.02):
+        ends = [0.0, *np.arcsin(strains[strains < rim] / rim).tolist(), np.pi / 2.0]
+        whole = sum(quad(part, a, b, args=(rim,), epsrel=1e-13)[0] for a, b in pairwise(ends))
+        share = 16.0 / np.pi * whole / (material.modulus * rim)
+        assert elastic_share(material, np.array([rim]))[0] == pytest.approx(share, rel=1e-13)
 
 
 SOFT = StressTable((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
-
 
 TUBE = Insulation(0.5e-3, 0.3e-3, 1e9, curve=SOFT)
 
@@ -112,25 +99,25 @@ def by_laminae(curvature: float) -> float:
     return float(np.trapezoid(np.sign(y) * stress * y * (outer - inner), y))
 
 
-@pytest.mark.parametrize("curvature", [5.0, 20.0, 60.0, 125.0])
+@pytest.mark.parametrize("curvature", [5.0, 125.0])
 def test_a_ring_with_a_stress_table(curvature: float) -> None:
-    found = tube_moment(TUBE, np.array([curvature, -curvature]))
-    assert found.moment == pytest.approx([by_laminae(curvature), -by_laminae(curvature)], rel=1e-5)
-    step = 1e-3 * curvature
+    ring = tube_moment(TUBE, np.array([curvature, -curvature]))
+    assert ring.moment == pytest.approx([by_laminae(curvature), -by_laminae(curvature)], rel=1e-5)
     straight = tube_moment(replace(TUBE, curve=None), np.array([curvature]))
     assert straight.moment == pytest.approx(TUBE.bending_stiffness * curvature)
+    step = 1e-3 * curvature
     slope = (by_laminae(curvature + step) - by_laminae(curvature - step)) / (2.0 * step)
-    assert found.tangent[0] == pytest.approx(slope, rel=1e-3)
+    assert ring.tangent[0] == pytest.approx(slope, rel=1e-3)
 
 
 def test_a_table_is_followed_to_its_last_strain() -> None:
-    assert COPPER_TABLE.modulus == pytest.approx(100e9)
-    assert COPPER_TABLE.largest_strain == 0.05
+    assert TABLE.modulus == pytest.approx(110e9)
+    assert TABLE.largest_strain == 0.02
     assert SHARP.largest_strain == Elastic(1.0).largest_strain == np.inf
     assert SHARP.stress(np.array([-0.1, 1e-4, 0.1])) == pytest.approx([-60e6, 11e6, 60e6])
-    strain = np.array([0.0055, 0.03, 0.05, 0.051])
-    stress = [125e6, 175e6, 200e6, np.nan]
-    assert COPPER_TABLE.stress(strain) == pytest.approx(stress, nan_ok=True)
+    strain = np.array([1.25e-3, 0.011, 0.02, 0.021])
+    stress = [67.5e6, 115e6, 150e6, np.nan]
+    assert TABLE.stress(strain) == pytest.approx(stress, nan_ok=True)
     last = 2.0 * 0.02 / DIAMETER
     assert np.isfinite(strand_moment(TABLE, DIAMETER, np.array([last])).moment[0])
     assert np.isnan(elastic_share(TABLE, np.array([np.nan, 0.021]))).all()
@@ -159,16 +146,16 @@ def test_limits() -> None:
     elastic = strand_moment(Elastic(110e9), DIAMETER, np.array([-2.0, 1e3]))
     assert elastic.moment == pytest.approx([-2.0 * stiffness, 1e3 * stiffness])
     assert elastic.tangent == pytest.approx([stiffness, stiffness])
-    fine = elastic_share(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60), laminae=400)
-    assert elastic_share(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60)) == pytest.approx(fine)
 
 
-@pytest.mark.parametrize("curvature", [0.5, 5.0, 35.0, 100.0])
-def test_copper_against_adaptive_integration(curvature: float) -> None:
-    def moment(y: float) -> float:
+def test_copper_against_adaptive_integration() -> None:
+    def part(y: float, curvature: float) -> float:
         stress = float(ANNEALED_COPPER.stress(np.array([y * curvature]))[0])
         return 4.0 * stress * y * float(np.sqrt((DIAMETER / 2.0) ** 2 - y**2))
 
-    exact = quad(moment, 0.0, DIAMETER / 2.0, limit=400, epsrel=1e-9, epsabs=0.0)[0]
-    strand = strand_moment(ANNEALED_COPPER, DIAMETER, np.array([curvature]))
-    assert strand.moment[0] == pytest.approx(exact, rel=3e-4)
+    for curvature in (0.5, 5.0, 100.0):
+        exact = quad(part, 0.0, DIAMETER / 2.0, args=(curvature,), epsrel=1e-9, epsabs=0.0)[0]
+        strand = strand_moment(ANNEALED_COPPER, DIAMETER, np.array([curvature]))
+        assert strand.moment[0] == pytest.approx(exact, rel=3e-4)
+    fine = elastic_share(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60), laminae=400)
+    assert elastic_share(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60)) == pytest.approx(fine)

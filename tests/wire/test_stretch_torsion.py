@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
 from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric, hexagonal
 from labpipe.wire.materials import Elastic
-from labpipe.wire.stretch_torsion import StretchTorsion, stretch_torsion
-from tests.builders.stranded_wires import wire
+from labpipe.wire.stretch_torsion import stretch_torsion
 
 MODULUS, DIAMETER = 1e11, 1e-3
-
 
 AREA, SECOND = np.pi * DIAMETER**2 / 4.0, np.pi * DIAMETER**4 / 64.0
 
@@ -74,74 +71,12 @@ def own(angle: float) -> float:
 
 def test_layers_laid_both_ways_turn_less() -> None:
     """What cross-laid layers do to each other: the coupling is a difference."""
-    same = two_rings(0.2, 0.2)
-    crossed = two_rings(0.2, -0.2)
+    copper = Elastic(MODULUS)
+    layers = (Layer(1, 1e-3, 0.0, copper), Layer(6, 1e-3, 0.2, copper))
+    same, crossed = (
+        stretch_torsion(hexagonal((*layers, Layer(12, 1e-3, lay, copper)))) for lay in (0.2, -0.2)
+    )
     assert abs(crossed.coupling) < 0.6 * same.coupling
     assert crossed.coupling < 0.0 < same.coupling  # the outer layer has more strands, farther out
     assert crossed.torsional == pytest.approx(same.torsional)
     assert crossed.torsional_free > same.torsional_free
-
-
-def two_rings(first: float, second: float) -> StretchTorsion:
-    copper = Elastic(MODULUS)
-    layers = (Layer(1, 1e-3, 0.0, copper), Layer(6, 1e-3, first, copper))
-    return stretch_torsion(hexagonal((*layers, Layer(12, 1e-3, second, copper))))
-
-
-def of_helices(section: CrossSection) -> Floats:
-    """The pair [EA, C; C, GJ] if strands are bent and twisted as helices, whose lay angle follows.
-
-    Curvature and torsion of the stretched and twisted helix, per length of the strand before, by
-    differences (Love, *Mathematical Theory of Elasticity*, on thin rods).
-    """
-    found = stretch_torsion(section)
-    pair = np.array([[found.axial, found.coupling], [found.coupling, found.torsional]])
-    for number, layer in enumerate(section.layers):
-        rigid = flexural(layer) * np.cos(layer.lay_angle)
-        turned = np.cos(layer.lay_angle) ** 2 / (1.0 + layer.poisson)
-        pair[1, 1] -= layer.count * rigid * (turned + np.sin(layer.lay_angle) ** 2)
-        for radius in section.radius[section.layer == number]:
-            pair += helix(layer, float(radius))
-    return pair
-
-
-def flexural(layer: Layer) -> float:
-    return float(layer.material.modulus * np.pi * layer.diameter**4 / 64.0)
-
-
-def helix(layer: Layer, radius: float) -> Floats:
-    begin, length = np.tan(layer.lay_angle), 1.0 / np.cos(layer.lay_angle)
-
-    def turns(strain: float, twist: float) -> Floats:
-        if radius == 0.0:
-            return np.array([0.0, twist])
-        up, around = 1.0 + strain, begin + radius * twist
-        per_length = radius * np.hypot(up, around) * length
-        return np.asarray(np.array([around**2, around * up]) / per_length)
-
-    steps = ((1e-6, 0.0), (0.0, 1e-3))
-    changes = np.array([(turns(*step) - turns(*(-s for s in step))) / 2 for step in steps])
-    changes /= np.array([[1e-6], [1e-3]])
-    stiff = flexural(layer) * np.diag([1.0, 1.0 / (1.0 + layer.poisson)])
-    return np.asarray(changes @ stiff @ changes.T * length)
-
-
-def bare(count: int, degrees: float) -> CrossSection:
-    ring = Layer(count, DIAMETER, np.radians(degrees), Elastic(MODULUS))
-    core = (Layer(1, DIAMETER, 0.0, Elastic(MODULUS)),) if count == 6 else ()
-    return concentric((*core, ring))
-
-
-@pytest.mark.parametrize(
-    ("section", "fixed", "free"),
-    [(wire("A2"), 0.029, 0.041), (bare(6, 25.0), 0.057, 0.194), (bare(3, 15.0), 0.083, 0.137)],
-)
-def test_what_strands_that_turn_rigidly_leave_out(
-    section: CrossSection, fixed: float, free: float
-) -> None:
-    """As docs/explanations/wire-model.md has it."""
-    (axial, coupling), (_, torsional) = of_helices(section)
-    found = stretch_torsion(section)
-    assert torsional / found.torsional - 1.0 == pytest.approx(fixed, abs=0.001)
-    loose = torsional - coupling**2 / axial
-    assert loose / found.torsional_free - 1.0 == pytest.approx(free, abs=0.001)

@@ -47,20 +47,16 @@ from tests.builders.wire_tables import wire_table as table_of
 A2 = WireSpec(
     "A2", 1.6e-3, (1, 6), (0.32e-3,) * 2, (float(np.radians(12.0)),), 0.3e-3, place="line 2"
 )
-LEVEL = spec_of("A2", "A2")
 
+LEVEL = spec_of("A2", "A2")
 
 LAYS = (float(np.radians(12.0)), float(np.radians(-15.0)))
 
-
 C3 = WireSpec("C3", 1.8e-3, (1, 6, 12), (0.23e-3,) * 3, LAYS, 0.3e-3, place="line 3")
-
 
 TABLE = ((0.001, 0.01), (110e6, 150e6))
 
-
 HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
-
 
 """Stick stiffness, 1e-3 N m^2, of the source's Table 3.5 as hexagons (PHYSICS 4)."""
 
@@ -79,8 +75,7 @@ def test_every_example_has_a_table_over_its_whole_range(examples: dict[str, Wire
         assert codes(table) in (["defaults_taken"], ["defaults_taken", "overlap_tolerated"]), name
         assert table.curvature[0] == table.moment[0] == 0.0
         assert table.curvature[-1] == pytest.approx(1.0 / (5.0 * table.spec.wire_diameter))
-        assert np.all(np.diff(table.curvature) > 0.0)
-        assert np.all(np.diff(table.moment) > 0.0)
+        assert np.all(np.diff([table.curvature, table.moment]) > 0.0)
         assert np.isin(table.slip_onsets, table.curvature).all()
         parts = table.stick + table.slip + table.bending + table.plastic + table.insulation
         assert parts == pytest.approx(table.moment, rel=1e-12, abs=1e-18)
@@ -91,46 +86,12 @@ def test_every_example_has_a_table_over_its_whole_range(examples: dict[str, Wire
         assert len(table.tip_force) >= 40
         assert table.tip_deflection[-1] == pytest.approx(0.8 * table.spec.length)
         assert np.all(np.diff(table.tip_force) > 0.0)
-
-
-def test_the_table_resolves_the_law(examples: dict[str, WireTable]) -> None:
-    """Straight lines between its points are within 0.1 % of the law."""
+    # straight lines between the points of a table are within 0.1 % of the law
     table = examples["C4"]
     built = build(table.spec)
     between = (table.curvature[1:-1] + table.curvature[2:]) / 2.0
     moment = moment_curvature(built.section, built.contacts, between).moment
     assert np.interp(between, table.curvature, table.moment) == pytest.approx(moment, rel=1e-3)
-
-
-def test_one_strand() -> None:
-    spec = replace(A2, layer_counts=(1,), strand_diameters=(0.8e-3,), lay_angles=())
-    table = wire_table(spec)
-    assert table.stick_stiffness == table.slip_stiffness
-    assert table.highest_moment == pytest.approx(table.lowest_moment)
-    turning = 110e9 / (2.0 * 1.34) * np.pi * 0.8e-3**4 / 32.0
-    turning += 1e9 / (2.0 * 1.4) * np.pi / 2.0 * (0.8e-3**4 - 0.5e-3**4)
-    assert table.torsional_stiffness == pytest.approx(turning)
-    assert (table.stretch_twist_coupling, table.free_torsional_stiffness) == (
-        0.0,
-        table.torsional_stiffness,
-    )
-
-
-@pytest.mark.parametrize("friction", [0.0, 0.3, 3.0])
-@pytest.mark.parametrize("angle", [1.0, 45.0, 80.0])
-def test_odd_wires_have_finite_tables(angle: float, friction: float) -> None:
-    room = float(np.cos(np.radians(angle)))  # round the core, for a helix beside a helix
-    spec = replace(
-        A2,
-        strand_diameters=(0.32e-3, 0.6 * room * 0.32e-3),
-        lay_angles=(float(np.radians(angle)),),
-        friction_strand=friction,
-        friction_insulation=friction,
-        tension=50.0,
-    )
-    table = wire_table(spec)
-    assert np.all(np.isfinite(table.moment))
-    assert np.all(table.tip_deflection <= 0.8 * spec.length)
 
 
 def test_the_grid_gives_way_to_the_onsets() -> None:
@@ -145,42 +106,21 @@ def test_the_grid_gives_way_to_the_onsets() -> None:
 
 SOFT = ((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
 
-
 """A made-up curve of soft PVC: 1 GPa at first."""
 
 
-def test_a_wire_at_rest_is_that_of_the_textbook() -> None:
-    """A stiff one, of which nothing slips: 3 w L / 8, w L^2 / 8 and w L^4 / 185 EI."""
-    table = wire_table(replace(LEVEL, length=0.03))
-    weight, rest = GRAVITY * table.mass_per_length, table.rest
-    assert table.mass_per_length == pytest.approx(6.856e-3, rel=1e-3)
-    assert rest is not None
-    assert rest.force == pytest.approx(3.0 * weight * 0.03 / 8.0, rel=1e-4)
-    assert rest.moment == pytest.approx(-weight * 0.03**2 / 8.0, rel=1e-3)
-    assert rest.curvature == pytest.approx(rest.moment / table.stick_stiffness, rel=1e-3)
-    sag = weight * 0.03**4 / 184.6 / table.stick_stiffness
-    assert rest.sag == pytest.approx(sag, rel=5e-3)
-
-
-@pytest.mark.parametrize("length", [0.085, 0.3, 1.0])
+@pytest.mark.parametrize("length", [0.085, 1.0])
 def test_loads_between_the_points_are_those_of_the_solver(length: float) -> None:
     """From 0.2 % of the length on; with even points a wire of 1 m was 38 % off at 5 mm."""
     table = wire_table(replace(LEVEL, length=length))
-    asked = np.array([5e-3, 10e-3, 20e-3, 30e-3, 50e-3, 0.002 * length, 0.3 * length])
     law = concave_law(table.curvature[1:], table.moment[1:])
     weight = 0.0 if table.rest is None else GRAVITY * table.mass_per_length
-    for each in np.unique(asked):
-        exact = end_load_path(law, length, np.array([each]), self_weight=weight).load[0]
-        assert force_at(table, float(each)) == pytest.approx(exact, rel=1e-3)
+    for deflection in (0.002 * length, 5e-3, 10e-3, 0.3 * length):
+        path = end_load_path(law, length, np.array([deflection]), self_weight=weight)
+        assert force_at(table, deflection) == pytest.approx(path.load[0], rel=1e-3)
 
 
-NAMES = ("A2", "A3", "C5")
-
-
-BENT = 1.0
-
-
-"""1/m: below, strands begin to slip, and a moment that is lost there has no weight."""
+NAMES = ("A2", "C5")
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -189,14 +129,16 @@ def family(request: pytest.FixtureRequest) -> LawFamily:
 
 
 def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> None:
-    own, base = family.at({}), family.base
+    own, base, table = family.at({}), family.base, wire_table(family.spec)
     assert own.law.stiffness == pytest.approx(base.stiffness, rel=1e-9)
     assert own.law.stiffnesses == pytest.approx(base.stiffnesses, rel=1e-6)
-    table = wire_table(family.spec)
-    assert own.torsional_stiffness == table.torsional_stiffness
-    assert own.axial_stiffness == table.axial_stiffness
-    assert own.coupling == table.stretch_twist_coupling
-    assert own.mass_per_length == table.mass_per_length
+    numbers = (own.torsional_stiffness, own.axial_stiffness, own.coupling, own.mass_per_length)
+    assert numbers == (
+        table.torsional_stiffness,
+        table.axial_stiffness,
+        table.stretch_twist_coupling,
+        table.mass_per_length,
+    )
 
 
 @pytest.mark.parametrize(
@@ -205,23 +147,22 @@ def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> Non
 def test_other_numbers_give_the_law_of_the_wire_that_has_them(
     family: LawFamily, values: dict[str, float]
 ) -> None:
+    """From 1 1/m on: below, strands begin to slip, and a moment lost there has no weight."""
     law = family.at({name: float(np.log(value)) for name, value in values.items()}).law
     assert law.slip_curvatures == pytest.approx(family.base.slip_curvatures, rel=0.0)
     table = wire_table(with_values(family.spec, values))
-    inside = table.curvature > BENT
+    inside = table.curvature > 1.0
     moment = slider_moment(law, table.curvature[inside])
     assert np.max(np.abs(moment / table.moment[inside] - 1.0)) < 0.015
 
 
 def test_stiffnesses_change_smoothly(family: LawFamily) -> None:
     """Half a step to either side changes them by half as much, all but a slope's jump."""
-    for name, centre in ((INSULATION_MODULUS, 1e9), (COPPER_SCALE, 1.0)):
-
-        def at(log: float, name: str = name, centre: float = centre) -> np.ndarray:
-            law = family.at({name: float(np.log(centre)) + log}).law
-            return np.append(law.stiffnesses, law.stiffness)
-
-        whole, half = at(0.02) - at(-0.02), at(0.01) - at(-0.01)
+    for name in (INSULATION_MODULUS, COPPER_SCALE):
+        centre = np.log(1e9 if name == INSULATION_MODULUS else 1.0)
+        laws = [family.at({name: centre + log}).law for log in (0.02, 0.01, -0.01, -0.02)]
+        rows = np.array([[*law.stiffnesses, law.stiffness] for law in laws])
+        whole, half = rows[0] - rows[3], rows[1] - rows[2]
         first = family.base.first_stiffness
         assert np.max(np.abs(whole - 2.0 * half)) < 1e-3 * np.max(np.abs(whole)) + 1e-9 * first
 
@@ -243,14 +184,8 @@ def test_it_may_look_around_other_values() -> None:
         ({}, "hexagonal", 0.32e-3),
         ({"layout": "compressed", "layer_radii": (0.0, 0.3e-3)}, "compressed", 0.3e-3),
         ({"layer_counts": (1, 9), "strand_diameters": (0.4e-3, 0.2e-3)}, "concentric", 0.3e-3),
-        *(
-            (
-                {"layer_counts": (count,), "strand_diameters": (0.3e-3,)},
-                "concentric",
-                0.15e-3 / np.sin(np.pi / count),
-            )
-            for count in (2, 3, 4, 5)
-        ),
+        ({"layer_counts": (2,), "strand_diameters": (0.3e-3,)}, "concentric", 0.15e-3),
+        ({"layer_counts": (4,), "strand_diameters": (0.3e-3,)}, "concentric", 0.15e-3 * 2**0.5),
     ],
 )
 def test_layouts(changes: dict[str, Any], kind: str, radius: float) -> None:
@@ -264,10 +199,10 @@ def test_layouts(changes: dict[str, Any], kind: str, radius: float) -> None:
 
 def test_contacts_materials_and_layers() -> None:
     """Inner rings touch strands, the outermost the insulation."""
-    built = build(A2)
-    assert built.section.insulation is not None
-    assert built.section.insulation.bore_radius == pytest.approx(0.5e-3)
-    assert built.contacts == Contacts((0.21,), (0.10,), 0.15)
+    insulation = build(A2).section.insulation
+    assert insulation is not None
+    assert insulation.bore_radius == pytest.approx(0.5e-3)
+    assert build(A2).contacts == Contacts((0.21,), (0.10,), 0.15)
     assert build(C3).contacts == Contacts((0.21, 0.21), (0.21, 0.10), 0.15)
     assert material_of(A2) == RambergOsgood(110e9, 530e6, 0.44, "numbers of the wire sheet")
     table = material_of(replace(A2, stress_table=TABLE))
@@ -276,11 +211,10 @@ def test_contacts_materials_and_layers() -> None:
     assert [layer.lay_angle for layer in layers_of(C3)] == [0.0, *LAYS]
     strand = replace(A2, layer_counts=(3,), strand_diameters=(0.3e-3,))
     assert layers_of(strand)[0].lay_angle == LAYS[0]
+    assert wire_table(A2).mass_per_length == pytest.approx(6.856e-3, rel=1e-3)
     assert wire_table(replace(A2, mass_per_length=8e-3)).mass_per_length == 8e-3
-    assert wire_table(replace(A2, insulation_density=0.0)).mass_per_length < 6e-3
 
 
-PACKED = replace(A2, layer_counts=(3,), strand_diameters=(0.3e-3,), layout="packed")
 NOTED: dict[str, tuple[WireSpec, list[str]]] = {
     "defaults": (replace(A2, defaults={"length": "length 85 mm"}), ["defaults_taken"]),
     "too tight": (replace(C3, wire_diameter=1.73e-3), ["layout_fallback"]),
@@ -327,50 +261,32 @@ def test_the_range_of_the_law() -> None:
 
 
 def test_numbers_that_the_notes_name() -> None:
-    around = build(replace(A2, wire_diameter=1.56e-3, layout="packed"))
-    assert "layout_eccentric" not in [note.code for note in around.notes]
-    built = build(PACKED)
+    spec = replace(A2, layer_counts=(3,), strand_diameters=(0.3e-3,), layout="packed")
+    built = build(spec)
     assert [note.code for note in built.notes] == ["layout_eccentric"]
     off = np.hypot(built.section.x.mean(), built.section.y.mean())
     turns = np.linspace(0.0, np.pi, 7)
     stiffness = [stick_stiffness(built.section, orientation=turn) for turn in turns]
-    words = re.search(
-        r"is (\S+) mm off the axis, (\S+) %.* is (\S+) to (\S+) N", built.notes[0].message
-    )
-    assert words is not None
-    distance, share, least, most = map(float, words.groups())
+    pattern = r"is (\S+) mm off the axis, (\S+) %.* is (\S+) to (\S+) N"
+    numbers = re.findall(pattern, built.notes[0].message)[0]
+    distance, share, least, most = map(float, numbers)
     assert (distance, share) == pytest.approx((1e3 * off, 100.0 * off / 0.5e-3), rel=0.02)
     assert least <= min(stiffness) * 1.001
     assert most >= max(stiffness) * 0.999
     assert most > 1.2 * least
-    spec = NOTED["stress table"][0]
-    strained = build(spec)
-    carried = float(material_of(spec).stress(np.array([strained.axial_strain]))[0])
-    pulled = f"with {110e3 * strained.axial_strain:.4g} MPa in the model"
-    assert pulled in strained.notes[0].message
-    assert f"carries {carried / 1e6:.4g} MPa there" in strained.notes[0].message
-    assert build(replace(spec, tension=1.0)).notes == ()
+    around = build(replace(A2, wire_diameter=1.56e-3, layout="packed"))
+    assert "layout_eccentric" not in [note.code for note in around.notes]
+    assert build(replace(NOTED["stress table"][0], tension=1.0)).notes == ()
     assert wire_table(replace(A2, tension=20.0)).moment[100] > wire_table(A2).moment[100]
 
 
-@pytest.mark.parametrize(
-    ("changes", "sticks"),
-    [
-        ({"friction_strand": 0.0, "friction_insulation": 0.0}, False),
-        ({"radial_force": 0.0}, False),
-        ({"radial_force": 1e-9}, False),
-        ({"radial_force": 1e6}, True),
-    ],
-)
-def test_strands_slip_at_once_or_not_within_the_range(
-    changes: dict[str, Any], sticks: bool
-) -> None:
-    table = wire_table(replace(A2, **changes))
+@pytest.mark.parametrize(("force", "sticks"), [(0.0, False), (1e-9, False), (1e6, True)])
+def test_strands_slip_at_once_or_not_within_the_range(force: float, sticks: bool) -> None:
+    table = wire_table(replace(A2, radial_force=force))
     assert table.slips_at_once != sticks
     assert ("slips_at_once" in codes(table)) != sticks
     stiffness = table.stick_stiffness if sticks else table.slip_stiffness
     assert table.secant_stiffness[1] == pytest.approx(stiffness, rel=1e-2)
-    assert table.slip_stiffness < 0.5 * table.stick_stiffness
     if sticks:
         assert table.slip_onsets.shape == (0,)
         assert table.slip_onset(0) == "beyond"
@@ -390,10 +306,8 @@ def test_a_law_that_softens_or_stiffens(monkeypatch: pytest.MonkeyPatch) -> None
     message = (
         r"the law softens: the moment falls from (\S+) N m at 9\.\d+ 1/m to (\S+) N m at 10\.\d+ "
     )
-    with pytest.raises(WireError, match=message) as raised:
+    with pytest.raises(WireError, match=message):
         wire_table(A2)
-    before, behind = map(float, re.findall(r"(\S+) N m at", str(raised.value)))
-    assert before - behind == pytest.approx(1e-3, rel=0.2)
     monkeypatch.setattr("labpipe.wire.wire_table.moment_curvature", changed(1e-2))
     table = wire_table(A2)
     assert codes(table) == ["cantilever_cut"]
@@ -404,50 +318,22 @@ def test_a_law_that_softens_or_stiffens(monkeypatch: pytest.MonkeyPatch) -> None
 def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
     """3 % of strain at the rim: twice that over the diameter."""
     table = wire_table(A2)
-    assert [(note.code, note.severity) for note in table.notes] == [
-        ("insulation_doubtful", "warning")
-    ]
+    assert codes(table) == []
+    assert [note.code for note in table.notes] == ["insulation_doubtful"]
     assert table.doubtful_curvature == pytest.approx(37.5)
     np.testing.assert_array_equal(table.is_doubtful, table.curvature > 37.5)
-    share = table.insulation[50] / table.moment[50]
-    assert table.insulation_share[50] == pytest.approx(share)
     shares = np.interp([1.0, 10.0, 125.0], table.curvature, table.insulation_share)
     assert shares == pytest.approx([0.50, 0.76, 0.93], abs=0.01)
     law = concave_law(table.curvature[1:], table.moment[1:])
     rest = held_level(law, A2.length, GRAVITY * table.mass_per_length).state
     shape = bend_to_deflection(law, rest, A2.length, table.doubtful_deflection)
     assert shape.curvature[0] == pytest.approx(37.5, rel=3e-3)
-    farther = wire_table(replace(A2, insulation_strain=0.2))
-    assert not farther.notes
-    assert not farther.is_doubtful.any()
-
-
-def test_a_stress_table_of_the_insulation() -> None:
-    plain, soft = wire_table(A2), wire_table(replace(A2, insulation_table=SOFT))
-    small = plain.curvature * 0.8e-3 < 0.01
-    assert soft.insulation[small] == pytest.approx(plain.insulation[small], rel=1e-9)
-    assert soft.moment[-1] < 0.5 * plain.moment[-1]
+    assert not wire_table(replace(A2, insulation_strain=0.2)).notes
+    soft = wire_table(replace(A2, insulation_table=SOFT))
+    small = table.curvature * 0.8e-3 < 0.01
+    assert soft.insulation[small] == pytest.approx(table.insulation[small], rel=1e-9)
+    assert soft.moment[-1] < 0.5 * table.moment[-1]
     assert not soft.is_doubtful.any()
-    assert codes(soft) == []
-
-
-def test_the_cantilever_ends_where_the_law_does() -> None:
-    table = wire_table(replace(LEVEL, largest_curvature=20.0))
-    assert 0.1 < table.tip_deflection[-1] / LEVEL.length < 0.8
-    assert len(table.tip_force) >= 40
-    law = concave_law(table.curvature[1:], table.moment[1:])
-    rest = held_level(law, LEVEL.length, GRAVITY * table.mass_per_length).state
-    end = bend_to_deflection(law, rest, LEVEL.length, float(table.tip_deflection[-1]))
-    assert end.moment[0] == pytest.approx(table.moment[-1], rel=1e-3)
-
-
-@pytest.mark.parametrize(("length", "largest"), [(0.3, None), (0.085, 1000.0), (3.0, None)])
-def test_a_long_wire_or_a_long_law_reaches_the_end(length: float, largest: float | None) -> None:
-    table = wire_table(replace(A2, length=length, largest_curvature=largest))
-    assert codes(table) == (["weight_left_out"] if length == 3.0 else [])
-    assert (table.rest is None) == (length == 3.0)
-    assert table.tip_deflection[-1] == pytest.approx(0.8 * length, rel=1e-12)
-    assert np.all(np.diff(table.tip_force) > 0.0)
 
 
 def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
@@ -462,3 +348,38 @@ def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
     grown = with_values(spec, {INSULATION_MODULUS: 2e9}).insulation_table
     assert np.array(grown) == pytest.approx(np.array([[0.01, 0.1], [20e6, 100e6]]))
     assert with_values(spec, {RADIAL_FRICTION: np.nan}) == spec
+
+
+def test_one_strand_and_a_wire_at_rest() -> None:
+    """Closed forms; at rest 3 w L / 8, w L^2 / 8 and w L^4 / 185 EI of one that does not slip."""
+    spec = replace(A2, layer_counts=(1,), strand_diameters=(0.8e-3,), lay_angles=())
+    table = wire_table(spec)
+    assert table.stick_stiffness == table.slip_stiffness
+    assert table.highest_moment == pytest.approx(table.lowest_moment)
+    turning = 110e9 / (2.0 * 1.34) * np.pi * 0.8e-3**4 / 32.0
+    turning += 1e9 / (2.0 * 1.4) * np.pi / 2.0 * (0.8e-3**4 - 0.5e-3**4)
+    assert table.torsional_stiffness == table.free_torsional_stiffness == pytest.approx(turning)
+    assert table.stretch_twist_coupling == 0.0
+    table = wire_table(replace(LEVEL, length=0.03))
+    weight, rest = GRAVITY * table.mass_per_length, table.rest
+    assert rest is not None
+    assert rest.force == pytest.approx(3.0 * weight * 0.03 / 8.0, rel=1e-4)
+    assert rest.moment == pytest.approx(-weight * 0.03**2 / 8.0, rel=1e-3)
+    assert rest.curvature == pytest.approx(rest.moment / table.stick_stiffness, rel=1e-3)
+    sag = weight * 0.03**4 / 184.6 / table.stick_stiffness
+    assert rest.sag == pytest.approx(sag, rel=5e-3)
+
+
+def test_the_cantilever_ends_where_the_law_does_or_at_its_length() -> None:
+    short = wire_table(replace(LEVEL, largest_curvature=20.0))
+    assert 0.1 < short.tip_deflection[-1] / LEVEL.length < 0.8
+    law = concave_law(short.curvature[1:], short.moment[1:])
+    rest = held_level(law, LEVEL.length, GRAVITY * short.mass_per_length).state
+    end = bend_to_deflection(law, rest, LEVEL.length, float(short.tip_deflection[-1]))
+    assert end.moment[0] == pytest.approx(short.moment[-1], rel=1e-3)
+    for length, largest in ((0.3, None), (0.085, 1000.0), (3.0, None)):
+        table = wire_table(replace(A2, length=length, largest_curvature=largest))
+        assert codes(table) == (["weight_left_out"] if length == 3.0 else [])
+        assert (table.rest is None) == (length == 3.0)
+        assert table.tip_deflection[-1] == pytest.approx(0.8 * length, rel=1e-12)
+        assert np.all(np.diff(table.tip_force) > 0.0)

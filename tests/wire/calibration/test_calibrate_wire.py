@@ -28,7 +28,7 @@ from labpipe.wire.calibration.fit import (
     log_error_of,
     pose,
 )
-from labpipe.wire.calibration.law_components import WireParts, take_apart
+from labpipe.wire.calibration.law_components import take_apart
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.wire.cross_section import Layer, concentric
 from labpipe.wire.friction import Contacts, insulated
@@ -38,9 +38,7 @@ from tests.builders.stranded_wires import tube
 
 WIRE = wire_of("A2")
 
-
 THREE = measured(lengths=(0.085, 0.12), samples=2, n=120, seed=8)
-
 
 FIXED = ParameterChoice(is_fixed=True)
 
@@ -62,48 +60,28 @@ def usual() -> Calibration:
     return calibrated(THREE, Settings(gain=0.005))
 
 
-def test_numbers_of_the_fit(usual: Calibration) -> None:
-    assert usual.wire == "A2"
-    assert (usual.n_points, usual.n_samples, len(usual.curves)) == (480, 4, 4)
-    assert usual.sse == pytest.approx(sum(curve.sse for curve in usual.curves))
-    assert usual.rmse == pytest.approx(np.sqrt(usual.sse / 480))
-    assert usual.rmse_share == pytest.approx(usual.rmse / max(curve.peak for curve in THREE))
-    assert np.diag(usual.correlations) == pytest.approx(np.ones(3))
-    assert usual.levels.noise_factor == pytest.approx(1.0, abs=0.1)
-    assert usual.levels.gain == 0.005
-    assert usual.levels.scatter_freedom < 10.0
-    assert usual.levels.noise_freedom > 400.0
-    assert set(codes(usual)) <= {"not_identified"}
-
-
-def test_a_prior_that_contradicts() -> None:
-    choice = ParameterChoice(1.6, factor=1.05)
-    found = calibrated(THREE, Settings({"copper_scale": choice}, gain=0.005))
-    conflict = found.parameter("copper_scale").conflict
-    assert conflict is not None
-    assert conflict.contradicts
-    assert conflict.size > 3.0
-    assert conflict.alone == pytest.approx(1.0, abs=0.25)
-    assert "prior_contradicts_data" in codes(found)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("bound", "choice"),
+    [
+        ("lower", ParameterChoice(1.3e9, lower=1.2e9)),
+        ("upper", ParameterChoice(0.7e9, upper=0.8e9)),
+    ],
+)
+def test_a_parameter_at_its_bound(bound: str, choice: ParameterChoice) -> None:
+    calibration = calibrated(THREE, Settings({"insulation_modulus": choice}, gain=0.005))
+    modulus = calibration.parameter("insulation_modulus")
+    assert modulus.at_bound == bound
+    assert modulus.verdict is Identifiability.AT_BOUND
+    assert "at_bound" in codes(calibration)
 
 
 @pytest.mark.slow
-def test_a_parameter_at_its_bound() -> None:
-    choice = ParameterChoice(1.3e9, lower=1.2e9)
-    found = calibrated(THREE, Settings({"insulation_modulus": choice}, gain=0.005))
-    modulus = found.parameter("insulation_modulus")
-    assert modulus.at_bound == "lower"
-    assert modulus.verdict is Identifiability.AT_BOUND
-    assert "at_bound" in codes(found)
-    upper = ParameterChoice(0.7e9, upper=0.8e9)
-    below = calibrated(THREE, Settings({"insulation_modulus": upper}, gain=0.005))
-    assert below.parameter("insulation_modulus").at_bound == "upper"
-
-
 def test_what_is_identified_is_so_at_99_per_cent() -> None:
     """An interval that noise ended just early enough is not knowledge."""
-    found = calibrated(measured(seed=4, n=90), Settings(gain=0.005))
-    copper, modulus = found.parameter("copper_scale"), found.parameter("insulation_modulus")
+    calibration = calibrated(measured(seed=4, n=90), Settings(gain=0.005))
+    copper = calibration.parameter("copper_scale")
+    modulus = calibration.parameter("insulation_modulus")
     (part,) = copper.intervals
     assert 1.7 < part.upper / part.lower < 1.8
     assert copper.verdict is Identifiability.WEAKLY
@@ -113,51 +91,30 @@ def test_what_is_identified_is_so_at_99_per_cent() -> None:
 
 
 def test_one_sample_speaks_of_itself() -> None:
-    found = calibrated(THREE[:1], Settings(gain=0.005))
-    assert "one_sample" in codes(found)
-    assert found.levels.scatter_freedom == 0.0
-    given = calibrated(THREE[:1], Settings(gain=0.005, scatter=0.03))
+    choices = {"copper_scale": FIXED}
+    alone = calibrated(THREE[:1], Settings(choices, gain=0.005))
+    assert "one_sample" in codes(alone)
+    assert alone.levels.scatter_freedom == 0.0
+    given = calibrated(THREE[:1], Settings(choices, gain=0.005, scatter=0.03))
     assert "one_sample" not in codes(given)
     assert given.levels.scatter_freedom == np.inf
-    wider, narrow = (c.parameter("insulation_modulus").log_error for c in (given, found))
+    wider, narrow = (c.parameter("insulation_modulus").log_error for c in (given, alone))
     assert wider > narrow
 
 
 @pytest.mark.slow
-def test_noise_that_was_misstated() -> None:
+def test_noise_that_was_misstated(usual: Calibration) -> None:
     understated = tuple(replace(curve, noise=0.0005) for curve in THREE)
-    found = calibrated(understated, Settings(gain=0.005))
-    assert "noise_misstated" in codes(found)
-    assert found.levels.noise_factor == pytest.approx(4.0, rel=0.1)
-    usual = calibrated(THREE, Settings(gain=0.005))
-    one, two = (c.parameter("radial_friction").interval for c in (found, usual))
+    calibration = calibrated(understated, Settings(gain=0.005))
+    assert "noise_misstated" in codes(calibration)
+    assert calibration.levels.noise_factor == pytest.approx(4.0, rel=0.1)
+    one, two = (c.parameter("radial_friction").interval for c in (calibration, usual))
     assert one is not None
     assert two is not None
     assert one.upper == pytest.approx(two.upper, rel=0.02)
 
 
-def test_a_wire_without_friction() -> None:
-    strand = Wire(concentric((Layer(1, 0.9e-3),), tube(1.6e-3)), Contacts((), ()))
-    found = calibrated(THREE, Settings(gain=0.005), strand)
-    friction = found.parameter("radial_friction")
-    assert np.isnan(friction.value)
-    assert friction.words == "phi = F_rad (mu_s + mu_p) does not act on this wire"
-    assert found.friction_separability is None
-    assert found.separability.names == PARAMETERS[1:]
-
-
-def test_not_identified_is_noted() -> None:
-    noisy = measured(n=60, noise=0.04, seed=4)
-    found = calibrated(noisy, Settings({"copper_scale": FIXED}, gain=0.005))
-    friction = found.parameter("radial_friction")
-    assert friction.at_bound == ""
-    assert friction.verdict is Identifiability.NOT
-    assert friction.is_open_below
-    assert "not_identified" in codes(found)
-
-
 PARTS = take_apart(WIRE.section, WIRE.contacts)
-
 
 CURVES = measured(n=20)
 
@@ -176,45 +133,9 @@ def test_fixed_and_priors() -> None:
     assert log_error_of(math.e) == pytest.approx(1.0 / 1.959964, rel=1e-6)
 
 
-def test_values_lie_in_intervals_near_the_truth(usual: Calibration) -> None:
-    for parameter, truth in zip(usual.parameters, TRUTH, strict=True):
-        assert parameter.interval is not None
-        assert parameter.interval.lower < parameter.value < parameter.interval.upper
-        assert abs(np.log(parameter.value / truth)) < 4.0 * parameter.log_error
-        assert parameter.profiles[0].deviance.min() == 0.0
-    assert usual.parameter("insulation_modulus").verdict is Identifiability.WELL
-    assert usual.parameter("radial_friction").verdict in {
-        Identifiability.WEAKLY,
-        Identifiability.NOT,
-    }
-    assert all(usual.separability.are_identified.values())
-    assert usual.friction_separability is not None
-    assert not any(usual.friction_separability.are_identified.values())
-    exact = measured(noise=1e-5, scatter=0.0, gain=0.0, n=60)
-    quiet = find(WIRE, exact, Settings(scatter=0.0))
-    assert isinstance(quiet, CalibrationFit)
-    assert np.abs(quiet.fit.point.logs - np.log(TRUTH)).max() < 0.02
-    assert quiet.is_scatter_known
-
-
-def test_a_prior_that_says_most_and_everything_held() -> None:
-    choice = ParameterChoice(1.0, factor=1.02)
-    copper = calibrated(THREE, Settings({"copper_scale": choice}, gain=0.005)).parameter(
-        "copper_scale"
-    )
-    assert copper.verdict is Identifiability.BY_PRIOR
-    assert copper.conflict is not None
-    assert not copper.conflict.contradicts
-    held = calibrated(THREE, Settings(dict.fromkeys(PARAMETERS, FIXED)))
-    assert [parameter.interval for parameter in held.parameters] == [None] * 3
-    assert {parameter.verdict for parameter in held.parameters} == {Identifiability.FIXED}
-    assert not held.solutions[0].covariance.any()
-    assert np.isnan(held.correlations).all()
-    assert held.rmse < 0.02
-
-
 def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch) -> None:
-    slow = calibrated(measured(n=200, seed=9, correlation=0.9), Settings(gain=0.005))
+    curves = measured(n=200, samples=2, seed=9, correlation=0.9)
+    slow = calibrated(curves, Settings({"copper_scale": FIXED}, gain=0.005))
     assert "residuals_correlated" in codes(slow)
     assert slow.levels.correlation == pytest.approx(0.9, abs=0.06)
     monkeypatch.setattr("labpipe.wire.calibration.parameter_search._MOST_STEPS", 1)
@@ -231,29 +152,26 @@ def test_a_model_that_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "deflection=0.05 m: the curve ends at 0.0379" in failure.message
 
 
-SMOOTH = insulated(1, strand=0.2, insulation=0.1, radial_force=0.0)
 STRAND = take_apart(concentric((Layer(1, 0.5e-3),)), Contacts((), ()))
 
 
-@pytest.mark.parametrize(
-    ("parts", "starts", "free"),
-    [
-        (PARTS, TRUTH.tolist(), [True, True, True]),
-        (take_apart(section_of("A2"), SMOOTH), [0.05, *TRUTH[1:].tolist()], [True, True, True]),
-        (STRAND, [None, None, 1.0], [False, False, True]),
-    ],
-    ids=["all act", "no radial force", "one strand"],
-)
-def test_starts(parts: WireParts, starts: list[float | None], free: list[bool]) -> None:
-    posed = pose(parts, CURVES, {}, 0.01)
-    assert not isinstance(posed, CalibrationFailure)
-    problem, logs, are_free = posed
-    assert are_free.tolist() == free
-    for log, start in zip(logs, starts, strict=True):
-        assert start is None or np.exp(log) == pytest.approx(start)
-    assert not problem.precision.any()
-    assert np.exp(problem.upper[2]) == pytest.approx(BOUNDS[COPPER_SCALE][1])
-    assert problem.sample.tolist() == [0, 1, 2]
+def test_starts() -> None:
+    """At the wire's own numbers; without radial force at a usual one; what does not act is held."""
+    smooth = insulated(1, strand=0.2, insulation=0.1, radial_force=0.0)
+    unpressed = take_apart(section_of("A2"), smooth)
+    for parts, starts, free in (
+        (PARTS, TRUTH, [True, True, True]),
+        (unpressed, [0.05, *TRUTH[1:]], [True, True, True]),
+        (STRAND, [np.nan, np.nan, 1.0], [False, False, True]),
+    ):
+        posed = pose(parts, CURVES, {}, 0.01)
+        assert not isinstance(posed, CalibrationFailure)
+        problem, logs, are_free = posed
+        assert are_free.tolist() == free
+        assert np.exp(logs)[free] == pytest.approx(np.array(starts)[free])
+        assert not problem.precision.any()
+        assert np.exp(problem.upper[2]) == pytest.approx(BOUNDS[COPPER_SCALE][1])
+        assert problem.sample.tolist() == [0, 1, 2]
 
 
 def test_what_is_refused(approved: Approve) -> None:
@@ -275,3 +193,75 @@ def test_what_is_refused(approved: Approve) -> None:
         failures.append(CalibrationFailure("ValueError", str(refusal.value)))
     assert all(isinstance(failure, CalibrationFailure) for failure in failures)
     approved(f"{failure.code}: {failure.message}" for failure in failures)  # type: ignore[union-attr]
+
+
+def test_the_fit_of_usual_tests(usual: Calibration) -> None:
+    assert usual.wire == "A2"
+    assert (usual.n_points, usual.n_samples, len(usual.curves)) == (480, 4, 4)
+    assert usual.sse == pytest.approx(sum(curve.sse for curve in usual.curves))
+    assert usual.rmse == pytest.approx(np.sqrt(usual.sse / 480))
+    assert usual.rmse_share == pytest.approx(usual.rmse / max(curve.peak for curve in THREE))
+    assert np.diag(usual.correlations) == pytest.approx(np.ones(3))
+    assert usual.levels.noise_factor == pytest.approx(1.0, abs=0.1)
+    assert usual.levels.gain == 0.005
+    assert usual.levels.scatter_freedom < 10.0
+    assert usual.levels.noise_freedom > 400.0
+    assert set(codes(usual)) <= {"not_identified"}
+    for parameter, truth in zip(usual.parameters, TRUTH, strict=True):
+        assert parameter.interval is not None
+        assert parameter.interval.lower < parameter.value < parameter.interval.upper
+        assert abs(np.log(parameter.value / truth)) < 4.0 * parameter.log_error
+        assert parameter.profiles[0].deviance.min() == 0.0
+    assert usual.parameter("insulation_modulus").verdict is Identifiability.WELL
+    friction = usual.parameter("radial_friction").verdict
+    assert friction in {Identifiability.WEAKLY, Identifiability.NOT}
+    assert all(usual.separability.are_identified.values())
+    assert usual.friction_separability is not None
+    assert not any(usual.friction_separability.are_identified.values())
+
+
+def test_without_noise_the_truth_is_found() -> None:
+    exact = measured(noise=1e-5, scatter=0.0, gain=0.0, n=60)
+    quiet = find(WIRE, exact, Settings(scatter=0.0))
+    assert isinstance(quiet, CalibrationFit)
+    assert np.abs(quiet.fit.point.logs - np.log(TRUTH)).max() < 0.02
+    assert quiet.is_scatter_known
+
+
+@pytest.mark.parametrize(("centre", "factor", "contradicts"), [(1.6, 1.05, True), (1, 1.02, False)])
+def test_a_prior_that_contradicts_and_one_that_says_most(
+    centre: float, factor: float, contradicts: bool
+) -> None:
+    choice = ParameterChoice(centre, factor=factor)
+    calibration = calibrated(THREE, Settings({"copper_scale": choice}, gain=0.005))
+    copper = calibration.parameter("copper_scale")
+    assert copper.conflict is not None
+    assert copper.conflict.contradicts == contradicts
+    assert copper.conflict.alone == pytest.approx(1.0, abs=0.25)
+    assert (copper.verdict is Identifiability.BY_PRIOR) != contradicts
+    assert ("prior_contradicts_data" in codes(calibration)) == contradicts
+
+
+def test_everything_held() -> None:
+    held = calibrated(THREE, Settings(dict.fromkeys(PARAMETERS, FIXED)))
+    assert [parameter.interval for parameter in held.parameters] == [None] * 3
+    assert {parameter.verdict for parameter in held.parameters} == {Identifiability.FIXED}
+    assert not held.solutions[0].covariance.any()
+    assert np.isnan(held.correlations).all()
+    assert held.rmse < 0.02
+
+
+def test_a_friction_that_is_not_identified_and_one_that_does_not_act() -> None:
+    noisy = measured(n=30, noise=0.04, seed=4)
+    calibration = calibrated(noisy, Settings({"copper_scale": FIXED}, gain=0.005))
+    friction = calibration.parameter("radial_friction")
+    assert friction.at_bound == ""
+    assert friction.verdict is Identifiability.NOT
+    assert friction.is_open_below
+    assert "not_identified" in codes(calibration)
+    strand = Wire(concentric((Layer(1, 0.9e-3),), tube(1.6e-3)), Contacts((), ()))
+    without = calibrated(THREE[:2], Settings({"copper_scale": FIXED}, gain=0.005), strand)
+    friction = without.parameter("radial_friction")
+    assert np.isnan(friction.value)
+    assert friction.words == "phi = F_rad (mu_s + mu_p) does not act on this wire"
+    assert without.friction_separability is None

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import CalibratedParameter, Identifiability, PriorConflict
 from labpipe.wire.calibration.fit import (
@@ -64,48 +63,38 @@ def test_verdicts(span: float, more: dict[str, bool], expected: Identifiability)
 
 @pytest.mark.parametrize("name", ["A2", "A3"])
 def test_friction_numbers_act_as_one(name: str) -> None:
+    """At a corner too, where strands begin to slip: with weight, all steps cross the same."""
     wire, curves = wire_of(name), measured(name, (0.1,), samples=1, n=60)
     jacobian = friction_jacobian(
         wire.section, wire.contacts, TRUTH, curves, orientation=0.0, correlation=0.0
     )
-    found = separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
-    assert found.singular_values[0] > 3.0
-    assert not any(found.are_identified.values())
+    combined = separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
+    assert combined.singular_values[0] > 3.0
+    assert not any(combined.are_identified.values())
     if name == "A2":
-        assert found.singular_values[1] < 1e-3
-        weights = found.combinations[0] / found.combinations[0][2]
+        assert combined.singular_values[1] < 1e-3
+        weights = combined.combinations[0] / combined.combinations[0][2]
         assert weights == pytest.approx([0.21 / 0.31, 0.10 / 0.31, 1.0], abs=2e-3)
-        assert found.words.startswith(
-            "mu_s, mu_p and F_rad are not identified, they cannot be told apart: "
-            "1 of 3 combinations is known (singular values of mu_s, mu_p and F_rad: "
+        (curve,) = measured("A2", (0.12,), samples=1, n=1000)
+        heavy, at_corner = replace(curve, self_weight=0.03), TRUTH * np.array([1.003, 1.0, 1.0])
+        jacobian = friction_jacobian(
+            wire.section, wire.contacts, at_corner, (heavy,), orientation=0.0, correlation=0.0
         )
+        values = separability(FRICTION_NAMES, jacobian, "friction").singular_values
+        assert values[1] < 1e-3 * values[0]
 
 
-def test_a_corner_of_the_curve_does_not_tell_friction_numbers_apart() -> None:
-    """With weight, curves have corners where strands begin to slip: all steps cross the same."""
-    wire, (curve,) = wire_of("A2"), measured("A2", (0.12,), samples=1, n=1000)
-    heavy, at_corner = replace(curve, self_weight=0.03), TRUTH * np.array([1.003, 1.0, 1.0])
-    jacobian = friction_jacobian(
-        wire.section, wire.contacts, at_corner, (heavy,), orientation=0.0, correlation=0.0
-    )
-    found = separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
-    assert found.singular_values[1] < 1e-3 * found.singular_values[0]
-
-
-@pytest.mark.parametrize(
-    ("matrix", "are_identified"),
-    [
-        (np.diag([10.0, 4.0, 2.0]), [True, True, True]),
-        (np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 9.0]] * 2), [False, False, True]),
-        (np.diag([10.0, 0.0, 9.0]), [True, False, True]),
-    ],
-    ids=["all", "only together", "one without effect"],
-)
-def test_separability(matrix: Floats, are_identified: list[bool]) -> None:
+def test_separability() -> None:
     names = ("a", "radial_force", "c")
-    result = separability(names, matrix, "three")
-    assert result.singular_values == pytest.approx(np.linalg.svd(matrix)[1], abs=1e-9)
-    assert result.are_identified == dict(zip(names, are_identified, strict=True))
+    only_together = np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 9.0]] * 2)
+    for matrix, are_identified in (
+        (np.diag([10.0, 4.0, 2.0]), [True, True, True]),
+        (only_together, [False, False, True]),
+        (np.diag([10.0, 0.0, 9.0]), [True, False, True]),
+    ):
+        result = separability(names, matrix, "three")
+        assert result.singular_values == pytest.approx(np.linalg.svd(matrix)[1], abs=1e-9)
+        assert result.are_identified == dict(zip(names, are_identified, strict=True))
 
 
 def test_words(approved: Approve) -> None:

@@ -60,28 +60,6 @@ def test_whitening_undoes_memory() -> None:
     assert whiten(noise, 0.0) is noise
 
 
-def test_errors_that_all_points_share() -> None:
-    curve = replace(CURVE, zero_error=0.1, place_error=2e-3, scale_error=0.01)
-    slope = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
-    zero, place, scale = shared_errors(curve, slope)
-    assert zero == pytest.approx(np.full(5, 0.1))
-    assert place == pytest.approx(2e-3 * slope)
-    assert scale == pytest.approx(0.01 * curve.deflection * slope)
-    assert not shared_errors(CURVE, slope).any()
-
-
-def test_a_scale_that_all_curves_share_does_not_average_out() -> None:
-    one = replace(CURVE, scale_error=0.01)
-    found = usable((one, one, one, one))
-    assert isinstance(found, tuple)
-    assert [curve.scale_error for curve in found] == pytest.approx([0.02] * 4)
-    own = usable((replace(one, own_scale_error=0.015),) * 4)
-    assert not isinstance(own, CalibrationFailure)
-    slope = np.full(len(one.force), 2.0)
-    scale = shared_errors(own[0], slope)[2]  # four alike count twice each, what is its own once
-    np.testing.assert_allclose(scale, 0.025 * own[0].deflection * 2.0)
-
-
 def test_agreement_takes_the_sample_s_factor_out_of_residuals_only() -> None:
     model = np.linspace(0.0, 1.0, 50)
     force = 1.1 * model + 0.01 * (-1.0) ** np.arange(50)
@@ -95,16 +73,9 @@ def test_agreement_takes_the_sample_s_factor_out_of_residuals_only() -> None:
 
 OTHER = np.linspace(0.001, 0.05, 50)
 
-
 LINE = 2.0 * OTHER
 
-
 BAND = (LINE - 0.004, LINE + 0.004)
-
-
-def third(deflection: Floats, force: Floats) -> ExternalCurve:
-    return ExternalCurve("fe", "fe.csv", "A2", 0.085, deflection, force)
-
 
 D = np.linspace(0.0, 0.05, 21)
 
@@ -117,12 +88,12 @@ def calibration() -> Calibration:
 
 
 def test_another_wire_and_length(calibration: Calibration) -> None:
-    found = predict(calibration, wire_of("A3"), 0.12, D, rig=rig_of(0.12), noise=0.002)
+    curve = predict(calibration, wire_of("A3"), 0.12, D, rig=rig_of(0.12), noise=0.002)
     exact = exact_curve("A3", 0.12)(D)
-    assert np.all((found.lower_mean <= exact) & (exact <= found.upper_mean))
-    assert np.all(found.lower <= found.lower_mean)
-    assert np.all(found.upper_mean <= found.upper)
-    assert found.notes == ()
+    assert np.all((curve.lower_mean <= exact) & (exact <= curve.upper_mean))
+    assert np.all(curve.lower <= curve.lower_mean)
+    assert np.all(curve.upper_mean <= curve.upper)
+    assert curve.notes == ()
 
 
 def test_what_widens_a_band(calibration: Calibration) -> None:
@@ -194,25 +165,25 @@ def test_external_curves(
     at: list[float], off: Floats, band: tuple[Floats, Floats] | None, n: int, inside: float
 ) -> None:
     deflection = np.array(at)
-    found = match(third(deflection, 2.0 * deflection + off), OTHER, LINE, band, "the tests")
-    within = (deflection > 0.0009) & (deflection < 0.05001)
-    assert (found.errors is None) == (n == 0)
-    assert found.left_out == len(at) - n
-    if found.errors is not None:
-        rmse = float(np.sqrt(np.sum(np.square(off * np.ones(len(at)))) / len(at)))
-        assert found.errors.n == n
-        assert found.errors.inside == pytest.approx(inside, nan_ok=True)
-        assert found.errors.rmse == pytest.approx(rmse, rel=1e-12, abs=1e-15)
-        largest = 2.0 * deflection[within].max()
-        assert found.errors.rmse_share == pytest.approx(rmse / largest, rel=1e-12, abs=1e-13)
+    matched = match(external(deflection, 2.0 * deflection + off), OTHER, LINE, band, "the tests")
+    assert (matched.errors is None) == (n == 0)
+    assert matched.left_out == len(at) - n
+    if matched.errors is not None:
+        within = (deflection > 0.0009) & (deflection < 0.05001)
+        rmse = float(np.sqrt(np.mean(np.square(off * np.ones(len(at))))))
+        assert matched.errors.n == n
+        assert matched.errors.inside == pytest.approx(inside, nan_ok=True)
+        assert matched.errors.rmse == pytest.approx(rmse, rel=1e-12, abs=1e-15)
+        share = rmse / (2.0 * deflection[within].max())
+        assert matched.errors.rmse_share == pytest.approx(share, rel=1e-12, abs=1e-13)
         wanted = np.where(within, 2.0 * deflection, np.nan)
-        np.testing.assert_allclose(found.reference, wanted, rtol=1e-12)
+        np.testing.assert_allclose(matched.reference, wanted, rtol=1e-12)
 
 
 def test_words_of_what_is_not_compared(approved: Approve) -> None:
     rows = [np.array([0.0, 0.01, 0.02, 0.03, 0.09]), np.array([0.04, 0.05, 0.06])]
-    lines = [match(third(at, at), OTHER, LINE, BAND, "the tests").words for at in rows]
-    empty = match(third(OTHER, LINE), NOTHING, NOTHING, (NOTHING, NOTHING), "the tests")
+    lines = [match(external(at, at), OTHER, LINE, BAND, "the tests").words for at in rows]
+    empty = match(external(OTHER, LINE), NOTHING, NOTHING, (NOTHING, NOTHING), "the tests")
     assert empty.errors is None
     approved([*lines, empty.words])
 
@@ -233,8 +204,8 @@ def test_bands_of_two_solutions(calibration: Calibration) -> None:
     assert equal.upper == pytest.approx(of_stiff.upper)
     assert "two_solutions" in [note.code for note in equal.notes]
     less = predicted(first, replace(stiff, rise=0.75 * first.limit))
-    half = 0.5 * (of_stiff.upper_mean - of_stiff.force)
-    assert less.upper_mean[1:] == pytest.approx((of_stiff.force + half)[1:])
+    half = 0.5 * (of_stiff.upper_mean + of_stiff.force)
+    assert less.upper_mean[1:] == pytest.approx(half[1:])
     outside = predicted(first, replace(stiff, rise=1.1 * first.limit))
     assert outside.upper == pytest.approx(alone.upper)
 
@@ -253,3 +224,22 @@ def test_what_a_prediction_lacks(calibration: Calibration) -> None:
     assert notes[1].message.startswith("phi is open; ")
     with pytest.raises(ValueError, match=r"deflection=0.05 m: the curve ends at 0.04"):
         predict(calibration, wire_of("A2"), 0.06, D)
+
+
+def external(deflection: Floats, force: Floats) -> ExternalCurve:
+    return ExternalCurve("fe", "fe.csv", "A2", 0.085, deflection, force)
+
+
+def test_errors_that_points_or_curves_share() -> None:
+    """Four curves alike count a shared scale twice each, what is their own once."""
+    curve = replace(CURVE, zero_error=0.1, place_error=2e-3, scale_error=0.01)
+    slope = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    zero, place, scale = shared_errors(curve, slope)
+    assert zero == pytest.approx(np.full(5, 0.1))
+    assert place == pytest.approx(2e-3 * slope)
+    assert scale == pytest.approx(0.01 * curve.deflection * slope)
+    assert not shared_errors(CURVE, slope).any()
+    alike = usable((replace(CURVE, scale_error=0.01, own_scale_error=0.015),) * 4)
+    assert not isinstance(alike, CalibrationFailure)
+    scale = shared_errors(alike[0], slope)[2]
+    np.testing.assert_allclose(scale, 0.025 * alike[0].deflection * slope)

@@ -10,7 +10,7 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.wire.calibration.law_components import ModelForce, take_apart
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
-from labpipe.wire.calibration.parameter_search import Fit, Levels, Point, Problem
+from labpipe.wire.calibration.parameter_search import Fit, Point, Problem
 from labpipe.wire.calibration.variances import (
     correlation_of,
     estimate_levels,
@@ -21,12 +21,9 @@ from tests.builders.loading_tests import TRUTH, memory_noise, wire_of
 
 WIRE = wire_of("A2")
 
-
 PARTS = take_apart(WIRE.section, WIRE.contacts)
 
-
 NONE = np.zeros(3, dtype=np.bool_)
-
 
 SAMPLES, POINTS = 5, 30
 
@@ -61,30 +58,19 @@ def test_levels_are_those_of_the_analysis_of_variance() -> None:
 
 
 def test_freedom_is_that_of_the_samples() -> None:
-    problem, fit, values = layout(2, gain=1e3)
-    levels = estimate_levels(problem, fit, NONE, 0.0, None)
-    found = uncertainty(problem, fit, NONE, levels, is_scatter_known=False)
-    mean = np.array([0.0, 0.0, 0.0, 1.0])
-    between = float(values.mean(axis=1).var(ddof=1))
-    assert mean @ found.covariance @ mean == pytest.approx(between / SAMPLES, rel=2e-3)
-    assert found.freedom(mean) == pytest.approx(SAMPLES - 1, rel=0.02)
-    given = uncertainty(problem, fit, NONE, levels, is_scatter_known=True)
-    assert given.freedom(mean) > 1e3
-    # The variance of the noise is known as from all points, less one for the gain (chi-square).
-    known = 2.0 / (SAMPLES * POINTS - 1)
-    assert given.level_covariance == pytest.approx(np.diag([known, 0.0]))
-    assert found.freedom(np.array([1.0, 0.0, 0.0, 0.0])) == np.inf
-
-
-def test_variances_are_known_as_by_the_analysis_of_variance() -> None:
-    """Of a balanced layout with k samples of n points, by its mean squares within and between.
+    """Variances are known as by the mean squares within and between of a balanced layout.
 
     They are independent, with k (n - 1) and k - 1 degrees of freedom (Searle, Casella and
     McCulloch, Variance Components, 1992, sec. 3.5).
     """
-    problem, fit, _ = layout(2, gain=1e6)
+    problem, fit, values = layout(2, gain=1e3)
     levels = estimate_levels(problem, fit, NONE, 0.0, None)
-    found = uncertainty(problem, fit, NONE, levels, is_scatter_known=False)
+    known = uncertainty(problem, fit, NONE, levels, is_scatter_known=False)
+    mean = np.array([0.0, 0.0, 0.0, 1.0])
+    spread = float(values.mean(axis=1).var(ddof=1))
+    assert mean @ known.covariance @ mean == pytest.approx(spread / SAMPLES, rel=2e-3)
+    assert known.freedom(mean) == pytest.approx(SAMPLES - 1, rel=0.02)
+    assert known.freedom(np.array([1.0, 0.0, 0.0, 0.0])) == np.inf
     noise, samples = levels.noise, levels.scatter**2
     within, between = 2.0 / (SAMPLES * (POINTS - 1)), 2.0 / (SAMPLES - 1)
     both = noise**2 * within + (noise + POINTS * samples) ** 2 * between
@@ -92,7 +78,12 @@ def test_variances_are_known_as_by_the_analysis_of_variance() -> None:
         [within, -noise * within / (POINTS * samples)],
         [-noise * within / (POINTS * samples), both / (POINTS * samples) ** 2],
     ]
-    assert found.level_covariance == pytest.approx(np.array(wanted), rel=5e-3)
+    assert known.level_covariance == pytest.approx(np.array(wanted), rel=5e-3)
+    given = uncertainty(problem, fit, NONE, levels, is_scatter_known=True)
+    assert given.freedom(mean) > 1e3
+    # The variance of the noise is known as from all points, less one for the gain (chi-square).
+    from_all = 2.0 / (SAMPLES * POINTS - 1)
+    assert given.level_covariance == pytest.approx(np.diag([from_all, 0.0]))
 
 
 def test_offsets_that_the_fit_took_out_are_put_back() -> None:
@@ -127,9 +118,8 @@ def test_correlation_of_neighbours(correlation: float) -> None:
 def test_one_sample_has_no_scatter() -> None:
     problem, fit, _ = layout(5)
     alone = replace(problem, curves=problem.curves[:1], sample=np.zeros(1, np.int64))
-    one = Fit(Point(np.log(TRUTH), 0.0, np.zeros(1)), 0.0, fit.grams[:1], [], 0, settled=True)
+    one = replace(fit, point=replace(fit.point, offsets=np.zeros(1)), grams=fit.grams[:1])
     levels = estimate_levels(alone, one, NONE, 0.0, None)
     assert levels.scatter == 0.0
-    found = uncertainty(alone, one, NONE, levels, is_scatter_known=False)
-    assert found.level_covariance[1, 1] == 0.0
-    assert Levels(1.0, 0.0, 0.0).scatter == 0.0
+    known = uncertainty(alone, one, NONE, levels, is_scatter_known=False)
+    assert known.level_covariance[1, 1] == 0.0
