@@ -10,20 +10,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import FittedLine, Interval, Slip, SlipDecision
 from labpipe.records.group import (
-    Band,
     Campaign,
     Contrast,
-    Decision,
     Difference,
     Group,
     GroupNumber,
     MeanInterval,
-    NestedMean,
     Outlier,
     Sample,
     SampleCurve,
@@ -112,112 +108,22 @@ def build_lines(scale: float) -> tuple[FittedLine, ...]:
     )
 
 
-def mean_of(values: Sequence[float]) -> MeanInterval:
-    count = len(values)
-    if count < 2:
-        reason = Reason("one_value", "one value has no spread to make an interval of.")
-        return MeanInterval(float(np.mean(values)), None, float("nan"), count, reason)
-    mean, deviation = float(np.mean(values)), float(np.std(values, ddof=1))
-    half = float(stats.t.ppf(0.975, count - 1)) * deviation / count**0.5
-    return MeanInterval(mean, Interval(mean - half, mean + half), deviation, count)
+def build_group(name: str, samples: Sequence[Sample], *, scaled: bool = True) -> Group:
+    return groups.build_group(name, "twist-tube", samples, scaled=scaled)
 
 
 def build_number(name: str, samples: Sequence[Sample]) -> GroupNumber:
-    values: dict[str, Result] = {}
-    left_out: dict[str, tuple[Reason, ...]] = {}
-    by_spool: dict[str, list[float]] = {}
-    unit = "1"
-    for sample in samples:
-        result = next(result for result in sample.results if result.name == name)
-        unit = result.unit
-        if result.value is None:
-            left_out[sample.test] = result.reasons
-            continue
-        values[sample.test] = result
-        by_spool.setdefault(sample.specimen.spool, []).append(result.value)
-    if not values:
-        return GroupNumber(name, unit, None, values, left_out)
-    spools = {spool: mean_of(each) for spool, each in by_spool.items()}
-    over_samples = mean_of([value for each in by_spool.values() for value in each])
-    over_spools = mean_of([spool.mean for spool in spools.values()]) if len(spools) > 1 else None
-    is_pooled = over_spools is None or name != "stiffness_first"
-    chosen = over_samples if is_pooled or over_spools is None else over_spools
-    decision = (
-        Decision("Pooled", ("the spools do not differ by the Anderson-Darling test (p = 0.21)",))
-        if is_pooled
-        else Decision(
-            "Not pooled", ("the spools differ (p = 0.02), so that the mean is over spool means",)
-        )
-    )
-    nested = NestedMean(
-        chosen, over_samples, over_spools, is_pooled, decision, spools, 1.05, 7.27, 0.21
-    )
-    return GroupNumber(name, unit, nested, values, left_out)
-
-
-def build_band(samples: Sequence[Sample], *, over: str = "samples") -> Band:
-    curves = np.array([sample.loading[0].force for sample in samples if sample.loading])
-    if not len(curves):
-        none = np.empty(0)
-        return Band(
-            none,
-            none,
-            none,
-            none,
-            none,
-            none,
-            0,
-            over,
-            Reason("no_sample", "the group has no sample with a curve."),
-        )
-    x = next(sample for sample in samples if sample.loading).loading[0].displacement
-    mean, nothing = curves.mean(axis=0), np.full(len(x), np.nan)
-    if len(curves) == 1:
-        reason = Reason("one_sample", "one sample has no spread to make a band of.")
-        return Band(x, mean, nothing, nothing, nothing, nothing, 1, over, reason)
-    error = curves.std(axis=0, ddof=1) / len(curves) ** 0.5
-    half = stats.t.ppf(0.975, len(curves) - 1) * error
-    return Band(
-        x, mean, mean - half, mean + half, mean - 1.6 * half, mean + 1.6 * half, len(curves), over
-    )
-
-
-def build_group(name: str, samples: Sequence[Sample], *, scaled: bool = True) -> Group:
-    names = [result.name for result in samples[0].results] if samples else []
-    band = build_band(samples)
-    share = None
-    if scaled and samples:
-        tops = [
-            replace(
-                sample,
-                loading=(
-                    replace(
-                        sample.loading[0],
-                        force=sample.loading[0].force / sample.loading[0].force.max(),
-                    ),
-                ),
-            )
-            for sample in samples
-            if sample.loading
-        ]
-        share = build_band(tops)
-    return Group(
-        name,
-        "twist-tube",
-        tuple(samples),
-        tuple(build_number(name, samples) for name in names),
-        band,
-        share,
-    )
+    numbers = build_group("", samples, scaled=False).numbers
+    return next(number for number in numbers if number.name == name)
 
 
 def six_samples(*, slips: int = 1, cycles: int = 1) -> list[Sample]:
     return [
         build_sample(
-            spool, sample, scale=scale + 0.01 * number,
+            spool, sample, scale=scale + step * number,
             slips=slips if sample == "b" else 0, cycles=cycles, seed=number,
         )
-        for spool, scale in (("s1", 1.05), ("s2", 0.92))
+        for spool, scale, step in (("s1", 1.0, 0.01), ("s2", 1.02, -0.01))
         for number, sample in enumerate("abc")
     ]  # fmt: skip
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -46,10 +45,6 @@ def holds(
 
 def codes(recording: Recording) -> set[str]:
     return {note.code for note in recording.notes}
-
-
-def about(recording: Recording) -> str:
-    return json.dumps(dict(recording.metadata), ensure_ascii=False)
 
 
 def refused(file: Path, *said: str, **how: Any) -> str:

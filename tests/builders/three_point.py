@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import date
 from functools import lru_cache
 from pathlib import Path
@@ -200,8 +200,3 @@ def reduced(
     protocol = without_absent(parse_protocol(text, "conduit-bundle.yaml"), made)
     done = reduce_recordings(made, protocol, tested=tested)
     return done.evidence, {result.name: result for result in done.results}
-
-
-def other(record: BendingRecord, **changes: object) -> BendingRecord:
-    """The same test with something else."""
-    return replace(record, **changes)  # type: ignore[arg-type]

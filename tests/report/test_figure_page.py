@@ -73,13 +73,12 @@ def test_page_has_title_footnote_and_room_for_them() -> None:
     assert texts[0].startswith("A2-085-1")
     assert texts[1] == "Of 3 results: 1 doubtful, 1 failed."
     assert axes.get_title(loc="left") == "(a) Raw"
-    height = page.bbox.height
-    drawn = axes.get_tightbbox()
-    assert drawn is not None
-    key_low = page.legends[0].get_window_extent().y0
-    assert drawn.y1 < key_low
-    assert key_low < page.texts[0].get_window_extent().y0 < height
-    assert drawn.y0 > page.texts[1].get_window_extent().y1
+    box = axes.get_tightbbox()
+    assert box is not None
+    note, key, title = (
+        part.get_window_extent() for part in (page.texts[1], page.legends[0], page.texts[0])
+    )
+    assert note.y1 < box.y0 < box.y1 < key.y0 < title.y0 < page.bbox.height
 
 
 def texts(page: Figure) -> list[str]:
@@ -95,11 +94,10 @@ def test_names_leave_the_panel_its_room() -> None:
         axes.set_yticks([0, 1], [long, "short"])
         finish_layout(page)
         assert axes.get_position().width > 0.2
-    found = texts(page)
-    assert f"{long[:20]}\u2026{long[-19:]}" in found
-    assert "short" in found
-    assert max(map(len, found)) == 150 + len("\na note")
-    assert any(text.endswith("099\na note") for text in found)
+    shown = texts(page)
+    assert {f"{long[:20]}\u2026{long[-19:]}", "short"} <= set(shown)
+    assert max(map(len, shown)) == 150 + len("\na note")
+    assert any(text.endswith("099\na note") for text in shown)
 
 
 def test_what_cannot_be_drawn_is_shown_as_such() -> None:
@@ -168,8 +166,20 @@ def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
     assert np.abs(drawn - force).max() <= 0.002 * np.ptp(force)
 
 
-
-
+def test_gaps_standstill_and_noise_in_bends() -> None:
+    force = np.arange(100.0)
+    force[40:45] = np.nan
+    assert bends(np.arange(100.0), force, points=10).tolist() == [0, 39, 40, 45, 99]
+    up = np.concatenate([np.zeros(50), np.linspace(0.0, 1.0, 50), np.zeros(50)])
+    assert {50, 99, 100} <= set(bends(np.zeros(150), up, points=20).tolist())
+    assert bends(np.zeros(3), np.full(3, np.nan), points=5).tolist() == [0]
+    assert bends(np.zeros(0), np.zeros(0), points=5).tolist() == []
+    noise = np.random.default_rng(1).normal(size=3000)
+    kept = bends(np.arange(3000.0), noise, points=50)
+    assert len(kept) == 50
+    assert {int(noise.argmax()), int(noise.argmin()), 0, 2999} <= set(kept.tolist())
+    with pytest.raises(ValueError, match="bins=0: expected at least 1"):
+        extremes(np.zeros(3), bins=0)
 
 
 def with_protocol(text: str) -> Rig:
@@ -184,10 +194,6 @@ def test_rollers_and_span_of_a_conduit(repository: Path) -> None:
     assert rig.reach == pytest.approx(0.01205)
 
 
-
-
 @pytest.mark.parametrize("text", ["", "version: 0\nname: of an earlier grammar\n"])
 def test_without_a_sound_protocol_nothing_is_known(text: str) -> None:
     assert with_protocol(text) == Rig()
-
-

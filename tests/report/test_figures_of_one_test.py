@@ -22,7 +22,7 @@ from labpipe.report.curve_figures import (
     treatment_of_force,
 )
 from labpipe.report.figure_page import style
-from labpipe.report.timeline_figure import draw_timeline, motion, plot_residuals
+from labpipe.report.timeline_figure import draw_timeline, plot_residuals
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud, some_law
 from tests.report.figure_words import all_words
@@ -58,10 +58,6 @@ def fitted() -> TestResult:
     return replace(known, lines=(LINE,), slips=(SLIP,), results=found, display=display)
 
 
-
-
-
-
 @pytest.fixture(scope="module")
 def bent() -> TestResult:
     known = build_result(cycles=1, half_cycle=4.0, force_rate=50.0)
@@ -69,10 +65,24 @@ def bent() -> TestResult:
     return replace(known, bending=some_bending(), display=display)
 
 
+def test_residuals_are_what_the_line_leaves_over(result: TestResult) -> None:
+    axes = Figure().subplots()
+    plot_residuals(result, axes)
+    assert result.aligned is not None
+    fit = result.aligned.clock_fit
+    assert fit is not None
+    expected = (fit.event_times_force - OFFSET - (1 + DRIFT) * fit.event_times_motion) * 1e3
+    bars: Any = axes.containers[0]
+    drawn = np.asarray(bars.lines[0].get_ydata(), dtype=np.float64)
+    np.testing.assert_allclose(drawn, expected, atol=1e-9)
+    lengths = [float(np.ptp(path.vertices[:, 1])) for path in bars.lines[2][0].get_paths()]
+    np.testing.assert_allclose(lengths, 2 * 1.96 * fit.event_errors * 1e3)
+
+
 def test_points_begin_where_the_law_was_at_rest(bent: TestResult) -> None:
     axes = Figure().subplots()
     plot_cloud(bent, axes)
-    unloading, loading, law = axes.lines
+    _unloading, loading, law = axes.lines
     cloud = some_cloud()
     rows = cloud.branch == 0
     y = 1e3 * (cloud.moment[rows] + cloud.moment_at_rest).ravel()
@@ -80,10 +90,7 @@ def test_points_begin_where_the_law_was_at_rest(bent: TestResult) -> None:
     at_rest = np.interp(2e-3, some_law().moment, some_law().curvature)
     x = cloud.curvature[rows] - at_rest * np.array([1.0, 0.5, 0.0])
     assert np.asarray(loading.get_xdata())[0] == pytest.approx(x[0, 0])
-    assert unloading.get_markerfacecolor() == "none"
-    assert loading.get_markerfacecolor() == loading.get_color()
     np.testing.assert_allclose(np.asarray(law.get_ydata()), 1e3 * some_law().moment)
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("Curvature (1/m)", "Bending moment (N·mm)")
 
 
 FILTERED = build_result(half_cycle=0.5, cycles=1, force_rate=50.0)
@@ -139,10 +146,12 @@ def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approve
         event_times_force=fit.event_times_force[:2],
         event_errors=fit.event_errors[:2],
     )
-    pulled, once = (
+    whole, pulled, once = (
         replace(result, curve=replace(result.curve, branches=result.curve.branches[:count]))
-        for count in (1, 2)
+        for count in (0, 1, 2)
     )
+    aligned = [replace(result.aligned, clock_fit=clocks) for clocks in (two, None)]
+    kinked = replace(fitted, results=(KINK,), slips=(), lines=())
     bare = replace(result, curve=None, aligned=Aligned(np.empty(0), {}))
     marked = replace(fitted, slips=(replace(SLIP, decision=SlipDecision.MARKED),))
     slope = Result("stiffness_first", 2000.0, "N/m", Interval(1950.0, 2060.0))
@@ -155,25 +164,17 @@ def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approve
             "one cycle": draw_force_displacement(once),
             "not filtered": draw_force_displacement(plain),
             "corrected": draw_force_displacement(treated(change_travel=-1e-3)),
-            "no branches": draw_force_displacement(
-                replace(result, curve=replace(result.curve, branches=()))
-            ),
+            "no branches": draw_force_displacement(whole),
             "no curve": draw_force_displacement(bare),
             "fitted lines": draw_stiffness_lines(fitted),
             "a slope": draw_stiffness_lines(replace(fitted, results=(*fitted.results, slope))),
             "slip not repaired": draw_stiffness_lines(marked),
-            "plateau": draw_stiffness_lines(
-                replace(fitted, results=(KINK, PLATEAU), slips=(), lines=())
-            ),
-            "a kink": draw_stiffness_lines(replace(fitted, results=(KINK,), slips=(), lines=())),
+            "plateau": draw_stiffness_lines(replace(kinked, results=(KINK, PLATEAU))),
+            "a kink": draw_stiffness_lines(kinked),
             "no branch": draw_stiffness_lines(replace(fitted, curve=None)),
             "timeline": draw_timeline(result),
-            "two events": draw_timeline(
-                replace(result, aligned=replace(result.aligned, clock_fit=two))
-            ),
-            "one clock": draw_timeline(
-                replace(result, aligned=replace(result.aligned, clock_fit=None))
-            ),
+            "two events": draw_timeline(replace(result, aligned=aligned[0])),
+            "one clock": draw_timeline(replace(result, aligned=aligned[1])),
             "no motion": draw_timeline(bare),
             "moments": draw_moment_curvature(bent),
             "no law": draw_moment_curvature(replace(bent, bending=lawless)),

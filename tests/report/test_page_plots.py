@@ -38,8 +38,7 @@ def points(path: str, x: Axis, y: Axis) -> list[Floats]:
     """What a browser makes of a path: its strokes, in the units of the axes."""
     strokes = []
     for stroke in filter(None, re.split("M", path.rstrip("z"))):
-        first, _, rest = stroke.partition("l")
-        numbers = [float(each) for each in re.findall(r"-?\d+", f"{first} {rest}")]
+        numbers = np.array(re.findall(r"-?\d+", stroke), dtype=np.float64)
         steps = np.reshape(numbers, (-1, 2)).cumsum(axis=0) / FULL
         across = x.low + steps[:, 0] * (x.high - x.low)
         strokes.append(np.column_stack([across, y.high - steps[:, 1] * (y.high - y.low)]))
@@ -66,8 +65,6 @@ def test_ticks_are_round_few_and_inside(low: float, high: float) -> None:
     assert len(set(tick_words(values))) == len(values)
 
 
-
-
 def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
     line = Line("curve c0", np.array([0.0, 10.0]), np.array([0.0, 8.0]), test=3, group='a"b')
     plot = Plot("curves", "g", "<b>", "", Axis('"mm" <', "mm", 0.0, 10.0), Y, [line])
@@ -82,13 +79,9 @@ def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
     assert (path.get("data-t"), path.get("data-group")) == ("3", 'a"b')
 
 
-
-
 def panels(group: Group, *rejected: Sample) -> dict[str, Plot]:
     campaign = Campaign("S", (group,), rejected_samples=rejected)
     return {plot.kind: plot for plot in group_panels(group, "g", PageTests(campaign, ["g"]))}
-
-
 
 
 def test_curves_are_drawn_where_they_are() -> None:
@@ -99,7 +92,7 @@ def test_curves_are_drawn_where_they_are() -> None:
     curve = sample.loading[0]
     force = np.interp(line.x / 1e3, curve.displacement, curve.force)
     np.testing.assert_allclose(line.y, force, atol=1e-9)
-    assert "mean" not in looks(plot)
+    assert "mean" not in [line.look for line in plot.lines]
 
 
 def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
@@ -108,19 +101,29 @@ def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
     places = np.stack([np.stack([along, way * along / 0.1], axis=1) for way in rise])
     law = DrawnLaw(np.array([0.0, 10.0]), *(np.array([0.0, m]) for m in (0.02, 0.018, 0.022)))
     samples = [
-        replace(six_sample, shapes=DrawnShapes(rise, places), law=law)
-        for six_sample in six_samples()[:2]
+        replace(sample, shapes=DrawnShapes(rise, places), law=law) for sample in six_samples()[:2]
     ]
-    found = panels(build_group("A", samples))
-    shapes, moment = found["shapes"], found["moment"]
+    drawn = panels(build_group("A", samples))
+    shapes, moment = drawn["shapes"], drawn["moment"]
     width, height = shapes.size
     across = (shapes.x.high - shapes.x.low) / width
     assert (shapes.y.high - shapes.y.low) / height == pytest.approx(across)
     assert shapes.caption.startswith("Markers at 0, 10, 20 mm")
     assert np.isnan(shapes.lines[0].x).sum() == 3
-    assert looks(moment) == ["band c0", "band c1", "curve c0", "curve c1"]
+    looks = [line.look for line in moment.lines]
+    assert looks == ["band c0", "band c1", "curve c0", "curve c1"]
     assert moment.lines[2].y[-1] == pytest.approx(0.02)
 
 
-
-
+def test_strips_sparks_and_axes() -> None:
+    drawn = str(strip((0.0, 10.0), Interval(2.0, 4.0), 3.0, [1.0, float("nan")]))
+    for path in ('d="M24 6H48"', 'd="M36 6h0"', 'd="M12 12h0"'):
+        assert path in drawn
+    assert "<path" not in str(strip((1.0, 1.0), None, float("nan")))
+    x = np.linspace(0, 1, 5)
+    assert str(sparkline([(x, x)])).count("<path") == 1
+    assert even(200, Axis("", "mm", 0, 100), Axis("", "mm", 0, 25)) == 50
+    axis = axis_over("Force", "N", [np.array([1.0, np.nan, 3.0]), np.empty(0)], room=0.1)
+    assert [axis.low, axis.high] == pytest.approx([0.8, 3.2])
+    flat = axis_over("Force", "N", [np.array([2.0])])
+    assert flat.low < 2.0 < flat.high

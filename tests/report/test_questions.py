@@ -80,8 +80,6 @@ def test_types_are_a_question_too() -> None:
     assert len(not_asked(build_campaign())) == 1
 
 
-
-
 def pair_of(difference: Difference) -> Pair:
     first, second, _ = build_campaign().groups
     return Pair(first, second, (difference,))
@@ -107,8 +105,6 @@ def test_words_of_questions(approved: Approve) -> None:
         *remarks_on_pairs(taping),
         *remarks_on_pairs(bundle_campaign([*three_of(bundle_of("7 B1"))], alone="taping")),
     ])  # fmt: skip
-
-
 
 
 def test_tables_of_questions(approved: Approve) -> None:
