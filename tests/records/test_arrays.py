@@ -154,7 +154,7 @@ UNEVEN: dict[str, Callable[[], object]] = {
     "layout": lambda: WireLayout("packed", np.zeros(3), TWO, np.zeros(2, int), TWO, 1e-3, 2e-3),
     "prediction": lambda: Prediction(TWO, TWO, TWO, TWO, TWO, np.zeros(3)),
     "profile": lambda: Profile(np.zeros(3), TWO, 3.84, 20.0),
-    "curve": lambda: replace(some_curve(), branch=FIVE),
+    "curve": lambda: replace(some_curve(), force=FIVE),
     "shape": lambda: replace(some_shape(), positions=np.zeros((3, 3, 3))),
     "turned shape": lambda: replace(some_shape(), rotation_lab_to_specimen=np.eye(4)),
 }

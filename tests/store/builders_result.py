@@ -94,18 +94,14 @@ def build_result(
     )
 
 
+def around(value: float, half: float) -> Interval:
+    return Interval(value - half, value + half)
+
+
 def with_slips(result: TestResult, decision: SlipDecision = SlipDecision.REPAIRED) -> TestResult:
     """Give a test two slips and two lines, as a tensile test has them."""
     slips = tuple(
-        Slip(
-            position=position,
-            drop=drop,
-            position_interval=Interval(position - 1e-5, position + 1e-5),
-            drop_interval=Interval(drop - 0.1, drop + 0.1),
-            decision=decision,
-            start=start,
-            stop=start + 2,
-        )
+        Slip(position, drop, around(position, 1e-5), around(drop, 0.1), decision, start, start + 2)
         for position, drop, start in ((0.011, 1.5, 11), (0.023, 0.7, 23))
     )
     lines = (
@@ -182,8 +178,8 @@ def _clock_fit(turns: Floats, rng: np.random.Generator) -> ClockFit:
     return ClockFit(
         offset=OFFSET,
         drift=DRIFT,
-        offset_interval=Interval(OFFSET - 0.002, OFFSET + 0.002),
-        drift_interval=Interval(DRIFT - 9e-6, DRIFT + 9e-6),
+        offset_interval=around(OFFSET, 0.002),
+        drift_interval=around(DRIFT, 9e-6),
         residual=0.0012,
         event_times_motion=turns,
         event_times_force=OFFSET + (1 + DRIFT) * turns + rng.normal(0, errors),

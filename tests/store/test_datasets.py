@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from labpipe.records.quality import Reason
 from labpipe.store.datasets import (
     Target,
     fletcher32,
@@ -30,7 +29,6 @@ from labpipe.store.hdf5_objects import (
     open_dataset,
 )
 from labpipe.store.layout import Field, link_name
-from labpipe.store.stored_parts import read_reasons
 
 
 def _hdf5_checksum(data: bytes, path: Path) -> int:
@@ -49,12 +47,10 @@ def test_checksum_is_that_of_the_library(
     assert fletcher32(data) == _hdf5_checksum(data, path)
 
 
-@given(
-    hnp.arrays(
-        st.sampled_from([np.float64, np.int64, np.uint8]),
-        hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=7),
-    )
-)
+SIDES = hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=7)
+
+
+@given(hnp.arrays(st.sampled_from([np.float64, np.int64, np.uint8]), SIDES))
 def test_any_array_comes_back(
     tmp_path_factory: pytest.TempPathFactory, array: np.ndarray[tuple[int, ...], np.dtype[np.void]]
 ) -> None:
@@ -112,20 +108,14 @@ def test_threads_pack_the_same_bytes_alike() -> None:
 
 @pytest.mark.parametrize("values", [np.zeros((5, 3)), np.arange(4), np.zeros((0, 2), np.uint8)])
 def test_datasets_are_those_of_h5py(values: np.ndarray, tmp_path: Path) -> None:
+    options = {"shuffle": True, "fletcher32": True, "track_times": False}
+    packing = {"compression": "gzip", "compression_opts": LEVEL}
     chunk = tuple(max(size, 1) for size in values.shape)
+    most = tuple(size or None for size in values.shape)
     with h5py.File(tmp_path / "a.h5", "w") as root:
         made = make_dataset(root, "made", values, chunk)
         wanted = root.create_dataset(
-            "wanted",
-            shape=values.shape,
-            maxshape=tuple(size or None for size in values.shape),
-            dtype=values.dtype,
-            chunks=chunk,
-            shuffle=True,
-            compression="gzip",
-            compression_opts=LEVEL,
-            fletcher32=True,
-            track_times=False,
+            "wanted", values.shape, values.dtype, maxshape=most, chunks=chunk, **options, **packing
         )
         assert made.id.get_create_plist() == wanted.id.get_create_plist()
         assert made.id.get_type() == wanted.id.get_type()
@@ -133,41 +123,28 @@ def test_datasets_are_those_of_h5py(values: np.ndarray, tmp_path: Path) -> None:
         assert open_dataset(root, "made") == made
 
 
-def test_texts_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
+def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
+    texts: dict[str, object] = {"text": "Größe", "nothing": "", "number": 3}
+    numbers = {"value": -1.5, "count": np.int64(7), "single": np.float32(0.5)}
     with h5py.File(tmp_path / "a.h5", "w") as root:
-        root.attrs["text"] = "Größe"
-        root.attrs["nothing"] = ""
-        root.attrs["number"] = 3
-        root.attrs["texts"] = ["a", "b"]
+        root.attrs.update(texts | numbers | {"texts": ["a", "b"], "list": np.array([1.0, 2.0])})
         root.attrs["fixed"] = np.bytes_(b"abc")
         root.attrs.create("bad", np.array(b"A2\xff", dtype=h5py.string_dtype()))
-        assert [get_text(root, name) for name in ("text", "nothing")] == ["Größe", ""]
-        assert (get_text(root, "number"), get_text(root, "fixed")) == (3, b"abc")
-        assert list(get_text(root, "texts")) == ["a", "b"]
-        with pytest.raises(UnicodeDecodeError):
-            get_text(root, "bad")
-        with pytest.raises(KeyError):
-            get_text(root, "none")
-
-
-def test_numbers_lists_and_what_is_none(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "a.h5", "w") as root:
-        root.attrs["value"] = -1.5
-        root.attrs["count"] = np.int64(7)
-        root.attrs["single"] = np.float32(0.5)
-        root.attrs["words"] = "x"
-        root.attrs["list"] = np.array([1.0, 2.0])
         root.attrs.create("none", np.empty(0), dtype="f8")
-        assert [get_number(root, name) for name in ("value", "count", "single")] == [-1.5, 7.0, 0.5]
+        assert {name: get_text(root, name) for name in texts} == texts
+        assert list(get_text(root, "texts")) == ["a", "b"]
+        assert get_text(root, "fixed") == b"abc"
+        assert {name: get_number(root, name) for name in numbers} == numbers
         assert (is_empty(root, "none"), is_empty(root, "list")) == (True, False)
         assert (has_attribute(root, "list"), has_attribute(root, "gone")) == (True, False)
-        with pytest.raises(ValueError, match="could not convert string"):
-            get_number(root, "words")
-        with pytest.raises(TypeError, match="only"):
-            get_number(root, "list")
-        for read in (get_number, is_empty):
-            with pytest.raises(KeyError):
-                read(root, "gone")
+        for read, name, error in (
+            (get_text, "bad", UnicodeDecodeError),
+            (get_number, "text", ValueError),
+            (get_number, "list", TypeError),
+            *((read, "gone", KeyError) for read in (get_text, get_number, is_empty)),
+        ):
+            with pytest.raises(error):
+                read(root, name)
 
 
 @given(st.lists(st.text(max_size=8), max_size=8))
@@ -177,9 +154,3 @@ def test_link_names_are_free_and_plain(names: list[str]) -> None:
         taken.append(link_name(name, taken))
     assert len(set(taken)) == len(taken)
     assert not any("/" in name or " " in name or name in {"", "."} for name in taken)
-
-
-def test_reasons_of_schema_1_are_one_text(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "r.h5", "w") as root:
-        root.attrs["reason"] = "gap: 4 samples are missing"
-        assert read_reasons(root) == (Reason("gap", "4 samples are missing"),)

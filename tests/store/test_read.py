@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -27,7 +28,6 @@ from labpipe.store.read import (
     read_result,
     read_stages,
 )
-from labpipe.store.stored_parts import method_parts
 from labpipe.store.write import write_result
 from tests.builders.measured_bending import some_bending
 from tests.store.builders_result import build_result, differences, with_slips
@@ -51,78 +51,45 @@ def test_raw_holds_all_that_processing_starts_from(written: Path) -> None:
         assert differences(getattr(result, field.name), getattr(raw, field.name)) == []
 
 
-@pytest.mark.parametrize("decision", [None, *SlipDecision])
+@pytest.mark.parametrize("decision", SlipDecision)
 def test_outcome_is_the_result_without_what_only_processing_needs(
-    decision: SlipDecision | None, tmp_path: Path
+    decision: SlipDecision, tmp_path: Path
 ) -> None:
-    result = build_result(half_cycle=1.0)
-    result = result if decision is None else with_slips(result, decision)
-    write_result(result, tmp_path / "result.h5")
-    kept = result.aligned if decision is SlipDecision.REPAIRED else None
-    wanted = replace(result, recordings={}, shape=None, aligned=kept)
-    assert differences(wanted, read_outcome(tmp_path / "result.h5")) == []
-
-
-def test_stages_are_the_result_without_recordings(written: Path) -> None:
-    wanted = replace(read_result(written), recordings={}, bending=None)
-    assert differences(wanted, read_stages(written)) == []
-
-
-def test_what_a_report_draws_is_part_of_the_result(written: Path, tmp_path: Path) -> None:
-    whole, wanted = read_result(written), np.array([0, 3, 5])
-    found = read_drawable(written, lambda _, time: (wanted, time[wanted]))
-    assert differences(read_outcome(written), found.result) == []
-    assert found.shapes is not None
-    assert whole.shape is not None
-    np.testing.assert_array_equal(found.shapes.deflection, whole.shape.time[wanted])
-    np.testing.assert_array_equal(found.shapes.positions, whole.shape.positions[wanted][:, :, :2])
-    assert found.law is None
-    bent = replace(build_result(cycles=1, half_cycle=4.0), bending=some_bending())
-    law = some_bending().law
-    write_result(bent, tmp_path / "result.h5")
-    found = read_drawable(tmp_path / "result.h5", lambda _, time: (wanted, time[wanted]))
-    assert found.law is not None
-    assert law is not None
-    np.testing.assert_array_equal(found.law.moment_upper, law.moment_upper)
-
-
-def test_outcome_is_read_with_the_recordings_damaged(path: Path) -> None:
+    path, result = tmp_path / "result.h5", with_slips(build_result(half_cycle=1.0), decision)
+    write_result(result, path)
+    assert differences(replace(result, recordings={}), read_stages(path)) == []
+    aligned = result.aligned if decision is SlipDecision.REPAIRED else None
+    wanted = replace(result, recordings={}, shape=None, aligned=aligned)
     with h5py.File(path, "a") as root:
         del root["raw/force/Out1"]
-    assert read_outcome(path).curve is not None
+    assert differences(wanted, read_outcome(path)) == []
     with pytest.raises(StoreError, match="expected a whole result file, found a damaged one"):
         read_result(path)
-
-
-def test_a_file_from_before_there_were_budgets(tmp_path: Path) -> None:
-    made = build_result(half_cycle=1.0)
-    write_result(made, tmp_path / "result.h5")
-    with h5py.File(tmp_path / "result.h5", "a") as root:
-        assert {name: column[1] for name, column in root["budgets"].items()} == {
-            "result": b"peak_force.1",
-            "cause": b"scale of the force",
-            "change": -0.004,
-            "unit": b"N",
-            "share": pytest.approx(0.64),
-            "is_common": 1,
-        }
-        del root["budgets"]
-        for name in ("estimate", "seal"):
-            del root["results/peak_force.1"].attrs[name]
-    found = read_outcome(tmp_path / "result.h5").results
-    assert found == tuple(replace(result, budget=(), estimate=None) for result in made.results)
-
-
-def test_a_number_that_was_changed_is_refused(tmp_path: Path) -> None:
-    write_result(build_result(half_cycle=1.0), tmp_path / "result.h5")
-    with h5py.File(tmp_path / "result.h5", "a") as root:
+    with h5py.File(path, "a") as root:
         root["results/peak_force.1"].attrs["value"] = 0.63
     with pytest.raises(StoreError, match=r"peak_force\.1: its numbers were changed"):
-        read_outcome(tmp_path / "result.h5")
+        read_outcome(path)
+
+
+def test_what_a_report_draws_is_part_of_the_result(tmp_path: Path) -> None:
+    path, frames = tmp_path / "result.h5", np.array([0, 3, 5])
+    whole = replace(build_result(half_cycle=1.0), bending=some_bending())
+    write_result(whole, path)
+    drawable = read_drawable(path, lambda _, time: (frames, time[frames]))
+    assert differences(read_outcome(path), drawable.result) == []
+    assert drawable.shapes is not None
+    assert whole.shape is not None
+    np.testing.assert_array_equal(drawable.shapes.deflection, whole.shape.time[frames])
+    np.testing.assert_array_equal(
+        drawable.shapes.positions, whole.shape.positions[frames][:, :, :2]
+    )
+    law = some_bending().law
+    assert law is not None
+    assert drawable.law is not None
+    np.testing.assert_array_equal(drawable.law.moment_upper, law.moment_upper)
 
 
 TABLES = {
-    "budgets": layout.BUDGET_TABLE,
     "curve/branches": layout.BRANCH_TABLE,
     "curve/slips": layout.SLIP_TABLE,
     "curve/lines": layout.LINE_TABLE,
@@ -130,87 +97,86 @@ TABLES = {
 
 
 def before_columns(root: h5py.File) -> None:
-    """Turn a result file into one from before tables were columns: compounds, UTF-8, no scales."""
+    """Make compounds of the columns of tables."""
     for name, table in TABLES.items():
         columns = {column: root[name][column][()] for column in table.columns}
-        kinds = [(each, values.dtype.str) for each, values in columns.items()]
+        kinds = [(column, values.dtype.str) for column, values in columns.items()]
         rows = np.array(list(zip(*columns.values(), strict=True)), dtype=kinds)
         del root[name]
         root[name] = rows
         root[name].attrs["axes"] = table.axis
-    for name in layout.NOTE_COLUMNS:
-        found = root["quality"][name]
-        labels = {label: found.attrs[label] for label in ("unit", "axes")}
-        texts = found[()]
-        del root["quality"][name]
-        kind = h5py.string_dtype("utf-8", texts.dtype.itemsize)
-        root["quality"].create_dataset(name, data=texts.astype(kind)).attrs.update(labels)
     del root["results/table"], root.attrs["date"], root.attrs["operator"]
 
 
-def test_a_file_from_before_tables_were_columns(path: Path, written: Path) -> None:
-    with h5py.File(path, "a") as root:
-        before_columns(root)
-        assert root["curve/slips"].dtype.names[0] == "position"
-    assert differences(read_result(written), read_result(path)) == []
-
-
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match=r"none\.h5: expected a result file, found nothing"):
-        read_result(tmp_path / "none.h5")
-
-
-@pytest.mark.parametrize(
-    ("content", "found"), [(b"time,force\n", "a file that is not HDF5"), (b"", "an empty file")]
-)
-def test_not_hdf5(content: bytes, found: str, tmp_path: Path) -> None:
-    (tmp_path / "x.h5").write_bytes(content)
-    with pytest.raises(StoreError, match=rf"x\.h5: expected a result file, found {found}\. Proc"):
-        read_result(tmp_path / "x.h5")
-
-
-def test_truncated(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-1000])
-    with pytest.raises(StoreError, match=r"expected a whole result file, found .*truncated"):
-        read_raw(path)
-
-
-def test_foreign_hdf5(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "x.h5", "w") as root:
+def foreign(path: Path) -> None:
+    with h5py.File(path, "w") as root:
         root["x"] = 1
-    with pytest.raises(StoreError, match="found an HDF5 file that labpipe did not make"):
-        read_result(tmp_path / "x.h5")
 
 
-def test_newer_schema(path: Path) -> None:
-    with h5py.File(path, "a") as root:
-        root.attrs["labpipe_schema"] = 3
-    message = (
-        r"result\.h5, labpipe_schema: expected 2, the schema that this version reads, "
-        r"found a file made by a newer labpipe, schema 3\. Update labpipe\."
-    )
+def with_attribute(name: str, value: object) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        with h5py.File(path, "a") as root:
+            root.attrs[name] = value
+
+    return change
+
+
+def with_damaged_chunk(path: Path) -> None:
+    with h5py.File(path) as root:
+        chunk = root["raw/force/Out1"].id.get_chunk_info(0)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 0x10
+    path.write_bytes(content)
+
+
+NO_UTF_8 = np.array(b"A2\xff", dtype=h5py.string_dtype())
+REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
+    "missing": (Path.unlink, r"result\.h5: expected a result file, found nothing"),
+    "a text": (lambda path: path.write_text("time,force"), "found a file that is not HDF5. Proc"),
+    "empty": (lambda path: path.write_bytes(b""), "found an empty file. Proc"),
+    "cut": (lambda path: path.write_bytes(path.read_bytes()[:-1000]), "a whole .*truncated"),
+    "foreign": (foreign, "found an HDF5 file that labpipe did not make"),
+    "newer": (
+        with_attribute("labpipe_schema", 3),
+        r"labpipe_schema: expected 2, the schema that this version reads, "
+        r"found a file made by a newer labpipe, schema 3\. Update labpipe\.",
+    ),
+    "no UTF-8": (with_attribute("specimen_type", NO_UTF_8), "found a damaged one"),
+    "a flipped bit": (with_damaged_chunk, r"found a damaged one \(.*(checksum|filter|read)"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_no_whole_result_file_is_refused(case: str, path: Path) -> None:
+    change, message = REFUSED[case]
+    change(path)
     with pytest.raises(StoreError, match=message):
         read_result(path)
 
 
-def glued(root: h5py.File) -> None:
-    """Turn a result file into one of schema 1: reasons are one text, remarks are in methods."""
+def as_in_schema_1(root: h5py.File) -> None:
+    """Turn a result file into one of schema 1.
+
+    Reasons are one text, remarks are in methods, tables are compounds, and there are no budgets.
+    """
     root.attrs["labpipe_schema"] = 1
-    results = [each for each in root["results"] if each != "table"]
+    results = [name for name in root["results"] if name != "table"]
     for name in (*(f"results/{result}" for result in results), "bending", "bending/law"):
-        if name in root:
-            attributes = root[name].attrs
-            told = zip(attributes["reason_codes"], attributes["reason_messages"], strict=True)
-            attributes["reason"] = "; ".join(f"{code}: {message}" for code, message in told)
-            del attributes["reason_codes"], attributes["reason_messages"]
+        attributes = root[name].attrs
+        pairs = zip(attributes["reason_codes"], attributes["reason_messages"], strict=True)
+        attributes["reason"] = "; ".join(f"{code}: {message}" for code, message in pairs)
+        del attributes["reason_codes"], attributes["reason_messages"]
     for result in (root["results"][result].attrs for result in results):
         if result["remark"]:
             result["method"] += f"; {result['remark']}"
-        del result["made_of"], result["remark"]
+        for name in ("made_of", "remark", "estimate", "seal"):
+            result.pop(name, None)
+    before_columns(root)
+    del root["budgets"]
 
 
 def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
-    result = replace(build_result(cycles=1, half_cycle=4.0), bending=some_bending())
+    result = with_slips(replace(build_result(cycles=1, half_cycle=4.0), bending=some_bending()))
     several = (
         Reason("frozen_channel", "the force stands still; for 3 s: from 1 s; is it connected?"),
         Reason("gap", "4 samples are missing"),
@@ -224,39 +190,31 @@ def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
     result = replace(result, results=(doubtful, share, *rest))
     write_result(result, tmp_path / "result.h5")
     with h5py.File(tmp_path / "result.h5", "a") as root:
-        glued(root)
-    assert not differences(read_result(tmp_path / "result.h5"), result)
-    assert read_outcome(tmp_path / "result.h5").results == result.results
+        as_in_schema_1(root)
+    bare = tuple(replace(one, budget=(), estimate=None) for one in result.results)
+    assert not differences(read_result(tmp_path / "result.h5"), replace(result, results=bare))
+    assert read_outcome(tmp_path / "result.h5").results == bare
 
 
 @pytest.mark.parametrize(
-    ("name", "attribute", "text"),
+    ("name", "message"),
     [
-        ("curve/force", "unit", r"/curve/force: expected unit 'N', found 'mN'"),
-        ("shape/positions", "axes", r"/shape/positions: expected axes 'frame, point, xyz', found"),
-        ("curve/slips/drop", "unit", r"/curve/slips/drop: expected unit 'N', found 'mN'"),
-        ("curve/lines/slope", "axes", r"/curve/lines/slope: expected axes 'line', found 'mN'"),
-        ("curve/time", "unit", r"/curve/branches/start_time: expected unit 'mN', found 's'"),
+        ("curve/force.unit", r"/curve/force: expected unit 'N', found 'mN'"),
+        ("shape/positions.axes", r"/shape/positions: expected axes 'frame, point, xyz', found"),
+        ("curve/slips/drop.unit", r"/curve/slips/drop: expected unit 'N', found 'mN'"),
+        ("curve/lines/slope.axes", r"/curve/lines/slope: expected axes 'line', found 'mN'"),
+        ("curve/time.unit", r"/curve/branches/start_time: expected unit 'mN', found 's'"),
     ],
 )
-def test_wrong_label(name: str, attribute: str, text: str, path: Path) -> None:
+def test_wrong_label(name: str, message: str, path: Path) -> None:
+    dataset, _, attribute = name.partition(".")
     with h5py.File(path, "a") as root:
-        root[name].attrs[attribute] = "mN"
-    with pytest.raises(StoreError, match=text):
+        root[dataset].attrs[attribute] = "mN"
+    with pytest.raises(StoreError, match=message):
         read_result(path)
 
 
-def test_damaged_chunk(path: Path) -> None:
-    with h5py.File(path) as root:
-        chunk = root["raw/force/Out1"].id.get_chunk_info(0)
-    content = bytearray(path.read_bytes())
-    content[chunk.byte_offset + chunk.size // 2] ^= 0x10
-    path.write_bytes(content)
-    with pytest.raises(StoreError, match=r"found a damaged one \(.*(checksum|filter|read)"):
-        read_result(path)
-
-
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(where=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7), cut=st.booleans())
 def test_damage_anywhere_is_said_or_harmless(
     where: float, bit: int, cut: bool, written: Path, tmp_path: Path
@@ -299,31 +257,33 @@ def by_external_storage(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py
     return group.create_dataset(name, shape=old.shape, dtype=old.dtype, external=where)
 
 
-@pytest.mark.parametrize("make", [by_link, by_virtual_dataset, by_external_storage])
+def too_large(group: h5py.Group, name: str, old: h5py.Dataset, **more: object) -> h5py.Dataset:
+    return group.create_dataset(name, shape=(10**13,), dtype=old.dtype, **more)
+
+
+ELSEWHERE = "expected all of the result in its own file, found (a link|samples that)"
+CLAIMED = "expected the 10000000000000 numbers that it claims, found a part of them"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (by_link, ELSEWHERE),
+        (by_virtual_dataset, ELSEWHERE),
+        (by_external_storage, ELSEWHERE),
+        (too_large, CLAIMED),
+        (partial(too_large, chunks=(1 << 15,)), CLAIMED),
+    ],
+)
 @pytest.mark.parametrize("name", ["curve/force", "raw/force/Out1"])
-def test_other_files_are_not_read(path: Path, name: str, make: Callable[..., object]) -> None:
+def test_samples_elsewhere_or_nowhere_are_not_read(
+    path: Path, name: str, make: Callable[..., object], message: str
+) -> None:
     with h5py.File(path.with_name("other.h5"), "w") as other:
         other["secret"] = np.zeros(5)
     replaced(path, name, make)
-    said = rf"/?{name}: expected all of the result in its own file, found (a link|samples that)"
-    with pytest.raises(StoreError, match=said):
+    with pytest.raises(StoreError, match=f"/?{name}: {message}"):
         read_result(path)
-
-
-def too_large(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
-    return group.create_dataset(name, shape=(10**13,), dtype=old.dtype, chunks=(1 << 15,))
-
-
-def too_large_in_one_piece(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
-    return group.create_dataset(name, shape=(10**13,), dtype=old.dtype)
-
-
-@pytest.mark.parametrize("make", [too_large, too_large_in_one_piece])
-def test_more_numbers_than_the_file_can_hold(path: Path, make: Callable[..., object]) -> None:
-    replaced(path, "curve/force", make)
-    said = "/curve/force: expected the 10000000000000 numbers that it claims, found a part of them"
-    with pytest.raises(StoreError, match=said):
-        read_outcome(path)
 
 
 def test_more_than_goes_into_the_memory(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -335,27 +295,3 @@ def test_more_than_goes_into_the_memory(path: Path, monkeypatch: pytest.MonkeyPa
     said = r"expected a result file that goes into the memory, found one that needs more \(Unable"
     with pytest.raises(StoreError, match=said):
         read_outcome(path)
-
-
-@pytest.mark.parametrize("name", ["test", "specimen_type"])
-def test_text_that_is_none(path: Path, name: str) -> None:
-    with h5py.File(path, "a") as root:
-        root.attrs.create(name, np.array(b"A2\xff", dtype=h5py.string_dtype()))
-    with pytest.raises(StoreError, match="expected a whole result file, found a damaged one"):
-        read_outcome(path)
-
-
-@pytest.mark.parametrize(
-    ("method", "parts"),
-    [
-        ("by a line", ("by a line", "", "")),
-        ("stiffness / peak force", ("stiffness / peak force", "stiffness", "")),
-        (
-            "largest force; 3 N of slips added back",
-            ("largest force", "", "3 N of slips added back"),
-        ),
-    ],
-)
-def test_what_a_method_says_beside(method: str, parts: tuple[str, str, str]) -> None:
-    found = method_parts(method, ["stiffness", "energy.1"])
-    assert (found["method"], found["made_of"], found["remark"]) == parts

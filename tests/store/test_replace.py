@@ -8,6 +8,8 @@ import os
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -58,13 +60,21 @@ def earlier(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_files_are_replaced_together(earlier: Path) -> None:
-    with replacing_together(earlier) as stage:
+@pytest.mark.parametrize(
+    ("owned", "kept"), [((), "c"), (("a", "figures/b", "figures/c", "figures/d"), "")]
+)
+def test_files_are_replaced_together(earlier: Path, owned: tuple[str, ...], kept: str) -> None:
+    """What a killed process left goes, and what is owned and would show other numbers."""
+    left = earlier / ".labpipe.new" / "figures"
+    left.mkdir(parents=True)
+    (left / "x").write_text("half")
+    with replacing_together(earlier, owned=owned) as stage:
         (stage / "a").write_text("new")
         (stage / "figures").mkdir()
         (stage / "figures" / "b").write_text("new")
-        assert contents(earlier)["a"] == "old"
-    assert contents(earlier) == {"a": "new", "figures/b": "new", "figures/c": "old"}
+        assert contents(earlier)["a"] == contents(earlier)["figures/b"] == "old"
+    old = {f"figures/{name}": "old" for name in kept}
+    assert contents(earlier) == {"a": "new", "figures/b": "new"} | old
     assert {path.name for path in earlier.iterdir()} == {"a", "figures"}
 
 
@@ -80,25 +90,6 @@ def test_all_files_stay_on_any_way_out(earlier: Path, way_out: type[BaseExceptio
         write_and_leave(stage / "a", way_out)
     assert contents(earlier) == before
     assert {path.name for path in earlier.iterdir()} == {"a", "figures"}
-
-
-def test_what_a_killed_process_left_is_cleared_away(earlier: Path) -> None:
-    left = earlier / ".labpipe.new" / "figures"
-    left.mkdir(parents=True)
-    (left / "b").write_text("half")
-    with replacing_together(earlier):
-        pass
-    assert contents(earlier) == {"a": "old", "figures/b": "old", "figures/c": "old"}
-
-
-def test_what_would_show_other_numbers_goes(earlier: Path) -> None:
-    owned = ("a", "figures/b", "figures/c", "figures/d")
-    with replacing_together(earlier, owned=owned) as stage:
-        (stage / "a").write_text("new")
-        (stage / "figures").mkdir()
-        (stage / "figures" / "d").write_text("new")
-        assert contents(earlier)["figures/b"] == "old"
-    assert contents(earlier) == {"a": "new", "figures/d": "new"}
 
 
 @pytest.mark.parametrize("place", ["a", "figures/b"])
@@ -128,8 +119,9 @@ def test_moves_that_fail_half_way_are_taken_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, way_out: type[BaseException]
 ) -> None:
     """As on a system that does not replace a file that somebody has open."""
-    (tmp_path / "a").write_text("old")
-    (tmp_path / "r.h5").write_text("old")
+    old = {"a": "old", "r.h5": "old"}
+    for name, text in old.items():
+        (tmp_path / name).write_text(text)
     left, move = [number], Path.replace
 
     def refused(path: Path, goal: Path) -> Path:
@@ -139,15 +131,11 @@ def test_moves_that_fail_half_way_are_taken_back(
         return move(path, goal)
 
     monkeypatch.setattr(Path, "replace", refused)
-    try:
-        with replacing_together(tmp_path) as stage:
-            write_new(stage)
-    except (KeyboardInterrupt, StoreError):
-        assert contents(tmp_path) == {"a": "old", "r.h5": "old"}
-        assert {path.name for path in tmp_path.iterdir()} == {"a", "r.h5"}
-    else:
-        assert number > 6  # two go aside, four come
-        assert contents(tmp_path) == NEW
+    with suppress(KeyboardInterrupt, StoreError), replacing_together(tmp_path) as stage:
+        write_new(stage)
+    is_over = number > 6  # two go aside, four come
+    assert contents(tmp_path) == (NEW if is_over else old)
+    assert is_over or {path.name for path in tmp_path.iterdir()} == set(old)
 
 
 KILLED = """
@@ -282,48 +270,44 @@ def test_second_process_is_kept_out_until_the_first_ends(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folder_is_made_and_error_gives_the_lock_back(tmp_path: Path) -> None:
-    folder = tmp_path / "a" / "b"
-    with pytest.raises(ZeroDivisionError), locked(folder):
-        raise ZeroDivisionError
-    with locked(folder):
+def link_elsewhere(folder: Path) -> None:
+    folder.mkdir()
+    (folder / LOCK_FILE).symlink_to(folder.with_name("elsewhere"))
+
+
+@pytest.mark.parametrize(
+    ("make", "place", "message"),
+    [
+        (Path.touch, "x", "expected a folder to write in, found a file in its place. Choose"),
+        (Path.touch, "x/y", "expected a folder to write in, found a file in its place. Choose"),
+        (link_elsewhere, "x", "found a link to another place"),
+    ],
+)
+def test_what_stands_in_the_way_of_a_lock(
+    tmp_path: Path, make: Callable[[Path], None], place: str, message: str
+) -> None:
+    make(tmp_path / "x")
+    with pytest.raises(StoreError, match=f"{place}.*: .*{message}"), locked(tmp_path / place):
         pass
-    assert list(folder.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["x"]
 
 
 def test_lock_file_removed_by_its_last_owner_is_made_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    folder = tmp_path / "a" / "b"
+    with pytest.raises(ZeroDivisionError), locked(folder):
+        raise ZeroDivisionError
     try_lock, tries = lock._try_lock, []
 
     def removed_in_between(handle: int) -> bool:
         tries.append(handle)
         if len(tries) == 1:
-            (tmp_path / LOCK_FILE).unlink()
+            (folder / LOCK_FILE).unlink()
         return try_lock(handle)
 
     monkeypatch.setattr(lock, "_try_lock", removed_in_between)
-    with locked(tmp_path):
+    with locked(folder):
         assert len(tries) == 2
-        assert (tmp_path / LOCK_FILE).exists()
-
-
-@pytest.mark.parametrize("folder", ["x", "x/y"])
-def test_file_in_place_of_the_folder(tmp_path: Path, folder: str) -> None:
-    (tmp_path / "x").write_text("")
-    said = f"{folder}: expected a folder to write in, found a file in its place. Choose another"
-    with pytest.raises(StoreError, match=said), locked(tmp_path / folder):
-        pass
-    assert (tmp_path / "x").read_text() == ""
-
-
-@pytest.mark.skipif(os.name == "nt", reason="links are another matter on Windows")
-def test_a_link_makes_no_file_elsewhere(tmp_path: Path) -> None:
-    (tmp_path / "here").mkdir()
-    (tmp_path / "here" / LOCK_FILE).symlink_to(tmp_path / "elsewhere")
-    with (
-        pytest.raises(StoreError, match="found a link to another place"),
-        locked(tmp_path / "here"),
-    ):
-        pass
-    assert not (tmp_path / "elsewhere").exists()
+        assert (folder / LOCK_FILE).exists()
+    assert list(folder.iterdir()) == []
