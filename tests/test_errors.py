@@ -13,13 +13,9 @@ from labpipe.studies.first_loadings import NotUsableError
 
 
 def test_grammar() -> None:
-    said = error_text("a.csv", "line 7", expected="a row", found="none", remedy="Export it again.")
-    assert said == "a.csv, line 7: expected a row, found none. Export it again."
-
-
-def test_no_place() -> None:
-    said = error_text("a.csv", "", expected="a row", found="none", remedy="Export it again.")
-    assert said == "a.csv: expected a row, found none. Export it again."
+    for place, where in (("line 7", "a.csv, line 7"), ("", "a.csv")):
+        text = error_text("a.csv", place, expected="a row", found="none", remedy="Export it again.")
+        assert text == f"{where}: expected a row, found none. Export it again."
 
 
 @pytest.mark.parametrize(
