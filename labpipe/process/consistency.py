@@ -16,6 +16,7 @@ import numpy as np
 from labpipe.fits.loops import sense_of_loading
 from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Finding, doubtful
 from labpipe.signal.turning_points import noise_level
 
@@ -30,18 +31,8 @@ SCALE_RATIO = 3.0
 pairs of real cycles and of simulated ones, whose changes of the material alter the shape."""
 UNLOADING_SCALE_RATIO, UNLOADING_LEVEL_RATIO = 5.5, 8.0
 """The same of unloading alone: at most 4.0 and 6.2 there."""
-MIN_SCALE, MIN_LEVEL = 0.008, 0.008
-"""Change of scale, and of level in shares of the largest force, that matter."""
-MAX_LAG_GROWTH = 0.007
-"""Of the largest force: median growth behind the turns; at most 0.006 in 13 real tests."""
-MAX_TURN_JUMP = 0.03
-"""Of the largest force: growth behind one turn."""
 SURE = 8.0
 """Standard deviations of the noise that a growth must exceed."""
-MIN_LOSS = -0.05
-"""Energy of a loop over that of its loading; less than 0 is no material, friction or damper."""
-NOTHING, SOMETHING = 0.05, 0.5
-"""Of the force of the first loading: a broken specimen carries less, a whole one more."""
 BROKEN_WAY = 0.8
 """Share of the way back over which a broken specimen carries nothing."""
 REPEATED = 40
@@ -59,13 +50,14 @@ class Cycle:
     paths: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
 
-def check_consistency(where: str, curve: Curve) -> Iterator[Finding]:
+def check_consistency(where: str, curve: Curve, limits: Limits = LIMITS) -> Iterator[Finding]:
     """Compare the parts of a record with each other.
 
     Parameters
     ----------
     where : name of the force
     curve : of unfiltered force, with branches
+    limits : of the lab
 
     Yields
     ------
@@ -77,10 +69,10 @@ def check_consistency(where: str, curve: Curve) -> Iterator[Finding]:
     cycles = list(_cycles(curve))
     yield from _repeated(where, curve)
     if largest > 0.0:
-        yield from _unlike_cycles(where, curve, cycles, largest)
-        yield from _turns(where, curve, largest)
-        yield from _loops(where, curve, cycles)
-        yield from _carries_again(where, curve, cycles)
+        yield from _unlike_cycles(where, curve, cycles, largest, limits)
+        yield from _turns(where, curve, largest, limits)
+        yield from _loops(where, curve, cycles, limits)
+        yield from _carries_again(where, curve, cycles, limits)
 
 
 def _cycles(curve: Curve) -> Iterator[Cycle]:
@@ -115,7 +107,7 @@ def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
 
 
 def _unlike_cycles(
-    where: str, curve: Curve, cycles: list[Cycle], largest: float
+    where: str, curve: Curve, cycles: list[Cycle], largest: float, limits: Limits
 ) -> Iterator[Finding]:
     """A change of scale or level that is the same in all of a cycle is one of the instruments.
 
@@ -123,7 +115,7 @@ def _unlike_cycles(
     loading is like no other, so that unloading is compared alone as well.
     """
     for before, after in pairwise(cycles):
-        change = _change(before, after, largest)
+        change = _change(before, after, largest, limits.cycle_change)
         if change is None:
             continue
         is_level, what, remedy = change
@@ -138,7 +130,9 @@ def _unlike_cycles(
             yield doubtful("cycle_scale", where, message, "force", "displacement", during=during)
 
 
-def _change(before: Cycle, after: Cycle, largest: float) -> tuple[bool, str, str] | None:
+def _change(
+    before: Cycle, after: Cycle, largest: float, least: float
+) -> tuple[bool, str, str] | None:
     """Whether the level (or the scale) of an instrument changed, words for it, and a remedy."""
     forces = _common(*before.paths, *after.paths)
     if not forces:
@@ -151,23 +145,23 @@ def _change(before: Cycle, after: Cycle, largest: float) -> tuple[bool, str, str
         recorded = _rms(second - first)
         scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
         left, left_level = _rms(second - scale * first), _rms(second - level - first)
-        if left < left_level and abs(scale - 1.0) > MIN_SCALE and recorded > scale_ratio * left:
+        if left < left_level and abs(scale - 1.0) > least and recorded > scale_ratio * left:
             words = f"the force over displacement is {scale:.4g} times that of the cycle before"
             return False, words, "look for a change of range, gain or encoder"
-        if abs(level) > MIN_LEVEL * largest and recorded > level_ratio * left_level:
+        if abs(level) > least * largest and recorded > level_ratio * left_level:
             words = f"the force is {level:+.4g} N off that of the cycle before"
             return True, words, "look for a new zero of the load cell"
     first_back, back = before.paths[1], after.paths[1]
     stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
     scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
     left = _rms(scaled[1] - scaled[0]) if scaled else np.inf
-    if abs(stretch - 1.0) < MIN_SCALE or _rms(new[POINTS:] - old[POINTS:]) < SCALE_RATIO * left:
+    if abs(stretch - 1.0) < least or _rms(new[POINTS:] - old[POINTS:]) < SCALE_RATIO * left:
         return None
     words = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
     return False, words, "look for a change of the encoder or its scale"
 
 
-def _turns(where: str, curve: Curve, largest: float) -> Iterator[Finding]:
+def _turns(where: str, curve: Curve, largest: float, limits: Limits) -> Iterator[Finding]:
     """A force that goes on growing when the motion has turned back is late, or has jumped."""
     sense = sense_of_loading(curve.force[curve.branches[0].start : curve.branches[0].stop])
     sure = SURE * noise_level(curve.force)
@@ -185,7 +179,7 @@ def _turns(where: str, curve: Curve, largest: float) -> Iterator[Finding]:
     if not growths:
         return
     usual = median(np.array([growth for _, growth in growths]))
-    if usual > max(MAX_LAG_GROWTH * largest, sure):
+    if usual > max(limits.force_lag * largest, sure):
         message = (
             f"the force grows by {usual:.3g} N, {usual / largest:.1%} of the largest, after the "
             "motion has turned back: force and displacement were not recorded at the same time"
@@ -193,7 +187,7 @@ def _turns(where: str, curve: Curve, largest: float) -> Iterator[Finding]:
         yield doubtful("force_late", where, message, "clock")
         return
     branch, most = max(growths, key=lambda turn: turn[1])
-    if most > max(MAX_TURN_JUMP * largest, sure):
+    if most > max(limits.turn_jump * largest, sure):
         message = (
             f"the force jumps by {most:.4g} N where the motion turns back at "
             f"{_at(curve, branch.start)} (cycle {branch.cycle}), against the way it should go: "
@@ -203,7 +197,7 @@ def _turns(where: str, curve: Curve, largest: float) -> Iterator[Finding]:
         yield doubtful("turn_jump", where, message, "force", during=during)
 
 
-def _loops(where: str, curve: Curve, cycles: list[Cycle]) -> Iterator[Finding]:
+def _loops(where: str, curve: Curve, cycles: list[Cycle], limits: Limits) -> Iterator[Finding]:
     """No passive specimen gives back more energy than was put into it."""
     gains = []
     for cycle in cycles:
@@ -211,7 +205,7 @@ def _loops(where: str, curve: Curve, cycles: list[Cycle]) -> Iterator[Finding]:
         sense = sense_of_loading(curve.force[cycle.loading.start : cycle.loading.stop])
         put_in = float(np.mean(np.abs(forces[0]))) if forces else 0.0
         loss = sense * float(np.mean(forces[0] - forces[1])) / put_in if put_in else 0.0
-        if loss < MIN_LOSS:
+        if loss < -limits.energy_gain:
             gains.append((cycle, -loss))
     # as in most cycles, so perhaps in all: the columns, or the record
     touches_all = len(gains) > len(cycles) / 2
@@ -227,7 +221,9 @@ def _loops(where: str, curve: Curve, cycles: list[Cycle]) -> Iterator[Finding]:
         yield doubtful("energy_gained", where, message, *quantities, during=during)
 
 
-def _carries_again(where: str, curve: Curve, cycles: list[Cycle]) -> Iterator[Finding]:
+def _carries_again(
+    where: str, curve: Curve, cycles: list[Cycle], limits: Limits
+) -> Iterator[Finding]:
     """A specimen that carried nothing on the whole way back is broken; what carries is another."""
     for before in cycles:
         later = [branch for branch in curve.branches if branch.start >= before.unloading.stop]
@@ -237,7 +233,7 @@ def _carries_again(where: str, curve: Curve, cycles: list[Cycle]) -> Iterator[Fi
         if not forces:
             continue
         first, back, second = (float(np.quantile(np.abs(force), BROKEN_WAY)) for force in forces)
-        if back < NOTHING * first and second > SOMETHING * first:
+        if back < limits.broken_force * first and second > limits.second_loading * first:
             message = (
                 f"the specimen is broken at the end of cycle {before.loading.cycle} (it carries "
                 f"{back:.3g} N on the way back), and cycle {later[0].cycle} carries "

@@ -12,10 +12,11 @@ from labpipe.bending.bent_frames import held_at_rest
 from labpipe.errors import in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import Motion
-from labpipe.protocol.schema import Protocol, Rig
+from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction, Shape
 from labpipe.records.estimates import Failure
+from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import (
     Finding,
     Findings,
@@ -29,16 +30,6 @@ from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end, standing_stretches
 from labpipe.signal.turning_points import noise_level
 from labpipe.units import GRAVITY
-
-_SPEED = 0.2
-"""Share by which the mean speed of a branch may differ from that of the rig."""
-_SETTLED = 0.25
-"""s by which a zero may reach into the motion before it is doubted."""
-_PULLED = 0.02
-"""Share of the largest force below zero that is taken for the zero of a load that only presses."""
-_SUNK = 0.2
-"""Share by which mid-span may sink otherwise than the displacement says. Round rollers alone make
-up to a tenth: the specimen rolls up on them, and lies below them at the nominal supports."""
 
 
 def check_rig(
@@ -60,7 +51,7 @@ def check_rig(
     is_blocked : whether there is no curve
     """
     if branches and protocol.branches is not None:
-        yield from _motion(signals.raw[protocol.branches.channel], protocol.rig, branches)
+        yield from _motion(signals.raw[protocol.branches.channel], protocol, branches)
     force = signals.filtered.get(signals.force)
     if force is None or protocol.curve is None:
         return
@@ -72,13 +63,14 @@ def check_rig(
     if protocol.specimen.span is not None and force.has_time and not is_blocked:
         why = "what presses on a specimen between supports cannot pull at it"
         smooth = _per_second(force)
-        yield from _negative(smooth, -_PULLED * float(np.nanmax(smooth)), why)
+        yield from _negative(smooth, -protocol.limits.pulling_force * float(np.nanmax(smooth)), why)
     length, words = protocol.specimen.length, protocol.markers
     if length is not None and words is not None and words.clamp is not None and shape is not None:
         yield from _length(shape, length)
 
 
-def _motion(motion: Signal, rig: Rig, branches: tuple[Branch, ...]) -> Iterator[Finding]:
+def _motion(motion: Signal, protocol: Protocol, branches: tuple[Branch, ...]) -> Iterator[Finding]:
+    rig = protocol.rig
     cycles = len({branch.cycle for branch in branches})
     if rig.cycles is not None and cycles != rig.cycles:
         message = f"{cycles} cycles measured, the protocol expects {rig.cycles}"
@@ -88,7 +80,7 @@ def _motion(motion: Signal, rig: Rig, branches: tuple[Branch, ...]) -> Iterator[
         message = f"a stroke of {stroke:.4g} mm measured, {1e3 * rig.stroke:.4g} mm expected"
         yield warning("stroke_unexpected", "rig.stroke", message)
     if rig.crosshead_speed is not None and motion.has_time:
-        yield from _speed(motion, rig.crosshead_speed, branches[0])
+        yield from _speed(motion, rig.crosshead_speed, branches[0], protocol.limits.speed_deviation)
 
 
 def is_full_stroke(motion: Signal, expected: float | None) -> bool:
@@ -103,12 +95,12 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
     return expected is not None and abs(stroke - expected) <= 0.02 * expected
 
 
-def _speed(motion: Signal, expected: float, first: Branch) -> Iterator[Finding]:
+def _speed(motion: Signal, expected: float, first: Branch, deviation: float) -> Iterator[Finding]:
     """Another speed than the rig was set to: another unit, another column, another test."""
     part = slice(first.start, first.stop)
     moved = np.nanmax(motion.values[part]) - np.nanmin(motion.values[part])
     speed = float(moved) / max(first.stop_time - first.start_time, 1e-9)
-    if abs(speed - expected) > _SPEED * expected:
+    if abs(speed - expected) > deviation * expected:
         message = (
             f"{1e3 * speed:.4g} mm/s measured over the first branch, {1e3 * expected:.4g} mm/s "
             "expected: look at rig.crosshead_speed, and at unit and name of the displacement"
@@ -143,13 +135,14 @@ def _length(shape: Shape, expected: float) -> Iterator[Finding]:
         yield doubtful("length_unexpected", "specimen.length", message, "displacement")
 
 
-def check_rest(signals: Signals, motion: Motion) -> Iterator[Finding]:
+def check_rest(signals: Signals, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
     """Doubt a zero that was taken while the clamp was already moving.
 
     Parameters
     ----------
     signals : with the stretches that they were zeroed over
     motion : with clocks that are joined
+    limits : of the lab
     """
     branches, clocks = motion.branches, motion.clocks
     if not branches:
@@ -157,7 +150,7 @@ def check_rest(signals: Signals, motion: Motion) -> Iterator[Finding]:
     begins, ends = branches[0].start_time, branches[-1].stop_time
     for name, stretch in signals.zeroed.items():
         start, stop = (clocks.to_curve(at, signals.raw[name].clock) for at in stretch)
-        if stop > begins + _SETTLED and start < ends - _SETTLED:
+        if stop > begins + limits.zero_overlap and start < ends - limits.zero_overlap:
             message = (
                 f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "
                 f"moves from {begins:.2f} s to {ends:.2f} s"
@@ -166,13 +159,17 @@ def check_rest(signals: Signals, motion: Motion) -> Iterator[Finding]:
             yield doubtful("zero_not_at_rest", name, message, quantity)
 
 
-def check_mid_span(prepared: Prepared, motion: Motion) -> tuple[Prepared, list[Finding]]:
+def check_mid_span(
+    prepared: Prepared, motion: Motion, limits: Limits = LIMITS
+) -> tuple[Prepared, list[Finding]]:
     """Give up cameras that began under load; doubt a displacement that is not what they see.
 
     Parameters
     ----------
     prepared : its ``mid_span`` is used, where there is one
     motion : the displacement, with clocks that are joined
+    limits : of the lab. Round rollers alone make up to a tenth: the specimen rolls up on them, and
+        lies below them at the nominal supports.
     """
     seen, span = prepared.signals.raw.get("mid_span"), prepared.span
     if seen is None or span is None or isinstance(span, Failure) or not motion.branches:
@@ -180,7 +177,7 @@ def check_mid_span(prepared: Prepared, motion: Motion) -> tuple[Prepared, list[F
     fit, rested = motion.clocks.others.get(seen.clock), span.time[span.rest]
     begins = motion.branches[0].start_time
     late = (rested if fit is None else fit.to_marker_time(rested))[-1] - begins
-    if late > _SETTLED:
+    if late > limits.zero_overlap:
         message = (
             f"the shape at rest was taken up to {late:.2f} s after loading began: look at the "
             "cameras' start, and at 'over' of the step three-point-shape"
@@ -190,7 +187,7 @@ def check_mid_span(prepared: Prepared, motion: Motion) -> tuple[Prepared, list[F
     sunk, moved = (
         float(np.nanmax(value) - np.nanmin(value)) for value in (seen.values, motion.signal.values)
     )
-    if abs(sunk - moved) <= _SUNK * moved:
+    if abs(sunk - moved) <= limits.mid_span_deviation * moved:
         return prepared, []
     message = (
         f"cameras see mid-span sink by {1e3 * sunk:.4g} mm, the displacement is {1e3 * moved:.4g} "
@@ -311,19 +308,14 @@ def _reversed(
 
 _CUT_FILES = {"truncated", "rows_differ"}
 """Notes of readers after which rows may be missing at the end."""
-_ARRIVED = {Direction.LOADING: 0.005, Direction.UNLOADING: 0.02}
-"""Share of the stroke within which a branch has come to where those before it ended: near the peak
-the force is steep, at the end of unloading it is small."""
 _PARTS = 40
 """Parts of a branch that a motion is averaged over, to see where it stands."""
 _BACK = 0.1
 """Share of the stroke within which a motion is back where it began; of a hold between two."""
 _AT_HOME = 0.02
 """Share of the stroke within which a motion has not left yet, or has come home."""
-_SHORTEST, _ROWS = 0.25, 5.0
-"""s, or rows without times, that a motion stands at least to be noted."""
-_MISSED = 0.02
-"""Share of a branch that the record of the force may lack at its end."""
+_HOLD_ROWS = 5.0
+"""Rows that a motion without times stands at least to be noted."""
 
 
 def cut_at(
@@ -332,6 +324,7 @@ def cut_at(
     *,
     is_full_stroke: bool,
     is_cut_file: bool,
+    limits: Limits = LIMITS,
 ) -> dict[str, float]:
     """Find where the record ends in the middle of a branch.
 
@@ -341,6 +334,7 @@ def cut_at(
     motion : with clocks that are joined
     is_full_stroke : whether the motion went as far as the rig was set to
     is_cut_file : whether a reader saw that the end of an export may be missing
+    limits : of the lab
 
     Returns
     -------
@@ -350,14 +344,16 @@ def cut_at(
     if not branches:
         return {}
     last, ends = branches[-1], dict[str, float]()
-    if _is_unfinished(moved, branches, is_full_stroke=is_full_stroke, is_cut_file=is_cut_file):
+    if _is_unfinished(
+        moved, branches, limits, is_full_stroke=is_full_stroke, is_cut_file=is_cut_file
+    ):
         end = float(moved.time[~np.isnan(moved.values)][-1])
         ends = {"force": end, "displacement": end}
     force = signals.raw[signals.force]
     known = force.time[~np.isnan(force.values)]
     until = motion.clocks.to_curve(float(known[-1]), force.clock)
     apart = float(moved.time[-1] - moved.time[0]) / max(1, len(moved.time) - 1)
-    missing = max(_MISSED * (last.stop_time - last.start_time), 2.0 * apart)
+    missing = max(limits.force_shortfall * (last.stop_time - last.start_time), 2.0 * apart)
     return ends | {"force": until} if until < last.stop_time - missing else ends
 
 
@@ -366,16 +362,17 @@ def file_is_cut(findings: Findings) -> bool:
     return any(finding.code in _CUT_FILES for finding in findings.found)
 
 
-def holds(where: str, motion: Motion) -> Iterator[Finding]:
+def holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:
     """Say where the motion stands in the middle of the test, and for how long.
 
     Parameters
     ----------
     where : name of the displacement
     motion : the rests before its first branch and where it began are no part of it
+    limits : of the lab
     """
     moved = motion.signal
-    unit, least = ("s", _SHORTEST) if moved.has_time else ("rows", _ROWS)
+    unit, least = ("s", limits.hold_time) if moved.has_time else ("rows", _HOLD_ROWS)
     seen = _holds(moved, motion.branches) if motion.branches else []
     held = [each for each in seen if each[1] - each[0] >= least]
     if not held:
@@ -433,7 +430,12 @@ def _merged(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def _is_unfinished(
-    motion: Signal, branches: tuple[Branch, ...], *, is_full_stroke: bool, is_cut_file: bool
+    motion: Signal,
+    branches: tuple[Branch, ...],
+    limits: Limits,
+    *,
+    is_full_stroke: bool,
+    is_cut_file: bool,
 ) -> bool:
     """Whether the motion goes on at the last sample, and is not where it was to go."""
     last = branches[-1]
@@ -445,10 +447,10 @@ def _is_unfinished(
         return True
     if len(branches) == 1:
         return not is_full_stroke
-    return not _arrived(motion, branches, float(values[-1]))
+    return not _arrived(motion, branches, float(values[-1]), limits)
 
 
-def _arrived(motion: Signal, branches: tuple[Branch, ...], end: float) -> bool:
+def _arrived(motion: Signal, branches: tuple[Branch, ...], end: float, limits: Limits) -> bool:
     """Whether the last branch ends where the one before it did, or beyond."""
     last = branches[-1]
     sense = 1.0 if end > motion.values[last.start] else -1.0
@@ -464,5 +466,8 @@ def _arrived(motion: Signal, branches: tuple[Branch, ...], end: float) -> bool:
         return False
     step = abs(end - float(motion.values[last.start])) / max(1, last.stop - last.start)
     stroke = float(np.nanmax(path) - np.nanmin(path))
-    near = max(_ARRIVED[last.direction] * stroke, step, 5.0 * noise_level(motion.values))
+    # near the peak the force is steep, at the end of unloading it is small
+    is_loading = last.direction is Direction.LOADING
+    shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
+    near = max(shortfall * stroke, step, 5.0 * noise_level(motion.values))
     return sense * end >= turns[-1] - near

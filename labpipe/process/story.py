@@ -42,6 +42,7 @@ from labpipe.process.zeros import check_begin, check_break, check_zeros, use_res
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape
+from labpipe.records.limits import Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result, Status
@@ -95,7 +96,7 @@ def reduce_recordings(
     seed = seed_of(recordings)
     prepared, motion, found = split_motion(prepared, protocol, protocol.branches)
     findings += found
-    prepared, found = at_rest(prepared, motion)
+    prepared, found = at_rest(prepared, motion, protocol.limits)
     findings += found
     findings = checked(prepared, motion, protocol, findings)
     test = replace(_evidence(prepared, motion.clocks, protocol, findings), seed=seed)
@@ -147,9 +148,9 @@ def split_motion(
     return prepared, Motion(motion, branches, clocks), found
 
 
-def at_rest(prepared: Prepared, motion: Motion) -> tuple[Prepared, list[Finding]]:
+def at_rest(prepared: Prepared, motion: Motion, limits: Limits) -> tuple[Prepared, list[Finding]]:
     """Look at what was taken at rest again, now that it is known when the machine rests."""
-    prepared, found = check_mid_span(prepared, motion)
+    prepared, found = check_mid_span(prepared, motion, limits)
     signals, more = use_rest_there_is(prepared.signals, motion)
     return replace(prepared, signals=signals), [*found, *more]
 
@@ -165,8 +166,8 @@ def checked(prepared: Prepared, motion: Motion, protocol: Protocol, findings: Fi
     """
     signals, is_blocked = prepared.signals, findings.blocked is not None
     findings += check_rig(signals, prepared.shape, protocol, motion.branches, is_blocked=is_blocked)
-    findings += holds(signals.displacement, motion)
-    findings += check_rest(signals, motion)
+    findings += holds(signals.displacement, motion, protocol.limits)
+    findings += check_rest(signals, motion, protocol.limits)
     reversed_signs = [] if is_blocked else check_signs(signals, motion, protocol)
     if any(reversed_sign.code == "force_reversed" for reversed_sign in reversed_signs):
         findings = findings.without("force_negative")  # its cause is found
@@ -190,6 +191,7 @@ def with_curve(
         motion,
         is_full_stroke=is_full_stroke(motion.signal, protocol.rig.stroke),
         is_cut_file=file_is_cut(test.findings),
+        limits=protocol.limits,
     )
     test = replace(test, cut_at=ends)
     if test.findings.blocked:
@@ -200,14 +202,14 @@ def with_curve(
     findings = test.findings + found + more
     if curve is None:
         return replace(test, findings=findings)
-    findings += check_zeros(test.signals, test.clocks, curve, findings)
-    findings += check_consistency(test.signals.force, curve)
+    findings += check_zeros(test.signals, test.clocks, curve, findings, protocol.limits)
+    findings += check_consistency(test.signals.force, curve, protocol.limits)
     test, found = correct_curve(replace(test, curve=curve), block)
     findings += found
     has_slack = isinstance(test.slack, Measured)
     findings += check_begin(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
-        findings += check_break(test.signals.force, test.curve, test.failure)
+        findings += check_break(test.signals.force, test.curve, test.failure, protocol.limits)
     return replace(test, findings=findings)
 
 
@@ -230,6 +232,7 @@ def _evidence(
         offset_uncertainty=0.0 if words is None else words.offset_uncertainty,
         centre_uncertainty=0.0 if words is None else words.centre_uncertainty,
         compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
+        limits=protocol.limits,
         free_tip=any(isinstance(x, FitShape) and x.tip == "free" for x in protocol.steps),
     )
     return ReducedTest(

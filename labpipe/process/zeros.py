@@ -14,6 +14,7 @@ from labpipe.process.motion import Motion
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction, Interval
 from labpipe.records.estimates import Failure
+from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Finding, Findings, doubtful, info_note
 from labpipe.records.signals import Clocks, Signals, Stretch
 from labpipe.signal.rests_and_jumps import level_jumps, samples_at_rest
@@ -184,8 +185,6 @@ _TURN = 3
 """Samples beside a turn at which a steep fall belongs to the specimen."""
 _RETURNED = 0.02
 """Share of the stroke within which the motion has come back to where it began."""
-_DRIFT = 0.03
-"""Share of the largest force by which the force at rest may differ before and after."""
 _SURE = 6.0
 """Standard errors below which a difference may be noise."""
 _FEWEST = 3
@@ -194,12 +193,12 @@ _TAIL = 10
 """Samples behind a break that are more than a rebound."""
 
 
-_REST_FORCE, _REST_DUST = 0.005, 1e-4
-"""Shares of the largest force: of a force at rest that matters, and that is nothing."""
+_REST_DUST = 1e-4
+"""Share of the largest force: a force at rest that is nothing."""
 
 
 def check_zeros(
-    signals: Signals, clocks: Clocks, curve: Curve, findings: Findings
+    signals: Signals, clocks: Clocks, curve: Curve, findings: Findings, limits: Limits = LIMITS
 ) -> list[Finding]:
     """Doubt what follows a jump of force or displacement, and forces whose zero drifted.
 
@@ -208,6 +207,7 @@ def check_zeros(
     signals, clocks : of the test
     curve : of unfiltered force
     findings : so far; a channel that stood still and goes on does not jump
+    limits : of the lab
     """
     if not curve.branches:
         return []
@@ -221,11 +221,11 @@ def check_zeros(
 
     found = list(_displacement_jump(signals.displacement, curve, thawed("displacement")))
     jump = list(_force_jump(signals.force, curve, thawed("force")))
-    found += _rest_force(signals, curve)
-    return [*found, *(jump or _drift(signals.force, curve))]
+    found += _rest_force(signals, curve, limits.rest_force)
+    return [*found, *(jump or _drift(signals.force, curve, limits.rest_force_drift))]
 
 
-def _rest_force(signals: Signals, curve: Curve) -> Iterator[Finding]:
+def _rest_force(signals: Signals, curve: Curve, share: float) -> Iterator[Finding]:
     """State the force before the motion where no step takes it for zero."""
     name = signals.force
     before = _known(curve.force[: curve.branches[0].start])
@@ -240,7 +240,7 @@ def _rest_force(signals: Signals, curve: Curve) -> Iterator[Finding]:
         "largest, and no step takes it for zero: a preload, or the zero of the load cell? If it "
         "is the zero, add the step {step: zero, channel: force, over: 1 s}"
     )
-    if abs(level) > max(_REST_FORCE, 2.0 * signals.raw[name].zero_drift) * most:
+    if abs(level) > max(share, 2.0 * signals.raw[name].zero_drift) * most:
         yield doubtful("rest_force", name, message, "force")
     else:
         yield info_note("rest_force", name, message)
@@ -307,7 +307,7 @@ def _held_after_loading(curve: Curve, sample: int) -> bool:
     return bool(before) and resting and before[-1].direction is Direction.LOADING
 
 
-def _drift(where: str, curve: Curve) -> Iterator[Finding]:
+def _drift(where: str, curve: Curve, share: float) -> Iterator[Finding]:
     """Compare the force at rest before and after.
 
     A specimen with friction, or one that stays longer, pushes back when it is home again: a force
@@ -322,7 +322,7 @@ def _drift(where: str, curve: Curve) -> Iterator[Finding]:
     part = curve.force[first.start : last.stop]
     most = float(np.nanmax(np.abs(part - level)))
     error = noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
-    limit, sense = max(_DRIFT * most, _SURE * error), sense_of_loading(part)
+    limit, sense = max(share * most, _SURE * error), sense_of_loading(part)
     if abs(change) < limit or (sense * change < 0.0 and not _grows(curve, limit)):
         return
     message = (
@@ -334,7 +334,7 @@ def _drift(where: str, curve: Curve) -> Iterator[Finding]:
 
 
 def check_break(
-    where: str, curve: Curve, failure: FailurePoint | Failure | None
+    where: str, curve: Curve, failure: FailurePoint | Failure | None, limits: Limits = LIMITS
 ) -> Iterator[Finding]:
     """Doubt a force that stands below zero once the specimen is broken.
 
@@ -343,6 +343,7 @@ def check_break(
     where : name of the force
     curve, failure : of the test. What is left of a specimen may still pull a little, so that a
         force above zero is left alone, and so is a rebound of a few samples
+    limits : of the lab
     """
     if not isinstance(failure, FailurePoint):
         return
@@ -352,7 +353,7 @@ def check_break(
         return
     level, most = sense * median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
     error = noise_level(curve.force) * sqrt(2.0 / len(after))
-    if level > -max(_DRIFT * most, _SURE * error):
+    if level > -max(limits.rest_force_drift * most, _SURE * error):
         return
     message = (
         f"the force stands at {sense * level:.4g} N once the specimen is broken, "

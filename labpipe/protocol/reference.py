@@ -16,15 +16,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from labpipe.protocol.campaign_plan import CampaignPlan
-from labpipe.protocol.grammar import Block
+from labpipe.protocol.grammar import Block, block_of
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.plausible import KEYS, PLAUSIBLE
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.records.declarations import Needs, existing_in
+from labpipe.records.limits import Limits
 from labpipe.records.quality import Severity
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
@@ -99,7 +100,11 @@ def tables() -> dict[str, str]:
         origin: table_of_notes([note for note in notes if note.origin == origin])
         for origin in origins
     }
-    return written | {"results": table_of_results(KINDS), "plausible": table_of_ranges()}
+    return written | {
+        "results": table_of_results(KINDS),
+        "plausible": table_of_ranges(),
+        "limits": table_of_limits(),
+    }
 
 
 def table_of_notes(notes: Sequence[KindOfNote]) -> str:
@@ -123,6 +128,17 @@ def table_of_ranges() -> str:
         keys = ", ".join(f"`{key}`" for key, of in KEYS.items() if of == kind)
         rows.append((f"`{kind}`", keys or "other lengths of a specimen", least, most))
     return _table(rows)
+
+
+def table_of_limits() -> str:
+    """Write the table of the lab's limits: key, default, and what is doubtful beyond it."""
+    defaults = block_of(Limits)().model_dump(mode="json")
+    hints = get_type_hints(Limits, include_extras=True)
+    rows = [
+        (f"`{key}`", value, next(part for part in get_args(hints[key]) if isinstance(part, str)))
+        for key, value in defaults.items()
+    ]
+    return _table([("key", "default", "of what"), *rows])
 
 
 def table_of_results(kinds: Iterable[type[Kind]]) -> str:

@@ -45,6 +45,7 @@ from labpipe.records.declarations import (
     Uncertainty,
     WholeNumber,
 )
+from labpipe.records.limits import LIMITS, Limits
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
 
@@ -339,6 +340,7 @@ class Protocol(Block):
     report: Report = Report()
     groups: Groups = Groups()
     plausible: Plausible = Field({}, description="Range of each kind of dimension; else shipped")
+    limits: Limits = Field(LIMITS, description="Differences beyond which a number is doubtful")
 
     @property
     def channels(self) -> dict[str, ChannelSource]:

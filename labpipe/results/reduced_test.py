@@ -21,6 +21,7 @@ from labpipe.records.curve import (
     Slip,
 )
 from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
 from labpipe.uncertainty.extractors import Decide
@@ -79,6 +80,7 @@ class Setup:
     centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
     free_tip : whether the shape may bend up to its tip
     compliance_stated : whether the protocol says how far frame and grips give way
+    limits : of the lab
     """
 
     length: float | None = None
@@ -93,6 +95,7 @@ class Setup:
     centre_uncertainty: float = 0.0
     free_tip: bool = False
     compliance_stated: bool = False
+    limits: Limits = LIMITS
 
 
 @dataclass(frozen=True, slots=True)

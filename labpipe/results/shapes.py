@@ -47,9 +47,6 @@ _LOW, _HIGH = 0.025, 0.975
 _MISFIT = (3.0, 2e-5)
 """Times the noise, and m on top, that markers may lie off the shapes of the law."""
 
-_LIGHTEST, _MATTERS = 1e-3, 0.01
-"""kg/m: hardly any wire of a harness is lighter; share of a moment by which its weight matters."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TipTravel(Kind):
@@ -163,13 +160,14 @@ def _not_weighed(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) ->
     if test.setup.mass_per_length is not None or test.shape is None:
         return ()
     moment = float(np.interp(entry.at, law.curvature, law.moment))
-    own = 0.5 * GRAVITY * _LIGHTEST * test.shape.length**2
-    if own <= _MATTERS * moment:
+    limits = test.setup.limits
+    own = 0.5 * GRAVITY * limits.unstated_mass * test.shape.length**2
+    if own <= limits.weight_share * moment:
         return ()
     message = (
-        f"specimen.mass_per_length is not stated: {1e3 * _LIGHTEST:g} g/m alone would bend "
-        f"by {1e6 * own:.2g} uN m, more than 1 % of the moment at {entry.at:g} 1/m; "
-        "state it in the test sheet"
+        f"specimen.mass_per_length is not stated: {1e3 * limits.unstated_mass:g} g/m alone would "
+        f"bend by {1e6 * own:.2g} uN m, more than {limits.weight_share:.0%} of the moment at "
+        f"{entry.at:g} 1/m; state it in the test sheet"
     )
     return (Reason("weight_not_stated", message),)
 

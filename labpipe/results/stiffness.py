@@ -62,9 +62,6 @@ from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, combined
 from labpipe.uncertainty.intervals import Measured
 
-USUAL_COMPLIANCE, SHARE_OF_MACHINE = 1e-7, 0.02
-"""m/N, that frame and grips of a small machine give way by; share of the displacement at which that
-matters."""
 _AT_REST = 0.1
 """Share of the samples of a window that may lie in its first fiftieth."""
 
@@ -493,12 +490,13 @@ class Modulus(OfStiffness):
 
 def _of_the_machine(test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
     """Why a modulus is doubtful whose displacement may be that of frame and grips."""
-    share = USUAL_COMPLIANCE * stiffness.estimate.value
-    if test.setup.compliance_stated or not share > SHARE_OF_MACHINE:
+    limits = test.setup.limits
+    share = limits.machine_compliance * stiffness.estimate.value
+    if test.setup.compliance_stated or not share > limits.machine_share:
         return ()
     message = (
-        f"curve.compliance is not stated: {1e6 * USUAL_COMPLIANCE:g} um/N, as frames and grips "
-        f"often have, would be {share:.0%} of the displacement; measure it with a stiff bar "
+        f"curve.compliance is not stated: {1e6 * limits.machine_compliance:g} um/N, as frames and "
+        f"grips often have, would be {share:.0%} of the displacement; measure it with a stiff bar "
         "(protocol stiff-bar), or state 0 um/N where an extensometer measured"
     )
     return (Reason("machine_compliance", message),)
