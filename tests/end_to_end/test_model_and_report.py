@@ -182,7 +182,6 @@ def words(folder: Path) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page(folder)))
 
 
-@pytest.mark.slow
 def test_a_campaign(reported: Reported) -> None:
     assert (reported.status, reported.err) == (0, "")
     assert "twist-tube-10  (twist-tube): 6 samples from 2 spools\n" in reported.out

@@ -181,6 +181,7 @@ def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None
     }
 
 
+@pytest.mark.slow
 def test_killed_while_the_first_result_is_put_in_place(
     pristine: Lab, tmp_path: Path, run: Run
 ) -> None:
@@ -191,25 +192,6 @@ def test_killed_while_the_first_result_is_put_in_place(
     assert run("process", lab.home / "processed").status == 2  # no test.yaml there
     assert run("process", lab.result, "--no-figures").status == 0
     assert run("report", lab.home / "processed").status == 0
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="no pipes among files on Windows")
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("force.mat", "expected a file, found a pipe or a device. Name a plain file"),
-        ("test.yaml", "expected a YAML file, found a pipe or a device. Check the name"),
-    ],
-)
-def test_a_pipe_is_not_waited_for(pristine: Lab, tmp_path: Path, name: str, said: str) -> None:
-    lab = pristine.copy(tmp_path)
-    (lab.raw / name).unlink()
-    os.mkfifo(lab.raw / name)
-    program = "import sys; from labpipe.cli import main; sys.exit(main(sys.argv[1:]))"
-    command = [sys.executable, "-c", program, "process", str(lab.raw)]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
-    assert (done.returncode, said in done.stderr) == (2, True), done.stderr
 
 
 RUN = """

@@ -172,16 +172,6 @@ def test_a_table_of_something_else_fits_none(tmp_path: Path, text: str) -> None:
     assert recognised(written(tmp_path / "a.txt", text)) is None
 
 
-@pytest.mark.parametrize("hint", ["sep=\t", "sep=;", '"sep=;"'])
-def test_a_hint_for_spreadsheets_in_line_1(tmp_path: Path, hint: str) -> None:
-    head = "Time (s)\tLoad (N)\tMachine Extension (mm)\r\n"
-    text = f"{hint}\r\n{head}0\t1\t2\r\n1\t2\t3\r\n"
-    recording = load_frame.read(written(tmp_path / "a.txt", text))
-    assert recording.metadata["dialect"] == "nexygen"
-    assert "lines" not in recording.metadata
-    assert recording.clocks[0].time.tolist() == [0.0, 1.0]
-
-
 SUITE = "Percorso: {}\nProva: x\nCiclo: 1\nData: {}\n\n\nTime\tLoad\nsec\tN\n0\t1\n1\t2\n"
 
 

@@ -308,13 +308,6 @@ REGROUPED = [
 ]
 
 
-def test_a_spike_is_no_regrouped_number(write: Written) -> None:
-    rows = frames.pull(TIME, TRAVEL, FORCE)
-    rows[20][2] = 1000 * FORCE[20]
-    recording = read_export(write(frames.bluehill(preamble=0, rows=rows)))
-    assert channel(recording, "Load").values[20] == pytest.approx(1000 * FORCE[20])
-
-
 @pytest.mark.parametrize("dialect", TEXTS)
 def test_cut_off_in_a_number(write: Written, dialect: str) -> None:
     """A last line that is cut is told or refused, never read as a sample of its own."""
@@ -334,19 +327,6 @@ def test_cut_off_in_a_number(write: Written, dialect: str) -> None:
     assert max(len(clock.time) for clock in recording.clocks) <= rows
     warned = [note for note in recording.notes if note.severity.value != "info"]
     assert warned, "a row with fewer cells than names is worth a warning"
-
-
-def test_resaved_without_a_line_end_and_without_zeros_loses_no_sample(write: Written) -> None:
-    """Numbers as short as they can be written: the last one may have fewer digits than others."""
-    rows = frames.pull(TIME, TRAVEL, np.round(FORCE, 2))
-    rows[10][2] = rows[-1][2] = 40.5
-    whole = frames.bluehill(preamble=0, rows=rows).replace(b'"', b"").rstrip(b"\r\n")
-    recording = read_export(write(whole))
-    assert len(time(recording)) == N
-    assert "truncated" not in codes(recording)
-    cut = read_export(write(whole.removesuffix(b"0.5")))
-    assert len(time(cut)) == N - 1
-    assert "truncated" in codes(cut)
 
 
 @pytest.mark.parametrize("dialect", sorted(EXAMPLES))
