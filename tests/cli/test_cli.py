@@ -12,24 +12,30 @@ from pathlib import Path
 import pytest
 
 from labpipe.campaign.serving import ReportServer
-from labpipe.cli import BAD_INPUT, DONE, main
+from labpipe.cli import BAD_INPUT, DONE
 from labpipe.errors import LabpipeError
 from labpipe.virtual_lab import CantileverScenario
 from tests.builders.pulled_campaigns import make_pulls
 from tests.builders.small_tests import Lab, Run
 
 
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (LabpipeError("take.csv, line 3: expected this, found that. Do so."), "take.csv, line 3: "),
+        (MemoryError(), "expected data that go into the memory, found that"),
+    ],
+)
 def test_message_names_the_command(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, message: str
 ) -> None:
     def refused(path: Path) -> None:
-        message = "take.csv, line 3: expected this, found that. Do so."
-        raise LabpipeError(message)
+        raise error
 
     monkeypatch.setattr("labpipe.process.inspection.inspect_export", refused)
     ran = run("inspect", tmp_path)
-    assert ran.err == ("labpipe inspect: take.csv, line 3: expected this, found that. Do so.\n")
-    assert (ran.status, ran.out) == (2, "")
+    assert ran.err.startswith(f"labpipe inspect: {message}")
+    assert (ran.status, ran.out) == (BAD_INPUT, "")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes are another matter on Windows")
@@ -44,16 +50,6 @@ def test_reader_of_a_pipe_that_goes_away(pristine: Lab) -> None:
     assert ended.returncode == DONE
 
 
-def test_check(run: Run, lab: Lab) -> None:
-    ran = run("check", lab.raw)
-    assert (ran.status, ran.out) == (DONE, "0 protocols, 1 tests: no faults found\n")
-    lab.edit("test.yaml", "take.csv", "tale.csv")
-    ran = run("check", lab.raw)
-    assert ran.status == 2
-    assert ran.out == "0 protocols, 1 tests: 1 fault\n"
-    assert "tale.csv" in ran.err
-
-
 def test_inspect(run: Run, pristine: Lab) -> None:
     ran = run("inspect", pristine.raw / "force.mat")
     assert ran.status == DONE
@@ -64,21 +60,35 @@ def test_inspect(run: Run, pristine: Lab) -> None:
 
 
 def test_new_then_check(run: Run, lab: Lab) -> None:
-    (lab.raw / "test.yaml").unlink()
-    said = {"type": "A2", "spool": "A2-s1", "sample": "1", "length": "85 mm"}
-    options = [part for key, value in said.items() for part in (f"--{key}", value)]
-    files = ["--force", "force.mat", "--markers", "take.csv"]
-    change = ["--set", "rig.stroke=12 mm", "--because", "a short stroke"]
-    ran = run("new", lab.raw, *options, *files, *change)
+    lab.sheet.unlink()
+    facts = ["--type", "A2", "--spool", "A2-s1", "--sample", "1", "--length", "85 mm"]
+    options = [*facts, "--force", "force.mat", "--markers", "take.csv"]
+    ran = run("new", lab.raw, *options, "--set", "rig.stroke=12 mm", "--because", "a short stroke")
     assert ran.status == DONE
-    assert ran.out.splitlines()[0] == f"wrote {lab.raw / 'test.yaml'}"
+    assert ran.out.splitlines()[0] == f"wrote {lab.sheet}"
     assert "  not used: truth.json: JSON" in ran.out.splitlines()
-    assert run("check", lab.raw).status == DONE
-    before = (lab.raw / "test.yaml").read_bytes()
-    ran = run("new", lab.raw, *options, *files)
-    assert ran.status == 2
-    assert (lab.raw / "test.yaml").read_bytes() == before
-    assert run("new", lab.raw, *options, *files, "--overwrite").status == DONE
+    ran = run("check", lab.raw)
+    assert (ran.status, ran.out) == (DONE, "0 protocols, 1 tests: no faults found\n")
+    before = lab.sheet.read_bytes()
+    assert run("new", lab.raw, *options).status == BAD_INPUT
+    assert lab.sheet.read_bytes() == before
+    assert run("new", lab.raw, *options, "--overwrite").status == DONE
+    lab.edit("test.yaml", "take.csv", "tale.csv")
+    ran = run("check", lab.raw)
+    assert (ran.status, ran.out) == (BAD_INPUT, "0 protocols, 1 tests: 1 fault\n")
+    assert "tale.csv" in ran.err
+
+
+def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
+    sheet = tmp_path / "campaign.csv"
+    head = "test,protocol,type,spool,sample,length,force,markers\n"
+    rows = [f"A2-{n},wire-cantilever,A2,s1,{n},85 mm,force.mat,take.csv\n" for n in (1, 2)]
+    sheet.write_text(head + "".join(rows), encoding="utf-8")
+    ran = run("new", tmp_path / "raw", "--from", sheet)
+    assert ran.status == DONE
+    assert ran.out.count("wrote ") == 2
+    assert ran.out.count("  not there yet: force.mat, take.csv\n") == 2
+    assert run("new", tmp_path / "raw", "--from", sheet).out.count("kept ") == 2
 
 
 def test_new_sees_what_lies_there(run: Run, lab: Lab) -> None:
@@ -93,53 +103,18 @@ def test_new_sees_what_lies_there(run: Run, lab: Lab) -> None:
     assert run("check", folder).status == DONE
 
 
-def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
-    sheet = tmp_path / "campaign.csv"
-    sheet.write_text(
-        "test,protocol,type,spool,sample,length,force,markers\n"
-        "A2-1,wire-cantilever,A2,s1,1,85 mm,force.mat,take.csv\n"
-        "A2-2,wire-cantilever,A2,s1,2,85 mm,force.mat,take.csv\n",
-        encoding="utf-8",
-    )
-    ran = run("new", tmp_path / "raw", "--from", sheet)
-    assert ran.status == DONE
-    assert ran.out.count("wrote ") == 2
-    assert ran.out.count("  not there yet: force.mat, take.csv\n") == 2
-    ran = run("new", tmp_path / "raw", "--from", sheet)
-    assert ran.out.count("kept ") == 2
-
-
 @pytest.mark.parametrize("command", ["inspect", "check", "process", "report", "model"])
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [("a" * 300, "File name too long"), ("loop", "a link that leads back to itself")],
-)
 def test_a_name_that_the_file_system_refuses(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    command: str,
-    name: str,
-    why: str,
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")
-    with pytest.raises(SystemExit) as left:
-        main([command, name])
-    assert left.value.code == 2
-    shown = "'loop'" if name == "loop" else f"'{'a' * 60}...'"
-    said = f"expected the name of a file or a folder, found {shown} ({why})"
-    assert said in capsys.readouterr().err
-
-
-def test_memory_that_is_used_up(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def large(path: Path) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr("labpipe.process.inspection.inspect_export", large)
-    ran = run("inspect", tmp_path)
-    assert ran.status == 2
-    assert ran.err.startswith("labpipe inspect: expected data that go into the memory, found that")
+    why = {"loop": "a link that leads back to itself", "a" * 300: "File name too long"}
+    for name, reason in why.items():
+        ran = run(command, name)
+        shown = f"'{name}'" if name == "loop" else f"'{'a' * 60}...'"
+        message = f"expected the name of a file or a folder, found {shown} ({reason})"
+        assert (ran.status, message in ran.err) == (BAD_INPUT, True), name
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names of files are Unicode there")
@@ -169,31 +144,25 @@ def test_a_script_for_each_shell(run: Run, shell: str) -> None:
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
-        ("labpipe rep", {"report"}),
         ("labpipe campaign re", {"replay", "rebuild"}),
         ("labpipe report --ti", {"--title"}),
-        ("labpipe simulate --kind ta", {"taped-bundle"}),
         ("labpipe inspect ta", {"take.csv"}),
     ],
 )
-def test_completes_commands_actions_options_and_files(
+def test_completes_actions_options_and_files(
     tmp_path: Path, repository: Path, typed: str, offered: set[str]
 ) -> None:
-    lab = tmp_path / "lab"
-    lab.mkdir()
-    (lab / "take.csv").touch()
+    (tmp_path / "lab").mkdir()
+    (tmp_path / "lab" / "take.csv").touch()
     answer = tmp_path / "answer"
-    asked = {
-        **{
-            "_ARGCOMPLETE": "1",
-            "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
-            "_ARGCOMPLETE_IFS": "\n",
-        },
-        **{"COMP_LINE": typed, "COMP_POINT": str(len(typed)), "COMP_TYPE": "9"},
-    }
+    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer)}
+    line = {"COMP_LINE": typed, "COMP_POINT": str(len(typed)), "COMP_TYPE": "9"}
+    environment = {**os.environ, **asked, **line, "_ARGCOMPLETE_IFS": "\n"}
     command = [sys.executable, "-c", "from labpipe.cli import main; main()"]
-    environment = os.environ | asked | {"PYTHONPATH": str(repository)}
-    subprocess.run(command, cwd=lab, env=environment, check=True, stdout=subprocess.DEVNULL)
+    environment["PYTHONPATH"] = str(repository)
+    subprocess.run(
+        command, cwd=tmp_path / "lab", env=environment, check=True, stdout=subprocess.DEVNULL
+    )
     words = answer.read_text(encoding="utf-8").split("\n")
     assert {word.strip() for word in words} == offered
 
@@ -221,23 +190,8 @@ def test_a_file_of_ones_own_is_never_replaced(run: Run, tmp_path: Path) -> None:
     own.write_text("mine", encoding="utf-8")
     ran = run("examples", tmp_path)
     assert ran.status == BAD_INPUT
-    assert ran.err == (
-        f"labpipe examples: {own}: expected the example as it comes with labpipe, or no such file,"
-        " found another one. Move it away, or name another folder; nothing was written.\n"
-    )
+    assert f"{own}: expected the example as it comes with labpipe, or no such file" in ran.err
     assert contents(tmp_path) == {"protocols/tensile.yaml": b"mine"}
-
-
-def test_table_and_progress(run: Run, lab: Lab) -> None:
-    ran = run("process", lab.raw, "--no-figures")
-    assert ran.status == 0
-    assert ran.err == "1/1 T1\n"
-    heading, first, *rest = ran.out.splitlines()
-    assert heading == f"T1  (wire-cantilever): 15 ok  ->  {lab.processed}"
-    assert first.split()[:1] == ["clock_offset"]
-    assert first.split()[2:4] == ["s", "95"]
-    assert len(rest) == 14
-    assert not (lab.processed / "figures").exists()
 
 
 def test_writes_exports_sheet_and_truth(
@@ -251,38 +205,30 @@ def test_writes_exports_sheet_and_truth(
         return folder
 
     monkeypatch.setattr("labpipe.cli.simulate.simulate_test", simulate)
-    ran = run(
-        *("simulate", "--out", tmp_path, "--name", "S7", "--rate", "1 kHz"),
-        *("--fps", "120 Hz", "--cycles", "2", "--seed", "9"),
-    )
+    options = ["--name", "S7", "--fps", "120Hz", "--cycles", "2", "--seed", "9"]
+    ran = run("simulate", "--out", tmp_path, "--rate", "1 kHz", *options)
     assert ran.status == 0
     (scenario, folder, seed), *_ = asked
     assert (folder, seed, scenario.name) == (tmp_path / "S7", 9, "S7")
     assert (scenario.clocks.rate, scenario.clocks.fps) == (1000.0, 120.0)
     assert scenario.mechanics.cycles == 2
-    assert ran.out == (
-        f"wrote {tmp_path / 'S7'}: exports, test.yaml, truth.json (synthetic, seed 9)\n"
-    )
+    wrote = f"wrote {tmp_path / 'S7'}: exports, test.yaml, truth.json (synthetic, seed 9)\n"
+    assert ran.out == wrote
 
 
 @pytest.mark.parametrize(
-    ("options", "found"),
+    ("options", "rejected"),
     [
-        (("--kind", "taped-bundle", "--type", "CWB-1"), "type=CWB-1 of a taped-bundle"),
-        (("--kind", "conduit-bundle", "--cycles", "2"), "cycles=2 of a conduit bundle"),
-        (("--type", "CWB-1"), "type=CWB-1 of a wire"),
+        ("--kind taped-bundle --type CWB-1", "type=CWB-1 of a taped-bundle"),
+        ("--kind conduit-bundle --cycles 2", "cycles=2 of a conduit bundle"),
+        ("--type CWB-1", "type=CWB-1 of a wire"),
     ],
 )
-def test_what_a_kind_does_not_have(
-    run: Run, tmp_path: Path, options: tuple[str, ...], found: str
-) -> None:
-    ran = run("simulate", "--out", tmp_path, *options)
-    assert ran.status == 2
-    assert ran.err == (
-        'labpipe simulate: options: expected --rate and --fps such as "10 kHz" and "50 Hz", a '
-        f"cycle, a plain name, a type and cycles that the kind has, found {found}. See `labpipe "
-        f"simulate --help`.\n"
-    )
+def test_what_a_kind_does_not_have(run: Run, tmp_path: Path, options: str, rejected: str) -> None:
+    ran = run("simulate", "--out", tmp_path, *options.split())
+    assert ran.status == BAD_INPUT
+    assert ran.err.startswith("labpipe simulate: options: expected --rate and --fps such as ")
+    assert f"cycles that the kind has, found {rejected}. See `labpipe simulate --help`." in ran.err
 
 
 @pytest.fixture(scope="module")
@@ -303,27 +249,21 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return addresses
 
 
-def test_it_makes_the_report_and_opens_it(run: Run, processed: Path, opened: list[str]) -> None:
+def test_it_makes_the_report_and_opens_it(
+    run: Run, processed: Path, opened: list[str], tmp_path: Path
+) -> None:
     page = processed / "report" / "report.html"
     ran = run("serve", processed, "--port", "0", "--title", "Tubes")
-    assert ran.status == 0
+    assert ran.status == DONE
     assert "Tubes" in page.read_text("utf-8")
     (address,) = opened
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{32}/", address)
-    assert ran.out.splitlines() == [
-        f"Tubes: {address}",
-        "Only this machine can open it. Ctrl+C ends it.",
-        "",
-    ]
+    assert ran.out == f"Tubes: {address}\nOnly this machine can open it. Ctrl+C ends it.\n\n"
     page.write_text("as it was", "utf-8")
     run("serve", processed, "--port", "0", "--no-browser")
     assert page.read_text("utf-8") == "as it was"
-    assert len(opened) == 1
-
-
-def test_bad_input(run: Run, tmp_path: Path, opened: list[str]) -> None:
     ran = run("serve", tmp_path)
     assert ran.status == BAD_INPUT
     assert "expected a result.h5, or a folder with processed tests" in ran.err
     assert "expected a whole number, found 'x'" in run("serve", tmp_path, "--port", "x").err
-    assert opened == []
+    assert opened == [address]
