@@ -1,4 +1,4 @@
-"""The cantilever against elliptic integrals, shooting and what must hold for any law (PHYSICS 5).
+"""The cantilever against elliptic integrals and what must hold for any law (PHYSICS 5).
 
 Constant stiffness: Bisshopp and Drucker (1945) in scipy's elliptic integrals, with p^2 = (1 +
 sin(tip angle)) / 2 and sin(phi) = 1 / (p sqrt 2): sqrt(P L^2 / EI) = K(p) - F(p, phi), deflection /
@@ -6,18 +6,18 @@ L = 1 - 2 (E(p) - E(p, phi)) / sqrt(P L^2 / EI); itself compared with Mattiasson
 
 A law that varies along the wire: while nothing unloads, W*(M) + P sin(psi) is the same everywhere,
 W* the integral of the curvature over the moment; length and deflection are integrals over the
-moment, taken by Gauss's rule between the corners of the law. Shooting integrates the same wire from
-its tip. On two rollers: Love (1927), secs. 260-263, by shooting from the roller to mid-span.
+moment, taken by Gauss's rule between the corners of the law. On two rollers:
+Love (1927), secs. 260-263, by shooting from the roller to mid-span.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, fsolve, root
+from scipy.optimize import brentq, fsolve
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from labpipe.fits.beam_stiffness import Rollers, path_of_load
@@ -36,7 +36,9 @@ from tests.builders.cantilevers import LENGTH, WIRE
 from tests.builders.stranded_wires import contacts_of, wire
 
 STRING = 0.760
+
 WEIGHT = 0.0027 * 9.80665
+
 BILINEAR = bilinear_law(5e-3, 1.5e-3, 0.02)
 
 
@@ -57,43 +59,6 @@ def test_closed_loop_dissipates_the_loop_area() -> None:
     work = np.trapezoid(lift, [shape.state.travel for shape in loop])
     assert dissipated > 1e-3
     assert work == pytest.approx(dissipated, rel=5e-3)
-
-
-def _shoot_with_string(stiffness: float, travel: float) -> tuple[float, float]:
-    """Tension and tip deflection by shooting with an initial value solver, on its own equations."""
-
-    def tip(tension: float, lean: float, clamp_moment: float) -> tuple[float, float, float]:
-        px, py = tension * np.sin(lean), tension * np.cos(lean)
-
-        def slope(_: float, z: np.ndarray) -> list[float]:
-            theta, moment = z[2], z[3]
-            rate = -(py * np.cos(theta) - px * np.sin(theta))
-            return [np.cos(theta), np.sin(theta), moment / stiffness, rate]
-
-        end = solve_ivp(slope, (0, LENGTH), [0, 0, 0, clamp_moment], rtol=1e-11, atol=1e-13).y[
-            :, -1
-        ]
-        return float(end[0]), float(end[1]), float(end[3])
-
-    def misfit(unknown: np.ndarray) -> list[float]:
-        x, y, moment = tip(*unknown)
-        return [
-            moment / 0.05,
-            (x + STRING * np.sin(unknown[1]) - LENGTH) / LENGTH,
-            (y + STRING * np.cos(unknown[1]) - STRING - travel) / LENGTH,
-        ]
-
-    found = root(misfit, [1.2, 0.026, 0.08], tol=1e-11)
-    assert found.success
-    return float(found.x[0]), tip(*found.x)[1]
-
-
-def test_leaning_string_against_shooting() -> None:
-    law, rig = LinearLaw(3e-3), StringRig(STRING, 0.0, LENGTH, STRING)
-    tension, deflection = _shoot_with_string(3e-3, 0.050)
-    shape = bend_to_travel(law, straight(law), LENGTH, rig, 0.050)
-    assert shape.tension == pytest.approx(tension, rel=1e-7)
-    assert shape.y[-1] == pytest.approx(deflection, abs=1e-9)
 
 
 def _lean(law: MomentLaw, at: float) -> tuple[float, float]:
@@ -126,15 +91,6 @@ def test_lean_of_the_string(law: MomentLaw, told: tuple[float, float]) -> None:
     assert _lean(law, 0.050) == pytest.approx(told, abs=0.06 if told[0] > 3.0 else 0.02)
 
 
-PRINTED = {1.0: (0.30172, 0.05643, 0.46135), 2.0: (0.49346, 0.16064, 0.78175)}
-
-
-PRINTED |= {5.0: (0.71379, 0.38763, 1.21537), 10.0: (0.81061, 0.55500, 1.43029)}
-
-
-"""P L^2 / EI: deflection / L, shortening / L, tip angle (rad)."""
-
-
 def closed_form(tip_angle: float) -> tuple[float, float, float]:
     """P L^2 / EI, deflection / L and shortening / L at a tip angle."""
     m = (1.0 + np.sin(tip_angle)) / 2.0
@@ -144,38 +100,22 @@ def closed_form(tip_angle: float) -> tuple[float, float, float]:
     return root**2, deflection, 1.0 - float(np.sqrt(2.0 * np.sin(tip_angle))) / root
 
 
-@pytest.mark.parametrize("load", sorted(PRINTED))
-def test_the_closed_form_is_the_printed_table(load: float) -> None:
-    angle = brentq(lambda angle: closed_form(angle)[0] - load, 0.01, 1.57)
-    assert (*closed_form(angle)[1:], angle) == pytest.approx(PRINTED[load], abs=5.1e-6)
-
-
 @given(st.floats(0.01, 1.5))
+@example(1.43029)
 def test_shapes_at_any_load(tip_angle: float) -> None:
+    """The angle of the example is that of P L^2 / EI = 10 in the printed table."""
     load, deflection, shortening = closed_form(tip_angle)
+    if tip_angle == 1.43029:
+        assert (load, deflection, shortening) == pytest.approx((10.0, 0.81061, 0.555), rel=1e-4)
     law, length = LinearLaw(3e-3), 0.085
     force = np.array([0.0, load * law.stiffness / length**2])
     shape = bend_under_force(law, straight(law), length, force)
-    found = (shape.y[-1] / length, 1.0 - shape.x[-1] / length, shape.angle[-1])
-    assert found == pytest.approx((deflection, shortening, tip_angle), abs=1e-9)
-
-
-def test_loads_of_a_whole_curve() -> None:
-    """Up to a deflection of 0.85 of the length, where the tip stands at 87 degrees."""
-    rows: Floats = np.array([closed_form(angle) for angle in np.linspace(0.05, 1.52, 30)])
-    law, length = LinearLaw(3e-3), 0.085
-    found = end_load_path(law, length, rows[:, 1] * length).load
-    # A curve stops at changes of 1e-6; 1.2e-8 is what it was off by.
-    assert found * length**2 / law.stiffness == pytest.approx(rows[:, 0], rel=1e-7)
+    numbers = (shape.y[-1] / length, 1.0 - shape.x[-1] / length, shape.angle[-1])
+    assert numbers == pytest.approx((deflection, shortening, tip_angle), abs=1e-9)
 
 
 def plays(name: str) -> MomentLaw:
     return play_law(wire(name), contacts_of(wire(name)), largest_curvature=60.0)
-
-
-def curvature(law: MomentLaw, moment: Floats) -> Floats:
-    beyond = np.maximum(moment[..., None] - law.half_widths, 0.0)
-    return np.asarray(moment / law.stiffness + np.sum(law.compliances * beyond, axis=-1))
 
 
 def energy(law: MomentLaw, moment: Floats) -> Floats:
@@ -209,41 +149,21 @@ def by_first_integral(law: MomentLaw, load: float) -> tuple[float, float, float]
     return integrals(clamp)[1], float(tip), float(clamp)
 
 
-def by_shooting(law: MomentLaw, load: float) -> tuple[float, float, float]:
-    def march(tip_angle: float) -> Floats:
-        def rates(_: float, state: Floats) -> list[float]:
-            angle, lever, _ = state
-            bent = float(curvature(law, np.array(load * lever)))
-            return [-bent, float(np.cos(angle)), float(np.sin(angle))]
-
-        start = [tip_angle, 0.0, 0.0]
-        way = solve_ivp(rates, (0.0, LENGTH), start, rtol=1e-8, atol=1e-11, max_step=LENGTH / 40)
-        return np.asarray(way.y[:, -1])
-
-    tip = brentq(lambda angle: float(march(angle)[0]), 0.0, np.pi / 2.0, xtol=1e-13)
-    _, lever, deflection = march(tip)
-    return float(deflection), float(tip), float(load * lever)
-
-
 # At 64 stations a single corner costs 7e-5 (2e-6 at 128), the many small ones of a wire 4e-6.
-CASES = [
-    (LinearLaw(3e-3), 1.2, 1e-11),
-    (BILINEAR, 0.35, 1e-4),
-    (BILINEAR, 0.9, 1e-4),
-    (plays("A2"), 0.06, 1e-5),
-    (plays("A2"), 0.13, 1e-5),
-    (plays("C4"), 0.3, 1e-5),
-]
-IDS = ["linear", "bilinear", "bilinear far", "A2", "A2 far", "C4"]
-
-
-@pytest.mark.parametrize(("law", "load", "within"), CASES, ids=IDS)
-def test_three_ways(law: MomentLaw, load: float, within: float) -> None:
-    exact = by_first_integral(law, load)
-    assert by_shooting(law, load) == pytest.approx(exact, rel=1e-6)
+@pytest.mark.parametrize(
+    ("law", "load", "within"),
+    [
+        (LinearLaw(3e-3), 1.2, 1e-11),
+        (BILINEAR, 0.9, 1e-4),
+        (plays("A2"), 0.13, 1e-5),
+        (plays("C4"), 0.3, 1e-5),
+    ],
+    ids=["linear", "bilinear", "A2", "C4"],
+)
+def test_the_first_integral(law: MomentLaw, load: float, within: float) -> None:
     shape = bend_under_force(law, straight(law), LENGTH, np.array([0.0, load]))
-    found = (shape.y[-1], shape.angle[-1], shape.moment[0])
-    assert found == pytest.approx(exact, rel=within)
+    numbers = (shape.y[-1], shape.angle[-1], shape.moment[0])
+    assert numbers == pytest.approx(by_first_integral(law, load), rel=within)
 
 
 def load_by_shooting(rollers: Rollers, deflection: float) -> float:
@@ -269,10 +189,8 @@ def load_by_shooting(rollers: Rollers, deflection: float) -> float:
     return float(2.0 * push * (np.cos(slope) + friction * np.sin(slope)))
 
 
-@pytest.mark.parametrize("deflection", [0.02, 0.1, 0.2])
-@pytest.mark.parametrize(
-    "rollers", [Rollers(1.0), Rollers(1.0, 0.05), Rollers(1.0, 0.0, 0.2), Rollers(1.0, 0.07, 0.3)]
-)
+@pytest.mark.parametrize("deflection", [0.02, 0.2])
+@pytest.mark.parametrize("rollers", [Rollers(1.0), Rollers(1.0, 0.05), Rollers(1.0, 0.07, 0.3)])
 def test_load_at_a_deflection(rollers: Rollers, deflection: float) -> None:
     known, loads = path_of_load(rollers)
     found = float(np.interp(deflection, known, loads))

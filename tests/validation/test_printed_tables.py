@@ -29,6 +29,7 @@ NORRIS = """
 0.6 0.3 557.6 556.8 339.3 339.1 888.0 887.2 998.5 999.0 778.9 779.0 10.2 11.1 117.6 118.3
 228.9 229.2 668.4 669.1 449.2 448.9 0.2 0.5
 """
+
 """Pairs y x."""
 
 
@@ -75,41 +76,33 @@ VALUES = """
 """
 
 
-def test_three_are_marked() -> None:
-    values = dict(enumerate(np.array(VALUES.split(), dtype=np.float64)))
-    named = {str(name): float(value) for name, value in values.items()}
-    found = find_suspects(named, dict.fromkeys(named, "one"), most=10).below(0.05)
-    assert [finding.value for finding in found] == [6.01, 5.42, 5.34]
-    assert {finding.method for finding in found} == {"generalised ESD test"}
+def test_outliers_of_rosner() -> None:
+    """Three are marked; one alone is not: the other two make the scatter large."""
+    named = {str(at): float(value) for at, value in enumerate(VALUES.split())}
+    suspects = find_suspects(named, dict.fromkeys(named, "one"), most=10).below(0.05)
+    assert [suspect.value for suspect in suspects] == [6.01, 5.42, 5.34]
+    assert {suspect.method for suspect in suspects} == {"generalised ESD test"}
+    # 3.118 where 3.158 is needed
+    (alone,) = find_suspects(named, dict.fromkeys(named, "one"), most=1).below(0.1)
+    assert alone.value == 6.01
+    assert 0.05 < alone.p < 0.1
 
 
-def test_one_alone_is_not() -> None:
-    # 3.118 where 3.158 is needed: the other two make the scatter large.
-    values = {str(at): float(value) for at, value in enumerate(VALUES.split())}
-    (found,) = find_suspects(values, dict.fromkeys(values, "one"), most=1).below(0.1)
-    assert found.value == 6.01
-    assert 0.05 < found.p < 0.1
-
-
-FIRST = mean_interval([0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0])
-SECOND = mean_interval([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
-
-
-def test_difference() -> None:
-    found = difference_of_means(FIRST, SECOND)
-    assert found.mean == pytest.approx(1.58)
-    assert found.interval is not None
-    assert found.interval.lower == pytest.approx(-0.2054832, abs=5e-8)
-    assert found.interval.upper == pytest.approx(3.3654832, abs=5e-8)
-
-
-def test_equivalence() -> None:
-    contrast = contrast_of(FIRST, SECOND, 0.5 / FIRST.mean)
+def test_students_two_groups() -> None:
+    first = mean_interval([0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0])
+    second = mean_interval([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
+    difference = difference_of_means(first, second)
+    assert difference.mean == pytest.approx(1.58)
+    assert difference.interval is not None
+    assert difference.interval.lower == pytest.approx(-0.2054832, abs=5e-8)
+    assert difference.interval.upper == pytest.approx(3.3654832, abs=5e-8)
+    contrast = contrast_of(first, second, 0.5 / first.mean)
     assert contrast is not None
     assert equivalence_p(contrast) == pytest.approx(0.89, abs=0.005)
 
 
 TABLE = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776, 6: 2.571, 10: 2.262, 30: 2.045}
+
 """By number of samples."""
 
 
@@ -123,7 +116,9 @@ def test_interval_is_made_with_it(n: int) -> None:
 
 
 FIRST_REGION = {"1": [58.33, 57.71, 56.28], "2": [47.09, 48.19, 46.08]}
+
 SECOND_REGION = {"1": [31.78, 33.98, 32.98], "2": [27.38, 28.81, 30.50]}
+
 """1/m, by spool."""
 
 
@@ -146,8 +141,11 @@ def test_two_spools_of_three_samples() -> None:
 
 
 PRINTED = {"C1": 1.46, "C2": 2.75, "C3": 6.22, "C4": 16.96, "C5": 39.87}
+
 HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
+
 CONCENTRIC = {"C1": 1.62, "C2": 3.15, "C3": 6.60, "C4": 17.9, "C5": 41.9}
+
 """1e-3 N m^2."""
 
 

@@ -62,6 +62,7 @@ def wire_loop(forces: Floats) -> Floats:
     return np.array(out)
 
 
+@pytest.mark.slow
 def test_the_loop_of_a_cantilever_is_that_of_wire() -> None:
     steps, peak = 48, 0.028
     forces = there_and_back((0.0, peak, 0.0), steps, cycles=2)

@@ -230,21 +230,6 @@ def test_priors_hold_and_without_scatter_and_gain_there_are_no_factors() -> None
     assert not fit.point.offsets.any()
 
 
-def test_a_bent_valley_is_crossed_in_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whole steps alone take 38 from here; a fit far above another is found roughly."""
-    wire = wire_of("A3")
-    parts = take_apart(wire.section, wire.contacts)
-    problem = replace(PROBLEM, parts=parts, curves=measured("A3", (0.12,), n=90, seed=1))
-    begin, held = start(0.75, 0.9, 1.5), np.array([False, True, True])
-    quick = search(problem, LEVELS, begin, held)
-    monkeypatch.setattr("labpipe.wire.calibration.parameter_search._WHOLE", 0.0)
-    slow = search(problem, LEVELS, begin, held)
-    assert quick.settled
-    assert quick.objective == pytest.approx(slow.objective, abs=0.02)
-    assert 2 * quick.steps < slow.steps
-    assert search(problem, LEVELS, begin, held, lowest=quick.objective - 1e3).steps < slow.steps
-
-
 def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     choices = {"radial_friction": FIXED, "copper_scale": FIXED}
     linear = fit_of(Settings(choices))
