@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -54,20 +55,15 @@ def test_numbers_and_band_of_two_spools() -> None:
 
 
 def test_what_is_left_out_says_why() -> None:
-    broken, other, without, odd = (make("s1", number, 50.0 + number) for number in range(4))
-    failed = stiffness(
-        None, status=Status.FAILED, reasons=(Reason("too_few_samples", "3 samples"),)
-    )
-    members = [
-        make("s0", 1, 50.0),
-        replace(broken, results=(failed,)),
-        replace(other, results=(stiffness(1.0, "N/mm"),)),
-        replace(without, results=()),
-        replace(odd, results=(stiffness(float("inf")),)),
+    why = (Reason("too_few_samples", "3 samples"),)
+    results = [
+        *((stiffness(None, status=Status.FAILED, reasons=why),), (stiffness(1.0, "N/mm"),)),
+        *((), (stiffness(float("inf")),)),
     ]
-    number = built(members).numbers[0]
+    others = [replace(make("s1", at, 50.0), results=own) for at, own in enumerate(results)]
+    number = built([make("s0", 1, 50.0), *others]).numbers[0]
     assert list(number.values) == ["s0-1"]
-    assert {test: worded(why) for test, why in number.left_out.items()} == {
+    assert {test: worded(reasons) for test, reasons in number.left_out.items()} == {
         "s1-0": "too_few_samples: 3 samples",
         "s1-1": "other_unit: in N/mm, where the first sample is in N/m",
         "s1-2": "no_result: the test has no stiffness",
@@ -302,4 +298,4 @@ def test_words_have_an_order() -> None:
         "conduit": ["none", "corrugated-tube", "twist-tube-5", "twist-tube-10"],
         "cured": ["not said", "2 h", "24 h"],
     }.items():
-        assert sorted(sorted(words), key=lambda word, name=name: field_order(name, word)) == words
+        assert sorted(sorted(words), key=partial(field_order, name)) == words

@@ -58,16 +58,6 @@ def test_moves_and_scales_with_its_values(values: list[float], shift: float, sca
     assert [second.mean, *ends(second)] == pytest.approx(expected, rel=1e-9, abs=1e-6)
 
 
-@pytest.mark.parametrize("n", [2, 3, 5, 6])
-def test_interval_covers(n: int) -> None:
-    hits, runs, rng = 0, 2000, np.random.default_rng(n)
-    for _ in range(runs):
-        found = mean_interval(rng.normal(7.0, 2.0, n)).interval
-        assert found is not None
-        hits += found.lower <= 7.0 <= found.upper
-    assert binomtest(hits, runs, 0.95).pvalue > 0.01, hits
-
-
 def test_spools_count_alike() -> None:
     found = nested_mean({"a": [1.0, 1.0, 1.0, 2.0], "b": [9.0, 10.0]})
     assert found.chosen.mean == pytest.approx((1.25 + 9.5) / 2)
