@@ -75,7 +75,7 @@ def _result(name: str, value: float, unit: str) -> Result:
     return Result(name, value, unit, ends, method="made up", n=200)
 
 
-def three_of(bundle: Bundle, **more: object) -> list[Sample]:
+def three_of(bundle: Bundle | None, **more: object) -> list[Sample]:
     return [bundle_sample(bundle, number, **more) for number in (1, 2, 3)]  # type: ignore[arg-type]
 
 

@@ -26,10 +26,12 @@ TESTS = measured(lengths=LENGTHS, samples=2, n=90, seed=11)
 _FIXED = ParameterChoice(is_fixed=True)
 
 
-def _calibrated(curves: tuple[MeasuredCurve, ...], settings: Settings) -> Calibration:
-    found = calibrate(wire_of("A2"), curves, settings)
-    assert isinstance(found, Calibration)
-    return found
+def _calibrated(
+    curves: tuple[MeasuredCurve, ...], settings: Settings, wire: str = "A2"
+) -> Calibration:
+    calibration = calibrate(wire_of(wire), curves, settings)
+    assert isinstance(calibration, Calibration)
+    return calibration
 
 
 @cache
@@ -66,7 +68,8 @@ def group(name: str = "A2", length: float = 0.085, *, samples: int = 2) -> Valid
     band = mean_band(common_curves([(test.deflection, test.force) for test in tests]))
     model = predicted(name, length)
     force, lower, upper = (
-        np.interp(band.displacement, GRID, each) for each in (model.force, model.lower, model.upper)
+        np.interp(band.displacement, GRID, curve)
+        for curve in (model.force, model.lower, model.upper)
     )
     return ValidationGroup(
         wire=name,
@@ -103,6 +106,4 @@ def report() -> CalibrationReport:
 @cache
 def two_solutions() -> Calibration:
     """Two valleys: hard copper with half the insulation fits as well as the truth."""
-    found = calibrate(wire_of("A3"), measured("A3", (0.12,), seed=1), Settings(gain=0.005))
-    assert isinstance(found, Calibration)
-    return found
+    return _calibrated(measured("A3", (0.12,), seed=1), Settings(gain=0.005), "A3")

@@ -104,6 +104,7 @@ def test_profile_with_thresholds_value_and_interval() -> None:
     )
 
 
+@pytest.mark.slow
 def test_two_valleys_and_two_parts() -> None:
     parameter, axes = two_solutions().parameter("copper_scale"), panel()
     plot_profile(parameter, axes)

@@ -41,38 +41,32 @@ def test_rows_are_the_markers_and_spans_their_flags(result: TestResult) -> None:
     assert names == [f"wire:Marker{number}" for number in range(1, 9)]
     flags = result.shape.flags[:, 5]  # Marker5: missing for a while
     black = FLAG_COLOURS[PointFlag.MISSING]
-    found = [
+    (missing,) = (
         path.get_extents()
         for spans in axes.collections
         if len(spans.get_facecolor()) and to_hex(np.asarray(spans.get_facecolor())[0]) == black
         for path in spans.get_paths()
-    ]
-    assert len(found) == 1
+    )
     times = result.shape.time[flags == PointFlag.MISSING]
     # a column is 1/900 of the time drawn
-    assert found[0].x0 == pytest.approx(times[0], abs=0.07)
-    assert found[0].x1 == pytest.approx(times[-1], abs=0.07)
-    assert found[0].y0 == pytest.approx(4 - 0.36)
+    assert [missing.x0, missing.x1] == pytest.approx([times[0], times[-1]], abs=0.07)
+    assert missing.y0 == pytest.approx(4 - 0.36)
 
 
 SPAN = Rig(span=0.1524, roller_radius=0.005, section_radius=0.007)
 
 
 @pytest.fixture
-def bent(monkeypatch: pytest.MonkeyPatch) -> TestResult:
+def bent(result: TestResult, monkeypatch: pytest.MonkeyPatch) -> TestResult:
     """A test between rollers: its axis sinks at mid-span, and is fitted."""
-    result = build_result(half_cycle=4.0)
     assert result.shape is not None
     frames = len(result.shape.time)
     coefficients = np.zeros((frames, 3, 3))
     coefficients[:, 0, :2] = [-0.06, 0.12]
     coefficients[:, 1, 1] = np.linspace(0.0, 0.04, frames)
     coefficients[:, 1, 2] = -coefficients[:, 1, 1]
-    shape = replace(
-        result.shape,
-        coefficients=coefficients,
-        flags=np.full_like(result.shape.flags, PointFlag.MEASURED),
-    )
+    flags = np.full_like(result.shape.flags, PointFlag.MEASURED)
+    shape = replace(result.shape, coefficients=coefficients, flags=flags)
     monkeypatch.setattr(marker_figures, "rig_of", lambda _: SPAN)
     return replace(result, shape=shape)
 
@@ -86,8 +80,6 @@ def test_rollers_touch_the_specimen_from_both_sides(bent: TestResult) -> None:
     assert right == pytest.approx((76.2, 12.0))
     assert first == pytest.approx((0.0, -12.0), abs=1.5)  # it has moved a little
     assert [roller.radius for roller in rollers] == pytest.approx([5.0] * 4)
-    assert axes.get_xlim()[1] > 76.2 + 5.0
-    assert axes.get_ylim()[0] < -17.0
 
 
 def test_steps_are_equal_round_and_of_the_first_loading(result: TestResult) -> None:
@@ -115,12 +107,11 @@ def test_words(result: TestResult, approved: Approve) -> None:
         flags=np.zeros_like(result.shape.flags),
         coefficients=np.empty((len(result.shape.time), 3, 0)),
     )
+    all_seen = replace(result, shape=replace(result.shape, flags=measured))
     with style():
         pages = {
             "quality": draw_marker_quality(result),
-            "all seen": draw_marker_quality(
-                replace(result, shape=replace(result.shape, flags=measured))
-            ),
+            "all seen": draw_marker_quality(all_seen),
             "no bodies": draw_marker_quality(replace(result, recordings={"markers": bodiless})),
             "shapes": draw_wire_shapes(result),
             "no take": draw_marker_quality(replace(result, shape=None, recordings={})),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Contrast, Difference, MeanInterval
+from labpipe.records.group import Contrast, MeanInterval
 from labpipe.records.quality import Reason
 from labpipe.report.comparisons import (
     MOST_TOGETHER,
@@ -34,8 +34,8 @@ from tests.report.figure_words import table_words
 
 
 def test_families_hold_all_that_differ_in_one_field() -> None:
-    found = families(bundle_campaign(conduit_cases()))
-    assert [(finding.field, finding.words) for finding in found] == [
+    cases = families(bundle_campaign(conduit_cases()))
+    assert [(family.field, family.words) for family in cases] == [
         ("wire", ("B1", "B1 & B2", "B2")),
         ("wire", ("B1", "B2")),
         ("number", ("12", "19")),
@@ -47,12 +47,9 @@ def test_families_hold_all_that_differ_in_one_field() -> None:
 
 def test_two_tapes_and_none_are_three_families() -> None:
     """No tape differs from either tape in the taping alone, they from each other in the tape."""
-    bundles = [
-        bundle_of("7 B1", tape="none", taping="none"),
-        bundle_of("7 B1"),
-        bundle_of("7 B1", tape="PET"),
-    ]
-    campaign = bundle_campaign([each for bundle in bundles for each in three_of(bundle)])
+    samples = three_of(bundle_of("7 B1", tape="none", taping="none"))
+    samples += [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B1", tape="PET"))]
+    campaign = bundle_campaign(samples)
     assert [(family.field, family.words) for family in families(campaign)] == [
         ("taping", ("none", "half-lap")),
         ("taping", ("none", "half-lap")),
@@ -62,27 +59,26 @@ def test_two_tapes_and_none_are_three_families() -> None:
 
 def test_a_large_family_is_cut_and_keeps_its_first_group() -> None:
     counts = (3, 4, 5, 6, 7, 8, 9, 12)
-    samples = [each for count in counts for each in three_of(bundle_of(f"{count} B1"))]
+    samples = [sample for count in counts for sample in three_of(bundle_of(f"{count} B1"))]
     first, second = families(bundle_campaign(samples))
     assert len(first.groups) == MOST_TOGETHER
     assert first.words == ("3", "4", "5", "6", "7", "8")
     assert second.words == ("3", "9", "12")
 
 
-def test_types_are_a_question_too() -> None:
-    tubes = [bundle_sample(None, at) for at in (1, 2, 3)]
+def test_types_are_a_question_too_and_two_fields_at_once_are_not() -> None:
+    tubes = three_of(None)
     hoses = [
         replace(tube, specimen=replace(tube.specimen, type="hose"), source=f"{tube.source}-hose")
         for tube in tubes
     ]
     (pair,) = answering_pairs(bundle_campaign([*tubes, *hoses]))
     assert question_words(pair) == "Type: tube against hose, all else equal (length 114.3 mm)"
-    assert len(not_asked(build_campaign())) == 1
-
-
-def pair_of(difference: Difference) -> Pair:
-    first, second, _ = build_campaign().groups
-    return Pair(first, second, (difference,))
+    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B2", tape="PET"))]
+    campaign = bundle_campaign(samples)
+    assert not answering_pairs(campaign)
+    assert not families(campaign)
+    assert len(not_asked(campaign)) == 2
 
 
 def test_words_of_questions(approved: Approve) -> None:
@@ -109,21 +105,25 @@ def test_words_of_questions(approved: Approve) -> None:
 
 def test_tables_of_questions(approved: Approve) -> None:
     """A share, a number that can be negative, no interval, no bounds, a mean of zero, a caveat."""
-    known = build_difference()
     contrast = Contrast(-1423.4, (60.0, 60.0), (6, 3))
+    first, second, _ = build_campaign().groups
+    known = build_difference()
+    usual = Pair(first, second, (known,))
+    in_newtons = replace(known, contrast=contrast, interval=Interval(-1650.0, -1200.0))
     lone = MeanInterval(-1423.4, None, 120.0, 7, Reason("one_sample", "there is one sample"))
+    without = replace(known, contrast=None, interval=None, margin=None, difference=lone)
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
     (pair,) = answering_pairs(bundle_campaign(samples))
-    first, second = pair.differences
-    odd = replace(first, caveats=(*first.caveats, "not made alike: this against that"))
+    number, other = pair.differences
+    odd = replace(number, caveats=(*number.caveats, "not made alike: this against that"))
     zero = [*three_of(bundle_of("7 B1"), scale=0.0), *three_of(bundle_of("7 B2"))]
     pairs = [
-        pair_of(known),
-        pair_of(replace(known, contrast=contrast, interval=Interval(-1650.0, -1200.0))),
-        pair_of(replace(known, contrast=None, interval=None, margin=None, difference=lone)),
-        pair_of(replace(known, interval=Interval(-0.99, 5e8))),
+        usual,
+        replace(usual, differences=(in_newtons,)),
+        replace(usual, differences=(without,)),
+        replace(usual, differences=(replace(known, interval=Interval(-0.99, 5e8)),)),
         pair,
-        replace(pair, differences=(odd, second)),
+        replace(pair, differences=(odd, other)),
         *answering_pairs(bundle_campaign(zero)),
     ]
     approved(line for pair in pairs for line in table_words(question_table(pair)))

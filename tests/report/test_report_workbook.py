@@ -106,7 +106,7 @@ def part(folder: Path, name: str) -> str:
 
 
 def test_a_sheet_is_a_table_with_filters_and_heads_that_stay(tmp_path: Path) -> None:
-    rows = [(Shown(52.2841, "0.0"), 12.3456789), ("b", math.nan), (None, 0.1)]
+    rows: list[Any] = [(Shown(52.2841, "0.0"), 12.3456789), ("b", math.nan), (None, 0.1)]
     sheet = Sheet("one", ("name", "force (N)"), rows, 1, asks="How hard?")
     book = saved_sheets(tmp_path, sheet, Sheet("bare", ("a", "A"), []))
     page, bare = book["one"], book["bare"]
