@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import shutil
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -52,37 +52,29 @@ def campaign(tmp_path: Path) -> Path:
     return tmp_path
 
 
+TEXTS = (
+    *("test", "type", "spool", "sample", "composition", "arrangement", "tape", "taping"),
+    *("conduit", "conduit_bore", "cured", "label_value", "protocol", "operator", "folder"),
+    *("result", "unit", "status", "code", "reason"),
+)
+NUMBERS = ("value", "estimate", "lower", "upper")
 KINDS = {
-    **dict.fromkeys(("test", "type", "spool", "sample"), "str"),
-    "length": "float64",
-    **dict.fromkeys(("composition", "number", "arrangement", "tape", "taping"), "str"),
-    "number": "float64",
-    "conduit": "str",
-    "conduit_bore": "str",
-    **dict.fromkeys(("cured", "label_value", "protocol"), "str"),
+    **dict.fromkeys(TEXTS, "str"),
+    **dict.fromkeys(("length", "number", *NUMBERS), "float64"),
     "date": "datetime64[s]",
-    **dict.fromkeys(("operator", "folder", "result"), "str"),
-    **dict.fromkeys(("value", "estimate", "lower", "upper"), "float64"),
-    **dict.fromkeys(("unit", "status", "code", "reason"), "str"),
 }
-
-
-def test_columns_and_their_types(campaign: Path) -> None:
-    frame = table(campaign)
-    assert {str(name): str(kind) for name, kind in frame.dtypes.items()} == KINDS
-    assert len(frame) == 7
-    assert frame.attrs["left_out"] == {}
 
 
 def test_a_row_per_test_and_result(campaign: Path) -> None:
     frame = table([campaign])
+    assert kinds(frame) == KINDS
+    assert (len(frame), frame.attrs["left_out"]) == (7, {})
     own = frame[frame["test"] == "A2-085-1"]
     assert own["result"].tolist() == [result.name for result in MADE.results]
-    first = own.iloc[0]
-    assert first[["value", "estimate", "lower", "upper"]].tolist() == [0.62, 0.6, 0.59, 0.61]
+    first, _, failed = (row for _, row in own.iterrows())
+    assert first[[*NUMBERS]].tolist() == [0.62, 0.6, 0.59, 0.61]
     assert (first["date"], first["operator"]) == (pd.Timestamp("2026-03-04"), "lab")
     assert first["folder"] == str(campaign / "A2-085-1")
-    failed = own.iloc[2]
     assert failed[["value", "lower", "cured", "tape"]].isna().all()
     assert (failed["status"], failed["code"]) == ("failed", "not_reached")
     taped = frame[frame["type"] == "TWB"].iloc[0]
@@ -96,21 +88,6 @@ def test_fields_that_are_asked_for_come_first_and_sort(campaign: Path) -> None:
     assert list(frame)[:3] == ["test", "length", "type"]
     assert frame["length"].tolist() == [*[0.085] * 3, *[0.1] * 3, 0.1143]
     assert {str(name) for name in frame} == {*KINDS}
-
-
-def test_summaries_of_earlier_versions(tmp_path: Path) -> None:
-    path = put(tmp_path, MADE)
-    said = json.loads(path.read_text(encoding="utf-8"))
-    for key in ("date", "operator", "instruments", "run"):
-        del said[key]
-    for sentence in said["results"]:
-        del sentence["code"], sentence["reason"], sentence["estimate"]
-    path.write_text(json.dumps(said | {"schema": 1}), encoding="utf-8")
-    frame = table(tmp_path).set_index("result")
-    assert frame.loc["peak_force.1", "estimate"] == 0.62
-    assert frame.loc["initial_stiffness", "code"] == "not_reached"
-    assert frame.loc["initial_stiffness", "reason"] == "not_reached: too short"
-    assert frame["date"].isna().all()
 
 
 DAMAGED = {
@@ -160,26 +137,20 @@ def test_results_that_are_being_replaced_are_left_out(campaign: Path) -> None:
 
 @pytest.mark.slow
 def test_groups_are_those_of_a_report(pristine: Lab, run: Run, tmp_path: Path) -> None:
-    sheet = pristine.sheet.read_text(encoding="utf-8")
     home = pristine.copy(tmp_path / "lab")
     for number in (2, 3):
-        other = home.raw.with_name(f"T{number}")
-        other.mkdir()
-        for export in home.raw.iterdir():
-            (other / export.name).write_bytes(export.read_bytes())
-        text = sheet.replace("test: T1", f"test: T{number}").replace(
-            "sample: 1", f"sample: {number}"
-        )
-        (other / "test.yaml").write_text(text, encoding="utf-8")
-        take = (other / "take.csv").read_bytes()  # the same exports would be one recording
-        (other / "take.csv").write_bytes(take + b"\n" * number)
+        other = replace(home, name=f"T{number}")
+        shutil.copytree(home.raw, other.raw)
+        other.edit("test.yaml", "test: T1", f"test: T{number}")
+        other.edit("test.yaml", "sample: 1", f"sample: {number}")
+        with (other.raw / "take.csv").open("a") as take:  # the same would be one recording
+            take.write("\n" * number)
     run("process", home.raw.parent, "--no-figures")
     frame = groups(home.processed.parent)
-    assert {str(name): str(kind) for name, kind in frame.dtypes.items()} == {
-        **dict.fromkeys(("group", "protocol", "result"), "str"),
+    assert kinds(frame) == {
+        **dict.fromkeys(("group", "protocol", "result", "unit", "how", "reason"), "str"),
         **dict.fromkeys(("mean", "estimate", "lower", "upper", "deviation"), "float64"),
         **dict.fromkeys(("n", "tests"), "int64"),
-        **dict.fromkeys(("unit", "how", "reason"), "str"),
     }
     peak = frame[frame["result"] == "peak_force.1"].iloc[0]
     (value,) = set(table(home.processed.parent).query("result == 'peak_force.1'")["value"])
@@ -201,19 +172,15 @@ def kinds(frame: pd.DataFrame) -> dict[str, str]:
     return {str(name): str(kind) for name, kind in frame.dtypes.items()}
 
 
-@pytest.mark.parametrize("count", [0, 3])
-def test_results(count: int, result: TestResult) -> None:
-    frame = results_frame(result.results[:count], SI)
-    numbers = dict.fromkeys(("value", "estimate", "lower", "upper"), "float64")
-    assert kinds(frame) == numbers | dict.fromkeys(("unit", "status", "code", "reason"), "str")
-    assert (frame.index.name, str(frame.index.dtype), len(frame)) == ("name", "str", count)
-
-
 def test_values_of_results(result: TestResult) -> None:
     frame = results_frame(result.results, SI)
+    texts = dict.fromkeys(("unit", "status", "code", "reason"), "str")
+    assert kinds(frame) == dict.fromkeys(NUMBERS, "float64") | texts
+    assert kinds(results_frame((), SI)) == kinds(frame)
+    assert (frame.index.name, str(frame.index.dtype), len(frame)) == ("name", "str", 3)
     assert list(frame.loc["peak_force.1"]) == [0.62, 0.6, 0.59, 0.61, "N", "ok", "", ""]
     failed = frame.loc["initial_stiffness"]
-    assert failed[["value", "estimate", "lower", "upper"]].isna().all()
+    assert failed[[*NUMBERS]].isna().all()
     assert (failed["status"], failed["code"]) == ("failed", "not_reached")
     assert failed["reason"] == "not_reached: too short"
     assert frame.loc["residual_displacement.1", "estimate"] == 0.0031
@@ -288,15 +255,11 @@ def test_recordings_have_a_table_for_each_clock_and_body(result: TestResult) -> 
     assert tracks is not None
     np.testing.assert_array_equal(body["error"], tracks.bodies[0].error)
     assert raw["markers"].columns.names == ["marker", "axis"]
-    assert repr(raw) == f"<labpipe recordings: {', '.join(names)}>"
-
-
-def test_one_clock_goes_by_the_role_and_repeated_channels_by_their_paths() -> None:
     values = np.arange(3.0)
     channels = tuple(Channel("Out1", f"{place}/Out1", values) for place in "ab")
-    raw = Recordings({"frame": Recording("r", clocks=(Clock("time", values),), channels=channels)})
-    assert list(raw) == ["frame"]
-    assert list(raw["frame"]) == ["a/Out1", "b/Out1"]
+    one = Recordings({"frame": Recording("r", clocks=(Clock("time", values),), channels=channels)})
+    assert (list(one), list(one["frame"])) == (["frame"], ["a/Out1", "b/Out1"])
+    assert repr(raw) == f"<labpipe recordings: {', '.join(names)}>"
 
 
 def test_a_recording_that_is_not_there(result: TestResult) -> None:

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -116,38 +117,33 @@ SIZES = {
 }
 
 
+def part_of(result: TestResult, part: str) -> Any:
+    dataset = dataset_of(result, part)
+    assert dataset is not None
+    return dataset
+
+
 @pytest.mark.parametrize("part", SIZES)
 def test_parts_have_their_axes_as_in_the_file(part: str, written: TestResult) -> None:
-    found = dataset_of(written, part)
-    assert found is not None
-    assert set(found.sizes) == SIZES[part]
-    assert set(found.coords) == SIZES[part] - {"term"}
-    for name, variable in found.data_vars.items():
+    dataset = part_of(written, part)
+    assert set(dataset.sizes) == SIZES[part]
+    assert set(dataset.coords) == SIZES[part] - {"term"}
+    for name, variable in dataset.data_vars.items():
         assert isinstance(variable.attrs["units"], str), name
+    bare = replace(written, curve=None, aligned=None, shape=None, bending=None)
+    assert part not in PARTS or dataset_of(bare, part) is None
 
 
 def test_values_are_found_by_their_axes(written: TestResult) -> None:
-    shape, curve = dataset_of(written, "shape"), dataset_of(written, "curve")
-    assert shape is not None
-    assert curve is not None
+    shape, curve, force = (part_of(written, part) for part in ("shape", "curve", "force"))
     assert written.shape is not None
     tip = shape.positions.sel(names="pull", xyz="y")
     np.testing.assert_array_equal(tip, written.shape.positions[:, -1, 1])
     assert curve.force.attrs["units"] == "N"
     assert set(curve.data_vars) == {"displacement", "force", "branch", "cycle"}
-
-
-def test_channels_of_one_name_are_told_apart(written: TestResult) -> None:
-    force = dataset_of(written, "force")
-    assert force is not None
     assert force["Out1"].attrs == {"units": "V", "name_in_file": "Model Root/Load Cell/Out1"}
-    assert force["Out1_2"].attrs["units"] == "unknown"
+    assert force["Out1_2"].attrs["units"] == "unknown"  # another of the same name
     assert force["Out1_2"].dims == ("time_slow raster",)
-
-
-def test_parts_that_a_test_lacks(written: TestResult) -> None:
-    bare = replace(written, curve=None, aligned=None, shape=None, bending=None)
-    assert [dataset_of(bare, part) for part in PARTS] == [None] * len(PARTS)
 
 
 def test_without_xarray(written: TestResult, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,50 +161,40 @@ def test_an_export_says_what_the_command_prints(pristine: Lab, run: Run) -> None
 
 
 def test_tables_of_an_export(pristine: Lab) -> None:
-    found = inspect(str(pristine.raw / "force.mat"))
+    export = inspect(str(pristine.raw / "force.mat"))
     texts, numbers = ("clock", "name", "path", "unit", "unit_in_file"), ("first", "last")
-    kinds = {str(name): str(kind) for name, kind in found.channels.dtypes.items()}
+    types = {str(name): str(kind) for name, kind in export.channels.dtypes.items()}
     wanted = dict.fromkeys(texts, "str") | dict.fromkeys((*numbers, "min", "max"), "float64")
-    assert kinds == wanted | {"missing": "int64"}
-    assert found.channels["path"][0] == "Model Root/Load Cell/Out1"
-    assert found.channels["unit"].isna().all()  # a MAT file does not say it
-    assert "units_not_stated" in found.notes["code"].tolist()
-    assert list(found.data) == ["force"]
-    assert len(found.data["force"]) == found.facts["streams"][0]["samples"]
-
-
-def test_markers_have_no_channels(pristine: Lab) -> None:
-    found = inspect(pristine.raw / "take.csv")
-    assert len(found.channels) == 0
-    assert found.channels.dtypes["first"] == "float64"
-    assert next(iter(found.data)) == "take"
-
-
-def test_what_is_no_export(pristine: Lab) -> None:
+    assert types == wanted | {"missing": "int64"}
+    assert export.channels["path"][0] == "Model Root/Load Cell/Out1"
+    assert export.channels["unit"].isna().all()  # a MAT file does not say it
+    assert "units_not_stated" in export.notes["code"].tolist()
+    assert list(export.data) == ["force"]
+    assert len(export.data["force"]) == export.facts["streams"][0]["samples"]
+    take = inspect(pristine.raw / "take.csv")
+    assert (len(take.channels), next(iter(take.data))) == (0, "take")
+    assert take.channels.dtypes["first"] == "float64"
     with pytest.raises(ReadError, match="expected an export of a known format"):
         inspect(pristine.sheet)
 
 
 def test_paths_of_any_kind(tmp_path: Path) -> None:
     assert path_of(str(tmp_path)) == path_of(tmp_path) == tmp_path
-    assert path_of(tmp_path / "none") == tmp_path / "none"
-    assert paths_of(tmp_path) == [tmp_path]
+    assert paths_of(tmp_path) == paths_of(iter([tmp_path])) == [tmp_path]
     assert paths_of([str(tmp_path), tmp_path / "a"]) == [tmp_path, tmp_path / "a"]
-    assert paths_of(each for each in [tmp_path]) == [tmp_path]
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ("x" * 5000, "expected a file that can be used, found file name too long"),
         ("a\0b", r"'a\\x00b': expected a path, found embedded null"),
     ],
 )
-def test_paths_that_cannot_be(given: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        path_of(given)
-    with pytest.raises(UsageError, match=said):
-        paths_of([given])
+def test_paths_that_cannot_be(given: str, message: str) -> None:
+    for read in (path_of, lambda path: paths_of([path])):
+        with pytest.raises(UsageError, match=message):
+            read(given)
 
 
 RESULT = build_result(half_cycle=0.5)
@@ -230,14 +216,9 @@ def test_numbers_are_shown_in_display_units_with_their_intervals() -> None:
 
 def test_hostile_words_are_text() -> None:
     bad = "<script>alert(1)</script>&\x07\"'"
-    hostile = replace(
-        RESULT,
-        test=bad,
-        operator=bad,
-        specimen=Specimen(bad, bad, bad),
-        results=(replace(RESULT.results[0], name=bad), *RESULT.results[1:]),
-    )
-    page = page_of(hostile)
+    results = (replace(RESULT.results[0], name=bad), *RESULT.results[1:])
+    hostile = replace(RESULT, test=bad, operator=bad, specimen=Specimen(bad, bad, bad))
+    page = page_of(replace(hostile, results=results))
     assert "<script" not in page
     assert "\x07" not in page
     assert texts(page)[0] == bad.replace("\x07", "\ufffd")

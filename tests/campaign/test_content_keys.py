@@ -70,36 +70,33 @@ def test_the_key_is_that_of_the_results(tmp_path: Path, ends: str) -> None:
     assert content.about["test"] == "P-1"
 
 
-def test_a_card_of_the_lab_is_in_the_key(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("kind", ["dialects/own.toml", "protocols/corrugated-tube.yaml"])
+def test_cards_and_protocols_of_the_lab_are_in_the_key(
+    folder: Path, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    sheet = folder / "test.yaml"
-    without = ContentKeys().content_of(sheet)
-    (tmp_path / "dialects").mkdir()
-    (tmp_path / "dialects" / "own.toml").write_text("about = 'a frame'", "utf-8")
-    with_card = ContentKeys().content_of(sheet, without)
-    assert with_card.key != without.key
-    assert [role for role, _, _ in with_card.inputs] == ["frame", "dialect"]
+    text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
+    texts = {".toml": "about = 'a frame'", ".yaml": text.replace("0.423 mm/s", "0.5 mm/s")}
+    before = sure(ContentKeys().content_of(folder / "test.yaml"))
+    own = tmp_path / kind
+    own.parent.mkdir()
+    own.write_text(texts[own.suffix], "utf-8")
+    after = ContentKeys().content_of(folder / "test.yaml", before)
+    assert after.key != before.key
+    assert ("dialect" in [role for role, _, _ in after.inputs]) == (own.suffix == ".toml")
 
 
-def test_what_looks_the_same_is_not_read_again(folder: Path, read: list[str]) -> None:
-    keys, sheet = ContentKeys(), folder / "test.yaml"
-    first = sure(keys.content_of(sheet))
-    read.clear()
-    assert keys.content_of(sheet, first) is first
-    assert read == []
-
-
-def test_what_was_hashed_within_a_tick_of_its_change_is_read_again(
+def test_what_looks_the_same_is_not_read_again_but_within_a_tick_of_its_change(
     folder: Path, read: list[str]
 ) -> None:
     keys, sheet = ContentKeys(), folder / "test.yaml"
     first = keys.content_of(sheet)
     read.clear()
-    again = keys.content_of(sheet, first)
+    assert keys.content_of(sheet, first).key == first.key
     assert sorted(read) == ["frame.csv", "test.yaml"]
-    assert again.key == first.key
+    read.clear()
+    assert keys.content_of(sheet, sure(first)).key == first.key
+    assert read == []
 
 
 def test_a_change_that_leaves_size_and_time_as_they_were(folder: Path) -> None:
@@ -121,19 +118,6 @@ def test_touched_files_keep_their_key(folder: Path) -> None:
     again = keys.content_of(sheet, first)
     assert (again.key, again.inputs) == (first.key, first.inputs)
     assert again.stamps != first.stamps
-
-
-def test_a_protocol_of_the_lab_goes_before_the_shipped_one(
-    folder: Path, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    sheet = folder / "test.yaml"
-    first = sure(ContentKeys().content_of(sheet))
-    (tmp_path / "protocols").mkdir()
-    text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
-    own = tmp_path / "protocols" / "corrugated-tube.yaml"
-    own.write_text(text.replace("0.423 mm/s", "0.5 mm/s"), "utf-8")
-    assert ContentKeys().content_of(sheet, first).key != first.key
 
 
 @pytest.mark.parametrize(
@@ -166,26 +150,22 @@ def test_a_content_comes_back_from_its_text(folder: Path) -> None:
 
 
 NOW = Content("new", (("force", "a.mat", "1"), ("markers", "b.csv", "2")), "s", "p")
+EXTRA = (*NOW.inputs, ("frame", "c.csv", "3"))
 
 
 @pytest.mark.parametrize(
-    ("inputs", "sheet", "protocol", "said"),
+    ("inputs", "texts", "message"),
     [
-        (NOW.inputs, "s", "p", "newer labpipe"),
-        (NOW.inputs, "t", "p", "sheet changed"),
-        (NOW.inputs, "s", "q", "protocol changed"),
-        ((("force", "a.mat", "0"), NOW.inputs[1]), "s", "p", "export changed (a.mat)"),
-        (
-            (*NOW.inputs, ("frame", "c.csv", "3")),
-            "t",
-            "q",
-            "export changed (c.csv), sheet changed, protocol changed",
-        ),
-        ((), "", "", "something changed"),
-        (NOW.inputs, "", "", "something changed"),
+        (NOW.inputs, "sp", "newer labpipe"),
+        (NOW.inputs, "tp", "sheet changed"),
+        (NOW.inputs, "sq", "protocol changed"),
+        ((("force", "a.mat", "0"), NOW.inputs[1]), "sp", "export changed (a.mat)"),
+        (EXTRA, "tq", "export changed (c.csv), sheet changed, protocol changed"),
+        ((), "", "something changed"),
+        (NOW.inputs, "", "something changed"),
     ],
 )
 def test_what_changed_is_said(
-    inputs: tuple[tuple[str, str, str], ...], sheet: str, protocol: str, said: str
+    inputs: tuple[tuple[str, str, str], ...], texts: str, message: str
 ) -> None:
-    assert changes(inputs=inputs, sheet=sheet, protocol=protocol, now=NOW) == said
+    assert changes(inputs=inputs, sheet=texts[:1], protocol=texts[1:], now=NOW) == message

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import select
 import signal
@@ -16,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.executors import executor_of, local
+from labpipe.campaign.executors import executor_of
 from labpipe.campaign.outcomes import Outcome, outcome_of, settled
 from labpipe.campaign.runs import process_tests, run_jobs
 from labpipe.campaign.warm_worker import WarmWorker
@@ -24,77 +23,8 @@ from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, in_pro
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, process_test
 from labpipe.process.test_runner import Refused, Task
-from tests.builders.other_processes import Spoiled, spoil
-from tests.builders.pulls import broken, pull
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab
-from tests.builders.tensile_tests import TensileLab, write_pull
-
-
-@pytest.fixture
-def labs(tmp_path: Path) -> list[TensileLab]:
-    """Four pulls."""
-    labs = [TensileLab(tmp_path, f"P-{number}") for number in range(1, 5)]
-    for seed, lab in enumerate(labs):
-        travel, force = pull(slack=0.001, seed=seed)
-        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
-    return labs
-
-
-def outcomes_of(labs: list[TensileLab], *, jobs: int, limit: float | None = None) -> list[Outcome]:
-    tasks = [Spoiled(lab.sheet, lab.processed, figures=False, run="0a") for lab in labs]
-    found = {each.sheet: each for each in local(jobs, limit=limit)(tasks)}
-    return [found[lab.sheet] for lab in labs]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-@pytest.mark.parametrize(
-    ("end", "how"),
-    [
-        ("abort", "by the signal SIGABRT"),
-        ("segfault", "by the signal SIGSEGV"),
-        ("kill", "by the signal SIGKILL"),
-        ("exit", "with exit code 3"),
-    ],
-)
-def test_a_crash_costs_that_test(labs: list[TensileLab], end: str, how: str) -> None:
-    spoil(labs[0].sheet, end)
-    spoil(labs[2].sheet, end)
-    found = outcomes_of(labs, jobs=2)
-    assert [finding.state == "failed" for finding in found] == [True, False, True, False]
-    assert (found[0].code, found[0].run) == ("process_died", "0a")
-    assert f"found that it was ended {how}." in found[0].reason
-    said = json.loads((labs[2].processed / "failure.json").read_text("utf-8"))
-    assert (said["code"], said["reason"], said["run"]) == ("process_died", found[2].reason, "0a")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-def test_a_test_that_takes_too_long_is_given_up(labs: list[TensileLab]) -> None:
-    spoil(labs[1].sheet, "hang")
-    found = outcomes_of(labs[1:], jobs=2, limit=10.0)
-    assert [finding.state == "failed" for finding in found] == [True, False, False]
-    assert found[0].code == "time_limit"
-    assert "expected an end within 0.166667 minutes, found none" in found[0].reason
-
-
-@pytest.mark.slow
-def test_tasks_are_taken_as_processes_become_free(labs: list[TensileLab]) -> None:
-    taken: list[str] = []
-
-    def tasks() -> Iterator[Task]:
-        for lab in labs:
-            taken.append(lab.name)
-            yield Task(lab.sheet, lab.processed, figures=False)
-
-    outcomes = local(1)(tasks())
-    assert not taken
-    next(outcomes)
-    assert taken == ["P-1", "P-2"]
-    outcomes.close()
-    assert taken == ["P-1", "P-2"]
-    assert labs[1].result.is_file()  # what was begun is brought to its end
 
 
 @pytest.mark.parametrize("text", ["dask", "dask://", "dask://host", "dask://:8786", "slurm", ""])
@@ -107,10 +37,7 @@ def test_no_executor_of_that_name(text: str) -> None:
 @pytest.fixture
 def tests(tmp_path: Path) -> list[Path]:
     """Three pulls, of which the second lacks its export."""
-    labs = [TensileLab(tmp_path, name) for name in ("P-1", "P-2", "P-3")]
-    for seed, lab in enumerate(labs):
-        travel, force = pull(slack=0.001, seed=seed)
-        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+    labs = small_pulls(tmp_path, 3)
     labs[1].export.unlink()
     return [lab.sheet for lab in labs]
 
@@ -118,44 +45,37 @@ def tests(tmp_path: Path) -> list[Path]:
 @pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_in_order_and_a_bad_one_does_not_stop_the_others(tests: list[Path], jobs: int) -> None:
-    told: list[tuple[str, str]] = []
+    stages: list[tuple[str, str]] = []
 
-    def begin(test: Path) -> partial[None]:
-        def say(name: str, stage: str) -> None:
-            told.append((name, stage))
+    def begin(test: Path) -> Callable[[str], None]:
+        return lambda stage: stages.append((test.parent.name, stage))
 
-        return partial(say, test.parent.name)
-
-    done = list(process_tests(tests, figures=lambda _: False, jobs=jobs, begin=begin))
-    first, second, third = done
+    first, second, third = process_tests(tests, figures=lambda _: False, jobs=jobs, begin=begin)
     assert isinstance(first, Processed)
     assert isinstance(third, Processed)
-    assert (first.result.test, third.result.test) == ("P-1", "P-3")
+    names = [test.parent.name for test in tests]
+    assert [first.result.test, third.result.test] == names[::2]
     assert isinstance(second, Refused)
     assert second.test == tests[1]
     assert "expected a file, found none of that name" in second.reason
-    assert told == [("P-1", "wait"), ("P-2", "wait"), ("P-3", "wait")]
-    assert not first.result.recordings
-    assert first.result.curve is None
+    assert stages == [(name, "wait") for name in names]
+    assert (first.result.recordings, first.result.curve) == ({}, None)
     assert (first.folder / "result.h5").is_file()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_two_tests_that_would_go_to_one_folder(
-    tests: list[Path], tmp_path: Path, jobs: int
-) -> None:
-    text = tests[2].read_text("utf-8").replace("test: P-3", "test: p-1")
-    tests[2].write_text(text, "utf-8")
-    out = tmp_path / "out"
-    said = (
-        "P-3.test.yaml: expected one test for each folder of results, found a second for .*out.p-1"
-    )
-    with pytest.raises(UsageError, match=said):
-        list(process_tests(tests, out=out, jobs=jobs))
-    assert not out.exists()
-    done = list(process_tests(tests[:1] + tests[2:], figures=lambda _: False, jobs=jobs))
-    assert [type(each) for each in done] == [Processed, Processed]  # each beside its exports
+def test_two_tests_that_would_go_to_one_folder(tests: list[Path], tmp_path: Path) -> None:
+    text = tests[2].read_text("utf-8")
+    tests[2].write_text(text.replace("test: S-0002", "test: s-0000"), "utf-8")
+    message = "expected one test for each folder of results, found a second for .*out.s-0000"
+    with pytest.raises(UsageError, match=message):
+        list(process_tests(tests, out=tmp_path / "out", jobs=2))
+    assert not (tmp_path / "out").exists()
+    made = list(process_tests(tests[::2], figures=lambda _: False, jobs=2))
+    assert [type(one) for one in made] == [Processed, Processed]  # each beside its exports
+    assert isinstance(made[0], Processed)
+    with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder"):
+        list(process_tests([tests[0], made[0].folder / "result.h5"]))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
@@ -166,32 +86,18 @@ def test_a_job_that_is_killed_is_told() -> None:
         run_jobs(calls, jobs=2)
 
 
-def test_outcomes_come_in_the_order_of_the_calls() -> None:
-    calls = [partial(max, number, 0) for number in range(7)]
-    assert list(in_processes(calls, jobs=3)) == list(range(7))
-    assert list(in_processes(calls[:1], jobs=3)) == [0]
-    assert list(in_processes([], jobs=3)) == []
-
-
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_process_that_dies_costs_its_call_alone(jobs: int) -> None:
+def test_a_process_that_dies_costs_its_call_alone() -> None:
+    """Outcomes come in the order of the calls."""
     calls: list[Callable[[], Any]] = [
-        partial(int, "1"),
         partial(signal.raise_signal, signal.SIGTERM),
-        partial(signal.raise_signal, signal.SIGKILL),
-        partial(int, "4"),
         partial(os._exit, 3),
-        partial(int, "6"),
+        *(partial(max, number, 0) for number in range(4)),
     ]
-    found = list(in_processes(calls, jobs=jobs))
-    died = ProcessDied(-signal.SIGTERM), ProcessDied(-signal.SIGKILL), ProcessDied(3)
-    assert found == [1, died[0], died[1], 4, died[2], 6]
-    assert [each.how for each in died] == [
-        "by the signal SIGTERM",
-        "by the signal SIGKILL",
-        "with exit code 3",
-    ]
+    died = ProcessDied(-signal.SIGTERM), ProcessDied(3)
+    assert list(in_processes(calls, jobs=2)) == [*died, *range(4)]
+    assert list(in_processes([], jobs=3)) == []
+    assert [one.how for one in died] == ["by the signal SIGTERM", "with exit code 3"]
     assert ProcessDied(-63).how == "by the signal 63"
 
 
@@ -222,16 +128,16 @@ def test_what_is_printed_and_read_there_is_no_message_of_ours() -> None:
 
 
 def test_a_process_that_dies_between_two_calls_costs_none() -> None:
-    crew: WorkerPool[str, int] = WorkerPool(int, jobs=1)
+    pool: WorkerPool[str, int] = WorkerPool(int, jobs=1)
     try:
-        assert list(crew.as_they_end(["1"])) == [("1", 1)]
-        (worker,) = crew._workers
+        assert list(pool.as_they_end(["1"])) == [("1", 1)]
+        (worker,) = pool._workers
         assert worker.process is not None
         worker.process.kill()
         worker.process.wait()
-        assert list(crew.as_they_end(["2", "3"])) == [("2", 2), ("3", 3)]
+        assert list(pool.as_they_end(["2", "3"])) == [("2", 2), ("3", 3)]
     finally:
-        crew.leave()
+        pool.leave()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
@@ -304,15 +210,6 @@ def refuse() -> None:
 
 
 @pytest.mark.slow
-def test_calls_are_done_in_one_process_that_stays(worker: WarmWorker) -> None:
-    first, second = (worker.call(os.getpid, about="x") for _ in range(2))
-    assert first == second != os.getpid()
-    with pytest.raises(UsageError, match="no"):
-        worker.call(refuse, about="x")
-    assert worker.call(os.getpid, about="x") == first
-
-
-@pytest.mark.slow
 def test_numbers_first_and_figures_behind(worker: WarmWorker, lab: Lab) -> None:
     (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
     assert outcome.folder == lab.processed
@@ -328,28 +225,23 @@ def test_numbers_first_and_figures_behind(worker: WarmWorker, lab: Lab) -> None:
     assert drawn == {path.name: path.read_bytes() for path in usual.figures}
 
 
-def test_a_process_that_dies_costs_one_call(worker: WarmWorker) -> None:
+def test_a_process_that_dies_or_refuses_costs_one_call(worker: WarmWorker) -> None:
+    first = worker.call(os.getpid, about="x")
+    with pytest.raises(UsageError, match="no"):
+        worker.call(refuse, about="x")
+    assert first == worker.call(os.getpid, about="x") != os.getpid()
     with pytest.raises(ProcessingError, match=r"x: .* ended with exit code 3"):
         worker.call(partial(os._exit, 3), about="x")
-    assert worker.call(os.getpid, about="x") != os.getpid()
+    assert worker.call(os.getpid, about="x") not in {first, os.getpid()}
 
 
 def test_a_process_that_dies_in_a_test_is_an_outcome(
-    worker: WarmWorker, lab: Lab, monkeypatch: pytest.MonkeyPatch
+    worker: WarmWorker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.warm_worker.outcome_of", die)
-    (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
+    (outcome,) = worker.executor([Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
 
 
 def die(_: Task) -> Outcome:
     os._exit(3)
-
-
-def test_a_test_and_its_own_result(tests: list[Path]) -> None:
-    (done,) = process_tests(tests[:1], figures=lambda _: False)
-    assert isinstance(done, Processed)
-    with pytest.raises(
-        UsageError, match=r"result\.h5: expected one test for each folder of results"
-    ):
-        list(process_tests([tests[0], done.folder / "result.h5"]))

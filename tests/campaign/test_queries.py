@@ -99,7 +99,7 @@ ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) sele
 def test_a_condition_that_is_none(
     catalog: Catalog, where: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.queries._MOST_STEPS", 100)
+    monkeypatch.setattr("labpipe.campaign.queries._STEPS", 1000)
     with pytest.raises(
         UsageError, match=r"(?s)^--where, .*: expected a condition in SQL"
     ) as caught:
@@ -127,25 +127,15 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "cell"),
-    [
-        ("=HYPERLINK(1)", "'=HYPERLINK(1)"),
-        ("+1+1", "'+1+1"),
-        ("-A1", "'-A1"),
-        ("@SUM(1)", "'@SUM(1)"),
-        ("\t=1", "'\t=1"),
-        ("-1.5", "-1.5"),
-        ("+49", "+49"),
-        ("2 mm = 1", "2 mm = 1"),
-    ],
+    "cell",
+    ["'=HYPERLINK(1)", "'+1+1", "'-A1", "'@SUM(1)", "'\t=1", "-1.5", "+49", "2 mm = 1"],
 )
-def test_a_text_in_a_csv_is_no_formula(text: str, cell: str) -> None:
-    out = io.StringIO()
+def test_a_text_in_a_csv_is_no_formula(cell: str) -> None:
+    """A quote stands before what a spreadsheet would take for a formula."""
+    out, text = io.StringIO(), cell.removeprefix("'")
     write_answer(Answer((text, "value"), iter([(text, -1.5)]), lambda: 1), "csv", out)
-    assert list(csv.reader(io.StringIO(out.getvalue(), newline=""))) == [
-        [cell, "value"],
-        [cell, "-1.5"],
-    ]
+    rows = list(csv.reader(io.StringIO(out.getvalue(), newline="")))
+    assert rows == [[cell, "value"], [cell, "-1.5"]]
 
 
 def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None:
@@ -169,29 +159,6 @@ def test_more_rows_than_a_sheet_takes(
     with answered(catalog, "") as answer, pytest.raises(UsageError, match=message):
         write_workbook(answer, tmp_path / "out.xlsx")
     assert not (tmp_path / "out.xlsx").exists()
-
-
-def many(catalog: Catalog, tests: int, results: int) -> None:
-    rows = tuple(result(f"peak_force.{n}", float(n)) for n in range(results))
-    entries = (Entry(test_row(f"M{n:06d}", "A3"), Seen(), (), rows) for n in range(tests))
-    catalog.put(entries)
-
-
-class Counted(io.StringIO):
-    """Counts lines and keeps none."""
-
-    lines = 0
-
-    def write(self, text: str) -> int:
-        self.lines += text.count("\n")
-        return len(text)
-
-
-def test_rows_are_written_as_they_are_read(catalog: Catalog) -> None:
-    many(catalog, 200, 10)
-    with answered(catalog, "type = 'A3'") as answer:
-        assert next(answer.rows)[0] == "M000000"
-        assert write_answer(answer, "csv", Counted()) == 1999
 
 
 def test_a_table_for_a_terminal(catalog: Catalog) -> None:

@@ -64,69 +64,25 @@ def results(done: Path, tmp_path: Path) -> Path:
     return tmp_path / "processed"
 
 
-def test_groups(done: Path) -> None:
-    said: list[str] = []
-    campaign = make_campaign(find_results([done]), "Pulls", said.append)
-    assert said == sorted(KINDS)
-    assert campaign.title == "Pulls"
-    assert [group.name for group in campaign.groups] == ["hose", "tube"]
-    assert [group.protocol for group in campaign.groups] == ["tensile", "tensile"]
-    hose, tube = campaign.groups
-    assert [sample.test for sample in tube.samples] == ["T-1", "T-2"]
-    stiffness = {number.name: number for number in hose.numbers}["stiffness"]
-    assert stiffness.mean is not None
-    assert stiffness.mean.chosen.mean == pytest.approx(4050.0, rel=0.01)
-    assert not campaign.left_out
-
-
-def stored_protocol(results: Path, old: str, new: str) -> None:
-    """Change the protocol that every result has stored."""
-    import h5py
-
-    for file in results.rglob("result.h5"):
-        with h5py.File(file, "r+") as opened:
-            text = str(opened.attrs["protocol_yaml"])
-            assert old in text
-            opened.attrs["protocol_yaml"] = text.replace(old, new)
-
-
-def test_main_numbers_come_first_and_are_compared(results: Path) -> None:
-    said = "main: [energy_to_break, stiffness]\n  margin: 5 %"
-    stored_protocol(results, "main: []", said)
-    campaign = make_campaign(find_results([results]), "")
-    assert [number.name for number in campaign.groups[0].numbers][:2] == [
-        "energy_to_break",
-        "stiffness",
-    ]
-    assert {difference.name for difference in campaign.differences} == {
-        "energy_to_break",
-        "stiffness",
-    }
-    (difference,) = (
-        difference for difference in campaign.differences if difference.name == "stiffness"
-    )
-    assert (difference.first, difference.second) == ("hose", "tube")
-    assert difference.difference.mean == pytest.approx(1000.0, rel=0.05)
-    assert difference.margin == pytest.approx(0.05 * 4050.0, rel=0.01)
+def runs_of(files: list[Path]) -> list[str]:
+    return [json.loads((file.parent / "summary.json").read_text("utf-8"))["run"] for file in files]
 
 
 def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
     files = find_results([results])
-    campaign = results / "c"
-    assert [file.relative_to(campaign).as_posix() for file in files][3] == "T-2/result.h5"
-    said = {"because": "slipped <b>twice</b>", "by": "A. Tester", "when": "2026-03-10"}
-    runs = [json.loads((file.parent / "summary.json").read_text("utf-8"))["run"] for file in files]
-    decide = [
-        Decision("T-2", runs[3], "reject", **said),
-        Decision("T-1", "another key", "reject", **said),
-        Decision("H-1", runs[0], "reject", **said),
-        Decision("H-1", runs[0], "accept", **said),
+    runs = runs_of(files)
+    assert without_rejected(files) == (files, {})
+    facts = {"because": "slipped <b>twice</b>", "by": "A. Tester", "when": "2026-03-10"}
+    decisions = [
+        Decision("T-2", runs[3], "reject", **facts),
+        Decision("T-1", "another key", "reject", **facts),
+        Decision("H-1", runs[0], "reject", **facts),
+        Decision("H-1", runs[0], "accept", **facts),
     ]
-    add_decisions(campaign, "c", decide)
+    add_decisions(results / "c", "c", decisions)
     reported = report_tests([results])
-    assert [[sample.test for sample in group.samples] for group in reported.campaign.groups] == [
-        ["H-1", "H-2"],
-    ]  # fmt: skip
+    (group,) = reported.campaign.groups
+    assert [sample.test for sample in group.samples] == ["H-1", "H-2"]
     again = "(open again: exports, sheet, protocol or labpipe changed since)"
     assert reported.campaign.rejected == {
         str(files[2]): f"slipped <b>twice</b> {again} (A. Tester, 2026-03-10)",
@@ -135,94 +91,95 @@ def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
     assert reported.campaign.left_out == {}
     page = (reported.folder / "report.html").read_text("utf-8")
     assert "2 rejected" in page
-    assert "Tests that were rejected" in page
     assert "lipped &lt;b&gt;twice&lt;/b&gt; (A. Tester, 2026-03-10)" in page
     assert "<b>twice" not in page
 
 
-def test_results_that_count(results: Path) -> None:
+def test_a_report_without_tests_that_count_is_refused(results: Path) -> None:
     files = find_results([results])
-    assert without_rejected(files) == (files, {})
-    run = json.loads((files[0].parent / "summary.json").read_text("utf-8"))["run"]
-    add_decisions(results / "c", "c", [Decision("H-1", run, "reject", "slipped", "A. Tester")])
-    assert without_rejected(files) == (files[1:], {files[0]: "slipped (A. Tester)"})
-    with pytest.raises(UsageError, match=r"result\.h5: rejected: slipped \(A\. Tester\)"):
-        without_rejected(files[:1])
-
-
-def test_a_report_without_readable_decisions_is_refused(results: Path) -> None:
+    decisions = [
+        Decision(file.parent.name, run, "reject", "all slipped", "A. Tester")
+        for file, run in zip(files, runs_of(files), strict=True)
+    ]
+    add_decisions(results / "c", "c", decisions)
+    with pytest.raises(UsageError, match=r"H-1.*: rejected: all slipped \(A\. Tester\)"):
+        report_tests([results])
     (results / "c" / "decisions.json").write_text("{", "utf-8")
     with pytest.raises(StoreError, match=r"decisions\.json, line 1, column 2: expected decisions"):
         report_tests([results])
-    (results / "c" / "decisions.json").unlink()
-    files = find_results([results])
-    runs = [json.loads((file.parent / "summary.json").read_text("utf-8"))["run"] for file in files]
-    for file, run in zip(files, runs, strict=True):
-        decision = Decision(file.parent.name, run, "reject", "all slipped", "A. Tester")
-        add_decisions(results / "c", "c", [decision])
-    with pytest.raises(UsageError, match=r"H-1.*: rejected: all slipped"):
-        report_tests([results])
 
 
-def labelled(results: Path, labels: dict[str, str]) -> None:
-    """Let test sheets say a label, as the result files keep it."""
+@pytest.fixture
+def labelled(results: Path) -> list[Path]:
+    """Results whose sheets say a label, and whose protocol has main numbers."""
     import h5py
 
-    for test, word in labels.items():
-        with h5py.File(results / "c" / test / "result.h5", "r+") as opened:
-            for name, said in (("labels", "cured"), ("label_words", word)):
-                data = np.array([said], dtype=object)
-                opened["specimen"].attrs.create(name, data, dtype=h5py.string_dtype())
+    for file in results.rglob("result.h5"):
+        cured = {"T-1": "24 h", "T-2": "48 h"}.get(file.parent.name)
+        with h5py.File(file, "r+") as root:
+            text = str(root.attrs["protocol_yaml"])
+            root.attrs["protocol_yaml"] = text.replace(
+                "main: []", "main: [energy_to_break, stiffness]\n  margin: 5 %"
+            )
+            for name, word in (("labels", "cured"), ("label_words", cured)) if cured else ():
+                data = np.array([word], dtype=object)
+                root["specimen"].attrs.create(name, data, dtype=h5py.string_dtype())
+    return find_results([results])
 
 
-def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None:
-    letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
-    beside, wanted = (
-        ReportContext(letterhead, ("png",), True),
-        ReportOptions(("spool",), "", tmp_path / "w.xlsx"),
-    )
-    made = Recipe("Tubes", wanted, beside)
-    (tmp_path / RECIPE_FILE).write_text(made.text(tmp_path), encoding="utf-8")
-    assert Recipe.read(tmp_path) == made
-    typed = Recipe("Other", beside=ReportContext(Letterhead((("Order", "4712"),))))
-    again = typed.or_earlier(Recipe.read(tmp_path))
-    assert (again.title, again.wanted) == ("Other", wanted)
-    assert again.beside.letterhead.facts == (("Customer", "a"), ("Order", "4712"))
-    assert again.beside.letterhead.logo == "data:x"
-    assert Recipe.read(results) == Recipe()
-    report = report_tests([results], title="Tubes", beside=ReportContext(letterhead))
-    assert Recipe.read(report.folder).beside.letterhead == letterhead
+def test_main_numbers_come_first_and_are_compared(labelled: list[Path]) -> None:
+    tests: list[str] = []
+    campaign = make_campaign(labelled, "Pulls", tests.append)
+    assert (tests, campaign.title, campaign.left_out) == (sorted(KINDS), "Pulls", {})
+    assert [group.name for group in campaign.groups] == ["hose", "tube"]
+    assert {group.protocol for group in campaign.groups} == {"tensile"}
+    hose, tube = campaign.groups
+    assert [sample.test for sample in tube.samples] == ["T-1", "T-2"]
+    main = ["energy_to_break", "stiffness"]
+    assert [number.name for number in hose.numbers][:2] == main
+    assert hose.numbers[1].mean is not None
+    assert hose.numbers[1].mean.chosen.mean == pytest.approx(4050.0, rel=0.01)
+    differences = {difference.name: difference for difference in campaign.differences}
+    assert set(differences) == set(main)
+    difference = differences["stiffness"]
+    assert (difference.first, difference.second) == ("hose", "tube")
+    assert difference.difference.mean == pytest.approx(1000.0, rel=0.05)
+    assert difference.margin == pytest.approx(0.05 * 4050.0, rel=0.01)
 
 
-def test_groups_by_a_field_of_the_sheets(results: Path) -> None:
-    labelled(results, {"T-1": "24 h", "H-1": "24 h", "T-2": "48 h"})
-    stored_protocol(results, "main: []", "main: [stiffness]")
-    by_cure = make_campaign(find_results([results]), "", wanted=ReportOptions(by=("cured",)))
+def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
+    by_cure = make_campaign(labelled, "", wanted=ReportOptions(by=("cured",)))
     assert [group.name for group in by_cure.groups] == ["without cured", "cured 24 h", "cured 48 h"]
     assert by_cure.by == ("cured",)
     none, first, _ = by_cure.groups
     assert first.fields["cured"] == "24 h"
     assert none.notes[0].message == "the test sheets of these samples do not say cured"
-    assert [difference.fields for difference in by_cure.differences if difference.question] == [
-        {"cured": ("not said", "24 h")},
-        {"cured": ("24 h", "48 h")},
-    ]
-    assert by_cure.differences[-1].fields == {
-        "type": ("hose", "tube"), "cured": ("not said", "48 h")
-    }  # fmt: skip
-
-
-def test_only_pairs_that_differ_in_one_field(results: Path) -> None:
-    labelled(results, {"T-1": "24 h", "T-2": "48 h"})
-    stored_protocol(results, "main: []", "main: [stiffness]")
+    asked = [difference.fields for difference in by_cure.differences if difference.question]
+    assert asked == [{"cured": ("24 h", "48 h")}] * 2
+    other = {"type": ("hose", "tube"), "cured": ("not said", "48 h")}
+    assert by_cure.differences[-1].fields == other
     wanted = ReportOptions(by=("type", "cured"), alone="cured")
-    campaign = make_campaign(find_results([results]), "", wanted=wanted)
-    assert [group.name for group in campaign.groups] == [
-        "hose, without cured", "tube, cured 24 h", "tube, cured 48 h"
-    ]  # fmt: skip
-    (difference,) = campaign.differences
-    assert difference.fields == {"cured": ("24 h", "48 h")}
+    campaign = make_campaign(labelled, "", wanted=wanted)
+    names = [group.name for group in campaign.groups]
+    assert names == ["hose, without cured", "tube, cured 24 h", "tube, cured 48 h"]
+    assert {str(one.fields) for one in campaign.differences} == {"{'cured': ('24 h', '48 h')}"}
     assert (campaign.compared, campaign.pairs_not_shown) == ("cured", 2)
+
+
+def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None:
+    letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
+    beside = ReportContext(letterhead, ("png",), True)
+    made = Recipe("Tubes", ReportOptions(("spool",), "", tmp_path / "w.xlsx"), beside)
+    (tmp_path / RECIPE_FILE).write_text(made.text(tmp_path), encoding="utf-8")
+    assert Recipe.read(tmp_path) == made
+    typed = Recipe("Other", beside=ReportContext(Letterhead((("Order", "4712"),))))
+    again = typed.or_earlier(Recipe.read(tmp_path))
+    assert (again.title, again.wanted) == ("Other", made.wanted)
+    facts = (("Customer", "a"), ("Order", "4712"))
+    assert again.beside.letterhead == Letterhead(facts, "data:x")
+    assert Recipe.read(results) == Recipe()
+    report = report_tests([results], title="Tubes", beside=ReportContext(letterhead))
+    assert Recipe.read(report.folder).beside.letterhead == letterhead
 
 
 def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
@@ -234,12 +191,21 @@ def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
     assert not said
 
 
-def test_what_a_killed_process_left_is_no_sample(results: Path) -> None:
-    test = results / "c" / "T-1"
+def test_a_recording_is_counted_once(results: Path) -> None:
+    """Two sheets that name the same export, and what a killed process left."""
+    import h5py
+
+    test, copy = results / "c" / "T-1", results / "c" / "T-1x" / "result.h5"
+    shutil.copytree(test, copy.parent)
+    with h5py.File(copy, "r+") as root:
+        root.attrs["test"] = "T-1x"
     (test / ".labpipe.new").mkdir()
     shutil.copy(test / "result.h5", test / ".labpipe.new")
     campaign = make_campaign(find_results([results]), "")
     assert [len(group.samples) for group in campaign.groups] == [2, 2]
+    ((file, reason),) = campaign.left_out.items()
+    assert file == str(copy)
+    assert f"found the same exports, byte for byte, as in {test / 'result.h5'}." in reason
 
 
 def test_two_tests_of_one_name_are_refused(results: Path, tmp_path: Path) -> None:
@@ -252,54 +218,16 @@ def test_two_tests_of_one_name_are_refused(results: Path, tmp_path: Path) -> Non
     assert not (tmp_path / "report").exists()
 
 
-def renamed(file: Path, name: str) -> None:
-    import h5py
-
-    with h5py.File(file, "r+") as opened:
-        opened.attrs["test"] = name
-
-
-def test_a_recording_is_counted_once(results: Path) -> None:
-    """Two sheets that name the same export, as where a line was not changed after copying."""
-    copy = results / "c" / "T-1x" / "result.h5"
-    shutil.copytree(results / "c" / "T-1", copy.parent)
-    renamed(copy, "T-1x")
-    campaign = make_campaign(find_results([results]), "")
-    assert [len(group.samples) for group in campaign.groups] == [2, 2]
-    assert campaign.left_out == {
-        str(
-            copy
-        ): f"{copy}: expected each recording once, found the same exports, byte for byte, as"
-        f" in {results / 'c' / 'T-1' / 'result.h5'}. Look at `files` in both test sheets, or leave"
-        " the copy out."
-    }
-
-
-@pytest.fixture(scope="module")
-def pulls(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two pulls until they broke, the second with a slip."""
-    home = tmp_path_factory.mktemp("done")
-    for seed, name in enumerate(("T-1", "T-2")):
-        lab = TensileLab(home, name)
-        travel, force = pull(stiffness=5e3, slack=0.001, seed=seed)
-        force = slipped(travel, force, (0.012, 3.0)) if name == "T-2" else force
-        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
-        lab.sheet.write_text(lab.sheet.read_text("utf-8").replace("synthetic", "tube"), "utf-8")
-        lab.override("curve.slips.decision", "repaired")
-        process_test(lab.sheet, figures=False)
-    return home / "processed"
+def read(done: Path, name: str) -> TestResult:
+    return read_result(done / "c" / name / "result.h5")
 
 
 def kept(result: TestResult, source: str = "") -> Sample:
     return sample_of(Drawable(result, None, None), source=source)
 
 
-def read(pulls: Path, name: str) -> TestResult:
-    return read_result(pulls / "c" / name / "result.h5")
-
-
-def test_a_sample_keeps_thinned_branches_up_to_the_failure(pulls: Path) -> None:
-    result = read(pulls, "T-1")
+def test_a_sample_keeps_thinned_branches_up_to_the_failure(done: Path) -> None:
+    result = read(done, "T-1")
     sample = kept(result, "here")
     assert (sample.test, sample.source, sample.specimen.type) == ("T-1", "here", "tube")
     (branch,) = sample.loading
@@ -317,8 +245,8 @@ def test_a_sample_keeps_thinned_branches_up_to_the_failure(pulls: Path) -> None:
     np.testing.assert_array_equal(branch.force, branch.as_measured)
 
 
-def test_a_repaired_slip_is_seen_in_the_force_as_measured(pulls: Path) -> None:
-    sample = kept(read(pulls, "T-2"))
+def test_a_repaired_slip_is_seen_in_the_force_as_measured(done: Path) -> None:
+    sample = kept(read(done, "T-2"))
     (branch,), (slip,) = sample.loading, sample.slips
     added = branch.force - branch.as_measured
     at = branch.displacement
@@ -326,8 +254,8 @@ def test_a_repaired_slip_is_seen_in_the_force_as_measured(pulls: Path) -> None:
     np.testing.assert_allclose(added[at > slip.position + 1e-4], slip.drop)
 
 
-def test_unloading_grows_too(pulls: Path) -> None:
-    result = read(pulls, "T-1")
+def test_unloading_grows_too(done: Path) -> None:
+    result = read(done, "T-1")
     curve = result.curve
     assert curve is not None
     back = replace(curve.branches[0], direction=type(curve.branches[0].direction).UNLOADING)
@@ -337,8 +265,8 @@ def test_unloading_grows_too(pulls: Path) -> None:
     assert (np.diff(sample.unloading[0].displacement) > 0.0).all()
 
 
-def test_frames_at_round_steps_of_the_first_loading(pulls: Path) -> None:
-    result = read(pulls, "T-1")
+def test_frames_at_round_steps_of_the_first_loading(done: Path) -> None:
+    result = read(done, "T-1")
     assert result.curve is not None
     time = np.arange(result.curve.time[0], result.curve.time[-1], 0.02)
     frames, deflection = frames_at_steps(result, time)

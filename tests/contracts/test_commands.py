@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -14,24 +16,14 @@ from pathlib import Path
 import pytest
 
 import labpipe
-from labpipe.cli import BAD_INPUT, DONE
+from labpipe.cli import BAD_INPUT, DONE, main
 from labpipe.errors import StoreError, UsageError
-from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenario, state
+from tests.builders.small_tests import Lab, Run, make_lab, small_scenario, state
 
 COMMANDS = (
     *("demo", "inspect", "new", "check", "process", "campaign", "report", "serve"),
     *("model", "bundle", "harness", "calibrate", "simulate", "examples", "completion"),
 )
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    return runner(capsys)
-
-
-@pytest.fixture(scope="module")
-def small_lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    return make_lab(tmp_path_factory.mktemp("lab"), small_scenario())
 
 
 def test_help_lists_every_command(run: Run) -> None:
@@ -44,6 +36,7 @@ def test_help_lists_every_command(run: Run) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_a_module_and_help(run: Run, command: str) -> None:
+    """In quotes of every shell: the prompt of Windows takes a single quote for a letter."""
     assert callable(import_module(f"labpipe.cli.{command}").run)
     ran = run(command, "--help")
     assert ran.status == DONE
@@ -54,30 +47,15 @@ def test_every_command_has_a_module_and_help(run: Run, command: str) -> None:
         alone = rest.strip() in ("", name.removeprefix("--").upper())
         follows = re.search(rf"^  {re.escape(name)}.*\n +\S", ran.out, flags=re.MULTILINE)
         assert not alone or follows, f"{name} has no help"
-
-
-@pytest.mark.parametrize("command", ["", *COMMANDS])
-def test_help_quotes_as_every_shell_does(run: Run, command: str) -> None:
-    """The command prompt of Windows takes a single quote for a letter."""
-    said = " ".join(run(*filter(None, [command]), "--help").out.split())
-    of_sql = re.sub(r"\"name = '.*?' and type = '.*?'\"", "", said)
-    assert not re.search(r"(?<!\w)'|'(?!\w)", of_sql)
+    text = re.sub(r"\"name = '.*?' and type = '.*?'\"", "", " ".join(ran.out.split()))
+    assert not re.search(r"(?<!\w)'|'(?!\w)", text)
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        (),
-        ("proces",),
-        ("process",),
-        ("inspect",),
-        ("new",),
-        ("process", "x", "--fast"),
-        ("simulate", "--cycles", "many"),
-    ],
+    "arguments", ["", "proces", "process", "inspect", "new", "process x --fast", "serve --port x"]
 )
-def test_bad_usage_is_status_2(run: Run, arguments: tuple[str, ...]) -> None:
-    ran = run(*arguments)
+def test_bad_usage_is_status_2(run: Run, arguments: str) -> None:
+    ran = run(*arguments.split())
     assert ran.status == BAD_INPUT
     assert ran.err.startswith("usage: labpipe")
     assert "Traceback" not in ran.err
@@ -86,23 +64,16 @@ def test_bad_usage_is_status_2(run: Run, arguments: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("process", "nowhere"),
-        ("inspect", "nowhere.mat"),
-        ("check", "nowhere"),
-        ("simulate", "--rate", "10"),
-        ("simulate", "--fps", "50 mm"),
-        ("simulate", "--cycles", "0"),
-        ("simulate", "--rate", "0 Hz"),
-        ("simulate", "--fps", "-50 Hz"),
-        ("new", "raw/x", "--set", "nonsense"),
-        ("new", "raw/x", "--from", "nowhere.xlsx"),
+        *("process nowhere", "inspect nowhere.mat", "check nowhere", "new raw/x --set nonsense"),
+        *("simulate --rate 10", "simulate --fps 50mm", "simulate --cycles 0"),
+        *("simulate --rate 0Hz", "simulate --fps=-50Hz", "new raw/x --from nowhere.xlsx"),
     ],
 )
 def test_bad_input_is_status_2_and_one_message(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    ran = run(*arguments)
+    ran = run(*arguments.split())
     assert ran.status == BAD_INPUT, ran
     assert ": expected " in ran.err
     assert ", found " in ran.err
@@ -113,65 +84,89 @@ def test_bad_input_is_status_2_and_one_message(
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("process", "LAB", "--out", "FILE"),
-        ("simulate", "--cycles", "1", "--fps", "20 Hz", "--rate", "100 Hz", "--out", "FILE"),
-        ("new", "FILE", "--protocol", "tensile", "--frame", "a.csv", "--type", "T", "--spool", "s",
-         "--sample", "1"),
+        pytest.param("process LAB --out mine", marks=pytest.mark.slow),
+        "simulate --cycles 1 --fps 20Hz --rate 100Hz --out mine",
+        "new mine --protocol tensile --frame a.csv --type T --spool s --sample 1",
     ],
-)  # fmt: skip
+)
 def test_a_file_where_a_folder_is_to_be_made(
-    run: Run, small_lab: Lab, tmp_path: Path, arguments: tuple[str, ...]
+    run: Run, pristine: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: str
 ) -> None:
-    (tmp_path / "mine").write_text("mine")
-    places = {"LAB": small_lab.raw, "FILE": tmp_path / "mine"}
-    ran = run(*(places.get(word, word) for word in arguments))
+    monkeypatch.chdir(tmp_path)
+    Path("mine").write_text("mine")
+    ran = run(*arguments.replace("LAB", str(pristine.raw)).split())
     assert ran.status == BAD_INPUT, ran
-    assert re.search(
-        r"mine[^\n]*: expected a folder to write in, found a file in its place\. Choose", ran.err
-    ), ran
+    message = r"mine[^\n]*: expected a folder to write in, found a file in its place\. Choose"
+    assert re.search(message, ran.err), ran
     assert ran.err.count(": expected ") == 1
-    assert (tmp_path / "mine").read_text() == "mine"
+    assert Path("mine").read_text() == "mine"
 
 
-def test_help_imports_nothing_heavy() -> None:
-    program = (
-        "import sys\nfrom labpipe.cli import main\n"
-        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "heavy = {'numpy', 'scipy', 'pandas', 'h5py', 'matplotlib', 'pydantic', 'yaml', 'pint'}\n"
-        "sys.exit(','.join(sorted(heavy & set(sys.modules))) or 0)\n"
-    )
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
-    )
+HELP = """
+import sys
+from labpipe.cli import main
+try:
+    main(['--help'])
+except SystemExit:
+    pass
+heavy = {'numpy', 'scipy', 'pandas', 'h5py', 'matplotlib', 'pydantic', 'yaml', 'pint'}
+sys.exit(','.join(sorted(heavy & set(sys.modules))) or 0)
+"""
+IMPORT = """
+import sys
+old = {*sys.modules}
+import labpipe
+new = {name.partition('.')[0] for name in {*sys.modules} - old} - sys.stdlib_module_names
+sys.exit(0 if new == {'labpipe'} and 'labpipe.api' not in sys.modules else ','.join(new))
+"""
+
+
+@pytest.mark.parametrize("program", [HELP, IMPORT], ids=["help", "import"])
+def test_help_and_import_load_nothing_heavy(program: str) -> None:
+    """What of the standard library is there already differs by machine."""
+    command = [sys.executable, "-c", program]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
 
 
-def test_json_of_process(run: Run, small_lab: Lab, tmp_path: Path) -> None:
-    ran = run("process", small_lab.raw, "--out", tmp_path, "--no-figures", "--json")
-    assert ran.status == DONE
-    said = json.loads(ran.out)
-    assert said == json.loads((tmp_path / "T1" / "summary.json").read_text(encoding="utf-8"))
-    assert set(said) == {
-        *("schema", "test", "specimen", "protocol", "labpipe", "inputs"),
-        *("results", "quality", "run", "made_of", "date", "operator", "instruments"),
-    }
-    assert said["schema"] == 2
-    assert set(said["inputs"][0]) == {"role", "file", "sha256"}
-    for result in said["results"]:
-        assert set(result) == {
-            *("name", "value", "unit", "lower", "upper", "level"),
-            *("estimate", "code", "reason", "status", "reasons", "method", "budget", "seal"),
-        }
+@pytest.fixture(scope="module")
+def processed_and_printed(
+    pristine: Lab, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Lab, str]:
+    lab, printed = pristine.copy(tmp_path_factory.mktemp("api")), io.StringIO()
+    with redirect_stdout(printed):
+        assert main(["process", str(lab.raw), "--no-figures", "--json"]) == DONE
+    return lab, printed.getvalue()
+
+
+@pytest.fixture
+def processed(processed_and_printed: tuple[Lab, str]) -> Lab:
+    return processed_and_printed[0]
+
+
+SUMMARY = "schema test specimen protocol labpipe inputs results quality run made_of date operator"
+RESULT = "name value unit lower upper level estimate code reason status reasons method budget seal"
+
+
+def test_json_of_process(processed_and_printed: tuple[Lab, str]) -> None:
+    lab, printed = processed_and_printed
+    summary = json.loads(printed)
+    assert summary == lab.summary
+    assert set(summary) == {*SUMMARY.split(), "instruments"}
+    assert summary["schema"] == 2
+    assert set(summary["inputs"][0]) == {"role", "file", "sha256"}
+    for result in summary["results"]:
+        assert set(result) == set(RESULT.split())
         assert re.fullmatch(r"[a-z][a-z0-9_]*(\.\d+)?", result["name"])
         for reason in result["reasons"]:
             assert set(reason) == {"code", "message"}
             assert re.fullmatch(r"[a-z][a-z0-9_]*", reason["code"])
-        for row in result["budget"]:
-            assert set(row) == {"cause", "change", "share", "common"}
-        assert not result["budget"] or math.isclose(
-            sum(row["share"] for row in result["budget"]), 1
-        )
-    for note in said["quality"]:
+        shares = [row["share"] for row in result["budget"]]
+        assert not shares or math.isclose(sum(shares), 1)
+        assert {key for row in result["budget"] for key in row} <= {
+            *("cause", "change", "share", "common")
+        }
+    for note in summary["quality"]:
         assert set(note) == {"code", "severity", "message"}
 
 
@@ -211,28 +206,6 @@ def test_nothing_is_written_but_where_it_is_asked(
     assert {path.name for path in tmp_path.iterdir()} == {"asked", "work"}
 
 
-@pytest.fixture(scope="module")
-def processed(pristine: Lab, tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    from labpipe.cli import main
-
-    lab = pristine.copy(tmp_path_factory.mktemp("api"))
-    assert main(["process", str(lab.raw)]) == 0
-    return lab
-
-
-def python(code: str) -> str:
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return ran.stdout.strip()
-
-
-def test_importing_labpipe_imports_nothing_else() -> None:
-    """Nothing outside of the standard library: what of that is there already differs by machine."""
-    new = "{name.partition('.')[0] for name in {*sys.modules} - old} - sys.stdlib_module_names"
-    code = f"import sys; old = {{*sys.modules}}; import labpipe; print(*sorted({new}))"
-    assert python(code) == "labpipe"
-    assert python("import sys, labpipe; print('labpipe.api' in sys.modules)") == "False"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("given", [Path, str])
 def test_a_test_opens_by_its_folder_and_by_its_file(given: type, processed: Lab) -> None:
@@ -258,10 +231,12 @@ def test_processing_in_memory_gives_the_same_and_writes_nothing(processed: Lab) 
 
 
 def test_what_cannot_be_opened_is_said(processed: Lab, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"expected a result\.h5, or a folder with processed test"):
-        labpipe.open(processed.raw)
-    with pytest.raises(UsageError, match="found nothing of that name"):
-        labpipe.open(tmp_path / "none")
+    for folder, message in (
+        (processed.raw, r"expected a result\.h5, or a folder with processed test"),
+        (tmp_path / "none", "found nothing of that name"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            labpipe.open(folder)
     (tmp_path / "result.h5").write_bytes(b"no")
     with pytest.raises(StoreError, match="expected a result file, found a file that is not HDF5"):
         labpipe.open(tmp_path)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
-from labpipe.readers.load_frame import read, recognise
+from labpipe.readers.load_frame import read
 from labpipe.readers.load_frame.cards import lab_cards, shipped_cards
 from labpipe.readers.load_frame.recognition import chosen_card, recognised
 from labpipe.records.arrays import Floats
@@ -156,18 +156,6 @@ def test_only_wanted_channels_are_read(exports: dict[str, Path], kind: str) -> N
         read_export(exports[kind], channels=["Out1"])
 
 
-def test_time_that_runs_backwards_is_refused(tmp_path: Path) -> None:
-    time = TIME.copy()
-    time[20] = 0.0
-    file = write_mat_v5(tmp_path / "force.mat", [Axis(time)], SIGNALS)
-    expected = (
-        r"force\.mat, clock HostService: expected time that increases from sample to sample, found"
-        r" time runs backwards 1 times, first at sample 21: 0 s after 0\.019 s\. Export the record"
-    )
-    with pytest.raises(ReadError, match=expected):
-        read_export(file)
-
-
 def test_exports_are_never_written_to(exports: dict[str, Path]) -> None:
     for file in exports.values():
         before = (file.read_bytes(), file.stat().st_mtime_ns)
@@ -197,7 +185,7 @@ def read_or_refuse(file: Path) -> int | None:
 
 @pytest.mark.parametrize("kind", EXPORTS)
 @given(part=st.floats(0.0, 0.999))
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_cut_anywhere(exports: dict[str, Path], tmp_path: Path, kind: str, part: float) -> None:
     content = exports[kind].read_bytes()
     file = tmp_path / "cut.dat"
@@ -222,7 +210,7 @@ def mutate(content: bytes, seed: int) -> bytes:
 
 @pytest.mark.parametrize("kind", EXPORTS)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_mutated(exports: dict[str, Path], tmp_path: Path, kind: str, seed: int) -> None:
     file = tmp_path / "mutated.dat"
     file.write_bytes(mutate(exports[kind].read_bytes(), seed))
@@ -231,9 +219,7 @@ def test_mutated(exports: dict[str, Path], tmp_path: Path, kind: str, seed: int)
 
 @pytest.mark.slow
 @pytest.mark.realdata
-@pytest.mark.parametrize(
-    "folder", ["dspace", "motive", "lloyd_nexygen", "instron", "zwick", "hbm_catman"]
-)
+@pytest.mark.parametrize("folder", ["dspace", "motive"])
 def test_mutated_real_exports(realdata: Path, tmp_path: Path, folder: str) -> None:
     for original in sorted((realdata / folder).iterdir()):
         content = original.read_bytes()
@@ -266,47 +252,49 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return written
 
 
-def test_every_card_has_an_example() -> None:
-    assert {name.removesuffix(".toml") for name in CARDS} == set(EXAMPLES)
-    assert sorted(shipped_cards()) == sorted(EXAMPLES)
-
-
 @pytest.mark.parametrize("dialect", EXAMPLES)
 def test_every_card_is_documented(repository: Path, dialect: str) -> None:
     pages = (repository / "docs").rglob("*.md")
     assert any(f"`{dialect}`" in page.read_text(encoding="utf-8") for page in pages)
 
 
+def test_every_card_has_an_example() -> None:
+    assert {name.removesuffix(".toml") for name in CARDS} == {*shipped_cards()} == {*EXAMPLES}
+
+
 @pytest.mark.parametrize("dialect", EXAMPLES)
 def test_an_example_is_recognised_by_its_own_card(examples: dict[str, Path], dialect: str) -> None:
     """Two cards of one rank would be an error, so the one found is the only one."""
-    assert [r.name for r in READERS.values() if r.recognise(examples[dialect])] == ["load-frame"]
-    assert recognise(examples[dialect])
+    names = [reader.name for reader in READERS.values() if reader.recognise(examples[dialect])]
+    assert names == ["load-frame"]
     card = recognised(examples[dialect])
     assert card is not None
     assert card.name == dialect
+    recording = read_export(examples[dialect])
+    assert recording.reader == "load-frame"
+    assert card.program in recording.program
+    codes = {note.code for note in recording.notes}
+    assert ("dialect_generic" in codes) == card.fallback
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("asked", EXAMPLES)
 @pytest.mark.parametrize("dialect", sorted(EXAMPLES))
-def test_no_vendor_s_card_reads_another_s_export(
-    examples: dict[str, Path], dialect: str, asked: str
-) -> None:
+def test_no_vendor_s_card_reads_another_s_export(examples: dict[str, Path], dialect: str) -> None:
     """An export that only a card of last resort takes may be read by the card that is named."""
     file = examples[dialect]
-    if asked == dialect:
-        assert read(file, dialect=asked).channels
-        return
-    if not shipped_cards()[dialect].fallback:
-        with pytest.raises(ReadError, match=f"dialect {asked}, found one of the dialect {dialect}"):
-            read(file, dialect=asked)
-        return
-    try:
-        assert read(file, dialect=[asked]).channels
-    except ReadError:
-        with pytest.raises(ReadError, match=r": expected .+, found .+\. .+\.$"):
-            read(file, dialect=[asked])
+    assert read(file, dialect=dialect).channels
+    refusal = r": expected .+, found .+\. .+\.$"
+    for asked in {*EXAMPLES} - {dialect}:
+        if not shipped_cards()[dialect].fallback:
+            message = f"dialect {asked}, found one of the dialect {dialect}"
+            with pytest.raises(ReadError, match=message):
+                read(file, dialect=asked)
+            continue
+        try:
+            assert read(file, dialect=[asked]).channels
+        except ReadError:
+            with pytest.raises(ReadError, match=refusal):
+                read(file, dialect=[asked])
 
 
 def same(one: Recording, other: Recording, paths: list[str]) -> None:
@@ -335,16 +323,6 @@ def test_some_channels_are_the_same_as_all_and_choosing(
         for wanted in combinations(paths, count):
             same(read(examples[dialect], channels=list(wanted)), whole, list(wanted))
     same(read(examples[dialect], channels=paths[::-1]), whole, paths)
-
-
-@pytest.mark.parametrize("dialect", EXAMPLES)
-def test_reading_says_who_read(examples: dict[str, Path], dialect: str) -> None:
-    recording = read_export(examples[dialect])
-    assert recording.reader == "load-frame"
-    card = shipped_cards()[dialect]
-    assert card.program in recording.program
-    generic = {note.code for note in recording.notes} & {"dialect_generic"}
-    assert bool(generic) == card.fallback
 
 
 OWN = """\
