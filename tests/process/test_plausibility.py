@@ -23,7 +23,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Interval, Shape
 from labpipe.records.quality import Finding, Findings, warning
 from labpipe.records.recording import Recording
-from labpipe.records.result import Instrument, Status
+from labpipe.records.result import Instrument
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.signal.turning_points import find_strokes, split_branches
 from tests.builders.plain_records import PlainRecord, up_and_down
@@ -179,15 +179,6 @@ def test_a_zero_taken_in_motion(name: str, quantity: str) -> None:
     )
 
 
-RESULTS = """\
-results:
-  - {result: peak-force}
-  - {result: peak-displacement}
-  - {result: stiffness, from: 2 mm, to: 8 mm}
-  - {result: energy}
-"""
-
-
 PROTOCOL = """\
 version: 1
 name: p
@@ -218,18 +209,6 @@ def checked(record: PlainRecord, reverse: str = "", clocks: Clocks = ONE_CLOCK) 
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     motion = Motion(signals.raw["displacement"], branches, clocks)
     return check_signs(signals, motion, parse_protocol(PROTOCOL % reverse, "p.yaml"))
-
-
-def test_compression_that_counts_as_negative() -> None:
-    found = checked(turned(up_and_down()))
-    assert set(doubted(found)) == {"force_sign", "displacement_sign"}
-    (first, second) = (finding.note for finding in found)
-    assert (first.code, second.code) == ("force_reversed", "displacement_reversed")
-    assert first.message == (
-        "the force goes to -0.994 N and the displacement goes to -10 mm while the specimen is "
-        "loaded: write 'curve.reverse: {value: [force, displacement], because: ...}' under "
-        "'overrides' in test.yaml to turn it, or [] there if the sign is meant"
-    )
 
 
 @pytest.mark.parametrize("start", [0.0, 0.8])
@@ -289,43 +268,6 @@ def test_one_line_turns_a_frame_that_counts_down() -> None:
     }
 
 
-def test_results_that_have_no_sign_stay_ok() -> None:
-    record = turned(up_and_down())
-    _, results = reduced(*record.arrays(), more=RESULTS)
-    assert results["energy.1"].status is Status.OK
-    for name in ("peak_force.1", "peak_displacement.2"):
-        assert results[name].status is Status.DOUBTFUL
-        assert "_reversed: " in results[name].why
-    assert results["stiffness"].why.startswith("force_reversed: ")
-    assert "; not_reached: " in results["stiffness"].why
-
-
-PEAKS_AND_ENERGY = (
-    "results:\n  - {result: peak-force}\n  - {result: peak-displacement}\n  - {result: energy}\n"
-)
-
-
-def doubtful(record: PlainRecord, more: str = PEAKS_AND_ENERGY) -> dict[str, str]:
-    """Reasons by name of the results that are not ok."""
-    _, results = reduced(*record.arrays(), more=more)
-    return {name: result.why for name, result in results.items() if result.status is not Status.OK}
-
-
-@pytest.mark.parametrize(("rate", "noise"), [(10.0, 5e-3), (100.0, 1e-4)])
-@pytest.mark.parametrize("is_round", [False, True])
-def test_a_record_that_was_cut(rate: float, noise: float, is_round: bool) -> None:
-    """While loading all numbers of its cycle are doubted, while unloading its work alone."""
-    record = up_and_down(rate=rate, noise=noise, is_round=is_round)
-    loading = doubtful(record.up_to(15.5))
-    assert set(loading) == {"peak_force.2", "peak_displacement.2", "energy.2"}
-    assert loading["peak_force.2"].endswith("while still loading")
-    assert loading["energy.2"] == "partial_cycle: the cycle has no unloading branch"
-    unloading = doubtful(record.up_to(19.5))
-    assert set(unloading) == {"energy.2"}
-    assert unloading["energy.2"].startswith("partial_cycle: the record ends at 19.")
-    assert not doubtful(record.up_to(22.0))
-
-
 def ended(record: PlainRecord, *codes: str, full: bool = False) -> float:
     """Where `cut_at` finds the record cut."""
     time, displacement, force = record.arrays()
@@ -353,40 +295,6 @@ def test_a_file_with_fewer_rows_than_it_promised(code: str) -> None:
     assert ended(record.up_to(6.8), full=True) == np.inf  # the rig was told that stroke
 
 
-def test_a_force_that_ends_before_the_motion() -> None:
-    record = up_and_down()
-    record.force[record.time > 15.5] = np.nan
-    assert ended(record) == pytest.approx(15.5)
-    found = doubtful(record)
-    assert found["peak_force.2"].startswith("missing_samples: ")
-    assert "partial_cycle: the record ends at 15.5" in found["peak_force.2"]
-    assert set(found) == {"peak_force.2", "energy.2"}
-
-
-def test_a_force_that_is_full_in_each_cycle() -> None:
-    record = up_and_down()
-    full = replace(record, force=np.minimum(record.force, 0.7))
-    test, results = reduced(*full.arrays())
-    assert {name for name, result in results.items() if result.status is not Status.OK} == {
-        *("peak_force.1", "peak_force.2", "energy.1", "energy.2"),
-        *("unloading_stiffness.1", "unloading_stiffness.2"),
-        *("residual_displacement.1", "residual_displacement.2"),
-    }
-    assert results["peak_force.1"].why.startswith("saturation: ")
-    (note,) = (note for note in test.findings.notes if note.code == "saturation")
-    assert "samples stand at 0.7 N to the last digit, in 2 stretches, and none" in note.message
-
-
-def test_a_frozen_force_is_doubted_then() -> None:
-    record = up_and_down()
-    held = (record.time > 13.5) & (record.time < 15.5)  # in the second loading
-    record.force[held] = record.force[held][0]
-    reasons = doubtful(record)
-    assert set(reasons) == {"peak_force.2", "energy.2"}
-    assert reasons["energy.2"].startswith("frozen_channel: stands at 0.30")
-    assert " from 13.500 to 15.500 s while the test goes on: frozen" in reasons["energy.2"]
-
-
 def test_a_full_force_touches_the_clocks_that_it_joins() -> None:
     protocol = parse_protocol(
         "version: 1\nname: p\nsources:\n"
@@ -403,60 +311,6 @@ def test_a_full_force_touches_the_clocks_that_it_joins() -> None:
     ):
         signals = Signals(raw={"force": Signal(time, 0.5 * volts, "N", "force")})
         assert set(doubted(check_channels(signals, protocol))) == seen
-
-
-def test_a_peak_that_was_passed_when_the_record_ended() -> None:
-    record = up_and_down(cycles=1).up_to(6.5)
-    assert set(doubtful(record)) == {"peak_force.1", "peak_displacement.1", "energy.1"}
-    record.force[record.time > 5.0] *= 0.5  # it gives way at 60 % of the stroke
-    assert set(doubtful(record)) == {"peak_displacement.1", "energy.1"}
-    later = up_and_down().up_to(17.0)  # the second loading came as far as the first
-    assert set(doubtful(later)) == {"energy.2"}  # it has no unloading
-
-
-def held(record: PlainRecord) -> str:
-    """What is noted of holds."""
-    test, _ = reduced(*record.arrays(), more=PEAKS_AND_ENERGY)
-    return next((note.message for note in test.findings.notes if note.code == "hold"), "")
-
-
-def with_dwells(lasts: float, noise: float = 1e-3, rate: float = 50.0) -> PlainRecord:
-    """Two cycles that stand at each turn."""
-    record = up_and_down(rate=rate, noise=noise)
-    corners = [2.0, 7.0, 12.0, 17.0, 22.0]
-    time: Floats = np.arange(0.0, 24.0 + 3.0 * lasts, 1.0 / rate)
-    moved = np.interp(
-        time,
-        [0.0, *(corner + lasts * (i - end) for i, corner in enumerate(corners) for end in (1, 0))],
-        [0.0, *(corner for corner in corners for _ in range(2))],
-    )
-    path, force = (
-        np.interp(moved, record.time, each) for each in (record.displacement, record.force)
-    )
-    return PlainRecord(time, path, force)
-
-
-@pytest.mark.parametrize(("noise", "rate"), [(0.0, 50.0), (1e-3, 10.0)])
-def test_dwells_at_the_turns_are_noted(noise: float, rate: float) -> None:
-    said = held(with_dwells(1.5, noise, rate))
-    assert said.startswith("the motion stands 3 times in the middle of the test, for 1.")
-    assert "; first at 10" in said or "; first at 9.9" in said
-    test, _ = reduced(*with_dwells(1.5, noise, rate).arrays(), more=PEAKS_AND_ENERGY)
-    assert "partial_cycle" not in str(test.findings.doubts)
-
-
-def test_a_hold_at_the_end_and_one_in_mid_branch() -> None:
-    time: Floats = np.arange(0.0, 100.0, 0.05)
-    path = 1e-3 * np.minimum(time, 10.0)
-    assert held(PlainRecord(time, path, 100.0 * path)).startswith(
-        "the motion stands once in the middle of the test, for 8"
-    )
-    path = 1e-3 * np.interp(
-        time, [0.0, 5.0, 25.0, 30.0, 35.0, 45.0], [0.0, 5.0, 5.0, 10.0, 10.0, 0.0]
-    )
-    said = held(PlainRecord(time, path, 100.0 * path))
-    assert said.startswith("the motion stands 2 times in the middle of the test, for 5 to 1")
-    assert "; first at 5 mm, from 5" in said
 
 
 DUE, AFTER = date(2026, 1, 10), date(2026, 1, 11)

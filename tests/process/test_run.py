@@ -113,37 +113,24 @@ def test_what_is_no_error_of_labpipe_has_a_code_too(
     assert re.search(said, refused.reason)
 
 
-def without_export(pull_lab: TensileLab) -> None:
-    pull_lab.export.unlink()
+CHANGES: dict[str, tuple[Callable[[TensileLab], object], str]] = {
+    "no export": (lambda lab: lab.export.unlink(), "missing_export"),
+    "no channel": (
+        lambda lab: lab.override("sources.frame.channels.force.channel", "Nothing"),
+        "missing_channel",
+    ),
+    "no protocol": (
+        lambda lab: lab.edit("test.yaml", "protocol: tensile", "protocol: none-such"),
+        "bad_sheet",
+    ),
+    "no sheet": (lambda lab: lab.sheet.unlink(), "bad_sheet"),
+    "a folder for a file": (lambda lab: lab.result.mkdir(parents=True), "cannot_store"),
+}
 
 
-def without_channel(pull_lab: TensileLab) -> None:
-    pull_lab.override("sources.frame.channels.force.channel", "Nothing")
-
-
-def without_protocol(pull_lab: TensileLab) -> None:
-    pull_lab.edit("test.yaml", "protocol: tensile", "protocol: none-such")
-
-
-def without_sheet(pull_lab: TensileLab) -> None:
-    pull_lab.sheet.unlink()
-
-
-def a_file_for_a_folder(pull_lab: TensileLab) -> None:
-    (pull_lab.processed / "result.h5").mkdir(parents=True)
-
-
-@pytest.mark.parametrize(
-    ("change", "code"),
-    [
-        (without_export, "missing_export"),
-        (without_channel, "missing_channel"),
-        (without_protocol, "bad_sheet"),
-        (without_sheet, "bad_sheet"),
-        (a_file_for_a_folder, "cannot_store"),
-    ],
-)
-def test_codes(pull_lab: TensileLab, change: Callable[[TensileLab], None], code: str) -> None:
+@pytest.mark.parametrize("name", CHANGES)
+def test_codes(pull_lab: TensileLab, name: str) -> None:
+    change, code = CHANGES[name]
     change(pull_lab)
     refused = tried(pull_lab)
     assert isinstance(refused, Refused)
@@ -183,18 +170,17 @@ def test_no_folder_to_write_in(pull_lab: TensileLab, tmp_path: Path) -> None:
     assert refused.folder == tmp_path / "file" / "P"
 
 
-def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
-    said: list[str] = []
-    made = process_test(lab.raw / "test.yaml", figures=False, say=said.append)
-    assert said == ["read", "process", "write"]
+def test_stages_are_told_and_the_result_is_what_is_stored(pull_lab: TensileLab) -> None:
+    lab, stages = pull_lab, list[str]()
+    made = process_test(lab.sheet, figures=False, say=stages.append)
+    assert stages == ["read", "process", "write"]
     assert made.folder == lab.processed
     assert (made.figures, made.n_failed) == ((), 0)
     stored = read_result(lab.result)
     assert stored.results == made.result.results
     assert stored.quality == made.result.quality
-    assert stored.test_yaml == (lab.raw / "test.yaml").read_text(encoding="utf-8")
-    assert "name: wire-cantilever" in stored.protocol_yaml
-    assert stored.specimen.dimensions == {"length": 0.085}
+    assert stored.test_yaml == lab.sheet.read_text(encoding="utf-8")
+    assert "name: tensile" in stored.protocol_yaml
 
 
 def test_failed_results_are_counted(lab: Lab) -> None:
@@ -206,17 +192,17 @@ def test_failed_results_are_counted(lab: Lab) -> None:
     assert made.result.shape is not None
 
 
-def test_folder_beside_raw(lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folder_beside_raw(
+    pull_lab: TensileLab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     elsewhere = tmp_path / "bench"
-    elsewhere.mkdir()
-    for path in lab.raw.iterdir():
-        (elsewhere / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(pull_lab.raw, elsewhere)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     made = process_test(elsewhere / "test.yaml", figures=False)
-    assert made.folder == Path("processed") / "T1"
-    made = process_test(lab.raw / "test.yaml", out=Path("x"), figures=False)
-    assert made.folder == Path("x") / "T1"
+    assert made.folder == Path("processed") / "P-1"
+    made = process_test(pull_lab.sheet, out=Path("x"), figures=False)
+    assert made.folder == Path("x") / "P-1"
 
 
 def test_errors_name_the_test(lab: Lab) -> None:
@@ -241,6 +227,7 @@ def test_a_name_that_leads_elsewhere(lab: Lab, tmp_path: Path, name: str) -> Non
     assert state(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
     import h5py
 
@@ -261,16 +248,9 @@ def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
         process_test(lab.result, figures=False)
 
 
-def test_an_export_is_no_test(tmp_path: Path) -> None:
-    export = tmp_path / "force.mat"
-    export.write_bytes(b"MATLAB")
-    with pytest.raises(
-        UsageError, match=r"found a \.mat file\. An export belongs to a test: `labpipe new` writes"
-    ):
-        find_tests([export])
-
-
-def test_results_are_found_once_and_in_order(tmp_path: Path) -> None:
+def test_results_are_found_once_and_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("T-2", "T-1", "H-1"):
         (tmp_path / "c" / name).mkdir(parents=True)
         (tmp_path / "c" / name / "result.h5").touch()
@@ -278,13 +258,39 @@ def test_results_are_found_once_and_in_order(tmp_path: Path) -> None:
     assert find_results([one]) == [one]
     names = [file.parent.name for file in find_results([tmp_path, one, tmp_path / "c"])]
     assert names == ["H-1", "T-1", "T-2"]
+    (tmp_path / "again").symlink_to(one.parent)
+    monkeypatch.chdir(tmp_path / "c")
+    assert find_results([Path("T-1"), one.parent, tmp_path / "again/result.h5"]) == [
+        Path("T-1/result.h5")
+    ]
 
 
-def test_no_results(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"expected a result.h5, or a folder with .*, found none"):
-        find_results([tmp_path])
-    with pytest.raises(UsageError, match=r"found nothing of that name\. `labpipe process` makes"):
-        find_results([tmp_path / "nowhere"])
+STOPPED = "found one that labpipe was writing when it was stopped. Process the test again."
+
+
+@pytest.mark.parametrize(
+    ("find", "name", "message"),
+    [
+        (
+            find_tests,
+            "force.mat",
+            r"found a \.mat file\. An export belongs to a test: `labpipe new` ",
+        ),
+        (find_results, "empty", r"expected a result.h5, or a folder with .*, found none"),
+        (find_results, "nowhere", r"found nothing of that name\. `labpipe process` makes"),
+        (find_results, "T-1/.labpipe.new", STOPPED),
+        (find_results, "T-1/.labpipe.new/result.h5", STOPPED),
+    ],
+)
+def test_what_is_no_test_and_no_result(
+    tmp_path: Path, find: Callable[[list[Path]], object], name: str, message: str
+) -> None:
+    (tmp_path / "force.mat").write_bytes(b"MATLAB")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "T-1" / ".labpipe.new").mkdir(parents=True)
+    (tmp_path / "T-1" / ".labpipe.new" / "result.h5").touch()
+    with pytest.raises(UsageError, match=message):
+        find([tmp_path / name])
 
 
 @pytest.mark.parametrize("hidden", [".labpipe.new", ".trash", "T-1/.labpipe.new"])
@@ -299,25 +305,6 @@ def test_what_is_hidden_is_no_input(tmp_path: Path, hidden: str) -> None:
     (tmp_path / "T-1" / ".hidden.yaml").touch()
     names = [path.name for path in files_below(tmp_path)]
     assert names == ["result.h5", "test.yaml"]
-
-
-def test_what_labpipe_was_writing_is_refused(tmp_path: Path) -> None:
-    stage = tmp_path / "T-1" / ".labpipe.new"
-    stage.mkdir(parents=True)
-    (stage / "result.h5").touch()
-    said = "found one that labpipe was writing when it was stopped. Process the test again."
-    for target in (stage, stage / "result.h5"):
-        with pytest.raises(UsageError, match=said):
-            find_results([target])
-
-
-def test_one_file_by_two_ways_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "T-1").mkdir()
-    (tmp_path / "T-1" / "result.h5").touch()
-    (tmp_path / "again").symlink_to(tmp_path / "T-1")
-    monkeypatch.chdir(tmp_path)
-    found = find_results([Path("T-1"), tmp_path / "T-1", Path("again/result.h5")])
-    assert found == [Path("T-1/result.h5")]
 
 
 def test_two_tests_that_share_a_name(tmp_path: Path) -> None:
@@ -365,29 +352,17 @@ def protocol(old: str = "", new: str = "") -> Protocol:
     return parse_protocol(SOURCES.replace(old, new), "p.yaml")
 
 
-def test_names_of_test_and_files_do_not_matter() -> None:
-    turned = tuple(replace(each, file="c.csv") for each in reversed(RESULT.inputs))
-    other = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=turned)
-    assert recording_of(RESULT, protocol()) == recording_of(other, protocol())
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("Specimen 1", "Specimen 2"),
-        ("channel: F", "channel: F2"),
-        ("wire 1", "w 2"),
-        ("Base", "B2"),
-    ],
-)
-def test_one_export_may_hold_several_specimens(old: str, new: str) -> None:
-    assert recording_of(RESULT, protocol()) != recording_of(RESULT, protocol(old, new))
-
-
-def test_other_bytes_are_another_recording() -> None:
+def test_what_makes_one_recording_of_two_results() -> None:
+    """Not the names of test and files: their bytes, and what the protocol takes of them."""
+    own = recording_of(RESULT, protocol())
     first, second = RESULT.inputs
+    renamed = tuple(replace(file, file="c.csv") for file in (second, first))
+    other = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=renamed)
+    assert recording_of(other, protocol()) == own
     changed = replace(RESULT, inputs=(first, replace(second, sha256="56")))
-    assert recording_of(RESULT, protocol()) != recording_of(changed, protocol())
+    assert recording_of(changed, protocol()) != own
+    for old, new in (("Specimen 1", "Specimen 2"), ("F}", "F2}"), ("wire 1", "w"), ("Base", "B2")):
+        assert recording_of(RESULT, protocol(old, new)) != own, new
 
 
 def test_all_but_the_first_are_copies() -> None:
