@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from labpipe.protocol.harness_file import HarnessFile
+from labpipe.protocol.load import load_harness
+from labpipe.rod.path import RodPath
+from labpipe.rod.statics import follow
+from labpipe.studies.harness_line import PreparedLine, laid
+from labpipe.studies.harness_section import Material, material_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SHEET = EXAMPLES / "wires.xlsx"
@@ -12,6 +22,7 @@ STIFFNESS = (
     "diameter: 2 mm, mass_per_length: 7 g/m}"
 )
 WIRE = "{wire: A2}"
+SLACK = (EXAMPLES / "harness-slack.yaml").read_text(encoding="utf-8")
 
 
 def arch(section: str = STIFFNESS, *, steps: int = 8, more: str = "", line: str = "") -> str:
@@ -76,3 +87,29 @@ def written(folder: Path, text: str, name: str = "line.yaml") -> Path:
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
+
+
+class Followed(NamedTuple):
+    """A harness YAML and what its line does."""
+
+    harness: HarnessFile
+    material: Material
+    ready: PreparedLine
+    path: RodPath
+
+
+@cache
+def followed(text: str) -> Followed:
+    """Follow the line of a harness YAML at the best of its inputs, once for each text.
+
+    Parameters
+    ----------
+    text : of the file
+    """
+    with TemporaryDirectory() as folder:
+        file = written(Path(folder), text)
+        harness = load_harness(file)
+        material = material_of(harness, file)
+    ready = laid(harness, material.sections[0](material.best), material.best)
+    path = follow(ready.line, ready.boundaries, steps=harness.steps)
+    return Followed(harness, material, ready, path)

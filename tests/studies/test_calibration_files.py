@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,6 @@ import pytest
 
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.protocol.load import load_calibration_plan
-from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     Calibration,
@@ -18,6 +17,7 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     ParameterChoice,
 )
+from labpipe.report.calibration_summary import ValidationGroup
 from labpipe.studies.calibration_file import read_calibrated
 from labpipe.studies.calibration_study import (
     Calibrated,
@@ -29,6 +29,7 @@ from labpipe.studies.external_curves import compare_external_curves, read_extern
 from labpipe.studies.first_loadings import FirstLoading
 from labpipe.studies.validation import compare
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from tests.approved import Approve
 from tests.builders.loading_tests import exact_curve, measured, wire_of
 from tests.builders.wire_tables import wire_table
 
@@ -62,24 +63,18 @@ def test_what_was_written_is_read(made: Calibration, file: Path) -> None:
     assert found.values() == dict(zip(PARAMETERS, made.solutions[0].values, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
+def test_another_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    with pytest.raises(ProcessingError, match="No such file"):
+        read_calibrated(path)
+    for text, message in (
         ("{", "JSONDecodeError"),
         ('{"solutions": []}', "no solution"),
         ('{"wire": "A2", "solutions": [{"rise": 0.0}]}', "mixture"),
-    ],
-)
-def test_another_file_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    path = tmp_path / "calibration.json"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ProcessingError, match=said):
-        read_calibrated(path)
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ProcessingError, match="No such file"):
-        read_calibrated(tmp_path / "calibration.json")
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ProcessingError, match=message):
+            read_calibrated(path)
 
 
 CURVES = measured("A2")
@@ -95,8 +90,13 @@ def calibration() -> Calibration:
     return found
 
 
-def loadings(*names: str) -> list[FirstLoading]:
-    return [FirstLoading(curve, 0.0, ()) for name in names for curve in measured(name)]
+LOADINGS = [FirstLoading(curve, 0.0, ()) for curve in CURVES]
+WIRES = {"A2": wire_of("A2"), "A1": wire_of("A1")}
+
+
+@cache
+def groups_of(calibration: Calibration) -> tuple[ValidationGroup, ...]:
+    return tuple(compare(calibration, WIRES, LOADINGS))
 
 
 def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> None:
@@ -106,63 +106,40 @@ def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> No
     assert friction == pytest.approx(calibration.parameter("radial_friction").value)
     assert made.insulation_modulus == calibration.parameter("insulation_modulus").value
     assert made.copper_k == spec.copper_k * calibration.parameter("copper_scale").value
-    assert (
-        replace(
-            made,
-            radial_force=spec.radial_force,
-            insulation_modulus=spec.insulation_modulus,
-            copper_k=spec.copper_k,
-        ).name
-        == spec.name
-    )
+    assert made.name == spec.name
 
 
-def test_json_is_plain_and_says_what_is_not_identified(calibration: Calibration) -> None:
-    groups = compare(calibration, {"A2": wire_of("A2")}, loadings("A2"))
-    done = Calibrated(Path("out"), calibration, groups, {"T9": "why"}, ())
-    found = json.loads(json.dumps(as_json(done), allow_nan=False))
-    assert found["wire"] == "A2"
-    assert [finding["name"] for finding in found["parameters"]] == [
-        *("radial_friction", "insulation_modulus", "copper_scale"),
-    ]
-    assert not any(found["friction_separability"]["identified"].values())
-    assert len(found["friction_separability"]["singular_values"]) == 3
-    assert found["groups"][0]["prediction"]["force"][0] == pytest.approx(0.0)
-    assert found["left_out"] == {"T9": "why"}
-
-
-def test_json_has_solutions_and_parts() -> None:
-    made = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(gain=0.005))
-    assert isinstance(made, Calibration)
-    found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
-    assert len(found["solutions"]) == 2
-    assert all(finding["in_95_percent_set"] for finding in found["solutions"])
-    assert found["widening"] == made.widening > 1.0
-    copper = found["parameters"][2]
+def test_json_is_plain_and_whole(made: Calibration, calibration: Calibration) -> None:
+    two = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
+    assert len(two["solutions"]) == 2
+    assert all(solution["in_95_percent_set"] for solution in two["solutions"])
+    assert two["widening"] == made.widening > 1.0
+    copper = two["parameters"][2]
     assert len(copper["intervals"]) == len(copper["profiles"]) == 2
     ends = copper["intervals"][0][0], copper["intervals"][1][1]
     assert (copper["lower"], copper["upper"]) == ends
+    done = Calibrated(Path("out"), calibration, groups_of(calibration), {"T9": "why"}, ())
+    one = json.loads(json.dumps(as_json(done), allow_nan=False))
+    names = [parameter["name"] for parameter in one["parameters"]]
+    assert names == ["radial_friction", "insulation_modulus", "copper_scale"]
+    assert not any(one["friction_separability"]["identified"].values())
+    assert len(one["friction_separability"]["singular_values"]) == 3
+    assert one["groups"][0]["prediction"]["force"][0] == pytest.approx(0.0)
+    assert (one["wire"], one["left_out"]) == ("A2", {"T9": "why"})
 
 
+@pytest.mark.slow
 def test_json_names_priors_and_what_was_held() -> None:
     prior = ParameterChoice(1e9, factor=4.0, source="data sheet")
     held = ParameterChoice(0.0465, is_fixed=True, source="a calibration of A2")
     choices = {"insulation_modulus": prior, "radial_friction": held}
     made = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(choices, gain=0.005))
     assert isinstance(made, Calibration)
-    found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
-    friction, modulus, _ = found["parameters"]
+    content = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
+    friction, modulus, _ = content["parameters"]
     assert (friction["source"], friction["intervals"]) == ("a calibration of A2", [])
-    said = modulus["prior"]
-    assert said["value"] == pytest.approx(1e9)
-    assert (said["factor"], said["source"]) == (4.0, "data sheet")
-
-
-WIRES = {"A2": wire_of("A2"), "A1": wire_of("A1")}
-
-
-def specs() -> Mapping[str, WireSpec]:
-    return {"A2": wire_table("A2").spec}
+    assert modulus["prior"]["value"] == pytest.approx(1e9)
+    assert (modulus["prior"]["factor"], modulus["prior"]["source"]) == (4.0, "data sheet")
 
 
 def third(
@@ -179,92 +156,73 @@ def third(
 
 
 def held(calibration: Calibration, curve: ExternalCurve) -> ExternalCurveComparison:
-    loadings = [FirstLoading(curve, 0.0, ()) for curve in CURVES]
-    groups = compare(calibration, WIRES, loadings)
-    (found,) = compare_external_curves([curve], calibration, WIRES, groups, loadings)
-    return found
+    groups = groups_of(calibration)
+    (compared,) = compare_external_curves([curve], calibration, WIRES, groups, LOADINGS)
+    return compared
 
 
 def test_held_against_tests_and_model(calibration: Calibration) -> None:
-    found = held(calibration, third())
-    assert found.tests is not None
-    for test in (found.tests, found.model):
+    compared = held(calibration, third())
+    assert compared.tests is not None
+    for test in (compared.tests, compared.model):
         assert test.errors is not None
         assert test.errors.n == 16
         assert test.errors.rmse_share < 0.03  # scatter of three samples of 3 %
-    assert found.model.errors is not None
-    assert found.model.errors.inside == 1.0
-    assert found.prediction is not None
-    assert found.prediction.deflection[-1] == pytest.approx(0.05, abs=1e-3)  # as far as the tests
-    assert not found.notes
+    assert compared.model.errors is not None
+    assert compared.model.errors.inside == 1.0
+    assert compared.prediction is not None
+    assert compared.prediction.deflection[-1] == pytest.approx(0.05, abs=1e-3)  # as far as tests
+    assert not compared.notes
+    content = json.loads(json.dumps(comparison_json(compared), allow_nan=False))
+    assert (content["name"], content["load"], content["source"]) == ("fe", "as tested", "synthetic")
+    assert len(content["deflection"]) == len(content["tests"]["force"]) == 16
+    assert (content["model"]["n"], content["model"]["left_out"]) == (16, 0)
+    assert comparison_json(replace(compared, tests=None))["tests"] is None
 
 
 def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calibration) -> None:
     normal = held(calibration, third(is_normal=True))
     pulled = held(calibration, replace(third(is_normal=True), is_normal=False))
     assert normal.tests is not None
-    assert normal.model.errors is not None
-    assert pulled.model.errors is not None
+    assert not pulled.notes
     (note,) = normal.notes
     assert note.code == "external_curve_load"
-    assert not pulled.notes
     assert "normal to the axis, the tests' does not: at 45 mm the model's force is" in note.message
     exact = (exact_curve("A2", 0.085)(0.045), exact_curve("A2", 0.085, has_string=False)(0.045))
     ratio = normal.model.reference[-1] / pulled.model.reference[-1]
     assert ratio == pytest.approx(exact[1] / exact[0], abs=1e-3)
     assert ratio < 0.985
-
-
-def test_tests_without_a_string_are_loaded_alike(calibration: Calibration) -> None:
-    loadings = [FirstLoading(replace(curve, rig=None), 0.0, ()) for curve in CURVES]
-    groups = compare(calibration, WIRES, loadings)
-    curve = third(is_normal=True)
-    (found,) = compare_external_curves([curve], calibration, WIRES, groups, loadings)
-    assert not found.notes
+    alike = [FirstLoading(replace(curve, rig=None), 0.0, ()) for curve in CURVES]
+    groups, curve = compare(calibration, WIRES, alike), third(is_normal=True)
+    (compared,) = compare_external_curves([curve], calibration, WIRES, groups, alike)
+    assert not compared.notes, "tests without a string are loaded so"
 
 
 @pytest.mark.parametrize(("wire", "length"), [("A1", 0.085), ("A2", 0.12)])
 def test_without_tests_the_model_alone(calibration: Calibration, wire: str, length: float) -> None:
-    found = held(calibration, third(wire, length))
-    assert found.tests is None
-    assert found.model.errors is not None
-    assert found.model.errors.rmse_share < 0.03
-    (note,) = found.notes
+    alone = held(calibration, third(wire, length))
+    assert alone.tests is None
+    assert alone.model.errors is not None
+    assert alone.model.errors.rmse_share < 0.03
+    (note,) = alone.notes
     assert note.code == "external_curve_untested"
-    said = f"no test of {wire} at {1e3 * length:.4g} mm: compared with the model alone"
-    assert note.message == said
+    assert note.message.startswith(f"no test of {wire} at {1e3 * length:.4g} mm: compared with the")
 
 
 def test_what_lies_beyond_is_left_out_and_told(calibration: Calibration) -> None:
-    found = held(calibration, third(deepest=0.08))
-    assert found.tests is not None
-    assert (found.tests.left_out, found.model.left_out) == (6, 5)
-    assert [note.code for note in found.notes] == ["external_curve_cut", "external_curve_cut"]
-    tests, model = (note.message for note in found.notes)
+    """Units mistaken leave nothing to compare."""
+    far = held(calibration, third(deepest=0.08))
+    assert far.tests is not None
+    assert (far.tests.left_out, far.model.left_out) == (6, 5)
+    assert [note.code for note in far.notes] == ["external_curve_cut", "external_curve_cut"]
+    tests, model = (note.message for note in far.notes)
     assert tests.startswith("6 of 16 points left out, outside of 0.")
     assert tests.endswith(" mm, the range of the tests")
     assert model == "5 of 16 points left out, outside of 0 to 55.25 mm, the range of the model"
-
-
-def test_units_mistaken_leave_nothing_to_compare(calibration: Calibration) -> None:
-    wrong = replace(third(), deflection=1e3 * third().deflection + 1.0)
-    found = held(calibration, wrong)
-    assert found.model.errors is None
-    assert {note.code for note in found.notes} == {"external_curve_not_compared"}
-    assert "0 of 16 points, from 2000 to 4.6e+04 mm, lie within" in found.notes[0].message
-
-
-@pytest.mark.slow
-def test_as_plain_numbers(calibration: Calibration) -> None:
-    found = json.loads(json.dumps(comparison_json(held(calibration, third())), allow_nan=False))
-    assert (found["name"], found["load"], found["source"]) == ("fe", "as tested", "synthetic")
-    assert len(found["deflection"]) == len(found["tests"]["force"]) == 16
-    assert found["model"]["n"] == 16
-    assert found["model"]["left_out"] == 0
-    alone = comparison_json(held(calibration, third("A1")))
-    assert alone["tests"] is None
-    lost = replace(held(calibration, third()), tests=None)
-    assert comparison_json(lost)["tests"] is None
+    wrong = held(calibration, replace(third(), deflection=1e3 * third().deflection + 1.0))
+    assert wrong.model.errors is None
+    assert {note.code for note in wrong.notes} == {"external_curve_not_compared"}
+    assert "0 of 16 points, from 2000 to 4.6e+04 mm, lie within" in wrong.notes[0].message
 
 
 PLAN = (
@@ -280,7 +238,8 @@ def plan_of(folder: Path, text: str = PLAN) -> Path:
 
 
 def read(plan: Path) -> tuple[ExternalCurve, ...]:
-    return read_external_curves(load_calibration_plan(plan), plan, specs(), Path("wires.xlsx"))
+    specs = {"A2": wire_table("A2").spec}
+    return read_external_curves(load_calibration_plan(plan), plan, specs, Path("wires.xlsx"))
 
 
 def test_curves_are_read_beside_the_plan(tmp_path: Path) -> None:
@@ -293,26 +252,15 @@ def test_curves_are_read_beside_the_plan(tmp_path: Path) -> None:
     assert found.force.tolist() == [0.0, 0.02, 0.04]
 
 
-def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
+def test_all_that_is_wrong_is_told_at_once(tmp_path: Path, approved: Approve) -> None:
+    """A curve is missing, in two places, and a wire; then a link leads out of the folder."""
     plan = plan_of(tmp_path, PLAN + PLAN.splitlines()[2].replace("fe,", "b,").replace("A2", "A22"))
-    with pytest.raises(UsageError) as caught:
-        read(plan)
-    missing, unknown, again = str(caught.value).splitlines()
-    assert missing == again
-    file = tmp_path / "fe.csv"
-    assert missing == (
-        f"{file}: expected a file, found none of that name. Check the name and the folder."
-    )
-    assert unknown == (
-        f"{plan}, comparison 'b', wire: expected a wire of wires.xlsx (A2), found 'A22'. Name the "
-        "wire that the curve is of, or add it to the sheet."
-    )
-
-
-def test_a_link_out_of_the_folder(tmp_path: Path) -> None:
     inner = tmp_path / "plan"
     inner.mkdir()
+    with pytest.raises(UsageError) as wrong:
+        read(plan)
     (tmp_path / "fe.csv").write_text("1,2\n", encoding="utf-8")
     (inner / "fe.csv").symlink_to(tmp_path / "fe.csv")
-    with pytest.raises(UsageError, match="expected a file inside the folder of the plan, found a"):
+    with pytest.raises(UsageError) as outside:
         read(plan_of(inner))
+    approved([wrong.value, outside.value])

@@ -22,12 +22,9 @@ from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Section
-from labpipe.rod.path import RodPath
 from labpipe.rod.rotations import matrices
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_line import PreparedLine, laid
-from labpipe.studies.harness_numbers import numbers_of
-from labpipe.studies.harness_responses import ON_THE_WAY, RADIUS, fields_of, measured, names_of
 from labpipe.studies.harness_section import Material, material_of
 from labpipe.studies.residual_curvature import (
     curvature_after_release,
@@ -38,8 +35,8 @@ from labpipe.studies.residual_curvature import (
 )
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.wire_table import wire_table
-from tests.builders.harness_files import EXAMPLES, SHEET, STIFFNESS, arch, pushed, written
-from tests.studies.test_harness_results import followed
+from tests.approved import Approve
+from tests.builders.harness_files import SHEET, SLACK, STIFFNESS, arch, followed, pushed, written
 
 SECTION = Section(linear_moment_law(1e-4, 100.0), 1e-4, mass_per_length=0.01, diameter=2e-3)
 
@@ -52,8 +49,8 @@ def ready(tmp_path: Path, text: str, **inputs: float) -> PreparedLine:
     return laid(harness(tmp_path, text), SECTION, inputs)
 
 
-def held(found: PreparedLine, name: str) -> rod.Held:
-    (one,) = (boundary for boundary in found.boundaries if boundary.name == name)
+def held(line: PreparedLine, name: str) -> rod.Held:
+    (one,) = (boundary for boundary in line.boundaries if boundary.name == name)
     assert isinstance(one, rod.Held)
     return one
 
@@ -71,87 +68,63 @@ def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
 
 
 def test_every_named_place_is_a_node(tmp_path: Path) -> None:
-    text = arch(more="").replace(
-        "steps:",
-        "  - {kind: load, name: weight, at: 77 mm, force: [0 N, 0 N, -1 N], by: 4}\nsteps:",
-    )
-    found = ready(tmp_path, text)
-    node = found.nodes["weight"]
-    assert found.line.stations[node] == pytest.approx(0.077, abs=1e-12)
-    assert found.line.stations[-1] == pytest.approx(0.2, abs=1e-12)
-    lengths = found.line.lengths
-    assert lengths[:node] == pytest.approx(np.full(node, 0.077 / node))
-    assert lengths.max() < 1.3 * lengths.min()
-    (load,) = (boundary for boundary in found.boundaries if isinstance(boundary, rod.Load))
-    assert load.force[:, 2] == pytest.approx([0, -0.25, -0.5, -0.75, -1, -1, -1, -1, -1])
+    load = "  - {kind: load, name: weight, at: 77 mm, force: [0 N, 0 N, -1 N], by: 4}\nsteps:"
+    prepared = ready(tmp_path, arch().replace("steps:", load))
+    node, line = prepared.nodes["weight"], prepared.line
+    assert line.stations[node] == pytest.approx(0.077, abs=1e-12)
+    assert line.stations[-1] == pytest.approx(0.2, abs=1e-12)
+    assert line.lengths[:node] == pytest.approx(np.full(node, 0.077 / node))
+    assert line.lengths.max() < 1.3 * line.lengths.min()
+    (force,) = (edge.force for edge in prepared.boundaries if isinstance(edge, rod.Load))
+    assert force[:, 2] == pytest.approx([0, -0.25, -0.5, -0.75, -1, -1, -1, -1, -1])
 
 
 def test_a_grip_turns_and_twists_as_its_path_says(tmp_path: Path) -> None:
     """Direction from x to z over two steps, then 540 degrees about itself over four more."""
+    free = ready(tmp_path, pushed())
+    assert held(free, "gripper").frame is None, "by its position it may turn"
+    assert held(free, "gripper").position[5] == pytest.approx([0.0695, 0.0, 0.0275])
     text = pushed().replace("    holds: position\n", "")
-    text = text.replace(
-        text[text.index("path: [") : text.index("]}]") + 3],
-        "path: [{step: 2, direction: [0, 0, 1]}, {step: 6, turn: 540 deg}]",
-    )
-    found = ready(tmp_path, text)
-    frame = held(found, "gripper").frame
-    assert frame is not None
-    axes = matrices(frame)
+    way = text[text.index("path: [") : text.index("]}]") + 3]
+    turns = "path: [{step: 2, direction: [0, 0, 1]}, {step: 6, turn: 540 deg}]"
+    grip = held(ready(tmp_path, text.replace(way, turns)), "gripper")
+    assert grip.release == 9
+    assert grip.frame is not None
+    axes = matrices(grip.frame)
     root = np.sqrt(0.5)
     directions = [[1, 0, 0], [root, 0, root], *[[0, 0, 1]] * 9]
     assert axes[:, :, 2] == pytest.approx(np.array(directions), abs=1e-12)
-    turned = np.einsum("sk,sk->s", axes[2:7, :, 0], np.tile(axes[2, :, 0], (5, 1)))
+    turned = axes[2:7, :, 0] @ axes[2, :, 0]
     assert turned == pytest.approx(np.cos(np.deg2rad([0, 135, 270, 405, 540])), abs=1e-12)
-    assert held(found, "gripper").release == 9
-
-
-def test_a_pin_and_a_grip_by_position_may_turn(tmp_path: Path) -> None:
-    found = ready(tmp_path, pushed())
-    assert held(found, "gripper").frame is None
-    assert held(found, "gripper").position[5] == pytest.approx([0.0695, 0.0, 0.0275])
 
 
 def test_weight_grows_only_where_the_line_begins_taut(tmp_path: Path) -> None:
-    (weight,) = (
-        boundary
-        for boundary in ready(tmp_path, arch(steps=10)).boundaries
-        if isinstance(boundary, rod.Gravity)
-    )
-    assert weight.vector[:, 2] / -9.80665 == pytest.approx([0, 0.5, *[1] * 9])
-    alone = pushed().partition("  - kind: grip")[0] + "steps: 10\n"
-    (weight,) = (
-        boundary
-        for boundary in ready(tmp_path, alone).boundaries
-        if isinstance(boundary, rod.Gravity)
-    )
-    assert weight.vector.tolist() == [[0.0, 0.0, -9.80665]]
-    none = arch(more="gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")
-    assert not any(
-        isinstance(boundary, rod.Gravity) for boundary in ready(tmp_path, none).boundaries
-    )
+    def weights(text: str) -> list[Floats]:
+        boundaries = ready(tmp_path, text).boundaries
+        return [edge.vector for edge in boundaries if isinstance(edge, rod.Gravity)]
+
+    (taut,) = weights(arch(steps=10))
+    assert taut[:, 2] / -9.80665 == pytest.approx([0, 0.5, *[1] * 9])
+    (alone,) = weights(pushed().partition("  - kind: grip")[0] + "steps: 10\n")
+    assert alone.tolist() == [[0.0, 0.0, -9.80665]]
+    assert weights(arch(more="gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")) == []
 
 
 def test_a_spool_leaves_an_arc_that_is_at_rest(tmp_path: Path) -> None:
     curl = "  spool: {curvature: 5 1/m, towards: [0, 1, -1]}\n"
-    found = ready(tmp_path, arch(line=curl))
+    line = ready(tmp_path, arch(line=curl)).line
     angle = 5.0 * 0.2
     chord = np.sin(angle) / 5.0, (1.0 - np.cos(angle)) / 5.0
     end = np.array([chord[0], chord[1] * np.sqrt(0.5), -chord[1] * np.sqrt(0.5)])
-    assert found.line.positions[-1] == pytest.approx(end, rel=1e-3)
-    assert np.linalg.norm(found.line.natural[:, :2], axis=1) == pytest.approx(
-        np.full(15, 5.0), rel=1e-9
+    assert line.positions[-1] == pytest.approx(end, rel=1e-3)
+    assert np.linalg.norm(line.natural[:, :2], axis=1) == pytest.approx(np.full(15, 5.0))
+    assert line.natural[:, 2] == pytest.approx(np.zeros(15), abs=1e-9)
+    more = ready(tmp_path, arch(line=curl), free_curvature_1=1.0).line
+    assert np.linalg.norm(more.natural[:, :2], axis=1) == pytest.approx(np.full(15, 6.0)), (
+        "the first free curvature is to the side of the spool"
     )
-    assert found.line.natural[:, 2] == pytest.approx(np.zeros(15), abs=1e-9)
-    more = ready(tmp_path, arch(line=curl), free_curvature_1=1.0)
-    assert np.linalg.norm(more.line.natural[:, :2], axis=1) == pytest.approx(
-        np.full(15, 6.0), rel=1e-9
-    ), "the first free curvature is to the side of the spool"
-
-
-def test_a_spool_beside_the_line(tmp_path: Path) -> None:
-    curl = "  spool: {curvature: 5 1/m, towards: [2, 0, 0]}\n"
     with pytest.raises(ValueError, match="allowed is a side of the line, not its direction"):
-        ready(tmp_path, arch(line=curl))
+        ready(tmp_path, arch(line=curl.replace("[0, 1, -1]", "[2, 0, 0]")))
 
 
 def test_inputs_change_length_and_rest(tmp_path: Path) -> None:
@@ -162,28 +135,30 @@ def test_inputs_change_length_and_rest(tmp_path: Path) -> None:
     assert other.line.length == pytest.approx(0.25)
 
 
-def test_rings_and_strings_come_from_the_line(tmp_path: Path) -> None:
+def test_rings_strings_and_planes(tmp_path: Path) -> None:
     """At the start the line lies straight, from the origin along x, and nothing may pull it."""
-    text = arch().replace(
-        "steps:",
+    more = (
+        "  - {kind: pin, name: stud, at: 100 mm, position: [95 mm, 0 mm, 10 mm]}\n"
         "  - {kind: ring, name: guide, position: [52 mm, 9 mm, 0 m], direction: [1, 0, 0], by: 4}\n"
         "  - {kind: ring, name: eye, position: [60 mm, 0 mm, 0 mm], direction: [1, 0, 0]}\n"
         "  - {kind: string, name: tie, at: 50 mm, anchor: [50 mm, 0 mm, 60 mm], length: 3 cm}\n"
         "  - {kind: string, name: long, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], length: 95 mm}\n"
-        "steps:",
+        "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:"
     )
-    found = {boundary.name: boundary for boundary in ready(tmp_path, text).boundaries}
-    guide, eye, short, long = (found[name] for name in ("guide", "eye", "tie", "long"))
+    boundaries = ready(tmp_path, arch().replace("steps:", more)).boundaries
+    *_, guide, eye, tie, long, table, weight = boundaries
     assert isinstance(guide, rod.Ring)
     assert isinstance(eye, rod.Ring)
-    assert isinstance(short, rod.String)
+    assert isinstance(tie, rod.String)
     assert isinstance(long, rod.String)
-    assert guide.position[[0, 2, 4, -1]] == pytest.approx(
-        np.array([[0.052, 0.0, 0.0], [0.052, 0.0045, 0.0], [0.052, 0.009, 0.0], [0.052, 0.009, 0]])
-    )
+    assert isinstance(table, rod.Plane)
+    assert isinstance(weight, rod.Gravity)
+    sideways = [[0.052, 0.0, 0.0], [0.052, 0.0045, 0.0], [0.052, 0.009, 0.0], [0.052, 0.009, 0]]
+    assert guide.position[[0, 2, 4, -1]] == pytest.approx(np.array(sideways))
     assert eye.position.tolist() == [[0.06, 0.0, 0.0]]
-    assert short.anchor[[0, -1]] == pytest.approx(np.array([[0.05, 0, 0.03], [0.05, 0, 0.06]]))
+    assert tie.anchor[[0, -1]] == pytest.approx(np.array([[0.05, 0, 0.03], [0.05, 0, 0.06]]))
     assert long.anchor.tolist() == [[0.05, 0.0, 0.09]]
+    assert table.friction == 0.3
 
 
 @pytest.mark.slow
@@ -201,134 +176,79 @@ def test_a_line_comes_to_a_ring_between_its_clips(tmp_path: Path) -> None:
     assert max(np.max(np.abs(state.reaction_forces)) for state in path.states) < 2.0
 
 
-def test_all_kinds_of_boundaries(tmp_path: Path) -> None:
-    text = arch().replace(
-        "steps:",
-        "  - {kind: pin, name: stud, at: 100 mm, position: [95 mm, 0 mm, -10 mm]}\n"
-        "  - {kind: ring, name: guide, position: [50 mm, 0 mm, 0 mm], direction: [0, 0, 2]}\n"
-        "  - {kind: string, name: thread, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], length: 95 mm}\n"
-        "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:",
-    )
-    kinds = [type(boundary).__name__ for boundary in ready(tmp_path, text).boundaries]
-    assert kinds == ["Held", "Held", "Held", "Ring", "String", "Plane", "Gravity"]
-
-
 def material(folder: Path, section: str, *, wires: Path | None = None, line: str = "") -> Material:
     file = written(folder, arch(section, line=line))
     return material_of(load_harness(file), file, wires)
 
 
 def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
-    found = material(tmp_path, "{wire: A2}")
+    """The sheet of the file, or another in its place; and a deck of the wire."""
+    wire = material(tmp_path, "{wire: A2}")
     table = wire_table(next(spec for spec in read_wire_sheet(SHEET) if spec.name == "A2"))
-    section = found.sections[0]({})
+    section = wire.sections[0]({})
     moments = slider_moment(section.law, table.curvature[1:])
     assert moments == pytest.approx(table.moment[1:], rel=0.01)
     assert section.mass_per_length == pytest.approx(table.mass_per_length)
     assert section.torsional_stiffness == pytest.approx(table.torsional_stiffness)
-    assert found.diameter == pytest.approx(1.6e-3)
-    assert found.limit == pytest.approx(table.doubtful_curvature)
-    assert found.limit_words == "the straight line of its insulation"
-    assert (found.beliefs, found.best) == ((), {})
-    assert [file.role for file in found.files] == ["wires"]
-
-
-def test_a_deck_has_the_same_law(tmp_path: Path) -> None:
-    spec = next(spec for spec in read_wire_sheet(SHEET) if spec.name == "A2")
-    (tmp_path / "A2.sliders.json").write_text(sliders_json(wire_table(spec)), encoding="utf-8")
-    found = material(tmp_path, "{sliders: A2.sliders.json, diameter: 1.6 mm}")
-    wire = material(tmp_path, "{wire: A2}")
-    own, other = found.sections[0]({}), wire.sections[0]({})
-    assert own.law.stiffnesses == pytest.approx(other.law.stiffnesses, rel=1e-6)
-    assert own.mass_per_length == pytest.approx(other.mass_per_length)
-    assert found.name == "A2"
-    assert found.limit == pytest.approx(wire.limit)
-    assert found.limit_words == wire.limit_words
-    stiffer = found.sections[0]({"law_factor": np.log(2.0), "mass_factor": np.log(3.0)})
-    assert stiffer.law.stiffnesses == pytest.approx(2.0 * own.law.stiffnesses)
-    assert stiffer.law.stiffness == pytest.approx(2.0 * own.law.stiffness)
-    assert stiffer.mass_per_length == pytest.approx(3.0 * own.mass_per_length)
-    assert stiffer.torsional_stiffness == own.torsional_stiffness
-
-
-def test_two_stiffnesses(tmp_path: Path) -> None:
-    found = material(tmp_path, STIFFNESS)
-    section = found.sections[0]({})
-    assert section.law.stiffness == pytest.approx(150e-6)
-    assert np.isinf(section.axial_stiffness)
-    assert (found.limit, found.limit_words) == (80.0, "'largest_curvature' of the file")
-
-
-def test_what_the_file_states_is_believed(tmp_path: Path) -> None:
-    curl = "  spool: {curvature: 2 1/m, spread: 0.4 1/m}\n"
-    section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
-    (belief,) = material(tmp_path, section, line=curl).beliefs
-    assert belief.names == ("law_factor", "free_curvature_1", "free_curvature_2")
-    assert np.diag(belief.steps) == pytest.approx([0.1, 0.4, 0.4])
-    assert dict.fromkeys(belief.causes) == {"stiffness as stated": None, "curl of the spool": None}
-    assert belief.inputs() == dict.fromkeys(belief.names, 0.0)
-
-
-def test_another_sheet_in_its_place(tmp_path: Path) -> None:
+    assert wire.diameter == pytest.approx(1.6e-3)
+    assert wire.limit == pytest.approx(table.doubtful_curvature)
+    assert wire.limit_words == "the straight line of its insulation"
+    assert (wire.beliefs, wire.best) == ((), {})
+    assert [file.role for file in wire.files] == ["wires"]
     other = tmp_path / "other.csv"
     other.write_text(
         "wire,wire_diameter_mm,strands,strand_diameter_mm,insulation_thickness_mm,lay_angles_deg\n"
         "X,1.6,7,0.32,0.3,12\n"
     )
     assert material(tmp_path, "{wire: X}", wires=other).name == "X"
+    (tmp_path / "A2.sliders.json").write_text(sliders_json(table), encoding="utf-8")
+    deck = material(tmp_path, "{sliders: A2.sliders.json, diameter: 1.6 mm}")
+    own = deck.sections[0]({})
+    assert own.law.stiffnesses == pytest.approx(section.law.stiffnesses, rel=1e-6)
+    assert own.mass_per_length == pytest.approx(section.mass_per_length)
+    assert (deck.name, deck.limit_words) == ("A2", wire.limit_words)
+    assert deck.limit == pytest.approx(wire.limit)
+    stiffer = deck.sections[0]({"law_factor": np.log(2.0), "mass_factor": np.log(3.0)})
+    assert stiffer.law.stiffnesses == pytest.approx(2.0 * own.law.stiffnesses)
+    assert stiffer.law.stiffness == pytest.approx(2.0 * own.law.stiffness)
+    assert stiffer.mass_per_length == pytest.approx(3.0 * own.mass_per_length)
+    assert stiffer.torsional_stiffness == own.torsional_stiffness
 
 
-@pytest.mark.parametrize(
-    ("section", "message"),
-    [
-        ("{wire: A22}", "line.section.wire: expected a wire of"),
-        ("{wire: A22}", "such as A2, "),
-        ("{wire: A2, calibration: wires.xlsx}", "expected a calibration.json with solutions"),
-        (
-            "{sliders: wires.xlsx, diameter: 2 mm}",
-            "expected a deck that labpipe wrote, found a dam",
-        ),
-        ("{sliders: list.json, diameter: 2 mm}", "expected a deck that labpipe wrote, found somet"),
-        ("{sliders: none.json, diameter: 2 mm}", "found why there is none: it stiffens."),
-        (
-            "{sliders: open.json, diameter: 2 mm}",
-            "open.json: expected the law of a wire with its range, found none under 'range'. "
-            "`labpipe model` writes <wire>.sliders.json.",
-        ),
-        ("{sliders: low.json, diameter: 2 mm}", "found this: stiffnesses=[-1.0]: allowed are"),
-    ],
-)
-def test_a_file_without_a_law(tmp_path: Path, section: str, message: str) -> None:
+def test_what_the_file_states_is_believed(tmp_path: Path) -> None:
+    curl = "  spool: {curvature: 2 1/m, spread: 0.4 1/m}\n"
+    section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
+    stated = material(tmp_path, section, line=curl)
+    assert stated.sections[0]({}).law.stiffness == pytest.approx(150e-6)
+    assert np.isinf(stated.sections[0]({}).axial_stiffness)
+    assert (stated.limit, stated.limit_words) == (80.0, "'largest_curvature' of the file")
+    (belief,) = stated.beliefs
+    assert belief.names == ("law_factor", "free_curvature_1", "free_curvature_2")
+    assert np.diag(belief.steps) == pytest.approx([0.1, 0.4, 0.4])
+    assert dict.fromkeys(belief.causes) == {"stiffness as stated": None, "curl of the spool": None}
+    assert belief.inputs() == dict.fromkeys(belief.names, 0.0)
+
+
+def test_files_without_a_law(tmp_path: Path, approved: Approve) -> None:
     deck = {"stiffness": 1e-4, "stiffnesses": [-1.0], "slip_curvatures": [1.0]}
     ranged = deck | {"range": {"curvature": [0.1, 9.0]}, "torsional_stiffness": 1e-4}
-    for name, said in {
-        "list": [],
-        "none": {"reason": "it stiffens"},
-        "open": deck,
-        "low": ranged,
-    }.items():
-        (tmp_path / f"{name}.json").write_text(json.dumps(said), encoding="utf-8")
-    with pytest.raises(LabpipeError) as raised:
-        material(tmp_path, section)
-    assert message in str(raised.value)
-
-
-def test_numbers_are_those_of_the_line(tmp_path: Path) -> None:
-    _, ready, path = followed(tmp_path, pushed())
-    fields = fields_of(path, ready)
-    numbers = {number.name: number.value for number in numbers_of(path, ready)}
-    assert set(names_of(fields)) == set(numbers)
-    for name, value in numbers.items():
-        found = float(measured(name, fields.__getitem__, ready, len(path.states) - 1))
-        assert (1.0 / found if name in (RADIUS, ON_THE_WAY) else found) == pytest.approx(value)
+    none = {"reason": "it stiffens"}
+    for name, content in {"list": [], "none": none, "open": deck, "low": ranged}.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+    (tmp_path / "damaged.json").write_bytes(b"\xff")
+    sections = ["{wire: A22}", "{wire: A2, calibration: damaged.json}"]
+    for name in ("damaged.json", "list.json", "none.json", "open.json", "low.json"):
+        sections.append(f"{{sliders: {name}, diameter: 2 mm}}")
+    messages = []
+    for section in sections:
+        with pytest.raises(LabpipeError) as raised:
+            material(tmp_path, section)
+        messages.append(str(raised.value))
+    approved(messages)
 
 
 ONE = SliderLaw(2.0, np.array([6.0]), np.array([1.0]), 0.0, 10.0)
-
-
 """A spring of 2 and a slider of 6 that slides at 1."""
-
-
 SOME = SliderLaw(0.5, np.array([9.0, 3.0, 1.0]), np.array([0.5, 2.0, 5.0]), 0.0, 20.0)
 
 
@@ -340,18 +260,19 @@ def bent(law: SliderLaw, way: list[tuple[float, float]]) -> Floats:
     return rests
 
 
-@pytest.mark.parametrize(
-    ("to", "kept"),
-    [
-        (0.9, 0.0),  # nothing slid
-        (1.5, 1.5 - (2.0 * 1.5 + 6.0) / 8.0),  # 0.375: back without sliding
-        (2.5, 2.5 - (2.0 * 2.5 + 6.0) / 8.0),  # 1.125: back by 1.375
-        (5.0, 3.0),  # back by 2, then it slides the other way until 2 k = 6
-    ],
-)
-def test_one_slider(to: float, kept: float) -> None:
-    found = curvature_after_release(ONE, bent(ONE, [(to, 0.0)]))
-    assert found[0] == pytest.approx([kept, 0.0], abs=1e-8)
+def test_one_slider() -> None:
+    """It slides back by twice what it slid at, or as far as the spring pulls it."""
+    for law, to, kept in (
+        (ONE, 0.9, 0.0),  # nothing slid
+        (ONE, 1.5, 1.5 - (2.0 * 1.5 + 6.0) / 8.0),  # 0.375: back without sliding
+        (ONE, 2.5, 2.5 - (2.0 * 2.5 + 6.0) / 8.0),  # 1.125: back by 1.375
+        (ONE, 5.0, 3.0),  # back by 2, then it slides the other way until 2 k = 6
+        (replace(ONE, stiffness=0.0), 3.0, 2.0),  # without a spring back by 1
+    ):
+        released = curvature_after_release(law, bent(law, [(to, 0.0)]))[0]
+        assert released == pytest.approx([kept, 0.0], abs=1e-8)
+    spring = SliderLaw(1.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
+    assert not curvature_after_release(spring, np.zeros((4, 0, 2))).any()
 
 
 def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
@@ -369,51 +290,27 @@ def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
     assert curvature_after_release(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
 
 
-def test_without_a_spring_it_is_found_too() -> None:
-    """A slider of 6 that slides at 1 alone: back by 1."""
-    law = replace(ONE, stiffness=0.0)
-    assert curvature_after_release(law, bent(law, [(3.0, 0.0)]))[0] == pytest.approx(
-        [2.0, 0.0], abs=1e-8
-    )
-
-
 def test_many_stations_of_a_real_law_are_let_go() -> None:
-    file = EXAMPLES / "harness-slack.yaml"
-    law = material_of(load_harness(file), file).sections[0]({}).law
+    law = followed(SLACK).ready.line.section.law
     rng = np.random.default_rng(5)
-    rests, now = unbent_rests(law, 300, is_vector=True), np.zeros((300, 2))
+    rests, now = unbent_rests(law, 100, is_vector=True), np.zeros((100, 2))
     for _ in range(6):
         now = now + rng.normal(scale=10.0, size=now.shape)
         rests = slide_vector(law, now, rests).rests
-    found = curvature_after_release(law, rests)
-    left = slide_vector(law, found, rests).moment
+    left = slide_vector(law, curvature_after_release(law, rests), rests).moment
     assert np.abs(left).max() < 1e-8 * law.stiffnesses @ law.slip_curvatures
 
 
-def test_a_law_without_sliders_keeps_nothing() -> None:
-    spring = SliderLaw(1.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
-    assert not curvature_after_release(spring, np.zeros((4, 0, 2))).any()
+def test_a_laid_line_keeps_what_its_own_law_says() -> None:
+    """The example of slack, bent more sharply on the way than when laid.
 
-
-@pytest.fixture(scope="module")
-def example() -> tuple[RodPath, SliderLaw, float]:
-    """The line of the example of slack, which is bent more sharply on the way than when laid."""
-    file = EXAMPLES / "harness-slack.yaml"
-    harness = load_harness(file)
-    material = material_of(harness, file)
-    ready = laid(harness, material.sections[0]({}), {})
-    path = follow(ready.line, ready.boundaries, steps=harness.steps)
+    A tenth of its bend by the rule, nearly all of it if nothing slid back.
+    """
+    _, _, ready, path = followed(SLACK)
+    law = ready.line.section.law
     reason = unloading_reason(path, ready.line)
     assert reason is not None
     assert "85 mm from the start it keeps 1.49 1/m by the rule" in reason.message
-    return path, ready.line.section.law, float(ready.line.stations[-1])
-
-
-def test_a_laid_line_keeps_what_its_own_law_says(
-    example: tuple[RodPath, SliderLaw, float],
-) -> None:
-    """A tenth of its bend by the rule, nearly all of it if nothing slid back."""
-    path, law, _ = example
     kept, most = kept_curvature(path.last, law), largest_kept_curvature(path, law)
     bends = np.array([state.bendings for state in path.states])
     node = int(np.argmax(most))
@@ -425,11 +322,6 @@ def test_a_laid_line_keeps_what_its_own_law_says(
     moment = law.stiffness * curvature + law.stiffnesses @ (curvature - sharp.rests[node, 0])
     back = np.linalg.norm(curvature - moment / law.first_stiffness)
     assert most[node] == pytest.approx(float(back), rel=1e-9)
-
-
-def test_how_far_it_was_unbent(example: tuple[RodPath, SliderLaw, float]) -> None:
-    path, _, _ = example
-    bends = np.array([state.bendings for state in path.states])
     assert unbent(path) == pytest.approx((bends.max(axis=0) - bends[-1]).max() / bends.max())
     assert 0.7 < unbent(path) < 0.8
     assert unbent(replace(path, states=41 * path.states[-1:])) == 0.0

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
+from labpipe.rod.boundaries import Gravity, Held, Plane
+from labpipe.rod.path import Reason, RodPath
+from labpipe.rod.statics import follow
+from labpipe.studies.harness_convergence import (
+    ALLOWED,
+    coarse_doubt,
+    depends_on_history,
+    few_elements_doubt,
+    kept_rows,
+    walk_with_other_steps,
+)
+from labpipe.studies.harness_line import PreparedLine
+from labpipe.studies.harness_numbers import Doubt, numbers_of
+from tests.builders.rods import LENGTH, clamp, linear_section, sliding_section, straight_line
+
+CORNERS = LENGTH * np.array(
+    [[1, 0, 0], [0.9, 0.24, 0], [0.9, 0.24, 0.24], [0.9, 0, 0.24], [0.9, -0.2, 0], [0.9, 0.1, 0]]
+)
+
+
+def led(way: Floats, *, elements: int = 12) -> PreparedLine:
+    """A line with sliders whose end is led along a way."""
+    line = straight_line(LENGTH, elements, sliding_section())
+    return PreparedLine(line, (replace(clamp(line), name="foot"), Held(-1, way, name="end")), {})
+
+
+def led_round(steps: int, *, elements: int = 12) -> PreparedLine:
+    """Its end is led round a space polygon, in steps for each side."""
+    at = np.linspace(0.0, 5.0, 5 * steps + 1)
+    way = np.column_stack([np.interp(at, range(6), axis) for axis in CORNERS.T])
+    return led(way, elements=elements)
+
+
+def bent_over(steps: int) -> PreparedLine:
+    """Its end goes straight and does not turn back, in space."""
+    share = np.linspace(0.0, 1.0, steps + 1)[:, None]
+    return led(LENGTH * (np.array([1.0, 0.0, 0.0]) + share * np.array([-0.2, 0.3, 0.1])))
+
+
+def arched(elements: int) -> PreparedLine:
+    """A line without memory between two clamps, one brought nearer and lifted."""
+    line = straight_line(LENGTH, elements, linear_section(mass=0.02))
+    share = np.linspace(0.2, 1.0, 9)[:, None]
+    way = line.positions[-1] + share * LENGTH * np.array([-0.35, 0.1, 0.2])
+    near = replace(clamp(line), name="near")
+    end = Held(-1, way, line.frames[-1:], name="far")
+    return PreparedLine(line, (near, end, Gravity(name="weight")), {})
+
+
+def followed(ready: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]:
+    path = follow(ready.line, ready.boundaries, steps=steps)
+    return path, {number.name: number.value for number in numbers_of(path, ready)}
+
+
+def doubt_of(ready: PreparedLine, steps: int, **intervals: Interval) -> Doubt | None:
+    path, _ = followed(ready, steps)
+    return coarse_doubt(path, ready, walk_with_other_steps(ready, steps), intervals)
+
+
+def names_of(doubt: Doubt | None) -> set[str]:
+    return set() if doubt is None else set(doubt.names)
+
+
+@pytest.mark.slow
+def test_it_speaks_of_all_numbers_that_are_off() -> None:
+    _, truth = followed(led_round(32), 160)
+    for steps in (1, 2, 4, 16):
+        ready = led_round(steps)
+        _, numbers = followed(ready, 5 * steps)
+        names = ("force.foot", "moment.foot", "energy_lost", "kept_curvature")
+        off = {name: abs(numbers[name] / truth[name] - 1.0) / ALLOWED for name in names}
+        named = names_of(doubt_of(ready, 5 * steps))
+        assert {name for name, share in off.items() if share > 1.2} <= named, (steps, off)
+
+
+@pytest.mark.slow
+def test_it_is_silent_where_few_steps_do() -> None:
+    """Eight steps are enough on a straight way."""
+    _, truth = followed(bent_over(64), 64)
+    for name, value in followed(bent_over(8), 8)[1].items():
+        assert value == pytest.approx(truth[name], rel=ALLOWED, abs=1e-6)
+    assert doubt_of(bent_over(8), 8) is None
+
+
+@pytest.mark.slow
+def test_it_says_where_and_how_many_steps_should_do() -> None:
+    ready = led_round(2)
+    doubt = doubt_of(ready, 10)
+    assert doubt is not None
+    assert doubt.reason.code == "too_coarse"
+    assert doubt.reason.message.startswith("half as many steps change it by more than 2 % (or ")
+    assert ", most at step 10, 0 mm from the start: 10 steps are too few; " in doubt.reason.message
+    wide = dict.fromkeys(doubt.names, Interval(-1e6, 1e6, 0.95))
+    assert doubt_of(ready, 10, **wide) is None
+    path, numbers = followed(ready, 10)
+    other = walk_with_other_steps(ready, 10)
+    torn = replace(other.path, status="failed", reasons=(Reason("torn", "step 2: torn", 2),))
+    doubt = coarse_doubt(path, ready, replace(other, path=torn), {})
+    assert doubt is not None
+    assert set(doubt.names) == set(numbers)
+    assert "the line cannot be followed (torn)" in doubt.reason.message
+    assert doubt.reason.message.endswith("take 20")
+
+
+@pytest.mark.slow
+def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
+    """Those of 160 elements are the truth: where one is off by more than 2 % that is said."""
+    _, truth = followed(arched(160), 8)
+    for elements in (6, 10, 40):
+        ready = arched(elements)
+        path, _ = followed(ready, 8)
+        doubt = few_elements_doubt(path, ready, arched(elements // 2), {})
+        off = {
+            number.name
+            for number in numbers_of(path, ready)
+            if not number.is_signed
+            and abs(number.value - truth[number.name]) > ALLOWED * truth[number.name]
+        }
+        assert off <= names_of(doubt)
+        assert (doubt is None) is (elements == 40)
+        if doubt is not None and elements == 10:
+            assert doubt.reason.code == "coarse_elements"
+            wanted = int(doubt.reason.message.split("too few; ")[1].split()[0])
+            path, _ = followed(arched(wanted), 8)
+            assert few_elements_doubt(path, arched(wanted), arched(wanted // 2), {}) is None
+
+
+def way_of(ready: PreparedLine) -> Held:
+    end = ready.boundaries[1]
+    assert isinstance(end, Held)
+    return end
+
+
+def test_a_walk_of_corners_alone_is_halved() -> None:
+    ready = led_round(1, elements=3)
+    other = walk_with_other_steps(ready, 5)
+    assert other.words == "twice as many"
+    np.testing.assert_allclose(other.times, np.arange(11) / 2.0)
+    way, finer = way_of(ready).position, way_of(other.laid).position
+    np.testing.assert_allclose(finer[::2], way)
+    np.testing.assert_allclose(finer[1::2], 0.5 * (way[1:] + way[:-1]))
+
+
+def test_corners_and_releases_are_kept() -> None:
+    ready = led_round(4)
+    assert kept_rows(ready.boundaries, 20).tolist() == list(range(0, 21, 2))
+    uneven = led_round(3)
+    assert kept_rows(uneven.boundaries, 15).tolist() == [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15]
+    grip = Held(-1, np.zeros(3), release=8)
+    assert kept_rows([grip], 12).tolist() == [0, 2, 4, 6, 7, 8, 10, 12]
+    frames = np.tile(ready.line.frames[:1], (13, 1))
+    assert kept_rows([Held(-1, np.zeros(3), frames)], 12).tolist() == list(range(0, 13, 2))
+
+
+def test_a_release_stays_where_it_was() -> None:
+    way = np.array([LENGTH, 0.0, 0.0]) + np.linspace(0.0, 1.0, 10)[:, None] * [-0.03, 0.1, 0.0]
+    ready = led(np.concatenate([way, way[-1:]]), elements=3)
+    grip = replace(way_of(ready), release=10)
+    other = walk_with_other_steps(replace(ready, boundaries=(ready.boundaries[0], grip)), 10)
+    assert other.times.tolist() == [0, 2, 4, 6, 8, 9, 10]
+    assert way_of(other.laid).release == 6
+
+
+def test_sliders_and_friction_remember() -> None:
+    line = straight_line(LENGTH, 4, linear_section(mass=0.01))
+    for friction in (0.0, 0.3):
+        table = Plane(np.zeros(3), friction=friction)
+        assert depends_on_history(PreparedLine(line, (table, Gravity()), {})) is bool(friction)
+    assert depends_on_history(led_round(1))
