@@ -152,7 +152,9 @@ def test_solutions_are_those_of_the_dense_matrix() -> None:
     np.add.at(dense, (rows, columns), values)
     dense[fixed] = np.eye(12)[fixed]
     band, right = Band(rows, columns, 10.0 ** random.uniform(-2, 2, 12), fixed), np.arange(12.0)
-    np.testing.assert_allclose(band.solve(values, right), np.linalg.solve(dense, right), rtol=1e-10)
+    solution = band.solve(values, right)
+    assert solution is not None
+    np.testing.assert_allclose(solution, np.linalg.solve(dense, right), rtol=1e-10)
     assert band.solve(np.zeros_like(values), np.ones(12)) is None
 
 

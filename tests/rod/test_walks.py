@@ -61,10 +61,8 @@ def test_nothing_depends_on_the_order_of_the_nodes() -> None:
     for before, behind in zip(plain.states, other.states, strict=True):
         np.testing.assert_allclose(behind.positions[::-1], before.positions, atol=1e-9 * LENGTH)
         np.testing.assert_allclose(behind.forces[::-1], -before.forces, atol=1e-9)
-        sizes = (
-            np.linalg.norm(rests, axis=3) for rests in (behind.rests[::-1, ::-1], before.rests)
-        )
-        np.testing.assert_allclose(*sizes, atol=1e-9 * 5.0)
+        size = np.linalg.norm(behind.rests[::-1, ::-1], axis=3)
+        np.testing.assert_allclose(size, np.linalg.norm(before.rests, axis=3), atol=1e-9 * 5.0)
         np.testing.assert_allclose(behind.reaction_forces, before.reaction_forces, atol=1e-9)
     np.testing.assert_allclose(other.lost, plain.lost, atol=1e-9 * plain.lost[-1])
 
@@ -405,7 +403,7 @@ def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -
     np.testing.assert_allclose(back.forces, [[-4.0, 0.0, 10.0]])
 
 
-def ended(line: Line, boundaries: list[Boundary], steps: int) -> tuple[str, tuple[object, ...]]:
+def ended(line: Line, steps: int, *boundaries: Boundary) -> tuple[str, tuple[object, ...]]:
     """Sentence of the only reason of a walk; its status, number of states, code, step and node."""
     path = follow(line, boundaries, steps=steps)
     (reason,) = path.reasons
@@ -417,25 +415,27 @@ def test_what_ends_a_walk_or_makes_it_doubtful(approved: Approve) -> None:
     """Bends beyond the law; clips too far apart, without slack, in a table; a line that is torn."""
     ends = []
     line = straight_line(LENGTH, 10, Section(linear_moment_law(STIFFNESS, 2.0), 8e-4))
-    bent = [clamp(line), Load(-1, ramp((0.0, 0.02, 0.0), 5))]
-    ends.append((ended(line, bent, 5), ("doubtful", 6, "beyond_law", 2, 0)))
+    bent = ended(line, 5, clamp(line), Load(-1, ramp((0.0, 0.02, 0.0), 5)))
+    ends.append((bent, ("doubtful", 6, "beyond_law", 2, 0)))
     line = straight_line(LENGTH, 10, linear_section(mass=0.05))
     far = line.positions[-1] + ramp((0.04, 0.0, 0.0), 4) - (0.025, 0.0, 0.0)
-    apart = ended(line, [clamp(line), Held(-1, far)], 4)
+    apart = ended(line, 4, clamp(line), Held(-1, far))
     ends.append((apart, ("failed", 3, "too_short", 3, 10)))
     for row in (0, 2):
         slack = 0.02 * (np.arange(4) != row)[:, None] * np.array([1.0, 0.0, 0.0])
-        taut = [clamp(line), Held(-1, line.positions[-1] - slack), Gravity()]
-        ends.append((ended(line, taut, 3), ("failed", row, "taut", row, 10)))
+        held = Held(-1, line.positions[-1] - slack)
+        ends.append(
+            (ended(line, 3, clamp(line), held, Gravity()), ("failed", row, "taut", row, 10))
+        )
     line = straight_line(LENGTH, 10, replace(linear_section(), diameter=6e-3), start=(0, 0, 0.01))
     way = line.positions[-1] + ramp((0.0, 0.0, -0.01), 5)
-    lowered = [Held(-1, way, line.frames[-1], name="grip"), Plane(np.zeros(3), name="table")]
-    ends.append((ended(line, lowered, 5), ("failed", 4, "in_plane", 4, 10)))
+    grip, table = Held(-1, way, line.frames[-1], name="grip"), Plane(np.zeros(3), name="table")
+    ends.append((ended(line, 5, grip, table), ("failed", 4, "in_plane", 4, 10)))
     section = Section(linear_moment_law(STIFFNESS, 1e3), 8e-4, axial_stiffness=1e3)
     line = straight_line(LENGTH, 5, section)
-    torn = [clamp(line), Held(-1, line.positions[-1] + ramp((0.08, 0.0, 0.0), 8))]
+    pulled = Held(-1, line.positions[-1] + ramp((0.08, 0.0, 0.0), 8))
     # 4 % in step 2, 6 % in step 3
-    ends.append((ended(line, torn, 8), ("failed", 3, "torn", 3, 1)))
+    ends.append((ended(line, 8, clamp(line), pulled), ("failed", 3, "torn", 3, 1)))
     assert [facts for (_, facts), _ in ends] == [expected for _, expected in ends]
     approved(sentence for (sentence, _), _ in ends)
 
