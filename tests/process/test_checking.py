@@ -42,10 +42,10 @@ FOLDER = Path("raw/campaign/A1")
 Change = tuple[str, str, str]
 
 
-def write_force(path: Path, count: int = 50, *, name: str = "Load", unit: str = "") -> None:
+def write_force(path: Path, count: int = 50, *, name: str = "Load") -> None:
     """Two channels of a bench, 1000 samples per second."""
     time = np.arange(count) * 0.001
-    signals = [Signal("Model/Load", "Out1", time, unit=unit), Signal("Model/Laser", "Out1", time)]
+    signals = [Signal("Model/Load", "Out1", time), Signal("Model/Laser", "Out1", time)]
     if name != "Load":
         signals = [Signal("", "Load", time, unit="mm"), Signal("", "Crosshead", time, unit="N")]
     write_mat_v5(path, [Axis(time)], signals)
@@ -131,10 +131,6 @@ def swapped_columns(folder: Path) -> None:
     write_force(folder / "force.mat", name="swapped")
 
 
-def kilonewtons(folder: Path) -> None:
-    write_force(folder / "force.mat", unit="kN")
-
-
 def copies_of_the_test(folder: Path) -> None:
     shutil.copytree(folder, folder.with_name("A2"))
     shutil.copytree(folder, folder.parent.with_name("other") / "A1")
@@ -158,14 +154,12 @@ files: {frame: bend.txt}
 
 FAULTS: dict[str, tuple[Callable[[Path], None], Change | None]] = {
     "name of the file": (nothing, (WIRE, "name: wire", "name: other")),
-    "channel": (nothing, (WIRE, "Model/Load/Out1", "Model/Load/Out")),
     "channels": (nothing, (WIRE, "Model/Load/Out1", "[Force, Model/Load/Out]")),
     "parts overlap": (the_force_twice, (TEST, "force.mat", "[force.mat, again.mat]")),
     "two short rests": (twenty_samples, (WIRE, "markers: {clamp", ZEROS)),
     "short recording": (five_samples, None),
     "swapped columns": (swapped_columns, (WIRE, "channel: Model/Load/Out1, unit: N", SWAPPED)),
     "no unit": (nothing, (WIRE, ", unit: N", "")),
-    "another unit": (kilonewtons, None),
     "no such body": (nothing, (WIRE, "clamp: Clamp, along: [M*]", "clamp: Klamp, along: [M*, N1]")),
     "no body at all": (no_body, None),
     "bad protocol and bad file": (no_recording, (WIRE, "name: wire", "name: wire\nabuot: x")),
@@ -225,14 +219,6 @@ def test_dialect_and_part_go_to_the_reader(lab: Path, monkeypatch: pytest.Monkey
     new = "{reader: load-frame, dialect: own, part: Specimen 2, channel: Load}"
     messages(lab, (WIRE, "{reader: dspace-mat, channel: Model/Load/Out1, unit: N}", new))
     assert {"dialect": ("own",), "part": "Specimen 2"} in asked
-
-
-@pytest.mark.realdata
-def test_a_real_recording_of_ten_channels_of_one_name(lab: Path, realdata: Path) -> None:
-    shutil.copy(realdata / "dspace" / "0103_3_3.mat", lab / FOLDER / "force.mat")
-    found = messages(lab, (WIRE, "Model/Load/Out1", "load raw/In1"))
-    assert "expected one of the 10 channels of the file" in found[0]
-    assert "Nearest: 'Model Root/Harware/Subsystem1/load raw/In1'" in found[0]
 
 
 HARNESS = """\

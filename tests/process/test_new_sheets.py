@@ -19,7 +19,7 @@ from labpipe.process.export_metadata import (
     facts_of_folder,
 )
 from labpipe.process.protocol_match import Fit, KnownFacts, all_protocols, fitting
-from labpipe.process.raw_folder import InspectedExport, look_into
+from labpipe.process.raw_folder import InspectedExport
 from labpipe.process.sheet_inference import InferredTest, infer_test, infer_tests
 from labpipe.process.sheet_writing import new_from_sheet, new_seen, write_seen
 from labpipe.protocol.load import load_test_sheet, resolve
@@ -70,7 +70,7 @@ def test_bundles_from_a_table(tmp_path: Path) -> None:
 
     made = new_from_sheet(path, tmp_path / "raw")
 
-    one, two, three = (load_test_sheet(each).specimen.record for each in made.written)
+    one, two, three = (load_test_sheet(path).specimen.record for path in made.written)
     assert one.bundle == Bundle(
         (BundleWire("B1", 19),), conduit="corrugated-tube", conduit_bore=0.0107
     )
@@ -193,26 +193,43 @@ def wire(lab: Lab) -> Path:
     return folder
 
 
-def has(seen: InferredTest, *parts: str) -> bool:
-    return any(all(part in sentence for part in parts) for sentence in seen.said)
+def page(seen: InferredTest) -> list[str]:
+    """What was inferred of a test, and why."""
+    files = {role: " ".join(files) for role, files in seen.files.items()}
+    return [f"{seen.values} {files} open: {', '.join(seen.open)}", *seen.said]
 
 
-def test_all_that_can_be_seen(wire: Path) -> None:
-    seen = infer_test(wire, {})
+def test_all_that_can_be_seen(wire: Path, approved: Approve) -> None:
+    """And contradictions: another date in the take, another name and length of the folder."""
+    pages = page(infer_test(wire, {}))
+    folder = wire.rename(wire.with_name("A2-120-3"))
+    text = (folder / "take.csv").read_text(encoding="utf-8").replace("2026-03-04", "2026-03-05")
+    text = text.replace("Take Name,T1", "Take Name,A2-085-3")
+    (folder / "take.csv").write_text(text, encoding="utf-8")
+    approved([*pages, *page(infer_test(folder, {"protocol": "wire-cantilever"}))])
 
-    assert seen.values == {
-        "test": "A2-085-3",
-        "protocol": "wire-cantilever",
-        "date": "2026-03-04",
-        "operator": "labpipe virtual lab",
-        "type": "A2",
-        "sample": "3",
-        "length": "85 mm",
-    }
-    assert seen.files == {"force": ("force.mat",), "markers": ("take.csv",)}
-    assert seen.open == ("spool",)
-    assert has(seen, "date 2026-03-04: from force.mat and take.csv")
-    assert has(seen, "not used: truth.json: JSON")
+
+def test_folders_that_leave_something_open(tmp_path: Path, approved: Approve) -> None:
+    folder = tmp_path / "Run 4, März (2)"
+    folder.mkdir()
+    pages = page(infer_test(folder, {}))
+    (folder / "x.bin").write_bytes(bytes(100))
+    pages += page(infer_test(folder, {})) + page(infer_test(folder, {"frame": "a.txt"}))
+    for name in ("x.txt", "y.txt"):
+        (folder / name).write_bytes(mts_suite())
+        pages += page(infer_test(folder, {"protocol": "tensile"}))
+    pages += page(infer_test(folder, {"protocol": "tensile", "frame": "y.txt"}))
+    approved(pages)
+
+
+def test_several_protocols_fit_alike(tmp_path: Path) -> None:
+    (tmp_path / "x.txt").write_bytes(mts_suite())
+    seen = infer_test(tmp_path, {})
+    assert seen.open == ("protocol", "type", "spool", "sample")
+    (first,) = (sentence for sentence in seen.said if sentence.startswith("protocol: "))
+    for part in ("fit alike; name one with --protocol", "stiff-bar", "tensile", "what would dec"):
+        assert part in first
+    assert infer_test(tmp_path, {"protocol": "three-point-bend"}).open[-1] == "span"
 
 
 def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
@@ -220,63 +237,7 @@ def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
     seen = infer_test(wire, given)
     assert given.items() <= seen.values.items()
     assert seen.open == ()
-    assert not has(seen, "operator")
-
-
-def test_contradictions_are_said(wire: Path) -> None:
-    folder = wire.rename(wire.with_name("A2-120-3"))
-    take = folder / "take.csv"
-    text = take.read_text(encoding="utf-8")
-    take.write_text(
-        text.replace("2026-03-04", "2026-03-05").replace("Take Name,T1", "Take Name,A2-085-3"),
-        encoding="utf-8",
-    )
-    seen = infer_test(folder, {"protocol": "wire-cantilever"})
-    assert "date" not in seen.values
-    assert has(seen, "date: 2026-03-04 in force.mat, 2026-03-05 in take.csv; left out")
-    assert has(seen, "look: take.csv is of 'A2-085-3', the folder is called 'A2-120-3'")
-    assert has(seen, "look: the markers of take.csv show a length of about 86", "120 mm is stated")
-
-
-def test_several_protocols_fit_alike(tmp_path: Path) -> None:
-    (tmp_path / "pull").mkdir()
-    (tmp_path / "pull" / "x.txt").write_bytes(mts_suite())
-    seen = infer_test(tmp_path / "pull", {})
-    assert seen.open == ("protocol", "type", "spool", "sample")
-    (first,) = (sentence for sentence in seen.said if sentence.startswith("protocol: "))
-    asked, *named, decides = first.splitlines()
-    assert "fit alike; name one with --protocol" in asked
-    assert {"stiff-bar", "tensile", "three-point-bend"} <= {
-        line.split(":")[0].strip() for line in named
-    }
-    assert "what would decide: a folder" in decides
-    assert seen.files == {"frame": ("x.txt",)}
-    assert infer_test(tmp_path / "pull", {"protocol": "three-point-bend"}).open[-1] == "span"
-
-
-def test_two_exports_of_one_role(tmp_path: Path) -> None:
-    for name in ("x.txt", "y.txt"):
-        (tmp_path / name).write_bytes(mts_suite())
-    seen = infer_test(tmp_path, {"protocol": "tensile"})
-    assert seen.files == {}
-    assert "frame" in seen.open
-    assert has(seen, "frame: x.txt, y.txt could each be it", "name one with --frame")
-    assert infer_test(tmp_path, {"protocol": "tensile", "frame": "y.txt"}).files == {
-        "frame": ("y.txt",)
-    }
-
-
-def test_an_empty_folder_and_one_without_exports(tmp_path: Path) -> None:
-    assert has(infer_test(tmp_path, {}), "no exports lie here yet")
-    (tmp_path / "x.bin").write_bytes(bytes(100))
-    assert has(infer_test(tmp_path, {}), "no export that labpipe reads lies here")
-    assert has(infer_test(tmp_path, {"frame": "a.txt"}), "not there yet: a.txt")
-
-
-def test_a_name_of_a_folder_that_no_test_can_have(tmp_path: Path) -> None:
-    folder = tmp_path / "Run 4, März (2)"
-    folder.mkdir()
-    assert infer_test(folder, {}).values["test"] == "Run-4-März-2"
+    assert "operator" not in str(seen.said)
 
 
 def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
@@ -286,18 +247,8 @@ def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
     alone = infer_test(longer, {})
     assert "protocol" in alone.values  # by the length that the markers show
 
-    seen = {
-        infer_test.folder.name: infer_test
-        for infer_test in infer_tests(sorted(wire.parent.iterdir()), {})
-    }
-
-    assert {each.values["protocol"] for each in seen.values()} == {"wire-cantilever"}
-
-
-def facts(metadata: Mapping[str, object], name: str = "x.csv") -> dict[str, str]:
-    return {
-        fact.key: fact.value for fact in facts_of_export(name, Recording("r", metadata=metadata))
-    }
+    campaign = infer_tests(sorted(wire.parent.iterdir()), {})
+    assert {test.values["protocol"] for test in campaign} == {"wire-cantilever"}
 
 
 @pytest.mark.parametrize(
@@ -318,23 +269,32 @@ def test_a_day_is_read_where_its_order_is_plain(written: str, day: str) -> None:
     assert day_in(written) == day
 
 
-def test_the_day_of_the_export_counts_before_that_of_its_name() -> None:
-    assert facts({"Date": "27.02.2015"}, "2026-01-01.csv") == {"date": "2015-02-27"}
-    assert facts({}, "2026-01-01.csv") == {"date": "2026-01-01"}
-    assert facts({"Date/heure": "43173.4"}, "2026-01-01.csv") == {"date": "2026-01-01"}
-    assert facts({}, "take.csv") == {}
+CONTROLDESK = {"Description": {"General": {"User": "jk", "DateTime": "x"}}, "date": "2026-03-04"}
+BLUEHILL = {
+    "Specimen properties : Length": "50 mm",
+    "Specimen properties : Width": "wide",
+    "General : Specimen number (included)": "7",
+}
 
 
-def test_what_programs_say_of_operator_and_specimen() -> None:
-    control = {"Description": {"General": {"User": "jk", "DateTime": "x"}}, "date": "2026-03-04"}
-    assert facts(control) == {"date": "2026-03-04", "operator": "jk"}
-    bluehill = {
-        "Specimen properties : Length": "50 mm",
-        "Specimen properties : Width": "wide",
-        "General : Specimen number (included)": "7",
-    }
-    assert facts(bluehill) == {"length": "50 mm", "specimen": "7"}
-    assert facts({"Operator": "<None>", "Test Run": "A2-085-1"}) == {"take": "A2-085-1"}
+@pytest.mark.parametrize(
+    ("metadata", "name", "facts"),
+    [
+        ({"Date": "27.02.2015"}, "2026-01-01.csv", {"date": "2015-02-27"}),
+        ({}, "2026-01-01.csv", {"date": "2026-01-01"}),
+        ({"Date/heure": "43173.4"}, "2026-01-01.csv", {"date": "2026-01-01"}),
+        ({}, "take.csv", {}),
+        (CONTROLDESK, "x.csv", {"date": "2026-03-04", "operator": "jk"}),
+        (BLUEHILL, "x.csv", {"length": "50 mm", "specimen": "7"}),
+        ({"Operator": "<None>", "Test Run": "A2-085-1"}, "x.csv", {"take": "A2-085-1"}),
+    ],
+)
+def test_facts_of_an_export(
+    metadata: Mapping[str, object], name: str, facts: dict[str, str]
+) -> None:
+    """Its day counts before that of its name."""
+    recording = Recording("r", metadata=metadata)
+    assert {fact.key: fact.value for fact in facts_of_export(name, recording)} == facts
 
 
 @pytest.mark.parametrize(
@@ -354,26 +314,25 @@ def test_the_pattern_of_a_lab(name: str, said: dict[str, str]) -> None:
 
 
 def test_what_all_say_is_taken_and_what_is_said_twice_is_left_open() -> None:
+    doubtful_day = Fact("date", "", "b.csv", "3/4/2026")
     both = agreed(
         [
             Fact("date", "2026-03-04", "a.mat"),
-            Fact("date", "", "b.csv", "3/4/2026"),
+            doubtful_day,
             Fact("date", "2026-03-04", "take.csv"),
             Fact("operator", "jk", "a.mat"),
             Fact("operator", "vl", "take.csv"),
             Fact("type", "A2", FOLDER),
         ]
     )
-
     assert both.facts["date"].where == "a.mat and take.csv"
     assert list(both.facts) == ["date", "type"]
     assert both.open == ("operator: jk in a.mat, vl in take.csv; left out, write the right one",)
-
-
-def test_a_day_that_can_be_read_two_ways_is_left_open() -> None:
-    found = agreed([Fact("date", "", "b.csv", "3/4/2026")])
-    said = "date: '3/4/2026' in b.csv can be read day first or month first; left out"
-    assert (dict(found.facts), found.open) == ({}, (said,))
+    alone = agreed([doubtful_day])
+    assert dict(alone.facts) == {}
+    assert alone.open == (
+        "date: '3/4/2026' in b.csv can be read day first or month first; left out",
+    )
 
 
 TIME: Floats = np.linspace(0.0, 120.0, 1201)
@@ -420,25 +379,42 @@ def names(fits: Sequence[Fit]) -> list[str]:
     return [fit.protocol.name for fit in fits]
 
 
-def test_a_wire_is_known_by_clamp_length_and_stroke(protocols: list[Protocol]) -> None:
-    (fit,) = fitting([cell(), take()], protocols, KnownFacts(("A2-085-1", "A2"), 0.085))
-    assert fit.protocol.name == "wire-cantilever"
-    assert fit.files == {"force": ("f.mat",), "markers": ("t.csv",)}
+def known(*names: str, length: float | None = None) -> KnownFacts:
+    return KnownFacts(names, length, of_campaign={"corrugated-tube": 20} if names else {})
+
+
+@pytest.mark.parametrize(
+    ("exports", "facts", "fitted"),
+    [
+        ([cell(), take()], known("A2-085-1", "A2", length=0.085), "wire-cantilever"),
+        ([cell(), take(length=0.1143)], known(), "taped-bundle"),
+        ([cell(), take(body="")], known(), "conduit-bundle"),
+        ([take()], known(), "markers-only"),
+        ([frame(0.05, 0.423e-3)], known(), "corrugated-tube"),
+        ([frame(0.04, 0.5e-3, peak=400.0)], known("pet-tape-1"), "pet-tape"),
+        ([frame(0.012, 0.1e-3)], known("22AWG tensile_3"), "tensile"),
+        ([frame(0.012, 0.1e-3)], known("tensile-1"), "tensile"),
+    ],
+)
+def test_the_protocol_that_fits(
+    protocols: list[Protocol], exports: list[InspectedExport], facts: KnownFacts, fitted: str
+) -> None:
+    """Facts of the exports count before names, and names before the other tests."""
+    (fit,) = fitting(exports, protocols, facts)
+    assert fit.protocol.name == fitted
     assert fit.faults == ()
+    assert {name for files in fit.files.values() for name in files} == {
+        export.path.name for export in exports
+    }
 
 
-def test_a_bundle_is_longer(protocols: list[Protocol]) -> None:
-    assert names(fitting([cell(), take(length=0.1143)], protocols, KnownFacts())) == [
-        "taped-bundle"
-    ]
-
-
-def test_without_a_clamp_it_lies_on_two_supports(protocols: list[Protocol]) -> None:
-    assert names(fitting([cell(), take(body="")], protocols, KnownFacts())) == ["conduit-bundle"]
-
-
-def test_a_take_alone(protocols: list[Protocol]) -> None:
-    assert names(fitting([take()], protocols, KnownFacts())) == ["markers-only"]
+def test_one_weak_sign_is_too_little(protocols: list[Protocol]) -> None:
+    among = KnownFacts(of_campaign={"corrugated-tube": 20})
+    undecided = names(fitting([frame(0.012, 0.1e-3)], protocols, among))
+    assert "tensile" in undecided
+    assert "corrugated-tube" not in undecided, "a short pull is none of a tube"
+    tape = frame(0.04, 0.5e-3, peak=400.0)
+    assert "tensile" in names(fitting([tape], protocols, KnownFacts()))
 
 
 @pytest.mark.parametrize(
@@ -468,31 +444,6 @@ def test_what_fits_alike_is_settled_by_most_of_the_others(
         assert share in found[0].signs[-1].text
 
 
-@pytest.mark.parametrize("called", ["22AWG tensile_3", "tensile-1", "A Tensile (2)"])
-def test_facts_of_the_export_count_before_the_others(
-    protocols: list[Protocol], called: str
-) -> None:
-    """A short pull among tubes that are stretched by 50 mm is none of them."""
-    pull = frame(0.012, 0.1e-3)
-    among = {"corrugated-tube": 20}
-    undecided = names(fitting([pull], protocols, KnownFacts(of_campaign=among)))
-    assert "tensile" in undecided
-    assert "corrugated-tube" not in undecided
-    assert names(fitting([pull], protocols, KnownFacts((called,), of_campaign=among))) == [
-        "tensile"
-    ]
-
-
-def test_tubes_and_tapes_by_stroke_speed_and_name(protocols: list[Protocol]) -> None:
-    tube = frame(0.05, 0.423e-3)
-    assert names(fitting([tube], protocols, KnownFacts())) == ["corrugated-tube"]
-    tape = frame(0.04, 0.5e-3, peak=400.0)
-    assert "tensile" in names(
-        fitting([tape], protocols, KnownFacts())
-    )  # one weak sign is too little
-    assert names(fitting([tape], protocols, KnownFacts(("pet-tape-1",)))) == ["pet-tape"]
-
-
 def test_parts_of_one_recording_are_of_one_role(protocols: list[Protocol]) -> None:
     parts = [frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, start=11.0, name="2.txt")]
     for fit in fitting(parts, protocols, KnownFacts()):
@@ -504,18 +455,3 @@ def test_nothing_fits_what_lacks_a_role(protocols: list[Protocol]) -> None:
     wire = [protocol for protocol in protocols if protocol.name == "wire-cantilever"]
     assert fitting([cell()], wire, KnownFacts()) == []
     assert fitting([cell(), take()], wire, KnownFacts(roles={"frame": ("m.txt",)})) == []
-
-
-def test_real_parts_of_a_load_frame(protocols: list[Protocol], realdata: Path) -> None:
-    folder = next((realdata / "mts" / "MTS_data").glob("*/Test Run 4*"))
-    fits = fitting(look_into(folder).exports, protocols, KnownFacts())
-    assert {len(fit.files["frame"]) for fit in fits} == {6}  # one of them is empty
-
-
-def test_a_sheet_that_is_there_is_not_seen_again(tmp_path: Path) -> None:
-    path = tmp_path / "t" / "test.yaml"
-    path.parent.mkdir()
-    path.write_text("mine", encoding="utf-8")
-    with pytest.raises(UsageError, match="found one that is there already"):
-        list(new_seen(tmp_path / "t", {}))
-    assert path.read_text(encoding="utf-8") == "mine"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -160,21 +161,27 @@ def test_a_channel_that_is_spelt_otherwise_is_told(tmp_path: Path) -> None:
     assert expected in recording.notes
 
 
-def test_parts_without_time_have_no_order() -> None:
-    rows = replace(part(0.0), clocks=(Clock("time", np.arange(20.0), "1"),))
-    said = (
-        r"b\.txt: expected a part of a recording with times, by which parts are put in order, "
-        r"found rows without time\. Export the test in one piece, or with its time\."
-    )
-    with pytest.raises(ReadError, match=said):
-        join_parts([part(0.0), rows], ["a.txt", "b.txt"])
-
-
 SPECIMENS = """\
 version: 1
 name: p
 sources: {frame: {reader: load-frame, channels: {force: {channel: [Load, Force]}}}}
 """
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (
+            replace(part(0.0), clocks=(Clock("time", np.arange(20.0), "1"),)),
+            r"b\.txt: expected a part of a recording with times, by which parts are put in order",
+        ),
+        (Recording("dspace-mat"), r"b\.txt: expected a part .* on one clock, found 0 clocks"),
+    ],
+    ids=["no times", "no samples"],
+)
+def test_parts_that_have_no_order(wrong: Recording, message: str) -> None:
+    with pytest.raises(ReadError, match=message):
+        join_parts([part(0.0), wrong], ["a.txt", "b.txt"])
 
 
 def test_one_of_several_specimens_is_to_be_chosen(tmp_path: Path) -> None:
@@ -204,46 +211,29 @@ def recorded(tmp_path: Path, stated: str, asked: Source) -> Recording:
     return read_role(write_mat_v5(tmp_path / "a.mat", [Axis(0.01 * np.arange(20))], signals), asked)
 
 
-def overridden(recording: Recording) -> list[QualityNote]:
-    return [note for note in recording.notes if note.code == "unit_overridden"]
-
-
-@pytest.mark.parametrize(("stated", "factor"), [("N", 1.0), ("kN", 1e3), ("lbf", 4.4482216152605)])
-def test_the_unit_of_the_file_is_taken_where_nobody_says_another(
-    tmp_path: Path, stated: str, factor: float
-) -> None:
-    recording = recorded(tmp_path, stated, source())
+@pytest.mark.parametrize(
+    ("stated", "asked", "factor", "is_noted"),
+    [
+        *(("N", source(), 1.0, False), ("kN", source(), 1e3, False)),
+        ("lbf", source(), 4.4482216152605, False),
+        *((stated, source(unit="N"), 1.0, False) for stated in ("", "N", "newton")),
+        *((stated, source(unit="N"), 1.0, True) for stated in ("-", "1", "Einh. 7")),
+        ("kN", source(unit="N", wrong="kN"), 1.0, True),
+    ],
+)
+def test_units(tmp_path: Path, stated: str, asked: Source, factor: float, is_noted: bool) -> None:
+    """That of the file, unless the protocol states one for a silent or wrong label."""
+    recording = recorded(tmp_path, stated, asked)
     np.testing.assert_allclose(recording.channels[0].values, factor * RISING, rtol=1e-14)
-    assert overridden(recording) == []
-
-
-@pytest.mark.parametrize("stated", ["", "N", "newton", "-", "1"])
-def test_a_unit_beside_a_silent_file_or_one_that_means_the_same(
-    tmp_path: Path, stated: str
-) -> None:
-    recording = recorded(tmp_path, stated, source(unit="N"))
-    np.testing.assert_allclose(recording.channels[0].values, RISING)
-    assert len(overridden(recording)) == (stated in ("-", "1"))
-
-
-def test_a_label_in_the_file_that_is_said_to_be_wrong(tmp_path: Path) -> None:
-    recording = recorded(tmp_path, "kN", source(unit="N", wrong="kN"))
-    np.testing.assert_allclose(recording.channels[0].values, RISING)
-    message = "the export says 'kN', the protocol 'N': the protocol was followed"
-    expected = QualityNote("unit_overridden", Severity.WARNING, "force", message)
-    assert overridden(recording) == [expected]
+    message = f"the export says '{stated}', the protocol 'N': the protocol was followed"
+    note = QualityNote("unit_overridden", Severity.WARNING, "force", message)
+    assert [note for note in recording.notes if note.code == "unit_overridden"] == [note] * is_noted
 
 
 def test_another_label_than_the_one_that_is_said_to_be_wrong(tmp_path: Path) -> None:
     """What was true of one export is not taken for the next one."""
     with pytest.raises(ReadError, match=r"unit that the export states, 'mN', found '.*unit: N'"):
         recorded(tmp_path, "mN", source(unit="N", wrong="kN"))
-
-
-def test_a_label_that_nobody_can_make_out_is_told(tmp_path: Path) -> None:
-    recording = recorded(tmp_path, "Einh. 7", source(unit="N"))
-    np.testing.assert_allclose(recording.channels[0].values, RISING)
-    assert "the export says 'Einh. 7'" in overridden(recording)[0].message
 
 
 REFUSED_UNITS = [
@@ -285,14 +275,6 @@ def notes(found: list[Finding]) -> tuple[QualityNote, ...]:
     return Findings(tuple(found)).notes
 
 
-def take(positions: np.ndarray, body: np.ndarray) -> dict[str, Recording]:
-    frames = len(positions)
-    clamp = RigidBody("Clamp", body, np.zeros((frames, 4)), np.zeros(frames))
-    time = np.arange(frames) / 50.0
-    tracks = MarkerTracks(time, time, 50.0, ("a", "b"), positions, (clamp,))
-    return {"markers": Recording("motive-csv", markers=tracks)}
-
-
 def test_calibrated_signal_and_notes() -> None:
     made, found = calibrated(force_recording(np.arange(10.0)), PROTOCOL)
     signal = made.signals.raw["force"]
@@ -306,16 +288,9 @@ def test_calibrated_signal_and_notes() -> None:
     assert made.take.tracks is None
 
 
-def test_missing_samples_are_doubted() -> None:
-    values = np.arange(10.0)
-    values[3] = np.nan
-    _, found = calibrated(force_recording(values), PROTOCOL)
-    assert doubted(found) == {
-        "force": "missing_samples: 1 of 10 samples are blank or not finite",
-    }
-
-
-def test_blanks_at_the_ends_are_noted_alone() -> None:
+def test_blanks_are_doubted_unless_they_stand_at_the_ends() -> None:
+    _, found = calibrated(force_recording(with_sample(RAMP, 3, np.nan)), PROTOCOL)
+    assert doubted(found) == {"force": "missing_samples: 1 of 10 samples are blank or not finite"}
     time = np.arange(100) * 0.1
     values = np.arange(100.0)
     values[0] = values[-1] = np.nan
@@ -332,26 +307,65 @@ def test_blanks_at_the_ends_are_noted_alone() -> None:
     ]
 
 
-def test_nothing_but_blanks() -> None:
-    recordings = force_recording(np.full(10, np.nan))
-    with pytest.raises(ProcessingError, match=r"force, channel 'Model/A': expected numbers, found"):
-        calibrated(recordings, PROTOCOL)
+def take(frame: int, kind: str, values: list[float]) -> dict[str, Recording]:
+    """A take of five frames, one position of its body or its second marker given."""
+    body, positions = np.zeros((5, 3)), np.zeros((5, 2, 3))
+    (body if kind == "body" else positions[:, 1])[frame] = values
+    clamp = RigidBody("Clamp", body, np.zeros((5, 4)), np.zeros(5))
+    time = np.arange(5) / 50.0
+    tracks = MarkerTracks(time, time, 50.0, ("a", "b"), positions, (clamp,))
+    return {"markers": Recording("motive-csv", markers=tracks)}
 
 
-@pytest.mark.parametrize("count", [0, 1, 3, 7])
-def test_an_aborted_recording(count: int) -> None:
-    recordings = force_recording(np.zeros(count), TIME[:count])
-    said = (
-        rf"^force, time: expected at least 8 samples, found {count}\. The recording was aborted; "
-        r"leave this test out\.$"
-    )
-    with pytest.raises(ProcessingError, match=said):
+def with_sample(values: np.ndarray, number: int, value: float) -> np.ndarray:
+    changed = values.copy()
+    changed[number] = value
+    return changed
+
+
+RAMP = np.arange(10.0)
+
+
+@pytest.mark.parametrize(
+    ("recordings", "message"),
+    [
+        (force_recording(np.full(10, np.nan)), "force, channel 'Model/A': expected numbers, found"),
+        (force_recording(RAMP[:0], TIME[:0]), "force, time: expected at least 8 samples, found 0"),
+        (force_recording(RAMP[:7], TIME[:7]), "force, time: expected at least 8 samples, found 7"),
+        (
+            force_recording(RAMP, with_sample(TIME, 4, 0.05)),
+            "force, sample 5: expected a time axis that grows, found 0.050000 s after 0.300000 s",
+        ),
+        (
+            force_recording(with_sample(RAMP, 7, -1e200)),
+            "force, channel 'Model/A', sample 8: expected numbers up to 1e+15 in SI units, found",
+        ),
+        (take(3, "marker", [0, 0, 1e9]), "markers, marker 'b', sample 4: expected numbers up"),
+        (take(2, "body", [np.nan, 1e7, 0]), "markers, rigid body 'Clamp', sample 3: "),
+    ],
+)
+def test_recordings_that_are_refused(recordings: dict[str, Recording], message: str) -> None:
+    with pytest.raises(ProcessingError, match=f"^{re.escape(message)}"):
         calibrated(recordings, PROTOCOL)
 
 
 def test_the_fewest_samples_that_are_taken() -> None:
     made, _ = calibrated(force_recording(np.zeros(8), TIME[:8]), PROTOCOL)
     assert len(made.signals.filtered["force"].values) == 8
+
+
+@pytest.mark.parametrize(
+    ("peak", "shown"),
+    [
+        *((peak, "") for peak in (20.0, -150.0, 2000.0)),
+        *((0.15, "0.15 N"), (2.5e3, "2500 N"), (-1.5e5, "1.5e+05 N"), (0.0, "0 N")),
+    ],
+)
+def test_a_plausible_peak(peak: float, shown: str) -> None:
+    _, findings = calibrated(force_recording(peak * RAMP / 9.0), PEAK)
+    reason = f"implausible_peak: the largest value is {shown}, plausible are 20 to 2000 N: "
+    assert doubted(findings).get("force", "").startswith(reason if shown else "")
+    assert len(findings) == (2 if shown else 1)
 
 
 def test_rows_without_time() -> None:
@@ -370,65 +384,3 @@ PEAK = parse_protocol(
     " plausible_peak: {from: 20 N, to: 2 kN}}\n",
     "p.yaml",
 )
-
-
-@pytest.mark.parametrize("peak", [20.0, -150.0, 2000.0])
-def test_a_plausible_peak(peak: float) -> None:
-    _, found = calibrated(force_recording(peak * np.arange(10.0) / 9.0), PEAK)
-    assert not doubted(found)
-    assert len(found) == 1
-
-
-@pytest.mark.parametrize(
-    ("peak", "said"), [(0.15, "0.15 N"), (2.5e3, "2500 N"), (-1.5e5, "1.5e+05 N"), (0.0, "0 N")]
-)
-def test_an_implausible_peak(peak: float, said: str) -> None:
-    _, found = calibrated(force_recording(peak * np.arange(10.0) / 9.0), PEAK)
-    message = (
-        f"the largest value is {said}, plausible are 20 to 2000 N: is the unit right, and is it "
-        "this channel?"
-    )
-    assert doubted(found) == {"force": f"implausible_peak: {message}"}
-    note = QualityNote("implausible_peak", Severity.WARNING, "force", message)
-    assert note in notes(found)
-
-
-def test_time_that_runs_backwards() -> None:
-    time = TIME.copy()
-    time[4] = 0.05
-    recordings = force_recording(np.arange(10.0), time)
-    said = r"force, sample 5: expected a time axis that grows, found 0.050000 s after 0.300000 s"
-    with pytest.raises(ProcessingError, match=said):
-        calibrated(recordings, PROTOCOL)
-
-
-def test_impossibly_large_samples() -> None:
-    values = np.arange(10.0)
-    values[7] = -1e200
-    recordings = force_recording(values)
-    said = (
-        r"force, channel 'Model/A', sample 8: expected numbers up to 1e\+15 in SI units, found 5e"
-    )
-    with pytest.raises(ProcessingError, match=said):
-        calibrated(recordings, PROTOCOL)
-
-
-def test_impossibly_large_positions() -> None:
-    positions, body = np.zeros((5, 2, 3)), np.zeros((5, 3))
-    far = positions.copy()
-    far[3, 1, 2] = 1e9
-    with pytest.raises(
-        ProcessingError, match=r"markers, marker 'b', sample 4: expected numbers up"
-    ):
-        calibrated(take(far, body), PROTOCOL)
-    away = body.copy()
-    away[2] = [np.nan, 1e7, 0.0]
-    with pytest.raises(ProcessingError, match=r"markers, rigid body 'Clamp', sample 3: "):
-        calibrated(take(positions, away), PROTOCOL)
-
-
-def test_a_part_without_samples() -> None:
-    nothing = Recording("dspace-mat")
-    said = r"b.mat: expected a part of a recording: channels on one clock, found 0 clocks"
-    with pytest.raises(ReadError, match=said):
-        join_parts([part(0.0), nothing], ["a.mat", "b.mat"])
