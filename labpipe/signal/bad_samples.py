@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import log, pi, sqrt
 
 import numpy as np
@@ -98,16 +99,17 @@ def stuck_runs(time: Floats, values: Floats, beside: Floats | None = None) -> li
     under constant force, slack, and a coarse resolution are left alone.
     """
     lengths, starts = _runs(values)
-    if not len(starts) or not np.nanmax(values) > np.nanmin(values):
+    channel = _Channel(time, values, beside, lengths)
+    if not len(starts) or not channel.high > channel.low:
         return []
-    seen = _Seen.of(time, values, beside, lengths)
-    long = np.flatnonzero(lengths >= max(_FEWEST, _UNUSUAL * seen.usual))
-    ends = np.flatnonzero((lengths >= _FEWEST) & seen.is_extreme(starts))
+    long = np.flatnonzero(lengths >= max(_FEWEST, _UNUSUAL * channel.usual))
+    several = np.flatnonzero(lengths >= _FEWEST)
+    ends = several[channel.is_extreme(starts[several])]
     stuck_runs = []
     for run in np.union1d(long, ends).tolist():
         start, stop = int(starts[run]), int(starts[run] + lengths[run])
-        is_end = bool(seen.is_extreme(np.array([start]))[0])
-        if seen.is_stuck(start, stop, is_end=is_end):
+        is_end = bool(channel.is_extreme(np.array([start]))[0])
+        if channel.is_stuck(start, stop, is_end=is_end):
             stuck_runs.append(Stuck(start, stop, is_end))
     return stuck_runs
 
@@ -122,44 +124,71 @@ def _runs(values: Floats) -> tuple[Ints, Ints]:
     return lengths[known], starts[known]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """A channel, and what is usual in it."""
+@dataclass(frozen=True, eq=False)
+class _Channel:
+    """A channel, and what is usual in it, computed where a run needs it.
+
+    Parameters
+    ----------
+    time, values, beside : as for `stuck_runs`
+    lengths : samples of its runs
+    """
 
     time: Floats
     values: Floats
     beside: Floats | None
-    low: float
-    high: float
-    resolution: float
-    speed: float
-    usual: float
-    noise_beside: float
-    longest_by_chance: float
-    """Samples; inf in a quiet channel."""
+    lengths: Ints
 
-    @classmethod
-    def of(cls, time: Floats, values: Floats, beside: Floats | None, lengths: Ints) -> _Seen:
-        steps, low, high = np.diff(values), float(np.nanmin(values)), float(np.nanmax(values))
-        dust = min(_DUST, 0.1 / len(values)) * (high - low)
-        moving = np.abs(steps) > dust  # False for NaN
-        sizes = np.abs(steps[moving])
+    @cached_property
+    def usual(self) -> float:
+        """Samples that 95 % of the runs do not exceed."""
+        return float(np.quantile(self.lengths, 0.95))
+
+    @cached_property
+    def low(self) -> float:
+        """Smallest value."""
+        return float(np.nanmin(self.values))
+
+    @cached_property
+    def high(self) -> float:
+        """Largest value."""
+        return float(np.nanmax(self.values))
+
+    @cached_property
+    def dust(self) -> float:
+        """Step below which the channel rests."""
+        return min(_DUST, 0.1 / len(self.values)) * (self.high - self.low)
+
+    @cached_property
+    def steps(self) -> tuple[Floats, Floats]:
+        """Sizes of the steps of the channel, and how long each lasts, s."""
+        steps = np.abs(np.diff(self.values))
+        moving = steps > self.dust  # False for NaN
+        sizes = steps[moving]
         if not len(sizes):  # blanks stand between all that differ
-            sizes, moving = np.array([high - low]), np.r_[True, moving[1:]]
-        resolution, usual = _resolution(values, sizes, dust), float(np.quantile(lengths, 0.95))
-        apart = np.maximum(np.diff(time)[moving], 1e-12)
-        return cls(
-            time=time,
-            values=values,
-            beside=beside,
-            low=low,
-            high=high,
-            resolution=resolution,
-            speed=float(np.quantile(sizes / apart, 0.95)),
-            usual=usual,
-            noise_beside=0.0 if beside is None else noise_level(beside),
-            longest_by_chance=_longest_by_chance(values, lengths, usual, resolution),
-        )
+            sizes, moving = np.array([self.high - self.low]), np.r_[True, moving[1:]]
+        return sizes, np.maximum(np.diff(self.time)[moving], 1e-12)
+
+    @cached_property
+    def resolution(self) -> float:
+        """Step that all values are multiples of."""
+        return _resolution(self.values, self.steps[0], self.dust)
+
+    @cached_property
+    def speed(self) -> float:
+        """Speed that 95 % of the steps do not exceed."""
+        sizes, durations = self.steps
+        return float(np.quantile(sizes / durations, 0.95))
+
+    @cached_property
+    def noise_beside(self) -> float:
+        """Noise of the other quantity."""
+        return 0.0 if self.beside is None else noise_level(self.beside)
+
+    @cached_property
+    def longest_by_chance(self) -> float:
+        """Samples of a run that noise makes; inf in a quiet channel."""
+        return _longest_by_chance(self.values, self.lengths, self.usual, self.resolution)
 
     def is_extreme(self, at: Ints) -> Flags:
         return np.asarray((self.values[at] == self.low) | (self.values[at] == self.high))
@@ -168,7 +197,7 @@ class _Seen:
         if self._jumps(start, stop):
             return True
         rests = self._rests(start)
-        if stop - start > self.longest_by_chance:
+        if stop - start > _LEAST and stop - start > self.longest_by_chance:
             return not rests or (is_end and stop - start >= _AT_REST)
         if rests or (start > 0 and self._is_jump(start)):
             return False
@@ -195,7 +224,7 @@ class _Seen:
         """Whether the channel steps from the sample before to this one as it never does else."""
         jump = abs(float(self.values[at] - self.values[at - 1]))
         lasts = max(float(self.time[at] - self.time[at - 1]), 1e-12)
-        return jump > _FAST * self.speed * lasts and jump > _FAR * (self.high - self.low)
+        return jump > _FAR * (self.high - self.low) and jump > _FAST * self.speed * lasts
 
     def _moved(self, start: int, stop: int) -> float:
         """How far the other quantity went meanwhile, as a share of its range."""

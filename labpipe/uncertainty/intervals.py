@@ -19,7 +19,7 @@ from math import hypot
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import NOISE, RESOLUTION, STEP, contribution
+from labpipe.records.causes import NOISE, STEP, contribution
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
@@ -46,8 +46,6 @@ _FINE, _FINEST = 16_000, 16
 of windows that jump from sample to sample make what an input changes too large or too small."""
 _FAR = 0.01
 """Share of a number by which it lies outside of its interval where noise alone is no excuse."""
-_KEPT = 0.6
-"""Share of the pieces of a record that its noise is to be judged by."""
 _BETWEEN = Input(STEP, lambda trace, _: trace, law="uniform", stream="between samples")
 """What finer samples change is known from a curve that is rounder, or rougher, than the true one:
 the truth lies anywhere from half of it the other way to half as much again."""
@@ -207,10 +205,7 @@ def _unfit(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
 
 def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
     """Why an interval over so many samples may be too narrow."""
-    coarse = any(given.cause == RESOLUTION for given in replicates.inputs)
     for name, noise in replicates.noises.items():
-        if noise.is_none or not replicates.has_noise(name):
-            continue
         # One sentence for all numbers of a test, whose samples stand beside them.
         memory, known = noise.memory, noise.count >= _TOLD
         if known and memory > max(noise.count * _OF_RECORD, _BRIEF):
@@ -225,10 +220,6 @@ def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
                 f"{memory:.3g} samples, more than two fifths of those that the number is read from"
             )
             yield name, Reason("slow_noise", message)
-        # Steps of a converter come and go with the slope of the curve; they are an input.
-        if noise.kept < _KEPT and not (coarse and name == "force"):
-            message = f"the noise of the {name} is not alike over the record"
-            yield name, Reason("uneven_noise", message)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

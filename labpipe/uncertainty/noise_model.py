@@ -41,6 +41,9 @@ _CLIFF = 4.0
 _ODD, _ROUNDS = 1e-3, 6
 """Chance of what is left of a piece by the process that is most likely, below which the piece holds
 a kink of the curve."""
+_MIN_ALIKE = 0.6
+"""Share of the pieces that are alike; with fewer the noise differs along the record, and the
+variance of the noisier half of the pieces holds for all of it."""
 _TIMES, _BRIEFEST, _LONGEST = 24, 0.4, 20
 """Correlation times, from so many samples to the longest branch over so much."""
 _FLOORS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
@@ -139,7 +142,6 @@ class Noise:
         `freedom`
     freedom : degrees of freedom of the variance
     longest, count : samples of the longest branch, and of all
-    kept : share of the pieces that were judged by
     angles, power : shape (b,): from the first angle per sample on the record's own power in bands;
         empty for a short record
     """
@@ -149,7 +151,6 @@ class Noise:
     freedom: int
     longest: int
     count: int
-    kept: float
     angles: Floats
     power: Floats
 
@@ -219,6 +220,7 @@ def noise_of(
     behind: Sequence[Floats] = (),
     *,
     copies: int = 1,
+    has_steps: bool = False,
 ) -> Noise:
     """Judge the noise of a signal by short pieces of all its branches, and by whole rests.
 
@@ -232,6 +234,8 @@ def noise_of(
         motion a force relaxes: a parabola is no noise there
     copies : signals of one kind that these are, each with all branches and rests: their noise is
         one process
+    has_steps : whether the steps of a converter are an input of their own; they come and go with
+        the slope of the curve
 
     Returns
     -------
@@ -275,34 +279,35 @@ def noise_of(
     power = np.sum(left**2, axis=1)
     if np.median(power) <= width * (_ROUNDING * span) ** 2:
         return _silence(longest)
-    is_sound = power <= _CLIFF * np.median(power)
-    terms, kept = min(_WAVES, width), int(is_sound.sum())
-    waves = fft.dct(left[is_sound], norm="ortho", axis=1)[:, :terms]
+    terms = min(_WAVES, width)
+    waves = fft.dct(left, norm="ortho", axis=1)[:, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
     processes = _processes(longest, count)
     spectra = processes.spectra(np.pi * np.arange(terms) / width)
+    is_level = power <= _CLIFF * np.median(power)
+    is_alike = is_level.copy()
     for _ in range(_ROUNDS):
-        likelihood, squares, freedom = _likelihood(spectra, waves, columns)
-        best = np.argmax(likelihood + np.log(processes.prior))
-        whitened = _whitened(spectra[best], waves, columns)
+        seen = _likelihood(spectra, waves[is_alike], columns)
+        best = spectra[np.argmax(seen[0] + np.log(processes.prior))]
+        whitened = _whitened(best, waves[is_alike], columns)
         each = terms - columns.shape[1]
         odd = whitened > np.median(whitened) * chdtri(each, _ODD) / chdtri(each, 0.5)
         if not odd.any():
             break
-        waves, kept = waves[~odd], kept - int(odd.sum())
-    seen = likelihood, squares, freedom
+        is_alike[is_alike] = ~odd
     still = [*_still(before, width), *_still(behind, width, is_behind=True)]
     likelihood, squares, freedom = _with_rests(processes, still, width, seen)
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < _SURE * chances.max()] = 0.0
-    angles, fast = _without_corners(*_own_power(branches, smooth), left[is_sound])
+    if is_alike.mean() < _MIN_ALIKE and not has_steps:
+        squares = squares * power[power >= np.median(power)].mean() / power[is_alike].mean()
+    angles, fast = _without_corners(*_own_power(branches, smooth), left[is_level])
     return Noise(
         chances / chances.sum(),
         squares,
         freedom,
         longest,
         count,
-        kept / len(moving),
         angles,
         fast,
     )
@@ -353,7 +358,7 @@ def _of_short_record(
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < _SURE * chances.max()] = 0.0
     chances /= chances.sum()
-    return Noise(chances, squares, freedom, longest, count, 1.0, np.zeros(0), np.zeros(0))
+    return Noise(chances, squares, freedom, longest, count, np.zeros(0), np.zeros(0))
 
 
 def _added(
@@ -407,7 +412,7 @@ def _closed_up(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
 
 def _silence(longest: int) -> Noise:
     none = np.zeros(0)
-    return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, 1.0, none, none)
+    return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, none, none)
 
 
 def _polynomials(width: int, most: int = _CUBIC) -> Floats:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from labpipe.records.arrays import Floats, Singles
+from labpipe.records.causes import RESOLUTION
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Reason
 from labpipe.uncertainty.extractors import Trace
@@ -89,7 +90,7 @@ class Replicates:
     displacement, force : shape (replicates, n), m, N: the smooth curve with noise, filtered
     inputs : what else is drawn
     seed : of all draws
-    noises : what the noise of force and displacement was taken for
+    noises : what the noise of force and displacement was taken for; of those that have noise
     before_filters : shape (replicates, n), N, what noise adds to the force before all filters; None
         where it is not known, or filters do nothing
     """
@@ -312,10 +313,11 @@ def replicated(
     parts, before = parts_of(unfiltered), None
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
+    is_coarse = any(given.cause == RESOLUTION for given in inputs)
     for name, act in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
         curve = smooth_curve(time, values, cuts, parts, broken=failed, branches=unfiltered.branches)
-        noise = _noise(values, curve, unfiltered, cuts)
+        noise = _noise(values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force")
         before = None if noise.is_none else noise.draw(len(time), COUNT, stream(seed, name))
         drawn.append(_filtered(curve, before, act))
         noises[name] = noise
@@ -325,7 +327,9 @@ def replicated(
         smooth[0] = smooth[0] - compliance * smooth[1]
         displacement = displacement - compliance * force
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
-    return Replicates(measured, base, displacement, force, inputs, seed, noises, before)
+    replicates = Replicates(measured, base, displacement, force, inputs, seed, noises, before)
+    noises = {name: noise for name, noise in noises.items() if replicates.has_noise(name)}
+    return replace(replicates, noises=noises)
 
 
 def _filtered(curve: Floats, noise: Singles | None, act: Filter) -> Floats:
@@ -339,7 +343,9 @@ def _filtered(curve: Floats, noise: Singles | None, act: Filter) -> Floats:
     return found
 
 
-def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> Noise:
+def _noise(
+    values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int], *, has_steps: bool
+) -> Noise:
     """Noise of a record by its branches up to where the specimen failed, or by all pieces."""
     last = len(values) if trace.failed_at is None else trace.failed_at + 1
     pieces = _pieces(cuts, last)
@@ -347,10 +353,10 @@ def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> 
         pieces = _pieces(cuts, len(values))
     of_pieces = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
     if len(trace.branches) < 2:
-        return noise_of(*of_pieces)
+        return noise_of(*of_pieces, has_steps=has_steps)
     # Before the first branch of a cyclic test and behind its last one nothing moves.
     before, behind = values[: trace.branches[0].start], values[trace.branches[-1].stop :]
-    return noise_of(*of_pieces, [before], [behind])
+    return noise_of(*of_pieces, [before], [behind], has_steps=has_steps)
 
 
 def _pieces(cuts: Sequence[int], last: int) -> list[slice]:

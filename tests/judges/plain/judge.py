@@ -109,7 +109,7 @@ class Expected:
     """Whether the file counts downwards: a number may then have either sign, if that is said."""
 
 
-ABOUT_INTERVALS = {"no_width", "slow_noise", "uneven_noise", "value_outside", "wide_break"}
+ABOUT_INTERVALS = {"no_width", "slow_noise", "value_outside", "wide_break"}
 """Doubts about how far a number may be off, not about the number: it is plain all the same."""
 
 
