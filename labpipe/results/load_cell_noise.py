@@ -25,8 +25,8 @@ from labpipe.uncertainty.replicates import stream
 _FASTER = 2.0
 """Samples of the force for each one of the curve, from which on its own are looked at."""
 _REACH, _MOST = 8.0, 20_000
-"""Standard deviations of the filtered noise below the top up to which a sample may be the largest;
-so many samples at most, of a longer plateau the curve has enough."""
+"""Standard deviations of noise below the top up to which a sample may be the largest; so many
+samples at most, of a longer plateau the curve has enough."""
 _PULSE, _FELT = 4001, 1e-3
 """Samples that a filter may reach over, and share of its height that counts."""
 
@@ -58,7 +58,6 @@ class ForceSamples:
     filters : of the force
     cuts : at which a new piece begins
     reach : samples on either side that the filters need
-    gain : standard deviation of white noise after the filters, over that before
     seed : of draws
     """
 
@@ -69,7 +68,6 @@ class ForceSamples:
     filters: tuple[Filter, ...]
     cuts: tuple[int, ...]
     reach: int
-    gain: float
     seed: bytes
 
     @classmethod
@@ -88,8 +86,7 @@ class ForceSamples:
         signal, filters = test.unfiltered, test.signals.filters.get(test.signals.force, ())
         if signal is None or not filters or any(stride != 1 for _, stride in filters):
             return None
-        response = _pulse_response(filters)
-        reach = _reach_of(response)
+        reach = _reach_of(filters)
         if reach is None or len(signal.time) < _FASTER * len(trace.time):
             return None
         time = test.clocks.times_on_curve(signal)
@@ -99,8 +96,7 @@ class ForceSamples:
         smooth = _between_frames(trace, time, cuts, reach)
         left = _beside_frames(signal.values - smooth, frames)
         np.nan_to_num(left, copy=False)
-        gain = float(np.sqrt(np.sum(response**2)))
-        return cls(time, smooth, left, frames, filters, tuple(cuts), reach, gain, test.seed)
+        return cls(time, smooth, left, frames, filters, tuple(cuts), reach, test.seed)
 
     def of_cycle(self, trace: Trace, stretch: slice, sense: float) -> PeakSamples | None:
         """The samples of a cycle.
@@ -160,7 +156,7 @@ class PeakSamples:
         N in the sense of loading, shape (replicates,). None where too many samples may be the
         largest.
         """
-        size = float(np.hypot(noise.std(), self.samples.gain * self.spread))
+        size = float(np.hypot(noise.std(), self.spread))
         near = np.flatnonzero(self.over >= self.top - _REACH * size) + self.start
         if len(near) > _MOST:
             return None
@@ -246,15 +242,11 @@ def _beside_frames(values: Floats, frames: Ints) -> Floats:
     return values - mean[frames]
 
 
-def _pulse_response(filters: Sequence[Filter]) -> Floats:
-    """Return what filters make of a single sample, shape (`_PULSE`,)."""
+def _reach_of(filters: Sequence[Filter]) -> int | None:
+    """Samples on either side that a filter feels; None for one that reaches farther than looked."""
     pulse = np.zeros(_PULSE)
     pulse[_PULSE // 2] = 1.0
-    return in_pieces(pulse, (), filters)
-
-
-def _reach_of(response: Floats) -> int | None:
-    """Return the samples on either side that a filter needs; None if it reaches too far."""
-    far = np.flatnonzero(np.abs(response) > _FELT * np.abs(response).max())
+    felt = in_pieces(pulse, (), filters)
+    far = np.flatnonzero(np.abs(felt) > _FELT * np.abs(felt).max())
     reach = int(np.abs(far - _PULSE // 2).max()) + 1
     return 2 * reach if 4 * reach < _PULSE else None
