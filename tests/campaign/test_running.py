@@ -346,7 +346,7 @@ def follow(home: Path, seed: int, steps: int) -> None:
 
 
 def test_some_accidents(tmp_path: Path) -> None:
-    follow(tmp_path, 1, 25)
+    follow(tmp_path, 1, 15)
 
 
 @pytest.mark.slow

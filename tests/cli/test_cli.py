@@ -38,6 +38,7 @@ def test_message_names_the_command(
     assert (ran.status, ran.out) == (BAD_INPUT, "")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="pipes are another matter on Windows")
 def test_reader_of_a_pipe_that_goes_away(pristine: Lab) -> None:
     command = (
@@ -145,8 +146,8 @@ def test_a_script_for_each_shell(run: Run, shell: str) -> None:
     ("typed", "offered"),
     [
         ("labpipe campaign re", {"replay", "rebuild"}),
-        ("labpipe report --ti", {"--title"}),
-        ("labpipe inspect ta", {"take.csv"}),
+        pytest.param("labpipe report --ti", {"--title"}, marks=pytest.mark.slow),
+        pytest.param("labpipe inspect ta", {"take.csv"}, marks=pytest.mark.slow),
     ],
 )
 def test_completes_actions_options_and_files(

@@ -144,6 +144,7 @@ def test_means_in_the_display_unit(approved: Approve) -> None:
     approved(of_group(number, apart, some, replace(some, name="slack", mean=None)))
 
 
+@pytest.mark.slow
 def test_a_processed_bundle_predicts_its_cycles(run: Run, tmp_path: Path) -> None:
     write_result(bent_bundle(), tmp_path / "result.h5")
     out = ("--wire", EXAMPLES, "--out", tmp_path / "out", "--no-figures")
