@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -193,7 +194,9 @@ def test_an_exact_loading_gives_its_law(law: MomentLaw, share: float) -> None:
     assert measured.curvature[-1] > 20.0
 
 
-@pytest.mark.parametrize(("weighs", "off"), [(True, 0.002), (False, 0.02)])
+@pytest.mark.parametrize(
+    ("weighs", "off"), [(True, 0.002), pytest.param(False, 0.02, marks=pytest.mark.slow)]
+)
 def test_a_wire_with_weight_gives_its_law_from_rest_on(*, weighs: bool, off: float) -> None:
     """It lies level, bent by its weight before anything is measured; left out, it shows."""
     law = replace(WireModel(), stick_moment=2e-4).scaled(0.2).law()
@@ -220,6 +223,7 @@ WIRE = WireModel().law()
 SHAPES_LAW = pulled(WIRE, travel=0.05, frames=101)
 
 
+@cache
 def with_errors(**errors: float) -> MeasuredLaw:
     return law_of(replace(bending_test(SHAPES_LAW), errors=replace(NO_ERRORS, **errors)))
 
@@ -235,7 +239,7 @@ def test_errors_of_the_force_widen_the_interval() -> None:
     assert half_width() < half_width(other_tension_at_rest=0.0265) < 0.05
 
 
-@pytest.mark.parametrize("end", ["clamp", "tip"])
+@pytest.mark.parametrize("end", ["clamp", pytest.param("tip", marks=pytest.mark.slow)])
 def test_a_wrong_place_of_an_end_is_within_its_interval(end: str) -> None:
     """Ends that are a millimetre elsewhere change the law by what is stated for it."""
     test, more = bending_test(SHAPES_LAW), 1e-3

@@ -31,7 +31,7 @@ from labpipe.studies.validation import compare
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from tests.approved import Approve
 from tests.builders.loading_tests import exact_curve, measured, wire_of
-from tests.builders.wire_tables import wire_table
+from tests.builders.wire_tables import spec_of
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def groups_of(calibration: Calibration) -> tuple[ValidationGroup, ...]:
 
 
 def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> None:
-    spec = wire_table("A2").spec
+    spec = spec_of("A2", "A2")
     made = calibrated_spec(spec, calibration)
     friction = made.radial_force * (made.friction_strand + made.friction_insulation)
     assert friction == pytest.approx(calibration.parameter("radial_friction").value)
@@ -192,13 +192,19 @@ def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calib
     ratio = normal.model.reference[-1] / pulled.model.reference[-1]
     assert ratio == pytest.approx(exact[1] / exact[0], abs=1e-3)
     assert ratio < 0.985
+
+
+@pytest.mark.slow
+def test_tests_without_a_string_are_loaded_alike(calibration: Calibration) -> None:
     alike = [FirstLoading(replace(curve, rig=None), 0.0, ()) for curve in CURVES]
     groups, curve = compare(calibration, WIRES, alike), third(is_normal=True)
     (compared,) = compare_external_curves([curve], calibration, WIRES, groups, alike)
-    assert not compared.notes, "tests without a string are loaded so"
+    assert not compared.notes
 
 
-@pytest.mark.parametrize(("wire", "length"), [("A1", 0.085), ("A2", 0.12)])
+@pytest.mark.parametrize(
+    ("wire", "length"), [("A1", 0.085), pytest.param("A2", 0.12, marks=pytest.mark.slow)]
+)
 def test_without_tests_the_model_alone(calibration: Calibration, wire: str, length: float) -> None:
     alone = held(calibration, third(wire, length))
     assert alone.tests is None
@@ -238,7 +244,7 @@ def plan_of(folder: Path, text: str = PLAN) -> Path:
 
 
 def read(plan: Path) -> tuple[ExternalCurve, ...]:
-    specs = {"A2": wire_table("A2").spec}
+    specs = {"A2": spec_of("A2", "A2")}
     return read_external_curves(load_calibration_plan(plan), plan, specs, Path("wires.xlsx"))
 
 

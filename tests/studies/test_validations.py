@@ -33,7 +33,7 @@ from labpipe.wire.wire_table import straight_range
 from tests.approved import Approve
 from tests.builders.harness_files import SHEET
 from tests.builders.loading_tests import exact_curve, measured, wire_of
-from tests.builders.wire_tables import wire_table
+from tests.builders.wire_tables import spec_of
 
 CURVES = measured("A2")
 
@@ -180,7 +180,7 @@ def test_the_sheet_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
     """Wires of tests are in the sheet, and can be built."""
-    spec, curve = wire_table("A2").spec, CURVES[0]
+    spec, curve = spec_of("A2", "A2"), CURVES[0]
     a2 = [FirstLoading(curve, 0.0, ())]
     both = [*a2, FirstLoading(replace(curve, wire="A1", test="A1-1"), 0.0, ())]
     assert wire_to_calibrate(a2, asked(), None) == "A2"
