@@ -10,7 +10,9 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import (
     GRIP,
+    NOISE,
     SCALE_OF_FORCE,
+    SECTION,
     SLACK,
     STEP,
     ZERO_OF_DISPLACEMENT,
@@ -327,3 +329,24 @@ def test_an_input_that_leaves_no_number_on_one_side(side: float) -> None:
     assert found.interval.upper == pytest.approx(3.92, abs=0.2)
     assert found.interval.lower == pytest.approx(-3.92, abs=0.2)
     assert [reason.code for _, reason in found.doubts] == ["not_repeatable"]
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_budget_adds_up_to_the_variance(seed: int) -> None:
+    """Of inputs exactly but for their draws, of noise as it was drawn."""
+    rng = RNG(seed)
+    shares = rng.uniform(0.05, 1.0, 3)
+
+    def moved(name: int) -> Input:
+        def by(trace: Trace, x: float) -> Trace:
+            return replace(trace, force=trace.force + shares[name] * x)
+
+        cause = (ZERO_OF_FORCE, GRIP, SECTION)[name]
+        return Input(cause, by, law=("normal", "uniform", "normal")[name])
+
+    record = rng.normal(0.0, 3.0, 40) + 50.0
+    (found,) = measured(trace_of(record), mean, *(moved(name) for name in range(3)))
+    rows = budget(found)
+    assert set(rows) == {NOISE, ZERO_OF_FORCE, GRIP, SECTION}
+    assert [rows[ZERO_OF_FORCE], rows[GRIP], rows[SECTION]] == pytest.approx(shares)
+    assert np.sum(np.square(list(rows.values()))) == pytest.approx(found.error**2, rel=0.2)

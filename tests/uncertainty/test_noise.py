@@ -20,6 +20,7 @@ from labpipe.uncertainty.autocorrelation import (
     limits_by_noise,
     long_run_variance,
     slowest_cosines,
+    smooth_stretches,
 )
 from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
 
@@ -125,3 +126,15 @@ def test_more_stretches_know_the_correlation_better() -> None:
     assert entropies[1] < entropies[0]
     assert all_of_them.freedom == 8 * one.freedom
     assert all_of_them.chances.sum() == pytest.approx(1.0)
+
+
+def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
+    values = 0.1 * noise(0, 820, 3.0) + 0.01 * np.arange(820.0)
+    assert len(smooth_stretches(values)) == 8
+    values[500:] += 3.0
+    values[650:] += 1.0 * np.arange(170.0)
+    values[100] = np.nan
+    found = smooth_stretches(values)
+    assert len(found) == 6
+    assert all(len(stretch) == 100 for stretch in found)
+    assert smooth_stretches(values[:99]) == ()
