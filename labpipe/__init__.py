@@ -14,7 +14,7 @@ import sys as _sys
 from importlib import import_module as _import_module
 from types import ModuleType as _ModuleType
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 _DOOR = ("Export", "Test", "groups", "inspect", "open", "process", "table")
 
 
