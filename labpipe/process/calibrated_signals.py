@@ -25,7 +25,7 @@ from labpipe.records.quality import (
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.reduced_test import SpanBend
-from labpipe.signal.bad_samples import Stuck, stuck_runs
+from labpipe.signal.bad_samples import StuckRun, stuck_runs
 
 if TYPE_CHECKING:
     from labpipe.markers.specimen_frame import SpecimenFrame
@@ -249,19 +249,19 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
         beside = other.values if other is not None and other.clock == signal.clock else None
         runs = stuck_runs(signal.time, signal.values, beside)
         quantity = words.get(name, name)
-        full = [run for run in runs if run.is_end]
+        full = [run for run in runs if run.is_clipped]
         if full:
             yield _full(name, signal, full, quantity)
             if getattr(protocol.align, "channel", "") == name:  # its peaks are not where they seem
                 yield _full(name, signal, full, "clock", anywhere=True)
-        for run in (run for run in runs if not run.is_end):
+        for run in (run for run in runs if not run.is_clipped):
             yield _frozen(name, signal, run, quantity)
             if protocol.branches is not None and protocol.branches.channel == name:
                 yield _frozen(name, signal, run, "force")  # its branches are not where they were
 
 
 def _full(
-    name: str, signal: Signal, runs: list[Stuck], quantity: str, *, anywhere: bool = False
+    name: str, signal: Signal, runs: list[StuckRun], quantity: str, *, anywhere: bool = False
 ) -> Finding:
     count = sum(run.stop - run.start for run in runs)
     at = " and ".join(
@@ -279,7 +279,7 @@ def _full(
     return doubtful_stretches(quantity, note, signal.clock)
 
 
-def _frozen(name: str, signal: Signal, run: Stuck, quantity: str) -> Finding:
+def _frozen(name: str, signal: Signal, run: StuckRun, quantity: str) -> Finding:
     when = _times(signal, run)
     unit = "s" if signal.has_time else "of the samples"
     message = (
@@ -290,7 +290,7 @@ def _frozen(name: str, signal: Signal, run: Stuck, quantity: str) -> Finding:
     return doubtful_stretches(quantity, note, signal.clock)
 
 
-def _times(signal: Signal, run: Stuck) -> tuple[float, float]:
+def _times(signal: Signal, run: StuckRun) -> tuple[float, float]:
     """From the last sample before a run to the first one behind it."""
     first, last = max(run.start - 1, 0), min(run.stop, len(signal.time) - 1)
     return float(signal.time[first]), float(signal.time[last])

@@ -1,4 +1,4 @@
-"""Samples that measure nothing: full or frozen channels, spikes and dropouts."""
+"""Invalid samples: clipped or frozen channels, spikes and dropouts."""
 
 from __future__ import annotations
 
@@ -11,78 +11,46 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints, median, stretches_of
 from labpipe.signal.turning_points import noise_level, noise_of_differences
 
-_FEWEST = 3
-"""Equal samples in a row: two stand on both sides of any corner."""
-_UNUSUAL = 4.0
-"""Times as long as the runs that are usual in the channel."""
-_ALONE = 50.0
-"""Times as long as the usual runs that no plateau of a measured force is flat."""
-_MUCH = 0.3
-"""Share of its range by which the other quantity moves during a run that is full by all means."""
-_STEPS = 5.0
-"""Steps of the resolution by which a channel comes to a run within half of it; a round top: 3."""
-_DUST = 1e-7
-"""Share of the range below which numbers differ by their rounding."""
-_FEW = 5000
-"""Samples of a record of which all values are compared, not just those of neighbours."""
-_ABRUPT = 0.3
-"""Share of its slope before that a channel has just before a run; at a round top it falls off."""
-_SPEED = (0.4, 2.5)
-"""Speed behind an end of the run over that before it, of what goes on meanwhile."""
-_FAST = 5.0
-"""Times the usual speed with which a frozen channel jumps to where it should have been."""
-_FAR = 0.02
-"""Share of the range: nearer to zero or to the first value is rest; a smaller jump does no harm."""
-_CHANCE = 1e-6
-"""With which noise would make such a run somewhere in the record."""
-_LEAST = 10.0
-"""Equal samples of a noisy channel that no logger makes by repeating a number."""
-_MOVING = 0.8
-"""Share of its samples at which a channel changes that is not slow for its resolution."""
-_LOST = 0.005
-"""Share of the range that has to be missing to matter."""
-_SURE = 5.0
-"""Standard deviations of its noise by which the other quantity moves."""
-_AT_REST = 100
-"""Equal samples of a noisy channel at its end that are no rest."""
-_WHITE = 1.2
-"""Third differences over second ones, medians: 1.8 for white noise, far below 1 if smooth."""
-_WINDOW = 7
-_LONGEST = _WINDOW // 2
-_FAR_OFF = 8.0
-"""Robust deviations from the short median that a spike is away at least."""
-_FLOOR = 0.01
-"""Share of the signal's range that it is away at least: less does no harm."""
-_SOME = 200
-"""Medians that are looked at to see how far the signal goes at least."""
-_FAR_IN_STEPS = 4.0
-"""Largest steps of the neighbours that it is away at least, so that a sharp turn is none."""
+_MIN_RUN = 3
+"""Equal samples: any corner may have two."""
+_UNUSUAL_RUN_FACTOR = 4.0
+"""Times the usual run length of the channel."""
+_JUMP_FACTOR = 5.0
+"""Times the usual speed."""
+_SMALL_SHARE = 0.02
+"""Share of the range: jumps below it are harmless, and levels this near to zero are at rest."""
+_MIN_NOISY_RUN = 10.0
+"""Equal samples: more than a logger that repeats values produces in a noisy channel."""
+_SPIKE_WINDOW = 7
+_MAX_SPIKE = _SPIKE_WINDOW // 2
+_MIN_SPIKE = 0.01
+"""Share of the range of the signal: smaller spikes are harmless."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stuck:
+class StuckRun:
     """A run of equal samples.
 
     Parameters
     ----------
-    start, stop : first sample of the run, and the first one behind it
-    is_end : whether the channel has no value beyond: it is full; else it is frozen
+    start, stop : first sample of the run, and the first one after it
+    is_clipped : whether the channel has no value beyond the repeated one; else it is frozen
     """
 
     start: int
     stop: int
-    is_end: bool
+    is_clipped: bool
 
 
-def stuck_runs(time: Floats, values: Floats, beside: Floats | None = None) -> list[Stuck]:
-    """Find where a channel repeats a number though what it measures goes on.
+def stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -> list[StuckRun]:
+    """Find runs in which a channel repeats a value although its quantity changes.
 
     Parameters
     ----------
     time : shape (n,), s
     values : shape (n,), the channel; NaN end a run
-    beside : shape (n,), what goes on meanwhile (the displacement of a force, the force of a
-        displacement); None where nothing is known of it
+    other : shape (n,), the other quantity of the test (the displacement for a force, the force for
+        a displacement); None if it was not recorded
 
     Returns
     -------
@@ -90,182 +58,200 @@ def stuck_runs(time: Floats, values: Floats, beside: Floats | None = None) -> li
 
     Notes
     -----
-    There are two ways to tell. Noise never repeats a number for long: in a noisy channel a run
-    counts if chance would make one like it in one of 10^6 records. In a quiet one the values have
-    to come to the run and leave it steeply (by more than ten steps of the resolution within half
-    its length, at no less than 0.3 of the slope before), while `beside` goes on: at about its old
-    speed through both ends, for a channel without a value beyond; or by some way, for one that then
-    jumps to where it should have been. So a machine that stands, a round top, a plateau, a creep
-    under constant force, slack, and a coarse resolution are left alone.
+    There are two criteria. In a noisy channel a run counts if noise would produce one of its length
+    in one of 10^6 records. In a quiet channel the values must approach and leave the run steeply
+    (by more than five steps of the resolution within half its length, at no less than 0.3 of the
+    slope before), while `other` continues: at about its previous speed through both ends, for a
+    clipped channel; or by a part of its range, for a frozen channel that then jumps. A machine at
+    rest, a round top, a plateau, creep under constant force, slack, and a coarse resolution are not
+    reported.
     """
     lengths, starts = _runs(values)
-    channel = _Channel(time, values, beside, lengths)
+    channel = _Channel(time, values, other, lengths)
     if not len(starts) or not channel.high > channel.low:
         return []
-    long = np.flatnonzero(lengths >= max(_FEWEST, _UNUSUAL * channel.usual))
-    several = np.flatnonzero(lengths >= _FEWEST)
+    long = np.flatnonzero(lengths >= max(_MIN_RUN, _UNUSUAL_RUN_FACTOR * channel.usual))
+    several = np.flatnonzero(lengths >= _MIN_RUN)
     ends = several[channel.is_extreme(starts[several])]
     stuck_runs = []
     for run in np.union1d(long, ends).tolist():
         start, stop = int(starts[run]), int(starts[run] + lengths[run])
-        is_end = bool(channel.is_extreme(np.array([start]))[0])
-        if channel.is_stuck(start, stop, is_end=is_end):
-            stuck_runs.append(Stuck(start, stop, is_end))
+        is_clipped = bool(channel.is_extreme(np.array([start]))[0])
+        if channel.is_stuck(start, stop, is_clipped=is_clipped):
+            stuck_runs.append(StuckRun(start, stop, is_clipped))
     return stuck_runs
 
 
 def _runs(values: Floats) -> tuple[Ints, Ints]:
-    """Lengths and first samples of all runs of equal values, those of one sample, too."""
+    """Return lengths and first samples of all runs of equal values, single samples included."""
     if not len(values):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     starts = np.r_[0, np.flatnonzero(np.diff(values) != 0.0) + 1]
     lengths = np.diff(np.r_[starts, len(values)])
-    known = ~np.isnan(values[starts])
-    return lengths[known], starts[known]
+    valid = ~np.isnan(values[starts])
+    return lengths[valid], starts[valid]
 
 
 @dataclass(frozen=True, eq=False)
 class _Channel:
-    """A channel, and what is usual in it, computed where a run needs it.
+    """A channel and its usual run length, speed and noise, computed when they are needed.
 
     Parameters
     ----------
-    time, values, beside : as for `stuck_runs`
-    lengths : samples of its runs
+    time, values, other : as for `stuck_runs`
+    lengths : lengths of its runs, in samples
     """
 
     time: Floats
     values: Floats
-    beside: Floats | None
+    other: Floats | None
     lengths: Ints
 
     @cached_property
     def usual(self) -> float:
-        """Samples that 95 % of the runs do not exceed."""
+        """95 % quantile of the run lengths, in samples."""
         return float(np.quantile(self.lengths, 0.95))
 
     @cached_property
     def low(self) -> float:
-        """Smallest value."""
+        """Minimum."""
         return float(np.nanmin(self.values))
 
     @cached_property
     def high(self) -> float:
-        """Largest value."""
+        """Maximum."""
         return float(np.nanmax(self.values))
 
     @cached_property
-    def dust(self) -> float:
-        """Step below which the channel rests."""
-        return min(_DUST, 0.1 / len(self.values)) * (self.high - self.low)
+    def rounding(self) -> float:
+        """Largest step that is rounding only."""
+        # Share of the range below which values differ by rounding only.
+        rounding_share = 1e-7
+        return min(rounding_share, 0.1 / len(self.values)) * (self.high - self.low)
 
     @cached_property
     def steps(self) -> tuple[Floats, Floats]:
-        """Sizes of the steps of the channel, and how long each lasts, s."""
+        """Sizes of the steps of the channel, and their durations in s."""
         steps = np.abs(np.diff(self.values))
-        moving = steps > self.dust  # False for NaN
+        moving = steps > self.rounding  # False for NaN
         sizes = steps[moving]
-        if not len(sizes):  # blanks stand between all that differ
+        if not len(sizes):  # all changes lie across gaps
             sizes, moving = np.array([self.high - self.low]), np.r_[True, moving[1:]]
         return sizes, np.maximum(np.diff(self.time)[moving], 1e-12)
 
     @cached_property
     def resolution(self) -> float:
-        """Step that all values are multiples of."""
-        return _resolution(self.values, self.steps[0], self.dust)
+        """Quantisation step."""
+        return _resolution(self.values, self.steps[0], self.rounding)
 
     @cached_property
     def speed(self) -> float:
-        """Speed that 95 % of the steps do not exceed."""
+        """95 % quantile of the speeds of the steps."""
         sizes, durations = self.steps
         return float(np.quantile(sizes / durations, 0.95))
 
     @cached_property
-    def noise_beside(self) -> float:
+    def other_noise(self) -> float:
         """Noise of the other quantity."""
-        return 0.0 if self.beside is None else noise_level(self.beside)
+        return 0.0 if self.other is None else noise_level(self.other)
 
     @cached_property
     def longest_by_chance(self) -> float:
-        """Samples of a run that noise makes; inf in a quiet channel."""
+        """Longest run that noise produces, in samples; inf in a quiet channel."""
         return _longest_by_chance(self.values, self.lengths, self.usual, self.resolution)
 
     def is_extreme(self, at: Ints) -> Flags:
         return np.asarray((self.values[at] == self.low) | (self.values[at] == self.high))
 
-    def is_stuck(self, start: int, stop: int, *, is_end: bool) -> bool:
-        if self._jumps(start, stop):
+    def is_stuck(self, start: int, stop: int, *, is_clipped: bool) -> bool:
+        # Samples.
+        min_clipped_at_rest = 100
+        if self._jumps_after(start, stop):
             return True
-        rests = self._rests(start)
-        if stop - start > _LEAST and stop - start > self.longest_by_chance:
-            return not rests or (is_end and stop - start >= _AT_REST)
+        rests = self._is_at_rest(start)
+        if stop - start > _MIN_NOISY_RUN and stop - start > self.longest_by_chance:
+            return not rests or (is_clipped and stop - start >= min_clipped_at_rest)
         if rests or (start > 0 and self._is_jump(start)):
             return False
-        return (is_end or stop == len(self.values)) and self._goes_on(start, stop)
+        return (is_clipped or stop == len(self.values)) and self._interrupts_motion(start, stop)
 
-    def _rests(self, at: int) -> bool:
-        level, far = float(self.values[at]), _FAR * (self.high - self.low)
+    def _is_at_rest(self, at: int) -> bool:
+        level, far = float(self.values[at]), _SMALL_SHARE * (self.high - self.low)
         first = self.values[~np.isnan(self.values)][0]
         return abs(level) <= far or abs(level - float(first)) <= far
 
-    def _jumps(self, start: int, stop: int) -> bool:
-        """Whether a jump follows while the other quantity is as smooth as ever, and has moved."""
+    def _jumps_after(self, start: int, stop: int) -> bool:
+        """Return whether a jump follows while the other quantity moves on smoothly."""
         if stop >= len(self.values):
             return False
         if not self._is_jump(stop) or (start > 0 and self._is_jump(start)):
-            return False  # what falls, stands and falls again is a specimen that tears
-        if self.beside is None:  # a specimen that breaks while the machine stands goes to zero
-            return stop - start >= _LEAST and not self._rests(stop)
-        steps = np.abs(np.diff(self.beside))
-        smooth = steps[stop - 1] <= _FAST * float(np.nanquantile(steps, 0.95))
-        return bool(smooth) and self._moved(start, stop) > _FAR
+            return False  # a force that drops in stages: the specimen tears
+        if self.other is None:  # if the specimen breaks, the force goes to zero
+            return stop - start >= _MIN_NOISY_RUN and not self._is_at_rest(stop)
+        steps = np.abs(np.diff(self.other))
+        smooth = steps[stop - 1] <= _JUMP_FACTOR * float(np.nanquantile(steps, 0.95))
+        return bool(smooth) and self._other_travel(start, stop) > _SMALL_SHARE
 
     def _is_jump(self, at: int) -> bool:
-        """Whether the channel steps from the sample before to this one as it never does else."""
+        """Return whether the step to this sample is far faster than the usual ones."""
         jump = abs(float(self.values[at] - self.values[at - 1]))
         lasts = max(float(self.time[at] - self.time[at - 1]), 1e-12)
-        return jump > _FAR * (self.high - self.low) and jump > _FAST * self.speed * lasts
+        small = _SMALL_SHARE * (self.high - self.low)
+        return jump > small and jump > _JUMP_FACTOR * self.speed * lasts
 
-    def _moved(self, start: int, stop: int) -> float:
-        """How far the other quantity went meanwhile, as a share of its range."""
-        if self.beside is None:
+    def _other_travel(self, start: int, stop: int) -> float:
+        """Return the travel of the other quantity during the run, as a share of its range."""
+        if self.other is None:
             return 0.0
-        part = self.beside[start:stop]
+        part = self.other[start:stop]
         if np.isnan(part).all():
             return 0.0
-        whole = float(np.nanmax(self.beside) - np.nanmin(self.beside))
+        whole = float(np.nanmax(self.other) - np.nanmin(self.other))
         return float(np.nanmax(part) - np.nanmin(part)) / whole if whole > 0.0 else 0.0
 
-    def _goes_on(self, start: int, stop: int) -> bool:
-        """Whether the channel comes steeply to the run, and the other quantity does not mind."""
+    def _interrupts_motion(self, start: int, stop: int) -> bool:
+        """Return whether the run has steep sides while the other quantity continues."""
+        # Times the usual run length: no plateau of a measured force is that flat.
+        plateau_factor = 50.0
+        # Share of its range.
+        min_other_travel = 0.3
         sides = [(start, -1)] if start >= 2 else []
         sides += [(stop - 1, 1)] if stop + 1 < len(self.values) else []
-        if self.beside is None or not sides:
+        if self.other is None or not sides:
             return False
-        going = [self._is_passed(at, stop - start) for at, _ in sides]
+        going = [self._other_keeps_speed(at, stop - start) for at, _ in sides]
         enough = any(going) if stop - start < 2 * 4 else all(going)
-        is_long = stop - start >= _ALONE * max(self.usual, self._before(start))
-        if is_long and self._moved(start, stop) > _MUCH and self._keeps_its_way(start, stop):
+        is_long = stop - start >= plateau_factor * max(self.usual, self._previous_run(start))
+        travels = self._other_travel(start, stop) > min_other_travel
+        if is_long and travels and self._other_keeps_direction(start, stop):
             return True
-        steep = (self._is_steep(at, away, stop - start) for at, away in sides)
+        steep = (self._leaves_steeply(at, away, stop - start) for at, away in sides)
         return enough and (is_long or all(steep))
 
-    def _before(self, start: int) -> int:
-        """Samples of the run before: a plateau is approached in ever longer ones."""
+    def _previous_run(self, start: int) -> int:
+        """Return the length of the run before: runs grow longer towards a plateau."""
         level = self.values[start - 1] if start else np.nan
         other = np.flatnonzero(self.values[:start] != level)
         return start - 1 - int(other[-1]) if len(other) else start
 
-    def _keeps_its_way(self, start: int, stop: int) -> bool:
-        """Whether the other quantity does not turn back where the run begins, as in a hold."""
-        other = self.beside
+    def _other_keeps_direction(self, start: int, stop: int) -> bool:
+        """Return whether the other quantity does not reverse at the start, as it does in a hold."""
+        other = self.other
         if other is None:
             return False
         before = float(other[start] - other[max(0, start - (stop - start))])
         return before * float(other[start + (stop - start) // 4] - other[start]) > 0.0
 
-    def _is_steep(self, at: int, away: int, length: int) -> bool:
-        """Whether the channel leaves a sample, forwards (1) or backwards (-1), at full slope."""
+    def _leaves_steeply(self, at: int, away: int, length: int) -> bool:
+        """Return whether the channel leaves a sample, forwards (1) or backwards (-1), steeply."""
+        # Resolution steps within half the run length; a round top has 3.
+        min_rise_in_steps = 5.0
+        # Slope just before the run over the slope before that; at a round top it decreases.
+        min_abruptness = 0.3
+        # Of the steps; below it the channel is slow for its resolution.
+        min_moving_share = 0.8
+        # Share of the range below which missing values do not matter.
+        min_lost_share = 0.005
         room = at if away < 0 else len(self.values) - 1 - at
         reach = min(max(2, length // 2), room)
         off = np.abs(self.values[at + away * np.arange(reach + 1)] - self.values[at])
@@ -275,62 +261,73 @@ class _Channel:
         reach = len(off) - 1
         steps = np.abs(np.diff(off))
         moving = steps[steps > 0.0]
-        # A slow channel goes in steps of its resolution, and stands on each of them for a while.
-        step = self.resolution if len(moving) > _MOVING * len(steps) else moving.min(initial=np.inf)
+        # A slow channel moves in steps of its resolution and rests on each of them.
+        is_slow = len(moving) <= min_moving_share * len(steps)
+        step = moving.min(initial=np.inf) if is_slow else self.resolution
         half = reach // 2
         slope = float(off[-1] - off[half]) / (reach - half)
         near = max(float(off[half]) / half, float(off[2] - off[1]))  # the first may be part of one
-        is_abrupt = near >= _ABRUPT * slope
-        far = max(_STEPS * float(step), _LOST * (self.high - self.low))
+        is_abrupt = near >= min_abruptness * slope
+        far = max(min_rise_in_steps * float(step), min_lost_share * (self.high - self.low))
         return bool(off[-1] > far) and is_abrupt
 
-    def _is_passed(self, at: int, length: int) -> bool:
-        """Whether the other quantity goes through a sample at about the same speed."""
-        other = self.beside
+    def _other_keeps_speed(self, at: int, length: int) -> bool:
+        """Return whether the other quantity passes a sample at about constant speed."""
+        # Speed after an end of the run over the speed before it.
+        speed_ratio_limits = (0.4, 2.5)
+        noise_factor = 5.0
+        other = self.other
         if other is None:
             return False
-        least, size = _SURE * self.noise_beside, max(1, min(length // 4, max(8, len(other) // 50)))
+        least = noise_factor * self.other_noise
+        size = max(1, min(length // 4, max(8, len(other) // 50)))
         low, high = max(0, at - size), min(len(other) - 1, at + size)
         before, after = float(other[at] - other[low]), float(other[high] - other[at])
         if not (abs(before) > least and abs(after) > least):  # NaN, too
             return False
         lasts = max(float(self.time[at] - self.time[low]), 1e-12)
         behind = max(float(self.time[high] - self.time[at]), 1e-12)
-        return _SPEED[0] <= (after / behind) / (before / lasts) <= _SPEED[1]
+        return speed_ratio_limits[0] <= (after / behind) / (before / lasts) <= speed_ratio_limits[1]
 
 
-def _resolution(values: Floats, steps: Floats, dust: float) -> float:
-    """Step that all values are multiples of; among few, that of their rounding if there is none."""
-    if len(values) > _FEW:
+def _resolution(values: Floats, steps: Floats, rounding: float) -> float:
+    """Return the quantisation step; the rounding error if a short record has none."""
+    # In longer records only the steps between neighbours are compared.
+    max_grid_check_samples = 5000
+    if len(values) > max_grid_check_samples:
         return float(steps.min())
     steps = np.diff(np.sort(values[~np.isnan(values)]))
-    steps = steps[steps > dust]
-    times = steps / steps.min()
-    on_grid = bool((np.abs(times - np.round(times)) < 0.1).all())
-    return float(steps.min()) if on_grid else dust
+    steps = steps[steps > rounding]
+    multiples = steps / steps.min()
+    on_grid = bool((np.abs(multiples - np.round(multiples)) < 0.1).all())
+    return float(steps.min()) if on_grid else rounding
 
 
 def _longest_by_chance(values: Floats, lengths: Ints, usual: float, resolution: float) -> float:
-    """Length of a run that noise makes by chance in one of 10^6 records; inf without noise."""
-    is_usual = np.repeat(lengths <= _UNUSUAL * max(1.0, usual), lengths)
+    """Return the run length that noise exceeds in one of 10^6 records; inf without noise."""
+    # Per record.
+    false_alarm_rate = 1e-6
+    # Median third over second differences: 1.8 for white noise, far below 1 if smooth.
+    min_white_ratio = 1.2
+    is_usual = np.repeat(lengths <= _UNUSUAL_RUN_FACTOR * max(1.0, usual), lengths)
     second = np.diff(values[~np.isnan(values)][is_usual], n=2)
     third = np.diff(second)
     if len(third) < 20:
         return float("inf")
     size = median(np.abs(second, out=second))
     noise = noise_of_differences(size)
-    if not noise > resolution or median(np.abs(third, out=third)) < _WHITE * size:
+    if not noise > resolution or median(np.abs(third, out=third)) < min_white_ratio * size:
         return float("inf")  # no noise, or a smooth curve
-    alike = resolution / (2.0 * sqrt(pi) * noise)  # chance that two neighbours are equal
-    return max(_LEAST, 1.0 + log(_CHANCE / len(values)) / log(alike))
+    equal_chance = resolution / (2.0 * sqrt(pi) * noise)  # of two neighbours
+    return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / len(values)) / log(equal_chance))
 
 
 def find_spikes(force: Floats) -> Ints:
-    """Samples far off their neighbours, which agree with each other.
+    """Find samples that deviate from neighbours which agree with each other.
 
     Parameters
     ----------
-    force : shape (n,), N; NaN are left out
+    force : shape (n,), N; NaN are ignored
 
     Returns
     -------
@@ -338,72 +335,77 @@ def find_spikes(force: Floats) -> Ints:
 
     Notes
     -----
-    The departure from the median of seven must exceed eight of its robust deviations (1.4826 MAD),
-    1 % of the range of that median and four of the largest steps between the three neighbours on
-    each side; the medians of these two threes must differ by less than half of it. A loss of force
-    does not come back and is therefore none, nor is a sample at the very beginning or end, which
-    has neighbours on one side only.
+    The deviation from the median of seven samples must exceed eight robust standard deviations
+    (1.4826 MAD), 1 % of the range of that median and four times the largest step between the three
+    neighbours on each side; the medians of the neighbours on both sides must differ by less than
+    half of it. A lasting loss of force is therefore no spike, nor is a sample at the very beginning
+    or end, which has neighbours on one side only.
     """
-    known = np.flatnonzero(~np.isnan(force)).astype(np.int64)
-    f = force[known]
-    if len(f) < 2 * _WINDOW or _is_smooth(f):
+    mad_factor = 8.0
+    valid = np.flatnonzero(~np.isnan(force)).astype(np.int64)
+    f = force[valid]
+    if len(f) < 2 * _SPIKE_WINDOW or _has_small_steps(f):
         return np.zeros(0, dtype=np.int64)
     from scipy.ndimage import median_filter
 
-    level = median_filter(f, _WINDOW, mode="nearest")
+    level = median_filter(f, _SPIKE_WINDOW, mode="nearest")
     off = f - level
     away = np.abs(off)
-    # Few numbers again and again, in which `records.arrays.median` is slow.
-    far = max(_FAR_OFF * 1.4826 * float(np.median(away)), _FLOOR * float(np.ptp(level)))
-    runs = [_core(np.arange(*run), off) for run in stretches_of(away > far)]
+    # np.median, as `records.arrays.median` is slow for few distinct values.
+    far = max(mad_factor * 1.4826 * float(np.median(away)), _MIN_SPIKE * float(np.ptp(level)))
+    runs = [_peak_of_run(np.arange(*run), off) for run in stretches_of(away > far)]
     spikes = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
-    numbers: Ints = known[np.concatenate(spikes).astype(np.int64)] if spikes else known[:0]
+    numbers: Ints = valid[np.concatenate(spikes).astype(np.int64)] if spikes else valid[:0]
     return numbers
 
 
 def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
-    """Put spikes on the line between their neighbours.
+    """Replace spikes by linear interpolation between their neighbours.
 
     Parameters
     ----------
-    force : shape (n,), N; NaN stay and are no neighbours
-    spikes : numbers of samples, as `find_spikes` gives them
+    force : shape (n,), N; NaN are kept and do not count as neighbours
+    spikes : sample numbers from `find_spikes`
 
     Returns
     -------
     shape (n,), a new array
     """
-    sound = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes)
-    mended = force.copy()
-    mended[spikes] = np.interp(spikes, sound, force[sound])
-    return mended
+    valid = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes)
+    bridged = force.copy()
+    bridged[spikes] = np.interp(spikes, valid, force[valid])
+    return bridged
 
 
-def _is_smooth(f: Floats) -> bool:
-    """Whether no sample can be far off, as the steps are too small: most long records are done.
+def _has_small_steps(f: Floats) -> bool:
+    """Return whether all steps are too small for a spike; true for most long records.
 
-    A sample is at most three steps away from any median of seven that it is in; the range of some
-    of these medians is at most that of all.
+    A sample is at most three steps away from any median of seven that contains it; the range of
+    some of these medians is at most that of all.
     """
+    # Medians from which the range of the signal is estimated.
+    max_medians = 200
     steps = np.diff(f)
     largest = max(float(steps.max()), -float(steps.min()))
-    windows = np.lib.stride_tricks.sliding_window_view(f, _WINDOW)
-    some = np.median(windows[:: max(1, len(windows) // _SOME)], axis=1)
-    return _LONGEST * largest <= _FLOOR * float(np.ptp(some))
+    windows = np.lib.stride_tricks.sliding_window_view(f, _SPIKE_WINDOW)
+    medians = np.median(windows[:: max(1, len(windows) // max_medians)], axis=1)
+    return _MAX_SPIKE * largest <= _MIN_SPIKE * float(np.ptp(medians))
 
 
-def _core(run: Ints, off: Floats) -> Ints:
-    """The samples of a run without its neighbours, whose median it has pulled away."""
+def _peak_of_run(run: Ints, off: Floats) -> Ints:
+    """Return the samples of a run without neighbours whose median the spike has shifted."""
     away = np.abs(off[run])
     core: Ints = run[away > 0.3 * away.max()]
     return core
 
 
 def _returns(f: Floats, run: Ints, off: float) -> bool:
+    # Times the largest step of the neighbours, so that a sharp turn is not a spike.
+    spike_step_factor = 4.0
     first, last = int(run[0]), int(run[-1])
-    before, after = f[max(first - _LONGEST, 0) : first], f[last + 1 : last + 1 + _LONGEST]
-    if last - first >= _LONGEST or min(len(before), len(after)) < _LONGEST:
+    before, after = f[max(first - _MAX_SPIKE, 0) : first], f[last + 1 : last + 1 + _MAX_SPIKE]
+    if last - first >= _MAX_SPIKE or min(len(before), len(after)) < _MAX_SPIKE:
         return False
     step = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
     apart = abs(median(after) - median(before))
-    return off > _FAR_IN_STEPS * step and apart < 0.5 * off
+    return off > spike_step_factor * step and apart < 0.5 * off

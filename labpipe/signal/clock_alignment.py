@@ -1,4 +1,4 @@
-"""Two instruments, two clocks: their offset and drift, from events or a motion that repeats."""
+"""Offset and drift between two clocks, from events or from a motion that repeats."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.turning_points import Stroke, find_strokes
 from labpipe.uncertainty.autocorrelation import long_run_variance
 
-_BINS, _LEAST = 2000, 50
+_MIN_BINS = 50
 
 
 def rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float) -> Floats:
-    """Times of the upper turning points of a signal, good to about `smoothing`.
+    """Find the times of the upper turning points of a signal, to within about `smoothing`.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float)
 
     Notes
     -----
-    Of a plateau that ends in a fall, its largest sample may lie anywhere; the turn is where the
+    On a plateau that ends in a fall, the largest sample may lie anywhere; the turn is where the
     slope changes most: where 2 y(t) - y(t - h) - y(t + h) is largest, with h four times
     `smoothing`, or a quarter of the shorter stroke.
     """
@@ -47,15 +47,15 @@ def rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float)
     clock = time[:count].reshape(-1, thin).mean(axis=1)
     strokes = find_strokes(clock, smooth, min_stroke=share * span)
     turns = [
-        clock[_sharpest(smooth, first, second, 2 * window)]
+        clock[_sharpest_turn(smooth, first, second, 2 * window)]
         for first, second in pairwise(strokes)
         if first.sign > 0 > second.sign
     ]
     return np.array(turns, dtype=np.float64)
 
 
-def _sharpest(values: Floats, rise: Stroke, fall: Stroke, reach: int) -> int:
-    """Sample at which a rise turns into a fall."""
+def _sharpest_turn(values: Floats, rise: Stroke, fall: Stroke, reach: int) -> int:
+    """Return the sample at which a rise turns into a fall."""
     reach = min(reach, (rise.stop - rise.start) // 4, (fall.stop - fall.start) // 4)
     first, last = rise.start + reach, fall.stop - reach
     if reach < 1 or last <= first:
@@ -80,10 +80,10 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
 
     Notes
     -----
-    The records see the same peaks in the same order, some perhaps before one of them began. Of all
-    shifts, the one with the most pairs wins, then the one whose pairs lie at the most
-    constant difference; among equals the smallest difference, since both records are started
-    together. Then the choice is ambiguous.
+    Both records contain the same peaks in the same order, except those before one of them began.
+    The shift with the most pairs is chosen, then the one with the most constant difference of time;
+    among equals the smallest difference, since both records are started together, and the choice is
+    ambiguous.
     """
     candidates = []
     for shift in range(-len(motion) + 1, len(force)):
@@ -110,8 +110,8 @@ class Repeat:
     ----------
     motion, force : s, the same lag on the marker clock and on the force clock
     error : s, standard error of their difference
-    wander : s, what a zero of the force that wanders may add to its lag; in intervals alone, as it
-        weighs no event
+    wander : s, error of the lag from zero drift of the force; widens the intervals only and does
+        not weight any event
     """
 
     motion: float
@@ -123,14 +123,14 @@ class Repeat:
 def fit_clocks(
     motion: Floats, force: Floats, errors: Floats, *, method: str, repeat: Repeat | None = None
 ) -> ClockFit:
-    """Fit force time = offset + (1 + drift) x marker time to what was seen on both clocks.
+    """Fit force time = offset + (1 + drift) x marker time to events on both clocks.
 
     Parameters
     ----------
     motion, force : shape (events,), s, at least one event
     errors : shape (events,), s, standard error of the difference at each event, positive
-    method : in words, how the events were found
-    repeat : a lag seen on both clocks, which says nothing on the offset and much on the drift
+    method : how the events were found, as text
+    repeat : a lag on both clocks, which determines the drift but not the offset
 
     Returns
     -------
@@ -163,7 +163,7 @@ def fit_clocks(
     covariance = np.linalg.inv(weighted.T @ weighted)
     solution = covariance @ weighted.T @ (seen * weights)
     misfit = seen - design @ solution
-    covariance = covariance * _excess(misfit * weights, freedom=len(seen) - design.shape[1])
+    covariance = covariance * _inflation(misfit * weights, freedom=len(seen) - design.shape[1])
     if repeat is not None:
         moved = np.linalg.lstsq(weighted, np.eye(len(seen))[-1] * weights, rcond=None)[0]
         covariance = covariance + repeat.wander**2 * np.outer(moved, moved)
@@ -185,11 +185,11 @@ def fit_clocks(
     )
 
 
-def _excess(pulls: Floats, *, freedom: int) -> float:
-    """Factor on the variance when events scatter more than their errors allow, else 1.
+def _inflation(pulls: Floats, *, freedom: int) -> float:
+    """Return the factor on the variance if events scatter more than their errors allow, else 1.
 
-    The 99 % quantile of chi-square is that of Wilson and Hilferty (PNAS 17 (1931) 684), good to
-    2 % for one degree of freedom and better for more.
+    The 99 % quantile of chi-square is approximated after Wilson and Hilferty (PNAS 17 (1931)
+    684), to within 2 % for one degree of freedom and better for more.
     """
     if freedom < 1:
         return 1.0
@@ -209,15 +209,15 @@ def fit_lag(
     guess: float,
     hysteresis: bool,
 ) -> Estimate | Failure:
-    """Time after which a cycle of a signal comes again.
+    """Fit the time after which a cycle of a signal repeats.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
     start, turn, stop : s, the earlier cycle: its beginning, its peak, its end
     guess : s, the lag to within a second
-    hysteresis : whether the loop may have moved along the displacement between the two cycles; a
-        motion, which has no other displacement, may not
+    hysteresis : whether the loop may have moved along the displacement between the two cycles;
+        False for a motion
 
     Returns
     -------
@@ -225,77 +225,77 @@ def fit_lag(
 
     Notes
     -----
-    y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t): what is left of a wrong lag
+    y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t): the error of the lag
     (tau), a shift and a scale of the later cycle (a, b), and a loop that has moved along the
     displacement (c), which shifts loading and unloading in opposite senses. Least squares on at
     most 2000 bins, repeated until tau vanishes. y' is taken from the mean of both cycles; the
-    standard error from the long-run variance of what is left, so that a cycle that repeats badly
-    counts for little. Noise makes y' look larger than it is and tau smaller: tau and its error are
-    divided by the share of the sum of squares that is not noise (Fuller, Measurement Error Models,
+    standard error from the long-run variance of the residuals, so that a cycle that repeats badly
+    has little weight. Noise increases y' and attenuates tau: tau and its error are divided by the
+    share of the sum of squares that is not noise (Fuller, Measurement Error Models,
     1987, sec. 1.2).
     """
     bins = _bin_count(time, start, stop)
-    if bins < _LEAST:
-        return Failure("too_few_samples", f"{bins} bins in the cycle, {_LEAST} are needed")
+    if bins < _MIN_BINS:
+        return Failure("too_few_samples", f"{bins} bins in the cycle, {_MIN_BINS} are needed")
     edges = np.linspace(start, stop, bins + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    earlier = _binned(time, values, edges)
-    lag, found = guess, None
+    earlier = _bin_means(time, values, edges)
+    lag, correction = guess, None
     for _ in range(5):
-        later = _binned(time, values, edges + lag)
-        found = _compare(middle, earlier, later, turn, hysteresis=hysteresis)
-        if isinstance(found, Failure):
-            return found
-        lag += found.value
-        if abs(found.value) < 0.01 * found.error:
+        later = _bin_means(time, values, edges + lag)
+        correction = _lag_correction(middle, earlier, later, turn, hysteresis=hysteresis)
+        if isinstance(correction, Failure):
+            return correction
+        lag += correction.value
+        if abs(correction.value) < 0.01 * correction.error:
             break
-    if found is None or isinstance(found, Failure):
+    if correction is None or isinstance(correction, Failure):
         return Failure("too_few_samples", "no bins to compare")
-    return Estimate(lag, found.error, found.n)
+    return Estimate(lag, correction.error, correction.n)
 
 
-def _compare(
+def _lag_correction(
     time: Floats, earlier: Floats, later: Floats, turn: float, *, hysteresis: bool
 ) -> Estimate | Failure:
-    """What the lag has to grow by for the later cycle to lie on the earlier one."""
+    """Return the increase of the lag that puts the later cycle on the earlier one."""
     mean = 0.5 * (earlier + later)
     slope = np.gradient(mean, time)
-    known = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
-    if known.sum() < _LEAST:
-        found = f"{int(known.sum())} bins in common, {_LEAST} are needed"
-        return Failure("too_few_samples", found)
+    valid = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
+    if valid.sum() < _MIN_BINS:
+        reason = f"{int(valid.sum())} bins in common, {_MIN_BINS} are needed"
+        return Failure("too_few_samples", reason)
     columns = [slope, np.ones_like(mean), mean]
     if hysteresis:
         columns.append(slope * np.sign(turn - time))
-    design = np.column_stack(columns)[known]
-    difference = (later - earlier)[known]
+    design = np.column_stack(columns)[valid]
+    difference = (later - earlier)[valid]
     solution = np.linalg.lstsq(design, difference, rcond=None)[0]
-    left = difference - design @ solution
-    variance = long_run_variance(left, parameters=len(columns))
+    residuals = difference - design @ solution
+    variance = long_run_variance(residuals, parameters=len(columns))
     covariance = np.linalg.pinv(design.T @ design)
-    # y(t + lag) runs late by tau' when lag is too great: the lag shrinks where the slope is met.
-    reliability = max(0.1, 1.0 - _slope_noise(time, left) * float(covariance[0, 0]))
+    # If the lag is too large by tau, y(t + lag) - y(t) = tau y'(t): the correction is negative.
+    reliability = max(0.1, 1.0 - _slope_noise(time, residuals) * float(covariance[0, 0]))
     error = float(np.sqrt(variance * covariance[0, 0])) / reliability
-    return Estimate(-float(solution[0]) / reliability, error, int(known.sum()))
+    return Estimate(-float(solution[0]) / reliability, error, int(valid.sum()))
 
 
-def _slope_noise(time: Floats, left: Floats) -> float:
-    """Sum of squares that noise adds to central differences of the mean of both cycles.
+def _slope_noise(time: Floats, residuals: Floats) -> float:
+    """Return the sum of squares that noise adds to central differences of the mean cycle.
 
-    `left` is the noise of a difference, of four times the variance of the mean's; a central
+    The variance of `residuals`, a difference, is four times that of the mean's noise; a central
     difference over two steps h has 1 / (2 h^2) of the latter.
     """
     step = float(time[1] - time[0])
-    return float(left @ left) / (8.0 * step**2)
+    return float(residuals @ residuals) / (8.0 * step**2)
 
 
 def _bin_count(time: Floats, start: float, stop: float) -> int:
     samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
-    return max(0, min(_BINS, samples // 2))
+    return max(0, min(2000, samples // 2))
 
 
-def _binned(time: Floats, values: Floats, edges: Floats) -> Floats:
-    """Means of the samples in each bin; NaN where there is none."""
+def _bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
+    """Return the means of the samples in each bin; NaN in empty bins."""
     ends = np.searchsorted(time, edges)
     low, high = ends[:-1], ends[1:]
     filled = np.flatnonzero(high > low)
@@ -305,7 +305,7 @@ def _binned(time: Floats, values: Floats, edges: Floats) -> Floats:
     inside = slice(int(low[filled[0]]), int(high[filled[-1]]))
     sums = np.add.reduceat(values[inside], low[filled] - inside.start)
     means[filled] = sums / (high - low)[filled]
-    # The samples of a bin lie a little off its middle: carry the mean there along the slope.
+    # The samples of a bin are not centred in it: move the mean to the middle along the slope.
     off = np.zeros(len(low))
     off[filled] = 0.5 * (time[low[filled]] + time[high[filled] - 1])
     off[filled] -= 0.5 * (edges[1:] + edges[:-1])[filled]

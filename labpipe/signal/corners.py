@@ -1,4 +1,4 @@
-"""Corners: where and how high a signal turns, from smooth stretches fitted on both sides."""
+"""Corners: time and height of a turn of a signal, from smooth curves fitted on both sides."""
 
 from __future__ import annotations
 
@@ -9,12 +9,6 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.uncertainty.autocorrelation import long_run_variance
 
-_BINS_PER_SIDE = 600
-"""Averages on each side of the corner at least, where there are as many samples."""
-_ROUNDS = 30
-_LEAST_OF_LINE, _LEAST_OF_LEVEL = 5, 3
-"""Samples of a line and of the level between two lines: two may be the sides of a corner."""
-
 
 @dataclass(frozen=True, slots=True)
 class Corner:
@@ -23,7 +17,7 @@ class Corner:
     Parameters
     ----------
     time : s
-    time_error : s, standard error; infinite where the two sides meet without a bend
+    time_error : s, standard error; infinite where the two sides meet smoothly
     value : in the unit of the signal
     value_error : standard error of `value`
     n : number of samples used
@@ -57,10 +51,12 @@ def fit_corner(
     y = v + sum_k a_k min(t - c, 0)^k + b_k max(t - c, 0)^k; v, a, b by linear least squares for
     every c on a grid, then all together by Gauss-Newton. Long records are averaged in 600 to 1200
     bins per side first. Standard errors use the long-run variance of the residuals
-    (`long_run_variance`). NaN are left out.
+    (`long_run_variance`). NaN are ignored.
     """
+    # Where there are as many samples.
+    min_bins_per_side = 600
     chosen = (np.abs(time - near) <= window) & ~np.isnan(values)
-    size = int(chosen.sum()) // (2 * _BINS_PER_SIDE)
+    size = int(chosen.sum()) // (2 * min_bins_per_side)
     t, y = block_means(time[chosen] - near, values[chosen], size)
     if min((t < 0).sum(), (t > 0).sum()) < degree + 3:
         return None
@@ -70,20 +66,20 @@ def fit_corner(
     at = float(grid[int(np.argmin(costs))])
     parameters = np.append(_joint_fit(t, y, at, degree)[0], at)
     for _ in range(6):
-        jacobian, misfit = _linearised(t, y, parameters, degree)
+        jacobian, misfit = _linearise(t, y, parameters, degree)
         step = np.linalg.lstsq(jacobian, misfit, rcond=None)[0]
         step[-1] = np.clip(step[-1], -0.05 * window, 0.05 * window)
         parameters = parameters + step
     if not abs(parameters[-1]) < 0.75 * window:
         return None
-    jacobian, misfit = _linearised(t, y, parameters, degree)
+    jacobian, misfit = _linearise(t, y, parameters, degree)
     return _corner(jacobian, misfit, parameters, near, int(chosen.sum()))
 
 
 def fit_stop(
     time: Floats, values: Floats, *, near: tuple[float, float], window: float
 ) -> tuple[Corner, Corner] | None:
-    """Fit a line, a level and a line: where a motion stops, and where it goes on.
+    """Fit a line, a level and a line: the stop and the restart of a motion.
 
     Parameters
     ----------
@@ -93,29 +89,30 @@ def fit_stop(
 
     Returns
     -------
-    Both corners, or None where no level is left between the lines, or where the lines do not meet
-    it.
+    Both corners, or None if there is no level between the lines or the lines do not meet it.
 
     Notes
     -----
     Every sample belongs to the line before, the level or the line after; each is fitted by least
-    squares, and the corners are where they meet. Then the samples are shared out again, until
+    squares, and the corners are where they meet. Then the samples are assigned again, until
     nothing changes. A level that is too long at first loses about half of the excess each time.
-    Standard errors use the long-run variance of the residuals. NaN are left out.
+    Standard errors use the long-run variance of the residuals. NaN are ignored.
     """
+    # Two could be the sides of a corner.
+    min_line_samples, min_level_samples = 5, 3
     chosen = (time >= near[0] - window) & (time <= near[1] + window) & ~np.isnan(values)
     middle = 0.5 * (near[0] + near[1])
     t, y = time[chosen] - middle, values[chosen]
     ends: tuple[float, float] = (near[0] - middle, near[1] - middle)
-    shared: Ints = np.zeros(0, dtype=np.int64)
+    assigned: Ints = np.zeros(0, dtype=np.int64)
     slopes, level = (0.0, 0.0), 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(30):
         parts = np.searchsorted(ends, t)
-        if np.array_equal(parts, shared):
+        if np.array_equal(parts, assigned):
             break
-        shared = parts
+        assigned = parts
         before, between, after = (parts == number for number in range(3))
-        if min(before.sum(), after.sum()) < _LEAST_OF_LINE or between.sum() < _LEAST_OF_LEVEL:
+        if min(before.sum(), after.sum()) < min_line_samples or between.sum() < min_level_samples:
             return None
         first, second = (np.polyfit(t[part], y[part], 1) for part in (before, after))
         slopes, level = (float(first[0]), float(second[0])), float(y[between].mean())
@@ -153,12 +150,12 @@ def _corner(
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     information = (jacobian / scale).T @ (jacobian / scale)
-    bends = np.linalg.cond(information) < 1e12
+    is_bent = np.linalg.cond(information) < 1e12
     inverse = np.linalg.pinv(information) / np.outer(scale, scale)
     errors = np.sqrt(np.maximum(variance * np.diag(inverse), 0.0))
     return Corner(
         time=near + float(parameters[-1]),
-        time_error=float(errors[-1]) if bends else float("inf"),
+        time_error=float(errors[-1]) if is_bent else float("inf"),
         value=float(parameters[0]),
         value_error=float(errors[0]),
         n=count,
@@ -166,7 +163,7 @@ def _corner(
 
 
 def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
-    """Averages of consecutive samples; averaged, not picked, so that hum does not fold.
+    """Average consecutive samples; unlike picking samples, this does not alias hum.
 
     Parameters
     ----------
@@ -175,7 +172,7 @@ def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats
 
     Returns
     -------
-    Means of both, shape (n // size,); NaN where a block holds one.
+    Means of both, shape (n // size,); NaN where a block contains one.
     """
     if size < 2:
         return time, values
@@ -197,10 +194,10 @@ def _joint_fit(time: Floats, values: Floats, at: float, degree: int) -> tuple[Fl
     return coefficients, float(misfit @ misfit)
 
 
-def _linearised(
+def _linearise(
     time: Floats, values: Floats, parameters: Floats, degree: int
 ) -> tuple[Floats, Floats]:
-    """Jacobian of the model and misfit at the present parameters; the last one is the time."""
+    """Return Jacobian and misfit of the model; the last parameter is the time of the corner."""
     coefficients, at = parameters[:-1], float(parameters[-1])
     design = _design(time, at, degree)
     slope = np.zeros_like(time)

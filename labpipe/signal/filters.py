@@ -69,7 +69,7 @@ def moving_average(values: Floats, *, window: int) -> Floats:
     -----
     The result of MATLAB's ``smooth(y, span, 'moving')``: sample i is the mean over
     i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i). One cumulative sum, so O(n)
-    whatever the window. NaN: a window averages what is there; a window without data is NaN.
+    whatever the window. NaN are ignored; a window without data gives NaN.
     The first and last (window - 1) / 2 samples are averaged over less than the full window.
 
     Examples
@@ -85,17 +85,17 @@ def moving_average(values: Floats, *, window: int) -> Floats:
         return values.copy()
     sums = _window_sums(np.cumsum(values, axis=-1), window)
     if np.isfinite(sums[..., [-1, count // 2]]).all():
-        return _divided(sums, window)
-    there = ~np.isnan(values)
-    sums = _window_sums(np.cumsum(np.where(there, values, 0.0), axis=-1), window)
-    counts = _window_sums(np.cumsum(there.astype(np.float64), axis=-1), window)
+        return _divide_by_windows(sums, window)
+    valid = ~np.isnan(values)
+    sums = _window_sums(np.cumsum(np.where(valid, values, 0.0), axis=-1), window)
+    counts = _window_sums(np.cumsum(valid.astype(np.float64), axis=-1), window)
     mean: Floats = np.full(values.shape, np.nan)
     np.divide(sums, counts, out=mean, where=counts > 0.5)
     return mean
 
 
 def _window_sums(total: Floats, window: int) -> Floats:
-    """Sum over windows that shrink at the ends, from a cumulative sum."""
+    """Return sums over windows that shrink at the ends, from a cumulative sum."""
     half, count = window // 2, total.shape[-1]
     sums = np.empty_like(total)
     middle = sums[..., half : count - half]
@@ -107,8 +107,8 @@ def _window_sums(total: Floats, window: int) -> Floats:
     return sums
 
 
-def _divided(sums: Floats, window: int) -> Floats:
-    """Means from sums over shrinking windows, in place."""
+def _divide_by_windows(sums: Floats, window: int) -> Floats:
+    """Turn sums over shrinking windows into means, in place."""
     half, count = window // 2, sums.shape[-1]
     odd = np.arange(1.0, 2 * half, 2)
     sums[..., half : count - half] *= 1.0 / window
@@ -119,20 +119,20 @@ def _divided(sums: Floats, window: int) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Smoothing:
-    """Moving average that follows the signal to its ends.
+    """Moving average with straight lines at the ends.
 
     Parameters
     ----------
-    window : odd number of samples; cut to those that there are; less than 3 do nothing
+    window : odd number of samples, limited to those available; below 3 the signal is unchanged
 
     Notes
     -----
     Inside the mean over the window; in the first and last half window the straight line by least
     squares through the outermost window: the filter of Savitzky and Golay, Anal. Chem. 36 (1964)
-    1627, of degree one, which a spreadsheet has as AVERAGE and FORECAST. So a signal that ends in
-    a corner keeps its height, without the noise of its last sample; the line stays within what
-    was measured there, so that a smooth top is not overshot. NaN are left out; where a
-    window holds less than two samples, the line is what `moving_average` gives.
+    1627, of degree one, which a spreadsheet computes with AVERAGE and FORECAST. A signal that ends
+    in a corner keeps its height, without the noise of its last sample; the line is clipped to the
+    measured values, so that it does not overshoot a smooth top. NaN are ignored; where a window
+    contains fewer than two samples, the line is replaced by `moving_average`.
     """
 
     window: int
@@ -147,22 +147,22 @@ class Smoothing:
         number = np.arange(float(window))
         for part, end in ((slice(window), slice(half)), (slice(-window, None), slice(-half, None))):
             rows, means = values[..., part].reshape(-1, window), mean[..., end].reshape(-1, half)
-            known = ~np.isnan(rows)
-            patterns = known[:1] if (known == known[:1]).all() else np.unique(known, axis=0)
+            valid = ~np.isnan(rows)
+            patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:
-                alike = (known == pattern).all(axis=1)
+                alike = (valid == pattern).all(axis=1)
                 line = _line_through(rows[alike][:, pattern], number[pattern], number[end])
                 means[alike] = np.where(np.isnan(means[alike]), np.nan, line)
             mean[..., end] = means.reshape(mean[..., end].shape)
         return mean
 
     def coarser(self, ratio: float) -> Smoothing:
-        """Make the same of samples `ratio` times as far apart: the nearest odd window."""
+        """Return the filter for samples `ratio` times as far apart: the nearest odd window."""
         return Smoothing(2 * round(0.5 * (self.window / ratio - 1.0)) + 1)
 
 
 def _line_through(rows: Floats, number: Floats, at: Floats) -> Floats:
-    """Straight line through each row, not beyond its values: shape (rows, at)."""
+    """Return a straight line through each row, clipped to its values: shape (rows, at)."""
     slope, level = np.polyfit(number, rows.T, 1)[:, :, np.newaxis]
     least, most = rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis]
     line: Floats = np.clip(level + slope * at, least, most)
@@ -170,17 +170,17 @@ def _line_through(rows: Floats, number: Floats, at: Floats) -> Floats:
 
 
 def in_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
-    """Filter a signal piece by piece, so that no filter reaches across a corner or a loss.
+    """Filter a signal piece by piece, so that no filter smooths a corner or a loss.
 
     Parameters
     ----------
     values : shape (..., n)
-    cuts : numbers of the samples at which a new piece begins
+    cuts : sample numbers at which a new piece begins
     filters : one after the other
 
     Returns
     -------
-    Shape (..., m), m fewer than n where a filter thins.
+    Shape (..., m), m < n if a filter decimates.
     """
     count = values.shape[-1]
     ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
@@ -217,9 +217,9 @@ class Butterworth:
         Raises
         ------
         ValueError
-            If the cut-off is not between zero and half the rate, or the signal holds NaN.
+            If the cut-off is not between zero and half the rate, or the signal contains NaN.
         """
-        from scipy.signal import butter, sosfiltfilt  # half a second that most tests need not wait
+        from scipy.signal import butter, sosfiltfilt  # slow import, needed by few tests
 
         if not 0 < self.cutoff < self.rate / 2:
             expected = f"expected a frequency between 0 and {self.rate / 2} 1/s"
@@ -234,16 +234,15 @@ class Butterworth:
         return filtered
 
     def coarser(self, ratio: float) -> Butterworth | Smoothing:
-        """Make the same of samples `ratio` times as far apart; nothing, where they are too far."""
+        """Return the filter for samples `ratio` times as far apart; none if they are too far."""
         rate = self.rate / ratio
-        return Butterworth(self.cutoff, rate, self.order) if self.cutoff < rate / 2 else _NOTHING
-
-
-_NOTHING = Smoothing(1)
+        if self.cutoff >= rate / 2:
+            return Smoothing(1)
+        return Butterworth(self.cutoff, rate, self.order)
 
 
 def seconds_to_window(span: float, time: Floats) -> int:
-    """Odd number of samples that covers `span` seconds of a clock, at the median step.
+    """Return the odd number of samples that covers `span` seconds of a clock, at the median step.
 
     Parameters
     ----------

@@ -9,96 +9,82 @@ import numpy as np
 from labpipe.records.arrays import Floats, median, stretches_of
 from labpipe.signal.turning_points import noise_level
 
-_AS_FAST = 0.5
-"""Share of its mean speed above which a motion still moves."""
-_SURE_OF_SPEED = 0.15
-"""Share of the mean speed to which a speed is to be known."""
-_LAST = 0.02
-"""Share of a stretch whose speed is that at its end; more where noise asks for it."""
-_STANDS = 0.05
-"""Share of its usual speed below which a motion stands."""
-_IN_A_ROW = 3
-"""Steps between means in a row that are as slow."""
-_AT_A_TURN = 5
-"""As many at a turn: a round one has fewer."""
-_SURE_OF_REST = 3.0
-"""Standard errors by which the means of a motion that stands may move."""
-_CORNERS = 200
-"""Places at which a corner is tried."""
-_SURELY, _MOSTLY = 25.0, 0.5
-"""Variances, and share of the sum of squares about a line, that a corner takes off."""
-_NEAR = 3
-"""Steps on each side that a jump is compared with."""
-_LARGER = 5.0
-"""Times the fastest of these steps that it is faster."""
-_SHARE = 0.02
-"""Share of the range of the signal below which a jump does no harm."""
-_SURE_JUMP = 8.0
-"""Standard deviations of the noise below which nobody can tell."""
-
 
 def moves_at_end(time: Floats, values: Floats) -> bool:
-    """Tell whether a motion is still under way in the last sample of a stretch.
+    """Return whether a motion still continues at the last sample of a stretch.
 
     Parameters
     ----------
-    time, values : shape (n,), from the begin of the stretch to its last sample; without NaN
+    time, values : shape (n,), the samples of the stretch; without NaN
 
     Returns
     -------
-    Whether a straight line through the last fiftieth of the stretch (as much more as its noise
-    asks for, up to a third; three samples at least) runs in the direction of the whole stretch, at
-    half its mean speed or more. False where nothing moves.
+    Whether a straight line through the last fiftieth of the stretch (more where its noise requires
+    it, up to a third; at least three samples) runs in the direction of the whole stretch, at
+    half its mean speed or more. False without motion.
     """
+    # Share of the mean speed.
+    min_end_speed = 0.5
+    # Share of the mean speed.
+    max_error = 0.15
+    # Share of the samples; more are used where noise requires it.
+    end_share = 0.02
     way = float(values[-1] - values[0])
     lasts = float(time[-1] - time[0])
     if len(values) < 3 or way == 0.0 or not lasts > 0.0:
         return False
     speed, noise = abs(way) / lasts, noise_level(values)
     apart = median(np.diff(time))
-    size = max(3, int(_LAST * len(values)))
-    while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / apart > _SURE_OF_SPEED * speed:
+    size = max(3, int(end_share * len(values)))
+    while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / apart > max_error * speed:
         size += max(1, size // 4)
     late, high = time[-size:] - time[-size:].mean(), values[-size:]
     slope = float(late @ high) / float(late @ late)
-    return slope * float(np.sign(way)) >= _AS_FAST * speed
+    return slope * float(np.sign(way)) >= min_end_speed * speed
 
 
 def standing_stretches(
     time: Floats, values: Floats, *, size: int, speed: float
 ) -> list[tuple[int, int]]:
-    """Find where a motion that goes one way stands still, on its way or at its ends.
+    """Find the rests within or at the ends of a motion in one direction.
 
     Parameters
     ----------
-    time, values : shape (n,), s and m, of one stroke and maybe what follows it, without NaN
+    time, values : shape (n,), s and m, of one stroke and possibly what follows it, without NaN
     size : samples that are averaged, a small part of a stroke
-    speed : that is usual, m/s
+    speed : usual speed, m/s
 
     Returns
     -------
-    First sample of each stretch, and the first one behind it. Empty where the noise of the means
+    First sample of each rest, and the first one after it. Empty where the noise of the means
     hides a motion at full speed.
 
     Notes
     -----
-    The motion stands where its means move, three times in a row or more, at less than a twentieth
-    of the usual speed, or no more than their noise; five times at the ends, where a round turn is
-    slow as well.
+    The motion rests where at least three successive steps between means are slower than a
+    twentieth of the usual speed, or than their noise; at least five at the ends, where a round turn
+    is slow as well.
     """
+    # Share of the usual speed.
+    rest_speed_share = 0.05
+    # Steps between means.
+    min_steps = 3
+    # A round turn has fewer slow steps.
+    min_steps_at_turn = 5
+    noise_factor = 3.0
     count = len(values) // size
-    if count <= _AT_A_TURN:
+    if count <= min_steps_at_turn:
         return []
     at = time[: count * size].reshape(count, size).mean(axis=1)
     means = values[: count * size].reshape(count, size).mean(axis=1)
     speeds = np.abs(np.diff(means)) / np.diff(at)
-    noise = _SURE_OF_REST * sqrt(2.0 / size) * noise_level(values) / (size * median(np.diff(time)))
+    noise = noise_factor * sqrt(2.0 / size) * noise_level(values) / (size * median(np.diff(time)))
     if not speed > 3.0 * noise:
         return []
     standing_stretches = []
-    for start, stop in stretches_of(speeds <= max(_STANDS * speed, noise)):
+    for start, stop in stretches_of(speeds <= max(rest_speed_share * speed, noise)):
         inner = start > 0 and stop < len(speeds)
-        if stop - start >= (_IN_A_ROW if inner else _AT_A_TURN):
+        if stop - start >= (min_steps if inner else min_steps_at_turn):
             standing_stretches.append((start * size, (stop + 1) * size))
     return standing_stretches
 
@@ -108,25 +94,29 @@ def samples_at_rest(values: Floats) -> int:
 
     Parameters
     ----------
-    values : shape (n,), evenly sampled, without NaN, from the end where nothing may move yet
+    values : shape (n,), evenly sampled, without NaN, from the end at which it may be at rest
 
     Returns
     -------
-    Samples before the corner of a level that a straight line follows on; 0 where one straight line
-    says it as well, as for a stretch that is all rest or all motion.
+    Samples before the corner between a level and a straight line; 0 where one straight line fits
+    as well, as for a stretch that is all rest or all motion.
 
     Notes
     -----
-    Least squares over all corners. The corner counts if it takes off more than 25 variances of the
-    residuals from their sum of squares, and half of it: noise remembers.
+    Least squares over all corners. The corner counts if it reduces the sum of squares by more than
+    25 variances of the residuals and by more than half, as noise may be autocorrelated.
     """
+    # Places at which a corner is tried.
+    max_corners = 200
+    # By which a corner must reduce the sum of squares about a line: in variances, and as a share.
+    min_variances, min_share = 25.0, 0.5
     count = len(values)
     if count < 5:
         return 0
     number = np.arange(count, dtype=np.float64)
     centred = values - values.mean()
     line = float(centred @ centred) - _explained(number - number.mean(), centred)
-    corners = np.unique(np.linspace(1, count - 2, min(count - 2, _CORNERS)).astype(np.int64))
+    corners = np.unique(np.linspace(1, count - 2, min(count - 2, max_corners)).astype(np.int64))
     ramps = np.clip(number - corners[:, None], 0.0, None)
     ramps -= ramps.mean(axis=1, keepdims=True)
     along = ramps @ centred
@@ -134,7 +124,7 @@ def samples_at_rest(values: Floats) -> int:
     best = int(np.argmin(left))
     variance = max(float(left[best]), 0.0) / (count - 3)
     gain = line - float(left[best])
-    return int(corners[best]) if gain > max(_SURELY * variance, _MOSTLY * line) else 0
+    return int(corners[best]) if gain > max(min_variances * variance, min_share * line) else 0
 
 
 def _explained(direction: Floats, values: Floats) -> float:
@@ -142,35 +132,41 @@ def _explained(direction: Floats, values: Floats) -> float:
 
 
 def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
-    """Find single steps that are far larger than those around them, and after which all goes on.
+    """Find single steps that are far larger than those before and after them.
 
     Parameters
     ----------
-    time, values : shape (n,), s (or numbers of rows) and any unit; NaN are left out, and what goes
-        on over a hole in the record at its usual speed is no jump
+    time, values : shape (n,), s (or numbers of rows) and any unit; NaN are ignored, and a change
+        across a gap at the usual speed is no jump
 
     Returns
     -------
-    Of each jump the first sample behind it, and its size in the unit of `values`, in order. None
-    within three samples of the ends, nor where the signal is back after up to three samples.
+    First sample after each jump, and its size in the unit of `values`, in order. None within three
+    samples of the ends, nor where the signal returns within three samples.
 
     Notes
     -----
-    A corner changes the steps behind it as well, so that it is no jump; a signal that breaks down
-    for good is one, which the caller may know better.
+    A corner also changes the steps after it, so it is no jump; the loss of force at a failure is
+    one, which the caller has to exclude.
     """
-    known = np.flatnonzero(~np.isnan(values))
-    v = values[known]
-    if len(v) < 2 * _NEAR + 2:
+    # Times the fastest of the neighbouring steps.
+    jump_speed_factor = 5.0
+    # Share of the range.
+    min_jump_share = 0.02
+    jump_noise_factor = 8.0
+    neighbours = 3  # steps on each side that a jump is compared with
+    valid = np.flatnonzero(~np.isnan(values))
+    v = values[valid]
+    if len(v) < 2 * neighbours + 2:
         return ()
     steps = np.diff(v)
-    speeds = np.abs(steps) / np.diff(time[known])
-    least = max(_SHARE * float(np.ptp(v)), _SURE_JUMP * noise_level(v))
+    speeds = np.abs(steps) / np.diff(time[valid])
+    least = max(min_jump_share * float(np.ptp(v)), jump_noise_factor * noise_level(v))
     level_jumps = []
     for at in np.flatnonzero(np.abs(steps) > least).tolist():
-        before, after = speeds[max(at - _NEAR, 0) : at], speeds[at + 1 : at + 1 + _NEAR]
-        if min(len(before), len(after)) < _NEAR:
+        before, after = speeds[max(at - neighbours, 0) : at], speeds[at + 1 : at + 1 + neighbours]
+        if min(len(before), len(after)) < neighbours:
             continue
-        if speeds[at] > _LARGER * float(np.concatenate([before, after]).max()):
-            level_jumps.append((int(known[at + 1]), float(steps[at])))
+        if speeds[at] > jump_speed_factor * float(np.concatenate([before, after]).max()):
+            level_jumps.append((int(valid[at + 1]), float(steps[at])))
     return tuple(level_jumps)

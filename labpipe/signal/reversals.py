@@ -1,7 +1,7 @@
-"""Reversals: where and how high a force turns when what follows the turn bends at once.
+"""Reversals: time and height of the turn of a force whose slope changes right after the turn.
 
-Strands that stick let a force fall steeply for a tenth of a second before they slide. A parabola
-does not follow that, and a window short enough for one holds hardly a sample.
+Sticking strands let the force fall steeply for a tenth of a second before they slide. A parabola
+does not follow that, and a window short enough for a parabola contains hardly any samples.
 """
 
 from __future__ import annotations
@@ -15,52 +15,35 @@ from labpipe.records.arrays import Floats
 from labpipe.signal.corners import Corner, block_means
 from labpipe.uncertainty.autocorrelation import long_run_variance
 
-_BINS = 600
-"""Samples on both sides together, at most twice that; longer records are averaged."""
-_FIXED, _RISE, _FALL = 5, 1, 2
-"""Height, slopes before and after, curvatures before and after; where the slopes are."""
+_FIXED = 5
+"""Columns: height, slopes before and after, curvatures before and after."""
+_RISE = 1
+_FALL = 2
 _KNOTS = np.append(0.014 * np.arange(1, 9), 0.126 * 2.0 ** (np.arange(21) / 8.0))
-"""Times since the corner, as shares of the window, at which the slope after it may change: so near
-to each other that a sudden bend between two of them is followed as well."""
-_ON_THE_WAY = (0.12, 0.25)
-"""Windows after the corner up to which the beginning of a fall is compared with the whole."""
-_EARLY, _STEEP = 0.25, 0.5
-"""Share of the way that is the beginning, and how steep that is at least against the whole."""
-_BACK = 0.06
-"""Windows after a wait over which the beginning of the fall is compared with the wait."""
-_SLIGHTLY = 2.0
-"""Standard errors by which the beginning of a fall may be less steep than that without harm."""
-_SURE = 0.01
-"""Probability that the force falls behind its corner, below which there is none."""
-_ODD = 0.001
-"""Share of waits in which a force loses as fast as in going back."""
+"""Times since the corner, in windows, at which the slope may change: so dense that a sudden bend
+between two of them is followed."""
 _WAITING_KNOTS = 2.0 ** -np.arange(1.0, 7.0)
-"""Times since the beginning of a wait, as shares of it, at which the slope may change."""
+"""Times since the beginning of a wait, in waits, at which the slope may change."""
 _ROUGHNESS = 2.0 ** np.arange(-1.0, 10.0, 1.5)
-"""Standard deviations of such a change that are averaged over, in standard errors of a slope."""
-_PLACES = 25
+"""Standard deviations of a change of slope, in standard errors of a slope."""
 _REACH = 0.5
-"""Share of the window in which the corner is looked for."""
-_FIRST = 0.15
-"""Share of the window on each side of the guess that is looked at first."""
-_UNLIKELY = 8.0
-"""Places are left out of the grid where the logarithm of the likelihood is less by this."""
+"""Share of the window, on each side, in which the corner is searched."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Likelihood of every place and roughness; arrays of shape (places, roughness, ...).
+    """Likelihoods of all places and roughnesses; arrays of shape (places, roughness, ...).
 
     Parameters
     ----------
     places : shape (places,), of the corner, in windows from the first guess
-    fixed : number of columns that are fixed
+    fixed : number of fixed columns
     precision : shape (roughness,), noise variance over the variance of a change of slope
     likelihood : its logarithm
     falls : shape (places, roughness), logarithm of the probability that the force falls there
     gram, moments : shape (places, columns, columns) and (places, columns), of the design
     inverse : of the gram with the precision added, shape (places, roughness, columns, columns)
-    curves : shape (places, roughness, columns), what the columns are weighted with
+    curves : shape (places, roughness, columns), coefficients
     """
 
     places: Floats
@@ -76,14 +59,13 @@ class _Grid:
 
 @dataclass(frozen=True, slots=True)
 class Reversal:
-    """A corner, and how much of its error is no noise.
+    """A corner, and the part of its error that is not noise.
 
     Parameters
     ----------
-    corner : as the likelihood has it
-    shape_error : s, the part of the corner's error in time that comes from what the fall may hide
-        below its noise; it is alike wherever the same specimen turns in the same way, and does not
-        average out
+    corner : mean over the likelihood
+    shape_error : s, the part of the corner's error in time from the unknown shape of the fall; it
+        is equal at all similar turns of a specimen and does not average out
     """
 
     corner: Corner
@@ -99,15 +81,14 @@ def fit_reversal(
     ----------
     time, values : shape (n,), s and any unit; increasing time
     near : s, first guess of the corner
-    window : s on each side of the guess; the corner is looked for in its inner half
-    dwell : s, known, that the machine waits between the end of the rise and the beginning of the
-        fall; the window after the corner begins behind it
+    window : s on each side of the guess; the corner is searched in its inner half
+    dwell : s, known waiting time of the machine between the end of the rise and the beginning of
+        the fall; the window after the corner begins after it
 
     Returns
     -------
-    The corner, that at the end of the rise, or None where there are too few samples on one side, or
-    where the corner cannot be told from one at the edge of the inner half, or the force does not
-    fall.
+    The corner at the end of the rise; None where there are too few samples on one side, the corner
+    cannot be distinguished from one at the edge of the inner half, or the force does not fall.
 
     Notes
     -----
@@ -117,42 +98,46 @@ def fit_reversal(
     the next, evenly next to it. z_k are normal with a common standard deviation, the roughness,
     which is averaged over with its marginal likelihood: a fall that is a parabola is fitted as one
     over the whole window, a fall that bends is fitted as closely as the noise allows, and what
-    cannot be decided is in the errors. That is the smoothing spline as a Bayesian sees it, whose
-    intervals cover also for fixed curves (Wahba, J. R. Stat. Soc. B 45 (1983) 133; Nychka, J. Am.
-    Stat. Assoc. 83 (1988) 1134). The force falls from the corner on, and begins at least half as
-    steeply as it goes on: likelihoods are weighted with the probability of that, since a corner too
-    early with a rise behind it, or with a flat top, would do as well.
-    The noise is the long-run variance of what the likeliest curve leaves.
+    cannot be decided is in the errors. This is the Bayesian smoothing spline, whose intervals also
+    cover fixed curves (Wahba, J. R. Stat. Soc. B 45 (1983) 133; Nychka, J. Am.
+    Stat. Assoc. 83 (1988) 1134). The force falls from the corner on, at first at
+    least half as steeply as later: likelihoods are weighted with the probability of that, since an
+    earlier corner followed by a rise or a flat top would fit as well.
+    The noise is the long-run variance of the residuals of the likeliest curve.
     With a dwell D the fall begins at c + D, and w = max(u - D, 0) takes the place of max(u, 0). In
     between, q = min(max(u, 0), D), the force may relax, fast at first: c_1 q
-    + sum_k x_k max(q - 2^-k D, 0), x_k as random as z_k. So both corners have one time, and none
-    can be taken for the other.
-    NaN are left out.
+    + sum_k x_k max(q - 2^-k D, 0), x_k distributed as z_k. Both corners share one time, so that
+    they cannot be confused.
+    NaN are ignored.
     """
+    # On both sides together; at most twice that. Longer records are averaged.
+    min_bins = 600
+    # Share of the window.
+    first_half_width = 0.15
     chosen = (time >= near - window) & (time <= near + window + dwell) & ~np.isnan(values)
     count, wait = int(chosen.sum()), dwell / window
-    t, y = block_means((time[chosen] - near) / window, values[chosen], count // _BINS)
+    t, y = block_means((time[chosen] - near) / window, values[chosen], count // min_bins)
     if min((t < -_REACH).sum(), (t > wait + _REACH).sum()) < _FIXED or np.ptp(y) == 0.0:
         return None
-    variance = _first_noise(y)
-    grid = _searched(t, y, variance, (-_FIRST, _FIRST), wait)
+    variance = _white_noise(y)
+    grid = _refine_grid(t, y, variance, (-first_half_width, first_half_width), wait)
     for _ in range(2):
-        last, variance = variance, _noise(t, y, grid, variance, wait)
+        last, variance = variance, _residual_noise(t, y, grid, variance, wait)
         if abs(variance - last) > 0.05 * last:
             ends = float(grid.places[0]), float(grid.places[-1])
-            grid = _searched(t, y, variance, ends, wait)
-    found = _corner(grid, variance)
-    if found is None:
+            grid = _refine_grid(t, y, variance, ends, wait)
+    corner = _mean_corner(grid, variance)
+    if corner is None:
         return None
-    shape_error = window * found.time_error * float(np.sqrt(_shape_share(t, grid, wait)))
-    at, error = near + window * found.time, window * found.time_error
-    return Reversal(replace(found, time=at, time_error=error, n=count), shape_error)
+    shape_error = window * corner.time_error * float(np.sqrt(_shape_share(t, grid, wait)))
+    at, error = near + window * corner.time, window * corner.time_error
+    return Reversal(replace(corner, time=at, time_error=error, n=count), shape_error)
 
 
-def _first_noise(y: Floats) -> float:
-    """Variance of white noise on a smooth signal, by the median of second differences.
+def _white_noise(y: Floats) -> float:
+    """Return the variance of white noise on a smooth signal, from the median second difference.
 
-    Of a signal that hardly ever leaves a step of its converter by their mean square.
+    If the signal rarely leaves a quantisation step, from the mean square instead.
     """
     bends = np.diff(y, 2)
     level = float(np.median(np.abs(bends))) / (0.6745 * np.sqrt(6.0))
@@ -161,27 +146,29 @@ def _first_noise(y: Floats) -> float:
     return float(max(level, 1e-9 * float(np.ptp(y))) ** 2)
 
 
-def _searched(
+def _refine_grid(
     t: Floats, y: Floats, variance: float, ends: tuple[float, float], wait: float
 ) -> _Grid:
-    """A grid of places that is as wide as the likelihood is; it begins from a first guess of it."""
+    """Return a grid of places as wide as the likelihood, starting from a first guess."""
+    n_places = 25
+    max_log_likelihood_drop = 8.0
     low, high = ends
-    grid = _evaluated(t, y, np.linspace(low, high, _PLACES), variance, wait)
+    grid = _evaluate_grid(t, y, np.linspace(low, high, n_places), variance, wait)
     for _ in range(8):
         of_place = np.logaddexp.reduce(grid.likelihood, axis=1)
-        likely = np.flatnonzero(of_place > of_place.max() - _UNLIKELY)
+        likely = np.flatnonzero(of_place > of_place.max() - max_log_likelihood_drop)
         first, last, width = int(likely[0]), int(likely[-1]), high - low
-        is_open = (first == 0 and low > -_REACH) or (last == _PLACES - 1 and high < _REACH)
-        if not is_open and last - first >= _PLACES // 3:
+        is_open = (first == 0 and low > -_REACH) or (last == n_places - 1 and high < _REACH)
+        if not is_open and last - first >= n_places // 3:
             break
         places = [low - 0.5 * width, *grid.places.tolist(), high + 0.5 * width]
         low, high = max(-_REACH, places[first]), min(_REACH, places[last + 2])
-        grid = _evaluated(t, y, np.linspace(low, high, _PLACES), variance, wait)
+        grid = _evaluate_grid(t, y, np.linspace(low, high, n_places), variance, wait)
     return grid
 
 
 def _design(t: Floats, places: Floats, wait: float) -> Floats:
-    """Columns of the curve for every place, shape (places, columns, n); first the fixed ones."""
+    """Return the design for every place, shape (places, columns, n); fixed columns first."""
     since = t - places[:, None]
     before, after = np.minimum(since, 0.0), np.maximum(since - wait, 0.0)
     smooth = [np.ones_like(since), before, after, before**2, after**2]
@@ -199,10 +186,10 @@ def _design(t: Floats, places: Floats, wait: float) -> Floats:
     return design
 
 
-def _evaluated(t: Floats, y: Floats, places: Floats, variance: float, wait: float) -> _Grid:
-    """Likelihood on the grid; what is fixed is fitted, what is random is integrated out."""
+def _evaluate_grid(t: Floats, y: Floats, places: Floats, variance: float, wait: float) -> _Grid:
+    """Return the likelihoods on the grid; fixed terms are fitted, random ones integrated out."""
     design = _design(t, places, wait)
-    fixed = _FIXED + (wait > 0.0)  # the slope while it waits
+    fixed = _FIXED + (wait > 0.0)  # the slope during the wait
     gram, moments = design @ design.transpose(0, 2, 1), design @ y
     mixed = gram[:, :fixed, fixed:]
     right = np.concatenate([mixed, moments[:, :fixed, None]], axis=2)
@@ -217,45 +204,58 @@ def _evaluated(t: Floats, y: Floats, places: Floats, variance: float, wait: floa
     squares = left[:, None] - np.sum(ratios * along[:, None, :] / spread, axis=2)
     likelihood = -0.5 * (np.sum(np.log(spread), axis=2) + squares / variance)
     precision = 1.0 / ratios[:, 0]
-    penalties = np.stack([_penalty(each, fixed, design.shape[1]) for each in precision.tolist()])
+    penalties = np.stack([_penalty(ratio, fixed, design.shape[1]) for ratio in precision.tolist()])
     inverse: Floats = np.asarray(np.linalg.inv(gram[:, None] + penalties), dtype=np.float64)
     curves = (inverse @ moments[:, None, :, None])[..., 0]
-    falls, odd = _falls(inverse, curves, variance, wait)
-    likelihood += falls + odd
+    falls, relaxation = _fall_weights(inverse, curves, variance, wait)
+    likelihood += falls + relaxation
     return _Grid(places, fixed, precision, likelihood, falls, gram, moments, inverse, curves)
 
 
-def _falls(inverse: Floats, curves: Floats, variance: float, wait: float) -> tuple[Floats, Floats]:
-    """Logarithm of the probability that the force falls after the corner, steeply at first.
+def _fall_weights(
+    inverse: Floats, curves: Floats, variance: float, wait: float
+) -> tuple[Floats, Floats]:
+    """Return the log probability that the force falls after the corner, steeply at first.
 
-    Of a machine that waits as well that the slope drops where it stops, and where it goes on. The
-    second is that of falling twice as fast there as while the machine waits, which is usual.
+    If the machine waits, the slope must also decrease where it stops and where it restarts. The
+    second array is that of falling there twice as fast as during the wait, which is usual.
     """
+    # Windows after the corner.
+    compared_spans = (0.12, 0.25)
+    # Share of the fall that is its beginning, and its least slope relative to the whole.
+    early_share, min_early_slope = 0.25, 0.5
+    # Windows after a wait.
+    after_wait_span = 0.06
+    # Standard errors by which the beginning of a fall may be too flat.
+    slope_tolerance = 2.0
+    # Share of waits in which the force relaxes as fast as it falls in unloading.
+    fast_relaxation_share = 0.001
     columns = curves.shape[-1]
 
-    def sure(that_falls: Floats) -> Floats:
-        error = np.sqrt(variance * ((inverse @ that_falls) @ that_falls))
-        return np.asarray(-(curves @ that_falls) / error, dtype=np.float64)
+    def score(contrast: Floats) -> Floats:
+        error = np.sqrt(variance * ((inverse @ contrast) @ contrast))
+        return np.asarray(-(curves @ contrast) / error, dtype=np.float64)
 
     rises, falls = np.eye(columns)[[_RISE, _FALL]]
-    tried = []
-    for place in _ON_THE_WAY:
-        early, late = (_fallen(share * place, columns, wait) for share in (_EARLY, 1.0))
-        tried.append(early - _STEEP * _EARLY * late)
-    usual = np.zeros(curves.shape[:-1])
+    contrasts = []
+    for place in compared_spans:
+        early, late = (_fall_change(share * place, columns, wait) for share in (early_share, 1.0))
+        contrasts.append(early - min_early_slope * early_share * late)
+    relaxation = np.zeros(curves.shape[:-1])
     if wait > 0.0:
-        first, half, whole = (_waited(share * wait, columns, wait) for share in (0.25, 0.5, 1.0))
-        back = _fallen(_BACK, columns, wait) / _BACK
+        first, half, whole = (_wait_change(part * wait, columns, wait) for part in (0.25, 0.5, 1.0))
+        back = _fall_change(after_wait_span, columns, wait) / after_wait_span
         waiting = (whole - half) / (0.5 * wait)
-        tried += [back - waiting, first / (0.25 * wait) - rises]
-        likely = ndtr(sure(back - 2.0 * waiting))
-        usual = np.log(_ODD + (1.0 - _ODD) * likely)
-    least = np.minimum(sure(falls), np.min([sure(each) for each in tried], axis=0) + _SLIGHTLY)
-    return log_ndtr(least), usual
+        contrasts += [back - waiting, first / (0.25 * wait) - rises]
+        is_slower = ndtr(score(back - 2.0 * waiting))
+        relaxation = np.log(fast_relaxation_share + (1.0 - fast_relaxation_share) * is_slower)
+    lowest = np.min([score(contrast) for contrast in contrasts], axis=0)
+    weakest = np.minimum(score(falls), lowest + slope_tolerance)
+    return log_ndtr(weakest), relaxation
 
 
-def _fallen(since: float, columns: int, wait: float) -> Floats:
-    """What the columns change by until a time after the beginning of the fall."""
+def _fall_change(since: float, columns: int, wait: float) -> Floats:
+    """Return the change of the columns until a time after the beginning of the fall."""
     change = np.zeros(columns)
     change[_FALL], change[_FALL + 2] = since, since**2
     bends = _FIXED + (wait > 0.0)
@@ -263,34 +263,35 @@ def _fallen(since: float, columns: int, wait: float) -> Floats:
     return change
 
 
-def _waited(since: float, columns: int, wait: float) -> Floats:
-    """What the columns change by until a time after the beginning of a wait."""
+def _wait_change(since: float, columns: int, wait: float) -> Floats:
+    """Return the change of the columns until a time after the beginning of a wait."""
     change = np.zeros(columns)
     change[_FIXED] = since
     change[-len(_WAITING_KNOTS) :] = np.maximum(since - _WAITING_KNOTS * wait, 0.0)
     return change
 
 
-def _noise(t: Floats, y: Floats, grid: _Grid, variance: float, wait: float) -> float:
-    """Long-run variance of what the likeliest curve leaves."""
+def _residual_noise(t: Floats, y: Floats, grid: _Grid, variance: float, wait: float) -> float:
+    """Return the long-run variance of the residuals of the likeliest curve."""
     place, rough = np.unravel_index(int(np.argmax(grid.likelihood)), grid.likelihood.shape)
-    left = y - grid.curves[place, rough] @ _design(t, grid.places[[place]], wait)[0]
+    residuals = y - grid.curves[place, rough] @ _design(t, grid.places[[place]], wait)[0]
     spent = int(np.ceil(np.trace(grid.inverse[place, rough] @ grid.gram[place])))
-    found = long_run_variance(left, parameters=spent)
-    return max(found, 1e-18 * float(np.ptp(y)) ** 2) if np.isfinite(found) else variance
+    noise = long_run_variance(residuals, parameters=spent)
+    return max(noise, 1e-18 * float(np.ptp(y)) ** 2) if np.isfinite(noise) else variance
 
 
 def _penalty(precision: float, fixed: int, columns: int) -> Floats:
     return np.diag(np.where(np.arange(columns) < fixed, 0.0, precision))
 
 
-def _corner(grid: _Grid, variance: float) -> Corner | None:
-    """Mean and standard deviation over all places and roughnesses."""
+def _mean_corner(grid: _Grid, variance: float) -> Corner | None:
+    """Return mean and standard deviation over all places and roughnesses."""
+    min_probability = 0.01
     weights = np.exp(grid.likelihood - grid.likelihood.max())
     weights /= weights.sum()
     of_place = weights.sum(axis=1)
     at_edge = np.abs(grid.places) > 0.99 * _REACH
-    if of_place[at_edge].sum() > 0.05 or np.sum(weights * np.exp(grid.falls)) < _SURE:
+    if of_place[at_edge].sum() > 0.05 or np.sum(weights * np.exp(grid.falls)) < min_probability:
         return None
     heights = grid.curves[..., 0]
     time, height = float(of_place @ grid.places), float(np.sum(weights * heights))
@@ -305,10 +306,10 @@ def _corner(grid: _Grid, variance: float) -> Corner | None:
 
 
 def _shape_share(t: Floats, grid: _Grid, wait: float) -> float:
-    """Share of the variance of the corner's time that is left when there is no noise.
+    """Return the share of the variance of the corner's time that remains without noise.
 
-    The curve is taken for linear in the time at its likeliest place; the variance of a smoother is
-    that of the noise that it lets through, and that of what it smooths away.
+    The curve is linearised in time at its likeliest place; the variance of a smoother consists of
+    the noise it passes and the signal it removes.
     """
     place = int(np.argmax(np.logaddexp.reduce(grid.likelihood, axis=1)))
     weights = np.exp(grid.likelihood[place] - grid.likelihood[place].max())
@@ -326,7 +327,7 @@ def _shape_share(t: Floats, grid: _Grid, wait: float) -> float:
 
 
 def _slopes(since: Floats, curve: Floats, wait: float) -> Floats:
-    """Slope of the curve at times since the corner."""
+    """Return the slope of the curve at times since the corner."""
     fallen = since - wait
     before, after = curve[1] + 2.0 * curve[3] * since, curve[2] + 2.0 * curve[4] * fallen
     bends = curve[_FIXED + (wait > 0.0) :]

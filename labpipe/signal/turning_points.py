@@ -11,17 +11,8 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints, median
 from labpipe.records.curve import AT_REST, Branch, Direction
 
-_MOST_POINTS = 50_000
-_FIRST_LOOK = 1024
 _BLOCKS = 20
-"""Averages per width: fine enough for a first guess, and noise is averaged."""
-_LEAST = 0.3
-"""Share of the way from its lowest to its highest level that a signal has at least where it turns:
-what falls at the bottom is noise, or the head of a load frame that touches."""
-_SHORTEST = 0.3
-"""Share of the width that slopes are taken over at least, however short the dwell."""
-_MORE_THAN_NOISE = 10.0
-"""Standard deviations; the extremes of a thousand values of noise are seven apart."""
+"""Averages per width: fine enough for a first guess, coarse enough to reduce noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,25 +31,25 @@ class Stroke:
 
 
 def goes_down(values: Floats) -> bool:
-    """Tell whether a signal that leaves its level and comes back does so downwards.
+    """Return whether a signal that leaves its level and returns does so downwards.
 
     Parameters
     ----------
-    values : shape (n,), any unit; NaN are left out
+    values : shape (n,), any unit; NaN are ignored
 
     Returns
     -------
     Whether it lies further below the lower one of its two ends (a hundredth of it each) than above
-    the higher one, by five standard deviations of its noise or more. So a record that begins
-    halfway up is none that goes down, nor is one that ends there. False without any value.
+    the higher one, by at least five standard deviations of its noise. So a record that begins or
+    ends halfway up does not go down. False without any value.
     """
-    known = values[~np.isnan(values)]
-    if not len(known):
+    valid = values[~np.isnan(values)]
+    if not len(valid):
         return False
-    size = max(1, len(known) // 100)
-    ends = float(known[:size].mean()), float(known[-size:].mean())
-    up, down = float(known.max()) - max(ends), min(ends) - float(known.min())
-    return down > up and down - up > 5.0 * noise_level(known)  # noise takes longer to find
+    size = max(1, len(valid) // 100)
+    ends = float(valid[:size].mean()), float(valid[-size:].mean())
+    up, down = float(valid.max()) - max(ends), min(ends) - float(valid.min())
+    return down > up and down - up > 5.0 * noise_level(valid)  # slow, so computed last
 
 
 def noise_level(values: Floats) -> float:
@@ -74,8 +65,8 @@ def noise_level(values: Floats) -> float:
 
     Notes
     -----
-    Median absolute second difference / (0.6745 sqrt 6): blind to slopes, hardly touched by
-    corners and jumps. NaN are left out.
+    Median absolute second difference / (0.6745 sqrt 6): independent of slopes, hardly affected by
+    corners and jumps. NaN are ignored.
     """
     second = np.diff(values, n=2)
     second = second[~np.isnan(second)]
@@ -83,7 +74,7 @@ def noise_level(values: Floats) -> float:
 
 
 def noise_of_differences(second: float) -> float:
-    """Standard deviation of white noise by the median of its second differences' absolute values.
+    """Return the standard deviation of white noise from its median absolute second difference.
 
     Parameters
     ----------
@@ -99,12 +90,12 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     ----------
     time : shape (n,), s, increasing
     motion : shape (n,), m
-    min_stroke : m; what moves less than this is noise or part of a longer stroke
+    min_stroke : m; smaller motions are noise or part of a longer stroke
 
     Returns
     -------
     The strokes in order. Neighbours share their turning sample, unless the motion dwells there:
-    then the dwell belongs to neither. Empty when nothing moves by `min_stroke`.
+    then the dwell belongs to neither. Empty if the motion is smaller than `min_stroke`.
 
     Raises
     ------
@@ -121,11 +112,11 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     if not min_stroke > 0:
         message = f"min_stroke={min_stroke}: expected a positive length"
         raise ValueError(message)
-    known = ~np.isnan(motion)
-    if known.sum() < 3:
+    valid = ~np.isnan(motion)
+    if valid.sum() < 3:
         return ()
-    if not known.all():
-        motion = np.interp(time, time[known], motion[known])
+    if not valid.all():
+        motion = np.interp(time, time[valid], motion[valid])
     extremes = _extremes(motion, min_stroke)
     if not extremes:
         return ()
@@ -138,14 +129,15 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     ]
     dwells = [_dwell(*stay) for stay in stays]
     return tuple(
-        _trimmed(time, motion, pair, (leaving[1], arriving[0]))
+        _trim_dwells(time, motion, pair, (leaving[1], arriving[0]))
         for pair, (leaving, arriving) in zip(pairwise(extremes), pairwise(dwells), strict=True)
     )
 
 
 def _extremes(motion: Floats, min_stroke: float) -> list[int]:
-    """Sample numbers of the alternating extremes, the two ends of the movement included."""
-    stride = max(1, len(motion) // _MOST_POINTS)
+    """Return the samples of the alternating extremes, both ends of the movement included."""
+    max_points = 50_000
+    stride = max(1, len(motion) // max_points)
     values = motion[::stride]
     spread = np.maximum.accumulate(values) - np.minimum.accumulate(values)
     if spread[-1] < min_stroke:
@@ -153,21 +145,22 @@ def _extremes(motion: Floats, min_stroke: float) -> list[int]:
     begin = int(np.argmax(spread >= min_stroke))
     rising = bool(values[begin] == values[: begin + 1].max())
     sign = 1 if rising else -1
-    found = [int(np.argmin(sign * values[: begin + 1]))]
+    extremes = [int(np.argmin(sign * values[: begin + 1]))]
     turned: int | None = begin
     while turned is not None:
         extreme, turned = _next_turn(sign * values, turned, min_stroke)
-        found.append(extreme)
+        extremes.append(extreme)
         sign = -sign
-    return [index * stride for index in found]
+    return [index * stride for index in extremes]
 
 
 def _next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int | None]:
-    """The highest sample from one on, and where the values have come back from it, if they do.
+    """Return the next maximum, and the sample at which the values have returned from it, if any.
 
-    Looked for in stretches that double, so that many strokes do not make many passes to the end.
+    Searched in stretches of doubling length, so that the time grows linearly with the record.
     """
-    length = _FIRST_LOOK
+    first_length = 1024
+    length = first_length
     while True:
         ahead = values[start : start + length]
         back = np.maximum.accumulate(ahead) - ahead >= min_stroke
@@ -179,28 +172,28 @@ def _next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int 
         length *= 2
 
 
-def _trimmed(
+def _trim_dwells(
     time: Floats, motion: Floats, extremes: tuple[int, int], dwells: tuple[float, float]
 ) -> Stroke:
     """Cut the dwell from both ends of the stretch between two extremes."""
     first, last = extremes
     sign = 1 if motion[last] > motion[first] else -1
-    hair = 1e-6 * float(time[last] - time[first]) / (last - first)  # sums of times are not exact
+    hair = 1e-6 * float(time[last] - time[first]) / (last - first)  # rounding of times
     begin = int(np.searchsorted(time, time[first] + dwells[0] - hair))
     end = int(np.searchsorted(time, time[last] - dwells[1] - hair))
-    if begin >= end:  # it moves no further than its noise: nobody can tell a dwell from that
+    if begin >= end:  # a stroke within noise: its dwells are unknown
         begin, end = first, last
     return Stroke(begin, end, sign)
 
 
 @dataclass(frozen=True, slots=True)
 class _Dwell:
-    """How long a motion is near an extreme, on one side of it.
+    """Time that a motion spends near an extreme, on one side of it.
 
     Parameters
     ----------
     near, wide : s, within a tolerance of it, and within four times that
-    shortest : s, of a dwell that is not taken for a corner
+    shortest : s, shortest dwell that differs from a corner
     """
 
     near: float
@@ -216,7 +209,7 @@ class _Dwell:
 def _stay(
     time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
 ) -> _Dwell | None:
-    """How long a motion is near an extreme, looking from there to the next; None at an end."""
+    """Return the time near an extreme, on the side of the next one; None at an end."""
     at, other = ends
     if other is None:
         return None
@@ -230,9 +223,9 @@ def _stay(
 
 
 def _dwell(before: _Dwell | None, after: _Dwell | None) -> tuple[float, float]:
-    """Seconds that a motion dwells before and after an extreme, whose place in a dwell is chance.
+    """Return the dwell in s before and after an extreme, whose place within a dwell is random.
 
-    At the ends of the movement there is one side alone, and any rest is none of the stroke's.
+    The ends of the movement have one side only, and a rest there is not part of the stroke.
     """
     sides = [side for side in (before, after) if side is not None]
     near, wide = sum(side.near for side in sides), sum(side.wide for side in sides)
@@ -256,7 +249,7 @@ def split_branches(
     time : shape (n,), s
     strokes : in order of travel
     turning_times : shape (strokes, 2), s, start and stop of each stroke where they are known
-        better than to the sample; NaN where they are not
+        to better than one sample; NaN elsewhere
 
     Returns
     -------
@@ -284,7 +277,7 @@ def split_branches(
 
 
 def branch_numbers(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Ints]:
-    """Branch and cycle number of every sample.
+    """Return branch and cycle number of every sample.
 
     Parameters
     ----------
@@ -314,25 +307,28 @@ def sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None
 
     Returns
     -------
-    s; None where the record is shorter than two widths, or nowhere rises and then falls.
+    s; None where the record is shorter than two widths, or never rises and then falls.
 
     Notes
     -----
-    The largest difference of the mean slopes over `width` before and after, above 0.3 of the way
-    from the lowest level to the highest: a record that ends under load has no turn. The largest
-    value would not do: a bundle in large deflection can have its largest force before the motion
-    turns. Where that way is less than ten standard deviations of the noise of the averages, there
-    is no turn but noise.
+    The largest difference of the mean slopes over `width` before and after, above 0.3 of the range
+    of levels: a record that ends under load has no turn. The largest value is not used: a bundle in
+    large deflection can have its largest force before the motion turns. A range below ten standard
+    deviations of the noise of the averages contains no turn.
     """
-    found = _levels(time, values, width)
-    if found is None:
+    # The extremes of a thousand values of white noise are seven standard deviations apart.
+    range_noise_factor = 10.0
+    # Share of the range of the levels: falls below are noise, or first contact of the load frame.
+    min_height_share = 0.3
+    levels = _block_levels(time, values, width)
+    if levels is None:
         return None
-    middles, level = found
-    if np.ptp(level) < _MORE_THAN_NOISE * noise_level(level):
+    middles, level = levels
+    if np.ptp(level) < range_noise_factor * noise_level(level):
         return None
-    bend, after = _bends(level)
+    bend, after = _slope_drops(level)
     here = level[_BLOCKS:-_BLOCKS] - level.min()
-    drop = np.where((after < 0.0) & (here > _LEAST * np.ptp(level)), bend, 0.0)
+    drop = np.where((after < 0.0) & (here > min_height_share * np.ptp(level)), bend, 0.0)
     best = int(np.argmax(drop))
     return float(middles[best + _BLOCKS]) if drop[best] > 0.0 else None
 
@@ -340,15 +336,15 @@ def sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None
 def turn_near(
     time: Floats, values: Floats, *, near: float, reach: float, width: float, dwell: float
 ) -> float | None:
-    """Find roughly where a signal stops rising, and where it begins to fall a known while later.
+    """Find roughly where a signal stops rising, before it falls after a known dwell.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; NaN are left out
-    near : s, middle of what is looked at
-    reach : s on each side of it in which both corners are
+    near : s, middle of the searched range
+    reach : s on each side of it; both corners are within
     width : s, on each side of a corner, over which the slopes before and after are taken
-    dwell : s, from the one corner to the other; 0 for a signal that turns at once
+    dwell : s, between the corners; 0 for a signal without dwell
 
     Returns
     -------
@@ -356,37 +352,39 @@ def turn_near(
 
     Notes
     -----
-    Where the slope drops by most at both places together. Either corner alone could be the other: a
-    steep fall drops the slope more than the end of a rise does. A fall that grows less steep drops
-    it nowhere. With a dwell, slopes are taken over no more than that, or 0.3 of the width.
+    The place with the largest sum of the drops of slope at both corners. One corner alone could be
+    mistaken for the other: the slope drops more at a steep fall than at the end of a rise. With a
+    dwell, slopes are taken over no more than that, or 0.3 of the width.
     """
-    width = width * min(1.0, max(_SHORTEST, dwell / width)) if dwell > 0.0 else width
+    # Share of the width.
+    min_width_share = 0.3
+    width = width * min(1.0, max(min_width_share, dwell / width)) if dwell > 0.0 else width
     inside = slice(*np.searchsorted(time, [near - reach - width, near + reach + width]))
-    found = _levels(time[inside], values[inside], width)
-    if found is None:
+    levels = _block_levels(time[inside], values[inside], width)
+    if levels is None:
         return None
-    middles, level = found
-    places, (bend, _) = middles[_BLOCKS:-_BLOCKS], _bends(level)
+    middles, level = levels
+    places, (bend, _) = middles[_BLOCKS:-_BLOCKS], _slope_drops(level)
     both = bend + np.interp(places + dwell, places, bend, right=-np.inf)
     return float(places[int(np.argmax(both))]) if np.isfinite(both).any() else None
 
 
-def _levels(time: Floats, values: Floats, width: float) -> tuple[Floats, Floats] | None:
-    """Means over twentieths of a width, and the middles of these; None for less than two widths."""
-    known = ~np.isnan(values)
-    edges = np.arange(time[0], time[-1], width / _BLOCKS) if known.any() else np.zeros(0)
+def _block_levels(time: Floats, values: Floats, width: float) -> tuple[Floats, Floats] | None:
+    """Return means over twentieths of a width and their times; None for less than two widths."""
+    valid = ~np.isnan(values)
+    edges = np.arange(time[0], time[-1], width / _BLOCKS) if valid.any() else np.zeros(0)
     if len(edges) < 2 * _BLOCKS + 2:
         return None
-    place = np.searchsorted(edges, time[known], side="right") - 1
+    place = np.searchsorted(edges, time[valid], side="right") - 1
     count = np.bincount(place, minlength=len(edges)).astype(np.float64)
     filled = count > 0
-    total = np.bincount(place, values[known], minlength=len(edges))
+    total = np.bincount(place, values[valid], minlength=len(edges))
     middles = edges + 0.5 * width / _BLOCKS
     return middles, np.interp(middles, middles[filled], total[filled] / count[filled])
 
 
-def _bends(level: Floats) -> tuple[Floats, Floats]:
-    """By how much the mean slope drops at each level, and the rise behind it; without the ends."""
+def _slope_drops(level: Floats) -> tuple[Floats, Floats]:
+    """Return the drop of the mean slope at each inner level, and the rise after it."""
     before = level[_BLOCKS:-_BLOCKS] - level[: -2 * _BLOCKS]
     after = level[2 * _BLOCKS :] - level[_BLOCKS:-_BLOCKS]
     return before - after, after

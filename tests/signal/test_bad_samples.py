@@ -1,4 +1,4 @@
-"""Stray samples and channels that repeat a number, and what is neither."""
+"""Spikes and channels that repeat a value."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.signal.bad_samples import Stuck, bridge_spikes, find_spikes, stuck_runs
+from labpipe.signal.bad_samples import StuckRun, bridge_spikes, find_spikes, stuck_runs
 from tests.builders.plain_records import PlainRecord, up_and_down
 
 D = np.linspace(0.0, 0.04, 401)
@@ -25,7 +25,7 @@ def test_spike_and_dropouts_are_found() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_is_none(seed: int) -> None:
+def test_no_spike_in_a_sound_signal(seed: int) -> None:
     noise = np.random.default_rng(seed).normal(0.0, 0.5, len(D))
     broken = np.where(D < 0.03, 9000.0 * D, 3.0)
     turned = 9000.0 * np.where(D < 0.02, D, 0.04 - D)
@@ -36,10 +36,10 @@ def test_what_is_none(seed: int) -> None:
     assert find_spikes(turned).tolist() == []
 
 
-def test_strays_are_bridged_over_missing_samples_too() -> None:
+def test_spikes_are_bridged_across_gaps() -> None:
     force = np.array([0.0, 1.0, 90.0, np.nan, 4.0, 5.0])
-    mended = bridge_spikes(force, np.array([2]))
-    np.testing.assert_allclose(mended, [0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
+    bridged = bridge_spikes(force, np.array([2]))
+    np.testing.assert_allclose(bridged, [0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
     assert force[2] == 90.0
     np.testing.assert_array_equal(bridge_spikes(force, np.array([], dtype=np.int64)), force)
 
@@ -54,16 +54,16 @@ def test_strays_are_bridged_over_missing_samples_too() -> None:
         (10.0, 14.0, 7.5, False),
     ],
 )
-def test_how_far_a_spike_stands_out_and_comes_back(
+def test_size_and_return_of_a_spike(
     force: float, top: float, behind: float, *, is_spike: bool
 ) -> None:
-    """More than four steps of its neighbours, of one newton; what loses more is a loss of force."""
+    """More than four steps of its neighbours, of one newton; a lasting drop is a loss of force."""
     values = np.where(np.arange(60) < 30, force, behind)
     values[[28, 30]] = force + 1.0 if force == 0.0 else force, top
     assert find_spikes(values).tolist() == ([30] if is_spike else [])
 
 
-def seen(record: PlainRecord) -> list[Stuck]:
+def runs_of(record: PlainRecord) -> list[StuckRun]:
     return stuck_runs(record.time, record.force, record.displacement)
 
 
@@ -73,17 +73,17 @@ NOISE = [0.0, 1e-3]
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("is_round", [False, True])
 @pytest.mark.parametrize(("level", "rate"), [(0.2, 1000.0), (0.5, 50.0), (0.9, 50.0)])
-def test_a_full_channel(noise: float, is_round: bool, level: float, rate: float) -> None:
+def test_a_clipped_channel(noise: float, is_round: bool, level: float, rate: float) -> None:
     record = up_and_down(rate=rate, is_round=is_round, noise=noise)
     np.minimum(record.force, level, out=record.force)
-    runs = seen(record)
-    assert {run.is_end for run in runs} == {True}
+    runs = runs_of(record)
+    assert {run.is_clipped for run in runs} == {True}
     assert {float(record.force[run.start]) for run in runs} == {level}
     assert sum(run.stop - run.start > 0.2 * rate for run in runs) == 2
 
 
 def held(rate: float, step: float, noise: float) -> PlainRecord:
-    """Up in 5 s, standing for 5 s, and down; force in steps of a resolution."""
+    """Up in 5 s, at rest for 5 s, and down; force in steps of a resolution."""
     time: Floats = np.arange(0.0, 17.0, 1.0 / rate)
     share = np.interp(time, [1.0, 6.0, 11.0, 16.0], [0.0, 1.0, 1.0, 0.0])
     share += noise * np.random.default_rng(2).normal(size=len(time))
@@ -91,8 +91,8 @@ def held(rate: float, step: float, noise: float) -> PlainRecord:
     return PlainRecord(time, 0.01 * share, np.asarray(force, dtype=np.float64))
 
 
-def test_nothing_is_wrong_where_a_machine_stands_or_a_resolution_is_coarse() -> None:
-    """A round top and a yield plateau stand on one step of the resolution for long."""
+def test_rests_and_coarse_resolutions_are_not_reported() -> None:
+    """A round top and a yield plateau remain on one step of the resolution for long."""
     records = [held(100.0, step, noise) for step in (0.0, 1e-3, 0.02) for noise in (0.0, 2e-4)]
     records += [held(10.0, 0.02, 0.0), held(10.0, 0.0, 2e-4)]
     records += [
@@ -103,7 +103,7 @@ def test_nothing_is_wrong_where_a_machine_stands_or_a_resolution_is_coarse() -> 
         for step in (0.005, 0.05):
             records.append(PlainRecord(time, 1e-3 * time, np.round(shape / step) * step))
     for record in records:
-        assert not seen(record)
+        assert not runs_of(record)
         assert not stuck_runs(record.time, record.displacement, record.force)
 
 
@@ -113,7 +113,7 @@ def test_a_frozen_force(noise: float, since: float) -> None:
     record = up_and_down(noise=noise)
     still = (record.time > since) & (record.time < since + 2.5)
     record.force[still] = record.force[still][0]
-    (run,) = seen(record)
+    (run,) = runs_of(record)
     first, last = np.flatnonzero(still)[[0, -1]]
     assert abs(run.start - first) <= 1
     assert run.stop == last + 1
@@ -121,7 +121,7 @@ def test_a_frozen_force(noise: float, since: float) -> None:
         assert stuck_runs(record.time, record.force) == [run]
 
 
-def test_a_channel_that_is_blank_or_constant() -> None:
+def test_an_empty_or_constant_channel() -> None:
     time: Floats = np.arange(50.0)
     assert not stuck_runs(time, np.full(50, np.nan))
     assert not stuck_runs(time, np.ones(50), time)
@@ -133,12 +133,12 @@ def test_a_channel_that_is_blank_or_constant() -> None:
     assert not stuck_runs(time, gaps, time)
 
 
-def test_a_channel_that_is_full_soon_after_it_begins_and_blank_at_its_end() -> None:
-    """Six samples up, twenty full, twelve down, and then the logger wrote nothing."""
+def test_a_channel_clipped_near_its_start_and_empty_at_its_end() -> None:
+    """Six samples up, twenty clipped, twelve down, then missing."""
     rise, fall = 0.1 * np.arange(6.0), 0.05 * np.arange(12.0)[::-1]
     force = np.concatenate([rise, np.full(20, 0.6), fall, np.full(5, np.nan)])
     time = np.arange(float(len(force)))
-    assert stuck_runs(time, force, 1e-3 * time) == [Stuck(6, 26, is_end=True)]
+    assert stuck_runs(time, force, 1e-3 * time) == [StuckRun(6, 26, is_clipped=True)]
 
 
 @pytest.mark.parametrize(("samples", "is_found"), [(5, False), (6, True)])
@@ -148,14 +148,14 @@ def test_a_frozen_channel_jumps_faster_than_five_times_its_speed(
     """A newton a sample; after so many equal samples it jumps by as many newtons."""
     force = np.arange(100.0)
     force[50 : 50 + samples] = 50.0
-    found = stuck_runs(np.arange(100.0), force, 1e-3 * np.arange(100.0))
-    assert found == ([Stuck(50, 50 + samples, is_end=False)] if is_found else [])
+    runs = stuck_runs(np.arange(100.0), force, 1e-3 * np.arange(100.0))
+    assert runs == ([StuckRun(50, 50 + samples, is_clipped=False)] if is_found else [])
 
 
 @pytest.mark.parametrize("since", [3.0, 9.0, 14.0])
-def test_a_few_equal_samples_in_noise_are_chance(since: float) -> None:
-    """Nine in a row; ten are the fewest that no logger repeats."""
+def test_nine_equal_samples_in_noise_are_not_reported(since: float) -> None:
+    """Ten is the limit."""
     record = up_and_down(rate=1000.0, noise=1e-2)
     at = int(np.searchsorted(record.time, since))
     record.force[at : at + 9] = record.force[at]
-    assert not seen(record)
+    assert not runs_of(record)

@@ -34,11 +34,11 @@ def stopped(seed: int, dwell: float, noise: float) -> tuple[Floats, Floats]:
 
 def test_a_stop_without_noise_is_exact() -> None:
     time, motion = stopped(0, 3.0, 0.0)
-    found = fit_stop(time, motion, near=(20.1, 22.9), window=2.0)
-    assert found is not None
-    assert [finding.time for finding in found] == pytest.approx([20.0, 23.0], abs=1e-9)
-    assert [finding.value for finding in found] == pytest.approx([20e-3, 20e-3], abs=1e-12)
-    assert max(finding.time_error for finding in found) < 1e-9
+    corners = fit_stop(time, motion, near=(20.1, 22.9), window=2.0)
+    assert corners is not None
+    assert [corner.time for corner in corners] == pytest.approx([20.0, 23.0], abs=1e-9)
+    assert [corner.value for corner in corners] == pytest.approx([20e-3, 20e-3], abs=1e-12)
+    assert max(corner.time_error for corner in corners) < 1e-9
 
 
 @pytest.mark.parametrize("dwell", [0.1, 3.0])
@@ -70,8 +70,8 @@ def test_five_samples_before_a_corner_are_enough_for_two_parabolas(
     near: float, *, is_enough: bool
 ) -> None:
     time = np.arange(0.0, 2.0, 0.01)
-    found = fit_corner(time, -np.abs(time - 0.03), near=near, window=1.0, degree=2)
-    assert (found is not None) is is_enough
+    corner = fit_corner(time, -np.abs(time - 0.03), near=near, window=1.0, degree=2)
+    assert (corner is not None) is is_enough
 
 
 REVERSAL, TOP = 4.0013, 0.095
@@ -88,7 +88,7 @@ def turned(seed: int, *, sticks: float, noise: float = 5e-4) -> tuple[Floats, Fl
     return time, force + np.random.default_rng(seed).normal(0.0, noise, len(time))
 
 
-def found(seed: int, *, sticks: float, noise: float = 5e-4) -> Reversal:
+def reversal_of(seed: int, *, sticks: float, noise: float = 5e-4) -> Reversal:
     reversal = fit_reversal(*turned(seed, sticks=sticks, noise=noise), near=3.97, window=1.0)
     assert reversal is not None
     return reversal
@@ -97,7 +97,7 @@ def found(seed: int, *, sticks: float, noise: float = 5e-4) -> Reversal:
 def test_a_few_errors_hold() -> None:
     pulls = [
         ((corner.time - REVERSAL) / corner.time_error, (corner.value - TOP) / corner.value_error)
-        for corner in (found(seed, sticks=0.1).corner for seed in range(8))
+        for corner in (reversal_of(seed, sticks=0.1).corner for seed in range(8))
     ]
     rms = np.sqrt(np.mean(np.square(pulls), axis=0))
     assert ((rms > 0.4) & (rms < 1.8)).all(), rms
@@ -108,7 +108,7 @@ def test_a_few_errors_hold() -> None:
 def test_errors_hold_wherever_the_fall_bends(sticks: float) -> None:
     pulls = []
     for seed in range(60):
-        corner = found(seed, sticks=sticks).corner
+        corner = reversal_of(seed, sticks=sticks).corner
         pulls.append([(corner.time - REVERSAL) / corner.time_error, 0.0])
         pulls[-1][1] = (corner.value - TOP) / corner.value_error
     # Of 60 intervals of 95 %, 52 at least hold their truth in 99 studies of 100.
@@ -117,7 +117,7 @@ def test_errors_hold_wherever_the_fall_bends(sticks: float) -> None:
 
 
 def test_reversal_is_exact_without_noise() -> None:
-    reversal = found(0, sticks=9.0, noise=0.0)
+    reversal = reversal_of(0, sticks=9.0, noise=0.0)
     assert reversal.corner.time == pytest.approx(REVERSAL, abs=2e-4)
     assert reversal.corner.value == pytest.approx(TOP, abs=2e-6)
 

@@ -125,7 +125,7 @@ def test_a_record_that_ends_under_load_has_no_turn() -> None:
 
 @pytest.mark.parametrize(("dwell", "seen_at"), [(0.0, 0.0), (0.2, 1.0), (1.0, 0.0), (5.0, 1.0)])
 def test_a_turn_with_a_wait_is_found_by_both_corners(dwell: float, seen_at: float) -> None:
-    """The steep corner is the second one: seen near either, the first one is found."""
+    """The steep corner is the second one: seen near either, the first one is turn."""
     time = np.arange(0.0, 60.0, 0.002)
     past = time - 30.0
     force = 0.02 * np.minimum(past, 0.0) - 0.6 * np.clip(past - dwell, 0.0, 0.2)
@@ -134,8 +134,8 @@ def test_a_turn_with_a_wait_is_found_by_both_corners(dwell: float, seen_at: floa
     force[1000:1050] = np.nan
     near = 30.0 + seen_at * dwell
 
-    found = turn_near(time, force, near=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
-    assert found == pytest.approx(30.0, abs=0.1)
+    turn = turn_near(time, force, near=near, reach=dwell + 1.0, width=1.0, dwell=dwell)
+    assert turn == pytest.approx(30.0, abs=0.1)
 
 
 def test_a_record_too_short_for_a_turn_with_a_wait() -> None:
@@ -212,12 +212,12 @@ RAMP = np.minimum(JUMP_TIME, 20.0 - JUMP_TIME) * 10.0
 
 @pytest.mark.parametrize("size", [10.0, -10.0, 3.0])
 def test_a_level_that_moves_from_one_sample_to_the_next(size: float) -> None:
-    ((sample, found),) = level_jumps(
+    ((sample, height),) = level_jumps(
         JUMP_TIME,
         RAMP + np.where(JUMP_TIME > 6.0, size, 0.0),
     )
     assert JUMP_TIME[sample - 1] <= 6.0 < JUMP_TIME[sample]
-    assert found == pytest.approx(size, abs=0.2)
+    assert height == pytest.approx(size, abs=0.2)
 
 
 def test_a_hole_in_the_record_is_none() -> None:
