@@ -23,14 +23,7 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
-_ROUNDS = 12
-_SETTLED = 1e-7
-_SINGULAR = 1e12
-_LEVELS = (7, 13, 25)
-"""Numbers of knots, each level with all the knots of the one before."""
 _RECTANGLE = 1.0 / np.sqrt(3.0)
-_STEP = 0.0015  # m, of the integrals along the wire
-_CROWDING = 1.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,10 +101,12 @@ def refine_law(loaded: Loaded) -> RefinedLaw:
     has a law with a kink: the number is doubled if that lowers the sum of squares by more than log
     n times the variance of the noise for each knot on top (Schwarz, Ann. Stat. 6 (1978) 461).
     """
+    # Each level has all the knots of the one before.
+    level_knots = (7, 13, 25)
     largest = float(loaded.moment.max())
-    coarse, fit, fine = (fit_law(loaded, law_knots(largest, count)) for count in _LEVELS)
+    coarse, fit, fine = (fit_law(loaded, law_knots(largest, count)) for count in level_knots)
     better = fine.n * (fit.residual**2 - fine.residual**2)
-    if better > fine.variance * np.log(fine.n) * (_LEVELS[2] - _LEVELS[1]):
+    if better > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
         coarse, fit = fit, fine
     return RefinedLaw(fit, _RECTANGLE * (_at_knots_of(fit, coarse) - fit.compliance))
 
@@ -147,11 +142,13 @@ def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
     covariance between coordinates in the middle (Newey and West, Econometrica 55 (1987) 703): the
     clamp's pivot and the force move all of them, and a smoothed force for several frames.
     """
+    max_rounds = 12
+    convergence_share = 1e-7
     seen = np.isfinite(loaded.moved)
     found = np.where(seen, loaded.moved, 0.0)
     shapes = LawShapes.of(loaded, basis)
     compliance = _straight(shapes, found)
-    for _ in range(_ROUNDS):
+    for _ in range(max_rounds):
         moved, design = shapes.predict(compliance)
         left = _centred(np.where(seen, found - moved, 0.0)[..., None], seen, loaded.rest_weight)
         design = _centred(np.where(seen[..., None], design, 0.0), seen, loaded.rest_weight)
@@ -160,7 +157,7 @@ def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
         better = _solve(normal, flat.T @ residual + normal @ compliance)
         change = float(np.abs(better - compliance).max() / np.abs(better).max())
         compliance = better
-        if change < _SETTLED:
+        if change < convergence_share:
             break
     spread = _inverse(normal)
     pushes = np.einsum("kj,nmj->knm", spread, design)
@@ -211,8 +208,9 @@ def _solve(normal: Floats, right: Floats) -> Floats:
 
 
 def _inverse(normal: Floats) -> Floats:
+    max_condition = 1e12
     scale = np.sqrt(np.diag(normal))
-    if not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > _SINGULAR:
+    if not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > max_condition:
         message = (
             f"knots={len(scale)}: expected markers that fix the law at every knot, found too few "
             "frames or movements"
@@ -259,9 +257,11 @@ class Line:
     @classmethod
     def through(cls, places: Floats, length: float) -> Line:
         """Divide a wire finely, with points at the markers and at the tip."""
+        # m
+        max_step = 0.0015
         ends = np.concatenate([[0.0], places, [length]])
         ends = ends[np.concatenate([[True], np.diff(ends) > 1e-9])]
-        counts = np.maximum(np.ceil(np.diff(ends) / _STEP).astype(np.int64), 1)
+        counts = np.maximum(np.ceil(np.diff(ends) / max_step).astype(np.int64), 1)
         parts = [
             np.linspace(first, last, count, endpoint=False)
             for first, last, count in zip(ends[:-1], ends[1:], counts, strict=True)
@@ -431,4 +431,5 @@ def law_knots(largest: float, count: int) -> LawBasis:
     largest : N m, the largest moment
     count : of knots, at least 2
     """
-    return LawBasis(largest * (np.arange(count) / (count - 1)) ** _CROWDING)
+    crowding_power = 1.6
+    return LawBasis(largest * (np.arange(count) / (count - 1)) ** crowding_power)

@@ -22,11 +22,8 @@ from labpipe.records.quality import Reason
 
 MEANS = 80
 """Means of consecutive frames that the first loading is fitted by."""
-_FEWEST = 24
 _RECTANGLE = 1.0 / np.sqrt(3.0)
 _NORMAL_95 = 1.959963984540054
-_ROWS = 41
-_FINE = 4000
 ROWS = 50
 """Rows of the cloud in the first loading."""
 STATIONS = 17
@@ -82,12 +79,13 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     alternative as good as the one taken counts as a rectangle, 1 / sqrt(3) of the change. So does
     a law with half as many knots.
     """
+    min_points = 24
     count = int((test.branch == test.first).sum())
     branch = np.where(test.branch == test.first, test.branch, -1)
     frames = test.frames(branch, per_mean=max(1, count // MEANS))
     n_means = len(frames.means.force)
-    if n_means < _FEWEST:
-        message = f"frames of the first loading={n_means}: expected at least {_FEWEST}"
+    if n_means < min_points:
+        message = f"frames of the first loading={n_means}: expected at least {min_points}"
         raise ValueError(message)
     loaded = _loaded(test, frames)
     if not loaded.moment.max() > np.abs(loaded.moment_at_rest).max():
@@ -256,8 +254,9 @@ def law_points(
     At a given curvature kappa = k(M) an error dk of the law moves the moment by -dk / k'(M); the
     scale of the force stretches all moments alike.
     """
+    n_fine = 4000
     basis = LawBasis(knots)
-    fine = np.linspace(0.0, knots[-1], _FINE)
+    fine = np.linspace(0.0, knots[-1], n_fine)
     reached = basis.values(fine) @ compliance
     inside = (curvature >= 0.0) & (curvature <= reached[-1] * (1.0 + 1e-12))
     moment = np.where(inside, np.interp(curvature, reached, fine), np.nan)
@@ -321,9 +320,10 @@ def tabulate(
     A curvature is known where it is above 1.96 times the noise of the cloud's curvatures, and where
     the law's own interval does not hold a moment of zero.
     """
+    n_rows = 41
     covariance = fit.covariance + sum(np.outer(change, change) for change in common)
     largest = float(fit.basis.values(fit.basis.knots[-1:])[0] @ fit.compliance)
-    curvature = largest * (np.arange(_ROWS) / (_ROWS - 1)) ** 2
+    curvature = largest * (np.arange(n_rows) / (n_rows - 1)) ** 2
     at = law_points(fit.basis.knots, fit.compliance, covariance, curvature, scale_error=scale_error)
     floor = _NORMAL_95 * curvature_noise
     is_known = np.asarray(

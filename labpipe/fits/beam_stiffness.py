@@ -13,13 +13,6 @@ from labpipe.records.estimates import Failure
 
 DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
 """By support: end load on a cantilever of a length, load in the middle of a span."""
-_NODES = 48
-_SLOPES = 600
-_STEEPEST = 1.35
-"""rad, slope at the supports up to which a path is followed: 77 deg."""
-_WINDOW = 200
-_LEAST = 0.5
-"""Share of the stiffness at small deflections; with less, geometry says more than the specimen."""
 
 
 def beam_factor(length: float, support: str) -> float:
@@ -104,8 +97,12 @@ def path_of_load(rollers: Rollers) -> tuple[Floats, Floats]:
     deflections. The correction of ASTM D790 (sec. 12, large span-to-depth ratios) is of the stress
     in the outer fibre, not of the stiffness: another thing.
     """
-    angle = np.linspace(0.0, _STEEPEST, _SLOPES + 1)[1:, None]
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    n_nodes = 48
+    n_slopes = 600
+    # rad, at the supports: 77 deg
+    max_slope = 1.35
+    angle = np.linspace(0.0, max_slope, n_slopes + 1)[1:, None]
+    node, weight = np.polynomial.legendre.leggauss(n_nodes)
     root = 0.5 * np.sqrt(angle) * (node + 1.0)
     p = root**2
     mu = rollers.friction
@@ -139,6 +136,10 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Fai
     >>> round(stiffness_ratio(Rollers(0.1), low=0.0, high=0.001), 4)
     0.9991
     """
+    window_samples = 200
+    # Below this share of the stiffness at small deflections, geometry has more effect than the
+    # specimen.
+    min_ratio = 0.5
     deflection, load = path_of_load(rollers)
     falling = np.flatnonzero(np.diff(deflection) <= 0.0)
     last = int(falling[0]) if len(falling) else len(deflection) - 1
@@ -148,14 +149,14 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Fai
             f"an elastic beam on this span slips through at {1e3 * deflection[last]:.4g} mm, the "
             f"stiffness goes up to {1e3 * high:.4g} mm",
         )
-    at = np.linspace(low, high, _WINDOW)
+    at = np.linspace(low, high, window_samples)
     over = np.interp(at, deflection[: last + 1], load[: last + 1])
     slope = float(np.polynomial.Polynomial.fit(at, over, 1).convert().coef[1])
     ratio = slope * rollers.span**3 / 48.0
-    if ratio < _LEAST:
+    if ratio < min_ratio:
         return Failure(
             "beyond_elastica",
             f"from {1e3 * low:.4g} mm to {1e3 * high:.4g} mm the load on an elastic beam rises "
-            f"{ratio:.2g} times as fast as at first, {_LEAST} is the least that is corrected",
+            f"{ratio:.2g} times as fast as at first, {min_ratio} is the least that is corrected",
         )
     return ratio

@@ -8,9 +8,6 @@ import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
 
-_SHARE = 50
-"""Of the samples, how far before and behind a sample its slope is read."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonPath:
@@ -41,10 +38,12 @@ class CommonPath:
         Where the displacement does not grow over so many samples, the slope is that from the first
         to the last sample of the stretch.
         """
+        # The slope at a sample is taken over one fiftieth of the samples on each side.
+        slope_divisor = 50
         in_time = np.argsort(samples)
         d, f = displacement[samples[in_time]], force[samples[in_time]]
         last = len(d) - 1
-        each, reach = np.arange(last + 1), max(1, last // _SHARE)
+        each, reach = np.arange(last + 1), max(1, last // slope_divisor)
         low, high = np.maximum(each - reach, 0), np.minimum(each + reach, last)
         way, rise, whole = d[high] - d[low], f[high] - f[low], d[-1] - d[0]
         overall = (f[-1] - f[0]) / whole if whole > 0.0 else 0.0

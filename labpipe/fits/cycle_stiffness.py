@@ -16,8 +16,6 @@ from labpipe.signal.filters import moving_average
 _LEAST = 8
 _BEGIN, _BEGUN = 0.02, 0.1
 """Share of a window that is its begin; up to which the machine is taken for as fast."""
-_FILTER = 11
-"""Samples that a path is averaged over before a window is cut from it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +126,9 @@ def window_slope(
     too small (by the ratio of noise variance to variance; Fuller, Measurement Error Models, 1987,
     sec. 1.4).
     """
-    travelled = moving_average(path, window=min(_FILTER, len(path) - 1 + len(path) % 2))
+    # Moving average of the path before the window is cut from it.
+    filter_samples = 11
+    travelled = moving_average(path, window=min(filter_samples, len(path) - 1 + len(path) % 2))
     if not (travelled > high).any():
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
         return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")

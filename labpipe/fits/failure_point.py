@@ -10,10 +10,6 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.estimates import Failure
 
-_GOES_ON, _FORWARD = 0.01, 0.5
-"""Share of the travel that the motion goes on by behind a slow loss, and share of the steps there
-that must not go back."""
-
 
 @dataclass(frozen=True, slots=True)
 class FailurePoint:
@@ -110,13 +106,21 @@ def slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | N
     Number of the sample. None where the force is not below the share at the end, or is lost while
     the motion stands or goes back, as that of a specimen that relaxes.
     """
+    # Share of the travel that the motion continues by after a slow loss.
+    min_further_travel = 0.01
+    # Share of the steps there that must not go back.
+    min_forward_steps = 0.5
     known = np.flatnonzero(~np.isnan(force) & ~np.isnan(displacement))
     d, f = displacement[known], force[known]
     last = last_above(f, rule.force_below)
     if last >= len(f) - 1:
         return None
-    goes_on = d[-1] - d[last] >= _GOES_ON * (d[last] - d[0])
-    return int(known[last]) if goes_on and (np.diff(d[last:]) >= 0.0).mean() > _FORWARD else None
+    goes_on = d[-1] - d[last] >= min_further_travel * (d[last] - d[0])
+    return (
+        int(known[last])
+        if goes_on and (np.diff(d[last:]) >= 0.0).mean() > min_forward_steps
+        else None
+    )
 
 
 def last_above(force: Floats, share: float) -> Any:

@@ -13,13 +13,6 @@ from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
 
 _LEAST = 64
-_SCALES = (3, 6, 12, 24, 48)
-_SEEN = 1e-5
-"""Chance of a drop in noise at a given place below which it is looked at."""
-_FINE = 8
-"""Blocks that the longest slip takes at least; more samples than that are averaged."""
-_LONGEST_SHARE, _LONGEST = 0.02, 1e-3
-"""Longest slip that is looked for by default: share of the travel, but at most so many m."""
 _SIDE = 8
 """Samples on each side of a slip at least."""
 """Degrees of freedom of a median absolute deviation, as a share of those of a standard one."""
@@ -97,11 +90,17 @@ def find_slips(
 
 def _fineness(d: Floats, longest: float | None) -> tuple[int, int]:
     """Samples that are averaged, and how many such means the longest slip takes."""
+    # Samples are averaged in blocks; the longest slip takes at least this many.
+    min_slip_blocks = 8
+    # Default of the longest slip, as a share of the travel
+    max_slip_share = 0.02
+    # and in m.
+    max_slip_length = 1e-3
     travel = float(np.ptp(d))
-    reach = min(_LONGEST_SHARE * travel, _LONGEST) if longest is None else longest
+    reach = min(max_slip_share * travel, max_slip_length) if longest is None else longest
     samples = reach / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
-    size = int(np.clip(samples // _FINE, 1, len(d) // _LEAST))
-    return size, int(np.clip(np.ceil(samples / size), 2, 2 * _FINE))
+    size = int(np.clip(samples // min_slip_blocks, 1, len(d) // _LEAST))
+    return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 
 
 def _blocks(values: Floats, size: int) -> Floats:
@@ -198,15 +197,18 @@ def _drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
 
 def _seen(f: Floats, min_drop: float) -> Floats:
     """How distinct a drop behind each sample is: more than 1 is worth a look."""
+    window_lengths = (3, 6, 12, 24, 48)
+    # Probability of such a drop in noise at a given place.
+    false_alarm_rate = 1e-5
     best = np.zeros(len(f))
     if not np.ptp(f) > 0.0:
         return best
-    for window in (scale for scale in _SCALES if 8 * scale <= len(f)):
+    for window in (scale for scale in window_lengths if 8 * scale <= len(f)):
         size = _sizes(f, window)
         spread = max(MAD * median(np.abs(size)), 1e-9 * float(np.ptp(f)))
         # Neighbouring places share their samples: so many of them speak for themselves.
         freedom = int(MAD_SHARE * len(f) / window)
-        seen = size / (spread * stdtrit(freedom, 1.0 - _SEEN))
+        seen = size / (spread * stdtrit(freedom, 1.0 - false_alarm_rate))
         best = np.maximum(best, np.where(size >= 0.5 * min_drop, seen, 0.0))
     best[:_SIDE], best[len(f) - _SIDE :] = 0.0, 0.0
     return best

@@ -20,16 +20,6 @@ MAD_SHARE = 0.37
 """Degrees of freedom of a median absolute deviation over those of a standard deviation."""
 _SIDE = 8
 """Samples on each side of a drop at least."""
-_SURE = 1e-3
-"""Chance that the noise of a whole curve makes one drop, shared by all places and lengths."""
-_ALLOWED = 3.84
-"""Variances by which the sum of squares of a drop that may be true exceeds the least: chi-squared
-of one degree of freedom, 95 %."""
-_PART = 0.25
-"""Of a sample, in which beginnings of drops are tried."""
-_SIDES = ((25, 3), (15, 2), (10, 1))
-"""Samples on each side of a slip, and the degree of the polynomial through both that bends less
-than noise over so many: the longest is tried first."""
 _STRETCH = 100
 """Samples of the stretches that the noise is judged by."""
 
@@ -117,8 +107,11 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
     (the same step fitted at all other places, by its robust deviation, whose degrees of freedom
     count how much these places share).
     """
+    # Samples on each side of a slip, and the degree of the polynomial through both that bends less
+    # than noise over that length; the longest is tried first.
+    side_lengths = ((25, 3), (15, 2), (10, 1))
     factor = _correlation(pull.f)
-    drops = (_fit_within(pull, place, side, factor) for side in _SIDES)
+    drops = (_fit_within(pull, place, side, factor) for side in side_lengths)
     return next((drop for drop in drops if drop is not None), None)
 
 
@@ -126,6 +119,9 @@ def _fit_within(
     pull: PullCurve, place: int, reach: tuple[int, int], factor: float
 ) -> LoadDrop | None:
     """Fit a polynomial and a drop with every pair of start and stop near a place."""
+    # A possible drop exceeds the smallest sum of squares by at most this many variances: chi-
+    # squared with one degree of freedom, 95 %.
+    max_excess_variances = 3.84
     (side, degree), most = reach, pull.most
     low, high = max(0, place - most - side), min(len(pull.f), place + most + side + 1)
     if place - low < _SIDE or high - place < _SIDE + 1:
@@ -137,9 +133,9 @@ def _fit_within(
     best = drops[costs <= costs.min() + 1e-9 * variance].mean(axis=0)
     if best[1] > most:
         return None  # it would rather take longer than the longest slip
-    allowed = drops[costs <= costs.min() + _ALLOWED * variance]
+    allowed = drops[costs <= costs.min() + max_excess_variances * variance]
     whole = np.all(drops % 1.0 == 0.0, axis=1)
-    around = drops[whole & (costs <= costs[whole].min() + _ALLOWED * variance)]
+    around = drops[whole & (costs <= costs[whole].min() + max_excess_variances * variance)]
     explained = without - float(costs.min())
     if explained <= 0.0:
         return None  # a converter shows nothing but one of its steps
@@ -151,9 +147,11 @@ def _fit_within(
 
 def _possible(window: _Window, place: int, most: int) -> Floats:
     """Beginnings and lengths of drops near a place, in samples: a drop begins between samples."""
+    # Starts of drops are tried in steps of this many samples.
+    start_step = 0.25
     first, last = max(window.low + 4, place - most), min(window.high - 5, place + most)
-    begins = np.arange(first, last, _PART)
-    lengths = np.append(np.arange(_PART, 2.0, _PART), np.arange(2.0, most + 2.0))
+    begins = np.arange(first, last, start_step)
+    lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, most + 2.0))
     drops = np.array(np.meshgrid(begins, lengths)).reshape(2, -1).T
     near: Floats = drops[drops.sum(axis=1) <= window.high - 5]
     return near
@@ -175,7 +173,9 @@ class _Window:
 
 def _chance(pull: PullCurve) -> float:
     """Chance that noise may have to make a drop at one place."""
-    return _SURE / (len(pull.f) * (pull.most + 1))
+    # For a whole curve, shared by all places and lengths.
+    false_alarm_rate = 1e-3
+    return false_alarm_rate / (len(pull.f) * (pull.most + 1))
 
 
 def _is_clear(pull: PullCurve, window: _Window, squared: float) -> bool:

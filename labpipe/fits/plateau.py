@@ -13,13 +13,6 @@ from labpipe.records.estimates import Failure
 _STEPS = 8
 """Tangents per length of the line that each of them is."""
 _LEAST = 8
-_TRAVEL = 0.5
-"""Of a stretch, how much its samples must cover."""
-_EDGE = 1e-9
-"""Of a stretch: a sample so near an end is at it, however a processor has rounded the two."""
-_FLAT = 1e-9
-"""Determinant of the products of 1, x, x^2 per sample, that of samples at two places but rounding;
-that of evenly spaced ones is 5e-4."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,8 +244,15 @@ class _Stretches:
 
     @classmethod
     def of(cls, d: Floats, at: Floats, over: float) -> _Stretches:
+        # The samples must cover this share of a stretch.
+        min_covered_share = 0.5
+        # A sample this close to an end counts as on it, whichever way a processor rounds.
+        edge_share = 1e-9
+        # Of the products of 1, x, x^2 per sample: rounding for samples at two places; 5e-4 for
+        # evenly spaced samples.
+        min_determinant = 1e-9
         reached = np.maximum.accumulate(d)
-        begin, end = at - (0.5 + _EDGE) * over, at + (0.5 - _EDGE) * over
+        begin, end = at - (0.5 + edge_share) * over, at + (0.5 - edge_share) * over
         start = np.searchsorted(reached, begin)
         stop = np.minimum(np.searchsorted(reached, end) + 1, len(d))
         samples = start[:, None] + np.arange(int((stop - start).max()))
@@ -263,7 +263,9 @@ class _Stretches:
         powers = np.stack([is_inside * x**power for power in range(3)], axis=1)
         products = powers @ powers.transpose(0, 2, 1)
         count = products[:, 0, 0]
-        is_wide = (travel >= _TRAVEL) & (np.linalg.det(products) > _FLAT * count**3)
+        is_wide = (travel >= min_covered_share) & (
+            np.linalg.det(products) > min_determinant * count**3
+        )
         return cls(at, over, samples, len(d), powers, products, (count >= _LEAST) & is_wide)
 
     @property

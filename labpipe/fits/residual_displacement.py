@@ -12,20 +12,12 @@ from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_
 from labpipe.records.estimates import Failure
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 
-_SMALL = 0.02
-"""Share of the largest force of a branch that may pass for zero at most."""
-_CLEAR = 4.0
-"""Standard deviations of noise above which a force is not zero."""
-_REACH = 0.1
-"""Share of a branch on each side of its zero that a parabola is fitted to."""
 _FOOT = 5.0
 """Limits from which on the foot of the force is taken for straight."""
 _SECOND = 1.0
 """s before zero over which the displacement is."""
 _LEAST = 8
 _LEAST_IN_FOOT = 4
-_ROUNDING = 1e-9
-"""Share of its way by which arithmetic moves a displacement that rests."""
 _STEPS = 4
 """Steps to the root of a parabola that begins near it."""
 
@@ -191,13 +183,17 @@ def unloaded(
     over that rest. Else the line is followed to zero, and the displacement along a line through the
     second before, since it may have a kink there.
     """
+    # Largest share of the largest force of a branch that counts as zero.
+    max_zero_share = 0.02
+    # Standard deviations of noise above which a force is not zero.
+    noise_deviations = 4.0
     known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
     branch = _Branch(known, time[known], displacement[known], force[known])
     f = branch.force
     if len(f) < 2 * _LEAST:
         return Failure("too_few_samples", f"{len(f)} samples, {2 * _LEAST} are needed")
-    least = min(force_below, _SMALL * float(f.max()))
-    limit = max(_CLEAR * float(fast_noise(f)), least) if like is None else like.limit
+    least = min(force_below, max_zero_share * float(f.max()))
+    limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
         return Failure("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
@@ -231,9 +227,11 @@ class _Branch:
 
     def through_zero(self, limit: float) -> ThroughZero | Failure:
         """Samples around where the force passes through zero."""
+        # The parabola is fitted to this share of the branch on each side of its zero.
+        fit_share = 0.1
         time = self.time
         middle = time[min(int((self.force > 0.0).sum()), len(time) - 1)]
-        near = np.abs(time - middle) <= _REACH * (time[-1] - time[0])
+        near = np.abs(time - middle) <= fit_share * (time[-1] - time[0])
         if near.sum() < _LEAST:
             message = f"{int(near.sum())} samples near zero force, {_LEAST} are needed"
             return Failure("too_few_samples", message)
@@ -269,12 +267,13 @@ class _Branch:
 
     def _is_slack(self, rest: Flags, limit: float) -> bool:
         """Whether the force stays near zero and the displacement moves by no more than noise."""
+        rounding_share = 1e-9
         if rest.sum() < _LEAST or np.abs(self.force[rest]).max() > 2.0 * limit:
             return False
         at, values = self.time[rest] - self.time[rest].mean(), self.displacement[rest]
         slope = float(slope_of_line(at, values))
         noise = values - values.mean() - slope * at
-        still = 3.0 * float(noise.std()) + _ROUNDING * float(np.ptp(self.displacement))
+        still = 3.0 * float(noise.std()) + rounding_share * float(np.ptp(self.displacement))
         return abs(slope) * float(np.ptp(at)) <= still
 
 

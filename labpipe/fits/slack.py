@@ -17,8 +17,6 @@ _CLEAR = 4.0
 _FOOT = 5.0
 """Limits up to which the foot of the force is taken for straight."""
 _LEAST_AT_FOOT = 8
-_BACK = 0.02
-"""Share of the branch that a line through its foot may be followed back beyond its beginning."""
 
 
 def toe_line(
@@ -183,6 +181,8 @@ def take_up(
     >>> round(1e3 * float(found.of(d, force)), 6)
     2.0
     """
+    # The line through the foot is extrapolated back by at most this share of the branch.
+    max_extrapolation = 0.02
     known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
     if len(known) < 2 * _LEAST_AT_FOOT:
         return Failure("too_few_samples", f"{len(known)} samples, {2 * _LEAST_AT_FOOT} are needed")
@@ -199,7 +199,7 @@ def take_up(
     last = first + max(least, int(beyond[0]) if len(beyond) else len(f) - first)
     at = float(zero_of_line(d[first:last], f[first:last]))
     is_line = not np.isnan(at)
-    if not len(within) and not (is_line and at >= d[0] - _BACK * float(np.ptp(d))):
+    if not len(within) and not (is_line and at >= d[0] - max_extrapolation * float(np.ptp(d))):
         found = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
         return Failure("not_unloaded", found)
     foot = samples_of(known[first:last])

@@ -16,27 +16,16 @@ from labpipe.records.quality import Reason
 _Place = TypeVar("_Place", float, Floats)
 _SIDE = 4
 """Samples on each side of the break at least."""
-_LEAST = 16
-_PLACES = 300
-"""Breaks that are tried on each of many curves."""
-_BESIDE = 8
-"""Samples on each side of the first and the last of them, where there are 64 samples or more."""
-_BEND_ERRORS = 4.0
-"""Standard errors by which the slopes must differ: the break was chosen to make them differ most,
-so that a straight line reaches two by chance far more often than once in twenty."""
-_AT_END = 0.025
-"""Share of replicates whose break may lie at the ends: an interval of 95 % has one end there."""
-_WIDE = 0.25
-"""Share of the stretch that the interval of a break may be long."""
-_END = 0.05
-"""Share of the stretch next to its ends in which a kink is not one of the specimen."""
 
 
 def _in_order(displacement: Floats, known: Ints) -> Ints | Failure:
     """Known samples of a stretch in which the displacement grows, sorted by it."""
+    min_samples = 16
     d = displacement[known]
-    if len(d) < _LEAST:
-        return Failure("too_few_samples", f"{len(d)} samples in the stretch, {_LEAST} are needed")
+    if len(d) < min_samples:
+        return Failure(
+            "too_few_samples", f"{len(d)} samples in the stretch, {min_samples} are needed"
+        )
     if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
         found = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
         return Failure("not_increasing", found)
@@ -182,12 +171,16 @@ class Hinges:
         ``too_few_samples`` (fewer than 16), ``not_increasing`` when the displacement does not grow
         over the stretch.
         """
+        # Breaks that are tried on each curve.
+        max_places = 300
+        # Samples on each side of the first and the last break, for 64 samples or more.
+        side_samples = 8
         order = _in_order(displacement, known_samples(displacement, force))
         if isinstance(order, Failure):
             return order
         scan = _Scan.of(displacement[order], force[order])
-        beside = min(_BESIDE, max(_SIDE, len(order) // 8)) - 1
-        places = np.linspace(scan.x[beside], scan.x[-1 - beside], _PLACES)
+        beside = min(side_samples, max(_SIDE, len(order) // 8)) - 1
+        places = np.linspace(scan.x[beside], scan.x[-1 - beside], max_places)
         found = cls(CommonPath.of(displacement, force, order), scan, places)
         return replace(found, moved=scan.best() - float(found._best(scan.y[None])[0]))
 
@@ -293,21 +286,26 @@ def why_no_bend(
     towards an end have ever steeper slopes beyond it, which tells nothing against a bend. The
     interval of a break that may be an end of the stretch has no end there.
     """
+    # Standard errors by which the slopes must differ. The break was chosen for the largest
+    # difference, so a straight line exceeds two by chance far more often than once in twenty.
+    min_bend_errors = 4.0
+    # Largest share of replicates whose break is at an end: a 95 % interval has one end there.
+    max_end_share = 0.025
     first, second = float(found.first), float(found.second)
     bend, bends = second - first, drawn.second - drawn.first
     middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
     error = abs(straighter - middle) / Interval.normal_95(0.0, 1.0).upper
-    if not abs(bend) > _BEND_ERRORS * error:
+    if not abs(bend) > min_bend_errors * error:
         return Failure(
             "no_bend",
             f"slopes {first:.6g} and {second:.6g} N/m differ by {abs(bend):.3g} N/m, "
-            f"{_BEND_ERRORS} standard errors of {error:.3g} N/m are needed",
+            f"{min_bend_errors} standard errors of {error:.3g} N/m are needed",
         )
     low, high = (hinges.scan.d_of(float(hinges.places[place])) for place in (2, -3))
     at = drawn.break_point[~np.isnan(drawn.break_point)]
     likely = found.break_point - (at - smooth.break_point)
     for each in (at, likely):
-        if np.mean((each <= low) | (each >= high)) >= _AT_END:
+        if np.mean((each <= low) | (each >= high)) >= max_end_share:
             start, stop = hinges.ends
             ends = f"{start:.6g} to {stop:.6g} m"
             return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
@@ -328,6 +326,8 @@ def why_no_kink(
     ``no_kink`` where the curve does not bend, or bends upwards; ``kink_at_end`` where the lines
     meet in the first or the last twentieth of the stretch; None where there is a kink.
     """
+    # A kink this close to an end of the stretch is not one of the specimen.
+    end_share = 0.05
     straight = why_no_bend(found, smooth, drawn, hinges)
     if straight is not None:
         return Failure("no_kink", f"{hinges.straight_line}: {straight.message}")
@@ -336,7 +336,7 @@ def why_no_kink(
         rises = f"the slope rises from {first:.5g} to {second:.5g} N/m"
         return Failure("no_kink", f"{rises} at {1e3 * at:.4g} mm")
     start, stop = hinges.ends
-    margin = _END * (stop - start)
+    margin = end_share * (stop - start)
     if start + margin <= at <= stop - margin:
         return None
     return Failure(
@@ -358,9 +358,11 @@ def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Reason | None:
     -------
     ``wide_break`` where the interval is longer than a quarter of the stretch, else None.
     """
+    # Largest interval of a break, as a share of the stretch.
+    max_interval_share = 0.25
     start, stop = hinges.ends
     width = interval.upper - interval.lower
-    if width <= _WIDE * (stop - start):
+    if width <= max_interval_share * (stop - start):
         return None
     return Reason(
         "wide_break",

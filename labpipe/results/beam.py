@@ -46,14 +46,6 @@ from labpipe.uncertainty.extractors import Decide, Reading, Trace, combined
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.replicates import Input, Replicates
 
-_LOST = 3
-"""Samples at the end of a branch that the joining of two clocks may cost."""
-_SMEARED, _CUT = 3.0, 2.0
-"""Times what tangents of half the length change, as far as the truth may lie. A corner is smeared
-in proportion to the length, so that it lies twice that change away; a smooth bend by the square of
-it, so that it lies 4/3 of it away. The force is read from half the length, which cuts off once or a
-third of that change."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Corner:
@@ -214,12 +206,18 @@ class Plateau(Kind):
 
     def _corners(self, trace: Trace, begun: tuple[Tangents, Reading]) -> Floats:
         """How far off the onset may lie for the length of the tangents, m and N, (2, ...)."""
+        # Bounds of the corner, in multiples of the change from tangents of half the length. A
+        # corner is smeared in proportion to the length, so it is twice that change away; a smooth
+        # bend in proportion to its square, so it is 4/3 of it away.
+        smearing_factor = 3.0
+        # The force read from half the length cuts off once or a third of its change.
+        cut_factor = 2.0
         (tangents, slope), (d, f) = begun, _loading(trace)
         initial = slope.numbers(trace)[0]
         place, _ = tangents.onset(f, initial, d, slope_below=self.slope_below)
         smeared, cut, beyond = tangents.corners(f, place, self.slope_below * initial, d)
-        moved = _SMEARED * smeared
-        return np.stack([moved, _CUT * cut + moved * beyond])
+        moved = smearing_factor * smeared
+        return np.stack([moved, cut_factor * cut + moved * beyond])
 
     def _corner(self, known: Replicates, initial: Decide) -> _Corner:
         """The same of the measured curve, as far as it is more than noise.
@@ -292,10 +290,12 @@ def _shortened(trace: Trace, x: float) -> Trace:
 
 def _unseen_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     """Why the end of a loading branch is doubtful: its force was not recorded up to there."""
+    # Samples at the end of a branch that joining two clocks may cost.
+    joining_samples = 3
     curve = test.known_curve
     d, f = (point[branch.start : branch.stop] for point in (curve.displacement, curve.force))
     known = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
-    if not len(known) or known[-1] >= len(d) - _LOST:
+    if not len(known) or known[-1] >= len(d) - joining_samples:
         return ()
     end = 1e3 * float(d[known[-1]])
     message = (

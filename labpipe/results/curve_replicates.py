@@ -43,10 +43,6 @@ from labpipe.uncertainty.replicates import (
 )
 from labpipe.uncertainty.zero_drift import drift_modes
 
-_MOST = 20_000
-"""Samples of a replicate, or a few more; those of a longer curve are taken in blocks."""
-_PARTS = 40
-"""Intervals of the spline that tells the noise of single samples from the curve."""
 _STANDS, _LEVELS = 0.5, 10
 """Share of the samples that stand where a converter is too coarse, and times that they do."""
 _BY_FRAMES = (SHAPE, GRIP, PULL, CENTRE)
@@ -144,7 +140,9 @@ def _starts(corners: Sequence[int], count: int) -> Ints:
 
     What is left over at the end of a piece joins its last block.
     """
-    block = -(-count // _MOST)
+    # Samples of longer curves are averaged in blocks.
+    max_samples = 20_000
+    block = -(-count // max_samples)
     pieces = pairwise([0, *corners, count])
     found = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
     return np.concatenate(found)
@@ -164,9 +162,11 @@ def _singles(time: Floats, values: Floats, corners: Sequence[int], starts: Ints)
     A largest sample is one sample, and a mean of many has far less noise. One of each block lends
     its noise, by chance: evenly taken ones would fold hum. The curve is that of the means.
     """
+    # The spline separates the noise of single samples from the curve.
+    spline_intervals = 40
     if len(starts) == len(values):
         return values
-    smooth = smooth_curve(time, values, corners, _PARTS)
+    smooth = smooth_curve(time, values, corners, spline_intervals)
     lengths = np.diff(np.append(starts, len(values)))
     one = starts + np.random.default_rng(0).integers(0, lengths)
     noise: Floats = (values - smooth)[one]

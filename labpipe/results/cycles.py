@@ -38,8 +38,6 @@ from labpipe.results.load_cell_noise import ForceSamples, PeakSamples
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 
-_PAST = 0.9
-"""Share of its largest value that a force has fallen below when its peak is over."""
 NO_UNLOADING = Failure("partial_cycle", "the cycle has no unloading branch")
 
 
@@ -183,10 +181,12 @@ def cut_short(
 
 def _is_past_its_peak(test: ReducedTest, part: Branch) -> bool:
     """Whether the force had surely fallen again when the record ended."""
+    # The peak is over where the force has fallen below this share of it.
+    past_peak_share = 0.9
     force = test.known_curve.force
     known = (test.sense_of(force) * force)[part.start : part.stop]
     known = known[~np.isnan(known)]
-    return len(known) > 0 and bool(known[-3:].max() < _PAST * known.max())
+    return len(known) > 0 and bool(known[-3:].max() < past_peak_share * known.max())
 
 
 def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
@@ -378,22 +378,19 @@ def _reach(seen: Floats, travel: Floats) -> float:
     a step at most: the corner lies nearer to this sample than to the next. Where the force falls
     while the motion goes on, the specimen breaks: up to a whole step.
     """
+    # Fall after the largest sample over the rise before it, from which a specimen breaks.
+    break_ratio = 3.0
     top = int(np.nanargmax(seen))
     if not 0 < top < len(seen) - 1:
         return 0.0
     up, down = seen[top] - seen[top - 1], seen[top] - seen[top + 1]
-    reach = up if travel[top + 1] > travel[top] and down > _STANDS * up else 0.5 * min(up, down)
+    reach = up if travel[top + 1] > travel[top] and down > break_ratio * up else 0.5 * min(up, down)
     if travel[top + 1] < travel[top] and 1 < top < len(seen) - 2:
         rise, fall = seen[top - 1] - seen[top - 2], seen[top + 1] - seen[top + 2]
         if rise + fall > 0.0:
             after = (seen[top + 1] - seen[top - 1] + fall - rise) / (rise + fall)
             reach = min(reach, max(seen[top - 1] + rise * (1.0 + after) - seen[top], 0.0))
     return float(reach) if np.isfinite(reach) else 0.0
-
-
-_STANDS = 3.0
-"""Times that a fall behind the largest sample is as large as the rise before it, or more, where a
-specimen breaks."""
 
 
 def _largest(

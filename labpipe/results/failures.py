@@ -33,10 +33,6 @@ from labpipe.uncertainty.autocorrelation import fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured
 
-_CLEAR, _LEAST = 6.0, 8
-"""Standard deviations of noise by which one sample lies surely below the one before; samples that
-tell the noise."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureResult(Kind):
@@ -119,6 +115,9 @@ def _lost_before(test: ReducedTest) -> tuple[float, bool]:
 
     With whether it is more than noise: a loss of several samples surely began there.
     """
+    # Standard deviations of noise by which one sample is below the one before.
+    noise_deviations = 6.0
+    min_noise_samples = 8
     failure, curve = test.failure, test.known_curve
     if not isinstance(failure, FailurePoint) or failure.sample == 0:
         return 0.0, False
@@ -128,7 +127,9 @@ def _lost_before(test: ReducedTest) -> tuple[float, bool]:
         return 0.0, False
     before = curve.force[: failure.sample]
     before = before[~np.isnan(before)]
-    is_clear = len(before) >= _LEAST and fall > _CLEAR * float(fast_noise(before))
+    is_clear = len(before) >= min_noise_samples and fall > noise_deviations * float(
+        fast_noise(before)
+    )
     return sense * fall, bool(is_clear)
 
 

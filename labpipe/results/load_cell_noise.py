@@ -22,14 +22,6 @@ from labpipe.signal.filters import in_pieces
 from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.replicates import stream
 
-_FASTER = 2.0
-"""Samples of the force for each one of the curve, from which on its own are looked at."""
-_REACH, _MOST = 8.0, 20_000
-"""Standard deviations of noise below the top up to which a sample may be the largest; so many
-samples at most, of a longer plateau the curve has enough."""
-_PULSE, _FELT = 4001, 1e-3
-"""Samples that a filter may reach over, and share of its height that counts."""
-
 
 def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
     """Samples of a signal at which a new piece begins.
@@ -83,11 +75,13 @@ class ForceSamples:
         -------
         None where the force has hardly more samples than the curve, or no filter acts on them.
         """
+        # Samples of the force per sample of the curve from which they are used themselves.
+        min_rate_ratio = 2.0
         signal, filters = test.unfiltered, test.signals.filters.get(test.signals.force, ())
         if signal is None or not filters or any(stride != 1 for _, stride in filters):
             return None
         reach = _reach_of(filters)
-        if reach is None or len(signal.time) < _FASTER * len(trace.time):
+        if reach is None or len(signal.time) < min_rate_ratio * len(trace.time):
             return None
         time = test.clocks.times_on_curve(signal)
         frames = _frames_of(time, trace.time)
@@ -156,9 +150,13 @@ class PeakSamples:
         N in the sense of loading, shape (replicates,). None where too many samples may be the
         largest.
         """
+        # Standard deviations of noise below the peak up to which a sample may be the largest.
+        max_deviations = 8.0
+        # The curve has enough samples of a longer plateau.
+        max_samples = 20_000
         size = float(np.hypot(noise.std(), self.spread))
-        near = np.flatnonzero(self.over >= self.top - _REACH * size) + self.start
-        if len(near) > _MOST:
+        near = np.flatnonzero(self.over >= self.top - max_deviations * size) + self.start
+        if len(near) > max_samples:
             return None
         # Which stretch of the record goes with a replicate is drawn alike every time.
         chance = stream(self.samples.seed, "samples of the force")
@@ -244,9 +242,12 @@ def _beside_frames(values: Floats, frames: Ints) -> Floats:
 
 def _reach_of(filters: Sequence[Filter]) -> int | None:
     """Samples on either side that a filter feels; None for one that reaches farther than looked."""
-    pulse = np.zeros(_PULSE)
-    pulse[_PULSE // 2] = 1.0
+    pulse_samples = 4001
+    # Share of the height of the response that counts.
+    min_response = 1e-3
+    pulse = np.zeros(pulse_samples)
+    pulse[pulse_samples // 2] = 1.0
     felt = in_pieces(pulse, (), filters)
-    far = np.flatnonzero(np.abs(felt) > _FELT * np.abs(felt).max())
-    reach = int(np.abs(far - _PULSE // 2).max()) + 1
-    return 2 * reach if 4 * reach < _PULSE else None
+    far = np.flatnonzero(np.abs(felt) > min_response * np.abs(felt).max())
+    reach = int(np.abs(far - pulse_samples // 2).max()) + 1
+    return 2 * reach if 4 * reach < pulse_samples else None

@@ -51,11 +51,6 @@ at least, to differ from the direction of the clamp."""
 NOTHING, ALL = 0.25, 0.75
 """Shares of the load at the tip: a string that carried less carried nothing, one that carried more
 carried all of it."""
-_PULLED = 0.05
-"""Share of the load at the tip by which a force lies below that at rest: then a string held it."""
-_SURELY = 5.0
-"""Standard errors of a mean by which a force is different."""
-_BLOCKS = 100
 _FEW = 50
 """Samples that a mean of a force is taken over to differ from another."""
 _STRETCH, _FOLLOWS, _LEAST_SLACK = 0.25e-3, 0.3, 2
@@ -123,7 +118,11 @@ class AtRest:
     @property
     def was_pulled(self) -> bool:
         """Whether the force falls below that at rest, so that the string carried something then."""
-        return self.lowest < -max(_PULLED * self.weight, _SURELY * self.error)
+        # A string held the tip if a force is below that at rest by this share of the load at the
+        # tip.
+        pulled_share = 0.05
+        min_standard_errors = 5.0
+        return self.lowest < -max(pulled_share * self.weight, min_standard_errors * self.error)
 
     @property
     def state(self) -> State:
@@ -205,10 +204,11 @@ def at_rest(
     weight : N, of the counterweight
     own : N, of the wire's weight, what a prop at its tip carries: `held_at_rest`
     """
+    n_blocks = 100
     weight += own
     part = slice(first.start, first.stop)
-    deflection = block_means(curve.displacement[part], _BLOCKS)
-    force = block_means(curve.force[part], _BLOCKS)
+    deflection = block_means(curve.displacement[part], n_blocks)
+    force = block_means(curve.force[part], n_blocks)
     reached = deflection[force >= weight]
     reach = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
     ahead, slackened = float("nan"), np.zeros(0)

@@ -39,13 +39,6 @@ _SPAN = "mid_span"
 """Signal of what cameras see of mid-span, and what rests on them alone."""
 _AT_TURN, _LEAST = 2.0, 5
 """s on each side of the turn that a value there is read from; frames that each side needs."""
-_PARTS, _AT_ONCE = 40, 50
-"""Intervals of the smooth curve through what cameras see of a branch; records drawn at once."""
-_LOW, _HIGH = 0.025, 0.975
-
-
-_MISFIT = (3.0, 2e-5)
-"""Times the noise, and m on top, that markers may lie off the shapes of the law."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,7 +167,9 @@ def _not_weighed(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) ->
 
 def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
     """Why the law is doubtful: markers lie farther off its shapes than their noise."""
-    limit = _MISFIT[0] * law.noise + _MISFIT[1]
+    # Markers may be off the shapes of the law by this multiple of the noise, plus m.
+    noise_factor_and_offset = (3.0, 2e-5)
+    limit = noise_factor_and_offset[0] * law.noise + noise_factor_and_offset[1]
     if test.shape is None or not law.residual > limit:
         return ()
     message = (
@@ -297,7 +292,10 @@ class _Frames:
 
         In noise like that of all the values, which cameras see alike but for its size.
         """
-        smooth = [smooth_curve(self.time, value, self.cuts, _PARTS) for value in values]
+        # Of the smooth curve through what cameras see of a branch.
+        spline_intervals = 40
+        batch_records = 50
+        smooth = [smooth_curve(self.time, value, self.cuts, spline_intervals) for value in values]
         spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
         shares = [spread[0] / each if each > 0.0 else 0.0 for each in spread]
         values, smooth = (
@@ -314,7 +312,8 @@ class _Frames:
         )
         chance = stream(self.seed, name)
         some = [
-            noise.draw(len(values[0]), _AT_ONCE, chance) @ weights for _ in range(COUNT // _AT_ONCE)
+            noise.draw(len(values[0]), batch_records, chance) @ weights
+            for _ in range(COUNT // batch_records)
         ]
         return np.concatenate(some).astype(np.float64)
 
@@ -324,6 +323,8 @@ def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats]
 
     Its noise is judged together with that of others that cameras see alike.
     """
+    low_quantile = 0.025
+    high_quantile = 0.975
     still = frames.rest & np.isfinite(values)
     if still.sum() < 8:
         found = int(still.sum())
@@ -337,7 +338,7 @@ def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats]
     weights = weights - still / still.sum()
     value = float(weights @ np.nan_to_num(values))
     off = frames.drawn([values, *alike], weights, name)
-    low, high = np.quantile(off, (_LOW, _HIGH)).tolist()
+    low, high = np.quantile(off, (low_quantile, high_quantile)).tolist()
     return Estimate(value, float(off.std()), count, Interval(value - high, value - low))
 
 

@@ -15,8 +15,6 @@ OF_SECTION = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
 """Sizes of the cross-section; of a conduit they come with its name."""
 NOT_SAID = "not said"
 """In place of a word that the test sheets of a group lack."""
-_SIZES_ALIKE = 0.01
-"""Share by which a dimension may vary without being another one."""
 
 
 def fields_of(specimen: Specimen) -> dict[str, str]:
@@ -79,7 +77,8 @@ def _sizes(samples: Iterable[Sample], name: str) -> list[float]:
 
 
 def _are_alike(sizes: Sequence[float]) -> bool:
-    return max(sizes) - min(sizes) <= _SIZES_ALIKE * max(map(abs, sizes))
+    max_size_variation = 0.01
+    return max(sizes) - min(sizes) <= max_size_variation * max(map(abs, sizes))
 
 
 def varying_fields(group: Group) -> tuple[str, ...]:

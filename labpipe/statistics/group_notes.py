@@ -15,8 +15,6 @@ _MIXES = "a mean over them mixes what this changes with scatter"
 _IN_COMPOSITION = ("wire", "number")
 """Fields that a composition says, too."""
 PROTOCOLS_DIFFER = "protocols_differ"
-_NAMED = 4
-"""Tests that are called by name where more than two share what is said of them."""
 
 
 def sample_keys(samples: Sequence[Sample]) -> list[str]:
@@ -308,10 +306,11 @@ def parted(tests: Mapping[str, Sequence[str]]) -> str:
     >>> parted({"2 mm": ["a", "b", "c", "d", "e"], "1 mm": ["f"]})
     '1 mm (f) and 2 mm (the other 5)'
     """
+    max_named_tests = 4
     rarest_first = sorted(tests.items(), key=lambda test: len(test[1]))
     words = [f"{said or 'not said'} ({', '.join(own)})" for said, own in rarest_first]
     said, most = rarest_first[-1]
-    if len(most) > _NAMED:
+    if len(most) > max_named_tests:
         words[-1] = f"{said or 'not said'} (the other {len(most)})"
     return f"{'; '.join(words[:-1])} and {words[-1]}"
 

@@ -58,12 +58,10 @@ def on_log_scale(mean: NestedMean) -> NestedMean:
 
 
 def _put(mean: MeanInterval) -> MeanInterval:
+    # Keeps the ends finite and above zero.
+    max_exponent = 300.0
     if mean.interval is None or not mean.middle > 0.0:
         return mean
-    factor = exp(min(mean.half / mean.middle, _MOST))
+    factor = exp(min(mean.half / mean.middle, max_exponent))
     ends = Interval(mean.middle / factor, mean.middle * factor, mean.interval.level)
     return replace(mean, interval=ends, is_log=True)
-
-
-_MOST = 300.0
-"""Exponent from which on nothing is known; keeps the ends finite and above zero."""

@@ -19,8 +19,6 @@ _POINTS = 500
 faster says nothing about the sample and makes the band of the whole curve wide."""
 FEW = 6
 """Curves from which on a band is drawn: over fewer, c of the band of the whole curve is 4 to 60."""
-_SHOWN = (0.25, 0.5, 1.0)
-"""Places of a mean over few curves that have an interval, as shares of its displacements."""
 POINTS = 201
 """Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
@@ -86,13 +84,15 @@ def without_band(band: Band) -> Band:
     of intervals looks like a band that holds the curve, and one that does hides the curves. Over
     two (``two_curves``) there is none: with a t of 12.7 it would say nothing but that.
     """
+    # Shares of the displacement at which a mean over few curves has an interval.
+    interval_places = (0.25, 0.5, 1.0)
     if not 2 <= band.n < FEW or not len(band.displacement):
         return band
     nothing = np.full(len(band.displacement), np.nan)
     lower, upper = nothing.copy(), nothing.copy()
     code, why = "two_curves", f"two {band.over} are too few for any band; the samples are shown"
     if band.n > 2:
-        at = [round(share * (len(nothing) - 1)) for share in _SHOWN]
+        at = [round(share * (len(nothing) - 1)) for share in interval_places]
         lower[at], upper[at] = band.lower[at], band.upper[at]
         code, why = (
             "few_curves",

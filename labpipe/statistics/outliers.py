@@ -18,8 +18,6 @@ GRUBBS = "Grubbs' test"
 GRUBBS_WITHIN = "Grubbs' test within spools"
 ESD = "generalised ESD test"
 ESD_WITHIN = "generalised ESD test within spools"
-_ALIKE = 1.001
-"""p-values whose ratio is below are equal but for rounding."""
 _METHODS = {
     (False, False): GRUBBS,
     (False, True): GRUBBS_WITHIN,
@@ -172,6 +170,8 @@ def _unless_told(others: Sequence[int], names: Sequence[str]) -> str:
 
 def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:
     """The furthest value, its p-value, then the same without it, and so on."""
+    # p-values whose ratio is lower are equal but for rounding.
+    equal_p_ratio = 1.001
     left = np.arange(len(values))
     steps: list[_Step] = []
     for _ in range(most):
@@ -179,7 +179,7 @@ def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:
         if chance is None:
             break
         furthest = int(np.argmin(chance))
-        alike = np.flatnonzero(chance <= _ALIKE * chance[furthest])
+        alike = np.flatnonzero(chance <= equal_p_ratio * chance[furthest])
         twins = tuple(int(left[twin]) for twin in alike if twin != furthest)
         steps.append(_Step(int(left[furthest]), float(chance[furthest]), twins))
         left = np.delete(left, furthest)

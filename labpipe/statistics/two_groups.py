@@ -16,11 +16,6 @@ from labpipe.statistics.families import Corrected, holm
 from labpipe.statistics.means import LEVEL, t_quantile
 from labpipe.statistics.shared_causes import difference_of, standard_uncertainty, widened_by
 
-_FARTHEST = 8.0
-"""Standard deviations beyond which a chance, 1e-15, counts as none."""
-_LARGEST = 20.0
-"""Logarithm of a ratio beyond which no end of an interval says anything; keeps it finite."""
-
 
 def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
     """Second mean minus first with its 95 % interval.
@@ -151,6 +146,8 @@ def equivalence_p(contrast: Contrast) -> float:
 
 def _tail(room: float, contrast: Contrast) -> float:
     """Chance that scatter and a normal doubt together go beyond some room on one side."""
+    # A probability of 1e-15 counts as zero.
+    max_deviations = 8.0
     degrees, error, shared = contrast.degrees, contrast.error, contrast.shared
     if shared == 0.0:
         return float(special.stdtr(degrees, -room / error)) if error else 0.0 if room else 0.5
@@ -159,9 +156,9 @@ def _tail(room: float, contrast: Contrast) -> float:
         quantile = special.stdtrit(degrees, float(special.ndtr(-sigmas)))
         return float(np.hypot(quantile * error, sigmas * shared)) - room
 
-    if beyond(_FARTHEST) <= 0.0:
+    if beyond(max_deviations) <= 0.0:
         return 0.0
-    return float(special.ndtr(-optimize.brentq(beyond, 0.0, _FARTHEST)))
+    return float(special.ndtr(-optimize.brentq(beyond, 0.0, max_deviations)))
 
 
 def compare(
@@ -229,6 +226,8 @@ def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
 
 def _judged(family: str, found: Difference, apart: Corrected, alike: Corrected) -> Difference:
     """Give a comparison its verdict."""
+    # Keeps the ends of an interval finite.
+    max_log_ratio = 20.0
     contrast = found.contrast
     if contrast is None:
         reason = found.difference.reason
@@ -238,7 +237,7 @@ def _judged(family: str, found: Difference, apart: Corrected, alike: Corrected) 
     half = half_of(contrast, outside)
     ends = Interval(contrast.between - half, contrast.between + half, 1.0 - outside)
     if contrast.is_log:
-        ends = Interval(expm1(ends.lower), expm1(min(ends.upper, _LARGEST)), ends.level)
+        ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
     is_different, is_alike = apart.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
     why = f"p = {_shortly(apart.p)}{_corrected(apart.tests)}"

@@ -13,19 +13,10 @@ from scipy.special import factorial
 
 from labpipe.records.arrays import Floats
 
-_BLOCK = 20
 TERMS = 128
 """Cosines that the noise is judged by: half waves over the window."""
-_LONGEST = 0.2
-"""Longest correlation time that is considered, as a share of the window."""
-_SPECTRA = 24
 _FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
 """White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
-_PRIOR = -0.4
-"""Power of the correlation time in the prior; with it coverage agrees with 95 % from white noise to
-correlation over a tenth of the window (the studies beside the tests)."""
-_LONG = 128
-"""Samples per block from which on a record is long."""
 _ORDER = np.arange(16)
 """Powers of a phase of half a radian, beyond which its sine and cosine are exact."""
 
@@ -81,7 +72,8 @@ def fast_noise(values: Floats) -> Floats:
     >>> round(float(fast_noise(3.0 + np.random.default_rng(0).normal(0.0, 0.01, 4000))), 3)
     0.01
     """
-    size = min(_BLOCK, values.shape[-1])
+    block_samples = 20
+    size = min(block_samples, values.shape[-1])
     count = values.shape[-1] // size
     rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
@@ -123,14 +115,19 @@ class Grid:
     @property
     def times(self) -> Floats:
         """In samples, shape (times,)."""
-        longest = _LONGEST * self.count
-        shortest = longest / (_LONGEST * 4.0 * self.terms)
-        return np.geomspace(shortest, longest, _SPECTRA - 1)
+        longest_share = 0.2
+        n_spectra = 24
+        longest = longest_share * self.count
+        shortest = longest / (longest_share * 4.0 * self.terms)
+        return np.geomspace(shortest, longest, n_spectra - 1)
 
     @property
     def prior(self) -> Floats:
         """Prior of each spectrum, shape (g,)."""
-        prior = (self.times / self.times[0]) ** _PRIOR
+        # With this power, intervals cover 95 % from white noise to correlation over a tenth of the
+        # window (see the studies).
+        prior_power = -0.4
+        prior = (self.times / self.times[0]) ** prior_power
         half = 0.5 * prior  # white noise beneath, or none: the one as likely as the other
         return np.concatenate([prior[::-1], [1.0], half, *[half / len(_FLOORS)] * len(_FLOORS)])
 
@@ -254,8 +251,10 @@ def slowest_cosines(rows: Floats, terms: int) -> Floats:
     >>> slowest_cosines(np.full((1, 4), 3.0), 2).round(12)
     array([[6., 0.]])
     """
+    # Samples per block.
+    long_block = 128
     count, blocks = rows.shape[1], ceil(pi * terms)
-    if count <= _LONG * blocks:
+    if count <= long_block * blocks:
         return np.asarray(dct(rows, norm="ortho")[:, :terms])
     size = ceil(count / blocks)
     cut = np.pad(rows, ((0, 0), (0, -count % size))).reshape(len(rows), -1, size)

@@ -30,12 +30,6 @@ from labpipe.uncertainty.replicates import Input, Replicates
 _LOW, _HIGH = 0.025, 0.975
 _LOST, _NONE = 0.05, 0.5
 """Shares of the replicates without a number: doubtful from the one on, failed from the other."""
-_OF_WINDOW, _OF_RECORD, _BRIEF = 0.4, 0.04, 1.0
-"""Share of the samples of a number, and of the record, that noise may remember; and samples of
-memory that harm no number, by which short records would all be doubtful."""
-_SLIGHT, _SMALL_PART = 5e-4, 0.38
-"""Shares of a number and of its standard uncertainty below which its noise raises no doubt: twice
-that noise would widen the interval by less than a fifth."""
 _DUST = 1e-9
 """Share of the largest row of a budget by which arithmetic moves what cancels."""
 _TOLD = 100
@@ -112,6 +106,11 @@ def measure(
     Of each number of the reading; a failure where the measured curve does not have them, or half of
     the replicates do not.
     """
+    # Noise below this share of the number raises no doubt,
+    slight_share = 5e-4
+    # nor below this share of its standard uncertainty: twice that noise would widen the interval by
+    # less than a fifth.
+    small_uncertainty_share = 0.38
     found = decide(replicates.measured)
     if isinstance(found, Failure):
         return found
@@ -145,8 +144,8 @@ def measure(
         message = f"{lost:.0%} of curves with such noise have no such number"
         doubts.append(("", Reason("not_repeatable", message)))
     about_noise = tuple(_doubts(replicates, plain.n))
-    spread, slight = np.nanstd(noise, axis=1), _SLIGHT * np.abs(values)
-    matters = spread > np.maximum(slight, _SMALL_PART * np.nanstd(off, axis=1))
+    spread, slight = np.nanstd(noise, axis=1), slight_share * np.abs(values)
+    matters = spread > np.maximum(slight, small_uncertainty_share * np.nanstd(off, axis=1))
     return tuple(
         Measured(
             value,
@@ -205,16 +204,22 @@ def _unfit(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
 
 def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
     """Why an interval over so many samples may be too narrow."""
+    # Largest correlation time, as a share of the samples of a number,
+    max_window_share = 0.4
+    # as a share of the samples of the record,
+    max_record_share = 0.04
+    # and in samples, below which no short record is doubtful.
+    harmless_samples = 1.0
     for name, noise in replicates.noises.items():
         # One sentence for all numbers of a test, whose samples stand beside them.
         memory, known = noise.memory, noise.count >= _TOLD
-        if known and memory > max(noise.count * _OF_RECORD, _BRIEF):
+        if known and memory > max(noise.count * max_record_share, harmless_samples):
             message = (
                 f"the noise of the {name} is as slow as what is measured: it remembers "
                 f"{memory:.3g} of the {noise.count} samples of the record"
             )
             yield name, Reason("slow_noise", message)
-        elif known and count > 1 and memory > max(count * _OF_WINDOW, _BRIEF):
+        elif known and count > 1 and memory > max(count * max_window_share, harmless_samples):
             message = (
                 f"the noise of the {name} is as slow as what is measured: it remembers "
                 f"{memory:.3g} samples, more than two fifths of those that the number is read from"

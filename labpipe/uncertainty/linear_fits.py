@@ -20,9 +20,6 @@ from labpipe.uncertainty.autocorrelation import (
     exact_covariance,
 )
 
-_NOTHING = 1e-15
-"""Chance of a spectrum below which it cannot move a half width."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
@@ -155,11 +152,13 @@ def _half_widths(noise: Noise, variances: Floats, offsets: Floats) -> Floats:
 
     Newton's steps: the share that a half width holds is concave, so they do not overshoot.
     """
+    # Spectra below this probability do not change a half width.
+    min_chance = 1e-15
     deviations = np.sqrt(np.maximum(variances, 0.0))
     safe = np.where(deviations > 0.0, deviations, 1.0)
     half: Floats = stdtrit(noise.freedom, 0.975) * np.exp(noise.chances @ np.log(safe))
     least = 0.1 * half
-    counted = noise.chances > _NOTHING
+    counted = noise.chances > min_chance
     chances, safe, offsets = noise.chances[counted], safe[counted], offsets[counted]
     for _ in range(12):
         share, slope = _held(half, safe, offsets, noise.freedom)

@@ -31,33 +31,10 @@ _WAVES = 48
 """Half waves of a piece that the noise is judged by: with 128 hum is taken for memory."""
 _CUBIC = 6
 """Columns of the polynomial that is taken out of a piece: degree five."""
-_EDGE, _RELAXES = 10, 3
-"""Of a rest: one part in so many next to the motion is cut off, where it may have begun or not yet
-have ended; columns of the polynomial taken out behind the motion, where a specimen relaxes."""
-_PER_COLUMN = 8
-"""Samples of a piece for each of them, at least."""
 _CLIFF = 4.0
 """Times the median variance, beyond which a piece holds a corner or a step of the curve."""
-_ODD, _ROUNDS = 1e-3, 6
-"""Chance of what is left of a piece by the process that is most likely, below which the piece holds
-a kink of the curve."""
-_MIN_ALIKE = 0.6
-"""Share of the pieces that are alike; with fewer the noise differs along the record, and the
-variance of the noisier half of the pieces holds for all of it."""
-_TIMES, _BRIEFEST, _LONGEST = 24, 0.4, 20
-"""Correlation times, from so many samples to the longest branch over so much."""
-_FLOORS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
-"""White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
-_PRIOR = -0.4
-"""Power of the correlation time in the prior."""
 _STEEP, _CROSSINGS = (0.6, 0.8, 1.0, 1.2, 1.5), (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
 """Of flicker noise: powers of the frequency; rad per sample at which white noise is as large."""
-_FLICKER = 1.0
-"""Prior of flicker noise without white noise, that of white noise; where both cross may be anywhere
-along the frequency, so that the later it rises from white noise, the less it has."""
-_RISES, _STEEPEST = 2.0, 1.2
-"""Of flicker noise that pieces tell without rests: times the slowest wave of a piece at which it is
-above white noise, and power of the frequency."""
 _FAST, _BAND = 256, 16
 """Half waves over a branch above which the record's own power may stand for a process, in bands."""
 _MARGIN = 12
@@ -103,15 +80,27 @@ class _Processes:
 @lru_cache(maxsize=16)
 def _processes(longest: int, count: int) -> _Processes:
     """What is considered of a record of so many samples, whose longest branch has so many."""
-    times = np.geomspace(_BRIEFEST, max(longest / _LONGEST, 2.0 * _BRIEFEST), _TIMES)
-    a, prior = np.exp(-1.0 / times), (times / times[0]) ** _PRIOR
-    lowest, kinds, none = np.pi / (2.0 * max(count, 1)), len(_FLOORS), np.zeros(_TIMES)
+    n_times = 24
+    # Correlation times in samples, up to this fraction of the longest branch.
+    shortest_time = 0.4
+    longest_divisor = 20
+    # White noise below correlated noise, as shares of the spectrum at frequency zero.
+    white_floors = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+    prior_power = -0.4
+    # Prior of flicker noise without white noise, relative to white noise. Their crossing is uniform
+    # in frequency: the later flicker noise rises above white noise, the smaller its prior.
+    flicker_prior = 1.0
+    times = np.geomspace(
+        shortest_time, max(longest / longest_divisor, 2.0 * shortest_time), n_times
+    )
+    a, prior = np.exp(-1.0 / times), (times / times[0]) ** prior_power
+    lowest, kinds, none = np.pi / (2.0 * max(count, 1)), len(white_floors), np.zeros(n_times)
     steep, crossing = np.repeat(_STEEP, len(_CROSSINGS)), np.tile(_CROSSINGS, len(_STEEP))
     flicker = np.ones(len(steep))
     return _Processes(
         factor=np.concatenate([[0.0], a, a, np.tile(a, kinds), 0.0 * flicker]),
         floor=np.concatenate(
-            [[0.0], none, none, np.repeat(_FLOORS, _TIMES), (lowest / crossing) ** steep]
+            [[0.0], none, none, np.repeat(white_floors, n_times), (lowest / crossing) ** steep]
         ),
         is_mirrored=np.concatenate([[0.0], none + 1.0, none, np.tile(none, kinds), 0.0 * flicker]),
         prior=np.concatenate(
@@ -120,13 +109,13 @@ def _processes(longest: int, count: int) -> _Processes:
                 prior,
                 0.5 * prior,
                 np.tile(0.5 * prior / kinds, kinds),
-                _FLICKER * crossing / np.pi,
+                flicker_prior * crossing / np.pi,
             ]
         ),
         # Its end forgets its beginning no sooner than the record is over.
         time=np.concatenate([[0.0], none, times, np.tile(times, kinds), count / _MARGIN * flicker]),
-        steep=np.concatenate([np.zeros(1 + (2 + kinds) * _TIMES), steep]),
-        crossing=np.concatenate([np.full(1 + (2 + kinds) * _TIMES, np.inf), crossing]),
+        steep=np.concatenate([np.zeros(1 + (2 + kinds) * n_times), steep]),
+        crossing=np.concatenate([np.full(1 + (2 + kinds) * n_times, np.inf), crossing]),
         lowest=lowest,
     )
 
@@ -256,6 +245,13 @@ def noise_of(
     20 000 is seen by those alone, and would make the variance 1.6 times too large on average.
     """
     # What stands to the last digit, saturated or frozen, says nothing of the noise.
+    # A piece whose residuals have a lower probability than this in the most probable process
+    # contains a kink of the curve.
+    kink_chance = 1e-3
+    max_rounds = 6
+    # With fewer pieces alike, the noise varies along the record, and the variance of the noisier
+    # half of the pieces is used.
+    min_alike_share = 0.6
     moves = [_spread(branch) > 0.0 for branch in branches]
     span = max(map(_spread, branches), default=0.0)
     both = [_closed_up(*each) for each in compress(zip(branches, smooth, strict=True), moves)]
@@ -286,12 +282,12 @@ def noise_of(
     spectra = processes.spectra(np.pi * np.arange(terms) / width)
     is_level = power <= _CLIFF * np.median(power)
     is_alike = is_level.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(max_rounds):
         seen = _likelihood(spectra, waves[is_alike], columns)
         best = spectra[np.argmax(seen[0] + np.log(processes.prior))]
         whitened = _whitened(best, waves[is_alike], columns)
         each = terms - columns.shape[1]
-        odd = whitened > np.median(whitened) * chdtri(each, _ODD) / chdtri(each, 0.5)
+        odd = whitened > np.median(whitened) * chdtri(each, kink_chance) / chdtri(each, 0.5)
         if not odd.any():
             break
         is_alike[is_alike] = ~odd
@@ -299,7 +295,7 @@ def noise_of(
     likelihood, squares, freedom = _with_rests(processes, still, width, seen)
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < _SURE * chances.max()] = 0.0
-    if is_alike.mean() < _MIN_ALIKE and not has_steps:
+    if is_alike.mean() < min_alike_share and not has_steps:
         squares = squares * power[power >= np.median(power)].mean() / power[is_alike].mean()
     angles, fast = _without_corners(*_own_power(branches, smooth), left[is_level])
     return Noise(
@@ -325,13 +321,18 @@ def _with_rests(
     where pieces do not tell it from others: in records of less than a dozen pieces, where it rises
     from white noise below their waves, and where it rises as steeply as noise that remembers.
     """
+    # Flicker noise is judged without rests only where it exceeds white noise at this multiple of
+    # the slowest wave of a piece,
+    min_crossing = 2.0
+    # and up to this power of the frequency.
+    max_flicker_power = 1.2
     likelihood, squares, freedom = seen
     if not still:
-        slow, fast = (np.pi * rise / width for rise in (_RISES * _CUBIC, _WAVES))
+        slow, fast = (np.pi * rise / width for rise in (min_crossing * _CUBIC, _WAVES))
         is_seen = (processes.crossing >= slow) & (processes.crossing <= fast)
         # What is white beyond the fastest wave of a piece is alike there.
         is_seen |= processes.crossing == _CROSSINGS[0]
-        is_seen &= (processes.steep <= _STEEPEST) & (width > _SHORTEST)
+        is_seen &= (processes.steep <= max_flicker_power) & (width > _SHORTEST)
         is_seen |= processes.steep == 0.0
         return np.where(is_seen, likelihood, -np.inf), squares, freedom
     return _added(processes, still, seen)
@@ -388,12 +389,17 @@ def _still(
     rests: Sequence[Floats], least: int, *, is_behind: bool = False
 ) -> Iterator[tuple[Floats, Floats]]:
     """Middles of rests that are long enough, each with what moves there but for noise."""
+    # One tenth of a rest next to the motion is cut off: the motion may have begun or not yet have
+    # ended there.
+    edge_divisor = 10
+    # Polynomial columns removed after the motion, where a specimen relaxes.
+    relaxation_columns = 3
     for rest in rests:
         if len(rest) < least or not np.ptp(rest) > 0.0:  # nor of NaN
             continue
-        edge = len(rest) // _EDGE
+        edge = len(rest) // edge_divisor
         middle = rest[edge:] if is_behind else rest[: len(rest) - edge]
-        yield middle, _polynomials(len(middle), _RELAXES if is_behind else 1)
+        yield middle, _polynomials(len(middle), relaxation_columns if is_behind else 1)
 
 
 def _spread(values: Floats) -> float:
@@ -417,7 +423,8 @@ def _silence(longest: int) -> Noise:
 
 def _polynomials(width: int, most: int = _CUBIC) -> Floats:
     """Orthonormal polynomials over a piece, shape (width, columns)."""
-    return _legendre(width, int(np.clip(width // _PER_COLUMN, min(2, most), most)))
+    min_samples_per_column = 8
+    return _legendre(width, int(np.clip(width // min_samples_per_column, min(2, most), most)))
 
 
 def _legendre(width: int, columns: int) -> Floats:

@@ -14,10 +14,6 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 
-_DEGREES = (1, 2, 3)
-_MOST_PIECES = 3
-_FREE_SAMPLES = 2
-"""Samples of a piece beyond its coefficients, at least."""
 _ROUNDING = 1e-9
 """Share of the range below which what polynomials leave is arithmetic."""
 
@@ -50,13 +46,15 @@ def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
     >>> [piece.degree for piece in polynomial_pieces(knee + noise)]
     [1, 1]
     """
+    allowed_degrees = (1, 2, 3)
+    max_pieces = 3
     count = len(values)
-    squares = {degree: _sums_of_squares(values, degree) for degree in _DEGREES}
+    squares = {degree: _sums_of_squares(values, degree) for degree in allowed_degrees}
     dust = count * (_ROUNDING * float(np.ptp(values))) ** 2
     best: tuple[Piece, ...] = (Piece(0, count, 1),)
     lowest = np.inf
-    for number in range(1, _MOST_PIECES + 1):
-        for degrees in product(_DEGREES, repeat=number):
+    for number in range(1, max_pieces + 1):
+        for degrees in product(allowed_degrees, repeat=number):
             spent = sum(degrees) + 2 * number - 1
             if count - spent - 2 <= 0:
                 continue
@@ -86,9 +84,10 @@ def _best_cuts(squares: list[Floats], count: int) -> tuple[float, tuple[int, ...
 
 def _sums_of_squares(values: Floats, degree: int) -> Floats:
     """What a polynomial leaves of samples from i to before j, shape (n + 1, n + 1); else inf."""
+    min_free_samples = 2
     count = len(values)
     sums = np.full((count + 1, count + 1), np.inf)
-    for length in range(degree + 1 + _FREE_SAMPLES, count + 1):
+    for length in range(degree + 1 + min_free_samples, count + 1):
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         explained = windows @ _slopes(length, degree)

@@ -34,14 +34,9 @@ _PARTS, _PARTS_OF_CYCLE = 12, 40
 a tensile curve follows slow noise."""
 _PER_PART = 8
 """Samples of an interval at least."""
-_PARTS_AT_REST, _PER_PART_AT_REST = 4, 50
-"""The same of pieces in which nothing moves: what follows the noise of a plateau is as high as the
-largest of its samples, and the interval of a peak lies too high."""
 _DUST = 1e-4
 """Share of the range of a signal below which its noise may be of any kind."""
 _DEGREE = 3
-_APART = 2.5
-"""Steps of the steeper side of a cut that two pieces are apart at most where they meet."""
 
 Filter: TypeAlias = Callable[[Floats], Floats]
 Law: TypeAlias = Literal["normal", "uniform", "step"]
@@ -203,6 +198,10 @@ def smooth_curve(
     -------
     Shape (n,). A piece of few samples gets fewer intervals, and a straight line at last.
     """
+    # Fewer intervals in pieces at rest: a curve that follows the noise of a plateau reaches the
+    # largest of its samples, and the interval of a peak would be too high.
+    max_rest_intervals = 4
+    min_rest_samples = 50
     from scipy.interpolate import make_lsq_spline
 
     found, ends = values.copy(), sorted({0, len(values), *cuts})
@@ -217,7 +216,7 @@ def smooth_curve(
         if len(y) <= SHORT and not rests:
             found[low:high][known] = _polynomials(x, y)
             continue
-        each, most = (_PER_PART_AT_REST, _PARTS_AT_REST) if rests else (_PER_PART, parts)
+        each, most = (min_rest_samples, max_rest_intervals) if rests else (_PER_PART, parts)
         count = int(np.clip(len(y) // each, 1, most))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
         curve = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)(x)
@@ -257,9 +256,10 @@ def _meet(values: Floats, cut: int) -> None:
     holds, carried on by a sample: the lower of both where the slope falls, else the higher. Pieces
     that are farther apart than their slopes explain, as at a slip, stay as they are.
     """
+    max_gap_steps = 2.5
     left, right = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
     ahead, back = values[cut - 1] + left, values[cut] - right
-    if not abs(ahead - values[cut]) <= _APART * max(abs(left), abs(right)):
+    if not abs(ahead - values[cut]) <= max_gap_steps * max(abs(left), abs(right)):
         return
     pick = min if left > right else max
     values[cut - 1], values[cut] = pick(values[cut - 1], back), pick(values[cut], ahead)
