@@ -45,15 +45,16 @@ def kept(tmp_path: Path) -> KeptCampaign:
 def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     """Two pulls, of which one lacks its export: processed once, and again when it is there."""
     labs = small_pulls(tmp_path, 2)
-    export = labs[1].export.read_bytes()
-    labs[1].export.unlink()
+    missing = labs[1].export
+    export = missing.read_bytes()
+    missing.unlink()
     raw = labs[0].raw.parent
     command = ("campaign", "run", raw, "--no-figures", "--jobs", "1")
     ran = run(*command)
     assert ran.status == BAD_INPUT
     assert "processed 2 of 2" in ran.out
     assert "failed  S-0001  missing_export: " in ran.out
-    labs[1].export.write_bytes(export)
+    missing.write_bytes(export)
     ran = run(*command)
     assert ran.status in {DONE, SOME_FAILED}
     assert "1/1 S-0001: " in ran.err
