@@ -192,7 +192,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     except ProcessingError as error:
         message = f"{raw.test}, {error}"
         raise ProcessingError(message) from error
-    test = reduced.evidence
+    test = reduced.reduced_test
     return TestResult(
         test=raw.test,
         specimen=raw.specimen,

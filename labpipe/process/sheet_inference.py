@@ -35,8 +35,6 @@ from labpipe.protocol.values import is_name_of_a_test
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
 
-USUAL = "wire-cantilever"
-"""Protocol of a test of which nothing can be seen and nothing is said."""
 _NEEDED = ("type", "spool", "sample")
 _AGREE = 0.05
 """Lengths that differ by more than this ratio are not the same."""
@@ -282,7 +280,7 @@ class _TestInference:
     def _protocol(self) -> dict[str, str]:
         if self.fit is not None:
             return {"protocol": self.fit.protocol.name}
-        return {} if self.contents.exports else {"protocol": USUAL}
+        return {}
 
     @property
     def _files(self) -> dict[str, tuple[str, ...]]:
@@ -353,10 +351,13 @@ class _TestInference:
             yield "\n    ".join((first, *which, _DECIDES))
         elif self.contents.exports:
             yield "protocol: none of those here takes these exports; name one, or write one"
-        elif self.contents.others or self.contents.unread:
-            yield f"no export that labpipe reads lies here; {USUAL} was taken as the protocol"
         else:
-            yield f"no exports lie here yet; {USUAL} was taken as the protocol"
+            missing = (
+                "no export that labpipe can read is"
+                if self.contents.others or self.contents.unread
+                else "no exports are"
+            )
+            yield f"protocol: {missing} in this folder; copy the exports there, or use --protocol"
 
     def _contradictions(self, values: Mapping[str, str]) -> Iterator[str]:
         """What is said in two ways, but does not keep a value from being taken."""

@@ -60,12 +60,12 @@ class ReductionOfTest:
 
     Parameters
     ----------
-    evidence : with every stage that was reached, and all findings
+    reduced_test : with every stage that was reached, and all findings
     results : in the protocol's order
     lines : the straight lines that stiffnesses were read from
     """
 
-    evidence: ReducedTest
+    reduced_test: ReducedTest
     results: tuple[Result, ...]
     lines: tuple[FittedLine, ...]
 
@@ -92,14 +92,14 @@ def reduce_recordings(
     prepared, found = all_steps(prepared, protocol)
     findings += found
     if protocol.curve is None or protocol.branches is None:
-        return with_results(_evidence(prepared, Clocks(), protocol, findings), protocol)
+        return with_results(_reduced_test(prepared, Clocks(), protocol, findings), protocol)
     seed = seed_of(recordings)
     prepared, motion, found = split_motion(prepared, protocol, protocol.branches)
     findings += found
     prepared, found = at_rest(prepared, motion, protocol.limits)
     findings += found
     findings = checked(prepared, motion, protocol, findings)
-    test = replace(_evidence(prepared, motion.clocks, protocol, findings), seed=seed)
+    test = replace(_reduced_test(prepared, motion.clocks, protocol, findings), seed=seed)
     return with_results(with_curve(test, motion, protocol, protocol.curve), protocol)
 
 
@@ -213,7 +213,7 @@ def with_curve(
     return replace(test, findings=findings)
 
 
-def _evidence(
+def _reduced_test(
     prepared: Prepared, clocks: Clocks, protocol: Protocol, findings: Findings
 ) -> ReducedTest:
     specimen, words, string = protocol.specimen, protocol.markers, protocol.rig.string

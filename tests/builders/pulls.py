@@ -84,7 +84,7 @@ def reduction(
 def pulled(travel: Floats, force: Floats, **asked: Any) -> tuple[ReducedTest, dict[str, Result]]:
     """Evidence and results of a pull, asked for as `reduction` has it."""
     done = reduction(travel, force, **asked)
-    return done.evidence, {result.name: result for result in done.results}
+    return done.reduced_test, {result.name: result for result in done.results}
 
 
 def codes(test: ReducedTest) -> dict[str, str]:

@@ -55,6 +55,15 @@ def loop(*, cycles: int = 2, noise: float = 0.0, seed: int = 0) -> tuple[Floats,
     return time, path + random.normal(0.0, 1e-3 * noise, len(time)), force
 
 
+def recording_of(time: Floats, displacement: Floats, force: Floats) -> Recording:
+    """An export of the protocol: displacement and force on one clock."""
+    channels = (
+        Channel("force", "A", force, unit="V"),
+        Channel("displacement", "B", displacement, unit="m"),
+    )
+    return Recording("dspace-mat", clocks=(Clock("time", time),), channels=channels)
+
+
 def reduction(
     time: Floats,
     displacement: Floats,
@@ -64,11 +73,7 @@ def reduction(
     replaced: tuple[str, str] = ("", ""),
 ) -> ReductionOfTest:
     """What a test comes to; `more` and what is `replaced` make the protocol."""
-    channels = (
-        Channel("force", "A", force, unit="V"),
-        Channel("displacement", "B", displacement, unit="m"),
-    )
-    recording = Recording("dspace-mat", clocks=(Clock("time", time),), channels=channels)
+    recording = recording_of(time, displacement, force)
     text = PROTOCOL.replace(*replaced) if replaced[0] else PROTOCOL
     protocol = parse_protocol(text + more, "p.yaml")
     return reduce_recordings({"force": recording}, protocol)
@@ -84,7 +89,7 @@ def reduced(
 ) -> tuple[ReducedTest, dict[str, Result]]:
     """Evidence and results by name, of the same."""
     done = reduction(time, displacement, force, more=more, replaced=replaced)
-    return done.evidence, {result.name: result for result in done.results}
+    return done.reduced_test, {result.name: result for result in done.results}
 
 
 UP, DOWN = Direction.LOADING, Direction.UNLOADING

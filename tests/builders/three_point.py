@@ -199,4 +199,4 @@ def reduced(
     }
     protocol = without_absent(parse_protocol(text, "conduit-bundle.yaml"), made)
     done = reduce_recordings(made, protocol, tested=tested)
-    return done.evidence, {result.name: result for result in done.results}
+    return done.reduced_test, {result.name: result for result in done.results}

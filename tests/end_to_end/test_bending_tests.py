@@ -349,7 +349,7 @@ def _bending(repository: Path, seed: int) -> Bending:
     )
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
     done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
-    test, results = done.evidence, done.results
+    test, results = done.reduced_test, done.results
     asked = [result for result in results if result.name.startswith("bending_stiffness")]
     assert {reason.code for each in asked for reason in each.reasons} <= {"turn_rounded"}, asked
     assert isinstance(test.bending, Bending)

@@ -140,6 +140,14 @@ def test_a_wrong_value_is_refused_though_others_are_open(
     assert not (tmp_path / "x" / "test.yaml").exists()
 
 
+def test_an_existing_sheet_is_not_overwritten(tmp_path: Path) -> None:
+    sheet = tmp_path / "test.yaml"
+    sheet.write_text("mine", encoding="utf-8")
+    with pytest.raises(UsageError, match=r"test\.yaml: expected no such file yet"):
+        list(new_seen(tmp_path, {}))
+    assert sheet.read_text(encoding="utf-8") == "mine"
+
+
 def test_a_folder_that_cannot_be_made(table: Path, tmp_path: Path) -> None:
     (tmp_path / "raw").write_text("", encoding="utf-8")
     with pytest.raises(StoreError, match=r"test\.yaml: expected "):

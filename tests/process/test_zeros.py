@@ -113,7 +113,7 @@ def reduced_wire(
     plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, seed)
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
     done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
-    return done.evidence, {result.name: result for result in done.results}
+    return done.reduced_test, {result.name: result for result in done.results}
 
 
 @pytest.mark.slow

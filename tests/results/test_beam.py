@@ -59,7 +59,7 @@ def test_plateau() -> None:
     holds(results["plateau_displacement"], onset, "m")
     force = first_loading(np.array([onset]))[0]
     holds(results["plateau_force"], float(force), "N")
-    assert "no_plateau" not in {note.code for note in done.evidence.findings.notes}
+    assert "no_plateau" not in {note.code for note in done.reduced_test.findings.notes}
     assert [line.result for line in done.lines] == ["before_kink", "behind_kink", "slope_at_end"]
     assert done.lines[2].slope == pytest.approx(FLAT, abs=1.0)
 

@@ -64,7 +64,7 @@ def reduced(
     plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, 3)
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
     done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
-    return done.evidence, {result.name: result for result in done.results}
+    return done.reduced_test, {result.name: result for result in done.results}
 
 
 def notes(test: ReducedTest, code: str) -> list[str]:
@@ -389,7 +389,7 @@ def test_what_is_said_of_a_string_at_rest(approved: Approve) -> None:
         *(held(TAUT_REST), held(slack), held(replace(TAUT_REST, ahead=1.2e-3, lowest=0.0))),
         *(held(replace(TAUT_REST, sag=2.5e-3, slackened=-0.013)), held(unknown)),
         held(replace(unknown, ahead=1e-3)),
-        *(held(replace(rest, weight=0.0309, own=0.0044)) for rest in (TAUT_REST, slack)),
+        *(held(replace(rest, weight=0.0309, own_weight=0.0044)) for rest in (TAUT_REST, slack)),
         *(stated("taut", 0.0265), stated("slack", 0.0265), stated("taut", 0.0265, 0.0044)),
     )
     for string in strings:
