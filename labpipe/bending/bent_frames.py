@@ -428,14 +428,14 @@ class BendingTest:
             If fewer than two frames at rest show all markers.
         """
         branch = np.where(self.rest, 0, -1)
-        each = mean_frames(self.shape, np.zeros(len(branch)), branch, per_mean=1)
-        whole = np.isfinite(each.markers).all(axis=(1, 2))
+        frames = mean_frames(self.shape, np.zeros(len(branch)), branch, per_mean=1)
+        whole = np.isfinite(frames.markers).all(axis=(1, 2))
         if whole.sum() < 2:
-            found = int(whole.sum())
-            message = f"rest: expected frames at rest that show all markers, found {found}"
+            n_frames = int(whole.sum())
+            message = f"rest: expected frames at rest that show all markers, found {n_frames}"
             raise ValueError(message)
-        fit = self.layout.fit(each.markers[whole])
-        markers = each.markers[whole].mean(axis=0)
+        fit = self.layout.fit(frames.markers[whole])
+        markers = frames.markers[whole].mean(axis=0)
         return SpecimenAtRest(
             markers=markers,
             coefficients=fit.coefficients.mean(axis=0)[None],
@@ -495,10 +495,10 @@ class BendingTest:
         length, pull = self.layout.length, self.pull if pull is None else pull
         tip = curves_at(coefficients, length, np.array([length]))
         force = pull.force(reading, tip.x[:, 0])
-        found = moments(curves_at(coefficients, length, places), tip, force)
+        moment = moments(curves_at(coefficients, length, places), tip, force)
         if pull.self_weight == 0.0:
-            return found
-        return found - pull.self_weight * weight_levers(coefficients, length, places)
+            return moment
+        return moment - pull.self_weight * weight_levers(coefficients, length, places)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -145,12 +145,12 @@ def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
     max_rounds = 12
     convergence_share = 1e-7
     seen = np.isfinite(loaded.moved)
-    found = np.where(seen, loaded.moved, 0.0)
+    measured = np.where(seen, loaded.moved, 0.0)
     shapes = LawShapes.of(loaded, basis)
-    compliance = _straight(shapes, found)
+    compliance = _straight(shapes, measured)
     for _ in range(max_rounds):
         moved, design = shapes.predict(compliance)
-        left = _centred(np.where(seen, found - moved, 0.0)[..., None], seen, loaded.rest_weight)
+        left = _centred(np.where(seen, measured - moved, 0.0)[..., None], seen, loaded.rest_weight)
         design = _centred(np.where(seen[..., None], design, 0.0), seen, loaded.rest_weight)
         flat, residual = design.reshape(-1, design.shape[2]), left.ravel()
         normal = flat.T @ flat
@@ -173,7 +173,7 @@ def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
     )
 
 
-def _straight(shapes: LawShapes, found: Floats) -> Floats:
+def _straight(shapes: LawShapes, measured: Floats) -> Floats:
     """One compliance for all knots that moves the markers about as far as they moved."""
     one = np.ones(shapes.turns.shape[2])
     moved = shapes.predict(0.0 * one)[1] @ one
@@ -181,7 +181,7 @@ def _straight(shapes: LawShapes, found: Floats) -> Floats:
     if not scale > 0.0:
         message = "moment: expected moments other than those at rest, found none"
         raise ValueError(message)
-    return np.asarray(one * abs(float((moved * found).sum())) / scale, dtype=np.float64)
+    return np.asarray(one * abs(float((moved * measured).sum())) / scale, dtype=np.float64)
 
 
 def _centred(values: Floats, seen: Flags, rest_weight: float) -> Floats:

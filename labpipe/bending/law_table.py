@@ -347,10 +347,10 @@ def tabulate(
     )
 
 
-def _with_ends(name: str, value: Floats, error: Floats, shown: Flags) -> dict[str, Floats]:
+def _with_ends(name: str, value: Floats, error: Floats, is_shown: Flags) -> dict[str, Floats]:
     """A column with the ends of its interval; the moment itself stays where its ends do not."""
-    half = _NORMAL_95 * np.where(shown, error, np.nan)
-    middle = value if name == "moment" else np.where(shown, value, np.nan)
+    half = _NORMAL_95 * np.where(is_shown, error, np.nan)
+    middle = value if name == "moment" else np.where(is_shown, value, np.nan)
     return {name: middle, f"{name}_lower": middle - half, f"{name}_upper": middle + half}
 
 

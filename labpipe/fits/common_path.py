@@ -43,8 +43,8 @@ class CommonPath:
         in_time = np.argsort(samples)
         d, f = displacement[samples[in_time]], force[samples[in_time]]
         last = len(d) - 1
-        each, reach = np.arange(last + 1), max(1, last // slope_divisor)
-        low, high = np.maximum(each - reach, 0), np.minimum(each + reach, last)
+        rows, reach = np.arange(last + 1), max(1, last // slope_divisor)
+        low, high = np.maximum(rows - reach, 0), np.minimum(rows + reach, last)
         way, rise, whole = d[high] - d[low], f[high] - f[low], d[-1] - d[0]
         overall = (f[-1] - f[0]) / whole if whole > 0.0 else 0.0
         slope = np.empty(last + 1)
@@ -69,11 +69,11 @@ class CommonPath:
         noise of the displacement makes a least-squares slope smaller, by its variance over that of
         the displacements.
         """
-        found = self._taken(force)
+        on_path = self._taken(force)
         if displacement is None:
-            return found
+            return on_path
         moved = self._taken(displacement) - self.displacement
-        return found - self.slope * moved if moved.any() else found
+        return on_path - self.slope * moved if moved.any() else on_path
 
     def _taken(self, values: Floats) -> Floats:
         if self.samples is None:

@@ -64,8 +64,8 @@ class WindowSlope:
 
     def _numbers(self, stretch: slice) -> Ints:
         """Numbers in the branch of some of the known samples."""
-        known = part_of(self.known, stretch)
-        return np.arange(known.start, known.stop) if isinstance(known, slice) else known
+        samples = part_of(self.known, stretch)
+        return np.arange(samples.start, samples.stop) if isinstance(samples, slice) else samples
 
     @property
     def window(self) -> Samples:
@@ -93,13 +93,13 @@ class WindowSlope:
         later, since : shape (...), as for `inside`
         """
         stretch, inside = self.inside(later, since)
-        known, time = part_of(self.known, stretch), self.time[stretch]
+        samples, time = part_of(self.known, stretch), self.time[stretch]
         count = inside.sum(axis=-1)
         enough = np.where(count < _LEAST, 0, count)
         middle = ratio(np.asarray(inside @ time), enough)
         weight = np.where(inside, time - middle[..., np.newaxis], 0.0)
         return ratio(
-            np.vecdot(weight, force[..., known]), np.vecdot(weight, displacement[..., known])
+            np.vecdot(weight, force[..., samples]), np.vecdot(weight, displacement[..., samples])
         )
 
 
@@ -133,14 +133,14 @@ def window_slope(
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
         return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
-    known = samples_of(np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)))
-    found = WindowSlope(known, time[known], travelled[known], furthest[known], low, high)
-    if found.n < _LEAST:
-        message = f"{found.n} samples in the stretch, {_LEAST} are needed"
+    samples = samples_of(np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)))
+    fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
+    if fit.n < _LEAST:
+        message = f"{fit.n} samples in the stretch, {_LEAST} are needed"
         return Failure("too_few_samples", message)
-    if np.ptp(displacement[found.window]) == 0.0:
+    if np.ptp(displacement[fit.window]) == 0.0:
         return Failure("no_travel", "the displacement does not change over the stretch")
-    return found
+    return fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,8 +158,8 @@ class Turn:
 
     def of(self, values: Floats) -> Floats:
         """Value at the turn, shape (...), of a signal of shape (..., n)."""
-        found: Floats = np.vecdot(values[..., self.samples], self.weights)
-        return found
+        value: Floats = np.vecdot(values[..., self.samples], self.weights)
+        return value
 
 
 def turn_at(time: Floats, values: Floats, *, at: float, first: int, stop: int) -> Turn:

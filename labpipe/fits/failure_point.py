@@ -69,17 +69,17 @@ def final_loss(
     necking of a wire, belongs to the test. A loss within one step of a slow recording is found as
     well as one that a fast recording has many samples of.
     """
-    known = np.flatnonzero(~np.isnan(force))
-    t, f = time[known], force[known]
+    finite = np.flatnonzero(~np.isnan(force))
+    t, f = time[finite], force[finite]
     if not len(f) or not f.max() > 0.0:
         most = float(f.max()) + 0.0 if len(f) else 0.0
         return Failure("no_tension", f"the force is nowhere above zero, at most {most:.4g} N")
     peak = float(f.max())
     last = int(np.flatnonzero(f >= rule.force_below * peak)[-1])
     if last == len(f) - 1:
-        found = f"the force ends at {f[-1]:.4g} N, {f[-1] / peak:.0%} of its peak {peak:.4g} N"
-        return Failure("no_break", f"{found}; below {rule.force_below:.0%} counts as lost")
-    if goes_back is not None and goes_back[known[last]]:
+        text = f"the force ends at {f[-1]:.4g} N, {f[-1] / peak:.0%} of its peak {peak:.4g} N"
+        return Failure("no_break", f"{text}; below {rule.force_below:.0%} counts as lost")
+    if goes_back is not None and goes_back[finite[last]]:
         return Failure("no_break", "the force goes down while the displacement goes back")
     fallen = f[last] - float(f[last + 1 : max(_reach(t, last, rule.within), last + 2)].min())
     first = _back_to_first(t, f, last, rule, peak)
@@ -90,7 +90,7 @@ def final_loss(
             "specimens break so, state a longer curve.failure.within"
         )
         return Failure("no_break", message)
-    return int(known[first])
+    return int(finite[first])
 
 
 def slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | None:
@@ -110,14 +110,14 @@ def slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | N
     min_further_travel = 0.01
     # Share of the steps there that must not go back.
     min_forward_steps = 0.5
-    known = np.flatnonzero(~np.isnan(force) & ~np.isnan(displacement))
-    d, f = displacement[known], force[known]
+    finite = np.flatnonzero(~np.isnan(force) & ~np.isnan(displacement))
+    d, f = displacement[finite], force[finite]
     last = last_above(f, rule.force_below)
     if last >= len(f) - 1:
         return None
     goes_on = d[-1] - d[last] >= min_further_travel * (d[last] - d[0])
     return (
-        int(known[last])
+        int(finite[last])
         if goes_on and (np.diff(d[last:]) >= 0.0).mean() > min_forward_steps
         else None
     )
@@ -163,8 +163,8 @@ def lost_earlier(time: Floats, force: Floats, rule: LossOfForce) -> float:
     -------
     Share of the largest force; 0 where none of at least `loss` was lost within `within`.
     """
-    known = ~np.isnan(force) & ~np.isnan(time)
-    time, force = time[known], force[known]
+    is_finite = ~np.isnan(force) & ~np.isnan(time)
+    time, force = time[is_finite], force[is_finite]
     peak = float(force.max(initial=0.0))
     later = np.searchsorted(time, time + rule.within, side="right") - 1
     later = np.minimum(np.maximum(later, np.arange(len(force)) + 1), len(force) - 1)

@@ -69,23 +69,23 @@ def find_slips(
     data allow: it holds in more than 95 % where the drop takes time, since it is no narrower than
     the samples around it.
     """
-    known: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
-    known = known[~_stands_alone(force[known])]
-    if len(known) < _LEAST:
+    finite: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
+    finite = finite[~_stands_alone(force[finite])]
+    if len(finite) < _LEAST:
         return Failure(
-            "too_few_samples", f"{len(known)} samples in the branch, {_LEAST} are needed"
+            "too_few_samples", f"{len(finite)} samples in the branch, {_LEAST} are needed"
         )
-    size, most = _fineness(displacement[known], longest)
-    d, f = (_blocks(each[known], size) for each in (displacement, force))
-    found = _confirmed(PullCurve(d, f, most, int(size > 1)), min_drop)
-    kept = [
+    size, most = _fineness(displacement[finite], longest)
+    d, f = (_blocks(values[finite], size) for values in (displacement, force))
+    drops = _confirmed(PullCurve(d, f, most, int(size > 1)), min_drop)
+    kept_drops = [
         finding
-        for finding in found
+        for finding in drops
         if finding.drop >= min_drop
         and _goes_on(f, finding, lost_share)
         and finding.drop <= largest_share * median(f[max(finding.start - 4, 0) : finding.start + 1])
     ]
-    return tuple(_entry(d, known, each, size, decision) for each in kept)
+    return tuple(_entry(d, finite, drop, size, decision) for drop in kept_drops)
 
 
 def _fineness(d: Floats, longest: float | None) -> tuple[int, int]:
@@ -167,14 +167,14 @@ def _confirmed(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
             fit_load_drop(pull.without([other for other in drops if other is not drop]), drop.start)
             for drop in drops
         ]
-        known = [each for each in again if each is not None]
-        if len(known) == len(drops):
-            drops = known
+        confirmed = [fit for fit in again if fit is not None]
+        if len(confirmed) == len(drops):
+            drops = confirmed
             break
         # The last one found is the least distinct: it may have been an echo of another.
-        lost = max(number for number, each in enumerate(again) if each is None)
+        lost = max(number for number, fit in enumerate(again) if fit is None)
         drops = [*drops[:lost], *drops[lost + 1 :]]
-    return sorted(drops, key=lambda found: found.start)
+    return sorted(drops, key=lambda drop: drop.start)
 
 
 def _drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
@@ -186,13 +186,13 @@ def _drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
         at = int(np.argmax(seen))
         if seen[at] <= 1.0:
             return drops
-        found = fit_load_drop(pull, at)
-        if found is None or not is_open[found.start : found.stop].any():
+        drop = fit_load_drop(pull, at)
+        if drop is None or not is_open[drop.start : drop.stop].any():
             is_open[max(at - _SIDE, 0) : at + _SIDE + 1] = False
             continue
-        drops.append(found)
-        pull = pull.without([found])
-        is_open[max(min(at, found.start) - 1, 0) : max(at, found.stop) + 1] = False
+        drops.append(drop)
+        pull = pull.without([drop])
+        is_open[max(min(at, drop.start) - 1, 0) : max(at, drop.stop) + 1] = False
 
 
 def _seen(f: Floats, min_drop: float) -> Floats:
@@ -227,23 +227,23 @@ def _sizes(f: Floats, window: int) -> Floats:
     return sizes
 
 
-def _goes_on(f: Floats, found: LoadDrop, lost_share: float) -> bool:
+def _goes_on(f: Floats, drop: LoadDrop, lost_share: float) -> bool:
     """Whether the force comes back above the share and rises at about the same slope."""
-    rises = found.slope_behind + 2.0 * found.slope_error >= 0.3 * found.slope_before
-    is_held = bool(f[found.stop :].max() >= lost_share * f[: found.start + 1].max())
+    rises = drop.slope_behind + 2.0 * drop.slope_error >= 0.3 * drop.slope_before
+    is_held = bool(f[drop.stop :].max() >= lost_share * f[: drop.start + 1].max())
     return rises and is_held
 
 
-def _entry(d: Floats, known: Ints, found: LoadDrop, size: int, decision: SlipDecision) -> Slip:
-    low, high = float(d[found.earliest]), float(d[found.latest])
+def _entry(d: Floats, samples: Ints, drop: LoadDrop, size: int, decision: SlipDecision) -> Slip:
+    low, high = float(d[drop.earliest]), float(d[drop.latest])
     middle, half = 0.5 * (low + high), 0.475 * (high - low)
-    position = float(np.interp(found.middle, np.arange(len(d)), d))
+    position = float(np.interp(drop.middle, np.arange(len(d)), d))
     return Slip(
         position=position,
-        drop=found.drop,
+        drop=drop.drop,
         position_interval=Interval(min(middle - half, position), max(middle + half, position)),
-        drop_interval=found.drop_interval,
+        drop_interval=drop.drop_interval,
         decision=decision,
-        start=int(known[found.start * size + size - 1]),
-        stop=int(known[found.stop * size]),
+        start=int(samples[drop.start * size + size - 1]),
+        stop=int(samples[drop.stop * size]),
     )

@@ -63,8 +63,8 @@ def line_in(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats
     Shapes (rows,): mean of `x`, value of the line there, its slope; NaN where there is none.
     """
     count = chosen.sum(axis=1)
-    x, y = (np.where(chosen, each, 0.0) for each in (x, y))
-    middle, level = (ratio(each.sum(axis=1), count) for each in (x, y))
+    x, y = (np.where(chosen, values, 0.0) for values in (x, y))
+    middle, level = (ratio(values.sum(axis=1), count) for values in (x, y))
     lever = np.where(chosen, x - middle[:, np.newaxis], 0.0)
     return middle, level, ratio(np.vecdot(lever, y), np.vecdot(lever, x))
 

@@ -141,8 +141,8 @@ def _fit_within(
         return None  # a converter shows nothing but one of its steps
     if not _is_clear(pull, window, explained / variance if variance > 0.0 else np.inf):
         return None
-    found = _measured(pull, window, (best, allowed, around))
-    return found if found is not None and _is_rare(pull, window, found) else None
+    drop = _measured(pull, window, (best, allowed, around))
+    return drop if drop is not None and _is_rare(pull, window, drop) else None
 
 
 def _possible(window: _Window, place: int, most: int) -> Floats:
@@ -187,23 +187,23 @@ def _is_clear(pull: PullCurve, window: _Window, squared: float) -> bool:
     return bool(stdtr(window.freedom, -t) <= _chance(pull))
 
 
-def _is_rare(pull: PullCurve, window: _Window, found: LoadDrop) -> bool:
+def _is_rare(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
     """Whether noise as it is elsewhere, of whatever correlation, does not explain a drop.
 
     The same step is fitted at every other place; its robust deviation is the yardstick.
     """
-    kernel = _step_kernel(window, found)
+    kernel = _step_kernel(window, drop)
     here = -float(kernel @ pull.f[window.low : window.high])
-    elsewhere = np.convolve(pull.without([found]).f, kernel[::-1], mode="valid")
+    elsewhere = np.convolve(pull.without([drop]).f, kernel[::-1], mode="valid")
     spread = max(MAD * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
     freedom = int(MAD_SHARE * len(elsewhere) / _shared(kernel, window.factor))
     return bool(stdtr(max(freedom, 1), -here / spread) <= _chance(pull))
 
 
-def _step_kernel(window: _Window, found: LoadDrop) -> Floats:
+def _step_kernel(window: _Window, drop: LoadDrop) -> Floats:
     """Weights of the samples of a window in its generalised least-squares step."""
     rows = np.arange(window.low, window.high)
-    ramp = np.clip((rows - found.start) / (found.stop - found.start), 0.0, 1.0)
+    ramp = np.clip((rows - drop.start) / (drop.stop - drop.start), 0.0, 1.0)
     design = np.column_stack([*_powers(rows.astype(np.float64), window.degree), ramp])
     weights = np.linalg.pinv(design[1:] - window.factor * design[:-1])[-1]
     kernel: Floats = np.append(0.0, weights) - window.factor * np.append(weights, 0.0)

@@ -84,11 +84,11 @@ def sense_of_loading(values: Floats) -> float:
     first value both ways alike, as a force that begins high and is lost does, that of the larger
     absolute value.
     """
-    known = values[~np.isnan(values)]
-    if not len(known):
+    finite = values[~np.isnan(values)]
+    if not len(finite):
         return 1.0
-    first = median(known[: max(1, len(known) // 100)])
-    up, down = float(known.max()) - first, first - float(known.min())
+    first = median(finite[: max(1, len(finite) // 100)])
+    up, down = float(finite.max()) - first, first - float(finite.min())
     if max(up, down) > 2.0 * min(up, down):
         return 1.0 if up > down else -1.0
-    return 1.0 if known.max() >= -known.min() else -1.0
+    return 1.0 if finite.max() >= -finite.min() else -1.0

@@ -63,8 +63,8 @@ class Tangents:
         d = displacement[samples]
         if not len(d) or np.ptp(d) < 2.0 * over:
             reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
-            found = f"the branch is {reached:.4g} mm long, twice {1e3 * over:.4g} mm is needed"
-            return Failure("not_reached", found)
+            message = f"the branch is {reached:.4g} mm long, twice {1e3 * over:.4g} mm is needed"
+            return Failure("not_reached", message)
         low, high = float(d.min()) + 0.5 * over, float(d.max()) - 0.5 * over
         stretches = _Stretches.of(d, np.arange(high, low, -over / _STEPS), over)
         if stretches.failure is not None:
@@ -104,8 +104,8 @@ class Tangents:
         place : m
         force : shape (n,), N
         """
-        known = self.path.force(force)
-        return float(known @ self.first + known @ self.rows[0] * (place - self.places[0]))
+        path_force = self.path.force(force)
+        return float(path_force @ self.first + path_force @ self.rows[0] * (place - self.places[0]))
 
     def onset(
         self,
@@ -169,7 +169,7 @@ class Tangents:
         """
         f = self.path.force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
-        at, slope = (np.broadcast_to(each, shape).reshape(-1) for each in (at, slope))
+        at, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (at, slope))
         # All curves are looked at about one place: noise moves it by little of a tangent.
         d, half, middle = self.path.displacement, 0.5 * self.over, float(np.nanmean(at))
         near = middle + self.over * np.linspace(0.5, -0.5, 2 * _STEPS + 1)
@@ -177,37 +177,37 @@ class Tangents:
         stretches = _Stretches.of(d, near[is_inside], half)
         there = stretches.is_enough
         rows = stretches.spread(stretches.weights()[1])[there]
-        found = _reached(stretches.at[there], f @ rows.T, slope)
+        reached = _reached(stretches.at[there], f @ rows.T, slope)
         whole, short = (_levels_at(d, f, middle, over) for over in (self.over, half))
         places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
         beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])
-        moved = np.where(np.isnan(found), 0.0, found - at)
+        moved = np.where(np.isnan(reached), 0.0, reached - at)
         return moved.reshape(shape), (short - whole).reshape(shape), beyond.reshape(shape)
 
 
 def _reached(places: Floats, slopes: Floats, wanted: Floats) -> Floats:
     """First of the places (p,) at which slopes (R, p) reach those wanted (R,); NaN for nowhere."""
     is_steep = slopes >= wanted[:, None]
-    number, each = np.argmax(is_steep, axis=1), np.arange(len(slopes))
+    number, rows = np.argmax(is_steep, axis=1), np.arange(len(slopes))
     ahead = np.maximum(number - 1, 0)
-    rise = slopes[each, number] - slopes[each, ahead]
-    share = (wanted - slopes[each, ahead]) / np.where(number > 0, rise, np.inf)
+    rise = slopes[rows, number] - slopes[rows, ahead]
+    share = (wanted - slopes[rows, ahead]) / np.where(number > 0, rise, np.inf)
     place = places[ahead] + share * (places[number] - places[ahead])
-    found: Floats = np.where(is_steep[each, number], place, np.nan)
-    return found
+    reached: Floats = np.where(is_steep[rows, number], place, np.nan)
+    return reached
 
 
 def _levels(d: Floats, f: Floats, places: Floats, over: float) -> Floats:
     """Forces of curves (R, k) at a place of each (R,) by the parabola over a stretch around it."""
-    known = np.isfinite(places)
+    is_finite = np.isfinite(places)
     levels = np.full(len(places), np.nan)
-    if known.any():
-        stretches = _Stretches.of(d, places[known], over)
+    if is_finite.any():
+        stretches = _Stretches.of(d, places[is_finite], over)
         inside = np.minimum(stretches.samples, len(d) - 1)  # the weight of what is padded is zero
         weights, _ = stretches.weights()
-        taken = np.take_along_axis(f[known], inside, axis=1)
-        found = np.einsum("rm,rm->r", weights, taken)
-        levels[known] = np.where(stretches.is_enough, found, np.nan)
+        taken = np.take_along_axis(f[is_finite], inside, axis=1)
+        level = np.einsum("rm,rm->r", weights, taken)
+        levels[is_finite] = np.where(stretches.is_enough, level, np.nan)
     return levels
 
 

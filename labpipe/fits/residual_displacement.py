@@ -51,8 +51,8 @@ class ThroughZero:
             step = ratio(level + at * (slope + at * bend), slope + 2.0 * at * bend)
             at = np.clip(at - step, self.time[0], self.time[-1])
         place, speed, curve = np.moveaxis(displacement[..., self.near] @ weights, -1, 0)
-        found: Floats = place + at * (speed + at * curve)
-        return found
+        value: Floats = place + at * (speed + at * curve)
+        return value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +72,8 @@ class AtRest:
     def of(self, displacement: Floats, force: Floats) -> Floats:
         """Mean displacement, m, shape (...); `displacement` shape (..., n)."""
         del force
-        found: Floats = displacement[..., self.rest].mean(axis=-1)
-        return found
+        value: Floats = displacement[..., self.rest].mean(axis=-1)
+        return value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,8 +113,8 @@ class FollowedToZero:
         at = _zero_time(self.foot_time, force[..., self.foot]) if self.is_line else np.zeros(())
         d = displacement[..., self.near]
         ahead = at - self.near_time.mean()
-        found: Floats = d.mean(axis=-1) + slope_of_line(self.near_time, d) * ahead
-        return found
+        value: Floats = d.mean(axis=-1) + slope_of_line(self.near_time, d) * ahead
+        return value
 
     def of_each(self, displacement: Floats, force: Floats) -> Floats:
         """Displacement at zero force of branches with noise, which says where each foot ends.
@@ -187,8 +187,8 @@ def unloaded(
     max_zero_share = 0.02
     # Standard deviations of noise above which a force is not zero.
     noise_deviations = 4.0
-    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
-    branch = _Branch(known, time[known], displacement[known], force[known])
+    finite = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    branch = _Branch(finite, time[finite], displacement[finite], force[finite])
     f = branch.force
     if len(f) < 2 * _LEAST:
         return Failure("too_few_samples", f"{len(f)} samples, {2 * _LEAST} are needed")
@@ -198,8 +198,8 @@ def unloaded(
     if len(above) == 0:
         return Failure("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
     if above[-1] >= len(f) - 3:
-        found = f"the force ends at {f[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
-        return Failure("force_not_zero", found)
+        message = f"the force ends at {f[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
+        return Failure("force_not_zero", message)
     goes_on = bool(np.median(f[-_LEAST:]) < -limit)
     if goes_on if like is None else isinstance(like, ThroughZero):
         return branch.through_zero(limit)
@@ -259,8 +259,8 @@ class _Branch:
             return AtRest(self.samples(rest), int(rest.sum()), limit)
         near = (self.time >= zero - _SECOND) & (self.time <= zero)
         if near.sum() < _LEAST:
-            found = f"{int(near.sum())} samples in the 1 s to {zero:.3f} s"
-            return Failure("too_few_samples", found)
+            message = f"{int(near.sum())} samples in the 1 s to {zero:.3f} s"
+            return Failure("too_few_samples", message)
         places = samples_of(self.known), self.samples(foot), self.samples(near)
         times = from_end, from_end[foot], from_end[near]
         return FollowedToZero(*places, *times, falls, limit, least)

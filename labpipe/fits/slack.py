@@ -52,8 +52,8 @@ def toe_line(
     >>> round(1e3 * float(zero_of_line(d[region], force[region])), 9)
     2.0
     """
-    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
-    d, f = displacement[known], force[known]
+    finite = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    d, f = displacement[finite], force[finite]
     if len(d) < _LEAST:
         return Failure("too_few_samples", f"{len(d)} samples, {_LEAST} are needed")
     top = int(np.argmax(f))
@@ -61,15 +61,15 @@ def toe_line(
         _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
     )
     if first == 0:
-        found = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
-        return Failure("not_reached", found)
+        message = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
+        return Failure("not_reached", message)
     if last - first < _LEAST:
-        found = f"{max(last - first, 0)} samples in the linear region, {_LEAST} are needed"
-        return Failure("too_few_samples", found)
+        message = f"{max(last - first, 0)} samples in the linear region, {_LEAST} are needed"
+        return Failure("too_few_samples", message)
     region = slice(first, last)
     if np.isnan(zero_of_line(d[region], f[region])):
         return Failure("not_rising", "the force does not rise in the linear region")
-    return samples_of(known[region])
+    return samples_of(finite[region])
 
 
 def _rise(force: Floats, height: float) -> int:
@@ -141,8 +141,8 @@ class TakeUp:
         middle, level, slope = line_in(foot, d, f)
         at = middle - level / np.where(slope > 0.0, slope, np.nan)
         begins: Floats = np.take_along_axis(displacement, first[:, np.newaxis], axis=1)[:, 0]
-        known = self.known
-        samples = first + known.start if isinstance(known, slice) else known[first]
+        finite = self.known
+        samples = first + finite.start if isinstance(finite, slice) else finite[first]
         return np.where(np.isnan(at), begins, at), samples
 
 
@@ -183,15 +183,15 @@ def take_up(
     """
     # The line through the foot is extrapolated back by at most this share of the branch.
     max_extrapolation = 0.02
-    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
-    if len(known) < 2 * _LEAST_AT_FOOT:
-        return Failure("too_few_samples", f"{len(known)} samples, {2 * _LEAST_AT_FOOT} are needed")
-    d, f = displacement[known], force[known]
+    finite = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    if len(finite) < 2 * _LEAST_AT_FOOT:
+        return Failure("too_few_samples", f"{len(finite)} samples, {2 * _LEAST_AT_FOOT} are needed")
+    d, f = displacement[finite], force[finite]
     limit = _CLEAR * float(fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
     if f[top] <= limit:
-        found = f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N"
-        return Failure("no_force", found)
+        message = f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N"
+        return Failure("no_force", message)
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
     beyond = np.flatnonzero(f[first:] > _FOOT * limit)
@@ -200,7 +200,7 @@ def take_up(
     at = float(zero_of_line(d[first:last], f[first:last]))
     is_line = not np.isnan(at)
     if not len(within) and not (is_line and at >= d[0] - max_extrapolation * float(np.ptp(d))):
-        found = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
-        return Failure("not_unloaded", found)
-    foot = samples_of(known[first:last])
-    return TakeUp(samples_of(known), top, int(known[first]), foot, is_line, limit)
+        message = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
+        return Failure("not_unloaded", message)
+    foot = samples_of(finite[first:last])
+    return TakeUp(samples_of(finite), top, int(finite[first]), foot, is_line, limit)

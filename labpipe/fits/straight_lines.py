@@ -27,8 +27,8 @@ def compliance_window(
     The samples, or a failure: ``too_few_samples``, ``no_travel`` when the force stands still,
     ``not_reached`` when it does not reach `stop`.
     """
-    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
-    f = force[known]
+    finite = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    f = force[finite]
     if len(f) == 0 or float(f.max()) < stop:
         most = float(f.max()) if len(f) else 0.0
         return Failure(
@@ -36,7 +36,7 @@ def compliance_window(
         )
     last = int(np.argmax(f >= stop))
     below = np.flatnonzero(f[:last] < start)
-    inside = known[int(below[-1]) + 1 if len(below) else 0 : last + 1]
+    inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
     if len(inside) < LEAST_OF_LINE:
         message = f"{len(inside)} samples in the stretch, {LEAST_OF_LINE} are needed"
         return Failure("too_few_samples", message)

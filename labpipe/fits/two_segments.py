@@ -18,18 +18,18 @@ _SIDE = 4
 """Samples on each side of the break at least."""
 
 
-def _in_order(displacement: Floats, known: Ints) -> Ints | Failure:
+def _in_order(displacement: Floats, finite: Ints) -> Ints | Failure:
     """Known samples of a stretch in which the displacement grows, sorted by it."""
     min_samples = 16
-    d = displacement[known]
+    d = displacement[finite]
     if len(d) < min_samples:
         return Failure(
             "too_few_samples", f"{len(d)} samples in the stretch, {min_samples} are needed"
         )
     if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
-        found = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
-        return Failure("not_increasing", found)
-    return known[np.argsort(d, kind="stable")]
+        message = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
+        return Failure("not_increasing", message)
+    return finite[np.argsort(d, kind="stable")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,8 +181,8 @@ class Hinges:
         scan = _Scan.of(displacement[order], force[order])
         beside = min(side_samples, max(_SIDE, len(order) // 8)) - 1
         places = np.linspace(scan.x[beside], scan.x[-1 - beside], max_places)
-        found = cls(CommonPath.of(displacement, force, order), scan, places)
-        return replace(found, moved=scan.best() - float(found._best(scan.y[None])[0]))
+        hinges = cls(CommonPath.of(displacement, force, order), scan, places)
+        return replace(hinges, moved=scan.best() - float(hinges._best(scan.y[None])[0]))
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -244,8 +244,8 @@ class Hinges:
         starts = np.concatenate([[0], np.searchsorted(x, places)])
         is_empty = np.diff(starts, append=len(x)) == 0
         beyond = []
-        for each in (y, y * x):
-            between = np.add.reduceat(each, starts, axis=1)
+        for values in (y, y * x):
+            between = np.add.reduceat(values, starts, axis=1)
             between[:, is_empty] = 0.0  # of an empty stretch `reduceat` gives its first sample
             beyond.append(np.cumsum(between[:, :0:-1], axis=1)[:, ::-1])
         sh, cross, left = self.scan.hinges(places)
@@ -260,14 +260,12 @@ class Hinges:
         return best
 
 
-def why_no_bend(
-    found: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
-) -> Failure | None:
+def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
     """Judge whether a curve bends, by replicates of it.
 
     Parameters
     ----------
-    found : of the curve itself, shape ()
+    fit : of the curve itself, shape ()
     smooth : of the smooth curve that the replicates are drawn around, shape ()
     drawn : of the replicates, shape (R,); NaN of those without a number
     hinges : of the curve itself
@@ -291,7 +289,7 @@ def why_no_bend(
     min_bend_errors = 4.0
     # Largest share of replicates whose break is at an end: a 95 % interval has one end there.
     max_end_share = 0.025
-    first, second = float(found.first), float(found.second)
+    first, second = float(fit.first), float(fit.second)
     bend, bends = second - first, drawn.second - drawn.first
     middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
     error = abs(straighter - middle) / Interval.normal_95(0.0, 1.0).upper
@@ -303,23 +301,21 @@ def why_no_bend(
         )
     low, high = (hinges.scan.d_of(float(hinges.places[place])) for place in (2, -3))
     at = drawn.break_point[~np.isnan(drawn.break_point)]
-    likely = found.break_point - (at - smooth.break_point)
-    for each in (at, likely):
-        if np.mean((each <= low) | (each >= high)) >= max_end_share:
+    likely = fit.break_point - (at - smooth.break_point)
+    for breaks in (at, likely):
+        if np.mean((breaks <= low) | (breaks >= high)) >= max_end_share:
             start, stop = hinges.ends
             ends = f"{start:.6g} to {stop:.6g} m"
             return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
     return None
 
 
-def why_no_kink(
-    found: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
-) -> Failure | None:
+def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
     """Judge whether a curve gets less steep somewhere, by replicates of it.
 
     Parameters
     ----------
-    found, smooth, drawn, hinges : as `why_no_bend` takes them
+    fit, smooth, drawn, hinges : as `why_no_bend` takes them
 
     Returns
     -------
@@ -328,10 +324,10 @@ def why_no_kink(
     """
     # A kink this close to an end of the stretch is not one of the specimen.
     end_share = 0.05
-    straight = why_no_bend(found, smooth, drawn, hinges)
+    straight = why_no_bend(fit, smooth, drawn, hinges)
     if straight is not None:
         return Failure("no_kink", f"{hinges.straight_line}: {straight.message}")
-    first, second, at = float(found.first), float(found.second), float(found.break_point)
+    first, second, at = float(fit.first), float(fit.second), float(fit.break_point)
     if second >= first:
         rises = f"the slope rises from {first:.5g} to {second:.5g} N/m"
         return Failure("no_kink", f"{rises} at {1e3 * at:.4g} mm")

@@ -117,10 +117,10 @@ class Plateau(Kind):
         if initial is None:
             missing = Failure("no_stiffness", f"{self.of} is not available")
             return Computed((self.number(blocked_or(test, missing), method),))
-        found = test.measure(partial(self._decide_end, initial=initial.decide))
+        outcome = test.measure(partial(self._decide_end, initial=initial.decide))
         begun = self._begun(traced(test), initial.decide)
-        if isinstance(found, Failure):
-            return Computed((self.number(found, method),))
+        if isinstance(outcome, Failure):
+            return Computed((self.number(outcome, method),))
         if isinstance(begun, Failure):
             return Computed((self.number(begun, method),))
         first = test.cycles[0][:1]
@@ -129,7 +129,7 @@ class Plateau(Kind):
             or cut_short(test, first, CURVE)
             or _unseen_end(test, first[0])
         )
-        number = self.number(found[0], method, during=test.while_loading(), doubts=doubts)
+        number = self.number(outcome[0], method, during=test.while_loading(), doubts=doubts)
         onset, findings = self._onset(test, initial, to_result(test, number))
         tangents, (_, f) = begun[0], _loading(traced(test))
         start, stop = tangents.ends
@@ -200,7 +200,7 @@ class Plateau(Kind):
 
         def in_noise(trace: Trace) -> tuple[Floats, Floats]:
             by = corner.in_noise(self._corners(trace, begun))
-            return tuple(each + more for each, more in zip(plain(trace), by, strict=True))
+            return tuple(value + more for value, more in zip(plain(trace), by, strict=True))
 
         return Reading(numbers, len(tangents.last), in_noise)
 
@@ -219,19 +219,21 @@ class Plateau(Kind):
         moved = smearing_factor * smeared
         return np.stack([moved, cut_factor * cut + moved * beyond])
 
-    def _corner(self, known: Replicates, initial: Decide) -> _Corner:
+    def _corner(self, replicates: Replicates, initial: Decide) -> _Corner:
         """The same of the measured curve, as far as it is more than noise.
 
         By the measured curve: the smooth one may have no corners of this size.
         """
-        begun, smooth = (self._begun(each, initial) for each in (known.measured, known.smooth))
+        begun, smooth = (
+            self._begun(curve, initial) for curve in (replicates.measured, replicates.smooth)
+        )
         if isinstance(begun, Failure):
             return _Corner.none()
-        seen = self._corners(known.measured, begun)
+        seen = self._corners(replicates.measured, begun)
         if isinstance(smooth, Failure):
             return _Corner(seen, np.zeros(2), np.zeros(2))
-        base = self._corners(known.smooth, smooth)
-        noise = [self._corners(trace, smooth) - base[:, None] for trace in known.traces()]
+        base = self._corners(replicates.smooth, smooth)
+        noise = [self._corners(trace, smooth) - base[:, None] for trace in replicates.traces()]
         return _Corner.of(seen, base, np.concatenate(noise, axis=1))
 
     def _onset(
@@ -239,8 +241,8 @@ class Plateau(Kind):
     ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
         """Where the plateau begins; a note where there is none, which is a finding, no failure."""
         surely = end.interval is not None and end.interval.upper < self.slope_below
-        found = self._measured_onset(test, initial) if surely else None
-        if found is None or isinstance(found, Failure):
+        outcomes = self._measured_onset(test, initial) if surely else None
+        if outcomes is None or isinstance(outcomes, Failure):
             return (), (self._no_plateau(test, end),)
         below = f"{1e2 * self.slope_below:g} % of {self.of}"
         method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
@@ -248,27 +250,29 @@ class Plateau(Kind):
         during, method = test.while_loading(), f"{method} loading"
         return tuple(
             self.number(finding, method, output=place, during=during, doubts=doubts)
-            for place, finding in enumerate(found, start=1)
+            for place, finding in enumerate(outcomes, start=1)
         ), ()
 
     def _measured_onset(
         self, test: ReducedTest, initial: Stiffness
     ) -> tuple[Measured, ...] | Failure:
         """The onset, with the length of the tangents as one more input."""
-        known = test.replicates
-        if known is None:
+        replicates = test.replicates
+        if replicates is None:
             return NO_LOADING
         length = Input(TANGENT, _shortened, law="step")
-        more = replace(known, inputs=(*known.inputs, length))
+        more = replace(replicates, inputs=(*replicates.inputs, length))
         decide = partial(self._decide_onset, initial=initial.decide)
-        if isinstance(failed := decide(known.measured), Failure):
+        if isinstance(failed := decide(replicates.measured), Failure):
             return failed
-        return measure(more, partial(decide, corner=self._corner(known, initial.decide)))
+        return measure(more, partial(decide, corner=self._corner(replicates, initial.decide)))
 
     def _no_plateau(self, test: ReducedTest, end: Result) -> Finding:
         reached = float(np.nanmax(test.known_curve.displacement[test.loading_stretch]))
-        known = end.interval
-        between = f" ({1e2 * known.lower:.3g} % to {1e2 * known.upper:.3g} %)" if known else ""
+        interval = end.interval
+        between = (
+            f" ({1e2 * interval.lower:.3g} % to {1e2 * interval.upper:.3g} %)" if interval else ""
+        )
         message = (
             f"the slope over the last {1e3 * self.over:g} mm is {1e2 * (end.value or 0.0):.3g} % "
             f"of {self.of}{between}, not surely below {1e2 * self.slope_below:g} %: no plateau up "
@@ -294,13 +298,13 @@ def _unseen_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     joining_samples = 3
     curve = test.known_curve
     d, f = (point[branch.start : branch.stop] for point in (curve.displacement, curve.force))
-    known = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
-    if not len(known) or known[-1] >= len(d) - joining_samples:
+    finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
+    if not len(finite) or finite[-1] >= len(d) - joining_samples:
         return ()
-    end = 1e3 * float(d[known[-1]])
+    end = 1e3 * float(d[finite[-1]])
     message = (
         f"force and displacement are known up to {end:.4g} mm of the first loading alone, "
-        f"{len(d) - 1 - known[-1]} samples before its end"
+        f"{len(d) - 1 - finite[-1]} samples before its end"
     )
     return (Reason("gap", message),)
 
@@ -347,8 +351,8 @@ class BendingStiffness(OfStiffness):
     @staticmethod
     def between(entry: Mapping[str, object]) -> Iterator[Fault]:
         """Refuse a correction without what it is made of."""
-        said = entry.get("corrections")
-        names = said if isinstance(said, list | tuple) else []
+        corrections = entry.get("corrections")
+        names = corrections if isinstance(corrections, list | tuple) else []
         if names and entry.get("support") == "cantilever":
             expected = "corrections for 'three-point' alone"
             yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
@@ -374,7 +378,7 @@ class BendingStiffness(OfStiffness):
         if stiffness is None:
             return self.not_available(self.missing(test), method)
         outcome: CalibrationFit
-        said = ""
+        remark = ""
         if length is None:
             outcome = Failure(
                 f"no_{key}",
@@ -382,19 +386,19 @@ class BendingStiffness(OfStiffness):
                 f"'{key}: {_EXAMPLES[key]}'",
             )
         else:
-            outcome, said = self._measured(test, stiffness)
+            outcome, remark = self._measured(test, stiffness)
         doubts = marked_slips(test, stiffness.bends_with)
-        number = self.number(outcome, method, during=stiffness.during, doubts=doubts, remark=said)
+        number = self.number(outcome, method, during=stiffness.during, doubts=doubts, remark=remark)
         return Computed((number,))
 
     def _measured(self, test: ReducedTest, stiffness: Stiffness) -> tuple[CalibrationFit, str]:
         """Measure, with what each correction changed, in words."""
-        ratio, said = self._ratio(test.setup.span, test.setup.section, stiffness.window)
+        ratio, remark = self._ratio(test.setup.span, test.setup.section, stiffness.window)
         if isinstance(ratio, Failure):
             return ratio, ""
         decide = combined(partial(self._of_trace, window=stiffness.window), stiffness.decide)
-        found = test.measure(decide)
-        return found if isinstance(found, Failure) else found[0], said
+        outcome = test.measure(decide)
+        return outcome if isinstance(outcome, Failure) else outcome[0], remark
 
     def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
         """Bending stiffness of curves, from their stiffnesses; NaN where no beam bends so far."""
@@ -413,18 +417,18 @@ class BendingStiffness(OfStiffness):
         """
         if not self.corrections or span is None:
             return 1.0, ""
-        ratio, said = 1.0, []
+        ratio, corrections = 1.0, []
         for number, name in enumerate(_ORDER):
             if name not in self.corrections:
                 continue
             taken = [name for name in _ORDER[: number + 1] if name in self.corrections]
             rollers = self._rollers(taken, span, section.get("outer_diameter", 0.0))
-            found = stiffness_ratio(rollers, low=window[0], high=window[1])
-            if isinstance(found, Failure):
-                return found, ""
-            said.append(f"{name} {1e2 * (ratio / found - 1.0):+.3g} %")
-            ratio = found
-        return ratio, f"corrected as an elastic beam: {', '.join(said)}"
+            next_ratio = stiffness_ratio(rollers, low=window[0], high=window[1])
+            if isinstance(next_ratio, Failure):
+                return next_ratio, ""
+            corrections.append(f"{name} {1e2 * (ratio / next_ratio - 1.0):+.3g} %")
+            ratio = next_ratio
+        return ratio, f"corrected as an elastic beam: {', '.join(corrections)}"
 
     def _rollers(self, taken: Sequence[str], span: float, depth: float) -> Rollers:
         radius = friction = 0.0

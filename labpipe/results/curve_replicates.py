@@ -70,13 +70,13 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     starts = _starts(_corners(test), len(curve.time))
     grid_time = _means(curve.time, starts)
     acts = [_acts(test, name, grid_time) for name in both]
-    made = _machine(test, curve), _force(test, unfiltered, curve)
+    signals = _machine(test, curve), _force(test, unfiltered, curve)
     cuts = [int(np.searchsorted(starts, corner)) for corner in _corners(test)]
     records = [
         _singles(curve.time, filtered, _corners(test), starts)
         if _does_nothing(act)
         else _means(raw, starts)
-        for (filtered, raw), act in zip(made, acts, strict=True)
+        for (filtered, raw), act in zip(signals, acts, strict=True)
     ]
     grid = replace(
         _on_grid(measured, starts), time=grid_time, displacement=records[0], force=records[1]
@@ -144,8 +144,8 @@ def _starts(corners: Sequence[int], count: int) -> Ints:
     max_samples = 20_000
     block = -(-count // max_samples)
     pieces = pairwise([0, *corners, count])
-    found = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
-    return np.concatenate(found)
+    starts = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
+    return np.concatenate(starts)
 
 
 def _means(values: Floats, starts: Ints) -> Floats:
@@ -202,20 +202,20 @@ def _force(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats,
     """The force of the curve, and as it is without filters, what slips lost added back."""
     from labpipe.fits.grip_slips import add_back
 
-    found = _on_curve(test, unfiltered, curve.time)
+    force = _on_curve(test, unfiltered, curve.time)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     if repaired:
-        found = add_back(found, repaired)
+        force = add_back(force, repaired)
     # Where no sample was recorded the filter reached across, and the curve has a force.
-    found = np.where(np.isnan(found), curve.force, found)
-    return curve.force, np.where(np.isnan(curve.force), np.nan, found)
+    force = np.where(np.isnan(force), curve.force, force)
+    return curve.force, np.where(np.isnan(curve.force), np.nan, force)
 
 
 def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     """A signal at times of the curve: of a faster one the mean around each of them."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.sampled(signal, time)
-    known = ~np.isnan(signal.values)
+    is_finite = ~np.isnan(signal.values)
     step = float(np.median(np.diff(signal.time)))
     ends = np.append(signal.time[0] - 0.5 * step, signal.time + 0.5 * step)
     half = 0.5 * float(np.median(np.diff(time)))
@@ -225,9 +225,9 @@ def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
         low, high = (test.clocks.sampled(total, time + side * half) for side in (-1.0, 1.0))
         return high - low
 
-    counts = around(known.astype(np.float64))
+    counts = around(is_finite.astype(np.float64))
     mean = np.full(len(time), np.nan)
-    np.divide(around(np.where(known, signal.values, 0.0)), counts, out=mean, where=counts > 0.5)
+    np.divide(around(np.where(is_finite, signal.values, 0.0)), counts, out=mean, where=counts > 0.5)
     return np.where(np.isnan(mean), test.clocks.sampled(signal, time), mean)
 
 
@@ -251,10 +251,10 @@ def _does_nothing(acts: Sequence[FilterFunction]) -> bool:
 
 def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[int]) -> Floats:
     """Records (..., n) after all filters, piece by piece; nothing is known beyond their ends."""
-    known = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
-    if not acts or not len(known):
+    finite = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
+    if not acts or not len(finite):
         return values
-    first, last = int(known[0]), int(known[-1]) + 1
+    first, last = int(finite[0]), int(finite[-1]) + 1
     inner = [cut for cut in cuts if first < cut < last]
     parts = [values[..., low:high] for low, high in pairwise([first, *inner, last])]
     for act in acts:
@@ -275,7 +275,7 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Filter) -> Iterator[Input]:
     """What is the same for the whole record, and known with an uncertainty."""
     force, displacement = test.raw_force, test.displacement
     gain, raised, scaled = (
-        partial(each, compliance=test.compliance) for each in (_gain, _raised, _scaled)
+        partial(effect, compliance=test.compliance) for effect in (_gain, _raised, _scaled)
     )
     for cause, by, moved in (
         (SCALE_OF_FORCE, force.relative_error, gain),

@@ -103,13 +103,13 @@ class OfCycle(Kind):
         self, test: ReducedTest, branches: list[Branch], decider: Callable[[int], Decide]
     ) -> Number:
         number = branches[0].cycle
-        found = test.measure(decider(number), self.plain(test, branches))
+        outcome = test.measure(decider(number), self.plain(test, branches))
         doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
         doubts += self.doubts(test, number)
         if self.gap:
             doubts += gap_at_peak(test, branches, self.gap)
         return self.number(
-            found if isinstance(found, Failure) else found[0],
+            outcome if isinstance(outcome, Failure) else outcome[0],
             self.method,
             during=_when(branches, self.reads),
             doubts=doubts,
@@ -117,9 +117,9 @@ class OfCycle(Kind):
         )
 
 
-def rectangle(found: Estimate, other: Estimate) -> Errors:
+def rectangle(estimate: Estimate, other: Estimate) -> Errors:
     """Error of a rectangle whose half width is what another assumption changes."""
-    return {SHAPE: abs(other.value - found.value) / math.sqrt(3.0)}
+    return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
 
 
 def gap_at_peak(test: ReducedTest, branches: list[Branch], what: str) -> tuple[Reason, ...]:
@@ -184,9 +184,9 @@ def _is_past_its_peak(test: ReducedTest, part: Branch) -> bool:
     # The peak is over where the force has fallen below this share of it.
     past_peak_share = 0.9
     force = test.known_curve.force
-    known = (test.sense_of(force) * force)[part.start : part.stop]
-    known = known[~np.isnan(known)]
-    return len(known) > 0 and bool(known[-3:].max() < past_peak_share * known.max())
+    values = (test.sense_of(force) * force)[part.start : part.stop]
+    values = values[~np.isnan(values)]
+    return len(values) > 0 and bool(values[-3:].max() < past_peak_share * values.max())
 
 
 def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
@@ -202,8 +202,8 @@ def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
         return slice(start, _turn_before(curve, behind + 1) + 1)
     if last.direction is Direction.UNLOADING:
         return slice(start, last.stop)
-    known = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
-    return slice(start, max(known, last.stop))
+    force_stop = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
+    return slice(start, max(force_stop, last.stop))
 
 
 def _turn_before(curve: Curve | Trace, number: int) -> int:
@@ -333,23 +333,23 @@ class ResidualDisplacement(OfCycle):
     ) -> Reading | Failure:
         """Displacement at zero force after unloading."""
         del test
-        found = self._ends(trace, number, like)
-        if isinstance(found, Failure):
-            return found
+        ending = self._ends(trace, number, like)
+        if isinstance(ending, Failure):
+            return ending
         part = cycle_of(trace, number)[1]
         branch = slice(part.start, part.stop)
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
+            return (ending.of(trace.displacement[..., branch], trace.force[..., branch]),)
 
-        if not isinstance(found, FollowedToZero):
-            return Reading(numbers, found.n)
-        followed = found
+        if not isinstance(ending, FollowedToZero):
+            return Reading(numbers, ending.n)
+        followed = ending
 
         def in_noise(trace: Trace) -> tuple[Floats]:
             return (followed.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
 
-        return Reading(numbers, found.n, in_noise)
+        return Reading(numbers, ending.n, in_noise)
 
     def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded | Failure:
         branches = cycle_of(trace, number)
@@ -449,16 +449,16 @@ class PeakForce(OfCycle):
         samples: Callable[[Trace], ForceSamples | None] | None = None,
     ) -> Reading | Failure:
         """Largest sample of the force; in noise, of all that it has."""
-        found = peak_of(test, trace, number)
-        if isinstance(found, Failure) or test.force.clock == test.clocks.curve:
-            return found
-        sense, plain = sense_of(trace, trace.force), found
+        reading = peak_of(test, trace, number)
+        if isinstance(reading, Failure) or test.force.clock == test.clocks.curve:
+            return reading
+        sense, plain = sense_of(trace, trace.force), reading
 
         @cache
         def top() -> PeakSamples | None:
             stretch = stretch_of_cycle(trace, cycle_of(trace, number))
-            known = samples(trace) if samples is not None else ForceSamples.of(test, trace)
-            return None if known is None else known.of_cycle(trace, stretch, sense)
+            force_samples = samples(trace) if samples is not None else ForceSamples.of(test, trace)
+            return None if force_samples is None else force_samples.of_cycle(trace, stretch, sense)
 
         def in_noise(drawn: Trace) -> tuple[Floats]:
             noise = drawn.noise
@@ -468,7 +468,7 @@ class PeakForce(OfCycle):
                 return (plain.numbers(drawn)[0],)
             return (plain.numbers(trace)[0] + sense * raised,)
 
-        return replace(found, in_noise=in_noise)
+        return replace(reading, in_noise=in_noise)
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """Of all samples of the force: on its own clock where that is another one."""
@@ -491,10 +491,10 @@ def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
     test : knows how often the force was sampled
     trace, number : one curve, and a cycle of it
     """
-    apart, own = (
-        float(each[-1] - each[0]) / (len(each) - 1) for each in (trace.time, test.force.time)
+    curve_step, force_step = (
+        float(time[-1] - time[0]) / (len(time) - 1) for time in (trace.time, test.force.time)
     )
-    return _largest(trace, "force", number, max(1.0, apart / own))
+    return _largest(trace, "force", number, max(1.0, curve_step / force_step))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -57,13 +57,13 @@ class FailureResult(Kind):
             methods = f"last sample with {share}", f"force at the last sample with {share}"
         if isinstance(failure, Failure):
             return self.not_available(failure, *methods)
-        found = test.measure(partial(_at_failure, test))
-        if isinstance(found, Failure):
-            return self.not_available(found, *methods)
+        outcome = test.measure(partial(_at_failure, test))
+        if isinstance(outcome, Failure):
+            return self.not_available(outcome, *methods)
         doubts, during = _in_steps(failure), _up_to(test, failure)
         at_end = (during[1], during[1])
-        place = self.number(found[0], methods[0], during=at_end, doubts=doubts)
-        force = self.number(found[1], methods[1], output=1, during=during, doubts=doubts)
+        place = self.number(outcome[0], methods[0], during=at_end, doubts=doubts)
+        force = self.number(outcome[1], methods[1], output=1, during=during, doubts=doubts)
         return Computed((place, force))
 
 
@@ -98,13 +98,13 @@ def _slowly_below(share: float, trace: Trace) -> Reading:
     sense = sense_of(trace, trace.force)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
-        known = np.flatnonzero(~np.isnan(trace.force.reshape(-1, trace.force.shape[-1])[0]))
-        force, place = trace.force[..., known], trace.displacement[..., known]
+        finite = np.flatnonzero(~np.isnan(trace.force.reshape(-1, trace.force.shape[-1])[0]))
+        force, place = trace.force[..., finite], trace.displacement[..., finite]
         last = last_above(sense * force, share)[..., np.newaxis]
-        found = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
+        ends = (np.take_along_axis(values, last, axis=-1)[..., 0] for values in (place, force))
         step = np.gradient(place, axis=-1)
         more = trace.beyond * np.take_along_axis(step, last, axis=-1)[..., 0]
-        here, there = found
+        here, there = ends
         return here + more, there
 
     return Reading(numbers, 1)
@@ -157,7 +157,7 @@ def _up_to(test: ReducedTest, failure: FailurePoint) -> Stretch:
 def loading_before(curve: Curve | Trace, sample: int) -> Branch:
     """The last loading branch that begins at a sample or before it; the first one before all."""
     loading = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
-    return [each for each in loading if each.start <= sample or each is loading[0]][-1]
+    return [part for part in loading if part.start <= sample or part is loading[0]][-1]
 
 
 def _in_steps(failure: FailurePoint) -> tuple[Reason, ...]:
@@ -188,11 +188,11 @@ class EnergyToBreak(Kind):
         failure = _failure(test)
         if isinstance(failure, Failure):
             return self.not_available(failure, method)
-        found = test.measure(partial(_work, test))
-        if isinstance(found, Failure):
-            return self.not_available(found, method)
+        outcome = test.measure(partial(_work, test))
+        if isinstance(outcome, Failure):
+            return self.not_available(outcome, method)
         doubts, during = _in_steps(failure), _up_to(test, failure)
-        return Computed((self.number(found[0], method, during=during, doubts=doubts),))
+        return Computed((self.number(outcome[0], method, during=during, doubts=doubts),))
 
 
 def _work(test: ReducedTest, trace: Trace) -> Reading | Failure:

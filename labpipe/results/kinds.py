@@ -115,8 +115,8 @@ class Kind(ABC):
         outcome, method, errors, during, doubts, part, remark : as `Number` has them
         output : place in `outputs`
         """
-        said = {field.name: getattr(self, field.name) for field in fields(self)}
-        named = replace(self.outputs[output], name=self.outputs[output].name.format_map(said))
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        named = replace(self.outputs[output], name=self.outputs[output].name.format_map(values))
         made_of = getattr(self, "of", "")
         return Number(named, outcome, method, errors or {}, during, doubts, part, made_of, remark)
 
@@ -128,12 +128,12 @@ class Kind(ABC):
         why : code and sentence
         methods : of the outputs; one for all, or one for each
         """
-        said = methods if len(methods) > 1 else methods * len(self.outputs)
+        all_methods = methods if len(methods) > 1 else methods * len(self.outputs)
         parts = ["" if output.first is None else f".{output.first}" for output in self.outputs]
         return Computed(
             tuple(
                 self.number(why, method, output=place, part=part)
-                for place, (method, part) in enumerate(zip(said, parts, strict=True))
+                for place, (method, part) in enumerate(zip(all_methods, parts, strict=True))
             )
         )
 
@@ -144,11 +144,11 @@ def blocked_or(test: ReducedTest, otherwise: Failure) -> Failure:
     return otherwise if blocked is None else Failure(blocked.code, blocked.message)
 
 
-def force_scale(test: ReducedTest, found: Outcome) -> Errors:
+def force_scale(test: ReducedTest, outcome: Outcome) -> Errors:
     """Error from the scale of the force, of a number in proportion to it; none of a failure."""
-    if isinstance(found, Failure):
+    if isinstance(outcome, Failure):
         return {}
-    return {"scale of the force": test.raw_force.relative_error * abs(found.value)}
+    return {"scale of the force": test.raw_force.relative_error * abs(outcome.value)}
 
 
 _BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
@@ -174,14 +174,14 @@ def to_result(test: ReducedTest, number: Number) -> Result:
     number : without an interval of its own it gets the normal one
     """
     output, outcome = number.output, number.outcome
-    name, own = output.name + number.part, tuple[Reason, ...]()
+    name, number_doubts = output.name + number.part, tuple[Reason, ...]()
     budget: tuple[Contribution, ...] = ()
     if isinstance(outcome, Estimate):
         budget = _budget(outcome, number.errors)
         outcome = widened(outcome, *number.errors.values())
     if isinstance(outcome, Measured):
         rests = ("", *output.rests_on)
-        own = tuple(reason for quantity, reason in outcome.doubts if quantity in rests)
+        number_doubts = tuple(reason for quantity, reason in outcome.doubts if quantity in rests)
         budget = outcome.budget
     if not isinstance(outcome, Failure) and not np.isfinite([outcome.value, outcome.error]).all():
         message = f"value {outcome.value}, standard error {outcome.error}"
@@ -203,7 +203,7 @@ def to_result(test: ReducedTest, number: Number) -> Result:
             method=number.method,
             made_of=number.made_of,
         )
-    reasons = tuple(dict.fromkeys([*doubts, *number.doubts, *own]))
+    reasons = tuple(dict.fromkeys([*doubts, *number.doubts, *number_doubts]))
     drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     is_raised = drops and output.is_raised_by_slips
     added_back = f"{sum(drops):.3g} N of slips added back" if is_raised else ""

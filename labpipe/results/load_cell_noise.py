@@ -110,11 +110,11 @@ class ForceSamples:
         first, last = trace.time[stretch][[0, -1]]
         low, high = np.searchsorted(self.time, first), np.searchsorted(self.time, last, "right")
         over = sense * self.smooth[low:high]
-        known = ~np.isnan(over)
-        if not known.any():
+        is_finite = ~np.isnan(over)
+        if not is_finite.any():
             return None
-        spread = float(self.left[low:high][known].std())
-        return PeakSamples(self, sense, int(low), over, float(over[known].max()), spread)
+        spread = float(self.left[low:high][is_finite].std())
+        return PeakSamples(self, sense, int(low), over, float(over[is_finite].max()), spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,23 +162,23 @@ class PeakSamples:
         chance = stream(self.samples.seed, "samples of the force")
         largest, apart = np.full(len(noise), -np.inf), 2 * self.samples.reach
         for run in np.split(near, np.flatnonzero(np.diff(near) > apart) + 1):
-            made = self._filtered(noise, int(run[0]), int(run[-1]) + 1, chance)
-            made *= self.sense
-            largest = np.maximum(largest, made.max(axis=1))
+            filtered = self._filtered(noise, int(run[0]), int(run[-1]) + 1, chance)
+            filtered *= self.sense
+            largest = np.maximum(largest, filtered.max(axis=1))
         return largest - self.top
 
     def _filtered(
         self, noise: Floats | Singles, first: int, stop: int, chance: np.random.Generator
     ) -> Floats:
         """Some samples of the force with noise, filtered, shape (replicates, samples)."""
-        own = self.samples
-        part = slice(max(first - own.reach, 0), min(stop + own.reach, len(own.smooth)))
+        samples = self.samples
+        part = slice(max(first - samples.reach, 0), min(stop + samples.reach, len(samples.smooth)))
         count = part.stop - part.start
-        stretches = np.lib.stride_tricks.sliding_window_view(own.left, count)
-        force = own.smooth[part] + noise.take(own.frames[part], axis=1)
+        stretches = np.lib.stride_tricks.sliding_window_view(samples.left, count)
+        force = samples.smooth[part] + noise.take(samples.frames[part], axis=1)
         force += stretches[chance.integers(0, len(stretches), len(noise))]
-        made = in_pieces(force, [cut - part.start for cut in own.cuts], own.filters)
-        return made[:, first - part.start : stop - part.start]
+        filtered = in_pieces(force, [cut - part.start for cut in samples.cuts], samples.filters)
+        return filtered[:, first - part.start : stop - part.start]
 
 
 def _frames_of(time: Floats, frames: Floats) -> Ints:
@@ -226,11 +226,11 @@ def _join(values: Floats, cut: int, over: int) -> None:
 
 def _carried_on(at: Floats, time: Floats, values: Floats) -> Floats:
     """Values at other times, beyond both ends on the line through the last two samples."""
-    found = np.interp(at, time, values)
+    interpolated = np.interp(at, time, values)
     for pair, there in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
         (before, after), (low, high) = time[pair], values[pair]
-        found[there] = low + (high - low) / (after - before) * (at[there] - before)
-    return found
+        interpolated[there] = low + (high - low) / (after - before) * (at[there] - before)
+    return interpolated
 
 
 def _beside_frames(values: Floats, frames: Ints) -> Floats:

@@ -75,7 +75,7 @@ class AtRest:
     slackened : N, force while the string is slack after the first loading, against that at rest;
         NaN where it never is
     error : N, standard error of these two
-    own : N, part of the load that is the wire's weight
+    own_weight : N, part of the load that is the wire's weight
     """
 
     ahead: float
@@ -85,20 +85,23 @@ class AtRest:
     lowest: float = float("nan")
     slackened: float = float("nan")
     error: float = 0.0
-    own: float = 0.0
+    own_weight: float = 0.0
 
     @property
     def load(self) -> str:
         """The load at the tip in words, with its numbers."""
-        if self.own == 0.0:
+        if self.own_weight == 0.0:
             return f"the counterweight of {1e3 * self.weight:.3g} mN"
-        parts = f"counterweight {1e3 * (self.weight - self.own):.3g} mN, 3/8 of the wire's weight"
-        return f"the load at its tip of {1e3 * self.weight:.3g} mN ({parts})"
+        counterweight = 1e3 * (self.weight - self.own_weight)
+        return (
+            f"the load at its tip of {1e3 * self.weight:.3g} mN "
+            f"(counterweight {counterweight:.3g} mN, 3/8 of the wire's weight)"
+        )
 
     @property
     def load_alone(self) -> str:
         """What the load is called once it has been said."""
-        return "the counterweight" if self.own == 0.0 else "that load"
+        return "the counterweight" if self.own_weight == 0.0 else "that load"
 
     @property
     def is_known(self) -> bool:
@@ -145,24 +148,24 @@ class AtRest:
     @property
     def facts(self) -> str:
         """The evidence in words."""
-        found = []
+        facts = []
         if np.isfinite(self.sag):
-            found.append(
+            facts.append(
                 f"its tip stood {1e3 * self.sag:.2g} mm below the axis of the clamp, where "
                 f"{self.load_alone} bends it by {1e3 * self.reach:.3g} mm"
             )
         if np.isfinite(self.ahead):
-            found.append(
+            facts.append(
                 f"the clamp is {1e3 * self.ahead:.2g} mm ahead of it when the string pulls"
             )
         if np.isfinite(self.slackened):
-            found.append(
+            facts.append(
                 f"later the string goes slack at {1e3 * self.slackened:.3g} mN against the force "
                 "at rest"
             )
         elif np.isfinite(self.lowest):
-            found.append(f"the lowest force is {1e3 * self.lowest:.3g} mN against that at rest")
-        return "; ".join(found) if found else "the test shows neither travel nor shape"
+            facts.append(f"the lowest force is {1e3 * self.lowest:.3g} mN against that at rest")
+        return "; ".join(facts) if facts else "the test shows neither travel nor shape"
 
     @property
     def why_not_straight(self) -> str:
@@ -193,7 +196,7 @@ def at_rest(
     first: Branch,
     weight: float,
     *,
-    own: float = 0.0,
+    own_weight: float = 0.0,
 ) -> AtRest:
     """Look at the string and the wire before a test, and at what the force tells of it later.
 
@@ -202,10 +205,10 @@ def at_rest(
     aligned, shape : None where the test has none
     curve, first : of the test, and its first loading branch
     weight : N, of the counterweight
-    own : N, of the wire's weight, what a prop at its tip carries: `held_at_rest`
+    own_weight : N, of the wire's weight, what a prop at its tip carries: `held_at_rest`
     """
     n_blocks = 100
-    weight += own
+    weight += own_weight
     part = slice(first.start, first.stop)
     deflection = block_means(curve.displacement[part], n_blocks)
     force = block_means(curve.force[part], n_blocks)
@@ -229,7 +232,7 @@ def at_rest(
         lowest=_lowest(curve.force[first.stop :]),
         slackened=_median(slackened),
         error=scatter / float(np.sqrt(min(len(rest), _FEW) or 1)),
-        own=own,
+        own_weight=own_weight,
     )
 
 
@@ -251,7 +254,7 @@ def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
 
 def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
     """Forces of stretches after the first loading in which the tip stays with the clamp, N."""
-    found: list[float] = []
+    forces: list[float] = []
     for branch in curve.branches:
         if branch.start < first.stop:
             continue
@@ -259,8 +262,8 @@ def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
         moved = np.abs(np.diff(means, axis=0))
         slack = means[1:, 2][moved[:, 1] < _FOLLOWS * moved[:, 0]].tolist()
         if len(slack) >= _LEAST_SLACK:  # where it goes slack or taut it may still pull a little
-            found += slack[1:] if branch.direction is Direction.UNLOADING else slack[:-1]
-    return np.array(found, dtype=np.float64)
+            forces += slack[1:] if branch.direction is Direction.UNLOADING else slack[:-1]
+    return np.array(forces, dtype=np.float64)
 
 
 def _stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
@@ -276,10 +279,10 @@ def _stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
 
 def _lowest(force: Floats) -> float:
     """Lowest of the means over `_FEW` samples, N."""
-    known = force[np.isfinite(force)]
-    if len(known) < _FEW:
+    finite = force[np.isfinite(force)]
+    if len(finite) < _FEW:
         return float("nan")
-    return float(block_means(known, len(known) // _FEW).min())
+    return float(block_means(finite, len(finite) // _FEW).min())
 
 
 def _sag(shape: Shape | None, first: Branch) -> float:
@@ -291,8 +294,8 @@ def _sag(shape: Shape | None, first: Branch) -> float:
 
 
 def _median(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,7 +338,7 @@ def held(rest: AtRest) -> Held:
     Tension, weight, and the alternative where the evidence does not tell.
     """
     load, state = rest.weight, rest.state
-    weight = load - rest.own
+    weight = load - rest.own_weight
     if state == "taut":
         why = f"the string was taut at rest and carried {rest.load}"
         return Held(state, load, weight, None, f"{why}: {rest.facts}")
@@ -363,17 +366,17 @@ def held(rest: AtRest) -> Held:
     return Held(state, taken, weight, other, why)
 
 
-def stated(at_rest: Literal["taut", "slack"], weight: float, own: float = 0.0) -> Held:
+def stated(at_rest: Literal["taut", "slack"], weight: float, own_weight: float = 0.0) -> Held:
     """Take a string at rest as the protocol states it.
 
     Parameters
     ----------
     at_rest : key of ``rig.string``
     weight : N, of the counterweight
-    own : N, of the wire's weight, what a prop at its tip carries
+    own_weight : N, of the wire's weight, what a prop at its tip carries
     """
-    tension = weight + own if at_rest == "taut" else 0.0
-    held_up = "the counterweight" + " and 3/8 of the wire's weight" * (own > 0.0)
+    tension = weight + own_weight if at_rest == "taut" else 0.0
+    held_up = "the counterweight" + " and 3/8 of the wire's weight" * (own_weight > 0.0)
     carried = held_up if at_rest == "taut" else "nothing"
     return Held(
         at_rest,
@@ -398,7 +401,7 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
         return Failure("no_moment_curvature", "expected a block markers:"), []
     start, stop = test.signals.zeroed["deflection"]
     rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
-    pull, other, found = _pull(test, curve, shape, first, rest)
+    pull, other, notes = _pull(test, curve, shape, first, rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
     branch, cycle = _numbers(curve, shape.time)
     frames = BendingTest(
@@ -423,8 +426,8 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
     try:
         bending = measure_bending(frames)
     except ValueError as error:
-        return Failure("no_moment_curvature", str(error)), found
-    return bending, [*found, *_weight_notes(test), _measured_law(bending)]
+        return Failure("no_moment_curvature", str(error)), notes
+    return bending, [*notes, *_weight_notes(test), _measured_law(bending)]
 
 
 def _weight_notes(test: ReducedTest) -> list[Finding]:
@@ -448,8 +451,8 @@ def _numbers(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
 
 
 def _scatter(values: Floats) -> float:
-    known = values[~np.isnan(values)]
-    return float(known.std()) if len(known) else 0.0
+    finite = values[~np.isnan(values)]
+    return float(finite.std()) if len(finite) else 0.0
 
 
 def _pull(
@@ -459,35 +462,37 @@ def _pull(
     still, string = np.nanmean(shape.coefficients[rest], axis=0)[None], test.setup.string
     tip = float(curves_at(still, shape.length, np.array([shape.length])).x[0, 0])
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
-    own = held_at_rest(self_weight, shape.length)
+    own_weight = held_at_rest(self_weight, shape.length)
     if string is None:
         message = (
             "rig.string is not stated: the force is taken normal to the clamped axis, with nothing "
             "hanging at the tip"
         )
         note = info_note("force_taken_normal", "rig.string", message)
-        return TipPull(None, 0.0, own, tip, self_weight), None, [note]
+        return TipPull(None, 0.0, own_weight, tip, self_weight), None, [note]
     weight = GRAVITY * string.counterweight
-    if weight + own == 0.0:
+    if weight + own_weight == 0.0:
         return TipPull(string.length, 0.0, 0.0, tip), None, []
     if string.at_rest != "by-data":
-        before = stated(string.at_rest, weight, own)
+        before = stated(string.at_rest, weight, own_weight)
     else:
-        before = held(at_rest(test.aligned, test.shape, curve, first, weight, own=own))
+        before = held(
+            at_rest(test.aligned, test.shape, curve, first, weight, own_weight=own_weight)
+        )
     pull = TipPull(string.length, before.weight, before.tension, tip, self_weight)
     return pull, before.other, [Finding(before.note)]
 
 
 def _measured_law(bending: Bending) -> Finding:
     cloud, law = bending.cloud, bending.law
-    said = (
+    message = (
         f"{cloud.curvature.size} points, each a mean over {cloud.frames_per_mean} frames, at "
         f"{len(cloud.arc_length)} places"
     )
     if law is not None:
-        said += (
+        message += (
             f"; law from {law.n_frames} frames of the first loading up to {law.curvature[-1]:.3g} "
             f"1/m, markers {1e6 * law.residual:.3g} um rms off its shapes, curvatures up to "
             f"{law.floor:.2g} 1/m are noise"
         )
-    return info_note("moment_curvature", "shape", said)
+    return info_note("moment_curvature", "shape", message)

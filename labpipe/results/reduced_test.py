@@ -260,7 +260,7 @@ class ReducedTest:
             return None
         branch = curve.branches[0]
         path = curve.displacement[branch.start : branch.stop]
-        at, beyond = (np.flatnonzero(each) for each in (path >= low, path > high))
+        at, beyond = (np.flatnonzero(mask) for mask in (path >= low, path > high))
         start = curve.time[branch.start + int(at[0])] if len(at) else branch.start_time
         stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
         return float(start), float(stop)
@@ -278,11 +278,11 @@ class ReducedTest:
         Of each code the first reason that touches the stretch, or the stretch that the zero of the
         quantity was taken from.
         """
-        found: dict[str, Reason] = {}
+        reasons: dict[str, Reason] = {}
         for doubt in self.findings.doubts:
             if doubt.quantity == quantity and self._touches(doubt, during):
-                found.setdefault(doubt.reason.code, doubt.reason)
-        return tuple(found.values())
+                reasons.setdefault(doubt.reason.code, doubt.reason)
+        return tuple(reasons.values())
 
     def _touches(self, doubt: Doubt, during: Stretch | None) -> bool:
         if doubt.during is None or during is None:

@@ -59,13 +59,13 @@ def _tip_travel(test: ReducedTest) -> Outcome:
     if test.shape is None:
         return Failure("no_shape", "the protocol fits no shape")
     tip = test.shape.positions[:, -1]
-    known = np.isfinite(tip).all(axis=1)
-    if known.sum() < 16:
-        return Failure("too_few_samples", f"the tip is seen in {int(known.sum())} frames")
-    begin = tip[known][:5].mean(axis=0)
-    away = np.linalg.norm(tip[known] - begin, axis=1)
+    is_finite = np.isfinite(tip).all(axis=1)
+    if is_finite.sum() < 16:
+        return Failure("too_few_samples", f"the tip is seen in {int(is_finite.sum())} frames")
+    begin = tip[is_finite][:5].mean(axis=0)
+    away = np.linalg.norm(tip[is_finite] - begin, axis=1)
     error = np.sqrt(2.0) * noise_level(away)
-    return Estimate(float(away.max()), float(error), int(known.sum()))
+    return Estimate(float(away.max()), float(error), int(is_finite.sum()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,10 +95,10 @@ class MomentCurvature(Kind):
         if law is None:
             why = bending.reason or Failure("no_law", "no law was found")
             return self.not_available(why, method)
-        found = _stiffness(law, self)
-        scale = 0.0 if isinstance(found, Failure) else law.scale_error * abs(found.value)
+        outcome = _stiffness(law, self)
+        scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
         number = self.number(
-            found,
+            outcome,
             method,
             {SCALE_OF_FORCE: scale},
             during=test.while_loading(),
@@ -154,13 +154,13 @@ def _not_weighed(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) ->
         return ()
     moment = float(np.interp(entry.at, law.curvature, law.moment))
     limits = test.setup.limits
-    own = 0.5 * GRAVITY * limits.unstated_mass * test.shape.length**2
-    if own <= limits.weight_share * moment:
+    own_moment = 0.5 * GRAVITY * limits.unstated_mass * test.shape.length**2
+    if own_moment <= limits.weight_share * moment:
         return ()
     message = (
         f"specimen.mass_per_length is not stated: {1e3 * limits.unstated_mass:g} g/m alone would "
-        f"bend by {1e6 * own:.2g} uN m, more than {limits.weight_share:.0%} of the moment at "
-        f"{entry.at:g} 1/m; state it in the test sheet"
+        f"bend by {1e6 * own_moment:.2g} uN m, more than {limits.weight_share:.0%} of the moment "
+        f"at {entry.at:g} 1/m; state it in the test sheet"
     )
     return (Reason("weight_not_stated", message),)
 
@@ -224,18 +224,18 @@ class MidSpan(Window):
         if isinstance(parts, Failure):
             return self.not_available(parts, *methods)
         bend, frames = parts[0], _Frames.of(test, parts)
-        found, other = (
+        outcomes, other = (
             (self._stiffness(parts, fewer_term), _at_turn(fewer_term, frames, "mid-span curvature"))
             for fewer_term in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
         )
-        errors = [_shape_errors(bend, *finding) for finding in zip(found, other, strict=True)]
+        errors = [_shape_errors(bend, *finding) for finding in zip(outcomes, other, strict=True)]
         if errors[0]:
-            errors[0] = {**errors[0], **force_scale(test, found[0])}
+            errors[0] = {**errors[0], **force_scale(test, outcomes[0])}
         return Computed(
             tuple(
                 self.number(outcome, method, error, output=place, during=test.while_loading())
                 for place, (outcome, method, error) in enumerate(
-                    zip(found, methods, errors, strict=True)
+                    zip(outcomes, methods, errors, strict=True)
                 )
             )
         )
@@ -246,8 +246,8 @@ class MidSpan(Window):
         travelled = np.interp(time, curve.time, curve.displacement)
         if not (travelled[inside] > self.stop).any():
             reached = 1e3 * float(np.max(travelled[inside], initial=0.0))
-            asked = f"{1e3 * self.stop:.4g} mm is asked"
-            return Failure("not_reached", f"the first loading reaches {reached:.4g} mm, {asked}")
+            required = f"{1e3 * self.stop:.4g} mm is asked"
+            return Failure("not_reached", f"the first loading reaches {reached:.4g} mm, {required}")
         inside &= (travelled >= self.start) & (travelled <= self.stop)
         bent = bend.shape.bent
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
@@ -258,12 +258,12 @@ class MidSpan(Window):
         return secant_stiffness(time, curvature, moment, inside)
 
 
-def _shape_errors(bend: SpanBend, found: Outcome, other: Outcome) -> Errors:
+def _shape_errors(bend: SpanBend, outcome: Outcome, other: Outcome) -> Errors:
     """What a shape of fewer terms changes, and what the side of the markers hides."""
-    if isinstance(found, Failure) or isinstance(other, Failure):
+    if isinstance(outcome, Failure) or isinstance(other, Failure):
         return {}
-    side = bend.shape.side_share * abs(found.value) / sqrt(3.0)
-    return {**rectangle(found, other), "side of the markers": side}
+    side = bend.shape.side_share * abs(outcome.value) / sqrt(3.0)
+    return {**rectangle(outcome, other), "side of the markers": side}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,7 +284,7 @@ class _Frames:
     def of(cls, test: ReducedTest, parts: _Parts) -> _Frames:
         bend, curve, branch, time = parts
         ends = [*(branch.start_time for branch in curve.branches), curve.branches[-1].stop_time]
-        cuts = tuple(int(each) for each in np.searchsorted(time, ends))
+        cuts = tuple(int(cut) for cut in np.searchsorted(time, ends))
         return cls(time, bend.rest, branch, cuts, test.seed)
 
     def drawn(self, values: Sequence[Floats], weights: Floats, name: str) -> Floats:
@@ -297,7 +297,7 @@ class _Frames:
         batch_records = 50
         smooth = [smooth_curve(self.time, value, self.cuts, spline_intervals) for value in values]
         spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
-        shares = [spread[0] / each if each > 0.0 else 0.0 for each in spread]
+        shares = [spread[0] / deviation if deviation > 0.0 else 0.0 for deviation in spread]
         values, smooth = (
             [share * one for share, one in zip(shares, value, strict=True)]
             for value in (values, smooth)
@@ -305,17 +305,17 @@ class _Frames:
         moving = [slice(low, high) for low, high in pairwise(self.cuts)]
         noise = noise_of(
             [value[part] for value in values for part in moving],
-            [each[part] for each in smooth for part in moving],
+            [curve[part] for curve in smooth for part in moving],
             [value[: self.cuts[0]] for value in values],
             [value[self.cuts[-1] :] for value in values],
             copies=len(values),
         )
         chance = stream(self.seed, name)
-        some = [
+        records = [
             noise.draw(len(values[0]), batch_records, chance) @ weights
             for _ in range(COUNT // batch_records)
         ]
-        return np.concatenate(some).astype(np.float64)
+        return np.concatenate(records).astype(np.float64)
 
 
 def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()) -> Outcome:
@@ -327,8 +327,8 @@ def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats]
     high_quantile = 0.975
     still = frames.rest & np.isfinite(values)
     if still.sum() < 8:
-        found = int(still.sum())
-        return Failure("no_rest", f"{found} frames before the loading show it, 8 are needed")
+        n_frames = int(still.sum())
+        return Failure("no_rest", f"{n_frames} frames before the loading show it, 8 are needed")
     branch = frames.loading
     window = min(_AT_TURN, 0.4 * (branch.stop_time - branch.start_time))
     weights = _of_turn(frames.time - branch.stop_time, values, window)
@@ -383,7 +383,7 @@ class Twist(Kind):
             return self.not_available(Failure("too_few_markers", message), method)
         x = np.nanmean(shape.centres[bend.rest][..., 0], axis=0)
         section = int(able[np.argmin(np.abs(x[able]))])
-        said = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
+        text = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
         frames = _Frames.of(test, parts)
         others = [shape.twist[:, other] for other in able if other != section]
         alike = [other for other in others if np.isfinite(other).any()]
@@ -392,7 +392,7 @@ class Twist(Kind):
             # which way it turns is only a matter of which end of the conduit is called the first
             turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
         number = self.number(turned, method, during=test.while_loading())
-        note = info_note("twist_section", "markers", said)
+        note = info_note("twist_section", "markers", text)
         return Computed((number,), findings=(note,))
 
 

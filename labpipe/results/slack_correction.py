@@ -42,20 +42,22 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading 
         return region
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        d, f = (each[..., stretch][..., region] for each in (trace.displacement, trace.force))
+        d, f = (values[..., stretch][..., region] for values in (trace.displacement, trace.force))
         return (zero_of_line(d, f),)
 
     return Reading(numbers, len(trace.force[stretch][region]), is_cut=True)
 
 
-def counted_from_taut(replicates: Replicates, slack: Decide, found: Measured) -> Replicates:
+def counted_from_taut(
+    replicates: Replicates, slack: Decide, measured_slack: Measured
+) -> Replicates:
     """Count the displacement of all curves from where each is taut.
 
     Parameters
     ----------
     replicates : of a curve whose slack can be measured
     slack : how it is decided on
-    found : the slack of the measured curve, m
+    measured_slack : the slack of the measured curve, m
 
     Returns
     -------
@@ -73,31 +75,31 @@ def counted_from_taut(replicates: Replicates, slack: Decide, found: Measured) ->
     inputs = tuple(
         _with_slack(replicate, replicates.smooth, slack) for replicate in replicates.inputs
     )
-    made = replace(replicates, inputs=inputs)
+    corrected = replace(replicates, inputs=inputs)
     if not error:
-        return made.displaced(-found.value)
+        return corrected.displaced(-measured_slack.value)
     moved = partial(displaced, by=-error)
-    of_slack = Input(SLACK, moved, draws=draws / error, doubts=doubts_of_slack(found))
-    return made.displaced(-found.value, of_slack)
+    of_slack = Input(SLACK, moved, draws=draws / error, doubts=doubts_of_slack(measured_slack))
+    return corrected.displaced(-measured_slack.value, of_slack)
 
 
-def doubts_of_slack(found: Measured) -> tuple[Reason, ...]:
+def doubts_of_slack(measured_slack: Measured) -> tuple[Reason, ...]:
     """Why what counts from a slack is as doubtful as the slack."""
     return tuple(
-        Reason(each.code, f"displacement counts from a slack that is doubtful: {each.message}")
-        for _, each in found.doubts
+        Reason(reason.code, f"displacement counts from a slack that is doubtful: {reason.message}")
+        for _, reason in measured_slack.doubts
     )
 
 
-def _with_slack(given: Input, smooth: Trace, slack: Decide) -> Input:
+def _with_slack(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     """An input with what it does to the slack."""
     base = slack(smooth)
     if isinstance(base, Failure):
-        return given
+        return quantity
     decided = SmoothNumbers.of(slack, smooth, base)
-    less, more = (float(decided.changed(given, x)[0]) for x in (-1.0, 1.0))
-    return replace(given, moved=partial(_moved, given=given, less=-less, more=more))
+    less, more = (float(decided.changed(quantity, x)[0]) for x in (-1.0, 1.0))
+    return replace(quantity, moved=partial(_moved, quantity=quantity, less=-less, more=more))
 
 
-def _moved(trace: Trace, x: float, *, given: Input, less: float, more: float) -> Trace:
-    return displaced(given.moved(trace, x), x, by=-(more if x > 0.0 else less))
+def _moved(trace: Trace, x: float, *, quantity: Input, less: float, more: float) -> Trace:
+    return displaced(quantity.moved(trace, x), x, by=-(more if x > 0.0 else less))

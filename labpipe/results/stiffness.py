@@ -91,16 +91,14 @@ class UnloadingStiffness(OfCycle):
         if len(branches) < 2:
             return NO_UNLOADING
         sense = sense_of(trace, d)
-        found = unloading_slope(
-            trace.time, d, trace.force, branches[1], over=self.over, sense=sense
-        )
-        if isinstance(found, Failure):
-            return found
+        fit = unloading_slope(trace.time, d, trace.force, branches[1], over=self.over, sense=sense)
+        if isinstance(fit, Failure):
+            return fit
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            return (found.of(trace.displacement, trace.force),)
+            return (fit.of(trace.displacement, trace.force),)
 
-        return Reading(numbers, found.slope.n)
+        return Reading(numbers, fit.slope.n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,27 +121,27 @@ class LoadingStiffness(OfCycle):
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
         """The number of the measured curve, whose first taut sample is the first beyond noise."""
-        found = self._measured(test, branches[0].cycle)
-        if found is None:
+        fit = self._measured(test, branches[0].cycle)
+        if fit is None:
             return None
         _, d, f = on_branch(traced(test), branches[0])
-        return [float(found.of(d, f))]
+        return [float(fit.of(d, f))]
 
     def doubts(self, test: ReducedTest, number: int) -> tuple[Reason, ...]:
         """Samples at rest in the window: what passes for zero force is not what it is there."""
-        found = self._measured(test, number)
-        if found is None or found.share_at_rest <= _AT_REST:
+        fit = self._measured(test, number)
+        if fit is None or fit.share_at_rest <= _AT_REST:
             return ()
         message = (
-            f"{found.share_at_rest:.0%} of the samples were taken before the motion, as the force "
-            f"at rest is further from zero than its noise of {found.take_up.limit:.2g} N"
+            f"{fit.share_at_rest:.0%} of the samples were taken before the motion, as the force "
+            f"at rest is further from zero than its noise of {fit.take_up.limit:.2g} N"
         )
         return (Reason("rest_in_window", message),)
 
     def _measured(self, test: ReducedTest, number: int) -> LoadingSlope | None:
         curve = traced(test)
-        found = loading_slope(*on_branch(curve, cycle_of(curve, number)[0]), over=self.over)
-        return None if isinstance(found, Failure) else found
+        fit = loading_slope(*on_branch(curve, cycle_of(curve, number)[0]), over=self.over)
+        return None if isinstance(fit, Failure) else fit
 
     def read(
         self, test: ReducedTest, trace: Trace, number: int, like: LoadingSlope | None = None
@@ -152,18 +150,18 @@ class LoadingStiffness(OfCycle):
         del test
         part = cycle_of(trace, number)[0]
         parts, steps = on_branch(trace, part), trace.steps
-        found = loading_slope(*parts, over=self.over, like=like, steps=steps)
-        if isinstance(found, Failure):
-            return found
+        fit = loading_slope(*parts, over=self.over, like=like, steps=steps)
+        if isinstance(fit, Failure):
+            return fit
         branch = slice(part.start, part.stop)
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
+            return (fit.of(trace.displacement[..., branch], trace.force[..., branch]),)
 
         def in_noise(trace: Trace) -> tuple[Floats]:
-            return (found.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
+            return (fit.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
 
-        return Reading(numbers, found.slope.n, in_noise, is_cut=True)
+        return Reading(numbers, fit.slope.n, in_noise, is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,10 +187,10 @@ class Hardening(Kind):
             after = stiffness.deciding(test, number)
             plain = [stiffness.plain(test, cycle) for cycle in (later, test.cycles[0])]
             values = [plain[0][0] / plain[1][0]] if plain[0] and plain[1] else None
-            found = test.measure(combined(_hardened, after, partial(_first, before)), values)
+            outcome = test.measure(combined(_hardened, after, partial(_first, before)), values)
             numbers.append(
                 self.number(
-                    _above_noise(first, found),
+                    _above_noise(first, outcome),
                     method,
                     doubts=(*stiffness.doubts(test, 1), *stiffness.doubts(test, number)),
                     during=(test.cycles[0][0].start_time, later[0].stop_time),
@@ -209,25 +207,25 @@ def _hardened(trace: Trace, after: Floats, before: Floats) -> Floats:
 
 def _first(before: Decide, trace: Trace) -> Reading | Failure:
     """Decide on the stiffness of the first cycle, or say what lacks without it."""
-    found = before(trace)
-    if isinstance(found, Failure):
-        message = f"that of cycle 1 is not available: {found.message}"
+    reading = before(trace)
+    if isinstance(reading, Failure):
+        message = f"that of cycle 1 is not available: {reading.message}"
         return Failure("no_stiffness", message)
-    return found
+    return reading
 
 
 def _above_noise(
-    first: tuple[Measured, ...] | Failure, found: tuple[Measured, ...] | Failure
+    first: tuple[Measured, ...] | Failure, outcome: tuple[Measured, ...] | Failure
 ) -> Measured | Failure:
     """A ratio, where the stiffness of the first cycle is more than noise."""
-    if isinstance(found, Failure):
-        return found
+    if isinstance(outcome, Failure):
+        return outcome
     if isinstance(first, Failure):
         return first
     if first[0].value <= 3.0 * first[0].error:
         message = f"{first[0].value:.4g} N/m in cycle 1 is no more than noise"
         return Failure("no_stiffness", message)
-    return found[0]
+    return outcome[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,14 +252,14 @@ class Window(Kind):
         Where they are, or a failure ``not_reached``.
         """
         low, high = self.start, self.stop
-        known = displacement[~np.isnan(displacement)]
-        if not len(known) or known.max() < high:
-            reached = float(known.max()) if len(known) else float("nan")
-            found = f"the branch reaches {1e3 * reached:.4g} mm, {1e3 * high:.4g} mm is asked"
-            return Failure("not_reached", found)
-        if known[0] > low + 0.02 * (high - low):
-            found = f"the branch begins at {1e3 * known[0]:.4g} mm, {1e3 * low:.4g} mm is asked"
-            return Failure("not_reached", found)
+        finite = displacement[~np.isnan(displacement)]
+        if not len(finite) or finite.max() < high:
+            reached = float(finite.max()) if len(finite) else float("nan")
+            message = f"the branch reaches {1e3 * reached:.4g} mm, {1e3 * high:.4g} mm is asked"
+            return Failure("not_reached", message)
+        if finite[0] > low + 0.02 * (high - low):
+            message = f"the branch begins at {1e3 * finite[0]:.4g} mm, {1e3 * low:.4g} mm is asked"
+            return Failure("not_reached", message)
         stop = int(np.argmax(displacement > high)) or None
         return slice(int(np.argmax(displacement >= low)), stop)
 
@@ -277,33 +275,33 @@ def _seen_by_cameras(kind: Window, test: ReducedTest, name: str) -> Computed:
     def decide(trace: Trace) -> Reading | Failure:
         return _secant(trace, kind.start, kind.stop)
 
-    found = test.measure(decide)
-    if isinstance(found, Failure):
-        return kind.not_available(found, method)
+    outcome = test.measure(decide)
+    if isinstance(outcome, Failure):
+        return kind.not_available(outcome, method)
     during, window = test.while_loading(kind.start, kind.stop), (kind.start, kind.stop)
-    number = kind.number(found[0], method, during=during)
-    return Computed((number,), {name: Stiffness(decide, found[0].as_estimate, during, window)})
+    number = kind.number(outcome[0], method, during=during)
+    return Computed((number,), {name: Stiffness(decide, outcome[0].as_estimate, during, window)})
 
 
 def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
     """Decide on the stiffness between two displacements of the first loading."""
     part = trace.branches[0]
     branch, (time, path, force) = slice(part.start, part.stop), on_branch(trace, part)
-    found = window_slope(time, path, force, path, low=low, high=high)
-    if isinstance(found, Failure):
-        return found
+    fit = window_slope(time, path, force, path, low=low, high=high)
+    if isinstance(fit, Failure):
+        return fit
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
+        return (fit.of(trace.displacement[..., branch], trace.force[..., branch]),)
 
-    middle = path[found.window].mean()
+    middle = path[fit.window].mean()
 
     def in_noise(trace: Trace) -> tuple[Floats]:
         path, force = trace.displacement[..., branch], trace.force[..., branch]
-        later = middle - path[..., found.window].mean(axis=-1)
-        return (found.of(path, force, later),)
+        later = middle - path[..., fit.window].mean(axis=-1)
+        return (fit.of(path, force, later),)
 
-    return Reading(numbers, found.n, in_noise, is_cut=True)
+    return Reading(numbers, fit.n, in_noise, is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -335,13 +333,13 @@ class LineStiffness(Window):
         )
         if not test.cycles:
             return self.not_available(blocked_or(test, NO_LOADING), method)
-        found, curve = test.measure(self.decide), traced(test)
+        outcome, curve = test.measure(self.decide), traced(test)
         window = self.samples(curve)
-        if isinstance(found, Failure):
-            return self.not_available(found, method)
+        if isinstance(outcome, Failure):
+            return self.not_available(outcome, method)
         if isinstance(window, Failure):
             return self.not_available(window, method)
-        slope, d = found[0], curve.displacement[window]
+        slope, d = outcome[0], curve.displacement[window]
         low, high = float(d.min()), float(d.max())
         level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
         during, doubts = test.while_loading(low, high), marked_slips(test, (low, high))
@@ -367,8 +365,8 @@ class LineStiffness(Window):
         if isinstance(window, Failure):
             return window
         part = np.arange(stretch.start, stretch.stop)[window]
-        known = ~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])
-        return part[known]
+        is_finite = ~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])
+        return part[is_finite]
 
     def decide(self, trace: Trace) -> Reading | Failure:
         """Decide on the slope of the straight line over the window.
@@ -423,21 +421,21 @@ class NormalisedStiffness(OfStiffness):
         window = stiffness.during
         during = (window[0], max(window[1], cycles[-1][0].stop_time)) if window else None
         doubts = marked_slips(test, stiffness.bends_with) + cut_short(test, cycles[-1][:1])
-        found = _per_peak(test, stiffness)
-        return Computed((self.number(found, method, during=during, doubts=doubts),))
+        outcome = _per_peak(test, stiffness)
+        return Computed((self.number(outcome, method, during=during, doubts=doubts),))
 
 
 def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
     """A stiffness over the largest force of all cycles."""
     trace = traced(test)
     peaks = {cycle[0].cycle: peak_of(test, trace, cycle[0].cycle) for cycle in test.cycles}
-    known = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
-    if not known:
+    readings = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
+    if not readings:
         return next(peak for peak in peaks.values() if isinstance(peak, Failure))
-    values = {key: float(each.numbers(trace)[0]) for key, each in known.items()}
+    values = {key: float(reading.numbers(trace)[0]) for key, reading in readings.items()}
     largest = max(values, key=lambda key: values[key])
-    found = test.measure(lambda trace: peak_of(test, trace, largest))
-    peak = found if isinstance(found, Failure) else found[0]
+    outcome = test.measure(lambda trace: peak_of(test, trace, largest))
+    peak = outcome if isinstance(outcome, Failure) else outcome[0]
     if isinstance(peak, Failure):
         return peak
     if peak.value <= 3.0 * peak.error:
@@ -477,8 +475,8 @@ class Modulus(OfStiffness):
         elif isinstance(area, Failure):
             outcome = area
         else:
-            found = test.measure(combined(self._modulus, stiffness.decide))
-            outcome = found if isinstance(found, Failure) else found[0]
+            measured = test.measure(combined(self._modulus, stiffness.decide))
+            outcome = measured if isinstance(measured, Failure) else measured[0]
         doubts = marked_slips(test, stiffness.bends_with) + _of_the_machine(test, stiffness)
         return Computed((self.number(outcome, method, during=stiffness.during, doubts=doubts),))
 
@@ -538,10 +536,10 @@ class ComplianceResult(Kind):
         )
         if not test.cycles:
             return self.not_available(blocked_or(test, NO_LOADING), method)
-        found = test.measure(self.decide)
-        if isinstance(found, Failure):
-            return self.not_available(found, method)
-        return Computed((self.number(found[0], method, during=test.while_loading()),))
+        outcome = test.measure(self.decide)
+        if isinstance(outcome, Failure):
+            return self.not_available(outcome, method)
+        return Computed((self.number(outcome[0], method, during=test.while_loading()),))
 
     def decide(self, trace: Trace) -> Reading | Failure:
         """Decide on the slope of the line of displacement against force over the window.
@@ -560,7 +558,9 @@ class ComplianceResult(Kind):
             return Failure("not_positive", f"slope {slope:.4g} m/N")
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            x, y = (each[..., stretch][..., window] for each in (trace.force, trace.displacement))
+            x, y = (
+                values[..., stretch][..., window] for values in (trace.force, trace.displacement)
+            )
             return (slope_of_line(x, y),)
 
         return Reading(numbers, len(d[window]), is_cut=True)

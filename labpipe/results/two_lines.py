@@ -42,14 +42,14 @@ class _Fitted:
     @property
     def found(self) -> Segments:
         """The lines of the curve itself."""
-        return Segments(*(np.asarray(each.value) for each in self._each))
+        return Segments(*(np.asarray(number.value) for number in self._each))
 
     @property
     def drawn(self) -> Segments:
         """Those of its replicates, around those of the smooth curve."""
         smooth = self.smooth
         base = (smooth.break_point, smooth.first, smooth.second, smooth.level)
-        return Segments(*(at + each.off for at, each in zip(base, self._each, strict=True)))
+        return Segments(*(at + number.off for at, number in zip(base, self._each, strict=True)))
 
     @property
     def _each(self) -> tuple[Measured, ...]:
@@ -85,11 +85,11 @@ class _TwoLines(Window):
     def _smooth(self, test: ReducedTest, numbers: tuple[Measured, ...]) -> Segments:
         """The lines of the smooth curve; those of the curve itself where it has none."""
         trace = None if test.replicates is None else test.replicates.smooth
-        found = None if trace is None else self.decide(trace)
-        if trace is None or not isinstance(found, Reading):
+        reading = None if trace is None else self.decide(trace)
+        if trace is None or not isinstance(reading, Reading):
             first, second, at, level = (np.asarray(number.value) for number in numbers)
         else:
-            first, second, at, level = found.numbers(trace)
+            first, second, at, level = reading.numbers(trace)
         return Segments(at, first, second, level)
 
     def decide(self, trace: Trace) -> Reading | Failure:
@@ -103,14 +103,14 @@ class _TwoLines(Window):
         -------
         Of first and second slope, break, and force there.
         """
-        found = self._places(trace)
-        if isinstance(found, Failure):
-            return found
-        part, hinges = found
+        places = self._places(trace)
+        if isinstance(places, Failure):
+            return places
+        part, hinges = places
 
         def numbers(trace: Trace) -> tuple[Floats, ...]:
-            each = hinges.fitted(trace.force[..., part], trace.displacement[..., part])
-            return each.first, each.second, each.break_point, each.level
+            segments = hinges.fitted(trace.force[..., part], trace.displacement[..., part])
+            return segments.first, segments.second, segments.break_point, segments.level
 
         return Reading(numbers, len(hinges.scan.d), is_cut=True, feels_corners=True)
 
@@ -122,10 +122,10 @@ class _TwoLines(Window):
         trace : one curve
         number : place in what `decide` gives
         """
-        found = self.decide(trace)
-        if isinstance(found, Failure):
-            return found
-        return replace(found, numbers=lambda trace: (found.numbers(trace)[number],))
+        reading = self.decide(trace)
+        if isinstance(reading, Failure):
+            return reading
+        return replace(reading, numbers=lambda trace: (reading.numbers(trace)[number],))
 
     def _places(self, trace: Trace) -> tuple[slice, Hinges] | Failure:
         """Samples of the stretch, and the places there."""
@@ -165,11 +165,13 @@ class TwoSegments(_TwoLines):
         level, first, second = fit.level.value, fit.first.value, fit.second.value
         left = level - first * (at - start)
         wide = why_break_is_doubtful(fit.break_point.interval, fit.hinges)
-        own = (doubts, doubts, doubts if wide is None else (*doubts, wide))
+        all_doubts = (doubts, doubts, doubts if wide is None else (*doubts, wide))
         return Computed(
             tuple(
-                self.number(each, self.method, output=place, during=during, doubts=own[place])
-                for place, each in enumerate((fit.first, fit.second, fit.break_point))
+                self.number(
+                    value, self.method, output=place, during=during, doubts=all_doubts[place]
+                )
+                for place, value in enumerate((fit.first, fit.second, fit.break_point))
             ),
             {
                 one: self._side(0, fit.first, during, (max(start, 0.0), at), read),
@@ -221,8 +223,8 @@ class Kink(_TwoLines):
         during = test.while_loading(start, stop)
         return Computed(
             tuple(
-                self.number(each, self.method, output=place, during=during, doubts=doubts)
-                for place, each in enumerate((fit.break_point, fit.level))
+                self.number(value, self.method, output=place, during=during, doubts=doubts)
+                for place, value in enumerate((fit.break_point, fit.level))
             ),
             lines=(
                 FittedLine("before_kink", first, before, start, at),

@@ -53,12 +53,12 @@ def holm(chances: Sequence[float], level: float = 0.05) -> list[Corrected]:
     [0.06, 0.03, 0.06]
     """
     tested = sorted((at for at, p in enumerate(chances) if not isnan(p)), key=chances.__getitem__)
-    found = [Corrected(nan, max(1, len(tested)), len(tested))] * len(chances)
+    corrected = [Corrected(nan, max(1, len(tested)), len(tested))] * len(chances)
     largest, divisor, goes_on = 0.0, max(1, len(tested)), True
     for rank, at in enumerate(tested):
         remaining = len(tested) - rank
         largest = max(largest, min(1.0, remaining * chances[at]))
         divisor = remaining if goes_on else divisor
         goes_on = goes_on and largest < level
-        found[at] = Corrected(largest, divisor, len(tested))
-    return found
+        corrected[at] = Corrected(largest, divisor, len(tested))
+    return corrected

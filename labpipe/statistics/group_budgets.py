@@ -56,13 +56,17 @@ def group_budget(number: GroupNumber) -> GroupBudget:
 
 def in_order(causes: set[str]) -> list[str]:
     """Causes as budgets and figures list them; those that are not known here come last."""
-    return [*(each for each in IS_COMMON if each in causes), *sorted(causes - set(IS_COMMON))]
+    return [*(cause for cause in IS_COMMON if cause in causes), *sorted(causes - set(IS_COMMON))]
 
 
 def _of_mean(mean: MeanInterval) -> dict[str, float]:
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return {}
     normal = Interval.normal_95(0.0, 1.0).upper / mean.half
-    common = {each.cause: (normal * each.change) ** 2 for each in mean.common if each.change}
+    common = {
+        contribution.cause: (normal * contribution.change) ** 2
+        for contribution in mean.common
+        if contribution.change
+    }
     scatter = 1.0 - (normal * standard_uncertainty(mean.common)) ** 2
     return {SCATTER: scatter, **{cause: common[cause] for cause in in_order(set(common))}}

@@ -55,54 +55,56 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
     Three wires of 85 mm and three of 100 mm are two parts, ``{"length": "85 mm"}`` and
     ``{"length": "100 mm"}``; tapes of 12.4, 12.7 and 12.9 mm width are one.
     """
-    words: list[tuple[str, ...]] = [()] * len(samples)
+    keys: list[tuple[str, ...]] = [()] * len(samples)
     named: list[str] = []
-    for name, own in _candidates(samples).items():
-        finer = [(*before, word) for before, word in zip(words, own, strict=True)]
-        if len(set(finer)) > len(set(words)):
-            words, named = finer, [*named, name]
+    for name, labels in _candidates(samples).items():
+        finer = [(*before, word) for before, word in zip(keys, labels, strict=True)]
+        if len(set(finer)) > len(set(keys)):
+            keys, named = finer, [*named, name]
     return [
         Part(
             dict(zip(named, word, strict=True)),
-            tuple(sample for sample, own in zip(samples, words, strict=True) if own == word),
+            tuple(sample for sample, key in zip(samples, keys, strict=True) if key == word),
         )
-        for word in dict.fromkeys(words)
+        for word in dict.fromkeys(keys)
     ]
 
 
 def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
     """Fields that may divide, with the word of each sample."""
-    own = [fields_of(sample.specimen) for sample in samples]
+    all_fields = [fields_of(sample.specimen) for sample in samples]
     specimens = [sample.specimen for sample in samples]
     sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
     labels = dict.fromkeys(name for specimen in specimens for name in specimen.labels)
     of_bundles = _OF_BUNDLES if any(specimen.bundle for specimen in specimens) else ()
-    found = {name: [each.get(name, NOT_SAID) for each in own] for name in of_bundles}
+    candidates = {
+        name: [fields.get(name, NOT_SAID) for fields in all_fields] for name in of_bundles
+    }
     if all(specimen.bundle is None or len(specimen.bundle.wires) == 1 for specimen in specimens):
-        found.pop("arrangement", None)  # of wires that are all of one kind
-    found |= {
+        candidates.pop("arrangement", None)  # of wires that are all of one kind
+    candidates |= {
         name: _sizes([specimen.dimensions.get(name) for specimen in specimens]) for name in sizes
     }
-    words = {name: [each.get(name, NOT_SAID) for each in own] for name in labels}
-    return found | {name: word for name, word in words.items() if not _names_tests(word)}
+    texts = {name: [fields.get(name, NOT_SAID) for fields in all_fields] for name in labels}
+    return candidates | {name: word for name, word in texts.items() if not _names_tests(word)}
 
 
-def _names_tests(words: Sequence[str]) -> bool:
+def _names_tests(texts: Sequence[str]) -> bool:
     """Tell whether each test has a word of its own, such as a serial number."""
-    return max(Counter(words).values(), default=0) == 1
+    return max(Counter(texts).values(), default=0) == 1
 
 
 def _sizes(sizes: Sequence[float | None]) -> list[str]:
     """Word of each size: the mean of those that are not apart, in mm."""
-    known = sorted({size for size in sizes if size is not None})
+    distinct = sorted({size for size in sizes if size is not None})
     together: list[list[float]] = []
-    for size in known:
+    for size in distinct:
         if together and size <= (1.0 + NEXT_SIZE) * together[-1][-1]:
             together[-1].append(size)
         else:
             together.append([size])
-    words: dict[float | None, str] = {None: NOT_SAID}
-    for each in together:
-        every = [size for size in sizes if size is not None and size in each]
-        words |= dict.fromkeys(each, size_words(sum(every) / len(every)))
-    return [words[size] for size in sizes]
+    texts: dict[float | None, str] = {None: NOT_SAID}
+    for cluster in together:
+        every = [size for size in sizes if size is not None and size in cluster]
+        texts |= dict.fromkeys(cluster, size_words(sum(every) / len(every)))
+    return [texts[size] for size in sizes]

@@ -60,12 +60,12 @@ def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
     Word by field; of a dimension that varies by 1 % at the most, that of the mean.
     """
     shared_fields: dict[str, str] = {}
-    own = [fields_of(sample.specimen) for sample in samples]
+    all_fields = [fields_of(sample.specimen) for sample in samples]
     for name in known_fields(sample.specimen for sample in samples):
-        words = {each.get(name) for each in own}
+        values = {fields.get(name) for fields in all_fields}
         sizes = _sizes(samples, name)
-        if len(words) == 1:
-            shared_fields[name] = own[0][name]
+        if len(values) == 1:
+            shared_fields[name] = all_fields[0][name]
         elif len(sizes) == len(samples) and _are_alike(sizes):
             shared_fields[name] = size_words(sum(sizes) / len(sizes))
     return shared_fields
@@ -117,44 +117,48 @@ def differing_fields(
     if "composition" in varying:
         varying |= {"wire", "number"} - (first.fields.keys() & second.fields.keys())
     names = dict.fromkeys((*first.fields, *second.fields))
-    words = {
+    values = {
         name: (first.fields.get(name, NOT_SAID), second.fields.get(name, NOT_SAID))
         for name in names
         if name not in varying and (name != SPOOL or SPOOL in by)
     }
-    found = {
+    differences = {
         name: both
-        for name, both in words.items()
+        for name, both in values.items()
         if both[0] != both[1] and not _sizes_alike(first, second, name)
     }
-    dependent = _dependent(found, words, first, second)
-    return {name: both for name, both in found.items() if name not in dependent}
+    dependent = _dependent(differences, values, first, second)
+    return {name: both for name, both in differences.items() if name not in dependent}
 
 
 def _sizes_alike(first: Group, second: Group, name: str) -> bool:
-    means = [sum(own) / len(own) for each in (first, second) if (own := _sizes(each.samples, name))]
+    means = [
+        sum(sizes) / len(sizes)
+        for group in (first, second)
+        if (sizes := _sizes(group.samples, name))
+    ]
     return len(means) == 2 and _are_alike(means)
 
 
 def _dependent(
-    found: Mapping[str, tuple[str, str]],
-    words: Mapping[str, tuple[str, str]],
+    differences: Mapping[str, tuple[str, str]],
+    values: Mapping[str, tuple[str, str]],
     first: Group,
     second: Group,
 ) -> set[str]:
     """Fields that follow from others, and are no difference of their own."""
     dependent: set[str] = set()
-    if all(_has_bundles(each) for each in (first, second)):
+    if all(_has_bundles(group) for group in (first, second)):
         dependent.add(TYPE)
-    elif TYPE in found:
+    elif TYPE in differences:
         dependent |= set(OF_SECTION)
-    if {"wire", "number"} & found.keys():
+    if {"wire", "number"} & differences.keys():
         dependent.add("composition")
-    if NONE in words.get("taping", ()):
+    if NONE in values.get("taping", ()):
         dependent.add("tape")
-    if "conduit" in found:
+    if "conduit" in differences:
         dependent |= {BORE, *OF_SECTION}
-    if any(_are_of_one_kind(each) for each in (first, second)):
+    if any(_are_of_one_kind(group) for group in (first, second)):
         dependent.add("arrangement")
     return dependent
 

@@ -68,8 +68,8 @@ def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     names = dict.fromkeys(name for sample in samples for name in sample.specimen.dimensions)
     notes = []
     for name in names:
-        given = [sample.specimen.dimensions.get(name, float("nan")) for sample in samples]
-        low, high = float(np.nanmin(given)), float(np.nanmax(given))
+        sizes = [sample.specimen.dimensions.get(name, float("nan")) for sample in samples]
+        low, high = float(np.nanmin(sizes)), float(np.nanmax(sizes))
         if high - low > 0.01 * abs(high):
             message = (
                 f"the samples differ in {name}: {1e3 * low:.4g} mm to {1e3 * high:.4g} mm; {_MIXES}"
@@ -86,22 +86,30 @@ def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     )
     names = [name for name in made_of if name not in _IN_COMPOSITION]
     labels = dict.fromkeys(name for sample in samples for name in sample.specimen.labels)
-    told = [_unlike(samples, name) for name in names if name not in labels]
+    messages = [_unlike(samples, name) for name in names if name not in labels]
     notes = [
-        group_note("bundles_differ", f"{note}; {_MIXES}", Severity.WARNING) for note in told if note
+        group_note("bundles_differ", f"{note}; {_MIXES}", Severity.WARNING)
+        for note in messages
+        if note
     ]
     return [
         *notes,
-        *(group_note("labels_differ", each) for name in labels if (each := _unlike(samples, name))),
+        *(
+            group_note("labels_differ", message)
+            for name in labels
+            if (message := _unlike(samples, name))
+        ),
     ]
 
 
 def _unlike(samples: Sequence[Sample], name: str) -> str:
     """Which samples have which word of a field, where not all have the same; else empty."""
-    words: dict[str, list[str]] = {}
+    tests_by_value: dict[str, list[str]] = {}
     for key, sample in zip(sample_keys(samples), samples, strict=True):
-        words.setdefault(sample.specimen.fields.get(name, ""), []).append(key)
-    return f"the samples differ in {name}: {parted(words)}" if len(words) > 1 else ""
+        tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(key)
+    return (
+        f"the samples differ in {name}: {parted(tests_by_value)}" if len(tests_by_value) > 1 else ""
+    )
 
 
 def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
@@ -191,10 +199,10 @@ def ways_of(number: GroupNumber) -> dict[str, list[str]]:
     Tests by method, in the order in which they come; one entry where all were made alike. Remarks
     do not count: they concern one test each.
     """
-    found: dict[str, list[str]] = {}
+    tests_by_method: dict[str, list[str]] = {}
     for test, result in number.values.items():
-        found.setdefault(result.method, []).append(test)
-    return found
+        tests_by_method.setdefault(result.method, []).append(test)
+    return tests_by_method
 
 
 def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
@@ -208,20 +216,20 @@ def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
     -------
     Tests by method, by result; of a number that is made of another one, the ways of that one.
     """
-    made: dict[str, dict[str, list[str]]] = {}
+    ways_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
     for key, sample in zip(sample_keys(samples), samples, strict=True):
         for result in sample.results:
             if result.value is not None:
-                made.setdefault(result.name, {}).setdefault(result.method, []).append(key)
+                ways_by_name.setdefault(result.name, {}).setdefault(result.method, []).append(key)
                 sources.setdefault(result.name, set()).add(result.made_of)
-    found = {name: ways for name, ways in made.items() if len(ways) > 1}
+    mixed_ways = {name: ways for name, ways in ways_by_name.items() if len(ways) > 1}
     of_these = {
-        name: found[source]
+        name: mixed_ways[source]
         for name, several in sources.items()
-        if name not in found and (source := next((s for s in found if s in several), ""))
+        if name not in mixed_ways and (source := next((s for s in mixed_ways if s in several), ""))
     }
-    return found | of_these
+    return mixed_ways | of_these
 
 
 def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
@@ -295,7 +303,7 @@ def tests_with_fewer_facts(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...
     ('f',)
     """
     *others, _ = sorted(tests.values(), key=len)
-    return tuple(dict.fromkeys(test for own in others for test in own))
+    return tuple(dict.fromkeys(test for entries in others for test in entries))
 
 
 def parted(tests: Mapping[str, Sequence[str]]) -> str:
@@ -308,11 +316,11 @@ def parted(tests: Mapping[str, Sequence[str]]) -> str:
     """
     max_named_tests = 4
     rarest_first = sorted(tests.items(), key=lambda test: len(test[1]))
-    words = [f"{said or 'not said'} ({', '.join(own)})" for said, own in rarest_first]
-    said, most = rarest_first[-1]
+    parts = [f"{text or 'not said'} ({', '.join(names)})" for text, names in rarest_first]
+    text, most = rarest_first[-1]
     if len(most) > max_named_tests:
-        words[-1] = f"{said or 'not said'} (the other {len(most)})"
-    return f"{'; '.join(words[:-1])} and {words[-1]}"
+        parts[-1] = f"{text or 'not said'} (the other {len(most)})"
+    return f"{'; '.join(parts[:-1])} and {parts[-1]}"
 
 
 def apart(one: GroupNumber, two: GroupNumber) -> tuple[str, ...]:

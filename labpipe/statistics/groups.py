@@ -73,8 +73,12 @@ def build_group(
     )
     band, notes = loading_band(ordered, limits)
     share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
-    found = [*method_notes(made_otherwise, ordered), *sample_notes(ordered), *number_notes(numbers)]
-    every = (*found, *notes, *share_notes)
+    group_notes = [
+        *method_notes(made_otherwise, ordered),
+        *sample_notes(ordered),
+        *number_notes(numbers),
+    ]
+    every = (*group_notes, *notes, *share_notes)
     numbers = tuple(
         replace(number, is_set_by_rig=number.name.partition(".")[0] in set_by_rig)
         for number in numbers
@@ -119,18 +123,18 @@ def group_number(
     its reason: failed results, samples that have no such result (``no_result``), values in another
     unit than the first (``other_unit``), and `without`.
     """
-    found = {
+    results = {
         key: next((result for result in sample.results if result.name == name), None)
         for key, sample in zip(sample_keys(samples), samples, strict=True)
     }
-    spools = dict(zip(found, (sample.specimen.spool for sample in samples), strict=True))
-    units = [finding.unit for finding in found.values() if finding is not None]
+    spools = dict(zip(results, (sample.specimen.spool for sample in samples), strict=True))
+    units = [finding.unit for finding in results.values() if finding is not None]
     unit = units[0] if units else ""
-    left_out = {key: _why_not(result, name, unit) for key, result in found.items()}
+    left_out = {key: _why_not(result, name, unit) for key, result in results.items()}
     for key, why in (without or {}).items():
         left_out[key] = left_out[key] or (why,)
     values = {
-        key: finding for key, finding in found.items() if finding is not None and not left_out[key]
+        key: result for key, result in results.items() if result is not None and not left_out[key]
     }
     by_spool: dict[str, list[Result]] = {}
     for key, value in values.items():
@@ -164,9 +168,9 @@ def _value(result: Result) -> float:
 def _nested(
     spools: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
 ) -> NestedMean:
-    values = {name: [_value(each) for each in own] for name, own in spools.items()}
+    values = {name: [_value(result) for result in results] for name, results in spools.items()}
     mean = with_shared(nested_mean(values, limits), spools)
-    every = [each for own in spools.values() for each in own]
+    every = [result for results in spools.values() for result in results]
     return mean if is_signed or not can_be_on_a_log_scale(every) else on_log_scale(mean)
 
 
@@ -201,5 +205,5 @@ def _difference(
 ) -> Difference | None:
     if one.mean is None or two.mean is None or one.unit != two.unit:
         return None
-    found = compare(one.name, one.unit, (first, one.mean), (second, two.mean), margin)
-    return replace(found, caveats=(*found.caveats, *apart(one, two)))
+    difference = compare(one.name, one.unit, (first, one.mean), (second, two.mean), margin)
+    return replace(difference, caveats=(*difference.caveats, *apart(one, two)))

@@ -143,7 +143,7 @@ def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band,
     usable = {key: peak for key, peak in peaks.items() if peak > 0}
     band, notes = loading_band(samples, limits, divisors=usable)
     without = [key for key in peaks if key not in usable]
-    told = [
+    messages = [
         group_note(f"{note.code}_scaled", f"Force / peak force: {note.message}")
         for note in notes
         if note.code != "no_curve"
@@ -152,8 +152,8 @@ def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band,
         message = (
             f"not in the mean of force / peak force, without a peak force: {', '.join(without)}"
         )
-        told.append(group_note("no_peak_force", message, Severity.WARNING))
-    return band, told
+        messages.append(group_note("no_peak_force", message, Severity.WARNING))
+    return band, messages
 
 
 def _peak(sample: Sample) -> float:
@@ -162,8 +162,8 @@ def _peak(sample: Sample) -> float:
     if stated:
         return float("nan") if stated[0].value is None else stated[0].value
     forces: Floats = sample.loading[0].force if sample.loading else np.zeros(0)
-    known = forces[~np.isnan(forces)]
-    return float(known.max()) if len(known) else float("nan")
+    finite = forces[~np.isnan(forces)]
+    return float(finite.max()) if len(finite) else float("nan")
 
 
 def _curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
@@ -245,20 +245,20 @@ def common_curves(
 
 def _in_order(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
     """A curve in order of displacement; a point of unknown displacement is a gap in the force."""
-    known = ~np.isnan(displacement)
-    if not known.any():
+    is_finite = ~np.isnan(displacement)
+    if not is_finite.any():
         return np.zeros(0), np.zeros(0)
     number = np.arange(len(displacement), dtype=np.float64)
-    at = np.interp(number, number[known], displacement[known])
+    at = np.interp(number, number[is_finite], displacement[is_finite])
     order = np.argsort(at, kind="stable")
-    return at[order], np.where(known, force, np.nan)[order]
+    return at[order], np.where(is_finite, force, np.nan)[order]
 
 
 def _span(displacement: Floats, force: Floats) -> tuple[float, float]:
-    known = np.flatnonzero(~np.isnan(force))
-    if not len(known):
+    finite = np.flatnonzero(~np.isnan(force))
+    if not len(finite):
         return float("nan"), float("nan")
-    return float(displacement[known[0]]), float(displacement[known[-1]])
+    return float(displacement[finite[0]]), float(displacement[finite[-1]])
 
 
 def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:

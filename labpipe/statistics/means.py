@@ -67,12 +67,12 @@ def nested_mean(
     would hardly find one; so it is the upper limit that decides. Measured coverage of the chosen
     interval: docs/explanations/statistics.md.
     """
-    kept = {name: _known(values) for name, values in spools.items()}
-    kept = {name: values for name, values in kept.items() if len(values)}
-    values = list(kept.values())
+    finite = {name: _known(values) for name, values in spools.items()}
+    finite = {name: values for name, values in finite.items() if len(values)}
+    values = list(finite.values())
     over_samples = mean_interval(np.concatenate([np.zeros(0), *values]), "sample")
-    means = {name: mean_interval(each, "sample") for name, each in kept.items()}
-    if len(kept) < 2:
+    means = {name: mean_interval(spool_values, "sample") for name, spool_values in finite.items()}
+    if len(finite) < 2:
         return _one_spool(over_samples, means)
     scatter = spool_scatter(values, limits.confidence)
     p = equal_spools_p(values)
@@ -92,25 +92,25 @@ def nested_mean(
 
 
 def _known(values: Sequence[float] | Floats) -> Floats:
-    given = np.asarray(values, dtype=np.float64)
-    return given[~np.isnan(given)]
+    array = np.asarray(values, dtype=np.float64)
+    return array[~np.isnan(array)]
 
 
 def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) -> NestedMean:
-    said = Decision("No samples")
+    decision = Decision("No samples")
     if over_samples.n:
         counted = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
         why = (
             "how spools differ is not known, so the interval holds for this spool, not for the type"
         )
-        said = Decision(f"Over {counted} of one spool", (why,))
+        decision = Decision(f"Over {counted} of one spool", (why,))
     nan = float("nan")
     return NestedMean(
         chosen=over_samples,
         over_samples=over_samples,
         over_spools=None,
         is_pooled=True,
-        decision=said,
+        decision=decision,
         spool_means=means,
         within=over_samples.deviation,
         between=nan,
@@ -145,18 +145,18 @@ def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...
         return ("no spool has two samples, so the scatter within spools is not known",)
     upper = f"{100.0 * scatter.share_upper:.3g} %"
     if scatter.between == 0.0:
-        found = (
+        text = (
             "the spools differ no more than their samples explain, "
             f"yet up to {upper} of the variance may lie between them"
         )
     else:
-        found = f"{100 * scatter.share:.3g} % of the variance lies between spools{_ratio(scatter)}"
-        found += f", and it may be up to {upper}"
+        text = f"{100 * scatter.share:.3g} % of the variance lies between spools{_ratio(scatter)}"
+        text += f", and it may be up to {upper}"
     needed = (
         f"pooling needs that share below {100 * limits.max_spool_share:.3g} % "
         f"with {100 * limits.confidence:.4g} % confidence"
     )
-    return found, needed
+    return text, needed
 
 
 def _ratio(scatter: SpoolScatter) -> str:
@@ -211,17 +211,17 @@ def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
     mean -+ t s / sqrt(n) with n - 1 degrees of freedom. Without values the mean is NaN and the
     reason ``no_samples``; with one value there is no interval and the reason is ``one_sample``.
     """
-    given = np.array(list(values), dtype=np.float64)
-    known = given[~np.isnan(given)]
-    n = len(known)
+    array = np.array(list(values), dtype=np.float64)
+    finite = array[~np.isnan(array)]
+    n = len(finite)
     if n == 0:
         reason = Reason("no_samples", f"there is no {what} to average")
         return MeanInterval(np.nan, None, np.nan, 0, reason)
-    mean = float(known.mean())
+    mean = float(finite.mean())
     if n == 1:
         message = f"an interval needs the scatter of two values, there is one {what}"
         return MeanInterval(mean, None, np.nan, 1, Reason("one_sample", message))
-    deviation = float(known.std(ddof=1))
+    deviation = float(finite.std(ddof=1))
     half = t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)
 
@@ -316,12 +316,12 @@ def equal_spools_p(spools: Sequence[Floats]) -> float:
     with warnings.catch_warnings():
         # The ends of the table are documented above.
         warnings.filterwarnings("ignore", message="p-value (capped|floored)", category=UserWarning)
-        found = stats.anderson_ksamp(
+        outcome = stats.anderson_ksamp(
             spools,
             variant="midrank",
             method=exact if _partitions(counts) <= _MOST_PARTITIONS else None,
         )
-    return float(found.pvalue)
+    return float(outcome.pvalue)
 
 
 def _partitions(counts: Sequence[int]) -> int:

@@ -131,7 +131,9 @@ def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     times at 5 % and 20 samples, two steps).
     """
     suspects = [[_suspects(group, number) for number in group.numbers] for group in groups]
-    chances = [len(each.steps) * each.p for own in suspects for each in own]
+    chances = [
+        len(suspect.steps) * suspect.p for group_suspects in suspects for suspect in group_suspects
+    ]
     corrected = iter(holm(chances, level))
     return [
         replace(
@@ -139,12 +141,14 @@ def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
             numbers=tuple(
                 replace(
                     number,
-                    outliers=each.below(level / next(corrected).divisor / max(1, len(each.steps))),
+                    outliers=suspect.below(
+                        level / next(corrected).divisor / max(1, len(suspect.steps))
+                    ),
                 )
-                for number, each in zip(group.numbers, own, strict=True)
+                for number, suspect in zip(group.numbers, group_suspects, strict=True)
             ),
         )
-        for group, own in zip(groups, suspects, strict=True)
+        for group, group_suspects in zip(groups, suspects, strict=True)
     ]
 
 
@@ -164,8 +168,8 @@ def _shared(step: _Step, alone: set[int]) -> list[tuple[int, list[int]]]:
 
 
 def _unless_told(others: Sequence[int], names: Sequence[str]) -> str:
-    told = " and ".join(names[other] for other in others)
-    return f", which cannot tell it from {told}" if told else ""
+    other_tests = " and ".join(names[other] for other in others)
+    return f", which cannot tell it from {other_tests}" if other_tests else ""
 
 
 def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:

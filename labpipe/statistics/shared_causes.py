@@ -50,15 +50,19 @@ def with_shared(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> Nes
     A common cause moves all numbers at once, each by its own signed change, and so moves their
     mean by the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
     """
-    known = {name: [_of_result(spool) for spool in spools[name]] for name in mean.spool_means}
-    means = {name: _mean_of(own) for name, own in known.items()}
-    samples = _mean_of([each for own in known.values() for each in own])
+    results_by_spool = {
+        name: [_of_result(spool) for spool in spools[name]] for name in mean.spool_means
+    }
+    means = {name: _mean_of(results) for name, results in results_by_spool.items()}
+    samples = _mean_of([result for results in results_by_spool.values() for result in results])
     over_samples = _with(mean.over_samples, samples)
     over_spools = mean.over_spools and _with(mean.over_spools, _mean_of(list(means.values())))
     chosen = over_samples if mean.is_pooled or over_spools is None else over_spools
-    said = tuple(each.cause for each in chosen.common)
-    because = (f"its interval holds what all tests of a rig share: {', '.join(said)}",)
-    decision = replace(mean.decision, because=(*mean.decision.because, *(because if said else ())))
+    causes = tuple(contribution.cause for contribution in chosen.common)
+    because = (f"its interval holds what all tests of a rig share: {', '.join(causes)}",)
+    decision = replace(
+        mean.decision, because=(*mean.decision.because, *(because if causes else ()))
+    )
     return replace(
         mean,
         chosen=chosen,
@@ -144,7 +148,10 @@ def difference_of(
     ----------
     first, second : changes of two means of tests on one rig: a cause acts on both alike
     """
-    one, two = ({each.cause: each.change for each in own} for own in (first, second))
+    one, two = (
+        {contribution.cause: contribution.change for contribution in contributions}
+        for contributions in (first, second)
+    )
     return tuple(
         Contribution(cause, two.get(cause, 0.0) - one.get(cause, 0.0), is_common=True)
         for cause in dict.fromkeys([*one, *two])

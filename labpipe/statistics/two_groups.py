@@ -36,17 +36,17 @@ def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterv
     Welch, Biometrika 34 (1947) 28: standard error^2 = s1^2/n1 + s2^2/n2, degrees of freedom after
     Satterthwaite.
     """
-    found, n = second.mean - first.mean, first.n + second.n
+    difference, n = second.mean - first.mean, first.n + second.n
     common = difference_of(first.common, second.common)
     reason = first.reason or second.reason
     if reason:
-        return MeanInterval(found, None, np.nan, n, reason, common=common)
+        return MeanInterval(difference, None, np.nan, n, reason, common=common)
     middle = second.middle - first.middle
     plain = Contrast(middle, (_error(first), _error(second)), (first.n, second.n))
     half = half_of(plain)
     interval = widened_by(Interval(middle - half, middle + half), common)
-    estimate = None if middle == found else middle
-    return MeanInterval(found, interval, np.nan, n, estimate=estimate, common=common)
+    estimate = None if middle == difference else middle
+    return MeanInterval(difference, interval, np.nan, n, estimate=estimate, common=common)
 
 
 def contrast_of(
@@ -69,7 +69,7 @@ def contrast_of(
         return None
     is_log = first.is_log and second.is_log
     one, two = (first.middle, second.middle) if is_log else (1.0, 1.0)
-    common = [_over(each.common, size) for each, size in ((first, one), (second, two))]
+    common = [_over(mean.common, size) for mean, size in ((first, one), (second, two))]
     room = None
     if margin is not None:
         room = log1p(margin) if is_log else margin * abs(first.mean)
@@ -182,19 +182,19 @@ def compare(
     With p-values of its own and no verdict: `judged` gives verdicts to a family of them.
     """
     one, two = first[1].chosen, second[1].chosen
-    found, contrast = difference_of_means(one, two), contrast_of(one, two, margin)
+    difference, contrast = difference_of_means(one, two), contrast_of(one, two, margin)
     nothing = float("nan")
     return Difference(
         name=name,
         unit=unit,
         first=first[0],
         second=second[0],
-        difference=found,
+        difference=difference,
         margin=None if margin is None or one.mean == 0.0 else margin * abs(one.mean),
         contrast=contrast,
         p=nothing if contrast is None else difference_p(contrast),
         p_equivalent=nothing if contrast is None else equivalence_p(contrast),
-        caveats=(*_caveats([first, second]), *_shared(found)),
+        caveats=(*_caveats([first, second]), *_shared(difference)),
     )
 
 
@@ -224,15 +224,15 @@ def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
     ]
 
 
-def _judged(family: str, found: Difference, apart: Corrected, alike: Corrected) -> Difference:
+def _judged(family: str, difference: Difference, apart: Corrected, alike: Corrected) -> Difference:
     """Give a comparison its verdict."""
     # Keeps the ends of an interval finite.
     max_log_ratio = 20.0
-    contrast = found.contrast
+    contrast = difference.contrast
     if contrast is None:
-        reason = found.difference.reason
+        reason = difference.difference.reason
         why = reason.message if reason else "there is no interval"
-        return replace(found, family=family, verdict=Verdict.CANNOT_TELL, why=why)
+        return replace(difference, family=family, verdict=Verdict.CANNOT_TELL, why=why)
     outside = (1.0 - LEVEL) / apart.divisor
     half = half_of(contrast, outside)
     ends = Interval(contrast.between - half, contrast.between + half, 1.0 - outside)
@@ -244,13 +244,15 @@ def _judged(family: str, found: Difference, apart: Corrected, alike: Corrected) 
     if is_alike:
         verdict, p = Verdict.EQUIVALENT, _shortly(alike.p)
         real = "a real difference, but " if is_different else ""
-        why = f"{real}within {_relative(found)}: p = {p}{_corrected(alike.tests)}"
+        why = f"{real}within {_relative(difference)}: p = {p}{_corrected(alike.tests)}"
     elif not is_different:
         why = "the interval holds zero, and no margin is stated"
         if contrast.margin is not None:
-            beyond = f"not shown to be within {_relative(found)}"
+            beyond = f"not shown to be within {_relative(difference)}"
             why = f"the interval holds zero, {beyond}{_needed(contrast, outside)}"
-    return replace(found, family=family, tests=apart.tests, interval=ends, verdict=verdict, why=why)
+    return replace(
+        difference, family=family, tests=apart.tests, interval=ends, verdict=verdict, why=why
+    )
 
 
 def _corrected(tests: int) -> str:
@@ -261,9 +263,9 @@ def _shortly(p: float) -> str:
     return "0.0001 or less" if p < 1e-4 else f"{p:.2g}"
 
 
-def _relative(found: Difference) -> str:
+def _relative(difference: Difference) -> str:
     """The margin in words: as a share of the first mean, which needs no unit."""
-    contrast = found.contrast
+    contrast = difference.contrast
     if contrast is None or contrast.margin is None:
         return "the margin"
     return f"{100 * expm1(contrast.margin):.3g} %" if contrast.is_log else "the margin"
@@ -301,11 +303,13 @@ def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | No
     return None
 
 
-def _shared(found: MeanInterval) -> tuple[str, ...]:
+def _shared(difference: MeanInterval) -> tuple[str, ...]:
     """Which causes act on both groups alike."""
-    causes = ", ".join(finding.cause for finding in found.common)
-    said = f"both groups share {causes}: the interval holds what that changes in their difference"
-    return (said,) if causes else ()
+    causes = ", ".join(finding.cause for finding in difference.common)
+    message = (
+        f"both groups share {causes}: the interval holds what that changes in their difference"
+    )
+    return (message,) if causes else ()
 
 
 def _caveats(groups: list[tuple[str, NestedMean]]) -> tuple[str, ...]:

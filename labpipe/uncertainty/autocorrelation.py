@@ -39,11 +39,11 @@ def long_run_variance(residuals: Floats, *, parameters: int) -> float:
     Bartlett's triangle; scaled by n / (n - parameters). Never below half the plain variance.
     For white noise it is the plain variance.
     """
-    known = residuals[~np.isnan(residuals)]
-    count = len(known)
+    values = residuals[~np.isnan(residuals)]
+    count = len(values)
     if count < parameters + 3:
         return float("nan")
-    centred = known - known.mean()
+    centred = values - values.mean()
     lags = min(int(1.3 * np.sqrt(count)), count // 4)
     plain = float(centred @ centred) / count
     total = plain
@@ -78,8 +78,8 @@ def fast_noise(values: Floats) -> Floats:
     rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
     left = rows - rows @ basis @ basis.T
-    found: Floats = np.median(np.sqrt(np.sum(left**2, axis=-1) / (size - 3)), axis=-1)
-    return found
+    deviation: Floats = np.median(np.sqrt(np.sum(left**2, axis=-1) / (size - 3)), axis=-1)
+    return deviation
 
 
 def limits_by_noise(limit: float, rows: Floats) -> Floats:
@@ -179,14 +179,14 @@ class ReducedTest:
         terms = min(count, most)
         cosines = slowest_cosines(np.vstack([basis, values]), terms).T
         waves, left = cosines[:, :spent], cosines[:, spent]
-        each = _spectra(grid, count, terms)
-        information = (each.inverse @ _products(waves)).reshape(-1, spent, spent)
+        spectra = _spectra(grid, count, terms)
+        information = (spectra.inverse @ _products(waves)).reshape(-1, spent, spent)
         unit: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        score = each.inverse @ (left[:, None] * waves)
+        score = spectra.inverse @ (left[:, None] * waves)
         shifts: Floats = np.einsum("gij,gj->gi", unit, score)
-        squares: Floats = each.inverse @ left**2 - np.einsum("gi,gi->g", shifts, score)
-        likelihood: Floats = -0.5 * (each.logs + np.linalg.slogdet(information)[1])
-        return cls(each.spectra, waves, likelihood, squares, terms - spent, shifts, unit)
+        squares: Floats = spectra.inverse @ left**2 - np.einsum("gi,gi->g", shifts, score)
+        likelihood: Floats = -0.5 * (spectra.logs + np.linalg.slogdet(information)[1])
+        return cls(spectra.spectra, waves, likelihood, squares, terms - spent, shifts, unit)
 
     def plain_covariance(self) -> Floats:
         """Covariance of ordinary least squares under each spectrum.
@@ -286,11 +286,11 @@ def smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:
     about a cubic have more than four times the median variance of all: a corner, a cliff or a step
     is in them.
     """
-    known = values[~np.isnan(values)]
-    count = len(known) // width
+    finite = values[~np.isnan(values)]
+    count = len(finite) // width
     if count == 0:
         return ()
-    pieces = known[len(known) - count * width :].reshape(count, width)
+    pieces = finite[len(finite) - count * width :].reshape(count, width)
     basis = cubic_basis(width)
     variances = np.var(pieces - (pieces @ basis.T) @ basis, axis=1)
     return tuple(pieces[variances <= 4.0 * np.median(variances)])
@@ -345,5 +345,5 @@ def _spectra(grid: Grid, count: int, terms: int) -> _Spectra:
     # The mirror images rise with frequency. Without them white noise would lie at the edge of what
     # is allowed, and its intervals would come out too wide.
     mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _FLOORS]
-    each = np.vstack([1.0 / spectra[:0:-1], spectra, *mixed])
-    return _Spectra(each, 1.0 / each, np.log(each).sum(axis=1))
+    all_spectra = np.vstack([1.0 / spectra[:0:-1], spectra, *mixed])
+    return _Spectra(all_spectra, 1.0 / all_spectra, np.log(all_spectra).sum(axis=1))

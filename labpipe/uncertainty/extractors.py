@@ -59,7 +59,7 @@ class Trace:
         at = np.arange((count - 1) * times + 1) / times
         along = np.arange(count)
         time, displacement, force = (
-            np.interp(at, along, each) for each in (self.time, self.displacement, self.force)
+            np.interp(at, along, values) for values in (self.time, self.displacement, self.force)
         )
         branches = tuple(
             replace(branch, start=times * branch.start, stop=max(times * (branch.stop - 1) + 1, 0))
@@ -128,10 +128,10 @@ def combined(how: Callable[..., Floats], *parts: Decide) -> Decide:
     def decide(trace: Trace) -> Reading | Failure:
         readings = list[Reading]()
         for part in parts:
-            found = part(trace)
-            if isinstance(found, Failure):
-                return found
-            readings.append(found)
+            outcome = part(trace)
+            if isinstance(outcome, Failure):
+                return outcome
+            readings.append(outcome)
 
         def numbers(trace: Trace) -> tuple[Floats]:
             return (how(trace, *(reading.numbers(trace)[0] for reading in readings)),)

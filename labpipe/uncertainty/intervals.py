@@ -111,32 +111,32 @@ def measure(
     # nor below this share of its standard uncertainty: twice that noise would widen the interval by
     # less than a fifth.
     small_uncertainty_share = 0.38
-    found = decide(replicates.measured)
-    if isinstance(found, Failure):
-        return found
+    reading = decide(replicates.measured)
+    if isinstance(reading, Failure):
+        return reading
     if values is None:
-        values = [float(number) for number in found.numbers(replicates.measured)]
-    plain = _on_smooth(replicates, decide, found)
+        values = [float(number) for number in reading.numbers(replicates.measured)]
+    plain = _on_smooth(replicates, decide, reading)
     if isinstance(plain, Failure):
         return plain
     smooth = SmoothNumbers.of(decide, replicates.smooth, plain)
     base = _of(plain, replicates.smooth)
     drawn = [np.asarray(plain.drawn(trace)) for trace in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - base[:, None]
-    between, share = _between_samples(replicates, found, smooth), 1.0 / np.sqrt(3.0)
+    between, share = _between_samples(replicates, reading, smooth), 1.0 / np.sqrt(3.0)
     off = noise - np.outer(between, 0.5 + share * replicates.draws(_BETWEEN))
     parts, doubts = [(STEP, share * between)], list[tuple[str, Reason]]()
     handed = list[tuple[Floats, Reason]]()
-    for given in replicates.inputs:
-        low, high = (smooth.changed(given, x) for x in (-1.0, 1.0))
+    for quantity in replicates.inputs:
+        low, high = (smooth.changed(quantity, x) for x in (-1.0, 1.0))
         if np.isnan(low + high).any():
             low, high = _mirrored(low, high)
-            message = f"there is none with {given.cause} one standard uncertainty off"
+            message = f"there is none with {quantity.cause} one standard uncertainty off"
             doubts.append(("", Reason("not_repeatable", message)))
-        z = replicates.draws(given)
+        z = replicates.draws(quantity)
         off = off + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
-        parts.append((given.cause, 0.5 * (high - low) * given.deviation))
-        handed += [(np.abs(parts[-1][1]), reason) for reason in given.doubts]
+        parts.append((quantity.cause, 0.5 * (high - low) * quantity.deviation))
+        handed += [(np.abs(parts[-1][1]), reason) for reason in quantity.doubts]
     lost = float(np.isnan(off).any(axis=0).mean())
     if lost >= _NONE:
         return Failure("not_repeatable", f"{lost:.0%} of curves with such noise have none")
@@ -151,7 +151,7 @@ def measure(
             value,
             off[row],
             _budget(float(spread[row]), parts, row),
-            found.n,
+            reading.n,
             (
                 *doubts,
                 *_unfit(value, off[row]),
@@ -163,23 +163,23 @@ def measure(
     )
 
 
-def _between_samples(replicates: Replicates, found: Reading, smooth: SmoothNumbers) -> Floats:
+def _between_samples(replicates: Replicates, reading: Reading, smooth: SmoothNumbers) -> Floats:
     """What numbers would be more of if samples lay without end, by the curve that shows it best."""
-    if found.between is not None:
-        return np.array(found.between)
+    if reading.between is not None:
+        return np.array(reading.between)
     measured = replicates.measured
-    if not found.feels_corners or len(measured.time) != len(replicates.smooth.time):
+    if not reading.feels_corners or len(measured.time) != len(replicates.smooth.time):
         return smooth.between_samples()
-    return SmoothNumbers.of(smooth.decide, measured, found).between_samples()
+    return SmoothNumbers.of(smooth.decide, measured, reading).between_samples()
 
 
-def _on_smooth(replicates: Replicates, decide: Decide, found: Reading) -> Reading | Failure:
+def _on_smooth(replicates: Replicates, decide: Decide, reading: Reading) -> Reading | Failure:
     """Decide on the smooth curve; where it just misses a limit, by the samples of the measured."""
     plain = decide(replicates.smooth)
     if isinstance(plain, Reading):
         return plain
     if len(replicates.smooth.time) == len(replicates.measured.time):
-        return found
+        return reading
     return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
 
 
@@ -212,14 +212,14 @@ def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
     harmless_samples = 1.0
     for name, noise in replicates.noises.items():
         # One sentence for all numbers of a test, whose samples stand beside them.
-        memory, known = noise.memory, noise.count >= _TOLD
-        if known and memory > max(noise.count * max_record_share, harmless_samples):
+        memory, is_long = noise.memory, noise.count >= _TOLD
+        if is_long and memory > max(noise.count * max_record_share, harmless_samples):
             message = (
                 f"the noise of the {name} is as slow as what is measured: it remembers "
                 f"{memory:.3g} of the {noise.count} samples of the record"
             )
             yield name, Reason("slow_noise", message)
-        elif known and count > 1 and memory > max(count * max_window_share, harmless_samples):
+        elif is_long and count > 1 and memory > max(count * max_window_share, harmless_samples):
             message = (
                 f"the noise of the {name} is as slow as what is measured: it remembers "
                 f"{memory:.3g} samples, more than two fifths of those that the number is read from"
@@ -253,33 +253,33 @@ class SmoothNumbers:
         """Decide anew on finer samples where these alone cut its windows, and there is a number."""
         times = int(np.clip(_FINE // len(trace.time), 1, _FINEST)) if reading.is_cut else 1
         fine = trace.finer(times)
-        found = decide(fine)
-        if isinstance(found, Failure):
+        fine_reading = decide(fine)
+        if isinstance(fine_reading, Failure):
             return cls(decide, trace, reading, trace, reading)
-        return cls(decide, trace, reading, fine, found)
+        return cls(decide, trace, reading, fine, fine_reading)
 
     def between_samples(self) -> Floats:
         """What the numbers of the curve would be more of if samples lay without end."""
         return _of(self.fine_reading, self.fine) - _of(self.reading, self.trace)
 
-    def changed(self, given: Input, by: float) -> Floats:
+    def changed(self, quantity: Input, by: float) -> Floats:
         """What an input changes the numbers by.
 
         Parameters
         ----------
-        given : the input
+        quantity : the input
         by : standard uncertainties that it is higher by
 
         Returns
         -------
         Of each number; where the input moves the curve, windows are decided anew.
         """
-        moved = given.moved(self.trace, by)
-        if not given.moves_curve:
+        moved = quantity.moved(self.trace, by)
+        if not quantity.moves_curve:
             return _of(self.reading, moved) - _of(self.reading, self.trace)
         moved = moved.finer((len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1))
-        found = self.decide(moved)
-        reading = self.fine_reading if isinstance(found, Failure) else found
+        outcome = self.decide(moved)
+        reading = self.fine_reading if isinstance(outcome, Failure) else outcome
         return _of(reading, moved) - _of(self.fine_reading, self.fine)
 
 

@@ -107,23 +107,23 @@ def fit_linear(
     residuals = values - plain @ basis
     most = max([count, *(len(floats) for floats in beside)])
     grid = Grid(most, most if weighted else min(most, TERMS))
-    own = ReducedTest.of(basis, residuals, grid, count if weighted else TERMS)
+    window = ReducedTest.of(basis, residuals, grid, count if weighted else TERMS)
     others = [ReducedTest.of(cubic_basis(len(floats)), floats, grid, TERMS) for floats in beside]
-    noise = Noise.of([own, *others], grid)
+    noise = Noise.of([window, *others], grid)
     if weighted:
-        shifts, unit = own.shifts, own.unit
+        shifts, unit = window.shifts, window.unit
     else:
-        shifts = np.zeros_like(own.shifts)
-        unit = exact_covariance(basis, grid) if beside else own.plain_covariance()
+        shifts = np.zeros_like(window.shifts)
+        unit = exact_covariance(basis, grid) if beside else window.plain_covariance()
     shift = noise.chances @ shifts
     deviation = float(np.sqrt(residuals @ residuals / (count - spent)))
-    each = to_coefficients @ (unit * noise.variances[:, None, None]) @ to_coefficients.T
+    covariances = to_coefficients @ (unit * noise.variances[:, None, None]) @ to_coefficients.T
     offsets = (shifts - shift) @ to_coefficients.T
     spread = np.einsum("g,gi,gj->ij", noise.chances, offsets, offsets)
     return LinearFit(
         coefficients=to_coefficients @ (plain + shift),
-        covariance=np.tensordot(noise.chances, each, axes=1) + spread,
-        half_widths=_half_widths(noise, np.diagonal(each, axis1=1, axis2=2), offsets),
+        covariance=np.tensordot(noise.chances, covariances, axes=1) + spread,
+        half_widths=_half_widths(noise, np.diagonal(covariances, axis1=1, axis2=2), offsets),
         unit_errors=np.asarray(np.linalg.norm(to_coefficients, axis=1), dtype=np.float64),
         residual_deviation=deviation,
         n=count,

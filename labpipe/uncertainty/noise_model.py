@@ -73,8 +73,8 @@ class _Processes:
         power = -0.5 * self.steep[flickers, None]
         slow[flickers] = (1.0 + (angle / self.lowest) ** 2) ** power
         mixed = self.floor[:, None] + (1.0 - self.floor[:, None]) * slow
-        found: Floats = np.where(self.is_mirrored[:, None] > 0.0, 1.0 / slow, mixed)
-        return found
+        spectra: Floats = np.where(self.is_mirrored[:, None] > 0.0, 1.0 / slow, mixed)
+        return spectra
 
 
 @lru_cache(maxsize=16)
@@ -150,9 +150,11 @@ class Noise:
         Half the power at frequency zero over the variance: the correlation time of autoregressive
         noise, less of it the more white noise lies beneath, and one half for white noise alone.
         """
-        some = _processes(self.longest, self.count)
-        slow = (1.0 - some.factor) / (1.0 + some.factor)
-        variance = np.where(some.is_mirrored > 0.0, 1.0, some.floor + (1.0 - some.floor) * slow)
+        processes = _processes(self.longest, self.count)
+        slow = (1.0 - processes.factor) / (1.0 + processes.factor)
+        variance = np.where(
+            processes.is_mirrored > 0.0, 1.0, processes.floor + (1.0 - processes.floor) * slow
+        )
         return float(self.chances @ (0.5 / variance)[: len(self.chances)])
 
     @property
@@ -186,9 +188,11 @@ class Noise:
         angle = np.linspace(0.0, np.pi, length // 2 + 1)
         used, which = np.unique(drawn, return_inverse=True)
         arrays = ("factor", "floor", "is_mirrored", "prior", "time", "steep", "crossing")
-        some = replace(processes, **{name: getattr(processes, name)[used] for name in arrays})
+        drawn_processes = replace(
+            processes, **{name: getattr(processes, name)[used] for name in arrays}
+        )
         # Half of the power goes to the cosine, half to the sine; the first wave has no sine.
-        height = np.sqrt(0.5 * length * some.spectra(angle))
+        height = np.sqrt(0.5 * length * drawn_processes.spectra(angle))
         # Nor has the last, where there is one at half the sampling rate.
         height[:, [0, -1] if length % 2 == 0 else [0]] *= np.sqrt(2.0)
         scale = np.sqrt(variance)
@@ -254,8 +258,8 @@ def noise_of(
     min_alike_share = 0.6
     moves = [_spread(branch) > 0.0 for branch in branches]
     span = max(map(_spread, branches), default=0.0)
-    both = [_closed_up(*each) for each in compress(zip(branches, smooth, strict=True), moves)]
-    branches, smooth = [each for each, _ in both], [curve for _, curve in both]
+    both = [_closed_up(*pair) for pair in compress(zip(branches, smooth, strict=True), moves)]
+    branches, smooth = [branch for branch, _ in both], [curve for _, curve in both]
     longest = max((len(branch) for branch in branches), default=0)
     count = sum(len(branch) for branch in branches) // copies
     if longest <= SHORT:
@@ -286,8 +290,8 @@ def noise_of(
         seen = _likelihood(spectra, waves[is_alike], columns)
         best = spectra[np.argmax(seen[0] + np.log(processes.prior))]
         whitened = _whitened(best, waves[is_alike], columns)
-        each = terms - columns.shape[1]
-        odd = whitened > np.median(whitened) * chdtri(each, kink_chance) / chdtri(each, 0.5)
+        free = terms - columns.shape[1]
+        odd = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
         if not odd.any():
             break
         is_alike[is_alike] = ~odd
@@ -404,16 +408,16 @@ def _still(
 
 def _spread(values: Floats) -> float:
     """Range of what is known; 0 for nothing."""
-    known = values[~np.isnan(values)]
-    return float(np.ptp(known)) if len(known) else 0.0
+    finite = values[~np.isnan(values)]
+    return float(np.ptp(finite)) if len(finite) else 0.0
 
 
 def _closed_up(values: Floats, curve: Floats) -> tuple[Floats, Floats]:
     """A branch and its smooth curve without gaps; with one, less the curve, which jumps there."""
-    known = ~np.isnan(values)
-    if known.all():
+    is_finite = ~np.isnan(values)
+    if is_finite.all():
         return values, curve
-    return (values - curve)[known], np.zeros(int(known.sum()))
+    return (values - curve)[is_finite], np.zeros(int(is_finite.sum()))
 
 
 def _silence(longest: int) -> Noise:
@@ -455,8 +459,8 @@ def _whitened(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
     score = (waves / spectrum) @ columns
     information = columns.T @ (columns / spectrum[:, None])
     explained = np.sum(score * np.linalg.solve(information, score.T).T, axis=1)
-    found: Floats = np.sum(waves**2 / spectrum, axis=1) - explained
-    return found
+    squares: Floats = np.sum(waves**2 / spectrum, axis=1) - explained
+    return squares
 
 
 def _without_corners(angles: Floats, power: Floats, left: Floats) -> tuple[Floats, Floats]:
@@ -465,11 +469,13 @@ def _without_corners(angles: Floats, power: Floats, left: Floats) -> tuple[Float
     first = int(np.ceil(angles[0] * width / np.pi)) if len(angles) else width
     if first + 1 >= width:
         return angles, power
-    own = np.mean(fft.dct(left, norm="ortho", axis=1)[:, first:] ** 2, axis=0)
-    if power.mean() <= _CLIFF * own.mean():
+    piece_power = np.mean(fft.dct(left, norm="ortho", axis=1)[:, first:] ** 2, axis=0)
+    if power.mean() <= _CLIFF * piece_power.mean():
         return angles, power
-    found = np.interp(angles, np.pi * (first + np.arange(width - first)) / width, own)
-    return angles, np.asarray(found, dtype=np.float64)
+    interpolated = np.interp(
+        angles, np.pi * (first + np.arange(width - first)) / width, piece_power
+    )
+    return angles, np.asarray(interpolated, dtype=np.float64)
 
 
 def _own_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tuple[Floats, Floats]:
@@ -481,14 +487,14 @@ def _own_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tuple[Fl
     ]
     if not left:
         return np.zeros(0), np.zeros(0)
-    longest = max(len(each) for each in left)
+    longest = max(len(residuals) for residuals in left)
     # Beyond the waves that the pieces are judged by no process is known.
     first = max(_FAST, min(longest // 8, _PIECES * _WAVES))
     angles = np.pi * np.arange(first, longest - _BAND, _BAND) / longest
     total = np.zeros(len(angles))
-    for each in left:
-        sums = np.append(0.0, np.cumsum(fft.dct(each, norm="ortho") ** 2))
-        at = np.append(angles, np.pi) * len(each) / np.pi
-        power = np.diff(np.interp(at, np.arange(len(each) + 1), sums)) / np.diff(at)
-        total += power * len(each)
-    return angles, total / sum(len(each) for each in left)
+    for residuals in left:
+        sums = np.append(0.0, np.cumsum(fft.dct(residuals, norm="ortho") ** 2))
+        at = np.append(angles, np.pi) * len(residuals) / np.pi
+        power = np.diff(np.interp(at, np.arange(len(residuals) + 1), sums)) / np.diff(at)
+        total += power * len(residuals)
+    return angles, total / sum(len(residuals) for residuals in left)

@@ -107,21 +107,21 @@ class Replicates:
             noise = None if self.before_filters is None else self.before_filters[rows]
             yield replace(self.smooth, displacement=displacement, force=force, noise=noise)
 
-    def draws(self, given: Input) -> Floats:
+    def draws(self, quantity: Input) -> Floats:
         """Draws of an input, in its standard uncertainties, shape (replicates,): always the same.
 
         Parameters
         ----------
-        given : by whose cause the stream of numbers is chosen
+        quantity : by whose cause the stream of numbers is chosen
         """
-        if given.draws is not None:
-            return given.draws
-        rng, count = stream(self.seed, given.stream or given.cause), len(self.force)
+        if quantity.draws is not None:
+            return quantity.draws
+        rng, count = stream(self.seed, quantity.stream or quantity.cause), len(self.force)
         # One draw in each of as many equal parts: its spread does not depend on luck.
         chance = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
-        if given.law == "normal":
+        if quantity.law == "normal":
             return np.asarray(ndtri(chance), dtype=np.float64)
-        if given.law == "uniform":
+        if quantity.law == "uniform":
             return np.asarray(np.sqrt(3.0) * (2.0 * chance - 1.0), dtype=np.float64)
         return np.asarray(-chance, dtype=np.float64)
 
@@ -161,8 +161,8 @@ def stream(seed: bytes, name: str) -> np.random.Generator:
     seed : of the record
     name : of a signal or an input
     """
-    found = hashlib.sha256(seed + name.encode()).digest()[:8]
-    return np.random.Generator(np.random.SFC64(int.from_bytes(found, "little")))
+    digest = hashlib.sha256(seed + name.encode()).digest()[:8]
+    return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
 def parts_of(trace: Trace) -> int:
@@ -204,28 +204,28 @@ def smooth_curve(
     min_rest_samples = 50
     from scipy.interpolate import make_lsq_spline
 
-    found, ends = values.copy(), sorted({0, len(values), *cuts})
+    smooth, ends = values.copy(), sorted({0, len(values), *cuts})
     for low, high in pairwise(ends):
-        known = ~np.isnan(values[low:high])
-        t, y = time[low:high][known], values[low:high][known]
+        is_finite = ~np.isnan(values[low:high])
+        t, y = time[low:high][is_finite], values[low:high][is_finite]
         if len(y) < LEAST or t[-1] <= t[0]:
-            found[low:high][known] = _line(t, y)
+            smooth[low:high][is_finite] = _line(t, y)
             continue
         x = (t - t[0]) / (t[-1] - t[0])
         rests = branches is not None and not any(x.start <= low < x.stop for x in branches)
         if len(y) <= SHORT and not rests:
-            found[low:high][known] = _polynomials(x, y)
+            smooth[low:high][is_finite] = _polynomials(x, y)
             continue
-        each, most = (min_rest_samples, max_rest_intervals) if rests else (_PER_PART, parts)
-        count = int(np.clip(len(y) // each, 1, most))
+        min_samples, most = (min_rest_samples, max_rest_intervals) if rests else (_PER_PART, parts)
+        count = int(np.clip(len(y) // min_samples, 1, most))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
         curve = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)(x)
         stands = rests and _stands(y, curve, count + _DEGREE)
-        found[low:high][known] = y.mean() if stands else curve
+        smooth[low:high][is_finite] = y.mean() if stands else curve
     for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
         if cut != broken and cut - before > 1 and after - cut > 1:
-            _meet(found, cut)
-    return found
+            _meet(smooth, cut)
+    return smooth
 
 
 def _polynomials(x: Floats, y: Floats) -> Floats:
@@ -269,10 +269,10 @@ def _with_samples(knots: Floats, x: Floats) -> Floats:
     """Knots without those in gaps, so that every spline of the basis has samples beneath it."""
     inner = knots[4:-4]
     counts = np.diff(np.searchsorted(x, np.concatenate([[0.0], inner, [1.0]])))
-    kept = [knot for knot, before in zip(inner, counts[:-1], strict=True) if before > _DEGREE]
-    while kept and (x > kept[-1]).sum() <= _DEGREE:
-        kept.pop()
-    return np.concatenate([knots[:4], kept, knots[-4:]])
+    supported = [knot for knot, before in zip(inner, counts[:-1], strict=True) if before > _DEGREE]
+    while supported and (x > supported[-1]).sum() <= _DEGREE:
+        supported.pop()
+    return np.concatenate([knots[:4], supported, knots[-4:]])
 
 
 def _line(t: Floats, y: Floats) -> Floats:
@@ -280,8 +280,8 @@ def _line(t: Floats, y: Floats) -> Floats:
     if len(y) < 3 or np.ptp(t) == 0.0:
         return y
     lever = t - t.mean()
-    found: Floats = y.mean() + lever * ((lever @ y) / (lever @ lever))
-    return found
+    line: Floats = y.mean() + lever * ((lever @ y) / (lever @ lever))
+    return line
 
 
 def replicated(
@@ -313,7 +313,7 @@ def replicated(
     parts, before = parts_of(unfiltered), None
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
-    is_coarse = any(given.cause == RESOLUTION for given in inputs)
+    is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
     for name, act in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
         curve = smooth_curve(time, values, cuts, parts, broken=failed, branches=unfiltered.branches)
@@ -336,11 +336,11 @@ def _filtered(curve: Floats, noise: Singles | None, act: Filter) -> Floats:
     """A curve with each noise, filtered: shape (replicates, n), some at a time."""
     if noise is None:
         return np.broadcast_to(act(curve[None]), (COUNT, len(curve)))
-    found = np.empty(noise.shape)
+    filtered = np.empty(noise.shape)
     for first in range(0, len(noise), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        found[rows] = act(curve + noise[rows])
-    return found
+        filtered[rows] = act(curve + noise[rows])
+    return filtered
 
 
 def _noise(
