@@ -51,6 +51,9 @@ EXACT, SEARCHED, WALKED = 1e-9, 1e-6, 3e-4
 """To which a number is made again on any processor, of the largest number of its result: exactly;
 where a search or an iteration ends; along a line, whose walk amplifies rounding: the bands of a
 slack line differ by 9e-5 between two processors."""
+OF_INTERVAL = 3e-5
+"""Share of an interval's width that changes no conclusion: where clocks are known badly, an
+iteration ends elsewhere on another processor, by up to 1.5e-5."""
 
 Row = dict[str, Any]
 """Kind, seed, commit, error, about (text and numbers on the whole), rows: of each result its name,
@@ -185,10 +188,12 @@ def differences(kept: Row, made: Row) -> list[str]:
         scale = max(
             (abs(x) for x in one.values() if isinstance(x, float) and math.isfinite(x)), default=0.0
         )
+        width = (one.get("upper") or math.nan) - (one.get("lower") or math.nan)
+        of_interval = OF_INTERVAL * width if width > 0.0 else 0.0
         found += [
             f"{name} {key}: {one.get(key)} -> {other.get(key)}"
             for key in dict.fromkeys([*one, *other])
-            if not _is_same(one.get(key), other.get(key), tolerance * scale)
+            if not _is_same(one.get(key), other.get(key), max(tolerance * scale, of_interval))
         ]
     return found
 
