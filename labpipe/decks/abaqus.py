@@ -15,15 +15,12 @@ from labpipe.decks.deck_law import (
     mass_of,
     on_one_line,
     second_moment,
-    skew_excess,
+    skew_bending_error,
     solid_area,
 )
-from labpipe.decks.deck_losses import deck_losses, hardens
+from labpipe.decks.deck_losses import deck_losses, isotropic_loss
 from labpipe.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
-
-_WAY_BACK = "if it hardens alike on both sides, where a wire follows Masing's rule"
-_WIDEST_NAME = 100  # of a wire in a comment: lines end at 256 characters
 
 
 def abaqus_deck(table: WireTable, *, most_points: int | None = None) -> str:
@@ -52,9 +49,19 @@ def abaqus_deck(table: WireTable, *, most_points: int | None = None) -> str:
     law = thin(table.curvature, table.moment, most=most)
     label = abaqus_label(table.name)
     lines = [f"** {line}" for line in _comments(table, law, label)]
-    lines += [_keyword(table, label), _geometry(table), "0., 0., -1."]
+    # a keyword line that ends with a comma is continued
+    lines += [
+        f"*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL, ELSET={label},",
+        f"DENSITY={mass_of(table) / solid_area(table):.9g}",
+    ]
+    second = second_moment(table)  # I11 and I22; half of J
+    lines += [f"{solid_area(table):.9g}, {second:.9g}, 0., {second:.9g}, {2.0 * second:.9g}"]
+    lines += ["0., 0., -1."]
     lines += ["*AXIAL, LINEAR", f"{table.axial_stiffness:.9g}"]
-    pairs = _pairs(law)
+    pairs = [
+        f"{moment:.12g}, {curvature:.12g}"
+        for curvature, moment in zip(law.curvature, law.moment, strict=True)
+    ]
     lines += ["*M1", *pairs, "*M2", *pairs]
     lines += ["*TORQUE, LINEAR", f"{table.torsional_stiffness:.9g}"]
     return "\n".join(lines) + "\n"
@@ -62,38 +69,17 @@ def abaqus_deck(table: WireTable, *, most_points: int | None = None) -> str:
 
 def _comments(table: WireTable, law: Thinned, label: str) -> tuple[str, ...]:
     return (
-        *facts(table, on_one_line(table.name, _WIDEST_NAME)),
+        *facts(table, on_one_line(table.name)),
         f"*M1, *M2: {len(law.curvature)} points; the straight lines between them are within "
         f"{law.error:.2g} of the wire's moment.",
-        "Neither ELASTIC nor LINEAR: elastic-plastic, unloads with the first slope. Not for loops.",
-        *deck_losses(table, hardens(table, law.error, _WAY_BACK)),
-        "The guide does not say what follows the last point: hold SK1, SK2 against the range.",
-        f"M1 and M2 do not know of each other: bent askew, the wire is up to "
-        f"{100.0 * skew_excess(table):.2g} % too stiff.",
-        "*AXIAL: of a wire that does not turn. *TORQUE: of one that does not lengthen. The section",
-        f"has no place for their coupling, {table.stretch_twist_coupling:.6g} N m; a wire that is "
-        f"free to lengthen",
-        f"has a torsional stiffness of {table.free_torsional_stiffness:.6g} N m^2. Both without "
-        f"yielding.",
-        "Euler-Bernoulli elements (B33, B23): the wire's transverse shear is not known.",
+        "Without ELASTIC and LINEAR: elastic-plastic, unloads with the first slope. No cycles.",
+        *deck_losses(table, isotropic_loss(table, law.error, "assuming isotropic hardening")),
+        "The response beyond the last point is not documented: compare SK1, SK2 with the range.",
+        f"M1 and M2 are uncoupled: in skew bending the wire is up to "
+        f"{100.0 * skew_bending_error(table):.2g} % too stiff.",
+        "*AXIAL: at constant twist. *TORQUE: at constant length. Both are linear; their",
+        f"coupling, {table.stretch_twist_coupling:.6g} N m, has no place in the section. The",
+        f"torsional stiffness at zero tension is {table.free_torsional_stiffness:.6g} N m^2.",
+        "Euler-Bernoulli elements (B33, B23): the transverse shear stiffness is unknown.",
         f"Element set {label}; first axis of the section in the global -z direction.",
     )
-
-
-def _keyword(table: WireTable, label: str) -> str:
-    line = f"*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL, ELSET={label}"
-    # a keyword line goes on after a comma
-    return f"{line},\nDENSITY={mass_of(table) / solid_area(table):.9g}"
-
-
-def _geometry(table: WireTable) -> str:
-    """A, I11, I12, I22, J of the solid parts."""
-    second = second_moment(table)
-    return f"{solid_area(table):.9g}, {second:.9g}, 0., {second:.9g}, {2.0 * second:.9g}"
-
-
-def _pairs(law: Thinned) -> list[str]:
-    return [
-        f"{moment:.12g}, {curvature:.12g}"
-        for curvature, moment in zip(law.curvature, law.moment, strict=True)
-    ]

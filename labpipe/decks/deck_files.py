@@ -1,4 +1,4 @@
-"""The files of the decks: the one place here that writes."""
+"""Texts and files of all decks of a wire."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labpipe.decks.slider_table import sliders_csv, sliders_json
 from labpipe.records.wire import WireTable
 
 FOLDER = "decks"
-"""Where the decks go, below the folder of results."""
+"""Folder of the decks, below that of the results."""
 
 DECKS: Mapping[str, Callable[[WireTable], str]] = {
     "csv": lookup_csv,
@@ -30,11 +30,11 @@ DECKS: Mapping[str, Callable[[WireTable], str]] = {
     "sliders.csv": sliders_csv,
     "sliders.json": sliders_json,
 }
-"""Ending of the file, and what writes its text."""
+"""Ending of the file, and the function that returns its text."""
 
 
 def deck_texts(table: WireTable) -> tuple[str, ...]:
-    """Texts of the decks of a wire, in the order of `DECKS`.
+    """Return the texts of the decks of a wire, in the order of `DECKS`.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def write_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
 
 
 def deck_paths(name: str, folder: Path) -> list[Path]:
-    """Files of the decks of a wire, in the order of `DECKS`.
+    """Return the files of the decks of a wire, in the order of `DECKS`.
 
     Parameters
     ----------

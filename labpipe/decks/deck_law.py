@@ -1,4 +1,4 @@
-"""What every deck has of its wire: facts and range, names."""
+"""Facts, range and names of a wire for the head of every deck."""
 
 from __future__ import annotations
 
@@ -17,11 +17,8 @@ UNITS = "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness
 FIRST_LOADING = "The law is that of the first loading of a wire that was never bent before."
 
 
-_NEAR = 0.05  # of the moment, within which a linear law is as good as the wire's
-
-
 def facts(table: WireTable, name: str) -> tuple[str, ...]:
-    """Sentences at the head of every deck.
+    """Return the sentences at the head of every deck.
 
     Parameters
     ----------
@@ -31,19 +28,19 @@ def facts(table: WireTable, name: str) -> tuple[str, ...]:
     end = float(table.curvature[-1])
     limit = table.doubtful_curvature
     strain = 100.0 * table.spec.insulation_strain
-    doubt = f"Doubtful beyond {limit:.6g} 1/m: the insulation is strained by over {strain:.3g} %."
+    doubt = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
     return (
         f"Wire {name}, made by labpipe {__version__}.",
         UNITS,
-        f"Range: curvature from 0 to {end:.6g} 1/m (bending radius {1.0 / end:.4g} m and more).",
-        "Beyond this range the deck is not valid.",
+        f"Range: curvature from 0 to {end:.6g} 1/m (bend radius {1.0 / end:.4g} m and more).",
+        "The deck is not valid beyond this range.",
         *((doubt,) if limit < end else ()),
         FIRST_LOADING,
     )
 
 
 def mass_of(table: WireTable) -> float:
-    """Mass per length of a wire, kg/m, for a deck that needs one.
+    """Return the mass per length of a wire, kg/m, for a deck that needs one.
 
     Parameters
     ----------
@@ -59,7 +56,7 @@ def mass_of(table: WireTable) -> float:
 
 
 def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | None:
-    """Curvatures between which a constant stiffness is as good as the wire's law.
+    """Find the range of curvature in which a constant stiffness represents the law.
 
     Parameters
     ----------
@@ -76,13 +73,19 @@ def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | No
     Between two points the moment is on a straight line a + b kappa, so that stiffness kappa =
     (1 -+ 0.05) (a + b kappa) is solved there.
     """
+    max_moment_error = 0.05  # relative
     knots = np.union1d(
         table.curvature,
-        np.concatenate([_meets(table, stiffness, 1.0 + off) for off in (-_NEAR, _NEAR)]),
+        np.concatenate(
+            [
+                _crossings(table, stiffness, 1.0 + off)
+                for off in (-max_moment_error, max_moment_error)
+            ]
+        ),
     )
     middle = 0.5 * (knots[1:] + knots[:-1])
     moment = np.interp(middle, table.curvature, table.moment)
-    inside = np.abs(stiffness * middle / moment - 1.0) <= _NEAR
+    inside = np.abs(stiffness * middle / moment - 1.0) <= max_moment_error
     if not inside.any():
         return None
     first = int(np.argmax(inside))
@@ -91,18 +94,18 @@ def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | No
     return float(knots[first]), float(knots[last])
 
 
-def _meets(table: WireTable, stiffness: float, bound: float) -> Floats:
-    """Curvatures, beside the points, at which the linear moment is so many times the wire's."""
+def _crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
+    """Find curvatures between the points where linear moment over law moment is `ratio`."""
     left, right = table.curvature[:-1], table.curvature[1:]
     slope = np.diff(table.moment) / np.diff(table.curvature)
-    apart = stiffness - bound * slope
-    start = bound * (table.moment[:-1] - slope * left)
+    apart = stiffness - ratio * slope
+    start = ratio * (table.moment[:-1] - slope * left)
     at = start / np.where(apart == 0.0, np.inf, apart)
     return at[(at > left) & (at < right)]
 
 
-def skew_excess(table: WireTable) -> float:
-    """By how much bending askew comes out too stiff where the two axes do not know of each other.
+def skew_bending_error(table: WireTable) -> float:
+    """Return how much too stiff skew bending is where the two axes are uncoupled.
 
     Parameters
     ----------
@@ -119,14 +122,14 @@ def skew_excess(table: WireTable) -> float:
 
 
 def solid_area(table: WireTable) -> float:
-    """Area of the strands and the insulation across the wire, m^2."""
+    """Return the area of strands and insulation across the wire, m^2."""
     layout = table.layout
     tube = np.pi * (layout.wire_radius**2 - layout.bore_radius**2)
     return float(np.sum(np.pi / 4.0 * layout.diameter**2) + tube)
 
 
 def second_moment(table: WireTable) -> float:
-    """Second moment of that area, the mean over all axes through the middle, m^4."""
+    """Return the second moment of that area, m^4: the mean over all axes through the centre."""
     layout = table.layout
     tube = np.pi / 4.0 * (layout.wire_radius**4 - layout.bore_radius**4)
     area = np.pi / 4.0 * layout.diameter**2
@@ -134,20 +137,18 @@ def second_moment(table: WireTable) -> float:
     return float(np.sum(np.pi / 64.0 * layout.diameter**4 + area * arms) + tube)
 
 
-ABAQUS_MOST = 80
+MAX_ABAQUS_LABEL = 80
 """Characters of an Abaqus label (Abaqus Analysis User's Guide, input syntax rules)."""
-ANSYS_MOST = 8
+MAX_ANSYS_NAME = 8
 """Characters of the name of an Ansys section (``SECTYPE``)."""
-COMMENT_MOST = 32
+MAX_ANSYS_COMMENT_NAME = 32
 """Characters of a wire's name in a comment of an Ansys deck."""
-FILE_MOST = 100
+MAX_FILE_STEM = 100
 """Characters of a file's name without its ending."""
-
-_SUM = 8  # hexadecimal digits of the check sum
 
 
 def abaqus_label(name: str) -> str:
-    """Label of an element set: begins with a letter, then letters, digits, ``_``, ``-``.
+    """Return the label of an element set: begins with a letter, then letters, digits, ``_``, ``-``.
 
     Parameters
     ----------
@@ -155,24 +156,23 @@ def abaqus_label(name: str) -> str:
 
     Returns
     -------
-    The name if it is a label already. Else what is left of it, with a check sum of the name, so
-    that labels of different names stay different.
+    The name if it is a label already. Otherwise its allowed characters with a checksum of the name,
+    so that different names have different labels.
 
     Notes
     -----
-    Abaqus takes labels without quotes in any case for the same: wires whose names differ in nothing
-    else need names of their own.
+    Abaqus ignores the case of labels without quotes: names of wires must differ in more than case.
 
     Examples
     --------
     >>> abaqus_label("FLRY-B_0.35")
     'FLRY-B_0_35_f1a89d0a'
     """
-    return _reduced(name, allowed="A-Za-z0-9_-", first="A-Za-z", most=ABAQUS_MOST)
+    return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", most=MAX_ABAQUS_LABEL)
 
 
 def ansys_name(name: str) -> str:
-    """Name of a section: at most eight letters and digits, the first a letter.
+    """Return the name of a section: at most eight letters and digits, the first a letter.
 
     Parameters
     ----------
@@ -180,20 +180,20 @@ def ansys_name(name: str) -> str:
 
     Returns
     -------
-    The name if it will do, else what is left of it. It only labels: sections go by their number,
-    so that it need not be the only one of its kind.
+    The name if it is allowed, otherwise its allowed characters. Sections are identified by their
+    number, so that the name need not be unique.
 
     Examples
     --------
     >>> ansys_name("FLRY-B 0.35")
     'FLRYB035'
     """
-    left = re.sub(r"[^A-Za-z0-9]", "", _plain(name))
-    return (left if left[:1].isalpha() else f"W{left}")[:ANSYS_MOST]
+    left = re.sub(r"[^A-Za-z0-9]", "", _without_accents(name))
+    return (left if left[:1].isalpha() else f"W{left}")[:MAX_ANSYS_NAME]
 
 
 def file_stem(name: str) -> str:
-    """Name of a file without its ending, for every common file system.
+    """Return the name of a file without its ending, for every common file system.
 
     Parameters
     ----------
@@ -201,20 +201,24 @@ def file_stem(name: str) -> str:
 
     Returns
     -------
-    The name if it will do, else what is left of it with a check sum of the name.
+    The name if it is allowed, otherwise its allowed characters with a checksum of the name.
 
     Examples
     --------
     >>> file_stem("A2")
     'A2'
     """
-    kept = _reduced(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", most=FILE_MOST)
-    is_device = re.fullmatch(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", kept, flags=re.IGNORECASE)
-    return _summed(name, kept, FILE_MOST) if is_device or kept != kept.rstrip(". ") else kept
+    stem = _allowed_text(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", most=MAX_FILE_STEM)
+    is_device = re.fullmatch(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", stem, flags=re.IGNORECASE)
+    return (
+        _with_checksum(name, stem, MAX_FILE_STEM)
+        if is_device or stem != stem.rstrip(". ")
+        else stem
+    )
 
 
-def on_one_line(name: str, most: int) -> str:
-    """A name for a comment: printable ASCII on one line, cut short with dots.
+def on_one_line(name: str, most: int = 100) -> str:
+    """Convert a name for a comment: printable ASCII on one line, shortened with dots.
 
     Parameters
     ----------
@@ -226,23 +230,24 @@ def on_one_line(name: str, most: int) -> str:
     >>> on_one_line("a name that goes on and on", 12)
     'a name th...'
     """
-    line = re.sub(r"[^ -~]+", "?", _plain(" ".join(name.split())))
+    line = re.sub(r"[^ -~]+", "?", _without_accents(" ".join(name.split())))
     return line if len(line) <= most else line[: most - 3] + "..."
 
 
-def _reduced(name: str, *, allowed: str, first: str, most: int) -> str:
-    kept = re.sub(rf"[^{allowed}]+", "_", _plain(name))
-    if not re.match(f"[{first}]", kept):
-        kept = f"W{kept}"
-    return kept if kept == name and len(kept) <= most else _summed(name, kept, most)
+def _allowed_text(name: str, *, allowed: str, first: str, most: int) -> str:
+    label = re.sub(rf"[^{allowed}]+", "_", _without_accents(name))
+    if not re.match(f"[{first}]", label):
+        label = f"W{label}"
+    return label if label == name and len(label) <= most else _with_checksum(name, label, most)
 
 
-def _summed(name: str, kept: str, most: int) -> str:
-    total = f"{zlib.crc32(name.encode('utf-8', 'surrogatepass')):0{_SUM}x}"
-    return f"{kept[: most - _SUM - 1].rstrip('. ')}_{total}"
+def _with_checksum(name: str, label: str, most: int) -> str:
+    digits = 8  # hexadecimal
+    checksum = f"{zlib.crc32(name.encode('utf-8', 'surrogatepass')):0{digits}x}"
+    return f"{label[: most - digits - 1].rstrip('. ')}_{checksum}"
 
 
-def _plain(name: str) -> str:
-    """Letters without their accents, as far as there are such."""
+def _without_accents(name: str) -> str:
+    """Replace letters with accents by those without, where there are such."""
     parts = unicodedata.normalize("NFKD", name)
     return "".join(part for part in parts if not unicodedata.combining(part))

@@ -1,9 +1,8 @@
-"""The loss card of a deck, in words and numbers: what its form of law loses, and other forms."""
+"""Loss card of a deck: errors of its form of the law and of other forms, as text and numbers."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
 from dataclasses import asdict
 from functools import lru_cache
 
@@ -13,13 +12,9 @@ from labpipe.law.loss_card import LossCard, TurnLoss, turn_loss
 from labpipe.law.table_sliders import table_card
 from labpipe.records.wire import WireTable
 
-_WIDE = 120
-_NOTHING = 1e-6
-_TIED = "~%"
 
-
-def loss_words(card: LossCard) -> str:
-    """Tell in one line what a law loses in forms that programs can hold.
+def loss_text(card: LossCard) -> str:
+    """Describe in one line the errors of a law in forms that programs can represent.
 
     Parameters
     ----------
@@ -34,87 +29,87 @@ def loss_words(card: LossCard) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in per cent, to two digits; all of those of a large one."""
+    """Format a share in per cent with two digits; 100 % and more with all digits."""
+    min_share = 1e-6
     if share >= 0.995:
         return f"{round(100.0 * share):d} %"
-    return f"{100.0 * share:.2g} %" if share > _NOTHING else "0 %"
+    return f"{100.0 * share:.2g} %" if share > min_share else "0 %"
 
 
-def own_loss(first: float, way_back: float, turn: float, why: str) -> str:
-    """Tell in one line what the form of a deck loses.
+def deck_loss(first: float, way_back: float, turn: float, why: str) -> str:
+    """Describe in one line the error of the form of law of a deck.
 
     Parameters
     ----------
     first : largest error on first loading, as a share of the moment
-    way_back : on the way back from a bend, as a share of the moment at the turn
-    turn : 1/m, of that bend
-    why : what the program does there
+    way_back : largest error on unloading, as a share of the moment at the reversal
+    turn : 1/m, curvature at that reversal
+    why : what the program does on unloading
     """
     return (
-        f"This deck: first loading within {percent(first)} of the wire's moment. Straightened "
-        f"again after bends up to half of the range it is off by up to {percent(way_back)} of the "
-        f"moment at the turn (from {turn:.2g} 1/m): {why}."
+        f"This deck: error on first loading up to {percent(first)} of the moment; on unloading "
+        f"from bends up to half of the range up to {percent(way_back)} of the moment at the "
+        f"reversal (from {turn:.2g} 1/m): {why}."
     )
 
 
-def forgets(table: WireTable) -> str:
-    """What a curve without memory loses, in one line."""
+def memoryless_loss(table: WireTable) -> str:
+    """Describe in one line the error of a curve without memory."""
     turn = table_turn(table)
-    return own_loss(0.0, turn.curve, turn.curve_at, "a curve forgets, a wire follows Masing's rule")
+    why = "a curve has no memory, a wire follows Masing's rule"
+    return deck_loss(0.0, turn.curve, turn.curve_at, why)
 
 
-def hardens(table: WireTable, first: float, why: str) -> str:
-    """What isotropic hardening loses, in one line.
+def isotropic_loss(table: WireTable, first: float, why: str) -> str:
+    """Describe in one line the error of isotropic hardening.
 
     Parameters
     ----------
     table : law of the wire
     first : error of the deck's points on first loading, as a share of the moment
-    why : what the program is known to do
+    why : what the program does on unloading
     """
     turn = table_turn(table)
-    return own_loss(first, turn.isotropic, turn.isotropic_at, why)
+    return deck_loss(first, turn.isotropic, turn.isotropic_at, why)
 
 
-def deck_losses(table: WireTable, own: str, *, wide: int = _WIDE) -> tuple[str, ...]:
-    """Loss card for the head of a deck: what it loses itself, then what other forms would.
+def deck_losses(table: WireTable, loss: str, *, wide: int = 120) -> tuple[str, ...]:
+    """Return the loss card for the head of a deck: its own error, then those of other forms.
 
     Parameters
     ----------
-    table : law of the wire; one that sliders cannot have gets the reason in place of other forms
-    own : of the deck itself
+    table : law of the wire; without a fit by sliders, the reason instead
+    loss : error of the deck itself
     wide : characters of a line
     """
     try:
-        others = loss_words(table_card(table))
+        other_forms = loss_text(table_card(table))
     except ValueError as error:
-        others = f"No loss card of other forms: {error}."
-    return tuple(line for words in (own, others) for line in _wrapped(words, wide))
-
-
-def _wrapped(words: str, wide: int) -> Iterator[str]:
-    """Lines of at most so many characters, a number and its per cent on one."""
-    for line in textwrap.wrap(words.replace(" %", _TIED), wide):
-        yield line.replace(_TIED, " %")
+        other_forms = f"No loss card of other forms: {error}."
+    return tuple(
+        line.replace("~%", " %")  # keeps a number and its per cent sign on one line
+        for sentence in (loss, other_forms)
+        for line in textwrap.wrap(sentence.replace(" %", "~%"), wide)
+    )
 
 
 @lru_cache(maxsize=4)
 def table_turn(table: WireTable) -> TurnLoss:
-    """What forms without a wire's memory lose on the way back, over the table of a wire."""
+    """Return the errors on unloading of forms without the memory of a wire, over its table."""
     return turn_loss(table.curvature, table.moment)
 
 
 def constant_loss(table: WireTable, stiffness: float) -> float:
-    """Largest error of the moment of a constant stiffness, N m^2, over the table of a wire."""
+    """Return the largest error of the moment of a constant stiffness, N m^2, over a table."""
     return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
 
 
 def card_numbers(table: WireTable) -> dict[str, object]:
-    """Loss card for a JSON deck.
+    """Return the loss card for a JSON deck.
 
     Parameters
     ----------
-    table : law of the wire; one that sliders cannot have gets the reason and what a way back loses
+    table : law of the wire; without a fit by sliders, the reason and the errors on unloading
     """
     way_back = asdict(table_turn(table))
     try:

@@ -6,16 +6,16 @@ import json
 
 from labpipe import __version__
 from labpipe.decks.deck_law import FIRST_LOADING, facts, mass_of, on_one_line
-from labpipe.decks.deck_losses import card_numbers, deck_losses, forgets
+from labpipe.decks.deck_losses import card_numbers, deck_losses, memoryless_loss
 from labpipe.records.wire import WireTable
 
 SCHEMA = 2
 """Version of the JSON table."""
 
 TORSION = (
-    "pull and torque are [EA, C; C, GJ] times strain and twist: axial_stiffness EA is of a wire "
-    "that does not turn, torsional_stiffness GJ for one that does not lengthen, "
-    "free_torsional_stiffness GJ - C^2 / EA for one that may"
+    "tension and torque are [EA, C; C, GJ] times strain and twist: axial_stiffness EA is at "
+    "constant twist, torsional_stiffness GJ at constant length, free_torsional_stiffness "
+    "GJ - C^2 / EA at zero tension"
 )
 
 COLUMNS = {
@@ -48,8 +48,6 @@ _UNITS = {
     "length": "m",
     "mass_per_length": "kg/m",
 }
-_WIDEST_NAME = 100
-_WIDEST = 1000  # of a comment: one for each sentence
 
 
 def lookup_csv(table: WireTable) -> str:
@@ -63,17 +61,17 @@ def lookup_csv(table: WireTable) -> str:
     -------
     Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
     """
-    lines = [f"# {line}" for line in facts(table, on_one_line(table.name, _WIDEST_NAME))]
+    lines = [f"# {line}" for line in facts(table, on_one_line(table.name))]
     lines += [
         f"# Stick stiffness {table.stick_stiffness:.9g} N m^2, slip stiffness "
         f"{table.slip_stiffness:.9g} N m^2, mass {mass_of(table):.9g} kg/m.",
-        f"# Axial stiffness EA {table.axial_stiffness:.9g} N (does not turn), torsional stiffness "
+        f"# Axial stiffness EA {table.axial_stiffness:.9g} N (constant twist), torsional stiffness "
         f"GJ {table.torsional_stiffness:.9g} N m^2",
-        f"# (does not lengthen; {table.free_torsional_stiffness:.9g} where it may), coupling C "
+        f"# (constant length; {table.free_torsional_stiffness:.9g} at zero tension), coupling C "
         f"{table.stretch_twist_coupling:.9g} N m.",
-        *(f"# {line}" for line in deck_losses(table, forgets(table), wide=_WIDEST)),
-        "# moment = stick + slip + bending + plastic + insulation; lowest and highest over a full "
-        "turn of the section.",
+        *(f"# {line}" for line in deck_losses(table, memoryless_loss(table), wide=1000)),
+        "# moment = stick + slip + bending + plastic + insulation; lowest and highest over all "
+        "directions of bending.",
         "# insulation_share: of the moment. is_doubtful: 1 beyond the range of the insulation's "
         "straight line.",
         ",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items()),
@@ -95,7 +93,7 @@ def lookup_json(table: WireTable) -> str:
 
     Returns
     -------
-    JSON text; units of all numbers stand under ``units``.
+    JSON text; units of all numbers are under ``units``.
     """
     numbers: dict[str, object] = {
         "curvature": table.curvature.tolist(),
@@ -111,16 +109,6 @@ def lookup_json(table: WireTable) -> str:
         "mass_per_length": mass_of(table),
     }
     whole = {
-        **_about(table),
-        **numbers,
-        "loss_card": card_numbers(table),
-        "units": {name: _UNITS[name] for name in numbers},
-    }
-    return json.dumps(whole, indent=1) + "\n"
-
-
-def _about(table: WireTable) -> dict[str, object]:
-    return {
         "schema": SCHEMA,
         "labpipe": __version__,
         "wire": table.name,
@@ -128,4 +116,8 @@ def _about(table: WireTable) -> dict[str, object]:
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
         "law": FIRST_LOADING,
         "torsion": TORSION,
+        **numbers,
+        "loss_card": card_numbers(table),
+        "units": {name: _UNITS[name] for name in numbers},
     }
+    return json.dumps(whole, indent=1) + "\n"

@@ -1,6 +1,6 @@
 """A wire for MuJoCo 4: a clamped cable as a standalone MJCF model.
 
-MuJoCo 4.0 took out the cable plug-in and composite bodies; a cable is a one-dimensional flex with
+MuJoCo 4.0 removed the cable plug-in and composite bodies; a cable is a one-dimensional flex with
 elasticity, a discrete elastic rod (XML Reference, flex/elasticity; Bergou et al. 2008). It has one
 constant bending stiffness E I and one torsional stiffness G J, with I and J of a full circle of the
 flex's radius.
@@ -38,15 +38,7 @@ CABLE = "wire"
 TIP_SENSOR = "tip"
 """Name of the sensor of the tip's position."""
 
-FEWEST_EDGES = 3
-
-_FIRST_ROOT = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
-_STEP = 0.05  # of the time 1 / (first angular frequency), for up to so many edges:
-_USUAL_EDGES = 40  # with more, shorter steps keep the constraint on their lengths as stiff
-_REST = 35.0  # times the time 1 / (first angular frequency)
-_NEVER_GIVES = "0.9999 0.9999 0.001"  # impedance: the edges keep their length
-_WIDEST_NAME = 100
-_WIDEST = 1000  # of a comment: one for each sentence
+MIN_EDGES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,18 +69,21 @@ class _Cable:
     @property
     def first_frequency(self) -> float:
         """First angular frequency of the clamped cable, rad/s."""
+        first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
         stretch = np.sqrt(self.stiffness / self.mass_per_length)
-        return float(_FIRST_ROOT**2 * stretch / self.length**2)
+        return float(first_root**2 * stretch / self.length**2)
 
     @property
     def step(self) -> float:
         """Time step, s."""
-        return _STEP / self.first_frequency * min(1.0, _USUAL_EDGES / self.edges)
+        # more than 40 edges need shorter steps to keep the constraint on their lengths as stiff
+        return 0.05 / self.first_frequency * min(1.0, 40 / self.edges)
 
     @property
     def steps_to_rest(self) -> int:
-        """After how many steps a load on the tip has settled."""
-        return math.ceil(_REST / self.first_frequency / self.step)
+        """Number of steps after which a load on the tip has settled."""
+        settling_time = 35.0  # over 1 / (first angular frequency)
+        return math.ceil(settling_time / self.first_frequency / self.step)
 
 
 def mujoco_deck(
@@ -104,14 +99,14 @@ def mujoco_deck(
     ----------
     table : law of the wire
     stiffness : N m^2; None for the slope of the law at zero: that of a wire whose strands all
-        stick, or the first secant of the table where strands slip at once. The deck says which
+        stick, or the first secant of the table where strands slip at once. The deck states which
     length : free length, m; None for that of the wire's cantilever
     edges : of the cable, at least 3
 
     Returns
     -------
     MJCF. A load on the body of the last vertex (``wire_<edges>``) settles without overshooting: the
-    damping is critical in the first mode, and more than that in the others.
+    damping is critical in the first mode and higher in the others.
 
     Raises
     ------
@@ -120,7 +115,7 @@ def mujoco_deck(
 
     Notes
     -----
-    The deck says at which curvatures the constant stiffness is within 5 % of the wire's law
+    The deck states at which curvatures the constant stiffness is within 5 % of the wire's law
     (`linear_range`).
     """
     cable = _Cable(
@@ -132,12 +127,12 @@ def mujoco_deck(
         edges,
     )
     _require_cable(cable)
-    root = Xml.Element("mujoco", model=on_one_line(table.name, _WIDEST_NAME))
-    origin = _origin(table) if stiffness is None else "as given"
+    root = Xml.Element("mujoco", model=on_one_line(table.name))
+    origin = _stiffness_origin(table) if stiffness is None else "as given"
     for line in _comments(table, cable, origin):
         # two hyphens would end an XML comment
         root.append(Xml.Comment(f" {line.replace('--', '- -')} "))
-    _describe(root, cable)
+    _add_cable(root, cable)
     Xml.indent(root)
     return Xml.tostring(root, encoding="unicode") + "\n"
 
@@ -148,18 +143,18 @@ def _require_cable(cable: _Cable) -> None:
         if not (np.isfinite(value) and value > 0.0):
             message = f"{name}={value!r}: allowed are finite numbers > 0"
             raise ValueError(message)
-    if cable.edges < FEWEST_EDGES:
-        message = f"edges={cable.edges}: allowed are numbers >= {FEWEST_EDGES}"
+    if cable.edges < MIN_EDGES:
+        message = f"edges={cable.edges}: allowed are numbers >= {MIN_EDGES}"
         raise ValueError(message)
 
 
 def _slope_at_zero(table: WireTable) -> float:
-    """Bending stiffness with which the law begins, N m^2."""
+    """Return the bending stiffness of the law at zero, N m^2."""
     return float(table.secant_stiffness[1]) if table.slips_at_once else table.stick_stiffness
 
 
-def _origin(table: WireTable) -> str:
-    """Where the stiffness comes from that is taken without being asked for."""
+def _stiffness_origin(table: WireTable) -> str:
+    """Describe the origin of the default stiffness."""
     if table.slips_at_once:
         return "the slope of the law at zero, its first secant, as strands slip at once"
     return "the slope of the law at zero, while all strands stick"
@@ -173,28 +168,28 @@ def _comments(table: WireTable, cable: _Cable, origin: str) -> tuple[str, ...]:
         validity = (
             f"within 5 % of the wire's law at curvatures from {close[0]:.4g} to {close[1]:.4g} 1/m"
         )
-    own = (
-        f"This deck: up to {percent(constant_loss(table, cable.stiffness))} of the moment off over "
-        f"its range, and it forgets every bend."
+    loss = (
+        f"This deck: error up to {percent(constant_loss(table, cable.stiffness))} of the moment "
+        f"over its range, and no memory of bends."
     )
     return (
-        *facts(table, on_one_line(table.name, _WIDEST_NAME)),
+        *facts(table, on_one_line(table.name)),
         f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2 ({origin}), "
-        f"{validity}. Nothing in the model stops there.",
-        *deck_losses(table, own, wide=_WIDEST),
-        f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, of a wire that does not "
-        f"lengthen: the cable does not stretch.",
+        f"{validity}. The model has no limit there.",
+        *deck_losses(table, loss, wide=1000),
+        f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, at constant "
+        f"length: the cable does not stretch.",
         "young and shear are these stiffnesses over those of a full circle, not of a material.",
         f"Free length {cable.length:.6g} m, {cable.edges} edges; the first begins half an edge "
         f"inside the clamp, whose face is at x = 0.",
-        f"Mass {cable.mass_per_length:.4g} kg/m, strands and insulation: for the way to rest only, "
+        f"Mass {cable.mass_per_length:.4g} kg/m of strands and insulation matters until rest only, "
         "as there is no gravity.",
         f"Damping is critical in the first mode: at rest after {cable.steps_to_rest} steps.",
         "For MuJoCo 4.0 and later: a flex as a cable, integrator discrete.",
     )
 
 
-def _describe(root: Xml.Element, cable: _Cable) -> None:
+def _add_cable(root: Xml.Element, cable: _Cable) -> None:
     Xml.SubElement(
         root, "option", timestep=f"{cable.step:.6g}", integrator="discrete", gravity="0 0 0"
     )
@@ -211,16 +206,20 @@ def _describe(root: Xml.Element, cable: _Cable) -> None:
         point="  ".join(f"{place:.9g} 0 0" for place in places),
         element="  ".join(f"{edge} {edge + 1}" for edge in range(cable.edges)),
     )
-    _behave(flex, cable)
+    _add_elasticity(flex, cable)
     sensors = Xml.SubElement(root, "sensor")
     tip = f"{CABLE}_{cable.edges}"
     Xml.SubElement(sensors, "framepos", name=TIP_SENSOR, objtype="body", objname=tip)
 
 
-def _behave(flex: Xml.Element, cable: _Cable) -> None:
-    """Stiffness, damping, clamp; edges that keep their length; no contacts."""
+def _add_elasticity(flex: Xml.Element, cable: _Cable) -> None:
+    """Add stiffness, damping and clamp; edges of constant length; no contacts."""
     Xml.SubElement(
-        flex, "edge", equality="true", solref=f"{2.0 * cable.step:.6g} 1", solimp=_NEVER_GIVES
+        flex,
+        "edge",
+        equality="true",
+        solref=f"{2.0 * cable.step:.6g} 1",
+        solimp="0.9999 0.9999 0.001",
     )
     Xml.SubElement(flex, "contact", contype="0", conaffinity="0", selfcollide="none")
     circle = np.pi / 4.0 * cable.radius**4

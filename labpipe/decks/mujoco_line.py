@@ -1,9 +1,9 @@
-"""The line of a harness for MuJoCo 4: a chain with the memory of its law, and what moves it.
+"""The line of a harness for MuJoCo 4: a chain with hysteresis, and its boundaries.
 
 The chain is that of `decks.mujoco_sliders`, in space and with weight. A clip, pin or grip is a
-mocap body that an equality holds a site of the chain to, or that the chain grows out of; its path,
-a row of position and quaternion for each step, is a ``numeric`` of the model, so that a program
-finds all in this one file. Strings are tendons that end, loads are actuators.
+mocap body that an equality holds a site of the chain to, or that the chain begins at; its path, a
+row of position and quaternion for each step, is a ``numeric`` of the model, so that a program needs
+no other file. Strings are tendons of limited length, loads are actuators.
 """
 
 from __future__ import annotations
@@ -31,24 +31,19 @@ from labpipe.rod.line import Line
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
 
 _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
-"""Turns the axes of a frame, d3 along the line, into those of a body, x along the line."""
+"""Rotation from the axes of a frame, d3 along the line, to those of a body, x along the line."""
 _DIGITS = ".7g"
-_WIDEST = 100
-_NO_MASS = 1e-3
-"""kg/m, of a line without weight: MuJoCo moves masses."""
-_STEP = 1.0  # as in `mujoco_sliders`
-_TIGHT = 'solref="{:.7g} 1" solimp="0.9999 0.99999 1e-6"'
 
 
 def line_deck(
     line: Line, boundaries: Sequence[rod.Boundary], *, title: str, nodes: int = NODES
 ) -> str:
-    """Write a line with what holds, moves and pulls it.
+    """Write a line with all that holds, moves and loads it.
 
     Parameters
     ----------
     line : at the start
-    boundaries : rings and planes are left out, and named
+    boundaries : rings and planes are left out and named in a comment
     title : of the model
     nodes : of the chain
 
@@ -58,26 +53,26 @@ def line_deck(
     seven numbers a step, position and quaternion of its mocap body of that name, and
     ``release_NAME`` the step from which its equality is to be switched off.
     """
+    default_mass = 1e-3  # kg/m, of a line without weight: MuJoCo needs a mass
     section = line.section
     chain = Chain(
         *(section.law, line.length, max(0.5 * section.diameter, 1e-6 * line.length)),
-        *(section.mass_per_length or _NO_MASS, section.torsional_stiffness, nodes),
+        *(section.mass_per_length or default_mass, section.torsional_stiffness, nodes),
     )
-    hinges, words = space_hinges(chain)
+    hinges, sentences = space_hinges(chain)
     every = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
-    base = next((each for each in every if _is_base(each)), None)
-    held = [each for each in every if each is not base]
+    base = next((boundary for boundary in every if _is_base(boundary)), None)
+    held = [boundary for boundary in every if boundary is not base]
     strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
     loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
     weight = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
     gravity = np.sum([np.zeros(3), *weight], axis=0)
-    step = _STEP * chain.unit_time
     text = [
-        f"<mujoco model={quoteattr(on_one_line(title, _WIDEST))}>",
-        *map(comment, (*_words(chain, boundaries), *words)),
+        f"<mujoco model={quoteattr(on_one_line(title))}>",
+        *map(comment, (*_comments(chain, boundaries), *sentences)),
         '  <compiler angle="radian" />',
-        f'  <option timestep="{step:{_DIGITS}}" integrator="discrete" '
-        f'gravity="{_numbers(gravity)}"><flag contact="disable" /></option>',
+        f'  <option timestep="{chain.unit_time:{_DIGITS}}" integrator="discrete" '
+        f'gravity="{_joined(gravity)}"><flag contact="disable" /></option>',
         *default_lines(chain, hinges),
         "  <custom>",
         *_paths(every),
@@ -85,10 +80,10 @@ def line_deck(
         "  <worldbody>",
         '    <site name="space" />',
         *_chain_bodies(line, chain, hinges, [*every, *strings, *loads], base),
-        *_holders(held, strings),
+        *_mocap_bodies(held, strings),
         "  </worldbody>",
         "  <equality>",
-        *_equalities(held, _TIGHT.format(2.0 * step)),
+        *_equalities(held, 2.0 * chain.unit_time),
         "  </equality>",
         "  <tendon>",
         *tendon_lines(chain, hinges),
@@ -103,43 +98,36 @@ def line_deck(
 
 
 def _is_base(held: rod.Held) -> bool:
-    """Whether it clamps the begin of the line all the way, so that the chain can grow out of it."""
+    """Whether it clamps the start of the line for good, so that the chain can begin at it."""
     return held.node == 0 and held.frame is not None and held.release is None
 
 
-def _words(chain: Chain, boundaries: Sequence[rod.Boundary]) -> Iterator[str]:
+def _comments(chain: Chain, boundaries: Sequence[rod.Boundary]) -> Iterator[str]:
     yield "Made by labpipe. Units m, N, kg, s, rad."
     yield (
-        "The model begins where the line is at rest, without weight. At each step of the harness, "
-        "move the mocap bodies to the next row of path_NAME (x y z, quaternion w x y z), in "
-        f"{RAMP} moves or more, and let the line settle for {REST} time steps at the end; grow "
-        "gravity and loads likewise."
+        "The model begins with the line at rest, without weight. At each step of the harness, move "
+        "the mocap bodies to the next row of path_NAME (x y z, quaternion w x y z) in "
+        f"{RAMP} moves or more, then let the line settle for {REST} time steps; ramp gravity and "
+        "loads likewise."
     )
-    yield (
-        "release_NAME: the step from which the equality hold_NAME is to be switched off; 0 never."
-    )
+    yield ("release_NAME: the step at which to switch off the equality hold_NAME; 0 for never.")
     out = [
         boundary.name
         for boundary in boundaries
         if isinstance(boundary, rod.Ring | rod.Plane | rod.Moment)
     ]
     if out:
-        yield f"Left out, as this chain touches nothing: {', '.join(out)}."
+        yield f"Left out, as the chain has no contacts: {', '.join(out)}."
     yield f"Hinge i is at (i + 1/2) {chain.spacing:.6g} m."
     yield "For MuJoCo 4.0 and later: earlier versions have no springyield and refuse this file."
 
 
-def _numbers(values: Floats) -> str:
+def _joined(values: Floats) -> str:
     return " ".join(f"{value:{_DIGITS}}" for value in np.ravel(values).tolist())
 
 
-def _name(boundary: rod.Boundary) -> str:
-    """As in the file; XML has all of Unicode."""
-    return boundary.name
-
-
 def _poses(held: rod.Held) -> Floats:
-    """Rows of position and quaternion of a mocap body, shape (steps + 1, 7)."""
+    """Return position and quaternion of a mocap body, shape (steps + 1, 7)."""
     count = len(held.position)
     if held.frame is None:
         turns = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
@@ -149,37 +137,42 @@ def _poses(held: rod.Held) -> Floats:
 
 
 def _paths(held: Sequence[rod.Held]) -> Iterator[str]:
-    for each in held:
-        path, release = quoteattr(f"path_{_name(each)}"), quoteattr(f"release_{_name(each)}")
-        yield f'    <numeric name={path} data="{_numbers(_poses(each))}" />'
-        yield f'    <numeric name={release} data="{each.release or 0}" />'
+    for boundary in held:
+        path, release = (
+            quoteattr(f"path_{boundary.name}"),
+            quoteattr(f"release_{boundary.name}"),
+        )
+        yield f'    <numeric name={path} data="{_joined(_poses(boundary))}" />'
+        yield f'    <numeric name={release} data="{boundary.release or 0}" />'
 
 
-def _holders(held: Sequence[rod.Held], strings: Sequence[rod.String]) -> Iterator[str]:
-    for each in held:
-        pose = _poses(each)[0]
-        name, site = quoteattr(_name(each)), quoteattr(f"hold_{_name(each)}")
+def _mocap_bodies(held: Sequence[rod.Held], strings: Sequence[rod.String]) -> Iterator[str]:
+    for boundary in held:
+        pose = _poses(boundary)[0]
+        name, site = quoteattr(boundary.name), quoteattr(f"hold_{boundary.name}")
         yield (
-            f'    <body name={name} mocap="true" pos="{_numbers(pose[:3])}" '
-            f'quat="{_numbers(pose[3:])}"><site name={site} /></body>'
+            f'    <body name={name} mocap="true" pos="{_joined(pose[:3])}" '
+            f'quat="{_joined(pose[3:])}"><site name={site} /></body>'
         )
     for string in strings:
-        site = quoteattr(f"anchor_{_name(string)}")
-        yield f'    <site name={site} pos="{_numbers(string.anchor[-1])}" />'
+        site = quoteattr(f"anchor_{string.name}")
+        yield f'    <site name={site} pos="{_joined(string.anchor[-1])}" />'
 
 
-def _equalities(held: Sequence[rod.Held], tight: str) -> Iterator[str]:
-    for each in held:
-        kind = "connect" if each.frame is None else "weld"
-        names = [quoteattr(f"{word}_{_name(each)}") for word in ("hold", "at", "hold")]
-        yield f"    <{kind} name={names[0]} site1={names[1]} site2={names[2]} {tight} />"
+def _equalities(held: Sequence[rod.Held], time: float) -> Iterator[str]:
+    """Return constraints without compliance, of a time constant in s."""
+    stiff = f'solref="{time:{_DIGITS}} 1" solimp="0.9999 0.99999 1e-6"'
+    for boundary in held:
+        kind = "connect" if boundary.frame is None else "weld"
+        names = [quoteattr(f"{word}_{boundary.name}") for word in ("hold", "at", "hold")]
+        yield f"    <{kind} name={names[0]} site1={names[1]} site2={names[2]} {stiff} />"
 
 
 def _strings(strings: Sequence[rod.String]) -> Iterator[str]:
     for string in strings:
-        at, anchor = quoteattr(f"at_{_name(string)}"), quoteattr(f"anchor_{_name(string)}")
+        at, anchor = quoteattr(f"at_{string.name}"), quoteattr(f"anchor_{string.name}")
         yield (
-            f'    <spatial name={quoteattr(_name(string))} limited="true" '
+            f'    <spatial name={quoteattr(string.name)} limited="true" '
             f'range="0 {string.length:{_DIGITS}}">'
             f"<site site={at} /><site site={anchor} /></spatial>"
         )
@@ -187,10 +180,10 @@ def _strings(strings: Sequence[rod.String]) -> Iterator[str]:
 
 def _loads(loads: Sequence[rod.Load]) -> Iterator[str]:
     for load in loads:
-        at = quoteattr(f"at_{_name(load)}")
+        at = quoteattr(f"at_{load.name}")
         for number, axis in enumerate("xyz"):
-            gear = _numbers(np.eye(6)[number])
-            name = quoteattr(f"{_name(load)}_{axis}")
+            gear = _joined(np.eye(6)[number])
+            name = quoteattr(f"{load.name}_{axis}")
             yield f'    <motor name={name} site={at} refsite="space" gear="{gear}" />'
 
 
@@ -201,38 +194,41 @@ def _chain_bodies(
     tied: Sequence[rod.Held | rod.String | rod.Load],
     base: rod.Held | None,
 ) -> Iterator[str]:
-    """The chain, on its base or free in space; its first and last body are half as long."""
+    """Return the chain, on its base or free in space; its end bodies are half as long."""
     h, last = chain.spacing, chain.nodes
     frames = multiply(_frames_at(line, chain), _TO_BODY)
     sites = _sites(line, chain, tied)
-    own = _own_word([_name(load) for load in tied])
-    name = f"{own}_0" if base is None else _name(base)
+    prefix = _unused_prefix([load.name for load in tied])
+    name = f"{prefix}_0" if base is None else base.name
     kind = "><freejoint />" if base is None else ' mocap="true">'
-    place = f'pos="{_numbers(line.positions[0])}" quat="{_numbers(frames[0])}"'
+    place = f'pos="{_joined(line.positions[0])}" quat="{_joined(frames[0])}"'
     yield f"    <body name={quoteattr(name)} {place}{kind}"
-    yield from _piece(chain, 0.5 * h, sites[0])
+    yield from _geom_and_sites(chain, 0.5 * h, sites[0])
     for node in range(1, last + 1):
         begin, reach = (0.5 * h if node == 1 else h), (0.5 * h if node == last else h)
         turn = multiply(conjugate(frames[node - 1]), frames[node])
-        yield f'    <body name="{own}_{node}" pos="{begin:{_DIGITS}} 0 0" quat="{_numbers(turn)}">'
+        place = f'pos="{begin:{_DIGITS}} 0 0" quat="{_joined(turn)}"'
+        yield f'    <body name="{prefix}_{node}" {place}>'
         for name, axis, stiffness in hinges.axes:
             yield (
                 f'      <joint name="{name}_{node}" axis="{axis}" '
                 f'stiffness="{stiffness / h:{_DIGITS}}" />'
             )
-        yield from _piece(chain, reach, sites[node])
+        yield from _geom_and_sites(chain, reach, sites[node])
     yield "    " + "</body>" * (last + 1)
 
 
-def _own_word(names: Sequence[str]) -> str:
-    """How the names of the chain's own bodies begin: as none of the file's does."""
-    word = "node"
-    while any(name.startswith(f"{word}_") for name in names):
-        word = f"_{word}"
-    return word
+def _unused_prefix(names: Sequence[str]) -> str:
+    """Return a prefix for the bodies of the chain that no name of the file begins with."""
+    prefix = "node"
+    while any(name.startswith(f"{prefix}_") for name in names):
+        prefix = f"_{prefix}"
+    return prefix
 
 
-def _piece(chain: Chain, reach: float, sites: Sequence[tuple[str, float]]) -> Iterator[str]:
+def _geom_and_sites(
+    chain: Chain, reach: float, sites: Sequence[tuple[str, float]]
+) -> Iterator[str]:
     yield (
         f'      <geom fromto="0 0 0 {reach:{_DIGITS}} 0 0" '
         f'mass="{chain.mass_per_length * reach:{_DIGITS}}" />'
@@ -244,18 +240,18 @@ def _piece(chain: Chain, reach: float, sites: Sequence[tuple[str, float]]) -> It
 def _sites(
     line: Line, chain: Chain, tied: Sequence[rod.Held | rod.String | rod.Load]
 ) -> list[list[tuple[str, float]]]:
-    """By body, names of places on it and how far they are from its begin, m."""
+    """Return by body the names of places on it and their distances from its start, m."""
     sites: list[list[tuple[str, float]]] = [[] for _ in range(chain.nodes + 1)]
     for load in tied:
         along = float(line.stations[load.node])
         body = min(int(along / chain.spacing + 0.5), chain.nodes)
         begin = (body - 0.5) * chain.spacing if body else 0.0
-        sites[body].append((_name(load), along - begin))
+        sites[body].append((load.name, along - begin))
     return sites
 
 
 def _frames_at(line: Line, chain: Chain) -> Floats:
-    """Frames of the bodies at the start, shape (nodes + 1, 4): those of the elements there."""
+    """Return the frames of the bodies at the start, (nodes + 1, 4): those of the elements there."""
     middles = np.arange(chain.nodes + 1) * chain.spacing
     element = np.searchsorted(line.stations[1:-1], middles)
     steps = rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))

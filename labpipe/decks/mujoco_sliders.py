@@ -6,11 +6,11 @@ and, for each slider of `law.sliders`, a fixed tendon on its hinge: stiffness K_
 h kappa_j, h being the length of wire that the node stands for. Hinge i is at (i + 1/2) h, so that
 the chain is of second order in h.
 
-In space a node has two hinges, and the tendons of `law.slider_directions` on sums of their angles,
-in directions that are turned from one node to the next; a third hinge twists.
+In space a node has two hinges with the tendons of `law.slider_directions` on sums of their angles,
+in directions that are rotated from one node to the next; a third hinge twists.
 
-Springs that yield keep what a load leaves, overshoot included. So a load must be ramped, and the
-joints are damped; the deck says how long both take.
+Springs that yield keep the effect of an overshoot. Therefore a load must be ramped and the joints
+are damped; the deck states how long both take.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from labpipe.decks.deck_law import facts, mass_of, on_one_line
-from labpipe.decks.deck_losses import loss_words
-from labpipe.decks.slider_table import no_sliders
+from labpipe.decks.deck_losses import loss_text, percent
+from labpipe.decks.slider_table import no_sliders_text
 from labpipe.law.plays import is_within
 from labpipe.law.slider_directions import TURNS, in_directions, turned
 from labpipe.law.sliders import MOST_SLIDERS, SliderLaw, as_plays
@@ -34,24 +34,17 @@ from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads
 
 DIRECTIONS = 4
-"""Of scalar sliders in space; not turned from node to node they bend C4 up to 0.9 mm sideways."""
-MOST_IN_DIRECTION = 8
+"""Directions of scalar sliders in space; they differ from node to node."""
+MAX_SLIDERS_PER_DIRECTION = 8
 NODES = 30
-FEWEST_NODES = 3
+MIN_NODES = 3
 RAMP = 400
-"""Steps over which a load is to grow."""
+"""Steps of the ramp of a load."""
 REST = 600
-"""Steps until it has settled."""
+"""Steps until a load has settled."""
 
-_FIRST_ROOT = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
-_STEP = 1.0  # of the time 1 / (first angular frequency): springs and dampers are implicit
-_DAMPING = 0.5  # of a node's first stiffness times that time
-_WIDEST_NAME = 100
 _DIGITS = ".7g"
-_CHECKED, _HALVED = 0.3, 6
-"""Of the length, where the tip is in the check; how often that is halved for a law that ends."""
-_NO_SHARE = 1e-9  # of an angle
-_NODE = "@"  # stands for the number of a node
+_NODE = "@"  # placeholder of the number of a node
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +74,15 @@ class Chain:
 
     @property
     def unit_time(self) -> float:
-        """One over the first angular frequency while nothing slides, s."""
+        """Time step, s: one over the first angular frequency while nothing slides."""
+        first_root = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
         stretch = np.sqrt(self.law.first_stiffness / self.mass_per_length)
-        return float(self.length**2 / (_FIRST_ROOT**2 * stretch))
+        return float(self.length**2 / (first_root**2 * stretch))
 
     @property
     def damping(self) -> float:
         """Of a hinge, N m s."""
-        return _DAMPING * self.law.first_stiffness / self.spacing * self.unit_time
+        return 0.5 * self.law.first_stiffness / self.spacing * self.unit_time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +106,7 @@ class Hinges:
 def mujoco_plane_deck(
     table: WireTable, *, sliders: int = SLIDERS, length: float | None = None, nodes: int = NODES
 ) -> str:
-    """Write a clamped wire along x that bends in the plane of x and y, with its loops.
+    """Write a clamped wire along x that bends in the x-y plane, with hysteresis.
 
     Parameters
     ----------
@@ -123,7 +117,7 @@ def mujoco_plane_deck(
 
     Returns
     -------
-    MJCF. The actuator ``pull_y`` is a force at the tip, in N, whose direction does not turn.
+    MJCF. The actuator ``pull_y`` is a force at the tip, in N, of constant direction.
 
     Raises
     ------
@@ -132,19 +126,22 @@ def mujoco_plane_deck(
 
     Notes
     -----
-    A law that sliders cannot have (`fit_sliders`) gets the reason and nothing to run.
+    A law that cannot be fitted by sliders (`fit_sliders`) gets the reason and nothing to run.
     """
-    made = _law(table, sliders)
-    if isinstance(made, str):
-        return made
-    chain = _chain(table, made, length, nodes)
-    law = chain.law
+    law = _law(table, sliders)
+    if isinstance(law, str):
+        return law
+    chain = _chain(table, law, length, nodes)
+    chain_law = chain.law
     hinges = Hinges(
-        (("z", "0 0 1", law.stiffness),), np.ones((1, 1, 1)), law.stiffnesses, law.slip_curvatures
+        (("z", "0 0 1", chain_law.stiffness),),
+        np.ones((1, 1, 1)),
+        chain_law.stiffnesses,
+        chain_law.slip_curvatures,
     )
     lines = (
-        f"{len(law.stiffnesses)} sliders at each of {nodes} nodes, in one plane: within "
-        f"{100.0 * law.error:.2g} % of the wire's moment.",
+        f"{len(chain_law.stiffnesses)} sliders at each of {nodes} nodes, in one plane: within "
+        f"{100.0 * chain_law.error:.2g} % of the moment.",
     )
     return _deck(table, chain, hinges, lines, pulls="y")
 
@@ -157,7 +154,7 @@ def mujoco_space_deck(
     length: float | None = None,
     nodes: int = NODES,
 ) -> str:
-    """Write a clamped wire along x that bends in every plane and twists, with its loops.
+    """Write a clamped wire along x that bends in every plane and twists, with hysteresis.
 
     Parameters
     ----------
@@ -175,16 +172,16 @@ def mujoco_space_deck(
     ValueError
         As `mujoco_plane_deck`.
     """
-    made = _law(table, sliders)
-    if isinstance(made, str):
-        return made
-    chain = _chain(table, made, length, nodes)
+    law = _law(table, sliders)
+    if isinstance(law, str):
+        return law
+    chain = _chain(table, law, length, nodes)
     hinges, lines = space_hinges(chain, directions)
     return _deck(table, chain, hinges, lines, pulls="yz")
 
 
 def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tuple[str, str]]:
-    """Hinges of a chain that bends in every plane and twists, and what a deck says of them.
+    """Return the hinges of a chain that bends in every plane and twists, with their comments.
 
     Parameters
     ----------
@@ -196,7 +193,7 @@ def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tu
         nothing = np.zeros(0)
         hinges = Hinges(_axes(chain, chain.law.stiffness), np.zeros((1, 0, 2)), nothing, nothing)
         return hinges, (f"Bending stiffness {chain.law.stiffness:.6g} N m2, constant.", twist)
-    few = in_directions(chain.law, directions, most=MOST_IN_DIRECTION)
+    few = in_directions(chain.law, directions, most=MAX_SLIDERS_PER_DIRECTION)
     axes = _axes(chain, few.stiffness * directions / 2.0)
     tendons = np.array([few.turned_normals(share) for share in TURNS])
     hinges = Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)
@@ -204,41 +201,36 @@ def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tu
     angles = ", ".join(f"{180.0 / directions * share:.4g}" for share in TURNS)
     lines = (
         f"{len(few.stiffnesses)} sliders in each of {directions} directions at each of "
-        f"{chain.nodes} nodes, turned from node to node by {angles} deg. MuJoCo has no vector "
-        f"sliders: bent in the worst direction, the moment of {len(TURNS)} nodes together is "
-        f"{_percent(mean.error)} off, and {_percent(mean.sideways)} of it points sideways (of one "
-        "alone: "
-        f"{_percent(few.error)}, {_percent(few.sideways)}).",
+        f"{chain.nodes} nodes, rotated from node to node by {angles} deg. MuJoCo has no vector "
+        f"sliders: in the worst direction of bending, the moment of {len(TURNS)} nodes has an "
+        f"error of {percent(mean.error)} and a lateral part of {percent(mean.sideways)} (one node: "
+        f"{percent(few.error)}, {percent(few.sideways)}).",
         twist,
     )
     return hinges, lines
 
 
 def _axes(chain: Chain, spring: float) -> tuple[tuple[str, str, float], ...]:
-    """Hinges of a node in space with their springs, N m^2."""
+    """Return the hinges of a node in space with their springs, N m^2."""
     twist = ("x", "1 0 0", chain.torsional_stiffness)
     return ("z", "0 0 1", spring), ("y", "0 -1 0", spring), twist
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"
-
-
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
-    """Sliders of a wire, or a deck that says why there are none."""
+    """Return the sliders of a wire, or a deck with the reason why there are none."""
     if not 1 <= sliders <= MOST_SLIDERS:
         message = f"sliders={sliders}: allowed are numbers from 1 to {MOST_SLIDERS}"
         raise ValueError(message)
     try:
         return sliders_of(table, sliders)
     except ValueError as error:
-        name = on_one_line(table.name, _WIDEST_NAME)
-        lines = "\n".join(map(comment, (*facts(table, name), no_sliders(error))))
+        name = on_one_line(table.name)
+        lines = "\n".join(map(comment, (*facts(table, name), no_sliders_text(error))))
         return f"<mujoco model={quoteattr(name)}>\n{lines}\n</mujoco>\n"
 
 
 def comment(line: str) -> str:
-    """A line of text in XML, in which two hyphens would end a comment.
+    """Return an XML comment, in which two hyphens are not allowed.
 
     Parameters
     ----------
@@ -252,8 +244,8 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
     if not (np.isfinite(length) and length > 0.0):
         message = f"length={length!r}: allowed are finite numbers > 0"
         raise ValueError(message)
-    if nodes < FEWEST_NODES:
-        message = f"nodes={nodes}: allowed are numbers >= {FEWEST_NODES}"
+    if nodes < MIN_NODES:
+        message = f"nodes={nodes}: allowed are numbers >= {MIN_NODES}"
         raise ValueError(message)
     return Chain(
         law,
@@ -268,15 +260,15 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
 def _deck(
     table: WireTable, chain: Chain, hinges: Hinges, lines: tuple[str, ...], *, pulls: str
 ) -> str:
-    """The whole text; written line by line, as a chain has thousands of springs."""
+    """Return the whole text, which is not built as a tree: a chain has thousands of springs."""
     comments = [*_comments(table, chain), *lines]
     gears = {"y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
-    model = quoteattr(on_one_line(table.name, _WIDEST_NAME))
+    model = quoteattr(on_one_line(table.name))
     text = [
         f"<mujoco model={model}>",
         *map(comment, comments),
         '  <compiler angle="radian" />',
-        f'  <option timestep="{_STEP * chain.unit_time:{_DIGITS}}" integrator="discrete" '
+        f'  <option timestep="{chain.unit_time:{_DIGITS}}" integrator="discrete" '
         'gravity="0 0 0"><flag contact="disable" /></option>',
         *default_lines(chain, hinges),
         "  <worldbody>",
@@ -299,7 +291,7 @@ def _deck(
 
 
 def default_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
-    """What all nodes have alike: hinges, wire, and a class for each slider.
+    """Return the defaults of all nodes: hinges, geometry and a class for each slider.
 
     Parameters
     ----------
@@ -322,18 +314,18 @@ def default_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
 
 def _comments(table: WireTable, chain: Chain) -> tuple[str, ...]:
     return (
-        *facts(table, on_one_line(table.name, _WIDEST_NAME)),
-        "Unloading and cycles follow by Masing's rule: springs that yield, and keep what a load "
-        "leaves.",
-        loss_words(table_card(table)),
-        f"Ramp every load, over {RAMP} steps or more, and give it {REST} steps to settle: springs "
-        "that yield keep what a load overshoots. With a tenth of the damping here a load that "
-        "jumps leaves 5 to 17 % too much.",
-        "actuators pull_y (pull_z): force at the tip in N, in a direction that does not turn.",
+        *facts(table, on_one_line(table.name)),
+        "Unloading and cycles follow Masing's rule: the springs yield and keep their plastic "
+        "displacement.",
+        loss_text(table_card(table)),
+        f"Ramp every load over {RAMP} steps or more and let it settle for {REST} steps: springs "
+        "that yield keep the effect of an overshoot. A stepped load with a tenth of this damping "
+        "leaves 5 to 17 % too much.",
+        "Actuators pull_y (pull_z): force at the tip in N, of constant direction.",
         f"Free length {chain.length:.6g} m, clamped at x = 0; hinge i at (i + 1/2) "
         f"{chain.spacing:.6g} m.",
-        f"Mass {chain.mass_per_length:.4g} kg/m, for the way to rest only: there is no gravity. So "
-        "is the damping.",
+        f"Mass {chain.mass_per_length:.4g} kg/m and damping matter until rest only: there is no "
+        "gravity.",
         "For MuJoCo 4.0 and later: earlier versions have no springyield and refuse this file.",
         *_check(chain.law, chain.length),
     )
@@ -341,17 +333,18 @@ def _comments(table: WireTable, chain: Chain) -> tuple[str, ...]:
 
 @lru_cache(maxsize=4)  # a law is known by its identity
 def _check(law: SliderLaw, length: float) -> tuple[str, ...]:
-    """A load and where it brings the tip: an engine that skips what it does not know shows here."""
-    plays, share = as_plays(law), _CHECKED
-    for _ in range(_HALVED):
+    """Return a load and its tip deflection, to detect an engine that ignores springyield."""
+    plays, share = as_plays(law), 0.3  # deflection over length, halved for a law that ends before
+    max_halvings = 6
+    for _ in range(max_halvings):
         bent = end_loads(plays, length, np.array([share * length]))
         if is_within(plays, float(bent.clamp_moment[0])):
             load = float(bent.load[0])
             stuck = load * length**3 / (3.0 * law.first_stiffness)
             return (
                 f"Check: pull_y = {load:.4g} N, ramped, brings the tip to y = "
-                f"{share * length:.4g} m, within 2 %. An engine that leaves springyield out stops "
-                f"at {stuck:.3g} m.",
+                f"{share * length:.4g} m, within 2 %. An engine that ignores springyield stops at "
+                f"{stuck:.3g} m.",
             )
         share *= 0.5
     return ()
@@ -377,7 +370,7 @@ def _bodies(chain: Chain, hinges: Hinges) -> Iterator[str]:
 
 
 def tendon_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
-    """Sliders of all nodes, each a tendon on the node's hinges.
+    """Return the sliders of all nodes, each a tendon on the hinges of its node.
 
     Parameters
     ----------
@@ -387,9 +380,9 @@ def tendon_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
     classes = [f"slider_{number}" for number in range(1, len(hinges.stiffnesses) + 1)]
     blocks = [
         "\n".join(
-            f'    <fixed class="{each}">{_joints(hinges, row)}</fixed>'
+            f'    <fixed class="{name}">{_joints(hinges, row)}</fixed>'
             for row in shares.tolist()
-            for each in classes
+            for name in classes
         )
         for shares in hinges.tendons
     ]
@@ -398,9 +391,9 @@ def tendon_lines(chain: Chain, hinges: Hinges) -> Iterator[str]:
 
 
 def _joints(hinges: Hinges, shares: Sequence[float]) -> str:
-    """Joints of a tendon, of a node that is still to be numbered."""
+    """Return the joints of a tendon, with a placeholder for the number of the node."""
     return "".join(
         f'<joint joint="{name}_{_NODE}" coef="{share:{_DIGITS}}" />'
         for (name, _, _), share in zip(hinges.axes, shares, strict=False)
-        if abs(share) > _NO_SHARE
+        if abs(share) > 1e-9
     )

@@ -1,4 +1,4 @@
-"""A wire's law as sliders, for programs that read numbers: CSV and JSON, with what it loses."""
+"""Law of a wire as sliders, for programs that read numbers: CSV and JSON, with its errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from labpipe import __version__
 from labpipe.decks.deck_law import facts, mass_of, on_one_line
-from labpipe.decks.deck_losses import card_numbers, loss_words
+from labpipe.decks.deck_losses import card_numbers, loss_text
 from labpipe.law.slider_directions import in_directions
 from labpipe.law.sliders import slip_moments
 from labpipe.law.table_sliders import sliders_of, table_card
@@ -17,7 +17,6 @@ SCHEMA = 1
 """Version of the JSON."""
 DIRECTIONS = 4
 
-_WIDEST_NAME = 100
 _MEANING = (
     "moment = stiffness * curvature + sum of stiffnesses[j] * stop[j], |stop[j]| <= "
     "slip_curvatures[j]; stop[j] changes with the curvature and stays at its limit; in space "
@@ -39,8 +38,8 @@ _UNITS = {
 }
 
 
-def no_sliders(error: ValueError) -> str:
-    """Say in a deck why there are no sliders in it.
+def no_sliders_text(error: ValueError) -> str:
+    """Return the sentence of a deck that has no sliders.
 
     Parameters
     ----------
@@ -54,20 +53,20 @@ def sliders_csv(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire; one that sliders cannot have gets the reason and no rows
+    table : law of the wire; one that cannot be fitted by sliders gets the reason and no rows
     """
-    lines = [f"# {line}" for line in facts(table, on_one_line(table.name, _WIDEST_NAME))]
+    lines = [f"# {line}" for line in facts(table, on_one_line(table.name))]
     try:
         law = sliders_of(table)
     except ValueError as error:
-        return "\n".join([*lines, f"# {no_sliders(error)}"]) + "\n"
+        return "\n".join([*lines, f"# {no_sliders_text(error)}"]) + "\n"
     lines += [
         f"# Mass {mass_of(table):.9g} kg/m, torsional stiffness {table.torsional_stiffness:.9g} "
         "N m^2.",
         f"# {len(law.stiffnesses)} sliders, within {100.0 * law.error:.2g} % of the wire's moment.",
-        f"# {loss_words(table_card(table))}",
-        "# The first row is the spring, which never slides. On reversal a slider gives way after "
-        "twice its slip curvature (Masing).",
+        f"# {loss_text(table_card(table))}",
+        "# The first row is the spring, which never slides. On reversal a slider slips after twice "
+        "its slip curvature (Masing).",
         "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
         f"{law.stiffness!r},inf,inf",
     ]
@@ -81,13 +80,13 @@ def sliders_json(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire; one that sliders cannot have gets the reason and no numbers
+    table : law of the wire; one that cannot be fitted by sliders gets the reason and no numbers
     """
     about = {"schema": SCHEMA, "labpipe": __version__, "wire": table.name}
     try:
         law, card = sliders_of(table), table_card(table)
     except ValueError as error:
-        return json.dumps({**about, "reason": no_sliders(error)}, indent=1) + "\n"
+        return json.dumps({**about, "reason": no_sliders_text(error)}, indent=1) + "\n"
     space = in_directions(law, DIRECTIONS)
     whole = {
         **about,

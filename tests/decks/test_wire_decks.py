@@ -26,7 +26,7 @@ from labpipe.decks.deck_law import (
     file_stem,
     linear_range,
     on_one_line,
-    skew_excess,
+    skew_bending_error,
     solid_area,
 )
 from labpipe.decks.deck_losses import percent
@@ -260,16 +260,16 @@ def test_a_wire_without_a_cantilever_gets_the_reason_alone() -> None:
     table = replace(wire_table(), tip_deflection=np.zeros(1), tip_force=np.zeros(1), notes=(note,))
     text = calculix_deck(table)
     assert all(line.startswith("**") for line in text.splitlines())
-    assert text.endswith("** No model of it:\n** no curve: the law stiffens\n")
+    assert text.endswith("** No model:\n** no curve: the law stiffens\n")
     silent = calculix_deck(replace(table, notes=()))
-    assert silent.endswith("** No model of it:\n** the table has no cantilever\n")
+    assert silent.endswith("** No model:\n** the table has no cantilever\n")
 
 
 def test_a_law_that_the_bar_cannot_follow_is_told() -> None:
     table = wire_table()
     text = calculix_deck(replace(table, moment=1e-6 * table.curvature**2))
     assert "% above the wire's (at " in text
-    assert "Nowhere up to the end of the range is it within 1 % of the wire's moment." in text
+    assert "Its error exceeds 1 % of the moment up to the end of the range." in text
 
 
 def test_numbers_out_of_range(approved: Approve) -> None:
@@ -429,9 +429,9 @@ def test_at_the_ends_of_the_range_a_wire_is_off_by_five_per_cent(
 
 
 def test_bending_askew_of_a_plateau_is_too_stiff_by_root_two() -> None:
-    excess = skew_excess(table_of([0.0, 1e-3, 10.0], [0.0, 1.0, 1.0 + 1e-9]))
+    excess = skew_bending_error(table_of([0.0, 1e-3, 10.0], [0.0, 1.0, 1.0 + 1e-9]))
     assert excess == pytest.approx(np.sqrt(2.0) - 1.0, rel=1e-6)
-    linear = skew_excess(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]))
+    linear = skew_bending_error(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]))
     assert linear == pytest.approx(0.0, abs=1e-12)
 
 
