@@ -13,10 +13,9 @@ from labpipe.records.curve import Interval
 from labpipe.report.wording import plain_numbers
 from labpipe.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
 from labpipe.units import parse_quantity
-from labpipe.wire.bundle_packing import WANTED
+from labpipe.wire.bundle_packing import WANTED_FRACTION
 
 _WIDTH = 44
-_WIDE = 52
 
 
 def run(options: argparse.Namespace) -> int:
@@ -85,12 +84,13 @@ def bundle_table(modelled: ModelledBundle) -> str:
     return "\n".join([*lines, f"results: {from_here(modelled.folder)}"])
 
 
-def _stiffness(words: str, value: float) -> str:
+def _stiffness(label: str, value: float) -> str:
     digits = float(f"{1e6 * value:.5g}")  # never as a power of ten
-    return f"  {words:<{_WIDTH}}{digits:>12.10g} N mm^2"
+    return f"  {label:<{_WIDTH}}{digits:>12.10g} N mm^2"
 
 
 def _friction(modelled: ModelledBundle) -> Iterator[str]:
+    label_width = 52
     if modelled.no_friction:
         yield f"  no loop is predicted: {modelled.no_friction}"
     fit = modelled.friction
@@ -98,15 +98,15 @@ def _friction(modelled: ModelledBundle) -> Iterator[str]:
         return
     written = plain_numbers(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     held = f"{written(fit.held):>6} %, 95 %: {written(fit.held_lower)} to {written(fit.held_upper)}"
-    for words, shown in (
+    for label, number in (
         ("share of the wires' axial stiffness that takes part", _share(fit.composite_share)),
         ("share of it still held once they slip (fitted)", held),
         ("error where it was fitted, of the peak force", _share(fit.error_fitted)),
         ("error of what was left out, of the peak force", _share(fit.error_held_out)),
     ):
-        yield f"  {words:<{_WIDE}}{shown} %"
+        yield f"  {label:<{label_width}}{number} %"
     loss = f"{1e3 * fit.loss:.3g} mJ measured, {1e3 * fit.predicted_loss:.3g} mJ predicted"
-    yield f"  {'work lost over the cycles left out':<{_WIDE}}{loss}"
+    yield f"  {'work lost over the cycles left out':<{label_width}}{loss}"
 
 
 def _share(share: float) -> str:
@@ -121,12 +121,12 @@ def _direction(modelled: ModelledBundle) -> str:
 
 
 def _conduits(modelled: ModelledBundle) -> Iterator[str]:
-    words = f"bore for a packing fraction of {WANTED:g}"
+    label = f"bore for a packing fraction of {WANTED_FRACTION:g}"
     mark = "  the wires do not fit" if modelled.wanted_bore < modelled.model.smallest_bore else ""
-    yield f"  {words:<{_WIDTH}}{1e3 * modelled.wanted_bore:>12.5g} mm{mark}"
+    yield f"  {label:<{_WIDTH}}{1e3 * modelled.wanted_bore:>12.5g} mm{mark}"
     chosen = modelled.model.bundle.conduit_bore
     for conduit in modelled.conduits:
-        words = f"packing fraction in a bore of {1e3 * conduit.bore:.4g} mm"
+        label = f"packing fraction in a bore of {1e3 * conduit.bore:.4g} mm"
         mark = "" if conduit.holds else "  the wires do not fit"
         mark = "  chosen" if conduit.bore == chosen and len(modelled.conduits) > 1 else mark
-        yield f"  {words:<{_WIDTH}}{conduit.packing_fraction:>12.3g}{mark}"
+        yield f"  {label:<{_WIDTH}}{conduit.packing_fraction:>12.3g}{mark}"

@@ -23,8 +23,6 @@ N_KNOTS = 24
 """Points of the stress-strain curve."""
 ELASTIC_SHARE = 0.002
 """End of the elastic range, as a share of the largest curvature."""
-_STEEPEST = 0.999  # of the modulus: a curve as steep as it would have no plastic strain
-_MOST_ROUNDS = 20  # for each slope; one, as by default, ended some searches half-way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,10 +131,12 @@ def equivalent_material(
 
 def _bounded_slopes(parts: Floats, wanted: Floats) -> Floats:
     """Least squares between zero and `_STEEPEST`; that above zero, found sooner, if it is so."""
-    most = _MOST_ROUNDS * parts.shape[1]
+    max_slope = 0.999  # of the modulus: as steep as it, a curve has no plastic strain
+    rounds_per_slope = 20  # with the default of one some searches stop early
+    most = rounds_per_slope * parts.shape[1]
     slopes = nnls(parts, wanted, maxiter=most)[0]
-    if np.any(slopes > _STEEPEST):
-        bounds = (0.0, _STEEPEST)
+    if np.any(slopes > max_slope):
+        bounds = (0.0, max_slope)
         slopes = lsq_linear(parts, wanted, bounds=bounds, method="bvls", max_iter=most).x
     return np.asarray(slopes)
 

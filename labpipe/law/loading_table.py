@@ -12,8 +12,6 @@ from labpipe.records.arrays import Floats
 
 Bent: TypeAlias = tuple[Floats, Floats]
 """Curvature, 1/m, and its slope by the moment, 1/(N m^2)."""
-_BEYOND = 1.0
-"""Of the last corner of a law of plays: how far beyond it the table has a knot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,8 +38,9 @@ class LoadingTable:
     @classmethod
     def of_plays(cls, law: MomentLaw) -> LoadingTable:
         """Table of a law of plays, which is straight between its corners."""
+        last_step_factor = 1.0
         moment, curvature, slopes = corners_of(law)
-        step = _BEYOND * (moment[-1] or law.stiffness)
+        step = last_step_factor * (moment[-1] or law.stiffness)
         moment = np.append(moment, moment[-1] + step)
         curvature = np.append(curvature, curvature[-1] + slopes[-1] * step)
         none = np.zeros((0, len(slopes)))

@@ -20,12 +20,7 @@ COUNTS = (4, 6, 8, 12)
 DIRECTIONS = 4
 """Of scalar sliders, of which a card tells the loss."""
 
-_ENOUGH = 80
-_DECAYS = 60
-_EXCHANGES = 40
-_TURNS, _WAY = 40, 41
-_STILL = 1e-9
-"""Error above the even one, absolute and as a share of it, of points that stay."""
+_N_DECAYS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +95,10 @@ def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> Los
 
 def _fewer(curvature: Floats, moment: Floats) -> tuple[Floats, Floats]:
     """Some points of a law, its ends included: enough for a smooth curve of three numbers."""
-    if len(curvature) <= _ENOUGH:
+    max_rows = 80
+    if len(curvature) <= max_rows:
         return curvature, moment
-    rows = np.round(np.linspace(0.0, len(curvature) - 1.0, _ENOUGH)).astype(np.int64)
+    rows = np.round(np.linspace(0.0, len(curvature) - 1.0, max_rows)).astype(np.int64)
     return curvature[rows], moment[rows]
 
 
@@ -140,10 +136,12 @@ def turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
     on the wire yields the other way, by as much more as the first loading is plastic:
     M = -M(2 kappa_0 - kappa - 2 M_0 / S).
     """
+    n_turns = 40
+    n_points = 41
     slope = moment[1] / curvature[1]
-    turn = np.geomspace(min(curvature[1], 0.25 * curvature[-1]), 0.5 * curvature[-1], _TURNS)
+    turn = np.geomspace(min(curvature[1], 0.25 * curvature[-1]), 0.5 * curvature[-1], n_turns)
     turn = turn[:, None]
-    at = turn * np.linspace(0.0, 1.0, _WAY)
+    at = turn * np.linspace(0.0, 1.0, n_points)
     top = np.interp(turn, curvature, moment)
     wanted = top - 2.0 * np.interp(0.5 * (turn - at), curvature, moment)
     straight = top - slope * (turn - at)
@@ -177,24 +175,26 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
         moment = np.insert(moment, 1, np.interp(middle, curvature, moment))
         curvature = np.insert(curvature, 1, middle)
     coarse = _best_dahl(curvature, moment, 0.3 * curvature[0], 3.0 * curvature[-1])
-    near = (10.0 * curvature[-1] / curvature[0]) ** (2.0 / _DECAYS)
+    near = (10.0 * curvature[-1] / curvature[0]) ** (2.0 / _N_DECAYS)
     return _best_dahl(curvature, moment, coarse.decay / near, coarse.decay * near)
 
 
 def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) -> DahlLaw:
-    decay = np.geomspace(least, largest, _DECAYS)
-    spring = np.broadcast_to(curvature / moment, (_DECAYS, len(curvature)))
+    max_exchanges = 40
+    convergence_tolerance = 1e-9  # of the error, absolute and relative
+    decay = np.geomspace(least, largest, _N_DECAYS)
+    spring = np.broadcast_to(curvature / moment, (_N_DECAYS, len(curvature)))
     slider = -np.expm1(-curvature / decay[:, None]) / moment
-    points = np.tile([0, len(curvature) // 2, len(curvature) - 1], (_DECAYS, 1))
-    for _ in range(_EXCHANGES):
+    points = np.tile([0, len(curvature) // 2, len(curvature) - 1], (_N_DECAYS, 1))
+    for _ in range(max_exchanges):
         sides = [np.take_along_axis(each, points, axis=1) for each in (spring, slider)]
         signs = np.broadcast_to([1.0, -1.0, 1.0], points.shape)
-        level = np.linalg.solve(np.stack([*sides, signs], axis=2), np.ones((_DECAYS, 3, 1)))
+        level = np.linalg.solve(np.stack([*sides, signs], axis=2), np.ones((_N_DECAYS, 3, 1)))
         stiffness, height, even = level[..., 0].T
         off = 1.0 - stiffness[:, None] * spring - height[:, None] * slider
         worst = np.argmax(np.abs(off), axis=1)
         most = np.take_along_axis(off, worst[:, None], axis=1)[:, 0]
-        moves = np.abs(most) > np.abs(even) * (1.0 + _STILL) + _STILL
+        moves = np.abs(most) > np.abs(even) * (1.0 + convergence_tolerance) + convergence_tolerance
         if not moves.any():
             break
         swapped = _exchanged(points, worst, np.sign(most), np.sign(even[:, None]) * signs)

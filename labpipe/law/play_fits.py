@@ -9,9 +9,6 @@ import numpy as np
 from labpipe.law.plays import PlayLaw, require_positive
 from labpipe.records.arrays import Floats
 
-_MOST_BRIDGED = 0.01  # of the moment: more would be another law
-_ROUNDING = 1e-7  # of the first slope: what differences of close corners are worth
-
 
 def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     """Plays of a polygon through the origin and given points of a first loading, the last its end.
@@ -27,12 +24,13 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
         If the moment does not grow (softens), or a later slope is above an earlier one (stiffens);
         the message says the curvature.
     """
+    rounding_share = 1e-7  # of the first slope, from differences of close corners
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
         at = curvature[int(np.argmin(slopes > 0.0))]
         message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
         raise ValueError(message)
-    if np.any(np.diff(slopes) > _ROUNDING * slopes[0]):
+    if np.any(np.diff(slopes) > rounding_share * slopes[0]):
         at = curvature[int(np.argmax(np.diff(slopes))) + 1]
         message = (
             f"the law stiffens before curvature={at:.6g} 1/m: allowed is a slope that never grows"
@@ -59,14 +57,15 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
         If the moment does not grow, or the bridges are more than 1 % of the moment above the law;
         the message says the curvature.
     """
+    max_bridged_share = 0.01  # of the moment: more would be another law
     kept = _upper_corners(curvature, moment)
     bridged = np.interp(curvature, np.append(0.0, curvature[kept]), np.append(0.0, moment[kept]))
     above = bridged / moment - 1.0
-    if np.any(above > _MOST_BRIDGED):
+    if np.any(above > max_bridged_share):
         at = int(np.argmax(above))
         message = (
             f"the law stiffens at curvature={curvature[at]:.6g} 1/m: a law that never does is "
-            f"{100.0 * above[at]:.2g} % above it, allowed is {100.0 * _MOST_BRIDGED:.0f} %"
+            f"{100.0 * above[at]:.2g} % above it, allowed is {100.0 * max_bridged_share:.0f} %"
         )
         raise ValueError(message)
     return polygon_law(curvature[kept], moment[kept])

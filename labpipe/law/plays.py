@@ -23,8 +23,6 @@ import numpy as np
 
 from labpipe.records.arrays import ArrayRecord, Floats
 
-_ROUNDING = 1e-6  # of the last moment: that at which a search for it ends
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
@@ -192,7 +190,8 @@ def first_curvature(law: MomentLaw, moment: Floats) -> Floats:
 
 def is_within(law: MomentLaw, moment: float) -> bool:
     """Whether a law goes as far as a moment, N m, either sign, but for rounding."""
-    return bool(abs(moment) <= law.largest_moment * (1.0 + _ROUNDING))
+    rounding_share = 1e-6  # of the last moment, to which a moment is searched
+    return bool(abs(moment) <= law.largest_moment * (1.0 + rounding_share))
 
 
 def require_within(law: MomentLaw, moment: Floats, what: str) -> None:

@@ -28,12 +28,7 @@ MOST_SLIDERS = 16
 TURNS = (0.0, 0.5, 0.25, 0.75)
 """Of the angle between two directions, by which those of one node after another may be turned."""
 
-_GRID = 48
-"""Slip curvatures to choose from."""
-_POINTS = 80
-_ANGLES = 13
-_BEYOND = 1.6
-"""Times the last slip curvature: vector sliders slide together, scalar ones until there."""
+_N_ANGLES = 13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +85,8 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     sliders and as a mean over all directions, on a grid of slip curvatures; then the nearest ones
     are made one until few enough are left.
     """
+    n_slips = 48  # slip curvatures to choose from
+    last_slip_factor = 1.6  # vector sliders slide together, scalar ones only until there
     if directions < 2:
         message = f"directions={directions}: allowed are numbers >= 2"
         raise ValueError(message)
@@ -101,8 +98,11 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     if not law.stiffnesses.size:
         slips, found = np.zeros(0), np.array([law.stiffness])
     else:
-        ends = 0.5 * law.slip_curvatures[0], min(_BEYOND * law.slip_curvatures[-1], law.last)
-        slips = np.geomspace(*ends, _GRID)
+        ends = (
+            0.5 * law.slip_curvatures[0],
+            min(last_slip_factor * law.slip_curvatures[-1], law.last),
+        )
+        slips = np.geomspace(*ends, n_slips)
         found = _fitted(size, wanted, slips, directions)
         while np.count_nonzero(found[1:]) > most or not np.all(found[1:]):
             slips = _fewer(slips, found[1:])
@@ -135,7 +135,8 @@ def turned(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
 
 
 def _sizes(law: SliderLaw) -> Floats:
-    return np.geomspace(law.first, law.last, _POINTS)
+    n_sizes = 80
+    return np.geomspace(law.first, law.last, n_sizes)
 
 
 def _judged(law: SliderLaw, made: DirectionalLaw) -> DirectionalLaw:
@@ -162,7 +163,7 @@ def _mean_held(size: Floats, slips: Floats, directions: int) -> Floats:
     Shape (curvatures, slips). A slider whose component of the curvature is p slides from slip / p
     on: sorted by p, those that slide are the last ones.
     """
-    turn = np.linspace(0.0, np.pi / directions, _ANGLES)[:-1]
+    turn = np.linspace(0.0, np.pi / directions, _N_ANGLES)[:-1]
     parts = np.sort(
         np.abs(np.cos(turn[:, None] - np.pi * np.arange(directions) / directions)).ravel()
     )
@@ -187,7 +188,7 @@ def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
 
     From a direction to the middle between two: beyond, all is the same mirrored.
     """
-    turn = np.linspace(0.0, 0.5 * np.pi / law.directions, _ANGLES + 1)
+    turn = np.linspace(0.0, 0.5 * np.pi / law.directions, _N_ANGLES + 1)
     towards = np.column_stack([np.cos(turn), np.sin(turn)])
     parts = towards @ law.normals.T
     corners = np.concatenate([[0.0], law.slip_curvatures, [2.0 * max(size[-1], 1.0)]])

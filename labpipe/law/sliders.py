@@ -26,8 +26,6 @@ from labpipe.law.plays import PlayLaw, require_positive
 from labpipe.law.thinning import thin
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
-_MOST_BRIDGED = 0.01
-"""Of the moment, by which a law that never stiffens may be above the one given."""
 MOST_SLIDERS = 64
 """Of a law: more tell nothing new."""
 
@@ -271,15 +269,16 @@ def within_range(
 
 def _require_concave(x: Floats, y: Floats) -> None:
     """Refuse a law that stiffens by more than can be bridged; `thin` refuses one that softens."""
+    max_bridged = 0.01  # of the moment, between the law and its concave hull
     slopes = np.diff(y) / np.diff(x)
     if np.all(slopes > 0.0) and np.any(np.diff(slopes) > 0.0):
         hull = thin(x, y, most=len(x))
         off = np.interp(x[1:], hull.curvature, hull.moment) / y[1:] - 1.0
-        if np.max(off) > _MOST_BRIDGED:
+        if np.max(off) > max_bridged:
             at = int(np.argmax(off)) + 1
             message = (
                 f"the law stiffens at curvature={x[at]:.6g} 1/m: a law that never does is "
-                f"{100.0 * off[at - 1]:.2g} % above it, allowed is {100.0 * _MOST_BRIDGED:.0f} %"
+                f"{100.0 * off[at - 1]:.2g} % above it, allowed is {100.0 * max_bridged:.0f} %"
             )
             raise ValueError(message)
 

@@ -8,11 +8,6 @@ import numpy as np
 
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
-_CORNER = 1e-6  # of a slope: what a later slope must at least be below the one before
-_ENOUGH = 1e-6  # of the tolerance: where halving it ends
-_NEAR = 0.03  # of the tolerance, from where errors are looked at one by one
-_FIRST_CUT = 0.1  # of the tolerance, until one is found that is too small
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thinned(ArrayRecord):
@@ -104,13 +99,14 @@ def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
 
 def _hull(x: list[float], y: list[float]) -> Ints:
     """Corners of the concave hull, the two ends included."""
+    min_slope_drop = 1e-6  # share by which the slope falls at a corner
     kept: list[int] = [0]
     for new in range(1, len(x)):
         while len(kept) > 1:
             before, last = kept[-2], kept[-1]
             arrives = (y[last] - y[before]) / (x[last] - x[before])
             leaves = (y[new] - y[last]) / (x[new] - x[last])
-            if leaves < arrives * (1.0 - _CORNER):
+            if leaves < arrives * (1.0 - min_slope_drop):
                 break
             kept.pop()
         kept.append(new)
@@ -119,15 +115,18 @@ def _hull(x: list[float], y: list[float]) -> Ints:
 
 def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
     """Among the choices of at most so many corners, the one with the smallest error."""
+    end_share = 1e-6  # of the tolerance, at which halving ends
+    near_share = 0.03  # of the tolerance, below which errors are tried one by one
+    first_cut = 0.1  # of the tolerance, until one is too small
     best = np.array([0, len(x) - 1])
     low, high = 0.0, _error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
     has_asked = False
-    while high - low > _ENOUGH * high:
+    while high - low > end_share * high:
         # errors are few: near the end it is asked whether there is any below the one found last
-        has_asked = not has_asked and high - low < _NEAR * high
-        middle = (1.0 - _ENOUGH) * high if has_asked else 0.5 * (low + high)
-        middle = middle if low > 0.0 else _FIRST_CUT * high
+        has_asked = not has_asked and high - low < near_share * high
+        middle = (1.0 - end_share) * high if has_asked else 0.5 * (low + high)
+        middle = middle if low > 0.0 else first_cut * high
         found = _as_far_as_allowed(plain_x, plain_y, middle, most)
         if len(found) > most:
             low = middle

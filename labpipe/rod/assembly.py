@@ -37,21 +37,6 @@ from labpipe.rod.rotations import (
 )
 from labpipe.rod.supports import Supports
 
-_YIELD = 1e-6
-"""Of an element's length, by which planes, strings and rings yield to the force of the whole line.
-Stiffer ones would turn the rounding of places into forces that can be seen."""
-_ROUNDED = 2e-15
-"""Of a line's length: how exact places are at best."""
-_CLOSE = 1e-9
-"""Of an element's length: how near to a plane a node touches it."""
-_LEAST_DRAG = 1e-10
-"""In the tangent only: keeps it solvable where a line may move freely without a force."""
-_OF_MOVING = 1e-2
-"""Of a drag: what moving feels beside bending."""
-_LEAST_GIVE = 1e-10
-"""Of an element's length under the force of the line, in the tangent only: keeps it solvable where
-a straight line between two places could carry any force."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
@@ -185,6 +170,12 @@ class Assembly:
         n_rings: int,
         force: float,
     ) -> None:
+        # of an element, under the whole force; stiffer contacts would amplify rounding
+        contact_yield = 1e-6
+        position_rounding = 2e-15  # of the line's length
+        # of an element, in the tangent only: keeps it regular for a straight line between two
+        # supports
+        min_stretch = 1e-10
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
         self.n = len(line.lengths)
         self._has_rings = n_rings > 0
@@ -196,10 +187,10 @@ class Assembly:
         self._inner = np.flatnonzero(self._free[0] & self._free[1])
         self._shares = self._coupling_shares()
         self._shortest = float(np.min(line.lengths))
-        self._stiff = force / (_YIELD * self._shortest)
+        self._stiff = force / (contact_yield * self._shortest)
         self.rounding = 0.0
         if planes or len(strings[0]) or n_rings:
-            self.rounding = _ROUNDED * self._stiff * line.length
+            self.rounding = position_rounding * self._stiff * line.length
         self.drag = self._drag_of(force)
         self.pattern = self._pattern()
         self.band = Band(*self.pattern, self._scale(), self._fixed())
@@ -208,7 +199,7 @@ class Assembly:
             _spread, (p.positions, p.turns, p.forces)
         )
         ones = np.ones(3 * self.n)
-        give = np.repeat(-_LEAST_GIVE / force * line.lengths, 3)
+        give = np.repeat(-min_stretch / force * line.lengths, 3)
         self._constants = np.concatenate([-ones, ones, -ones, ones, give])
 
     def balance(
@@ -222,6 +213,8 @@ class Assembly:
         memory : before the step
         drag : where it holds the line to
         """
+        min_drag = 1e-10  # tangent only: keeps it regular where a line is free to move
+        translation_drag = 1e-2  # share of the drag, beside that of bending
         line, p = self.line, self.places
         lengths = line.lengths * (1.0 + shape.stretches)
         cells = self._cells(shape, demands, memory, drag)
@@ -244,9 +237,9 @@ class Assembly:
         residual[p.stretches] = stretch
         residual[self._at_turns] = turns.ravel()
         residual[self._at_forces] = gaps.ravel()
-        drags = _LEAST_DRAG if drag is None else _OF_MOVING * drag.size
-        by_turn[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[self._at_turns].reshape(-1, 3)
-        by_place[:, _DIAGONAL, _DIAGONAL] += drags * self.drag[self._at_positions].reshape(-1, 3)
+        drags = min_drag if drag is None else translation_drag * drag.size
+        by_turn[:, _AXES, _AXES] += drags * self.drag[self._at_turns].reshape(-1, 3)
+        by_place[:, _AXES, _AXES] += drags * self.drag[self._at_positions].reshape(-1, 3)
         if drag is not None:
             residual += drags * self.drag * self.moved(drag.shape, shape)
         first = np.concatenate(
@@ -399,13 +392,14 @@ class Assembly:
         self, shape: Shape, demands: Demands, memory: LineMemory
     ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
         """Residuals of the positions, the tangents of each by itself, planes and strings."""
+        touch_share = 1e-9  # of an element's length
         residual = -demands.forces
         residual[:-1] -= shape.forces
         residual[1:] += shape.forces
         tangent = np.zeros((self.n + 1, 3, 3))
         touches = tuple(
             touch_plane(
-                plane, self._stiff, shape.positions, contacts, close=_CLOSE * self._shortest
+                plane, self._stiff, shape.positions, contacts, close=touch_share * self._shortest
             )
             for plane, contacts in zip(self.planes, memory.contacts, strict=True)
         )
@@ -538,12 +532,12 @@ class Assembly:
         return np.where(np.stack(self._free, axis=1), each[self._sides], 0.0)
 
 
-_DIAGONAL = np.arange(3)
+_AXES = np.arange(3)
 
 
 def _spread(first: Ints) -> Ints:
     """Places of three unknowns each."""
-    return np.asarray((first[:, None] + _DIAGONAL).ravel())
+    return np.asarray((first[:, None] + _AXES).ravel())
 
 
 def _diagonal(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:

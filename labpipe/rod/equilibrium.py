@@ -17,25 +17,6 @@ from labpipe.rod.rotations import (
     unit,
 )
 
-_ITERATIONS = 20
-_CLOSE = 1e-10
-"""Of force, moment and length of the whole line, by which an equilibrium may be off."""
-_STILL = 1e-11
-"""Of length and rad: a change so small ends the search where rounding keeps forces off."""
-_STRAY = 4
-"""Iterations without a smaller turn than before: between corners of the law Newton's method may
-circle or stray for ever."""
-_NEAR = 1e-5
-_TAUT = 1e4
-"""Of the forces on the line as a whole: a line that pulls more is taut, and its shape hangs on
-rounding."""
-_LARGEST_TURN = 0.7
-"""rad, of an element in one iteration."""
-_LARGEST_MOVE = 0.35
-"""Of the line's length, of a node in one iteration."""
-_SMALLEST_SHARE = 0.1
-"""Of a change: one that is so much too large says nothing."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
@@ -72,13 +53,16 @@ def settle(
     -------
     The equilibrium; None where Newton's method does not find one near.
     """
+    max_iterations = 20
+    max_idle_iterations = 4  # between corners of the law Newton's method may circle for ever
+    min_step_share = 0.1  # of a step; a direction that is cut further says nothing
     now, goal = demands
     nodes = assembly.supports.held
     # held nodes and clamps go there with the first change, or as far as it is taken
     partly = replace(goal, held=now.held, clamps=now.clamps)
     balance = assembly.balance(shape, partly, memory if earlier is None else earlier, drag)
     least, strayed = math.inf, 0
-    for iteration in range(1, _ITERATIONS + 1):
+    for iteration in range(1, max_iterations + 1):
         held = goal.held - shape.positions[nodes]
         clamps = rotation_vectors(multiply(conjugate(partly.clamps), goal.clamps))
         right = assembly.right_side(balance, shape, partly, held, clamps)
@@ -88,7 +72,7 @@ def settle(
         turn = _largest_turn(assembly, change)
         least, strayed = (turn, 0) if turn < least else (least, strayed + 1)
         share = _modest_share(assembly, change, turn)
-        if share < _SMALLEST_SHARE or strayed == _STRAY:
+        if share < min_step_share or strayed == max_idle_iterations:
             return None
         shape = assembly.changed(shape, share * change)
         partly = goal if share == 1.0 else _turned(partly, share * clamps)
@@ -108,20 +92,28 @@ def _largest_turn(assembly: Assembly, change: Floats) -> float:
 
 def _modest_share(assembly: Assembly, change: Floats, turn: float) -> float:
     """Share of a change that turns and moves no part of the line too far."""
+    max_turn = 0.7  # rad, of an element in one iteration
+    max_move = 0.35  # of the line's length, of a node in one iteration
     p = assembly.places
     move = float(np.max(np.abs(change[p.positions[:, None] + np.arange(3)])))
-    return 1.0 / max(1.0, turn / _LARGEST_TURN, move / (_LARGEST_MOVE * assembly.line.length))
+    return 1.0 / max(1.0, turn / max_turn, move / (max_move * assembly.line.length))
 
 
 def _is_close(
     assembly: Assembly, balance: Balance, shape: Shape, change: Floats, force: float
 ) -> bool:
+    balance_tolerance = 1e-10  # of force, moment and length of the whole line
+    # of the length, or rad: ends the search where rounding limits the balance
+    step_tolerance = 1e-11
+    rounded_balance = 1e-5
+    # of the forces on the line: the shape of a tauter line is mostly rounding
+    max_pull_factor = 1e4
     p = assembly.places
     three = np.arange(3)
     length = assembly.line.length
     residual = np.where(assembly.band.fixed, 0.0, balance.residual)
     pull = float(np.max(np.abs(shape.forces)))
-    if assembly.is_rigid and pull > _TAUT * force:
+    if assembly.is_rigid and pull > max_pull_factor * force:
         return False
     force = max(force, pull)
     unbalanced = float(np.max(np.abs(residual[p.positions[:, None] + three])))
@@ -131,10 +123,10 @@ def _is_close(
         float(np.max(np.abs(residual[p.stretches]))) / (force * length),
         float(np.max(np.abs(residual[p.forces[:, None] + three]))) / length,
     )
-    if off < _CLOSE:
+    if off < balance_tolerance:
         return True
     moved = max(
         _largest_turn(assembly, change),
         float(np.max(np.abs(change[p.positions[:, None] + three]))) / length,
     )
-    return moved < _STILL and off < _NEAR
+    return moved < step_tolerance and off < rounded_balance

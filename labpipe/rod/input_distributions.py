@@ -27,9 +27,7 @@ specimens, of which three samples say little; as many draws by chance alone are 
 CALIBRATION, SPECIMEN = "calibration", "specimen"
 """Causes, as a budget names them."""
 
-_LONGEST = 0.3  # step of a logarithm; lines are solved two away, where it is 1.8 times as much
-_NOTHING = 1e-12  # of the largest variance: a direction that is known
-_INSIDE = 1.0 - 1e-10  # of the range of chances: none is 0 or 1
+_MAX_LOG_STEP = 0.3  # step of a logarithm; lines are solved two away, where it is 1.8 times as much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,7 +156,7 @@ def _of_solution(
     size = float(np.sqrt(mixture.chance @ mixture.scatter**2))
     if specimen is None or size == 0.0:
         return belief
-    size = min(size, _LONGEST)
+    size = min(size, _MAX_LOG_STEP)
     one = np.array([[size]])
     own = InputDistribution((specimen,), (SPECIMEN,), np.zeros(1), one, factor[:, None] / size)
     return joined([belief, own])
@@ -188,7 +186,8 @@ def joined(beliefs: Iterable[InputDistribution]) -> InputDistribution:
 
 def _evenly(chance: np.random.Generator, draws: int, numbers: int) -> Floats:
     """Chances between 0 and 1 that fill their cube evenly (Sobol's), shape (draws, numbers)."""
-    return np.asarray(0.5 + _INSIDE * (Sobol(numbers, seed=chance).random(draws) - 0.5))
+    inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
+    return np.asarray(0.5 + inner_share * (Sobol(numbers, seed=chance).random(draws) - 0.5))
 
 
 def _student(even: Floats, freedom: float) -> Floats:
@@ -205,8 +204,9 @@ def _root(covariance: Floats) -> Floats:
 
 def _steps(covariance: Floats) -> Floats:
     """Principal axes that are not known, one standard deviation long, or the longest that is."""
+    zero_variance = 1e-12  # of the largest variance
     values, vectors = np.linalg.eigh(covariance)
-    moves = values > _NOTHING * max(float(values[-1]), 1e-300)
+    moves = values > zero_variance * max(float(values[-1]), 1e-300)
     steps = vectors[:, moves] * np.sqrt(values[moves])
-    longest = np.abs(steps).max(axis=0, initial=_NOTHING)
-    return np.asarray(steps * np.minimum(1.0, _LONGEST / longest))
+    longest = np.abs(steps).max(axis=0, initial=zero_variance)
+    return np.asarray(steps * np.minimum(1.0, _MAX_LOG_STEP / longest))

@@ -25,9 +25,6 @@ Look = Callable[[Mapping[str, float]], Fields | None]
 
 TAIL = 0.025
 """Outside a band, on each side."""
-_NEAREST, _FURTHEST = 0.1, 2.0
-"""Steps of a cause at which a line is solved: nearer, a difference is what the solver leaves; where
-tails are long, their ends are not looked at."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,12 +106,14 @@ def respond(look: Look, belief: InputDistribution) -> Response | None:
     -------
     The response; None if the line has no equilibrium at the best inputs.
     """
+    min_steps = 0.1  # of a cause: nearer, the difference is the solver's error
+    max_steps = 2.0  # ends of long tails are not evaluated
     value = look(belief.inputs())
     if value is None:
         return None
     slopes, bends, one_sided, silent = [], [], [], []
     reach = np.quantile(np.abs(belief.amounts), 1.0 - 2.0 * TAIL, axis=0)
-    reach = np.clip(reach, _NEAREST, _FURTHEST)
+    reach = np.clip(reach, min_steps, max_steps)
     for cause, far, step in zip(belief.causes, reach, np.diag(reach), strict=True):
         ahead, behind = look(belief.inputs(step)), look(belief.inputs(-step))
         if ahead is None and behind is None:

@@ -14,10 +14,6 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 
-_ITERATIONS = 30
-_SEARCHED = 1.5
-"""Nodes, on both sides of where the line was in the ring, where it may be now."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingContact:
@@ -86,12 +82,14 @@ def _weights(place: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
 
 def nearest_place(positions: Floats, ring: Floats, near: float) -> float:
     """Find u of the point nearest to a ring, near where the line was in it."""
+    max_iterations = 30
+    search_reach = 1.5  # nodes on both sides of the last place
     last = float(len(positions) - 1)
-    low, high = max(near - _SEARCHED, 0.0), min(near + _SEARCHED, last)
+    low, high = max(near - search_reach, 0.0), min(near + search_reach, last)
     tried = np.linspace(low, high, 25)
     distances = [float(np.sum((point_at(positions, u) - ring) ** 2)) for u in tried]
     place = float(tried[int(np.argmin(distances))])
-    for _ in range(_ITERATIONS):
+    for _ in range(max_iterations):
         first, b, slopes, bends = _weights(place, len(positions))
         points = positions[first : first + 3]
         off = b @ points - ring

@@ -10,10 +10,6 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 
-_SMALL = 0.3
-"""rad, below which the series are more exact than the closed forms."""
-
-
 _FACTOR = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
 _SIGN = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]], dtype=np.float64)
 """Row by row of a product: which part of the left factor each part of the right one meets."""
@@ -153,7 +149,8 @@ def tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
     With psi = log(q), a small turn d in the turned frame changes psi by
     (1 + psi x / 2 + c psi x psi x) d, c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
     """
-    small = angles < _SMALL
+    series_below = 0.3  # rad: the series are more exact than the closed forms there
+    small = angles < series_below
     size = np.where(small, 1.0, angles)
     half = 0.5 * size
     cotangent = np.cos(half) / np.sin(half)

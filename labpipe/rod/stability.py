@@ -26,15 +26,8 @@ from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Assembly, Balance, Shape
 from labpipe.rod.banded import FORCE, PER_ELEMENT, STRETCH, TURN, entries
 
-_STIFFER = 1e6
-_NEUTRAL = 3e-4
-"""Of a line's own stiffness: a mode this soft counts as neutral, not as unstable."""
-_ROUNDING = 1e-14
-_ITERATIONS = 6
-_OF_ANYTHING = 1e-3
-_BESIDE = 10.0
+_SHIFT_DRAG = 10.0
 """Drag: eigenvalues are looked for around minus this, which is nearer to the unstable ones."""
-_EIGENVALUES = 8
 
 
 class StabilityCheck:
@@ -81,9 +74,10 @@ class StabilityCheck:
 
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
         """Whether a line at a shape comes back from every small change, in honey."""
-        if self._factors(balance, shape, _NEUTRAL) is not None:
+        neutral_share = 3e-4  # of the line's own stiffness: a softer mode counts as neutral
+        if self._factors(balance, shape, neutral_share) is not None:
             return True
-        return self._is_turned and self.slowest_return(balance)[0].real > -_NEUTRAL
+        return self._is_turned and self.slowest_return(balance)[0].real > -neutral_share
 
     def whirls(self, balance: Balance) -> bool:
         """Whether a line that is not stable turns away round and round, more than it leaves."""
@@ -107,6 +101,7 @@ class StabilityCheck:
         Rates r solve K x = r D x with the tangent K and the drag D. Arnoldi's method finds those
         nearest to a negative number, where all that grow in earnest are nearer than any other.
         """
+        n_eigenvalues = 8
         band, drag = self._assembly.band, self._assembly.drag
         own = np.flatnonzero((drag > 0.0) & ~band.fixed)
         root = np.sqrt(drag[own])
@@ -124,20 +119,20 @@ class StabilityCheck:
         inverse = LinearOperator((len(own), len(own)), matvec=answer, dtype=np.float64)
         first = np.cos(1.0 + 2.4 * np.arange(len(own)))
         try:
-            found, ways = eigs(inverse, k=min(_EIGENVALUES, len(own) - 2), v0=first)
+            found, ways = eigs(inverse, k=min(n_eigenvalues, len(own) - 2), v0=first)
         except ArpackError:
             return complex(-np.inf), change
-        rates = 1.0 / found - _BESIDE
+        rates = 1.0 / found - _SHIFT_DRAG
         slowest = int(np.argmin(rates.real))
         change[own] = np.real(ways[:, slowest]) / root
         return complex(rates[slowest]), change
 
     def _held_back(self, balance: Balance) -> Floats:
-        """Entries of the tangent with a drag of `_BESIDE`."""
+        """Entries of the tangent with a drag of `_SHIFT_DRAG`."""
         rows, columns = self._assembly.pattern
         at, first = np.unique(np.where(rows == columns, rows, -1), return_index=True)
         values = balance.even.copy()
-        values[first[1:]] += _BESIDE * self._assembly.drag[at[1:]]
+        values[first[1:]] += _SHIFT_DRAG * self._assembly.drag[at[1:]]
         return values
 
     def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
@@ -154,6 +149,8 @@ class StabilityCheck:
         a mere twist, is none. Moments in the frames of the elements that are no symmetry of
         anything are added to the push, a little of them.
         """
+        iterations = 6
+        random_share = 1e-3
         if self._is_turned:
             rate, change = self.slowest_return(balance)
             if rate.real < 0.0 and np.any(change):
@@ -174,8 +171,8 @@ class StabilityCheck:
         size = float(np.sqrt(np.sum(pushed**2)))
         mode = some * ~self._fixed
         if size > 0.0:
-            mode = pushed / size + _OF_ANYTHING * mode
-        for _ in range(_ITERATIONS):
+            mode = pushed / size + random_share * mode
+        for _ in range(iterations):
             mode, _ = lapack.dpbtrs(factors, mode, lower=True)
             mode = self._mass * mode
             size = float(np.sqrt(np.sum(mode**2)))
@@ -188,12 +185,14 @@ class StabilityCheck:
         return change
 
     def _factors(self, balance: Balance, shape: Shape, drag: float) -> Floats | None:
+        support_factor = 1e6
+        rounding_share = 1e-14
         assembly = self._assembly
         line = assembly.line
         n = assembly.n
         section = line.section
         pull = float(np.max(np.abs(shape.forces)))
-        stiff = _STIFFER * max(section.law.first_stiffness / line.length**2, pull)
+        stiff = support_factor * max(section.law.first_stiffness / line.length**2, pull)
         lengths = line.lengths * (1.0 + shape.stretches)
         row = np.zeros((n, 3, FORCE + 3))
         row[:, :, :3] = -np.eye(3)
@@ -212,7 +211,7 @@ class StabilityCheck:
         weighed = values * self._weights
         flat = np.bincount(self._at, weighed, minlength=self._deep * self.size)
         diagonal = flat[:: self._deep]
-        diagonal += drag * self._drag + _ROUNDING * diagonal
+        diagonal += drag * self._drag + rounding_share * diagonal
         diagonal[self._fixed] = 1.0
         factors, failed = lapack.dpbtrf(
             flat.reshape(self.size, self._deep).T, lower=True, overwrite_ab=True

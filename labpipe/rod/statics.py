@@ -32,18 +32,6 @@ from labpipe.rod.states import merged_rests, parted_rests, state_of
 from labpipe.rod.supports import supports_of
 from labpipe.rod.walk_errors import broken, held_in_plane, out_of_reach, ring_left
 
-_FIRST_DRAG = 1.0
-_LAST_DRAG = 1e-8
-"""A way of two turns is held (4 pi)^4 times as much: what is just not stable must get away."""
-_MOST_DRAG = 1e5
-_LESS, _MORE = 0.25, 8.0
-_AT_REST = 1e-6
-"""Of the line's length: what moves by less does not move."""
-_LET_DOWN = 400
-"""Steps, at most, in which a line is let down."""
-_KICKS = (0.0, 1e-3, 1e-2)
-"""Of the line's length, or rad: how far a line that finds no way on is moved off."""
-
 
 @dataclass(frozen=True, slots=True)
 class RodSettings:
@@ -339,11 +327,13 @@ class _Walk:
 
     def _let_down(self, time: float, *, is_unstable: bool) -> None:
         """Let the line go downhill to a stable equilibrium at a time."""
+        # of the line's length, or rad: how far a line that finds no way on is moved off
+        kicks = (0.0, 1e-3, 1e-2)
         if self.step not in self.snapped:
             self.snapped.append(self.step)
         before = self.now, self.work, self.lost, self.rubbed
         free = self._set_free()
-        for kick in _KICKS[1:] if is_unstable else _KICKS:
+        for kick in kicks[1:] if is_unstable else kicks:
             if self._comes_to_rest(time, kick):
                 self.jumped += self._set_free() - free
                 self.lost_in_jumps += self.lost - before[2]
@@ -355,30 +345,38 @@ class _Walk:
 
     def _comes_to_rest(self, time: float, kick: float) -> bool:
         """Let the line down through ever less of a resistance; false where it finds no rest."""
+        first_drag = 1.0
+        # 1e-8 is about 1/(4 pi)^4 of what holds a way of two turns: only a stable line stays
+        last_drag = 1e-8
+        max_drag = 1e5
+        drag_decrease = 0.25
+        drag_increase = 8.0
+        rest_tolerance = 1e-6  # of the line's length
+        max_steps = 400
         goal = self.schedule.demands(time, self.grips)
         shape = self._kicked(kick)
-        size = _FIRST_DRAG
+        size = first_drag
         rested: Floats | None = None
-        for _ in range(_LET_DOWN):
+        for _ in range(max_steps):
             settled = self._dragged(shape, goal, size)
             if settled is None:
-                size *= _MORE
-                if size > _MOST_DRAG:
+                size *= drag_increase
+                if size > max_drag:
                     return False
                 continue
             self._commit(time, settled)
             shape = settled.shape
-            size *= _LESS
-            if size < _LAST_DRAG:
+            size *= drag_decrease
+            if size < last_drag:
                 if self._rests(time):
                     return True
                 if (
                     rested is not None
-                    and _apart(rested, shape.positions) < _AT_REST * self.line.length
+                    and _apart(rested, shape.positions) < rest_tolerance * self.line.length
                 ):
                     return False
                 rested = shape.positions
-                size *= _MORE
+                size *= drag_increase
         return False
 
     def _rests(self, time: float) -> bool:

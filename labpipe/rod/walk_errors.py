@@ -9,14 +9,8 @@ from labpipe.rod.boundaries import Plane
 from labpipe.rod.path import Reason
 from labpipe.rod.schedule import Schedule, called
 
-_FOLDED = 3.13
-"""rad, between two elements: more is a fold that needs shorter elements."""
-_BARELY = 1e-9
+_LENGTH_ROUNDING = 1e-9
 """Of a length: what differs by less is the same."""
-_TAUT = 1e-7
-"""Of a length: with less slack the tension, over 600 times the weight, hangs on rounding."""
-_NO_FORCE = 1e-9
-"""Of the force on the line as a whole."""
 
 
 def out_of_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> Reason | None:
@@ -30,22 +24,25 @@ def out_of_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> Reaso
     grips : boundaries that hold it
     step : at which
     """
+    # of a length; with less, the tension is over 600 times the weight and mostly rounding
+    min_slack = 1e-7
+    min_force_share = 1e-9  # of the force on the line
     demands = schedule.demands(float(step), grips)
     nodes = np.array([schedule.held_nodes[k] for k in grips], dtype=np.int64)
     order = np.argsort(nodes)
     nodes = nodes[order]
     apart = np.linalg.norm(np.diff(demands.held[order], axis=0), axis=1)
     lengths = np.diff(schedule.line.stations[nodes])
-    pulls = np.linalg.norm(demands.forces, axis=1) > _NO_FORCE * schedule.force_scale()
+    pulls = np.linalg.norm(demands.forces, axis=1) > min_force_share * schedule.force_scale()
     for first, second, far, length in zip(nodes[:-1], nodes[1:], apart, lengths, strict=True):
         between = f"step {step}: between nodes {first} and {second} the line is"
-        if far > length * (1.0 + _BARELY):
+        if far > length * (1.0 + _LENGTH_ROUNDING):
             sentence = (
                 f"{between} {length:.6g} m long, and the places that hold them are {far:.6g} m "
                 "apart"
             )
             return Reason("too_short", sentence, step, int(second))
-        if far > length * (1.0 - _TAUT) and np.any(pulls[first + 1 : second]):
+        if far > length * (1.0 - min_slack) and np.any(pulls[first + 1 : second]):
             sentence = (
                 f"{between} taut, {length:.6g} m long between places just as far apart, and no "
                 "tension can be told that balances its weight and loads: bring these on as the "
@@ -69,7 +66,7 @@ def held_in_plane(schedule: Schedule, grips: tuple[int, ...], step: int) -> Reas
         assert isinstance(plane, Plane)
         heights = (held - plane.point) @ plane.normal
         low = int(np.argmin(heights))
-        if heights[low] < least - _BARELY * line.length:
+        if heights[low] < least - _LENGTH_ROUNDING * line.length:
             grip, table = (
                 called(schedule.boundaries, boundary)
                 for boundary in (schedule.boundaries[grips[low]], plane)
@@ -93,6 +90,7 @@ def broken(
     step : at which
     most_stretch : strain beyond which it counts as torn
     """
+    max_fold = 3.13  # rad, between two elements
     at = int(np.argmax(shape.stretches))
     if shape.stretches[at] > most_stretch:
         sentence = (
@@ -101,7 +99,7 @@ def broken(
         )
         return Reason("torn", sentence, step, at)
     turns = np.linalg.norm(balance.cells.turns, axis=1)
-    if float(np.max(turns, initial=0.0)) > _FOLDED:
+    if float(np.max(turns, initial=0.0)) > max_fold:
         cell = int(np.argmax(turns))
         node = int(assembly.supports.nodes[cell])
         sentence = (

@@ -36,7 +36,7 @@ from labpipe.studies.bundle_loops import friction_as_json, loop_of, processed_te
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.bundle_friction import fit_friction
 from labpipe.wire.bundle_model import bundle_model, share_of_bounds
-from labpipe.wire.bundle_packing import WANTED, bore_for, choose_bore, fits, packing_fraction
+from labpipe.wire.bundle_packing import WANTED_FRACTION, bore_for, choose_bore, fits, packing_fraction
 from labpipe.wire.wire_table import wire_table
 
 STIFFNESS = "bending_stiffness"
@@ -406,7 +406,7 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
         "bundle": asdict(model.bundle),
         **{name: getattr(model, name) for name in _NUMBERS},
         "tensor": model.tensor.tolist(),
-        "wanted_packing_fraction": WANTED,
+        "wanted_packing_fraction": WANTED_FRACTION,
         "wanted_bore": modelled.wanted_bore,
         "conduits": [asdict(conduit) for conduit in modelled.conduits],
         "curvature": model.curvature.tolist(),

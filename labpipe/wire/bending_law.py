@@ -21,12 +21,10 @@ from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.friction import Bundle, Contacts, arrange, axial_forces, sines, slip_onsets
 from labpipe.wire.strand_bending import helix_factor, strand_moment, tube_moment
 
-_CHUNK = 512  # curvatures at a time: what is worked on stays in the cache
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MomentCurve:
-    """A wire's moment against curvature, and what it is made of; arrays of shape (n,).
+    """A wire's moment against curvature, and its parts; arrays of shape (n,).
 
     The moment is stick + slip + bending + plastic + insulation.
 
@@ -36,11 +34,11 @@ class MomentCurve:
     stick : N m, of the axial forces of strands that stick
     slip : N m, of the axial forces of strands that slip
     bending : N m, of the strands about their own axes, if they stayed elastic
-    plastic : N m, what yielding takes away from `bending`, of the other sign
+    plastic : N m, loss by yielding, of the opposite sign to `bending`
     insulation : N m
     tangent_stiffness : dM / d(kappa), N m^2
     stick_stiffness : N m^2, when nothing slips or yields: the slope at zero curvature
-    slip_stiffness : N m^2, of strands without any friction that do not yield
+    slip_stiffness : N m^2, of frictionless, elastic strands
     """
 
     curvature: Floats
@@ -63,13 +61,13 @@ class MomentCurve:
 
     @property
     def moment(self) -> Floats:
-        """All parts together, N m."""
-        own = self.bending + self.plastic
-        return np.asarray(self.stick + self.slip + own + self.insulation)
+        """Return the sum of all parts, N m."""
+        strand_bending = self.bending + self.plastic
+        return np.asarray(self.stick + self.slip + strand_bending + self.insulation)
 
     @property
     def secant_stiffness(self) -> Floats:
-        """M / kappa, N m^2; at zero curvature the tangent stiffness.
+        """Return M / kappa, N m^2; at zero curvature the tangent stiffness.
 
         Neither this nor the tangent is eq. (3.23) of the source, which mixes the two and is not
         offered.
@@ -80,7 +78,7 @@ class MomentCurve:
 
 
 def stick_stiffness(section: CrossSection, *, orientation: float = 0.0) -> float:
-    """Bending stiffness while nothing slips or yields, N m^2.
+    """Return the bending stiffness while nothing slips or yields, N m^2.
 
     Parameters
     ----------
@@ -89,21 +87,23 @@ def stick_stiffness(section: CrossSection, *, orientation: float = 0.0) -> float
 
     Notes
     -----
-    slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha). It does not change with the orientation
-    when every ring has three strands or more, evenly spread; for two strands by a fifth, for
-    packings by some per cent.
+    slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha). It does not depend on the
+    orientation if every ring has at least three evenly spread strands; it varies by a fifth for two
+    strands and by some per cent for packings.
     """
     sine = sines(section, orientation)
-    return slip_stiffness(section) + float(_rigidity(section) @ (section_arms(section) * sine) ** 2)
+    return slip_stiffness(section) + float(
+        _axial_rigidity(section) @ (section_arms(section) * sine) ** 2
+    )
 
 
 def section_arms(section: CrossSection) -> Floats:
-    """Distance of the strands outside the core from the axis, shape (strands,), m."""
+    """Return the distance of the strands outside the core from the axis, shape (strands,), m."""
     return section.radius[section.layer >= int(section.has_core)]
 
 
-def _rigidity(section: CrossSection) -> Floats:
-    """E A cos^3(alpha) of each strand outside the core, N."""
+def _axial_rigidity(section: CrossSection) -> Floats:
+    """Return E A cos^3(alpha) of each strand outside the core, N."""
     first = int(section.has_core)
     values = [
         layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
@@ -113,7 +113,7 @@ def _rigidity(section: CrossSection) -> Floats:
 
 
 def slip_stiffness(section: CrossSection) -> float:
-    """Bending stiffness of strands without friction that do not yield, and the insulation, N m^2.
+    """Return the bending stiffness of frictionless, elastic strands with the insulation, N m^2.
 
     Notes
     -----
@@ -140,13 +140,13 @@ def moment_curvature(
     tension: float = 0.0,
     orientation: float = 0.0,
 ) -> MomentCurve:
-    """Moment of a wire that was never bent before, at each of many curvatures.
+    """Compute the moment of first loading at each curvature.
 
     Parameters
     ----------
     section : strands in place, with their materials
     contacts : friction and pressure
-    curvature : shape (n,), 1/m, any order and sign; each is reached from zero without a turn
+    curvature : shape (n,), 1/m, any order and sign; each is reached monotonically from zero
     tension : of the whole wire, N, present before bending
     orientation : rad, by which the section is turned against the neutral axis; at 0 a strand of
         the first ring lies on it
@@ -161,46 +161,49 @@ def moment_curvature(
         If a curvature is infinite, if a strand or the insulation is bent beyond the known part of
         its material's curve, if the contacts do not match the rings, or if tension is negative.
     """
-    bent = np.asarray(curvature, dtype=np.float64)
-    if np.isinf(bent).any():
-        message = f"curvature[{int(np.isinf(bent).argmax())}] is infinite: allowed are finite ones"
+    curvatures = np.asarray(curvature, dtype=np.float64)
+    if np.isinf(curvatures).any():
+        message = (
+            f"curvature[{int(np.isinf(curvatures).argmax())}] is infinite: allowed are finite ones"
+        )
         raise ValueError(message)
-    stick, slip, friction = _axial_parts(section, contacts, bent, tension, orientation)
-    elastic, own, slope = _own_moments(section, bent)
-    nothing = np.zeros_like(bent)
-    tube = tube_moment(section.insulation, bent) if section.insulation else None
+    stick, slip, friction = _axial_parts(section, contacts, curvatures, tension, orientation)
+    elastic, strand_bending, slope = _own_moments(section, curvatures)
+    zeros = np.zeros_like(curvatures)
+    tube = tube_moment(section.insulation, curvatures) if section.insulation else None
     return MomentCurve(
-        bent,
+        curvatures,
         stick,
         slip,
-        elastic * bent,
-        own - elastic * bent,
-        nothing if tube is None else tube.moment,
-        friction + slope + (nothing if tube is None else tube.tangent),
+        elastic * curvatures,
+        strand_bending - elastic * curvatures,
+        zeros if tube is None else tube.moment,
+        friction + slope + (zeros if tube is None else tube.tangent),
         stick_stiffness(section, orientation=orientation),
         slip_stiffness(section),
     )
 
 
 def _axial_parts(
-    section: CrossSection, contacts: Contacts, bent: Floats, tension: float, orientation: float
+    section: CrossSection, contacts: Contacts, curvature: Floats, tension: float, orientation: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Moments of sticking and of slipping strands, N m, and the slope of both together, N m^2."""
-    stick, slip, slope = np.full((3, len(bent)), np.nan)
-    for side, turn, sign in ((bent >= 0.0, 0.0, 1.0), (bent < 0.0, np.pi, -1.0)):
+    """Return moments of sticking and slipping strands, N m, and the slope of their sum, N m^2."""
+    stick, slip, slope = np.full((3, len(curvature)), np.nan)
+    for side, turn, sign in ((curvature >= 0.0, 0.0, 1.0), (curvature < 0.0, np.pi, -1.0)):
         if side.any():
             sine = sines(section, orientation + turn)
             bundle = arrange(section, contacts, sine, tension=tension)
-            parts = _axial_moments(bundle, np.abs(bent[side]))
+            parts = _axial_moments(bundle, np.abs(curvature[side]))
             stick[side], slip[side], slope[side] = sign * parts[0], sign * parts[1], parts[2]
     return stick, slip, slope
 
 
 def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-    """The same for bending one way."""
+    """Return the parts of `_axial_parts` for bending one way."""
+    chunk = 512  # curvatures at a time, so that the working arrays stay in the cache
     stick, total, slope = np.empty((3, len(curvature)))
-    for start in range(0, len(curvature), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(curvature), chunk):
+        part = slice(start, start + chunk)
         axial = axial_forces(bundle, curvature[part, None])
         total[part] = axial.force @ bundle.lever
         stick[part] = np.where(axial.stuck, axial.force, 0.0) @ bundle.lever
@@ -209,7 +212,7 @@ def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, F
 
 
 def _own_moments(section: CrossSection, curvature: Floats) -> tuple[float, Floats, Floats]:
-    """Elastic stiffness of the strands about their own axes, their moment and its slope."""
+    """Return elastic stiffness, moment and slope of the strands about their own axes."""
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
     moment, slope = np.zeros((2, len(curvature)))
     kinds = {(layer.material, layer.diameter) for layer in section.layers}
@@ -233,7 +236,7 @@ def orientation_range(
     tension: float = 0.0,
     n_orientations: int = 24,
 ) -> tuple[Floats, Floats]:
-    """Smallest and largest moment over a full turn of the section, N m, each of shape (n,).
+    """Return the smallest and largest moment over a full turn of the section, N m, shape (n,) each.
 
     Parameters
     ----------
@@ -241,29 +244,26 @@ def orientation_range(
     curve : the law at any orientation
     n_orientations : evenly spread over the full turn, the first at 0
     """
-    own = curve.bending + curve.plastic
+    strand_bending = curve.bending + curve.plastic
     moments = []
-    for turn in _different_turns(section, n_orientations):
+    for turn in _distinct_turns(section, n_orientations):
         stick, slip, _ = _axial_parts(section, contacts, curve.curvature, tension, turn)
-        moments.append(stick + slip + own + curve.insulation)
+        moments.append(stick + slip + strand_bending + curve.insulation)
     return np.min(moments, axis=0), np.max(moments, axis=0)
 
 
-def _different_turns(section: CrossSection, count: int) -> list[float]:
-    """Turns of the section, rad, but for those that only swap strands of a ring."""
+def _distinct_turns(section: CrossSection, count: int) -> list[float]:
+    """Turns of the section, rad, without those that only swap equal strands."""
     turns = 2.0 * np.pi * np.arange(count) / count
     layer = section.layer[section.layer >= int(section.has_core)]
     arms = section_arms(section) / (float(section.radius.max()) or 1.0)
-    alike = np.unique(np.array([layer, arms.round(9)]), axis=1, return_inverse=True)[1]
-    # strands that are alike are told apart by their height alone, which is at most 1
-    heights = 4.0 * alike.ravel() + (arms * sines(section, turns[:, None])).round(9)
+    groups = np.unique(np.array([layer, arms.round(9)]), axis=1, return_inverse=True)[1]
+
+    # equal strands differ by their height alone, which is at most 1
+    heights = 4.0 * groups.ravel() + (arms * sines(section, turns[:, None])).round(9)
     strands = np.sort(heights, axis=1)
     seen = {row.tobytes(): turn for row, turn in zip(strands[::-1], turns[::-1], strict=True)}
     return sorted(map(float, seen.values()))
-
-
-_DECADES = 4.0  # of curvature below the largest, over which the corners are spread
-_DISTINCT = 1e-6  # of a curvature: closer corners are one
 
 
 def play_law(
@@ -275,14 +275,14 @@ def play_law(
     tension: float = 0.0,
     orientation: float = 0.0,
 ) -> PlayLaw:
-    """Plays whose polygon of first loading meets the wire's law at every corner.
+    """Fit plays whose polygon of first loading meets the wire's law at every corner.
 
     Parameters
     ----------
     section, contacts, tension, orientation : as for `moment_curvature`
     largest_curvature : 1/m, where the law ends: `wire.cantilever` bends no wire beyond
-    n_plays : corners, evenly spread in the logarithm of the curvature over four decades; besides
-        these there is one where each strand begins to slip
+    n_plays : corners, evenly spread in the logarithm of the curvature over four decades; each slip
+        onset of a strand adds one
 
     Returns
     -------
@@ -292,19 +292,21 @@ def play_law(
     Raises
     ------
     ValueError
-        If the law softens, or stiffens, which plays cannot do; the message says the curvature. And
-        as `moment_curvature`.
+        If the law softens or stiffens, which plays cannot; the message states the curvature. As
+        `moment_curvature`, too.
 
     Notes
     -----
     With 60 plays the polygon is within 0.3 % of the laws of the source's wires between its corners.
     """
+    decades = 4.0  # of curvature below the largest
+    min_spacing = 1e-6  # relative; closer corners are one
     require_positive("largest_curvature", largest_curvature)
-    even = np.geomspace(10.0**-_DECADES, 1.0, n_plays + 1) * largest_curvature
+    even = np.geomspace(10.0**-decades, 1.0, n_plays + 1) * largest_curvature
     onsets = slip_onsets(section, contacts, tension=tension, orientation=orientation)
     inside = onsets[(onsets > even[0]) & (onsets < even[-1])]
     knots = np.union1d(even, inside)
-    knots = knots[np.diff(knots, prepend=0.0) > _DISTINCT * knots]
+    knots = knots[np.diff(knots, prepend=0.0) > min_spacing * knots]
     moment = moment_curvature(
         section, contacts, knots, tension=tension, orientation=orientation
     ).moment

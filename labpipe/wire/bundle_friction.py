@@ -1,13 +1,13 @@
 """Bundles between their bounds: wires that slip on each other under tape and conduit.
 
-A wire at the distance y from the neutral axis is pulled along by its neighbours until friction lets
-go, as the wires of a strand are in Papailiou (On the bending stiffness of transmission line
+A wire at the distance y from the neutral axis is pulled along by its neighbours until it slips,
+as the wires of a strand are in Papailiou (On the bending stiffness of transmission line
 conductors, IEEE Trans. Power Delivery 12 (1997) 1576) and in Foti and Martinelli (An analytical
 approach to model the hysteretic bending behavior of spiral strands, Appl. Math. Modelling 40 (2016)
 6451): a Coulomb slider in series with a spring for every wire, all of them side by side. Contacts
 between insulated wires are far from rigid, so that the spring is a share of the wire's axial
-stiffness. They are not all alike, either: part of them holds on, by the tape's glue and by pressure
-that grows as the bundle bends, until the tape slides on the wires:
+stiffness. Contacts differ: part of them hold, by the tape's glue and by pressure that grows with
+bending, until the tape slides on the wires:
 
     M(kappa) = sum M_i(kappa) + c (1 - h) sum EA_i |y_i| min(|y_i| kappa, r kappa_s)
                               + c h sum EA_i y_i^2 min(kappa, kappa_t)
@@ -36,16 +36,7 @@ from labpipe.records.harness_bundle import BundleLoop, BundleModel, FrictionFit
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load_path import end_load_path
 
-_CORNERS = 40
-_FIRST = 1e-2
-"""1/m: the first corner of the wires' own law."""
-_ON_AXIS = 1e-6
-"""Of a diameter: wires as near to the neutral axis have no lever."""
-_STATIONS = 16
-_HELD = 2e-3
-"""To which the share that is held is found."""
-_MOST_ALIKE = 0.98
-"""Correlation of neighbouring points."""
+_HELD_TOLERANCE = 2e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +75,7 @@ class Friction:
 def friction_moment(
     curvature: Floats, model: BundleModel, tables: Sequence[WireTable], friction: Friction
 ) -> Floats:
-    """Moment of first loading of a bundle with friction, N m.
+    """Return the moment of first loading of a bundle with friction, N m.
 
     Parameters
     ----------
@@ -97,18 +88,18 @@ def friction_moment(
     -------
     Shape (n,): between the model's `moment_slip` and that of wires that stick and do not yield.
     """
-    distance, stiffness = _levers(model, tables)
+    distance, stiffness = _wire_levers(model, tables)
     mean = float(np.sqrt(np.mean(distance**2)))
     slip = friction.slip_curvature * mean / distance
     sliding = np.minimum(curvature[:, None], slip) @ (stiffness * distance**2)
     gluing = np.minimum(curvature, friction.slide_curvature) * float(stiffness @ distance**2)
     share, held = friction.composite_share, friction.held
-    own = np.interp(curvature, model.curvature, model.moment_slip)
-    return np.asarray(own + share * ((1.0 - held) * sliding + held * gluing))
+    wire_moment = np.interp(curvature, model.curvature, model.moment_slip)
+    return np.asarray(wire_moment + share * ((1.0 - held) * sliding + held * gluing))
 
 
 def friction_law(model: BundleModel, tables: Sequence[WireTable], friction: Friction) -> PlayLaw:
-    """The law of a bundle with friction, with its loops (Masing's rule).
+    """Fit plays to a bundle with friction; its loops follow Masing's rule.
 
     Parameters
     ----------
@@ -116,15 +107,17 @@ def friction_law(model: BundleModel, tables: Sequence[WireTable], friction: Fric
 
     Returns
     -------
-    A polygon with a corner wherever a wire or the tape lets go; it ends where the shortest of the
-    wires' laws does.
+    A polygon with a corner wherever a wire or the tape slips; it ends with the shortest of the
+    wires' laws.
     """
+    n_corners = 40
+    first_corner = 1e-2  # 1/m
     last = float(model.curvature[-1])
-    distance, _ = _levers(model, tables)
+    distance, _ = _wire_levers(model, tables)
     mean = float(np.sqrt(np.mean(distance**2)))
     corners = np.concatenate(
         [
-            np.geomspace(min(_FIRST, last / 2.0), last, _CORNERS),
+            np.geomspace(min(first_corner, last / 2.0), last, n_corners),
             friction.slip_curvature * mean / distance,
             [friction.slide_curvature],
         ]
@@ -133,19 +126,20 @@ def friction_law(model: BundleModel, tables: Sequence[WireTable], friction: Fric
     return concave_law(curvature, friction_moment(curvature, model, tables, friction))
 
 
-def _levers(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
-    """Distance from the neutral axis, m, and axial stiffness, N, of the wires that have a lever."""
+def _wire_levers(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
+    """Return distance from the neutral axis, m, and axial stiffness, N, of wires off the axis."""
+    min_lever_diameters = 1e-6  # wires nearer to the neutral axis have no lever
     axial = np.array([table.axial_stiffness for table in tables])[model.layout.kind]
     distance = np.abs(model.layout.y - model.neutral[1])
-    use = distance > _ON_AXIS * model.layout.diameter.max()
+    use = distance > min_lever_diameters * model.layout.diameter.max()
     if not np.any(use):
-        message = "no wire lies off the neutral axis: friction between wires bends nothing"
+        message = "all wires lie on the neutral axis: friction between wires has no moment"
         raise ValueError(message)
     return distance[use], axial[use]
 
 
 def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLoop) -> FrictionFit:
-    """Fit the share that is still held after slip, and predict what was not fitted.
+    """Fit the share that is still held after slip, and predict the cycles that were not fitted.
 
     Parameters
     ----------
@@ -164,19 +158,20 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
     Notes
     -----
-    Least squares of the force, with `wire.end_load_path` as the cantilever. What the bundle cannot
-    do is push: less than nothing counts as nothing (a string is slack, a span is left), which is
-    below zero by what holds the weight at rest.
-    The interval of the share is what the fitted points allow: the sum of squares rises by t^2 of
-    the mean square, neighbouring points that are off alike counting for less (first-order
-    correlation). What the model lacks is in it as far as it looks like slow noise; what the share
-    is worth is the error of the cycles left out.
+    Least squares of the force, with `wire.end_load_path` as the cantilever. The bundle cannot
+    push: negative total forces count as zero (a string is slack, a span is left), which is below
+    the zeroed force by the force that holds the weight at rest.
+    The interval of the share follows from the sum of squares, which rises by t^2 of the mean
+    square, with the degrees of freedom reduced for first-order correlation of neighbouring
+    residuals. Errors of the model count as slow noise; the error of the cycles left out validates
+    the share.
     """
+    n_stations = 16
     share = _composite_share(model, loop)
     per_deflection = 3.0 / loop.length**2
     is_held_out = loop.branch > (1 if loop.branch.max(initial=0) > 1 else 0)
     if not np.any(is_held_out):
-        message = "the bundle was bent and not let go: a loop needs loading and unloading"
+        message = "the loop has no unloading branch: a loop needs loading and unloading"
         raise ValueError(message)
 
     def friction(held: float) -> Friction:
@@ -184,11 +179,11 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
         return Friction(share, per_deflection * loop.kink[0], slide, held)
 
     def loads(held: float, count: int | None = None) -> Floats | None:
-        """Predicted forces; None where the wires would be bent beyond their laws."""
+        """Return predicted forces, or None where the wires would be bent beyond their laws."""
         law = friction_law(model, tables, friction(held))
         path = end_load_path(
             *(law, loop.length, loop.deflection[:count]),
-            n_stations=_STATIONS,
+            n_stations=n_stations,
             self_weight=loop.self_weight,
         )
         whole = len(path.load) == len(loop.deflection[:count])
@@ -196,36 +191,36 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
         return np.maximum(path.load, -at_rest) if whole else None
 
     def predicted(held: float, count: int | None = None) -> Floats:
-        found = loads(held, count)
-        if found is None:
-            message = "the bundle was bent further than the laws of its wires go"
+        forces = loads(held, count)
+        if forces is None:
+            message = "the bundle was bent beyond the laws of its wires"
             raise ValueError(message)
-        return found
+        return forces
 
     count = int(np.argmax(is_held_out))
 
-    def off(held: float) -> Floats:
+    def residuals(held: float) -> Floats:
         return np.asarray(predicted(held, count) - loop.force[:count])
 
-    found = minimize_scalar(
-        lambda held: float(np.sum(off(held) ** 2)),
+    optimum = minimize_scalar(
+        lambda held: float(np.sum(residuals(held) ** 2)),
         bounds=(0.0, 1.0),
         method="bounded",
-        options={"xatol": _HELD},
+        options={"xatol": _HELD_TOLERANCE},
     )
-    held = float(found.x)
-    limit = _allowed(off(held))
+    held = float(optimum.x)
+    limit = _interval_sum_of_squares(residuals(held))
 
     def is_out(share: float) -> bool:
         path = loads(share, count)
         return path is None or float(np.sum((path - loop.force[:count]) ** 2)) > limit
 
-    ends = _end(is_out, held, 0.0), _end(is_out, held, 1.0)
-    return _judged(friction(held), ends, loop, predicted(held), is_held_out)
+    ends = _interval_end(is_out, held, 0.0), _interval_end(is_out, held, 1.0)
+    return _friction_fit(friction(held), ends, loop, predicted(held), is_held_out)
 
 
 def _composite_share(model: BundleModel, loop: BundleLoop) -> float:
-    """Share of the wires' axial stiffness that the stiffness up to the kink tells."""
+    """Return the share of the wires' axial stiffness that is active up to the kink."""
     deflection, force = loop.kink
     stiffness = force * loop.length**3 / (3.0 * deflection)
     if not stiffness > model.free:
@@ -237,21 +232,22 @@ def _composite_share(model: BundleModel, loop: BundleLoop) -> float:
     return min((stiffness - model.free) / (model.high - model.free), 1.0)
 
 
-def _allowed(off: Floats) -> float:
-    """Sum of squares up to which a share is in the 95 % interval, N^2."""
-    least = float(off @ off)
-    alike = float(off[1:] @ off[:-1]) / least if least > 0.0 else 0.0
-    alike = min(max(alike, 0.0), _MOST_ALIKE)
-    freedom = max(len(off) * (1.0 - alike) / (1.0 + alike) - 1.0, 1.0)
+def _interval_sum_of_squares(residuals: Floats) -> float:
+    """Return the sum of squares at the ends of the 95 % interval, N^2."""
+    max_correlation = 0.98  # of neighbouring points
+    least = float(residuals @ residuals)
+    correlation = float(residuals[1:] @ residuals[:-1]) / least if least > 0.0 else 0.0
+    correlation = min(max(correlation, 0.0), max_correlation)
+    freedom = max(len(residuals) * (1.0 - correlation) / (1.0 + correlation) - 1.0, 1.0)
     return least * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
 
 
-def _end(is_out: Callable[[float], bool], inside: float, bound: float) -> float:
-    """Where shares begin to be out on the way to a bound, by halves; the bound if they are not."""
+def _interval_end(is_out: Callable[[float], bool], inside: float, bound: float) -> float:
+    """Find the end of the interval towards a bound by bisection."""
     if not is_out(bound):
         return bound
     outside = bound
-    while abs(outside - inside) > _HELD:
+    while abs(outside - inside) > _HELD_TOLERANCE:
         middle = 0.5 * (inside + outside)
         if is_out(middle):
             outside = middle
@@ -260,15 +256,15 @@ def _end(is_out: Callable[[float], bool], inside: float, bound: float) -> float:
     return outside
 
 
-def _judged(
+def _friction_fit(
     friction: Friction,
     ends: tuple[float, float],
     loop: BundleLoop,
     predicted: Floats,
     is_held_out: Flags,
 ) -> FrictionFit:
-    off = (predicted - loop.force) / float(loop.force.max())
-    over = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
+    error = (predicted - loop.force) / float(loop.force.max())
+    loss_points = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
     return FrictionFit(
         composite_share=friction.composite_share,
         slip_curvature=friction.slip_curvature,
@@ -279,8 +275,8 @@ def _judged(
         loop=loop,
         predicted=predicted,
         is_held_out=is_held_out,
-        error_fitted=float(np.sqrt(np.mean(off[~is_held_out] ** 2))),
-        error_held_out=float(np.sqrt(np.mean(off[is_held_out] ** 2))),
-        loss=float(np.trapezoid(loop.force[over], loop.deflection[over])),
-        predicted_loss=float(np.trapezoid(predicted[over], loop.deflection[over])),
+        error_fitted=float(np.sqrt(np.mean(error[~is_held_out] ** 2))),
+        error_held_out=float(np.sqrt(np.mean(error[is_held_out] ** 2))),
+        loss=float(np.trapezoid(loop.force[loss_points], loop.deflection[loss_points])),
+        predicted_loss=float(np.trapezoid(predicted[loss_points], loop.deflection[loss_points])),
     )

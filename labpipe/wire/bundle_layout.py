@@ -1,8 +1,8 @@
-"""Where the wires of a bundle lie: places, and which kind of wire lies on which.
+"""Layout of the wires of a bundle: their positions, and the kind of wire on each.
 
 One, seven, nineteen ... wires make a hexagon around one of them; three, twelve, twenty-seven ... a
 hexagon with long and short sides around a core of three (figure 4.2 of the source). Any other
-number is drawn together from several starts, of which the densest heap is kept.
+number is drawn together from several starts, and the densest heap is kept.
 """
 
 from __future__ import annotations
@@ -19,16 +19,10 @@ from labpipe.wire.bundle_packing import densest_heap, holding_circle
 
 N_SHUFFLES = 8
 """Shuffles of the kinds of a packed bundle, of which the densest is kept."""
-_MOST_SOUGHT = 100
-"""Wires of which many starts are tried: in a larger heap chance evens out, and lattices of equal
-wires are the densest."""
-_PITCHES = (0.6, 0.8, 1.0)
-"""Starts of an arrangement that leaves nothing to chance, see `_widths`."""
-OVERLAP = 0.01
-"""Overlap of stated positions that is let pass, as a share of the smaller wire's diameter:
-the test sheet lets as much pass."""
-
-_EQUAL = 1e-9
+_MAX_SEARCHED_WIRES = 100
+"""Most wires for which many starts are tried; larger heaps are densest as lattices."""
+MAX_STATED_OVERLAP = 0.01
+"""Tolerated overlap of stated positions, of the smaller wire's diameter, as in the test sheet."""
 
 
 def arrange(
@@ -38,10 +32,10 @@ def arrange(
 
     Parameters
     ----------
-    bundle : its positions, if it states any, go before its arrangement
+    bundle : stated positions override its arrangement
     diameters : m, over the insulation, of each kind of wire
-    stiffness : N, axial stiffness of each kind; says which lies on top of an asymmetric bundle
-    seed : of what is left to chance; same seed, same layout
+    stiffness : N, axial stiffness of each kind; decides which lies on top of an asymmetric bundle
+    seed : of the random choices; same seed, same layout
 
     Returns
     -------
@@ -61,13 +55,13 @@ def arrange(
     kind = np.repeat(np.arange(len(bundle.wires)), [wire.number for wire in bundle.wires])
     diameter = np.asarray(diameters, dtype=np.float64)[kind]
     if bundle.positions:
-        centres = _stated(bundle, diameter)
+        centres = _stated_centres(bundle, diameter)
         return _layout(STATED, centres, kind, diameter)
-    centres = _arranged(bundle, np.asarray(diameters, dtype=np.float64), stiffness, seed)
+    centres = _arranged_centres(bundle, np.asarray(diameters, dtype=np.float64), stiffness, seed)
     return _layout(bundle.arrangement, centres, kind, diameter)
 
 
-def _stated(bundle: Bundle, diameter: Floats) -> Floats:
+def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
     centres = np.asarray(bundle.positions, dtype=np.float64)
     if len(centres) != len(diameter):
         message = f"{len(centres)} positions for {len(diameter)} wires: allowed is one for each"
@@ -75,7 +69,7 @@ def _stated(bundle: Bundle, diameter: Floats) -> Floats:
     first, second = np.triu_indices(len(diameter), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
     depth = 0.5 * (diameter[first] + diameter[second]) - distance
-    allowed = OVERLAP * np.minimum(diameter[first], diameter[second])
+    allowed = MAX_STATED_OVERLAP * np.minimum(diameter[first], diameter[second])
     if np.any(depth > allowed):
         at = int(np.argmax(depth - allowed))
         message = (
@@ -86,23 +80,30 @@ def _stated(bundle: Bundle, diameter: Floats) -> Floats:
     return centres
 
 
-def _arranged(bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int) -> Floats:
-    """Centres of the wires, kind by kind, m."""
+def _arranged_centres(
+    bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int
+) -> Floats:
+    """Return the centres of the wires, kind by kind, m."""
+    equal_diameter_share = 1e-9
     places = sites(bundle.number, seed=seed)
     counts = [wire.number for wire in bundle.wires]
-    if len(counts) == 1 or np.ptp(diameters) <= _EQUAL * diameters.max():
-        kind = _spread(bundle.arrangement, places, counts, stiffness, seed)[0]
+    if len(counts) == 1 or np.ptp(diameters) <= equal_diameter_share * diameters.max():
+        kind = _kinds_on_sites(bundle.arrangement, places, counts, stiffness, seed)[0]
         return _by_kind(diameters.max() * places, kind)
-    each = np.repeat(diameters, counts)
-    kinds = _spread(bundle.arrangement, places, counts, stiffness, seed)
-    starts = [_by_kind(width * places, kind) for kind in kinds for width in _widths(each, kinds)]
-    return densest_heap(starts, each)
+    wire_diameters = np.repeat(diameters, counts)
+    kinds = _kinds_on_sites(bundle.arrangement, places, counts, stiffness, seed)
+    starts = [
+        _by_kind(width * places, kind)
+        for kind in kinds
+        for width in _start_pitches(wire_diameters, kinds)
+    ]
+    return densest_heap(starts, wire_diameters)
 
 
-def _spread(
+def _kinds_on_sites(
     arrangement: str, places: Floats, counts: Sequence[int], stiffness: Sequence[float], seed: int
 ) -> list[Ints]:
-    """Kinds of the wires on the sites: one way of an arrangement, some of chance."""
+    """Return the kinds on the sites: one assignment for an arrangement, several random ones."""
     match arrangement:
         case "asymmetric":
             return [on_one_side(places, counts, stiffness)]
@@ -110,17 +111,18 @@ def _spread(
             return [evenly(places, counts, seed=seed)]
         case _:
             rng = np.random.default_rng(seed)
-            shuffles = N_SHUFFLES if len(places) <= _MOST_SOUGHT else N_SHUFFLES // 2
+            shuffles = N_SHUFFLES if len(places) <= _MAX_SEARCHED_WIRES else N_SHUFFLES // 2
             return [by_chance(counts, rng) for _ in range(shuffles)]
 
 
-def _widths(each: Floats, kinds: Sequence[Ints]) -> list[float]:
-    """Distances of the sites from which wires are drawn together, m."""
-    alike = float(np.sqrt(np.mean(each**2)))  # at which equal wires would have as much area
+def _start_pitches(wire_diameters: Floats, kinds: Sequence[Ints]) -> list[float]:
+    """Return the distances of the sites from which wires are drawn together, m."""
+    pitch_shares = (0.6, 0.8, 1.0)  # initial distances of the sites, per pitch of equal wires
+    equal_pitch = float(np.sqrt(np.mean(wire_diameters**2)))  # for equal wires of the same area
     if len(kinds) > 1:
-        return [alike]
-    shares = _PITCHES if len(each) <= _MOST_SOUGHT else _PITCHES[1:]
-    return [float(each.max()), *(share * alike for share in shares)]
+        return [equal_pitch]
+    shares = pitch_shares if len(wire_diameters) <= _MAX_SEARCHED_WIRES else pitch_shares[1:]
+    return [float(wire_diameters.max()), *(share * equal_pitch for share in shares)]
 
 
 def _by_kind(centres: Floats, kind: Ints) -> Floats:
@@ -133,18 +135,14 @@ def _layout(name: str, centres: Floats, kind: Ints, diameter: Floats) -> BundleL
     return BundleLayout(name, about[:, 0], about[:, 1], kind, diameter, radius)
 
 
-N_CHANCES = 12
+N_SPREAD_STARTS = 12
 """Seeded starts of the search for an even spread."""
 
-_ROW = 1e-6
-"""Of a wire's diameter: sites nearer in height than this lie in one row."""
-_MOST_CHOICES = 5000
-"""Of sites in one row, that are compared."""
-_DIGITS = 9
+_MERIT_DIGITS = 9
 
 
 def by_chance(counts: Sequence[int], rng: np.random.Generator) -> Ints:
-    """Shuffle the kinds.
+    """Shuffle the kinds of wires.
 
     Parameters
     ----------
@@ -155,7 +153,7 @@ def by_chance(counts: Sequence[int], rng: np.random.Generator) -> Ints:
     -------
     Shape (wires,), the kind of the wire on each site.
     """
-    return rng.permutation(_in_turn(counts)).astype(np.int64)
+    return rng.permutation(np.repeat(np.arange(len(counts)), counts)).astype(np.int64)
 
 
 def on_one_side(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]) -> Ints:
@@ -180,23 +178,25 @@ def on_one_side(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
 
 
 def _topmost(sites: Floats, free: Ints, count: int) -> Ints:
-    """The highest of some free sites, balanced about x = 0 within the lowest row taken."""
+    """Return the highest free sites, balanced about x = 0 within the lowest row taken."""
+    row_height = 1e-6  # wire diameters: sites in one row differ by less in height
+    max_choices = 5000
     if not count:
         return free[:0]
     height = sites[free, 1]
     edge = np.sort(height)[-count]
-    above, row = free[height > edge + _ROW], free[np.abs(height - edge) <= _ROW]
+    above, row = free[height > edge + row_height], free[np.abs(height - edge) <= row_height]
 
     def unbalance(chosen: tuple[int, ...]) -> tuple[float, float]:
         across = sites[list(chosen), 0]
-        return round(float(abs(across.sum())), _DIGITS), float(np.abs(across).sum())
+        return round(float(abs(across.sum())), _MERIT_DIGITS), float(np.abs(across).sum())
 
-    choices = islice(combinations(row.tolist(), count - len(above)), _MOST_CHOICES)
+    choices = islice(combinations(row.tolist(), count - len(above)), max_choices)
     return np.concatenate([above, np.array(min(choices, key=unbalance), dtype=np.int64)])
 
 
 def evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
-    """Spread every kind as the whole bundle is spread.
+    """Spread every kind evenly over the bundle.
 
     Parameters
     ----------
@@ -211,18 +211,18 @@ def evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
 
     Notes
     -----
-    Least is the unevenness: the sum over kinds and traits of (sum of the trait over the wires of
-    the kind)^2 / wires, where the traits x, y, x^2 - y^2, 2 x y, x^2 + y^2 are without their mean
-    over all wires, and of a size of one. Of equal ones, the fewest neighbours of one kind. A bundle
-    in which each kind has the centroid and the second moments of the whole is as stiff, in every
+    The unevenness is minimal: the sum over kinds and traits of (sum of the trait over the wires of
+    the kind)^2 / wires, where the traits x, y, x^2 - y^2, 2 x y, x^2 + y^2 are centred over
+    all wires and normalised. Among equal ones, neighbours of one kind are fewest. A bundle in
+    which each kind has the centroid and the second moments of the whole is as stiff, in every
     direction, as one of wires of the mean axial stiffness, whatever the stiffnesses of the kinds:
-    if the sites have no preferred direction, nor has the bundle.
+    if the sites have no preferred direction, the bundle has none either.
     """
     traits, near = _traits(sites), _neighbours(sites)
     rng = np.random.default_rng(seed)
-    starts = (by_chance(counts, rng) for _ in range(N_CHANCES))
-    found = [_exchanged(start, traits, near) for start in starts]
-    return min(found, key=lambda kind: _merit(kind, traits, near))
+    starts = (by_chance(counts, rng) for _ in range(N_SPREAD_STARTS))
+    spreads = [_exchange_wires(start, traits, near) for start in starts]
+    return min(spreads, key=lambda kind: _unevenness(kind, traits, near))
 
 
 def _traits(sites: Floats) -> Floats:
@@ -233,35 +233,35 @@ def _traits(sites: Floats) -> Floats:
 
 
 def _neighbours(sites: Floats) -> Floats:
-    """Whether two sites touch, or nearly: 1 or 0, shape (sites, sites)."""
+    """Return 1 for sites that nearly touch, else 0, shape (sites, sites)."""
     distance = np.hypot(*(sites[:, None] - sites).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     return np.asarray(distance < 1.2 * distance.min(initial=np.inf), dtype=np.float64)
 
 
-def _merit(kind: Ints, traits: Floats, near: Floats) -> tuple[float, int]:
-    """Unevenness, and neighbours of one kind."""
+def _unevenness(kind: Ints, traits: Floats, near: Floats) -> tuple[float, int]:
+    """Return the unevenness and the number of neighbours of one kind."""
     member = (kind[:, None] == np.arange(kind.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     unevenness = float(np.sum((member.T @ traits) ** 2 / count[:, None]))
-    return round(unevenness, _DIGITS), round(0.5 * float(np.sum(member * (near @ member))))
+    return round(unevenness, _MERIT_DIGITS), round(0.5 * float(np.sum(member * (near @ member))))
 
 
-def _exchanged(kind: Ints, traits: Floats, near: Floats) -> Ints:
-    """Exchange the two wires that help most, until no two do."""
-    best, least = kind, _merit(kind, traits, near)
+def _exchange_wires(kind: Ints, traits: Floats, near: Floats) -> Ints:
+    """Exchange the best pair of wires until no exchange helps."""
+    best, least = kind, _unevenness(kind, traits, near)
     while True:
-        one, other = _best_exchange(best, traits, near)
-        found = best.copy()
-        found[[one, other]] = best[[other, one]]
-        merit = _merit(found, traits, near)
+        one, other = _find_exchange(best, traits, near)
+        exchanged = best.copy()
+        exchanged[[one, other]] = best[[other, one]]
+        merit = _unevenness(exchanged, traits, near)
         if merit >= least:
             return best
-        best, least = found, merit
+        best, least = exchanged, merit
 
 
-def _best_exchange(kind: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
-    """Two wires whose exchange leaves the least unevenness, then the fewest neighbours alike.
+def _find_exchange(kind: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
+    """Return the two wires whose exchange is best: least unevenness, then fewest equal neighbours.
 
     With S_k the sum of the traits t over n_k wires of kind k, and d = t_j - t_i: S_a grows by d and
     S_b falls by it, where a and b are the kinds of i and j.
@@ -269,50 +269,43 @@ def _best_exchange(kind: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
     member = (kind[:, None] == np.arange(kind.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     pull = traits @ ((member.T @ traits) / count[:, None]).T  # t_i . S_k / n_k
-    own, among = pull[np.arange(len(kind)), kind], pull[:, kind]
+    own_pull, among = pull[np.arange(len(kind)), kind], pull[:, kind]
     size = np.sum(traits**2, axis=1)
     apart = size[:, None] + size - 2.0 * traits @ traits.T
     share = 1.0 / count[kind]
-    change = (share[:, None] + share) * apart + 2.0 * (among + among.T - own[:, None] - own)
+    change = (share[:, None] + share) * apart + 2.0 * (
+        among + among.T - own_pull[:, None] - own_pull
+    )
     beside = (near @ member)[:, kind]
     own_beside = np.diag(beside)
     alike = beside + beside.T - own_beside[:, None] - own_beside - 2.0 * near
-    change = np.where(kind[:, None] == kind, np.inf, np.round(change, _DIGITS))
+    change = np.where(kind[:, None] == kind, np.inf, np.round(change, _MERIT_DIGITS))
     change[np.tri(len(kind), dtype=bool)] = np.inf  # each pair once
     candidates = np.argwhere(change == change.min())
     first = candidates[np.argmin(alike[candidates[:, 0], candidates[:, 1]])]
     return int(first[0]), int(first[1])
 
 
-def _in_turn(counts: Sequence[int]) -> Ints:
-    return np.repeat(np.arange(len(counts)), counts)
-
-
 N_HEAP_STARTS = 8
-"""Seeded starts of a heap, beside those from a lattice of triangles."""
-_MOST_IN_HEXAGON = 37
-"""Wires that are laid as a hexagon because they fill one. The corners of a larger one stick out of
-a heap, which then is the narrower."""
+"""Random starts of a heap, besides those from a triangular lattice."""
 
-_CORES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
-"""What a heap can have in its middle: a wire, three wires around a gap, two wires side by side."""
-_ALIKE = 1e-9
-_N_MIDDLES = 8
-"""Along the edge of the triangle of places in which the middle of a lattice is sought."""
+_HEAP_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
+"""Centre of a heap: a wire, three wires around a gap, two wires side by side."""
+_WIDTH_ROUNDING = 1e-9
 
 
 def sites(number: int, *, seed: int = 0) -> Floats:
-    """Find places for some equal wires that touch.
+    """Find positions of equal wires that touch.
 
     Parameters
     ----------
     number : of wires, at least 1
-    seed : of the starts where the number makes no hexagon; same seed, same places
+    seed : of the starts where the number makes no hexagon; same seed, same positions
 
     Returns
     -------
     Shape (number, 2), wire diameters, from the middle outwards, with their centroid at the origin.
-    Places at one distance stand in the order of their angle from the x axis. Rows of a hexagon lie
+    Positions at one distance are ordered by their angle from the x axis. Rows of a hexagon lie
     along x.
 
     Raises
@@ -320,24 +313,29 @@ def sites(number: int, *, seed: int = 0) -> Floats:
     ValueError
         If there is no wire.
     """
+    max_hexagon_wires = 37  # the corners of a larger hexagon stick out of the heap
     if number < 1:
         message = f"number={number!r}: allowed are whole numbers >= 1"
         raise ValueError(message)
-    core = _core_of_hexagon(number) if number <= _MOST_IN_HEXAGON else None
-    found = _hexagon(number, core) if core is not None else _densest(number, seed)
-    return _in_order(found - found.mean(axis=0))
+    core = _hexagon_centre(number) if number <= max_hexagon_wires else None
+    places = (
+        _hexagonal_heap(number, core) if core is not None else _densest_equal_heap(number, seed)
+    )
+    points = places - places.mean(axis=0)
+    angle = np.round(np.arctan2(points[:, 1], points[:, 0]), 9) % np.round(2.0 * np.pi, 9)
+    return np.asarray(points[np.lexsort([angle, np.round(np.hypot(*points.T), 9)])])
 
 
-def _core_of_hexagon(number: int) -> Floats | None:
-    """Middle of the hexagon that so many wires make, if they make one."""
+def _hexagon_centre(number: int) -> Floats | None:
+    """Return the centre of the hexagon of so many wires, if there is one."""
     rings = (math.isqrt(12 * number - 3) - 3) // 6
     if number == 1 + 3 * rings * (rings + 1):
-        return np.asarray(_CORES[0])
-    return np.asarray(_CORES[1]) if number == 3 * math.isqrt(number // 3) ** 2 else None
+        return np.asarray(_HEAP_CENTRES[0])
+    return np.asarray(_HEAP_CENTRES[1]) if number == 3 * math.isqrt(number // 3) ** 2 else None
 
 
-def _hexagon(number: int, core: Floats) -> Floats:
-    """Points of a lattice of triangles nearest to its middle by hexagonal distance.
+def _hexagonal_heap(number: int, core: Floats) -> Floats:
+    """Return the points of a triangular lattice nearest to its middle by hexagonal distance.
 
     That is the largest of the heights above the three pairs of opposite sides: by it the rings of a
     hexagon are complete, whatever their number.
@@ -349,43 +347,41 @@ def _hexagon(number: int, core: Floats) -> Floats:
 
 
 def _lattice(number: int) -> Floats:
-    """Points of a lattice of triangles about a point of it, more than a heap needs."""
+    """Return points of a triangular lattice about one of them, more than a heap needs."""
     reach = 2 + math.isqrt(2 * number)
     along, up = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
     return np.column_stack([along + 0.5 * up, np.sqrt(0.75) * up])
 
 
-def _nearest(number: int, core: Floats) -> Floats:
-    """Points of a lattice of triangles nearest to its middle."""
+def _lattice_heap(number: int, core: Floats) -> Floats:
+    """Return the points of a triangular lattice nearest to its middle."""
     points = _lattice(number) - core
     return np.asarray(points[np.argsort(np.round(np.hypot(*points.T), 9), kind="stable")[:number]])
 
 
-def _densest(number: int, seed: int) -> Floats:
-    """The heap in the smallest circle, of lattices and of those drawn together from starts."""
+def _densest_equal_heap(number: int, seed: int) -> Floats:
+    """Return the heap in the smallest circle, from lattices and from random starts."""
     rng = np.random.default_rng(seed)
     diameters = np.ones(number)
-    found = [_nearest(number, middle) for middle in _middles()]
-    if number <= _MOST_SOUGHT:
+    heaps = [_lattice_heap(number, middle) for middle in _lattice_centres()]
+    if number <= _MAX_SEARCHED_WIRES:
         radius = 0.55 * math.sqrt(number) * np.sqrt(rng.uniform(size=(N_HEAP_STARTS, number)))
         angle = rng.uniform(0.0, 2.0 * np.pi, size=(N_HEAP_STARTS, number))
-        starts = [_nearest(number, core) for core in _CORES]
+        starts = [_lattice_heap(number, core) for core in _HEAP_CENTRES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
-        found = [*found, densest_heap(starts, diameters)]
-    widths = np.array([holding_circle(finding, diameters)[1] for finding in found])
-    return found[int(np.argmax(widths < widths.min() + _ALIKE))]  # of equal ones, the first
+        heaps = [*heaps, densest_heap(starts, diameters)]
+    widths = np.array([holding_circle(heap, diameters)[1] for heap in heaps])
+    return heaps[
+        int(np.argmax(widths < widths.min() + _WIDTH_ROUNDING))
+    ]  # of equal ones, the first
 
 
-def _middles() -> Floats:
-    """Points of the triangle between the cores: every other middle makes one of these heaps."""
-    share = np.linspace(0.0, 1.0, _N_MIDDLES + 1)
+def _lattice_centres() -> Floats:
+    """Return centres in the triangle of `_HEAP_CENTRES`; others give the same heaps by symmetry."""
+    n_edge_points = 8
+    share = np.linspace(0.0, 1.0, n_edge_points + 1)
     one, other = np.meshgrid(share, share)
-    inside = one + other <= 1.0 + _ALIKE
-    edges = _CORES[1:] - _CORES[0]
+    inside = one + other <= 1.0 + _WIDTH_ROUNDING
+    edges = _HEAP_CENTRES[1:] - _HEAP_CENTRES[0]
     points = np.column_stack([one[inside], other[inside]]) @ edges
-    return np.concatenate([_CORES, np.asarray(points)])
-
-
-def _in_order(points: Floats) -> Floats:
-    angle = np.round(np.arctan2(points[:, 1], points[:, 0]), 9) % np.round(2.0 * np.pi, 9)
-    return np.asarray(points[np.lexsort([angle, np.round(np.hypot(*points.T), 9)])])
+    return np.concatenate([_HEAP_CENTRES, np.asarray(points)])

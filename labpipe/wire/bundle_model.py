@@ -1,4 +1,4 @@
-"""What bounds the bending of a bundle, from the laws of its wires and where they lie.
+"""Bounds of the bending of a bundle, from the laws and positions of its wires.
 
 Wires that slip bend each about its own axis. Wires that stick are one beam: plane sections stay
 plane, and a wire at the distance y from the neutral axis is also strained along its axis, by
@@ -24,24 +24,15 @@ from labpipe.wire.bundle_layout import arrange
 from labpipe.wire.bundle_packing import fits, holding_circle, packing_fraction
 from labpipe.wire.wire_table import build
 
-_OTHER_DIAMETER = 0.05
-"""Of a diameter: how far the test sheet may be from the wire sheet without a note."""
-_ANOTHER_WIRE = 2.0
-"""Factor from the wire sheet's diameter beyond which the two cannot be one wire."""
-_MOSTLY_STRETCHED = 2.0
-"""Of the stiffness of wires that slip: above it, more than half is stretching."""
-_OBLIQUE = 0.01
-"""Of the stiffness along y: what a bundle may lose by moving aside without a note."""
-
 
 def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int = 0) -> BundleModel:
-    """Work out between what bounds the bending of a bundle lies.
+    """Compute the bounds of the bending of a bundle.
 
     Parameters
     ----------
-    bundle : its diameters, where it states them, go before those of the wires' tables
+    bundle : stated diameters override those of the wires' tables
     tables : law of each type of wire
-    seed : of what the layout leaves to chance
+    seed : of the random choices of the layout
 
     Returns
     -------
@@ -51,8 +42,8 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     Raises
     ------
     ValueError
-        If a type of wire has no table or a diameter more than a factor of two off that of its
-        table, stated positions overlap or are not one for each wire, or the wires as they lie do
+        If a type of wire has no table or differs from its table by more than a factor of two in
+        diameter, stated positions overlap or are not one for each wire, or the laid out wires do
         not fit the conduit.
 
     Notes
@@ -61,28 +52,30 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
     the axial stiffnesses. The moments hold on first loading: the sum of the wires' laws M(kappa),
     without and with the moment of their stretching and shortening, in which copper yields (see
-    `stretching_moment`). What bending and stretching of one wire do to each other is left out.
-    Friction between wires, and tape that gives, leave a bundle between the two.
+    `stretching_moment`). The interaction of bending and stretching in one wire is neglected.
+    With friction between wires and compliant tape, a bundle lies between the two.
     """
-    kinds = [_table(wire.type, tables) for wire in bundle.wires]
+    kind_tables = [_table(wire.type, tables) for wire in bundle.wires]
     counts = [wire.number for wire in bundle.wires]
-    diameters = [_diameter(wire, table) for wire, table in zip(bundle.wires, kinds, strict=True)]
-    axial = np.array([table.axial_stiffness for table in kinds])
+    diameters = [
+        _diameter(wire, table) for wire, table in zip(bundle.wires, kind_tables, strict=True)
+    ]
+    axial = np.array([table.axial_stiffness for table in kind_tables])
     layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
-    own = np.array([table.stick_stiffness for table in kinds])
-    stuck = sticking(layout.x, layout.y, own[layout.kind], axial[layout.kind])
-    curvature, notes = _curvature(kinds, layout)
-    slip = slipping_moment(curvature, kinds, counts)
-    stick = slip + stretching_moment(curvature, layout.y, layout.kind, kinds)
-    free = float(own[layout.kind].sum())
+    stick_stiffness = np.array([table.stick_stiffness for table in kind_tables])
+    stuck = sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
+    curvature, notes = _common_range(kind_tables, layout)
+    slip = slipping_moment(curvature, kind_tables, counts)
+    stick = slip + stretching_moment(curvature, layout.y, layout.kind, kind_tables)
+    free = float(stick_stiffness[layout.kind].sum())
     high = float(stuck.tensor[1, 1])
-    sure = _straight_ranges(kinds, layout, stuck.neutral[1])
-    middle, smallest = _holding(bundle, layout)
+    straight_ranges = _straight_ranges(kind_tables, layout, stuck.neutral[1])
+    middle, smallest = _conduit_circle(bundle, layout)
     bore = bundle.conduit_bore
     return BundleModel(
         bundle=bundle,
         layout=layout,
-        low=float(np.dot(counts, [table.slip_stiffness for table in kinds])),
+        low=float(np.dot(counts, [table.slip_stiffness for table in kind_tables])),
         free=free,
         high=high,
         tensor=stuck.tensor,
@@ -96,50 +89,51 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
         curvature=curvature,
         moment_slip=slip,
         moment_stick=stick,
-        doubtful_curvature=sure[0],
-        doubtful_curvature_stick=sure[1],
+        doubtful_curvature=straight_ranges[0],
+        doubtful_curvature_stick=straight_ranges[1],
         notes=(
-            *_other_diameters(bundle, kinds),
+            *_diameter_notes(bundle, kind_tables),
             *notes,
-            *_oblique(stuck),
-            *_yielding(high, free, curvature, stick),
-            *_doubtful(sure, curvature),
+            *_oblique_notes(stuck),
+            *_yield_notes(high, free, curvature, stick),
+            *_insulation_notes(straight_ranges, curvature),
         ),
     )
 
 
 def _table(type_: str, tables: Mapping[str, WireTable]) -> WireTable:
     if type_ not in tables:
-        known = ", ".join(tables) or "none"
-        message = f"the wire type {type_!r} has no law: there are those of {known}"
+        names = ", ".join(tables) or "none"
+        message = f"the wire type {type_!r} has no law: available are {names}"
         raise ValueError(message)
     return tables[type_]
 
 
 def _diameter(wire: BundleWire, table: WireTable) -> float:
-    """Over the insulation, m; refused where it smells of a wrong unit."""
-    known = 2.0 * table.layout.wire_radius
+    """Return the diameter over the insulation, m; refuse one that suggests a wrong unit."""
+    max_factor = 2.0  # beyond it the two cannot be one wire
+    sheet_diameter = 2.0 * table.layout.wire_radius
     if wire.diameter is None:
-        return known
-    if not known / _ANOTHER_WIRE <= wire.diameter <= _ANOTHER_WIRE * known:
+        return sheet_diameter
+    if not sheet_diameter / max_factor <= wire.diameter <= max_factor * sheet_diameter:
         message = (
-            f"{wire.type}: the bundle says {1e3 * wire.diameter:.4g} mm over the insulation, the "
-            f"wire sheet {1e3 * known:.4g} mm; allowed is up to a factor of {_ANOTHER_WIRE:g} "
-            f"between them, so check the unit, or leave the diameter out"
+            f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, the "
+            f"wire sheet {1e3 * sheet_diameter:.4g} mm; allowed is a factor of up to "
+            f"{max_factor:g}: check the unit, or leave the diameter out"
         )
         raise ValueError(message)
     return wire.diameter
 
 
-def _holding(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
-    """Centre and diameter of the circle that holds the wires, if it fits the conduit."""
+def _conduit_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
+    """Return centre and diameter of the circle around the wires, which must fit the conduit."""
     centres = np.column_stack([layout.x, layout.y])
     middle, radius = holding_circle(centres, layout.diameter)
     smallest = 2.0 * radius
     bore = bundle.conduit_bore
     if bore is not None and not fits(smallest, bore):
         message = (
-            f"the {bundle.number} wires as they lie need a bore of {1e3 * smallest:.4g} mm, "
+            f"the {bundle.number} wires in this layout need a bore of {1e3 * smallest:.4g} mm, "
             f"the conduit has {1e3 * bore:.4g} mm "
             f"(packing fraction {packing_fraction(layout.diameter, bore):.3g})"
         )
@@ -147,35 +141,40 @@ def _holding(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float],
     return (float(middle[0]), float(middle[1])), smallest
 
 
-def _other_diameters(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[QualityNote]:
+def _diameter_notes(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[QualityNote]:
+    diameter_tolerance = 0.05
     for wire, table in zip(bundle.wires, kinds, strict=True):
-        known = 2.0 * table.layout.wire_radius
-        if wire.diameter and abs(wire.diameter - known) > _OTHER_DIAMETER * known:
+        sheet_diameter = 2.0 * table.layout.wire_radius
+        if (
+            wire.diameter
+            and abs(wire.diameter - sheet_diameter) > diameter_tolerance * sheet_diameter
+        ):
             message = (
-                f"{wire.type}: the bundle says {1e3 * wire.diameter:.4g} mm over the insulation, "
-                f"which places the wires; the law is that of a wire of {1e3 * known:.4g} mm"
+                f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, "
+                f"used to place the wires; the law is for a wire of "
+                f"{1e3 * sheet_diameter:.4g} mm"
             )
             yield QualityNote("diameter_differs", Severity.WARNING, "bundle", message)
 
 
-def _curvature(
+def _common_range(
     kinds: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
-    """Curvatures that all laws know, and a note where one of them goes further."""
+    """Return the curvatures covered by all laws, and a note where one of them goes further."""
     curvature = common_curvature(kinds)
     depth = float(np.ptp(layout.y))
-    known = min(largest_stretch(table) for table in kinds) / depth if depth else np.inf
-    if known < curvature[-1]:
-        curvature = np.append(curvature[curvature < known], known)
-        why = f"sticking wires {1e3 * depth:.3g} mm apart reach the last strain of a stress table"
+    last_known = min(largest_stretch(table) for table in kinds) / depth if depth else np.inf
+    if last_known < curvature[-1]:
+        curvature = np.append(curvature[curvature < last_known], last_known)
+        reason = f"sticking wires {1e3 * depth:.3g} mm apart reach the end of a table"
     else:
-        why = "the shortest of the wires' laws ends"
+        reason = "the shortest of the wires' laws ends"
     longest = max(kinds, key=lambda table: float(table.curvature[-1]))
     if longest.curvature[-1] <= curvature[-1]:
         return curvature, ()
     message = (
-        f"moments are given up to {curvature[-1]:.4g} 1/m, where {why}; the law of {longest.name} "
-        f"goes to {longest.curvature[-1]:.4g} 1/m"
+        f"moments are given up to {curvature[-1]:.4g} 1/m, where {reason}; the law of "
+        f"{longest.name} goes to {longest.curvature[-1]:.4g} 1/m"
     )
     return curvature, (QualityNote("range_shortened", Severity.INFO, "bundle", message),)
 
@@ -183,10 +182,10 @@ def _curvature(
 def _straight_ranges(
     kinds: Sequence[WireTable], layout: BundleLayout, neutral: float
 ) -> tuple[float, float]:
-    """Curvatures up to which all straight lines of insulations hold, wires slipping and sticking.
+    """Return the curvatures up to which insulations are linear, for slipping and sticking wires.
 
-    Wires that stick are strained at their rims by the curvature times the height above the neutral
-    axis of the whole bundle (of elastic wires: where copper yields it moves a little).
+    The rims of sticking wires are strained by the curvature times the height above the neutral axis
+    of the bundle (of elastic wires: it moves a little where copper yields).
     """
     slip = np.array([table.doubtful_curvature for table in kinds])
     radius = np.array([table.layout.wire_radius for table in kinds])
@@ -195,59 +194,66 @@ def _straight_ranges(
     return float(slip.min()), float(np.min(strain / height))
 
 
-def _doubtful(sure: tuple[float, float], curvature: Floats) -> Iterator[QualityNote]:
-    slip, stick = sure
+def _insulation_notes(
+    straight_ranges: tuple[float, float], curvature: Floats
+) -> Iterator[QualityNote]:
+    slip, stick = straight_ranges
     if curvature[-1] <= stick:
         return
-    which = " if wires stick" if slip > stick * (1.0 + _ROUND) else ""
-    also = f", and beyond {slip:.4g} 1/m if they slip" if which and curvature[-1] > slip else ""
+    condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
+    addition = (
+        f", and beyond {slip:.4g} 1/m if they slip" if condition and curvature[-1] > slip else ""
+    )
     message = (
-        f"where the rim of an insulation is strained beyond its straight line, that line is not "
-        f"taken to hold: moments are doubtful beyond {stick:.4g} 1/m{which}{also} "
+        f"where the rim of an insulation is strained beyond its linear range, its modulus does "
+        f"not apply: moments are doubtful beyond {stick:.4g} 1/m{condition}{addition} "
         f"(lighter in the figure)"
     )
     yield QualityNote("insulation_doubtful", Severity.WARNING, "bundle", message)
 
 
-def _oblique(stuck: Sticking) -> Iterator[QualityNote]:
+def _oblique_notes(stuck: Sticking) -> Iterator[QualityNote]:
+    max_lost_share = 0.01  # of the stiffness along y, lost by moving aside
     (across, mixed), (_, along) = stuck.tensor
     lost = mixed**2 / (across * along)
-    if lost > _OBLIQUE:
+    if lost > max_lost_share:
         message = (
             f"the principal axes are oblique ({np.degrees(stuck.angle):.3g} deg from x to the "
-            f"stiffest direction): bent along y, a sticking bundle that may move aside is "
-            f"{100.0 * lost:.2g} % less stiff than the {_stiffness(along)} of one kept in its "
+            f"stiffest direction): bent along y, a sticking bundle free to move aside is "
+            f"{100.0 * lost:.2g} % less stiff than the {_stiffness_text(along)} of one kept in its "
             f"plane"
         )
         yield QualityNote("oblique_axes", Severity.INFO, "bundle", message)
 
 
-def _yielding(high: float, free: float, curvature: Floats, stick: Floats) -> Iterator[QualityNote]:
-    """Say where a sticking bundle whose wires are stretched has half its first stiffness."""
-    if high < _MOSTLY_STRETCHED * free:  # what it loses then are strands that slip
+def _yield_notes(
+    high: float, free: float, curvature: Floats, stick: Floats
+) -> Iterator[QualityNote]:
+    """Note where a sticking bundle of stretched wires has less than half its first stiffness."""
+    min_stretching_factor = 2.0  # above it, more than half of the stiffness is stretching
+    if high < min_stretching_factor * free:  # the stiffness it loses is that of slipping strands
         return
     below = np.flatnonzero(stick[1:] < 0.5 * high * curvature[1:]) + 1
     if len(below):
         message = (
-            f"copper that is stretched yields: a sticking bundle, bent along y, has less than half "
-            f"of its {_stiffness(high)} beyond {curvature[below[0]]:.3g} 1/m"
+            f"stretched copper yields: a sticking bundle, bent along y, has less than half "
+            f"of its {_stiffness_text(high)} beyond {curvature[below[0]]:.3g} 1/m"
         )
         yield QualityNote("copper_yields", Severity.INFO, "bundle", message)
 
 
-def _stiffness(value: float) -> str:
-    """A stiffness as the lines of a bundle have it, four digits and never a power of ten."""
+def _stiffness_text(value: float) -> str:
+    """Format a stiffness with four digits and without an exponent."""
     return f"{float(f'{1e6 * value:.4g}'):.10g} N mm^2"
 
 
-_ROUND = 1e-6
-"""Principal stiffnesses nearer than this share are equal; an axis nearer than this to y, rad, is
-y."""
+_AXIS_TOLERANCE = 1e-6
+"""Share by which unequal principal stiffnesses differ; rad, by which an axis differs from y."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sticking:
-    """Bending stiffness of a bundle in which nothing slips.
+    """Bending stiffness of a bundle without slip.
 
     Parameters
     ----------
@@ -265,7 +271,7 @@ class Sticking:
 
 
 def sticking(x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats) -> Sticking:
-    """Work out the bending stiffness of wires that stick to each other, in all directions.
+    """Compute the bending stiffness of wires that stick to each other, in all directions.
 
     Parameters
     ----------
@@ -286,35 +292,35 @@ def sticking(x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: F
     about = centres - neutral
     tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * about).T @ about
     (least, largest), axes = np.linalg.eigh(tensor)
-    angle = 0.0 if largest - least <= _ROUND * largest else _half_turn(axes[:, 1])
+    angle = 0.0 if largest - least <= _AXIS_TOLERANCE * largest else _axis_angle(axes[:, 1])
     where = (float(neutral[0]), float(neutral[1]))
     return Sticking(tensor, where, (float(least), float(largest)), angle)
 
 
-def _half_turn(axis: Floats) -> float:
-    """Angle of an axis, which has no head, in (-pi/2, pi/2]."""
+def _axis_angle(axis: Floats) -> float:
+    """Return the angle of an undirected axis, in (-pi/2, pi/2]."""
     angle = float(np.arctan2(axis[1], axis[0]))
-    if angle > np.pi / 2.0 + _ROUND:
+    if angle > np.pi / 2.0 + _AXIS_TOLERANCE:
         return angle - np.pi
-    return angle + np.pi if angle <= -np.pi / 2.0 + _ROUND else angle
+    return angle + np.pi if angle <= -np.pi / 2.0 + _AXIS_TOLERANCE else angle
 
 
 def common_curvature(tables: Sequence[WireTable]) -> Floats:
-    """Curvatures at which all laws are known, 1/m: those of all tables, up to the shortest range.
+    """Return the curvatures of all tables up to the end of the shortest, 1/m.
 
     Parameters
     ----------
     tables : at least one
     """
     end = min(float(table.curvature[-1]) for table in tables)
-    every = np.unique(np.concatenate([table.curvature for table in tables]))
-    return np.asarray(every[every <= end])
+    curvature = np.unique(np.concatenate([table.curvature for table in tables]))
+    return np.asarray(curvature[curvature <= end])
 
 
 def slipping_moment(
     curvature: Floats, tables: Sequence[WireTable], counts: Sequence[int]
 ) -> Floats:
-    """Moment of wires that slip on each other without friction: the sum of their laws, N m.
+    """Return the moment of wires that slip without friction, the sum of their laws, N m.
 
     Parameters
     ----------
@@ -330,7 +336,7 @@ def slipping_moment(
 
 
 def share_of_bounds(value: float, low: float, high: float) -> float:
-    """Tell where a stiffness lies between the bounds of the model: 0 at the lower, 1 at the upper.
+    """Return the position of a stiffness between the bounds: 0 at the lower, 1 at the upper.
 
     Parameters
     ----------
@@ -357,14 +363,8 @@ def share_of_bounds(value: float, low: float, high: float) -> float:
     return (value - low) / (high - low)
 
 
-_POINTS = 600
-_DECADES = 9.0
-"""Below the largest strain: the first point lies where copper is still elastic."""
-_HALVINGS = 60
-
-
 def axial_force(table: WireTable, strain: Floats) -> Floats:
-    """Force along a wire that is stretched and does not turn about its axis, N.
+    """Return the force along a stretched wire that does not turn about its axis, N.
 
     Parameters
     ----------
@@ -389,16 +389,16 @@ def axial_force(table: WireTable, strain: Floats) -> Floats:
 
 
 def largest_stretch(table: WireTable) -> float:
-    """Strain of a wire up to which the stress of all its strands is known; may be infinite."""
+    """Return the strain up to which the stress of all strands is known; may be infinite."""
     layers = build(table.spec).section.layers
-    known = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
-    return float(min(known))
+    strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
+    return float(min(strains))
 
 
 def stretching_moment(
     curvature: Floats, y: Floats, kind: Ints, tables: Sequence[WireTable]
 ) -> Floats:
-    """Moment that the stretching and shortening of sticking wires takes, N m.
+    """Return the moment of the stretching and shortening of sticking wires, N m.
 
     Parameters
     ----------
@@ -409,24 +409,27 @@ def stretching_moment(
 
     Returns
     -------
-    Shape (n,): sum of N y, with N the force at the strain kappa (y - y0), alike in tension and in
+    Shape (n,): sum of N y, with N the force at the strain kappa (y - y0), equal in tension and
     compression, and y0 where the sum of N is zero. Its slope at zero is sum of EA (y - y0)^2.
     """
+    n_points = 600
+    decades = 9.0  # below the largest strain; copper is still elastic at the first point
+    halvings = 60
     reach = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
-    strain = np.append(0.0, np.geomspace(10.0**-_DECADES, 1.0, _POINTS) * reach)
+    strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * reach)
     laws = [axial_force(table, strain) for table in tables]
 
     def forces(neutral: Floats) -> Floats:
         stretch = curvature[:, None] * (y - neutral[:, None])
         force = np.empty_like(stretch)
         for number, law in enumerate(laws):
-            own = stretch[:, kind == number]
-            force[:, kind == number] = np.sign(own) * np.interp(np.abs(own), strain, law)
+            strains = stretch[:, kind == number]
+            force[:, kind == number] = np.sign(strains) * np.interp(np.abs(strains), strain, law)
         return force
 
     low, high = (np.full(len(curvature), edge) for edge in (y.min(), y.max()))
-    for _ in range(_HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (low + high)
-        pulls = forces(middle).sum(axis=1) > 0.0  # too much is stretched: the axis lies higher
+        pulls = forces(middle).sum(axis=1) > 0.0  # the neutral axis lies higher
         low, high = np.where(pulls, middle, low), np.where(pulls, high, middle)
     return np.asarray(forces(0.5 * (low + high)) @ y)

@@ -1,11 +1,11 @@
-"""Round wires drawn together until they touch, and how full a conduit around them is.
+"""Densest packing of round wires, and how full a conduit around them is.
 
 The heap sought has the least sum of diameter^2 x squared distance from the middle without any
-overlap: a bore, as in `wire.packing`, leaves wires loose in the gaps, a pull to the middle leaves
-none. Wires first relax in a soft energy, eqs. (3.1)-(3.4) of the source with the pull in place of
+overlap: a bore, as in `wire.packing`, leaves loose wires in the gaps, a pull to the middle does
+not. Wires first relax in a soft energy, eqs. (3.1)-(3.4) of the source with the pull in place of
 the bore; then contacts harden until the overlaps that the pull left are gone (method of
-multipliers: Hestenes and Powell, 1969), and Newton's method brings the heap to rest. Only wires
-near each other are looked at, so that cost grows with their number. The heap is the same on every
+multipliers: Hestenes and Powell, 1969), and Newton's method brings the heap to rest. Only
+pairs of near wires are evaluated, so that cost grows linearly. The heap is the same on every
 processor, to 1e-12 of a diameter.
 """
 
@@ -23,42 +23,10 @@ from scipy.spatial import cKDTree
 from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats, Ints
 
-_STIFFNESSES = (10.0, 100.0)
-"""Of a contact against a pull of 1, one after the other; low enough for a search by gradients."""
-_NEIGHBOURS = 1.5
-"""Distance, in touching ones, up to which a pair is looked at until the next list of pairs."""
-_TRAVEL = 0.17
-"""Of the least diameter: how far a wire goes along x or y on one list of pairs, so that none that
-is not on the list can be met."""
-_LOOSE, _FINE = 1e-3, 1e-5
-"""Force left on a wire, of the pull at a mean diameter from the middle: while wires find their
-places, and when they have them."""
-_STEPS, _STEERING, _PATIENCE = 20000, 0.1, 5
-"""Of a relaxation: at most; share of the force in the direction; steps before they grow."""
-_WIDEST = 1.5
-"""Of the spread of wires without any gaps: a wider start is made as small, so that all arrive."""
-_HARDER, _HARDEST = 10.0, 1e3
-"""Factor on the stiffness of a contact from one hardening to the next, and where it ends."""
-_HARDENINGS = (4, 8, 1500)
-"""At least, at most, and in between so many over the number of wires."""
-_HARD = 1e-6
-"""Of a mean diameter: overlap or gap of wires that push each other at which they count as hard."""
-_REST, _FAR = 1e-13, 1e-2
-"""Of a mean diameter: the last and the longest step of Newton's method."""
-_RANK, _NEWTON_STEPS = 1e-11, 20
-"""Share of the largest singular value below which a direction is free; steps at most."""
-_APART = 1e-3
-"""Of a diameter: wires that lie on one another know no way apart, so that they get one."""
-_ALIKE = 1e-2
-"""Of a radius: heaps that differ less in theirs are equally wide while wires are soft."""
-_SHAKES = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
-"""Of a mean diameter: unequal wires can come to rest in a row or around a corner, where nothing
-pushes them aside; a heap that fills less than `_SHAKEN` is shaken a little, then more."""
-_SHAKEN = 0.55
-_PAIR = 2
-LEAST_FILLED = 0.5
-"""Of the smallest circle around a heap: what two equal wires fill, the emptiest of all heaps that
-are drawn together."""
+_CONTACT_STIFFNESSES = (10.0, 100.0)
+"""Successive stiffnesses of a contact for a pull of 1; low enough for a gradient method."""
+MIN_FILLED_SHARE = 0.5
+"""Of the smallest circle around a heap; two equal wires, the emptiest heap, fill as much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +37,7 @@ class Contacts:
     ----------
     first, second : indices
     touching : distance at which they touch
-    force : with which they push each other where they just touch
+    force : of the contact at zero overlap
     """
 
     first: Ints
@@ -97,6 +65,10 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
         If a number is not finite, or the wires did not come together: they fill less than half
         of the smallest circle around them.
     """
+    # mean diameters; unequal wires can come to rest in a row or around a corner
+    shakes = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
+    min_filled_share = 0.55  # heaps that fill less are shaken
+    pair = 2
     if not (np.all(np.isfinite(starts)) and np.all(diameters > 0.0)):
         message = "a heap of wires: allowed are finite centres and diameters > 0"
         raise ValueError(message)
@@ -104,29 +76,30 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
         return np.zeros((1, 2))
     scale = float(np.mean(diameters))
     reach = diameters / scale
-    found = _densest([(start - start.mean(axis=0)) / scale for start in starts], reach)
-    for number, shake in enumerate(_SHAKES):
-        if _filled(found, reach) > _SHAKEN or len(reach) == _PAIR:
+    heap = _narrowest_heap([(start - start.mean(axis=0)) / scale for start in starts], reach)
+    for number, shake in enumerate(shakes):
+        if _filled_share(heap, reach) > min_filled_share or len(reach) == pair:
             break
-        moves = shake * np.random.default_rng(number).normal(size=found.shape)
-        found = _densest([found, found + moves], reach)
-    require_dense(found, reach)
-    return np.asarray(scale * (found - np.average(found, axis=0, weights=reach**2)))
+        moves = shake * np.random.default_rng(number).normal(size=heap.shape)
+        heap = _narrowest_heap([heap, heap + moves], reach)
+    require_dense(heap, reach)
+    return np.asarray(scale * (heap - np.average(heap, axis=0, weights=reach**2)))
 
 
-def _densest(starts: Sequence[Floats], diameters: Floats) -> Floats:
-    """The narrowest heap of those that come of some starts, hard; the first of equally wide."""
-    heaps = [_soft(start, diameters) for start in starts]
+def _narrowest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
+    """Return the narrowest hard heap from some starts; the first of equally wide ones."""
+    width_tolerance = 1e-2  # relative, while wires are soft
+    heaps = [_relax_soft(start, diameters) for start in starts]
     widths = np.array(
-        [holding_circle(heap * _spread(heap, diameters), diameters)[1] for heap, _ in heaps]
+        [holding_circle(heap * _scale_apart(heap, diameters), diameters)[1] for heap, _ in heaps]
     )
-    found, contacts = heaps[int(np.argmax(widths <= (1.0 + _ALIKE) * widths.min()))]
-    found = _hardened(found, diameters, contacts)
-    return np.asarray(found * _spread(found, diameters))
+    heap, contacts = heaps[int(np.argmax(widths <= (1.0 + width_tolerance) * widths.min()))]
+    heap = _harden(heap, diameters, contacts)
+    return np.asarray(heap * _scale_apart(heap, diameters))
 
 
-def _filled(centres: Floats, diameters: Floats) -> float:
-    """Share of the smallest circle around all wires that they fill; 0 where a place is unknown."""
+def _filled_share(centres: Floats, diameters: Floats) -> float:
+    """Return the filled share of the smallest circle around all wires; 0 for unknown positions."""
     radius = holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
     return packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
 
@@ -142,79 +115,87 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
     Raises
     ------
     ValueError
-        If the wires fill less than `LEAST_FILLED` of the smallest circle around them; the message
-        says how much they fill.
+        If the wires fill less than `MIN_FILLED_SHARE` of the smallest circle around them; the
+        message states the filled share.
     """
-    filled = _filled(centres, diameters)
-    if not filled > LEAST_FILLED * (1.0 - 1e-6):
+    filled = _filled_share(centres, diameters)
+    if not filled > MIN_FILLED_SHARE * (1.0 - 1e-6):
         message = (
             f"the {len(diameters)} wires did not come together: they fill {filled:.2g} of the "
-            f"smallest circle around them, expected at least {LEAST_FILLED:g}"
+            f"smallest circle around them, expected at least {MIN_FILLED_SHARE:g}"
         )
         raise ValueError(message)
 
 
-def _parted(centres: Floats) -> Floats:
-    """The same, wires at one place a little apart."""
+def _separate_coincident(centres: Floats) -> Floats:
+    """Separate wires at the same position."""
+    gap_diameters = 1e-3  # gives coincident wires a direction in which to move apart
     if len(np.unique(centres, axis=0)) == len(centres):
         return centres
     turn = np.arange(len(centres), dtype=np.float64)
-    return np.asarray(centres + _APART * np.column_stack([np.cos(turn), np.sin(turn)]))
+    return np.asarray(centres + gap_diameters * np.column_stack([np.cos(turn), np.sin(turn)]))
 
 
 def _contacts(centres: Floats, diameters: Floats, before: Contacts | None = None) -> Contacts:
-    """Pairs of wires that touch, or could before the next list; forces of an earlier list stay."""
-    reach = _NEIGHBOURS * float(diameters.max())
-    found = cKDTree(centres).query_pairs(reach, output_type="ndarray").astype(np.int64)
-    first, second = found[np.lexsort(found.T[::-1])].T
+    """List pairs that touch, or could before the next list; keep the forces of an earlier list."""
+    neighbour_factor = 1.5  # distance of listed pairs, in touching distances
+    reach = neighbour_factor * float(diameters.max())
+    pairs = cKDTree(centres).query_pairs(reach, output_type="ndarray").astype(np.int64)
+    first, second = pairs[np.lexsort(pairs.T[::-1])].T
     touching = 0.5 * (diameters[first] + diameters[second])
-    use = np.hypot(*(centres[first] - centres[second]).T) < _NEIGHBOURS * touching
-    first, second, touching = first[use], second[use], touching[use]
+    near = np.hypot(*(centres[first] - centres[second]).T) < neighbour_factor * touching
+    first, second, touching = first[near], second[near], touching[near]
     force = np.zeros(len(first))
     if before is not None:
         number = len(diameters)
         old, new = (
-            number * each[0] + each[1] for each in ((before.first, before.second), (first, second))
+            number * pair[0] + pair[1] for pair in ((before.first, before.second), (first, second))
         )
         _, at_old, at_new = np.intersect1d(old, new, assume_unique=True, return_indices=True)
         force[at_new] = before.force[at_old]
     return Contacts(first, second, touching, force)
 
 
-def _soft(begin: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
-    """Wires that overlap a little, and their contacts."""
-    centres = _parted(begin)
-    wide = np.sqrt(np.sum(centres**2) / len(centres))
-    wide /= 0.25 * np.sqrt(2.0 * np.sum(diameters**2))
-    centres = centres / max(1.0, wide / _WIDEST)
+def _relax_soft(begin: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
+    """Return centres of wires that overlap a little, and their contacts."""
+    force_tolerance = 1e-3  # of the pull at a mean diameter
+    max_start_spread = 1.5  # per spread of wires without gaps
+    centres = _separate_coincident(begin)
+    spread = np.sqrt(np.sum(centres**2) / len(centres))
+    spread /= 0.25 * np.sqrt(2.0 * np.sum(diameters**2))
+    centres = centres / max(1.0, spread / max_start_spread)
     contacts = _contacts(centres, diameters)
-    for stiffness in _STIFFNESSES:
-        centres, contacts = _settled(centres, diameters, contacts, stiffness, _LOOSE)
+    for stiffness in _CONTACT_STIFFNESSES:
+        centres, contacts = _relax(centres, diameters, contacts, stiffness, force_tolerance)
     return centres, contacts
 
 
-def _settled(
+def _relax(
     begin: Floats, diameters: Floats, contacts: Contacts, stiffness: float, tolerance: float
 ) -> tuple[Floats, Contacts]:
-    """Wires where the force on each is small, and their contacts there.
+    """Move wires until the force on each is small; return centres and contacts.
 
     Fast inertial relaxation (Bitzek et al., 2006, doi:10.1103/PhysRevLett.97.170201): wires move by
-    the force on them and stop when they move against it. Only sums, products and roots, so that
-    every processor takes the same way: which of many heaps comes out hangs on each rounding.
+    the force on them and stop when they move against it. Only sums, products and roots are used,
+    so that every processor takes the same path: rounding decides which of many heaps results.
     """
-    centres, listed, reach = begin, begin, _TRAVEL * float(diameters.min())
+    list_travel = 0.17  # in least diameters, along x or y: beyond it, unlisted wires could touch
+    max_steps = 20000
+    steering_start = 0.1  # share of the force in the direction
+    patience = 5  # downhill steps before the step grows
+    centres, listed, reach = begin, begin, list_travel * float(diameters.min())
     longest = 1.0 / np.sqrt(6.0 * stiffness)
-    step, steering, downhill, speed = longest, _STEERING, 0, np.zeros_like(begin)
-    for _ in range(_STEPS):
+    step, steering, downhill, speed = longest, steering_start, 0, np.zeros_like(begin)
+    for _ in range(max_steps):
         force = -gradient_of_heap(centres, diameters, contacts, stiffness)
         if np.max(np.abs(force)) < tolerance / len(diameters):
             break
         if np.sum(force * speed) > 0.0:
             downhill += 1
-            if downhill > _PATIENCE:
+            if downhill > patience:
                 step, steering = min(1.1 * step, longest), 0.99 * steering
         else:
-            downhill, step, steering = 0, max(0.5 * step, 0.02 * longest), _STEERING
+            downhill, step, steering = 0, max(0.5 * step, 0.02 * longest), steering_start
             speed = np.zeros_like(speed)
         speed = speed + step * force
         along = np.sqrt(np.sum(speed * speed) / np.sum(force * force))
@@ -225,60 +206,76 @@ def _settled(
     return centres, _contacts(centres, diameters, contacts)
 
 
-def _hardened(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
-    """Nearest least sum of diameter^2 x squared distance in which neighbours do not overlap."""
-    centres, stiffness = begin, _STIFFNESSES[-1]
-    least, most, shared = _HARDENINGS
+def _harden(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+    """Return the nearest local minimum of the pull in which neighbours do not overlap."""
+    force_tolerance = 1e-5  # of the pull at a mean diameter
+    stiffness_growth = 10.0
+    max_stiffness = 1e3
+    hardening_limits = (4, 8, 1500)  # at least, at most, and over the number of wires in between
+    overlap_tolerance = 1e-6  # mean diameters, of wires that push each other
+    centres, stiffness = begin, _CONTACT_STIFFNESSES[-1]
+    least, most, shared = hardening_limits
     for _ in range(max(least, min(most, shared // len(diameters)))):
-        force = np.maximum(contacts.force + stiffness * _depths(centres, contacts)[0], 0.0)
-        is_hard = np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * _HARD
+        force = np.maximum(contacts.force + stiffness * _overlaps(centres, contacts)[0], 0.0)
+        is_hard = (
+            np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * overlap_tolerance
+        )
         contacts = replace(contacts, force=force)
         if is_hard:
             break
-        stiffness = min(_HARDER * stiffness, _HARDEST)
-        centres, contacts = _settled(centres, diameters, contacts, stiffness, _FINE)
-    return _turned_back(_at_rest(centres, diameters, contacts), begin, diameters)
+        stiffness = min(stiffness_growth * stiffness, max_stiffness)
+        centres, contacts = _relax(centres, diameters, contacts, stiffness, force_tolerance)
+    return _turn_back(_solve_rest(centres, diameters, contacts), begin, diameters)
 
 
-def _at_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
-    """Solve for the rest of hard wires to rounding, by Newton's method on forces and places.
+def _solve_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+    """Solve for the equilibrium of hard wires by Newton's method on forces and positions.
 
     Wires that push each other touch; pull and pushes balance. Redundant contacts (of equal wires)
-    and the turn of the whole heap leave the system singular: the smallest step is taken. Where the
-    steps do not shrink, the begin is returned.
+    and the turn of the whole heap leave the system singular: the smallest step is taken. The
+    start is returned where the steps do not shrink.
     """
+    rest_tolerance = 1e-13  # mean diameters
+    max_step = 1e-2  # mean diameters
+    rank_tolerance = 1e-11  # of the largest singular value
+    newton_steps = 20
     centres, force, pull = begin, contacts.force, np.repeat(diameters**2 / len(diameters), 2)
     step, number = np.inf, len(diameters)
-    for _ in range(_NEWTON_STEPS):
-        depth, along = _depths(centres, contacts)
-        on = (force > 0.0) | (depth > _REST)
-        first, second, u, f = contacts.first[on], contacts.second[on], along[on], force[on]
+    for _ in range(newton_steps):
+        depth, along = _overlaps(centres, contacts)
+        active = (force > 0.0) | (depth > rest_tolerance)
+        first, second, u, f = (
+            contacts.first[active],
+            contacts.second[active],
+            along[active],
+            force[active],
+        )
         pushes, row = np.zeros((len(f), number, 2)), np.arange(len(f))
         pushes[row, first], pushes[row, second] = -u, u
         push = pushes.reshape(len(f), -1)
         across = np.eye(2) - u[:, :, None] * u[:, None, :]
-        turn = -(f / (contacts.touching - depth)[on])[:, None, None] * across
+        turn = -(f / (contacts.touching - depth)[active])[:, None, None] * across
         bend = np.zeros((number, number, 2, 2))
         for one, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1)):
             np.add.at(bend, (one, other), sign * turn)
         np.add.at(bend, (second, first), -turn)
         stiff = bend.transpose(0, 2, 1, 3).reshape(2 * number, -1) + np.diag(pull)
         system = np.block([[stiff, push.T], [push, np.zeros((len(f), len(f)))]])
-        unbalanced = np.concatenate([pull * centres.ravel() + push.T @ f, depth[on]])
-        change = lstsq(system, -unbalanced, cond=_RANK, lapack_driver="gelsy")[0]
-        last, step = step, float(np.max(np.abs(change[: 2 * number])))
-        if step > max(0.5 * last, _REST) or step > _FAR:
+        unbalanced = np.concatenate([pull * centres.ravel() + push.T @ f, depth[active]])
+        solution = lstsq(system, -unbalanced, cond=rank_tolerance, lapack_driver="gelsy")[0]
+        last, step = step, float(np.max(np.abs(solution[: 2 * number])))
+        if step > max(0.5 * last, rest_tolerance) or step > max_step:
             return begin
-        centres = centres + change[: 2 * number].reshape(-1, 2)
+        centres = centres + solution[: 2 * number].reshape(-1, 2)
         force = force.copy()
-        force[on] = np.maximum(f + change[2 * number :], 0.0)
-        if step < _REST:
+        force[active] = np.maximum(f + solution[2 * number :], 0.0)
+        if step < rest_tolerance:
             return np.asarray(centres)
     return begin
 
 
-def _turned_back(centres: Floats, begin: Floats, diameters: Floats) -> Floats:
-    """The heap turned as a whole to where it began: its energy does not depend on the turn."""
+def _turn_back(centres: Floats, begin: Floats, diameters: Floats) -> Floats:
+    """Turn the heap as a whole back to its start; its energy does not depend on the turn."""
     x, y = centres.T
     weight = diameters**2
     angle = np.arctan2(
@@ -291,13 +288,13 @@ def _turned_back(centres: Floats, begin: Floats, diameters: Floats) -> Floats:
 def gradient_of_heap(
     centres: Floats, diameters: Floats, contacts: Contacts, stiffness: float
 ) -> Floats:
-    """Gradient of the energy of wires that push each other apart and are pulled to the origin.
+    """Return the energy gradient of wires that repel each other and are pulled to the origin.
 
     Parameters
     ----------
     centres : shape (n, 2)
     diameters : shape (n,), in the same unit
-    contacts : pairs that are looked at, and their forces f
+    contacts : pairs, and their forces f
     stiffness : k of a contact
 
     Returns
@@ -305,7 +302,7 @@ def gradient_of_heap(
     Shape (n, 2), of (sum of diameter^2 x squared distance from the origin) / 2 n + sum over pairs
     of max(f + k overlap, 0)^2 / 2 k.
     """
-    depth, along = _depths(centres, contacts)
+    depth, along = _overlaps(centres, contacts)
     force = np.maximum(contacts.force + stiffness * depth, 0.0)
     gradient: Floats = diameters[:, None] ** 2 / len(centres) * centres
     for axis in range(2):
@@ -315,17 +312,17 @@ def gradient_of_heap(
     return gradient
 
 
-def _depths(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
-    """Overlap of each pair, negative for a gap, and the direction from second to first."""
+def _overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
+    """Return the overlap of each pair (negative for a gap) and its direction, second to first."""
     apart = centres[contacts.first] - centres[contacts.second]
     distance = np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2)
     return contacts.touching - distance, apart / np.where(distance == 0.0, 1.0, distance)[:, None]
 
 
-def _spread(centres: Floats, diameters: Floats) -> float:
-    """Factor on all distances that leaves no overlap, at least 1."""
+def _scale_apart(centres: Floats, diameters: Floats) -> float:
+    """Return the factor on all distances that removes overlaps, at least 1."""
     contacts = _contacts(centres, diameters)
-    distance = contacts.touching - _depths(centres, contacts)[0]
+    distance = contacts.touching - _overlaps(centres, contacts)[0]
     return float(np.max(contacts.touching / distance, initial=1.0))
 
 
@@ -343,61 +340,59 @@ def holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
 
     Notes
     -----
-    The distance to the farthest wire is convex in the centre; it is brought down as a linear
-    objective under one cone for each wire (sequential least squares), first for a few wires far
-    out, then for those too that the circle left out.
+    The distance to the farthest wire is convex in the centre; it is minimised
+    under one cone constraint per wire (sequential least squares), first for a few outer wires, then
+    also for those outside the circle.
     """
+    n_first_wires = 24
+    outside_tolerance = 1e-9
     radii = diameters / 2.0
     scale = float(radii.max())
     points, reach = centres / scale, radii / scale
     middle = points.mean(axis=0)
-    chosen = np.argsort(-_extent(points, reach, middle), kind="stable")[:_FEW]
+    chosen = np.argsort(-_extents(points, reach, middle), kind="stable")[:n_first_wires]
     while True:
-        middle, radius = _circle(points[chosen], reach[chosen])
-        extent = _extent(points, reach, middle)
-        outside = np.flatnonzero(extent > radius * (1.0 + _OUTSIDE))
+        middle, radius = _smallest_circle(points[chosen], reach[chosen])
+        extent = _extents(points, reach, middle)
+        outside = np.flatnonzero(extent > radius * (1.0 + outside_tolerance))
         if not len(np.setdiff1d(outside, chosen)):
             return np.asarray(scale * middle), float(scale * extent.max())
         chosen = np.union1d(chosen, outside)
 
 
-_FEW = 24
-_OUTSIDE = 1e-9
-
-
-def _extent(points: Floats, reach: Floats, middle: Floats) -> Floats:
+def _extents(points: Floats, reach: Floats, middle: Floats) -> Floats:
     return np.asarray(np.hypot(*(points - middle).T) + reach)
 
 
-def _circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
-    """Middle and radius of the smallest circle around a few circles."""
+def _smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
+    """Return middle and radius of the smallest circle around a few circles."""
     middle = points.mean(axis=0)
-    start = np.append(middle, np.max(_extent(points, reach, middle)))
+    start = np.append(middle, np.max(_extents(points, reach, middle)))
 
     def slack(at: Floats) -> Floats:
-        return np.asarray(at[2] - _extent(points, reach, at[:2]))
+        return np.asarray(at[2] - _extents(points, reach, at[:2]))
 
     def radius_of(at: Floats) -> tuple[float, Floats]:
         return float(at[2]), np.array([0.0, 0.0, 1.0])
 
-    held: Any = {"type": "ineq", "fun": slack}
-    found = minimize(
+    constraint: Any = {"type": "ineq", "fun": slack}
+    solution = minimize(
         radius_of,
         start,
         jac=True,
         method="SLSQP",
-        constraints=held,
+        constraints=constraint,
         options={"ftol": 1e-12, "maxiter": 200},
     ).x
-    return np.asarray(found[:2]), float(np.max(_extent(points, reach, found[:2])))
+    return np.asarray(solution[:2]), float(np.max(_extents(points, reach, solution[:2])))
 
 
-WANTED = 0.7
-"""Packing fraction that the source chooses conduits for."""
+WANTED_FRACTION = 0.7
+"""Packing fraction for which the source chooses conduits."""
 
 
 def packing_fraction(diameters: Floats, bore: float) -> float:
-    """Area of some wires over the area of a bore, a pure number.
+    """Return the area of the wires over that of the bore.
 
     Parameters
     ----------
@@ -408,8 +403,8 @@ def packing_fraction(diameters: Floats, bore: float) -> float:
     return float(np.sum(diameters**2) / bore**2)
 
 
-def bore_for(diameters: Floats, fraction: float = WANTED) -> float:
-    """Inner diameter of the conduit that some wires fill by a wanted share, m.
+def bore_for(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
+    """Return the bore that the wires fill by a wanted share, m.
 
     Parameters
     ----------
@@ -421,14 +416,14 @@ def bore_for(diameters: Floats, fraction: float = WANTED) -> float:
 
 
 def choose_bore(
-    diameters: Floats, bores: Sequence[float], *, smallest: float, fraction: float = WANTED
+    diameters: Floats, bores: Sequence[float], *, smallest: float, fraction: float = WANTED_FRACTION
 ) -> float:
     """Choose among conduits the one whose packing fraction is nearest to the wanted one.
 
     Parameters
     ----------
     diameters : shape (wires,), m
-    bores : m, inner diameters of the conduits that there are
+    bores : m, inner diameters of the available conduits
     smallest : m, diameter of the circle that holds the wires; narrower conduits are left out
     fraction : wanted packing fraction
 
@@ -453,5 +448,5 @@ def choose_bore(
 
 
 def fits(smallest: float, bore: float) -> bool:
-    """Tell whether a circle of wires goes into a bore, both m; alike within a millionth do."""
+    """Return whether a circle of wires fits a bore, both m, within a tolerance of one millionth."""
     return smallest <= bore * (1.0 + 1e-6)

@@ -1,4 +1,4 @@
-"""The clamped wire in large deflection, solved exactly for a law that varies along it (PHYSICS 5).
+"""The clamped wire in large deflection, each station with its own history (PHYSICS 5).
 
 The frame is that of the clamp: x along the undeformed axis from the clamped end, y in the plane of
 bending towards the pull; theta is the angle of the tangent from x. With the force (Px, Py) at the
@@ -8,9 +8,9 @@ tip and the wire's own weight w per length,
     theta(s) = integral of kappa(M),
 
 at Chebyshev-Lobatto stations, every station with its own history. Newton's method with the exact
-Jacobian solves it; one more unknown (an end load, the tension of the string) is bordered on by the
-condition that fixes it. A path is walked in steps that are halved where Newton fails. No series,
-and no single stiffness for the whole wire, both of which the source uses.
+Jacobian solves it; the load (an end load or the tension of the string) is one more unknown,
+fixed by one more condition. A path is followed in steps that are halved where Newton's method
+fails. Unlike the source it uses no series and no single stiffness for the whole wire.
 
 The clamp is driven down, which in its own frame lifts the anchor of the string. The string pulls or
 is slack; the counterweight always hangs at the tip.
@@ -49,15 +49,12 @@ from labpipe.wire.newton import (
     solve,
 )
 
-DEFAULT_STATIONS = 64  # beyond about 100, BLAS starts threads, which costs more than it gives
-_SMALLEST_STEP = 2.0**-12
-_LARGEST_TURN = 1.0  # rad, of any part of the wire in one step
-_GRAZING = 1e-12  # m: a string that just spans counts as slack
+DEFAULT_STATIONS = 64  # above about 100, BLAS starts threads, which is slower
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireState:
-    """What a wire remembers: its moments and its history, station by station.
+    """Moments and history of a wire, station by station.
 
     Parameters
     ----------
@@ -65,7 +62,7 @@ class WireState:
     plays : shape (stations, plays), N m
     force : shape (2,), N, at the tip
     load : the unknown of the last solution, N: the string's tension or the end load
-    travel : m, where the path stands: travel of the clamp, or tip deflection
+    travel : m, travel of the clamp, or tip deflection
     self_weight : N/m, of the wire, along -y
     """
 
@@ -95,7 +92,7 @@ class CantileverShape:
     curvature : 1/m
     force : shape (2,), N, at the tip: string and counterweight together
     tension : N, of the string; 0 where there is none or it is slack
-    state : what the next step starts from
+    state : start of the next step
     """
 
     arc_length: Floats
@@ -111,15 +108,15 @@ class CantileverShape:
 
 @dataclass(frozen=True, slots=True)
 class StringRig:
-    """The string and what hangs on it.
+    """The string and the counterweight.
 
     Parameters
     ----------
     string_length : m, from the load cell to the tip
     weight : N, of the counterweight at the tip
-    anchor_x : m, place of the load cell along the undeformed axis: above the initial tip
+    anchor_x : m, position of the load cell along the undeformed axis: above the initial tip
     anchor_height : m, of the load cell over the clamped axis at zero travel; less than
-        `string_length` when there is string to spare
+        `string_length` when the string is slack
     """
 
     string_length: float
@@ -128,7 +125,7 @@ class StringRig:
     anchor_height: float
 
     def travel_to_taut_string(self, x: float, y: float) -> float:
-        """Travel of the clamp at which the string just spans to a tip at (x, y), m."""
+        """Return the travel of the clamp at which the string just reaches a tip at (x, y), m."""
         rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
         return float(y + rise - self.anchor_height)
 
@@ -139,13 +136,13 @@ Step: TypeAlias = Callable[[WireState, float], WireState | None]
 def straight(
     law: MomentLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
 ) -> WireState:
-    """State of a straight wire that was never bent.
+    """Return the state of a straight wire that was never bent.
 
     Parameters
     ----------
     law : of the wire
     n_stations : along it
-    self_weight : N/m, of the wire; it acts from the first step on, and is kept from state to state
+    self_weight : N/m, of the wire; acts from the first step on
     """
     require_not_negative("self_weight", self_weight)
     unbent = unbent_plays(law, n_stations)
@@ -153,7 +150,7 @@ def straight(
 
 
 def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverShape:
-    """Rest of a wire that lies level, held at its tip by a force across the clamped axis.
+    """Find the rest of a level wire held at its tip by a force normal to the clamped axis.
 
     Parameters
     ----------
@@ -177,7 +174,7 @@ def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverS
 def bend_under_force(
     law: MomentLaw, state: WireState, length: float, force: Floats
 ) -> CantileverShape:
-    """Bend a wire by going straight from its present end force to another.
+    """Bend a wire by changing its end force linearly to another.
 
     Parameters
     ----------
@@ -192,8 +189,7 @@ def bend_under_force(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, or the law ends before (the message says the
-        curvature).
+        If no equilibrium is found on the way, or the law ends (the message states the curvature).
     """
     start, goal = state.force, np.asarray(force, dtype=np.float64)
     require_positive("length", length)
@@ -203,9 +199,9 @@ def bend_under_force(
         condition = DeadLoad(start + share * (goal - start))
         return settle(law, present, length, condition, travel=share)
 
-    what = f"force={goal.tolist()}"
-    reached = _walk(step, replace(state, travel=0.0), 1.0, what)
-    require_within(law, reached.moment, what)
+    place = f"force={goal.tolist()}"
+    reached = _walk_to(step, replace(state, travel=0.0), 1.0, place)
+    require_within(law, reached.moment, place)
     return shape_of(law, reached, length)
 
 
@@ -227,7 +223,7 @@ def bend_to_deflection(
     ------
     ValueError
         If no equilibrium is found on the way, as for a deflection that exceeds the length; or the
-        law ends before (the message says the curvature).
+        law ends (the message states the curvature).
     """
     require_positive("length", length)
     require_finite("deflection", deflection)
@@ -237,18 +233,18 @@ def bend_to_deflection(
 
 
 def deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
-    """Bend a wire to a deflection, wherever its law ends."""
+    """Bend a wire to a deflection without checking the end of its law."""
 
     def step(present: WireState, travel: float) -> WireState | None:
         return settle(law, present, length, EndLoad(travel), travel=travel)
 
-    return _walk(step, state, deflection, f"deflection={deflection!r}")
+    return _walk_to(step, state, deflection, f"deflection={deflection!r}")
 
 
 def bend_to_travel(
     law: MomentLaw, state: WireState, length: float, rig: StringRig, travel: float
 ) -> CantileverShape:
-    """Bend a wire by driving its clamp until it has travelled `travel`, the string pulling.
+    """Bend a wire on the string by moving its clamp to `travel`.
 
     Parameters
     ----------
@@ -264,41 +260,41 @@ def bend_to_travel(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, or the law ends before (the message says the
-        curvature).
+        If no equilibrium is found on the way, or the law ends (the message states the curvature).
     """
+    slack_tolerance = 1e-12  # m: a string that just spans counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
         condition = Pull(anchor, rig.string_length, rig.weight)
-        found = settle(law, present, length, condition, travel=travel)
-        return found if found is not None and found.load >= 0.0 else None
+        bent = settle(law, present, length, condition, travel=travel)
+        return bent if bent is not None and bent.load >= 0.0 else None
 
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
-        found = settle(law, present, length, weight, travel=travel)
+        bent = settle(law, present, length, weight, travel=travel)
         if (
-            found is None
-            or rig.travel_to_taut_string(*_tip(law, found, length)) < travel - _GRAZING
+            bent is None
+            or rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - slack_tolerance
         ):
             return None
-        return replace(found, load=0.0)  # not the rounding that the last pull left behind
+        return replace(bent, load=0.0)  # not the rounding error of the last pull
 
     def step(present: WireState, travel: float) -> WireState | None:
         first, second = (taut, slack) if present.load > 0.0 else (slack, taut)
-        found = first(present, travel)
-        return second(present, travel) if found is None else found
+        bent = first(present, travel)
+        return second(present, travel) if bent is None else bent
 
     require_positive("length", length)
     require_finite("travel", travel)
-    what = f"travel={travel!r}"
-    reached = _walk(step, state, travel, what)
-    require_within(law, reached.moment, what)
+    place = f"travel={travel!r}"
+    reached = _walk_to(step, state, travel, place)
+    require_within(law, reached.moment, place)
     return shape_of(law, reached, length)
 
 
 def shape_of(law: MomentLaw, state: WireState, length: float) -> CantileverShape:
-    """Work out the shape that belongs to a state in equilibrium."""
+    """Compute the shape of a state in equilibrium."""
     stations = chebyshev_stations(len(state.moment))
     curvature = respond(law, state.moment, state.plays).curvature
     angle = length * stations.from_clamp @ curvature
@@ -330,40 +326,44 @@ def settle(
     guess: Unknowns | None = None,
     tolerance: float = TOLERANCE,
 ) -> WireState | None:
-    """One step from a state to the equilibrium under a condition; None where Newton fails.
+    """Step from a state to the equilibrium under a condition; None where Newton's method fails.
 
     Parameters
     ----------
     law, state : law and history of the wire
     length : m
-    condition : what fixes the load
-    travel : m, where the path then stands
-    guess : where Newton's method starts; None for the state itself
+    condition : fixes the load
+    travel : m, of the new state
+    guess : start of Newton's method; None for the state itself
     tolerance : of `newton.solve`
 
     Returns
     -------
-    The state; None also for an equilibrium far from the guess, as a curl: there are many.
+    The state; None also for an equilibrium far from the guess, such as a curl.
     """
     near = Unknowns(state.moment, state.load) if guess is None else guess
     weight = state.self_weight
-    found = solve(
+    equilibrium = solve(
         law, state.plays, length, condition, near, tolerance=tolerance, self_weight=weight
     )
-    if found is None or _turns_far(found, length):
+    if equilibrium is None or _turns_too_far(equilibrium, length):
         return None
-    return WireState(found.moment, found.plays, found.force, found.load, travel, weight)
+    return WireState(
+        equilibrium.moment, equilibrium.plays, equilibrium.force, equilibrium.load, travel, weight
+    )
 
 
-def _turns_far(found: Equilibrium, length: float) -> bool:
-    """Whether any part of the wire turns by more than a step may, from the guess to the result."""
-    stations = chebyshev_stations(len(found.moment))
-    turn = length * stations.from_clamp @ (found.curvature - found.start_curvature)
-    return bool(np.max(np.abs(turn)) > _LARGEST_TURN)
+def _turns_too_far(equilibrium: Equilibrium, length: float) -> bool:
+    """Return whether any part of the wire turns too far from the guess to the result."""
+    max_turn = 1.0  # rad, of any part of the wire in one step
+    stations = chebyshev_stations(len(equilibrium.moment))
+    turn = length * stations.from_clamp @ (equilibrium.curvature - equilibrium.start_curvature)
+    return bool(np.max(np.abs(turn)) > max_turn)
 
 
-def _walk(step: Step, state: WireState, goal: float, what: str) -> WireState:
-    """Go from the state's travel to the goal, in halves where a step fails."""
+def _walk_to(step: Step, state: WireState, goal: float, place: str) -> WireState:
+    """Move the state to the goal, halving steps that fail."""
+    min_step_share = 2.0**-12
     whole = goal - state.travel
     fraction, done = 1.0, 0.0
     begin = state.travel
@@ -372,8 +372,8 @@ def _walk(step: Step, state: WireState, goal: float, what: str) -> WireState:
         ahead = step(state, goal if reach == 1.0 else begin + reach * whole)
         if ahead is not None:
             state, done, fraction = ahead, reach, min(1.0, 2.0 * fraction)
-        elif fraction <= _SMALLEST_STEP:
-            message = f"{what}: no equilibrium beyond {begin + done * whole:.6g}"
+        elif fraction <= min_step_share:
+            message = f"{place}: no equilibrium beyond {begin + done * whole:.6g}"
             raise ValueError(message)
         else:
             fraction *= 0.5

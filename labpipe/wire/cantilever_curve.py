@@ -18,12 +18,9 @@ from labpipe.wire.end_load import deflection_at
 from labpipe.wire.end_load_path import end_load_path
 
 DEFLECTIONS = 49
-"""Points of the cantilever's curve, zero included."""
-_DENSE = 3
-"""Power by which they are spaced: the first lies at 1e-5 of the last, before strands slip."""
+"""Points of the curve, including zero."""
 FARTHEST = 0.8
 """Tip deflection at its end, as a share of the length."""
-_SHY = 0.97  # of the way to the end of the law, which is found by a straight line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +32,7 @@ class CantileverCurve:
     deflection, force : shape (n,), m and N, of the tip, from rest
     clamp_moment : shape (n,), N m
     rest : None where the wire's weight is left out
-    notes : why it ends early, or leaves something out
+    notes : reasons of an early end, neglected effects
     """
 
     deflection: Floats
@@ -45,7 +42,7 @@ class CantileverCurve:
     notes: tuple[QualityNote, ...]
 
     def deflection_at(self, law: MomentCurve, curvature: float) -> float:
-        """Deflection at which the clamp has a curvature, m; infinite where it never has."""
+        """Return the deflection at a curvature of the clamp, m; infinite if it is not reached."""
         if curvature >= law.curvature[-1]:
             return float("inf")
         moment = float(np.interp(curvature, law.curvature, law.moment))
@@ -55,7 +52,7 @@ class CantileverCurve:
 
 
 def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
-    """Bend the cantilever of a wire as far as its law goes.
+    """Bend the cantilever of a wire up to the end of its law.
 
     Parameters
     ----------
@@ -73,14 +70,14 @@ def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> Can
     end = min(wanted, deflection_at(law, spec.length, float(curve.moment[-1])))
     notes = []
     try:
-        bent = _bent(law, spec.length, end, self_weight)
+        bent = _bend_to(law, spec.length, end, self_weight)
     except ValueError as error:
         message = (
             f"the curve of the cantilever of {spec.length * 1e3:.4g} mm is without the wire's own "
             f"weight, {1e3 * self_weight * spec.length:.4g} mN: {error}"
         )
         notes.append(QualityNote("weight_left_out", Severity.WARNING, spec.place, message))
-        bent = _bent(law, spec.length, end, 0.0)
+        bent = _bend_to(law, spec.length, end, 0.0)
     if bent.deflection[-1] < wanted:
         message = (
             f"the cantilever of {spec.length * 1e3:.4g} mm is reported up to a tip deflection of "
@@ -91,35 +88,37 @@ def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> Can
     return replace(bent, notes=tuple(notes))
 
 
-def _bent(law: PlayLaw, length: float, end: float, self_weight: float) -> CantileverCurve:
-    """The curve up to an end, or to where the law ends.
+def _bend_to(law: PlayLaw, length: float, end: float, self_weight: float) -> CantileverCurve:
+    """Compute the curve up to a deflection, or to the end of the law.
 
-    With weight the clamp reaches the end of the law at a slightly other deflection than without,
-    for which `end` was found; a curve that is cut then goes that far.
+    With weight the clamp reaches the end of the law at a slightly different deflection than
+    without, for which `end` holds; a curve that is cut ends there.
     """
-    deflection = _points(end)
+    end_share = 0.97  # of the way to the end of the law, which is extrapolated linearly
+    deflection = _deflections(end)
     path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
     last = len(path.load)
     if last > 1 and end < FARTHEST * length and path.rest is not None:
         clamp = np.append(path.rest.moment[0], path.clamp_moment)
         slope = (clamp[-1] - clamp[-2]) / (deflection[last] - deflection[last - 1])
         ahead = (law.largest_moment - clamp[-1]) / slope
-        deflection = _points(deflection[last] + _SHY * ahead)
+        deflection = _deflections(deflection[last] + end_share * ahead)
         path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
         last = len(path.load)
     force = np.append(0.0, path.load)
-    rest = _at_rest(path.rest)
+    rest = _rest_record(path.rest)
     clamp = np.append(0.0 if rest is None else rest.moment, path.clamp_moment)
     return CantileverCurve(deflection[: last + 1], force, clamp, rest, ())
 
 
-def _points(end: float) -> Floats:
-    """Deflections of the curve, m, dense near zero."""
-    return np.asarray(end * np.linspace(0.0, 1.0, DEFLECTIONS) ** _DENSE)
+def _deflections(end: float) -> Floats:
+    """Return the deflections of the curve, m, dense near zero."""
+    spacing_power = 3  # the first point lies at 1e-5 of the last, before strands slip
+    return np.asarray(end * np.linspace(0.0, 1.0, DEFLECTIONS) ** spacing_power)
 
 
 def force_at(table: WireTable, deflection: float) -> float:
-    """End load at a tip deflection, N, on the smooth curve through the points of a table.
+    """Interpolate the end load at a tip deflection, N, in a table.
 
     Parameters
     ----------
@@ -128,18 +127,18 @@ def force_at(table: WireTable, deflection: float) -> float:
 
     Returns
     -------
-    NaN beyond the end of the curve, and where there is none.
+    NaN beyond the end of the curve, and without a curve.
 
     Notes
     -----
-    Cubics that rise as their points do (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+    Monotone cubics (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
     """
     if len(table.tip_deflection) < 2 or deflection > table.tip_deflection[-1]:
         return float("nan")
     return float(PchipInterpolator(table.tip_deflection, table.tip_force)(deflection))
 
 
-def _at_rest(shape: CantileverShape | None) -> WireAtRest | None:
+def _rest_record(shape: CantileverShape | None) -> WireAtRest | None:
     if shape is None:
         return None
     sag = -float(np.min(shape.y))

@@ -1,9 +1,9 @@
 """The cross-section of a wire: layers of strands in a bore, and the insulation around them.
 
 The layouts `hexagonal`, `concentric` and `compressed` are here; `packed` is in `wire.packing`.
-A layout places the strands and refuses what does not fit, with the overlap. Layers are told apart
-by their counts, not by gaps in the radius. The first strand of the first ring lies at angle 0, on
-the neutral axis of the source; `wire.bending_law` turns the whole for other orientations.
+A layout places the strands and refuses what does not fit, with the overlap. Layers are
+defined by their counts, not by gaps in the radius. The first strand of the first ring lies at angle
+0, on the neutral axis of the source; `wire.bending_law` turns the section for other orientations.
 Lengths in m, angles in rad.
 """
 
@@ -19,10 +19,12 @@ from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats, Ints, frozen
 from labpipe.wire.materials import ANNEALED_COPPER, Material, StressTable
 
-COPPER_DENSITY, PVC_DENSITY = 8960.0, 1400.0
-"""kg/m^3, where nothing else is known: pure copper at 20 deg C (CRC Handbook), filled PVC."""
-TOLERANCE = 1e-3
-"""Overlap that is let pass, as a share of the bore's radius."""
+COPPER_DENSITY = 8960.0
+"""kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
+PVC_DENSITY = 1400.0
+"""kg/m^3, default: filled PVC."""
+OVERLAP_TOLERANCE = 1e-3
+"""Allowed overlap, as a share of the bore's radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,7 @@ class Layer:
 
     @property
     def area(self) -> float:
-        """Area of one strand across its own axis, m^2."""
+        """Return the area of one strand across its own axis, m^2."""
         return float(np.pi * self.diameter**2 / 4.0)
 
 
@@ -93,29 +95,29 @@ class Insulation:
 
     @property
     def outer_radius(self) -> float:
-        """Radius of the wire, m."""
+        """Return the radius of the wire, m."""
         return self.bore_radius + self.thickness
 
     @property
     def bending_stiffness(self) -> float:
-        """E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
+        """Return E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
         outer = self.bore_radius + self.thickness
         return float(self.modulus * np.pi / 4.0 * (outer**4 - self.bore_radius**4))
 
     @property
     def area(self) -> float:
-        """Area of the tube, m^2."""
+        """Return the area of the tube, m^2."""
         outer = self.bore_radius + self.thickness
         return float(np.pi * (outer**2 - self.bore_radius**2))
 
     @property
     def axial_stiffness(self) -> float:
-        """E times the area of the tube, N."""
+        """Return E times the area of the tube, N."""
         return self.modulus * self.area
 
     @property
     def torsional_stiffness(self) -> float:
-        """G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2: two thirds of E I and more."""
+        """Return G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
         return self.bending_stiffness / (1.0 + self.poisson)
 
 
@@ -129,7 +131,7 @@ class CrossSection:
     layers : from the axis outwards
     x, y : shape (strands,), m, strand centres, layer by layer
     layer : shape (strands,), index into `layers`
-    overlap : m, the deepest overlap of strands with each other or with the bore; 0 when none
+    overlap : m, the deepest overlap of strands with each other or with the bore
     insulation : the tube, or none
     """
 
@@ -154,28 +156,28 @@ class CrossSection:
 
     @property
     def has_core(self) -> bool:
-        """Whether the innermost layer is a single strand on the axis, which has no lay."""
+        """Return whether the innermost layer is a single strand on the axis, without lay."""
         return self.layers[0].count == 1
 
     @property
     def radius(self) -> Floats:
-        """Distance of the strands from the axis, shape (strands,), m."""
+        """Return the distance of the strands from the axis, shape (strands,), m."""
         return np.hypot(self.x, self.y)
 
     @property
     def angle(self) -> Floats:
-        """Angle of the strands from the x axis, shape (strands,), rad."""
+        """Return the angle of the strands from the x axis, shape (strands,), rad."""
         return np.arctan2(self.y, self.x)
 
     def mass_per_length(
         self, conductor: float = COPPER_DENSITY, insulation: float = PVC_DENSITY
     ) -> float:
-        """Mass per length of the wire, kg/m, by the densities of strands and insulation, kg/m^3.
+        """Return the mass per length of the wire, kg/m, from the densities of its parts, kg/m^3.
 
         Notes
         -----
         A helical strand is longer than the wire by 1 / cos(lay angle). PVC for cables has 1300 to
-        1500 kg/m^3, by its fillers.
+        1500 kg/m^3, depending on its fillers.
         """
         strands = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in self.layers)
         tube = self.insulation.area if self.insulation else 0.0
@@ -183,7 +185,7 @@ class CrossSection:
 
 
 def strand_diameter(conductor_area: float, n_strands: int) -> float:
-    """Diameter of equal round strands with a total area: sqrt(4 A / (pi N)), m."""
+    """Return the diameter of equal round strands with a total area: sqrt(4 A / (pi N)), m."""
     require_positive("conductor_area", conductor_area)
     return float(np.sqrt(4.0 * conductor_area / (np.pi * n_strands)))
 
@@ -191,7 +193,7 @@ def strand_diameter(conductor_area: float, n_strands: int) -> float:
 def lay_up(
     n_strands: int, diameter: float, lay_angles: Sequence[float], material: Material
 ) -> tuple[Layer, ...]:
-    """Layers 1, 6, 12, 18 ... of equal strands, with one lay angle for each ring.
+    """Return layers 1, 6, 12, 18 ... of equal strands, with one lay angle for each ring.
 
     Raises
     ------
@@ -212,7 +214,7 @@ def lay_up(
 
 
 def hexagonal(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
-    """Equal strands on a lattice of triangles: 1, 6, 12, 18 ...
+    """Place equal strands on a triangular lattice: 1, 6, 12, 18 ...
 
     Raises
     ------
@@ -232,7 +234,7 @@ def hexagonal(layers: tuple[Layer, ...], insulation: Insulation | None = None) -
 
 
 def _hexagon_ring(ring: int) -> Floats:
-    """Lattice points of one ring in strand diameters, the first on the x axis, as complex sums."""
+    """Return the lattice points of one ring in strand diameters, the first on the x axis."""
     if ring == 0:
         return np.zeros((1, 2))
     corners = ring * np.exp(1j * np.pi / 3.0 * np.arange(7))
@@ -242,7 +244,7 @@ def _hexagon_ring(ring: int) -> Floats:
 
 
 def concentric(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
-    """Rings that touch: each at the radius where its strands lie on the ring inside.
+    """Place touching rings, each at the radius where its strands lie on the ring inside.
 
     Notes
     -----
@@ -265,7 +267,7 @@ def _touching_radius(layer: Layer) -> float:
 
 
 def _rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
-    """Evenly spread strands, the first of each ring at angle 0, shape (strands, 2)."""
+    """Return evenly spread strands, the first of each ring at angle 0, shape (strands, 2)."""
     turns = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
     radius = np.repeat(radii, [layer.count for layer in layers])
     angle = 2.0 * np.pi * turns
@@ -278,14 +280,14 @@ def compressed(
     *,
     radii: Sequence[float] | None = None,
 ) -> CrossSection:
-    """Strands pressed into sectors without gaps, each with the area of its round strand.
+    """Place strands pressed into sectors without gaps, each with the area of its round strand.
 
     Parameters
     ----------
     layers : `diameter` is that of the circle with a strand's area
     insulation : the tube; its bore must hold the area of all strands
-    radii : m, of the strands' centroids, one per layer (0 for a core), where they are known; else
-        those of sectors of rings of equal area per strand
+    radii : m, of the strands' centroids, one per layer (0 for a core), if known; else those
+        of sectors of rings of equal area per strand
 
     Notes
     -----
@@ -299,26 +301,26 @@ def compressed(
         If the copper does not fit the bore, or `radii` is not one number per layer.
     """
     edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
-    _require_room(insulation, float(edges[-1]))
+    _require_bore(insulation, float(edges[-1]))
     if radii is None:
         radii = [
-            _centroid(inner, outer, np.pi / layer.count)
+            _sector_centroid(inner, outer, np.pi / layer.count)
             for inner, outer, layer in zip(edges[:-1], edges[1:], layers, strict=True)
         ]
     if len(radii) != len(layers):
         message = f"radii={list(radii)}: allowed is one for each of {len(layers)} layers"
         raise ValueError(message)
     x, y = _rings(layers, radii).T
-    return CrossSection("compressed", layers, x, y, _index(layers), 0.0, insulation)
+    return CrossSection("compressed", layers, x, y, _layer_index(layers), 0.0, insulation)
 
 
-def _centroid(inner: float, outer: float, half_angle: float) -> float:
+def _sector_centroid(inner: float, outer: float, half_angle: float) -> float:
     mean = 2.0 / 3.0 * (outer**3 - inner**3) / (outer**2 - inner**2)
     return float(mean * np.sin(half_angle) / half_angle) if half_angle < np.pi else 0.0
 
 
-def _require_room(insulation: Insulation | None, needed: float) -> None:
-    if insulation is None or needed <= insulation.bore_radius * (1.0 + TOLERANCE):
+def _require_bore(insulation: Insulation | None, needed: float) -> None:
+    if insulation is None or needed <= insulation.bore_radius * (1.0 + OVERLAP_TOLERANCE):
         return
     message = (
         f"bore_radius={insulation.bore_radius:.6g} m is {needed - insulation.bore_radius:.3g} m "
@@ -333,7 +335,7 @@ def place(
     centres: Floats,
     insulation: Insulation | None,
 ) -> CrossSection:
-    """Round strands at given centres, if they fit.
+    """Place round strands at given centres, if they fit.
 
     Parameters
     ----------
@@ -353,23 +355,23 @@ def place(
     reach = float((np.hypot(*centres.T) + radii).max())
     bore = insulation.bore_radius if insulation else reach
     wall = max(reach - bore, 0.0)
-    if max(strands, wall) > TOLERANCE * bore:
+    if max(strands, wall) > OVERLAP_TOLERANCE * bore:
         what = "each other" if strands >= wall else f"the bore of radius {bore:.6g} m"
         message = (
             f"the {kind} layout does not fit: strands overlap {what} by "
-            f"{max(strands, wall):.3g} m, allowed is {TOLERANCE * bore:.3g} m"
+            f"{max(strands, wall):.3g} m, allowed is {OVERLAP_TOLERANCE * bore:.3g} m"
         )
         raise ValueError(message)
     x, y = centres.T
-    return CrossSection(kind, layers, x, y, _index(layers), max(strands, wall), insulation)
+    return CrossSection(kind, layers, x, y, _layer_index(layers), max(strands, wall), insulation)
 
 
-def _index(layers: tuple[Layer, ...]) -> Ints:
+def _layer_index(layers: tuple[Layer, ...]) -> Ints:
     return np.repeat(np.arange(len(layers)), [layer.count for layer in layers])
 
 
 def largest_overlap(centres: Floats, radii: Floats) -> float:
-    """Deepest overlap of circles with each other, m; 0 when none overlap.
+    """Return the deepest overlap of circles with each other, m; 0 without overlap.
 
     Parameters
     ----------

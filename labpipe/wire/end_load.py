@@ -1,4 +1,4 @@
-"""The cantilever under an end load on first loading: the first integral, by quadrature (PHYSICS 5).
+"""The cantilever under an end load on first loading, by quadrature of a first integral (PHYSICS 5).
 
 While no part of the wire unloads, the law M(kappa) is one function along it, and with the
 complementary energy W*(M) the end load P normal to the clamped axis has the first integral
@@ -10,16 +10,16 @@ so that with S = (W*(M0) - W*(M)) / P = sin(theta) and q = sqrt(1 - S^2) = cos(t
     length = 1/P int_0^M0 dM / q,   deflection = 1/P int_0^M0 S dM / q.
 
 For plays the law is a polygon, W* is a parabola between its corners, and Gauss's rule from corner
-to corner is good to 1e-8. Towards the tip of a far bent wire 1 / q grows as 1 / M: there, where the
-law is still straight, the variable is u with M ~ sinh u, in which it levels out. Nothing is
-marched: all deflections are solved at once.
+to corner is accurate to 1e-8. Towards the tip of a far bent wire 1 / q grows as 1 / M: there, where
+the law is still linear, the variable is u with M ~ sinh u, in which it levels out. All deflections
+are solved at once.
 
 Beyond a deflection of about 0.7 of the length the lever of the parts near the tip shrinks faster
-than the load grows: their moment falls, and what they remember matters (0.3 % of the load at 0.8).
-There this ends; `wire.end_load_path` goes on station by station.
+than the load grows: their moment falls, and their history matters (0.3 % of the load at 0.8).
+There this ends; `wire.end_load_path` continues station by station.
 
 `wire.first_loading` has the same integral at given clamp moments, with a string and derivatives by
-a law's parameters; it finds neither wanted deflections nor a far bent, upright wire, as this does.
+a law's parameters, but neither given deflections nor a far bent, upright wire.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ import numpy as np
 from labpipe.law.plays import MomentLaw, corners_of, first_curvature, require_positive
 from labpipe.records.arrays import Floats, Ints
 
-_FARTHEST = 0.9  # of the length: beyond, the wire hardly moves and the tip is upright
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 _NODES, _WEIGHTS = (_NODES + 1.0) / 2.0, _WEIGHTS / 2.0
 _N_NODES = len(_NODES)
 _GRADED = np.concatenate([np.geomspace(1e-3, 0.08, 12), (np.arange(7, 25) / 24.0) ** 2])
 """Panels besides the corners, as shares of the largest moment: fine where theta levels out."""
 _LADDER = np.concatenate([np.geomspace(1e-6, 0.1, 14), np.geomspace(0.2, 5.0, 82)])
-"""Clamp moments of first guesses, in that of a constant stiffness; steps of 4 % at the end."""
-_MOST_RAISES, _MOST_NEWTON = 40, 30
-_STEEPEST = 12.0  # artanh of the tip's sine: then it is upright to ten digits
-_SETTLED = 1e-6  # of moment and artanh, the last step: one more changes 1e-13; Gauss's rule 1e-9
-_LARGEST_STEP = 1.0
-_GROWN = 1e-9  # of the length: less is rounding
+"""Clamp moments of first guesses, of that for a constant stiffness; steps of 4 % at the end."""
+_NEWTON_STEPS = 30
+_MAX_LEVEL = 12.0
+"""Artanh of the tip's sine, for which the tip is upright to ten digits."""
+_LAST_LEVEL_STEP = 1e-6
+"""Of moment and level; one more step changes 1e-13, and Gauss's rule is accurate to 1e-9."""
+_MAX_LEVEL_STEP = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +90,7 @@ class EndLoads:
         return _at_clamp(self.polygon, self.clamp_moment)[1] / np.tanh(self.level)
 
     def tail(self, rows: slice = slice(None)) -> Floats:
-        """How far from the tip the moment is that of each corner but the first, m.
+        """Return the distance from the tip to the moment of each corner but the first, m.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class EndLoads:
         return _tail(self.polygon, self.clamp_moment[rows], self.level[rows], self.length)[0]
 
     def moment_at(self, row: int, from_tip: Floats) -> Floats:
-        """Moment at distances from the tip (m), N m, straight between corners: a first guess."""
+        """Return moments at distances from the tip (m), N m, linear between corners."""
         moment = np.minimum(self.polygon.moment, self.clamp_moment[row])
         tail = self.tail(slice(row, row + 1 or None))[0]
         return np.asarray(np.interp(from_tip, np.append(0.0, tail), moment))
@@ -111,7 +111,7 @@ class EndLoads:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Integrals:
-    """Over the wire: of 1/q, S/q, 1/q^3 and S/q^3."""
+    """Integrals over the wire of 1/q, S/q, 1/q^3 and S/q^3."""
 
     length: Floats
     rise: Floats
@@ -120,7 +120,7 @@ class _Integrals:
 
 
 def polygon_of(law: MomentLaw, top: float) -> Polygon:
-    """First loading of a law up to a moment, with panels fine enough for the quadrature.
+    """Return first loading up to a moment, with panels fine enough for the quadrature.
 
     Parameters
     ----------
@@ -128,11 +128,11 @@ def polygon_of(law: MomentLaw, top: float) -> Polygon:
     top : N m, the last corner
     """
     widths = law.half_widths
-    return _through(law, np.union1d(widths[widths < top], top * _GRADED))
+    return _polygon_through(law, np.union1d(widths[widths < top], top * _GRADED))
 
 
-def _through(law: MomentLaw, corners: Floats) -> Polygon:
-    """Polygon through points of a first loading at some moments; W* is that of the polygon."""
+def _polygon_through(law: MomentLaw, corners: Floats) -> Polygon:
+    """Return the polygon of a first loading through some moments, and its W*."""
     moment = np.append(0.0, corners)
     step = np.diff(moment)
     curvature = first_curvature(law, moment)
@@ -151,22 +151,23 @@ def end_loads(law: MomentLaw, length: float, deflections: Floats) -> EndLoads:
 
     Returns
     -------
-    For the first n <= m deflections, those up to which nothing unloads, and one row more: the last
-    state of which that is known, for the path to go on from.
+    The first n <= m deflections, up to which nothing unloads, and one row more: the last such
+    state, from which the path continues.
 
     Notes
     -----
-    A part unloads where its moment falls; only what lies beyond the law's first corner remembers
-    it. Whether it does is looked at on steps of 4 % of the clamp's moment.
+    A part unloads where its moment falls, which matters only beyond the law's first corner. This is
+    checked in steps of 4 % of the clamp's moment.
     """
-    ladder, tail = _ladder(law, length, min(float(deflections[-1]), _FARTHEST * length))
-    last = min(ladder.deflection[_memory_limit(law, ladder, tail)], deflections[-1])
+    max_deflection_share = 0.9  # of the length: beyond, the tip is upright and hardly moves
+    ladder, tail = _ladder(law, length, min(float(deflections[-1]), max_deflection_share * length))
+    last = min(ladder.deflection[_last_loading_rung(law, ladder, tail)], deflections[-1])
     wanted = np.append(deflections[deflections <= last], last)
     return _at_deflections(ladder, law, length, wanted)
 
 
 def deflection_at(law: MomentLaw, length: float, clamp_moment: float) -> float:
-    """Deflection at which the clamp has a moment, m, if no part of the wire unloads on the way.
+    """Return the deflection for a clamp moment, m, if no part of the wire unloads on the way.
 
     Parameters
     ----------
@@ -192,60 +193,64 @@ def deflection_at(law: MomentLaw, length: float, clamp_moment: float) -> float:
 
 
 def _ladder(law: MomentLaw, length: float, farthest: float) -> tuple[EndLoads, Floats]:
-    """States at rising clamp moments, and tails, the last at or beyond a deflection: first guesses.
+    """Return states at rising clamp moments and their tails, up to a deflection: first guesses.
 
-    On a polygon of few corners; but the first corner of the law is one, for `_memory_limit`.
+    The polygon has few corners, with the first of the law for `_last_loading_rung`.
     """
-    base = _moment_of(law, 3.0 * farthest / length**2)
-    for _ in range(_MOST_RAISES):
+    max_raises = 40
+    base = _first_moment(law, 3.0 * farthest / length**2)
+    for _ in range(max_raises):
         rungs = base * _LADDER
-        few = np.union1d(law.half_widths[:1], rungs[-1] * _GRADED)
-        found, tail = _at_moments(_through(law, few[few <= rungs[-1]]), length, rungs)
-        if found.deflection[-1] >= farthest:
+        corners = np.union1d(law.half_widths[:1], rungs[-1] * _GRADED)
+        states, tail = _at_moments(
+            _polygon_through(law, corners[corners <= rungs[-1]]), length, rungs
+        )
+        if states.deflection[-1] >= farthest:
             break
         base = float(rungs[-1])
-    kept = slice(int(np.argmax(found.deflection >= farthest)) + 1)
-    rows = found.deflection[kept], found.clamp_moment[kept], found.level[kept]
-    return EndLoads(*rows, length, found.polygon), tail[kept]
+    used = slice(int(np.argmax(states.deflection >= farthest)) + 1)
+    rows = states.deflection[used], states.clamp_moment[used], states.level[used]
+    return EndLoads(*rows, length, states.polygon), tail[used]
 
 
-def _moment_of(law: MomentLaw, curvature: float) -> float:
-    """Moment of first loading at a curvature, N m."""
+def _first_moment(law: MomentLaw, curvature: float) -> float:
+    """Return the moment of first loading at a curvature, N m."""
     corner, reached, slopes = corners_of(law)
     last = int(np.searchsorted(reached, curvature, side="right")) - 1
     return float(corner[last] + (curvature - reached[last]) / slopes[last])
 
 
-def _memory_limit(law: MomentLaw, ladder: EndLoads, tail: Floats) -> int:
-    """Number of the last rung before any part that has passed the first corner unloads."""
+def _last_loading_rung(law: MomentLaw, ladder: EndLoads, tail: Floats) -> int:
+    """Return the last rung before any part beyond the first corner unloads."""
+    rounding_share = 1e-9  # of the length
     last = len(tail) - 1
     if not len(law.half_widths):
         return last
     edge = ladder.polygon.moment[1:]
-    bent = (edge >= law.half_widths[0]) & (edge < ladder.clamp_moment[:-1, None])
-    falls = ((np.diff(tail, axis=0) > _GROWN * ladder.length) & bent).any(axis=1)
+    is_bent = (edge >= law.half_widths[0]) & (edge < ladder.clamp_moment[:-1, None])
+    falls = ((np.diff(tail, axis=0) > rounding_share * ladder.length) & is_bent).any(axis=1)
     return max(int(np.argmax(falls)) - 1, 0) if falls.any() else last
 
 
 def _tip_gap(level: Floats) -> Floats:
-    """One less the tip's sine, tanh(level), without rounding: 1e-10 where the tip is upright."""
+    """Return 1 - tanh(level), with the tip's sine tanh(level), without cancellation."""
     return 2.0 / (np.exp(2.0 * level) + 1.0)
 
 
 def _workspace(polygon: Polygon, clamp: Floats) -> Floats:
-    """Room for what is summed: taken again at every step, new memory costs more than the sums."""
+    """Allocate the summands once: allocating at every step costs more than the sums."""
     return np.empty((3, len(clamp), _N_NODES * (len(polygon.compliance) + 1)))
 
 
 def _integrate(
     polygon: Polygon, clamp: Floats, compliance: Floats, gap: Floats, room: Floats
 ) -> _Integrals:
-    """Quadrature for states of clamp moments `clamp`, `compliance` = 1 / P, and 1 - tip's sine."""
+    """Integrate for clamp moments `clamp`, `compliance` = 1 / P, `gap` = 1 - tip's sine."""
     nodes = _at_nodes(polygon, clamp, compliance, gap, room)
     fall, per_length, cubed = nodes.fall, nodes.per_length, nodes.square  # in place from here
     length = per_length @ nodes.weight
     cubed *= per_length
-    # sech^2 u, which the nodes do not follow: in this panel the sine is that of the tip
+    # sech^2 u is integrated in closed form: in this panel the sine is that of the tip
     cubed[:, :_N_NODES] = (nodes.first_cubed / _N_NODES)[:, None]
     cubed_sum = cubed @ nodes.weight
     per_length *= fall
@@ -266,11 +271,11 @@ class _Nodes:
     ----------
     fall : shape (rows, nodes), 1 - S; 1 beyond the clamp
     square : 1 / q^2
-    per_length : 1 / q, in the first panel and the clamp's times what a node counts for, N m;
-        zero beyond the clamp
-    weight : shape (nodes,), N m, what the other nodes count for; 1 in those two panels
+    per_length : 1 / q, in the first panel and the clamp's times the weight of the node, N m; zero
+        beyond the clamp
+    weight : shape (nodes,), N m, of the other nodes; 1 in those two panels
     first_cubed : shape (rows,), integral of 1 / q^3 over the first panel
-    last : shape (rows,), panel in which the clamp is
+    last : shape (rows,), panel of the clamp
     """
 
     fall: Floats
@@ -284,7 +289,7 @@ class _Nodes:
 def _at_nodes(
     polygon: Polygon, clamp: Floats, compliance: Floats, gap: Floats, room: Floats
 ) -> _Nodes:
-    """Work out what is summed over the nodes."""
+    """Compute the summands at the nodes."""
     fall, square, per_length = room
     last = np.searchsorted(polygon.moment[1:-1], clamp, side="right")
     width = np.diff(polygon.moment)[1:]
@@ -310,7 +315,7 @@ def _at_nodes(
 
 
 def _with_ends(whole: Floats, value: float) -> Floats:
-    """Values at the nodes of the whole panels, with one value in the two others; and ones."""
+    """Return values at the nodes of the whole panels, one value in the two others; and ones."""
     ends = np.ones((2, whole.size + 2 * _N_NODES))
     ends[0, :_N_NODES] = ends[0, -_N_NODES:] = value
     ends[0, _N_NODES:-_N_NODES] = whole.ravel()
@@ -318,20 +323,20 @@ def _with_ends(whole: Floats, value: float) -> Floats:
 
 
 def _panels_of(values: Floats) -> Floats:
-    """The whole panels of values at the nodes, shape (rows, nodes of a panel, panels)."""
+    """Return the whole panels of values at the nodes, shape (rows, nodes of a panel, panels)."""
     whole: Floats = values[:, _N_NODES:-_N_NODES]
     return whole.reshape(len(values), _N_NODES, -1)
 
 
 def _nodes_of(polygon: Polygon, panel: Ints, width: Floats) -> tuple[Floats, Floats]:
-    """W* at Gauss's nodes of some panels, begun at their lower ends, and the nodes' shares."""
+    """Return W* at Gauss's nodes of some panels, from their lower ends, and the nodes' weights."""
     way = _NODES[:, None] * width
     energy = (polygon.compliance[panel] / 2.0 * way + polygon.curvature[panel]) * way
     return energy + polygon.energy[panel], _WEIGHTS[:, None] * width
 
 
 def _at_clamp(polygon: Polygon, moment: Floats) -> tuple[Floats, Floats]:
-    """Curvature and complementary energy at moments."""
+    """Return curvature and complementary energy at moments."""
     panel = np.searchsorted(polygon.moment[1:-1], moment, side="right")
     way = moment - polygon.moment[panel]
     slope, curvature = polygon.compliance[panel], polygon.curvature[panel]
@@ -339,49 +344,50 @@ def _at_clamp(polygon: Polygon, moment: Floats) -> tuple[Floats, Floats]:
 
 
 def _at_moments(polygon: Polygon, length: float, clamp: Floats) -> tuple[EndLoads, Floats]:
-    """States of given clamp moments and their tails: Newton for `level`, nearly linear."""
+    """Solve for `level` at given clamp moments; return the states and their tails."""
     _, energy = _at_clamp(polygon, clamp)
-    level = np.minimum(energy / clamp * length, _STEEPEST - _LARGEST_STEP)
+    level = np.minimum(energy / clamp * length, _MAX_LEVEL - _MAX_LEVEL_STEP)
     room = _workspace(polygon, clamp)
-    for _ in range(_MOST_NEWTON):
+    for _ in range(_NEWTON_STEPS):
         gap = _tip_gap(level)
         sine = np.tanh(level)
-        found = _integrate(polygon, clamp, sine / energy, gap, room)
-        missing = length - sine / energy * found.length
-        step = missing * energy / (gap * (2.0 - gap) * found.cubed)
+        integrals = _integrate(polygon, clamp, sine / energy, gap, room)
+        missing = length - sine / energy * integrals.length
+        step = missing * energy / (gap * (2.0 - gap) * integrals.cubed)
         before = level
-        level = _within(level, np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
-        if np.all(np.abs(level - before) < _SETTLED * level):
+        level = _bounded_level(level, np.clip(step, -_MAX_LEVEL_STEP, _MAX_LEVEL_STEP))
+        if np.all(np.abs(level - before) < _LAST_LEVEL_STEP * level):
             break
     tail, deflection = _tail(polygon, clamp, level, length)
     return EndLoads(deflection, clamp, level, length, polygon), tail
 
 
-def _within(level: Floats, step: Floats) -> Floats:
-    """A level after a step, positive and at most `_STEEPEST`."""
-    return np.clip(level + step, level / 4.0, _STEEPEST)
+def _bounded_level(level: Floats, step: Floats) -> Floats:
+    """Return the level after a step, positive and at most `_MAX_LEVEL`."""
+    return np.clip(level + step, level / 4.0, _MAX_LEVEL)
 
 
 def _at_deflections(ladder: EndLoads, law: MomentLaw, length: float, wanted: Floats) -> EndLoads:
-    """States of given deflections: Newton for clamp moment and tip's sine, from the ladder."""
+    """Solve for clamp moment and level at given deflections, starting from the ladder."""
     clamp, level = _first_guess(ladder, wanted)
     polygon = polygon_of(law, float(ladder.clamp_moment[-1]))
     room = _workspace(polygon, clamp)
-    for _ in range(_MOST_NEWTON):
+    for _ in range(_NEWTON_STEPS):
         step = _newton_step(polygon, (np.exp(clamp), level), length, wanted, room)
         before = level
-        clamp, level = clamp + step[0], _within(level, step[1])
-        if np.all(np.abs([step[0], level - before]) < _SETTLED * np.minimum(level, 1.0)):
+        clamp, level = clamp + step[0], _bounded_level(level, step[1])
+        if np.all(np.abs([step[0], level - before]) < _LAST_LEVEL_STEP * np.minimum(level, 1.0)):
             break
     return EndLoads(wanted, np.exp(clamp), level, length, polygon)
 
 
 def _first_guess(ladder: EndLoads, wanted: Floats) -> tuple[Floats, Floats]:
-    """Logarithm of the clamp's moment, and `level`, at deflections between those of a ladder."""
+    """Interpolate the logarithm of the clamp's moment, and `level`, in a ladder."""
     at, rungs = np.log(wanted), np.log(ladder.deflection)
-    below = np.minimum(at - rungs[0], 0.0)  # under the lowest, all in proportion
+    below = np.minimum(at - rungs[0], 0.0)  # proportional below the lowest
     clamp, level = (
-        np.interp(at, rungs, np.log(known)) + below for known in (ladder.clamp_moment, ladder.level)
+        np.interp(at, rungs, np.log(values)) + below
+        for values in (ladder.clamp_moment, ladder.level)
     )
     return clamp, np.exp(level)
 
@@ -389,32 +395,34 @@ def _first_guess(ladder: EndLoads, wanted: Floats) -> tuple[Floats, Floats]:
 def _newton_step(
     polygon: Polygon, state: tuple[Floats, Floats], length: float, wanted: Floats, room: Floats
 ) -> Floats:
-    """Change of the logarithm of the clamp's moment, and of `level`, shape (2, n)."""
+    """Return the steps of the logarithm of the clamp's moment and of `level`, shape (2, n)."""
     clamp, level = state
     curvature, energy = _at_clamp(polygon, clamp)
     gap = _tip_gap(level)
     c = np.tanh(level) / energy  # 1 / P
-    found = _integrate(polygon, clamp, c, gap, room)
+    integrals = _integrate(polygon, clamp, c, gap, room)
     per_clamp = c * curvature
     c_by_clamp, c_by_level = -per_clamp / energy * clamp, gap * (2.0 - gap) / energy
-    rise_by_c = found.rise + found.cubed_rise
-    length_by_clamp = c * clamp * (1.0 + per_clamp * found.cubed_rise) + c_by_clamp * found.cubed
-    rise_by_clamp = c * clamp * per_clamp * found.cubed + c_by_clamp * rise_by_c
-    length_by_level, rise_by_level = found.cubed * c_by_level, rise_by_c * c_by_level
-    no_length, no_rise = length - c * found.length, wanted - c * found.rise
+    rise_by_c = integrals.rise + integrals.cubed_rise
+    length_by_clamp = (
+        c * clamp * (1.0 + per_clamp * integrals.cubed_rise) + c_by_clamp * integrals.cubed
+    )
+    rise_by_clamp = c * clamp * per_clamp * integrals.cubed + c_by_clamp * rise_by_c
+    length_by_level, rise_by_level = integrals.cubed * c_by_level, rise_by_c * c_by_level
+    no_length, no_rise = length - c * integrals.length, wanted - c * integrals.rise
     step = np.array(
         [
             rise_by_level * no_length - length_by_level * no_rise,
             length_by_clamp * no_rise - rise_by_clamp * no_length,
         ]
     ) / (length_by_clamp * rise_by_level - length_by_level * rise_by_clamp)
-    return np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    return np.clip(step, -_MAX_LEVEL_STEP, _MAX_LEVEL_STEP)
 
 
 def _tail(polygon: Polygon, clamp: Floats, level: Floats, length: float) -> tuple[Floats, Floats]:
-    """How far from the tip the moment is that of each corner but the first, and the deflection.
+    """Return the tail of `EndLoads`, and the deflection.
 
-    What is left of the length at the steepest is upright.
+    The remaining length of an upright tip is added to both.
     """
     compliance = np.tanh(level) / _at_clamp(polygon, clamp)[1]
     room = _workspace(polygon, clamp)
@@ -425,5 +433,5 @@ def _tail(polygon: Polygon, clamp: Floats, level: Floats, length: float) -> tupl
     panels[np.arange(len(clamp)), nodes.last] += end
     tail = compliance[:, None] * np.cumsum(panels, axis=1)
     rise = compliance * np.sum(per_length * (1.0 - nodes.fall), axis=1)
-    upright = np.where(level >= _STEEPEST, np.maximum(length - tail[:, -1], 0.0), 0.0)
+    upright = np.where(level >= _MAX_LEVEL, np.maximum(length - tail[:, -1], 0.0), 0.0)
     return tail + upright[:, None], rise + upright

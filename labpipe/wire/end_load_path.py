@@ -1,8 +1,8 @@
-"""The end load of the cantilever at a row of tip deflections, from straight (PHYSICS 5).
+"""End load of the cantilever at successive tip deflections, from straight (PHYSICS 5).
 
-As long as nothing unloads by the first integral of `wire.end_load`, all at once, or with the wire's
-own weight as in `wire.heavy_loading`; from there on station by station as in `wire.cantilever`,
-each point from the trend of those before.
+As long as nothing unloads, all points are solved at once: by the first integral of `wire.end_load`,
+or with the wire's own weight as in `wire.heavy_loading`. From there on they are solved station by
+station as in `wire.cantilever`, each extrapolated from those before.
 """
 
 from __future__ import annotations
@@ -37,19 +37,15 @@ from labpipe.wire.newton import EndLoad, Unknowns, chebyshev_stations
 
 HEAVY_STATIONS = 48
 """Along a wire with weight: loads are within 3e-5 of those of 160 stations."""
-_STEEPEST = 1.0  # rad, at rest: a wire that hangs so does not lie level, and has other equilibria
-_AT_ONCE = 0.7  # of the length: about where something begins to unload
-_FARTHEST_TREND = 2.0  # steps ahead that the last one is taken to go on
-_TOLERANCE = 1e-5  # of Newton's method from a good guess: its next change would be 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndLoadPath:
-    """What it takes to bring the tip to a row of deflections; arrays of shape (n,).
+    """End load at successive tip deflections; arrays of shape (n,).
 
     Parameters
     ----------
-    load : N, normal to the clamped axis, above that which holds the tip level at rest
+    load : N, normal to the clamped axis, less that which holds the tip level at rest
     clamp_moment : N m
     rest : of a wire with weight; None without
     """
@@ -59,7 +55,7 @@ class EndLoadPath:
     rest: CantileverShape | None = None
 
     def part(self, start: int, stop: int | None = None) -> EndLoadPath:
-        """The path from a point on, up to another, with the same arrays."""
+        """Return the path between two points, as views."""
         return replace(self, load=self.load[start:stop], clamp_moment=self.clamp_moment[start:stop])
 
 
@@ -71,19 +67,19 @@ def end_load_path(
     n_stations: int = DEFAULT_STATIONS,
     self_weight: float = 0.0,
 ) -> EndLoadPath:
-    """End load and clamp moment at each of a row of tip deflections, from straight, or from rest.
+    """Compute end load and clamp moment at successive tip deflections, from straight or rest.
 
     Parameters
     ----------
     law : law of the wire
     length : m
     deflections : shape (n,), m, in the order in which they are reached
-    n_stations : along the wire, where it is gone through station by station
+    n_stations : along the wire, where it is solved station by station
     self_weight : N/m, of the wire; with weight it lies level at rest, its tip held by the load
 
     Returns
     -------
-    Load and clamp moment at each deflection, as far as the law goes: fewer where it ends before.
+    Load and clamp moment at each deflection, up to the end of the law.
 
     Raises
     ------
@@ -92,8 +88,8 @@ def end_load_path(
 
     Notes
     -----
-    As long as the deflections grow and no part of the wire unloads, to about 0.7 of the length, by
-    the first integral of `wire.end_load`, all at once; from there on station by station.
+    The points are solved at once as long as the deflections grow and no part of the wire unloads,
+    up to about 0.7 of the length; from there on station by station.
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
@@ -109,114 +105,127 @@ def end_load_path(
         first = end_loads(law, length, deflections[:n_growing])
         done = len(first.load) - 1
         path.load[:done], path.clamp_moment[:done] = first.load[:-1], first.clamp_moment[:-1]
-        inside = [is_within(law, moment) for moment in first.clamp_moment.tolist()]
-        if not all(inside):
-            return path.part(0, min(inside.index(False), done))
+        is_inside = [is_within(law, moment) for moment in first.clamp_moment.tolist()]
+        if not all(is_inside):
+            return path.part(0, min(is_inside.index(False), done))
         if done < len(path.load):
-            before = _guess(before, length, first, max(done - 2, 0))
-            state = _last_state(law, state, length, first)
-    rest = _go_on(law, (before, state), length, deflections[done:], path.part(done))
+            before = _guessed_state(before, length, first, max(done - 2, 0))
+            state = _last_loading_state(law, state, length, first)
+    rest = _continue_path(law, (before, state), length, deflections[done:], path.part(done))
     return path.part(0, done + rest)
 
 
 def _from_rest(
     law: MomentLaw, length: float, deflections: Floats, self_weight: float
 ) -> EndLoadPath:
-    """The same of a wire with weight: all at once from rest, then station by station."""
-    goes_on = (np.diff(deflections, prepend=0.0) > 0.0) & (deflections <= _AT_ONCE * length)
+    """Compute the path of a wire with weight, from rest."""
+    max_lean = 1.0  # rad: a steeper wire has other equilibria, too
+    unloading_share = 0.7  # of the length: about where something begins to unload
+    goes_on = (np.diff(deflections, prepend=0.0) > 0.0) & (deflections <= unloading_share * length)
     count = len(goes_on) if goes_on.all() else int(np.argmin(goes_on))
     table, wanted = LoadingTable.of_plays(law), deflections[:count]
-    at = heavy_states(
+    states_at = heavy_states(
         *(table, length, None, self_weight, wanted),
         n_stations=HEAVY_STATIONS,
         with_changes=False,
     )
-    done = at.count_loading()
-    plays = respond(law, at.rest, unbent_plays(law, len(at.rest))).plays
-    force = np.array([0.0, at.rest_tension])
-    rest = WireState(at.rest, plays, force, at.rest_tension, self_weight=self_weight)
-    still = shape_of(law, rest, length)
-    hangs = float(np.max(np.abs(still.angle)))
-    if hangs > _STEEPEST:
-        message = f"by its weight it hangs at {np.degrees(hangs):.3g} deg between clamp and tip"
+    done = states_at.count_loading()
+    plays = respond(law, states_at.rest, unbent_plays(law, len(states_at.rest))).plays
+    force = np.array([0.0, states_at.rest_tension])
+    rest = WireState(states_at.rest, plays, force, states_at.rest_tension, self_weight=self_weight)
+    shape = shape_of(law, rest, length)
+    lean = float(np.max(np.abs(shape.angle)))
+    if lean > max_lean:
+        where = "deg between clamp and tip"
+        message = f"by its weight the wire is inclined by {np.degrees(lean):.3g} {where}"
         raise ValueError(message)
     load, clamp = np.empty((2, len(deflections)))
-    load[:done], clamp[:done] = at.tension[:done], at.moment[:done, 0]
-    path = EndLoadPath(load, clamp, still)
-    outside = [not is_within(law, moment) for moment in clamp[:done].tolist()]
-    if any(outside):
-        done = outside.index(True)
+    load[:done], clamp[:done] = states_at.tension[:done], states_at.moment[:done, 0]
+    path = EndLoadPath(load, clamp, shape)
+    is_outside = [not is_within(law, moment) for moment in clamp[:done].tolist()]
+    if any(is_outside):
+        done = is_outside.index(True)
     elif done < len(deflections):
         states = [rest]
         for row in range(max(done - 2, 0), done):
-            bent, tension = at.moment[row], float(at.tension[row])
+            bent, tension = states_at.moment[row], float(states_at.tension[row])
             plays = respond(law, bent, rest.plays).plays
             force, travel = np.array([0.0, tension]), float(wanted[row])
             states.append(WireState(bent, plays, force, tension, travel, self_weight))
         first = (states[-2] if done else rest, states[-1])
-        done += _go_on(law, first, length, deflections[done:], path.part(done))
-    load -= at.rest_tension
+        done += _continue_path(law, first, length, deflections[done:], path.part(done))
+    load -= states_at.rest_tension
     return path.part(0, done)
 
 
-def _guess(virgin: WireState, length: float, first: EndLoads, row: int) -> WireState:
-    """Nearly the state at one row of a first loading, at the stations of the straight wire."""
+def _guessed_state(virgin: WireState, length: float, first: EndLoads, row: int) -> WireState:
+    """Return an approximate state of a first loading, at the stations of the straight wire."""
     from_tip = length * (1.0 - chebyshev_stations(len(virgin.moment)).position)
     moment, load = first.moment_at(row, from_tip), float(first.load[row])
     return replace(virgin, moment=moment, load=load, travel=float(first.deflection[row]))
 
 
-def _last_state(law: MomentLaw, virgin: WireState, length: float, first: EndLoads) -> WireState:
-    """State at the end of a first loading."""
-    guess = _guess(virgin, length, first, -1)
+def _last_loading_state(
+    law: MomentLaw, virgin: WireState, length: float, first: EndLoads
+) -> WireState:
+    """Return the state at the end of a first loading."""
+    guess = _guessed_state(virgin, length, first, -1)
     near = Unknowns(guess.moment, guess.load)
-    return _settle(law, virgin, length, guess.travel, near)
+    return _bend_one(law, virgin, length, guess.travel, near)
 
 
-def _settle(
+def _bend_one(
     law: MomentLaw, state: WireState, length: float, deflection: float, guess: Unknowns | None
 ) -> WireState:
-    """Bend a wire to a deflection, in one step where there is a guess from which that goes."""
-    found = None
+    """Bend a wire to a deflection, in one step if a guess allows."""
+    newton_tolerance = 1e-5  # from a good guess; the next change would be 1e-10
+    state_ = None
     if guess is not None:
         condition = EndLoad(deflection)
-        found = settle(
-            law, state, length, condition, travel=deflection, guess=guess, tolerance=_TOLERANCE
+        state_ = settle(
+            law,
+            state,
+            length,
+            condition,
+            travel=deflection,
+            guess=guess,
+            tolerance=newton_tolerance,
         )
-    return deflect(law, state, length, deflection) if found is None else found
+    return deflect(law, state, length, deflection) if state_ is None else state_
 
 
-def _go_on(
+def _continue_path(
     law: MomentLaw,
     first: tuple[WireState, WireState],
     length: float,
     deflections: Floats,
     path: EndLoadPath,
 ) -> int:
-    """Fill in a path, each point from the trend of the states before; give how many, to its end."""
+    """Fill in a path, extrapolating from the states before; return the number of points."""
     states = list(first)
     for number, deflection in enumerate(deflections.tolist()):
-        found = _settle(law, states[-1], length, deflection, _trend(states, deflection))
-        if not is_within(law, float(np.max(np.abs(found.moment)))):
+        state = _bend_one(law, states[-1], length, deflection, _extrapolated(states, deflection))
+        if not is_within(law, float(np.max(np.abs(state.moment)))):
             return number
-        states = [*states[-2:], found]
-        path.load[number], path.clamp_moment[number] = found.force[1], found.moment[0]
+        states = [*states[-2:], state]
+        path.load[number], path.clamp_moment[number] = state.force[1], state.moment[0]
     return len(deflections)
 
 
-def _trend(states: list[WireState], travel: float) -> Unknowns | None:
-    """Moments and load at a travel on the parabola through the last states; None where it cannot.
+def _extrapolated(states: list[WireState], travel: float) -> Unknowns | None:
+    """Extrapolate moments and load to a travel by a parabola; None if it is too far.
 
-    A straight line for two states, and where the last three did not go one way.
+    A straight line through two states, and where the last three reverse.
     """
+    max_trend_steps = 2.0  # steps ahead over which the last one is extrapolated
     at = [state.travel for state in states]
     steps = np.diff([*at, travel])
-    if not 0.0 < (travel - at[-1]) * steps[-2] <= _FARTHEST_TREND * steps[-2] ** 2:
+    if not 0.0 < (travel - at[-1]) * steps[-2] <= max_trend_steps * steps[-2] ** 2:
         return None
     if steps[0] * steps[-1] <= 0.0:
         states, at = states[-2:], at[-2:]
     shares = [
         float(np.prod([(travel - b) / (a - b) for b in at if b != a])) for a in at
-    ]  # Lagrange's
+    ]  # Lagrange weights
     moment = np.sum([n * state.moment for n, state in zip(shares, states, strict=True)], axis=0)
     return Unknowns(moment, sum(n * state.load for n, state in zip(shares, states, strict=True)))

@@ -1,10 +1,10 @@
-"""The loading curve of the clamped wire on first loading, by the first integral (PHYSICS 5).
+"""First loading curve of the clamped wire, by the first integral (PHYSICS 5).
 
 Every point of the curve is two equations for the tip's force P and its lean beta (see below):
 the arc length is the wire's, and the string points from the tip to its
-anchor. No station, no history: all points are solved at once. It holds on first loading from
-straight, while the moment grows everywhere. The path of `wire.cantilever` is an independent one,
-and the one to take for cycles.
+anchor. All points are solved at once, without stations or history. This holds on first loading from
+straight, while the moment grows everywhere. The path of `wire.cantilever` is independent of it and
+also follows cycles.
 
 With a tip force of magnitude P that leans by beta towards the clamp, dM/ds = -P cos(theta - beta)
 and d(theta)/ds = kappa(M) have the first integral W*(M) + P sin(theta - beta) = const, where W* is
@@ -13,8 +13,8 @@ R = sqrt(P^2 - Q^2),
 
     L = integral of dM / R,    A = M0 / P,    B = integral of Q / (P R) dM,    from 0 to M0,
 
-A and B being the tip's place along and across the direction of beta: x = A cos(beta) - B sin(beta),
-y = A sin(beta) + B cos(beta). Here are these sums at given P and beta, and how they change.
+with A and B the tip's position along and across the direction of beta:
+x = A cos(beta) - B sin(beta), y = A sin(beta) + B cos(beta).
 """
 
 from __future__ import annotations
@@ -29,10 +29,6 @@ from labpipe.law.loading_panels import LoadingLaw
 from labpipe.records.arrays import Floats, Ints, frozen
 from labpipe.wire.cantilever import StringRig
 
-_ITERATIONS = 60
-_TOLERANCE = 1e-11
-_LONGEST_STEP, _LONGEST_TURN = 3.0, 0.2  # of the excess of the force in logarithms, of the lean
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadingCurve:
@@ -42,7 +38,7 @@ class LoadingCurve:
     ----------
     deflection : m, of the tip across the undeformed axis, increasing
     tension : N, of the string, which is what the load cell reads; the end load where there is none
-    x : m, place of the tip along the undeformed axis
+    x : m, position of the tip along the undeformed axis
     tip_angle : rad, of the tangent at the tip from the undeformed axis
     clamp_curvature, clamp_moment : 1/m, N m
     stiffness : N/m, slope of tension against deflection
@@ -71,7 +67,7 @@ class LoadingCurve:
 
     @property
     def force(self) -> Floats:
-        """Tension above that at rest, N: what a zeroed load cell reads."""
+        """Return the tension above that at rest, N, as a zeroed load cell reads it."""
         return np.asarray(self.tension - self.tension[0])
 
 
@@ -84,15 +80,15 @@ def load_cantilever(
     ----------
     law : law of first loading
     length : m
-    rig : string and counterweight; the string just spans to the straight wire, so that its tension
-        at rest is the weight, and pulls from then on. None for an end load normal to the axis
-    has_memory : whether the law unloads otherwise than it loads
+    rig : string and counterweight; the string just reaches the straight wire, so that its tension
+        at rest is the weight. None for an end load normal to the axis
+    has_memory : whether unloading differs from loading
 
     Returns
     -------
     The curve: rest, then a point for each of the law's. With memory it ends where the force across
     the wire at the tip is largest (at about 0.7 of the length): beyond, the moment near the tip
-    falls, and this is no longer a first loading.
+    falls and first loading ends.
 
     Raises
     ------
@@ -101,31 +97,37 @@ def load_cantilever(
 
     Notes
     -----
-    Newton's method for P and beta of all points at once; P is counted from the least force that
-    can hold the moment, W*(M0) / (1 + sin(beta)), in logarithms.
+    Newton's method for P and beta of all points at once; the unknown is the logarithm of P above
+    the least force that can hold the moment, W*(M0) / (1 + sin(beta)).
     """
+    max_iterations = 60
+    force_tolerance = 1e-11
+    max_step = 3.0  # of the logarithm of the excess of the force
+    max_lean_step = 0.2
     rule = rule_of(law)
     excess, lean = _guess(law, rule, length, rig)
-    for _ in range(_ITERATIONS):
+    for _ in range(max_iterations):
         sine = np.sin(lean)
         growth = np.exp(excess)
         balance = balance_of(rule, rule.energy / (1.0 + sine) + growth, lean)
         shift = -rule.energy * balance.cosine / (1.0 + sine) ** 2
         (a, b), (c, d) = slopes(balance, rig)
         matrix = ((a * growth, b + a * shift), (c * growth, d + c * shift))
-        wide, turn = solve_pair(matrix, balance.arc_length - length, misfit(balance, rig))
-        error = np.abs(wide * growth) / balance.force + np.abs(turn)
-        if error.max() <= _TOLERANCE:
+        excess_step, lean_step = solve_pair(
+            matrix, balance.arc_length - length, misfit(balance, rig)
+        )
+        error = np.abs(excess_step * growth) / balance.force + np.abs(lean_step)
+        if error.max() <= force_tolerance:
             return _curve(law, rule, balance, rig, has_memory=has_memory)
-        excess = excess - np.minimum(np.maximum(wide, -_LONGEST_STEP), _LONGEST_STEP)
-        lean = lean - np.minimum(np.maximum(turn, -_LONGEST_TURN), _LONGEST_TURN)
-    count = int(np.sum(error > _TOLERANCE))
+        excess = excess - np.minimum(np.maximum(excess_step, -max_step), max_step)
+        lean = lean - np.minimum(np.maximum(lean_step, -max_lean_step), max_lean_step)
+    count = int(np.sum(error > force_tolerance))
     message = f"length={length!r}: no equilibrium found at {count} of {len(lean)} loads"
     raise ValueError(message)
 
 
 def _guess(law: LoadingLaw, rule: Rule, length: float, rig: StringRig | None) -> Pair:
-    """Excess force in logarithms and lean, from a shortening by a fifteenth of (kappa L)^2."""
+    """Guess the logarithm of the excess force, and the lean, for x = L / (1 + (kappa L)^2 / 15)."""
     x = length / (1.0 + (law.curvature[law.points] * length) ** 2 / 15.0)
     excess = np.maximum(rule.moment / x - rule.energy, 0.05 * rule.energy)
     lean = np.zeros_like(x) if rig is None else (x - rig.anchor_x) / rig.string_length
@@ -159,7 +161,7 @@ def _curve(
 
 
 def _slope(at: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
-    """Slope of tension against deflection, N/m, as the moment at the clamp grows.
+    """Return the slope of tension against deflection, N/m, as the moment at the clamp grows.
 
     The integrals change with their upper end, where Q = -P sin(beta), and with W*(M0).
     """
@@ -172,7 +174,7 @@ def _slope(at: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
 def _changes(
     law: LoadingLaw, rule: Rule, at: Balance, rig: StringRig | None, slope: Floats
 ) -> Floats:
-    """Derivatives of the tension at constant deflection by the law's parameters."""
+    """Return the derivatives of the tension at constant deflection by the law's parameters."""
     end = law.energy_change[:, law.points]
     inside = law.node_energy_change.reshape(len(end), law.node_energy.size)[:, rule.nodes]
     arc = end * at.cube_q - rule.total(inside * at.cubes_q)
@@ -182,13 +184,12 @@ def _changes(
 
 
 def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
-    """Force above that at rest, and its derivatives, at given deflections.
+    """Interpolate force above that at rest, and its derivatives, at given deflections.
 
     Parameters
     ----------
     curve : the loading curve
-    deflection : shape (n,), m, any order; a law is the same both ways, so that noise about zero
-        finds forces of both signs
+    deflection : shape (n,), m, any order and sign: the law is odd
 
     Returns
     -------
@@ -204,26 +205,26 @@ def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
     if np.any(size > curve.deflection[-1]):
         message = (
             f"deflection={np.nanmax(size):.6g} m: the curve ends at {curve.deflection[-1]:.6g} m, "
-            f"where the tip stands at {np.degrees(curve.tip_angle[-1]):.3g} deg"
+            f"where the tip is inclined by {np.degrees(curve.tip_angle[-1]):.3g} deg"
         )
         raise ValueError(message)
     change = curve.tension_change
     values = np.vstack([curve.force, change])
     rises = np.vstack([curve.stiffness, np.gradient(change, curve.deflection, axis=1)])
-    found = CubicHermiteSpline(curve.deflection, values, rises, axis=1)(size)
-    found *= np.sign(deflection)
-    return found[0], found[1:]
+    result = CubicHermiteSpline(curve.deflection, values, rises, axis=1)(size)
+    result *= np.sign(deflection)
+    return result[0], result[1:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rule:
-    """The rule of every point, one after the other: the nodes from zero to the point's edge.
+    """Quadrature of all points in one array: the nodes from zero to each point's moment.
 
     Parameters
     ----------
     moment, energy : shape (points,), N m, N, at the clamp
-    starts, counts : shape (points,), where a point's nodes begin, and how many they are
-    nodes : shape (all,), which of the law's
+    starts, counts : shape (points,), first node and number of nodes of a point
+    nodes : shape (all,), indices into the law's nodes
     weight : shape (all,), N m
     rise : shape (all,), N, energy at the clamp less that at the node
     """
@@ -237,11 +238,11 @@ class Rule:
     rise: Floats
 
     def total(self, values: Floats) -> Floats:
-        """Sum over the nodes of each point, shape (..., points)."""
+        """Sum over the nodes of each point, to shape (..., points)."""
         return np.asarray(np.add.reduceat(values, self.starts, axis=-1))
 
     def spread(self, values: Floats) -> Floats:
-        """The point's value at each of its nodes, shape (..., all)."""
+        """Repeat each point's value at its nodes, to shape (..., all)."""
         return np.repeat(values, self.counts, axis=-1)
 
 
@@ -258,17 +259,17 @@ def rule_of(law: LoadingLaw) -> Rule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Balance:
-    """The integrals of each point for given forces and leans.
+    """Integrals of each point for given forces and leans.
 
     Parameters
     ----------
     force, lean : shape (points,), P, N, and beta, rad
     sine, cosine : shape (points,), of the lean
     arm, across : shape (points,), A and B, m
-    x, y : shape (points,), m, place of the tip along and across the undeformed axis
+    x, y : shape (points,), m, position of the tip along and across the undeformed axis
     arc_length : shape (points,), m
     cube, cube_q : shape (points,), integrals of 1 / R^3 and Q / R^3
-    cubes, cubes_q : shape (all nodes,), what these are sums of
+    cubes, cubes_q : shape (all nodes,), their summands
     """
 
     force: Floats
@@ -287,7 +288,7 @@ class Balance:
 
 
 def balance_of(rule: Rule, force: Floats, lean: Floats) -> Balance:
-    """Sum up at given forces, N, and leans, rad, shape (points,) each."""
+    """Compute the integrals at given forces, N, and leans, rad, shape (points,) each."""
     sine, cosine = np.sin(lean), np.cos(lean)
     q = rule.rise - rule.spread(force * sine)
     square = rule.spread(force * force) - q * q
@@ -305,14 +306,14 @@ Pair: TypeAlias = tuple[Floats, Floats]
 
 
 def _across_slopes(at: Balance) -> Pair:
-    """Derivatives of B by force and lean."""
+    """Return the derivatives of B by force and lean."""
     pressed = at.force * at.cube
     by_force = -at.across / at.force - at.sine * pressed - at.cube_q
     return by_force, -at.force * at.cosine * pressed
 
 
 def misfit(at: Balance, rig: StringRig | None) -> Floats:
-    """What the string's direction lacks of that of force and weight, N; the lean without one."""
+    """Return the force across the string that remains unbalanced, N; the lean without a string."""
     if rig is None:
         return at.lean
     slant = (rig.anchor_x - at.x) / rig.string_length
@@ -320,14 +321,14 @@ def misfit(at: Balance, rig: StringRig | None) -> Floats:
     return at.force * at.sine * np.sqrt(1.0 - slant**2) + pull * slant
 
 
-def _misfit_by_x(at: Balance, rig: StringRig) -> Floats:
+def _misfit_slope(at: Balance, rig: StringRig) -> Floats:
     slant = (rig.anchor_x - at.x) / rig.string_length
     pull = at.force * at.cosine + rig.weight
     return (at.force * at.sine * slant / np.sqrt(1.0 - slant**2) - pull) / rig.string_length
 
 
 def slopes(at: Balance, rig: StringRig | None) -> tuple[Pair, Pair]:
-    """Derivatives of arc length and misfit by force and lean."""
+    """Return the derivatives of arc length and misfit by force and lean."""
     arc = (-at.force * at.cube - at.sine * at.cube_q, -at.force * at.cosine * at.cube_q)
     if rig is None:
         return arc, (np.zeros_like(at.lean), np.ones_like(at.lean))
@@ -336,7 +337,7 @@ def slopes(at: Balance, rig: StringRig | None) -> tuple[Pair, Pair]:
     across_by_force, across_by_lean = _across_slopes(at)
     x_by_force = -at.arm / at.force * at.cosine - across_by_force * at.sine
     x_by_lean = -at.y - across_by_lean * at.sine
-    by_x = _misfit_by_x(at, rig)
+    by_x = _misfit_slope(at, rig)
     by_force = at.sine * rise + at.cosine * slant + by_x * x_by_force
     by_lean = at.force * (at.cosine * rise - at.sine * slant) + by_x * x_by_lean
     return arc, (by_force, by_lean)
@@ -351,7 +352,7 @@ def solve_pair(matrix: tuple[Pair, Pair], first: Floats, second: Floats) -> Pair
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """How deflection, m, and tension, N, change, shape (..., points)."""
+    """Changes of deflection, m, and tension, N, shape (..., points)."""
 
     deflection: Floats
     tension: Floats
@@ -360,8 +361,8 @@ class Response:
 def respond_to(
     at: Balance, rig: StringRig | None, arc: Floats, across: Floats, arm: Floats
 ) -> Response:
-    """What follows from changes of arc length, B and A at constant force and lean."""
-    by_x = 0.0 if rig is None else _misfit_by_x(at, rig)
+    """Compute the response to changes of arc length, B and A at constant force and lean."""
+    by_x = 0.0 if rig is None else _misfit_slope(at, rig)
     misfit = by_x * (arm * at.cosine - across * at.sine)
     force, lean = solve_pair(slopes(at, rig), -arc, -misfit)
     across_by_force, across_by_lean = _across_slopes(at)
@@ -381,5 +382,5 @@ def weight_of(rig: StringRig | None) -> float:
 
 
 def tension_of(at: Balance, rig: StringRig | None) -> Floats:
-    """Tension of the string, N; the end load without one."""
+    """Return the tension of the string, N; the end load without a string."""
     return np.hypot(at.force * at.sine, at.force * at.cosine + weight_of(rig))

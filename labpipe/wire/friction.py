@@ -1,4 +1,4 @@
-"""Axial forces of the strands of a bent wire: what bending asks for, what friction can hold.
+"""Axial forces of the strands of a bent wire, limited by friction.
 
 Stick (3.7): T = E A kappa r sin(theta) cos^2(alpha), beside the strand's share F0 of the wire's own
 tension. Slip (3.14), with k = mu_inner |sin alpha| and c = (mu_outer + mu_inner) H:
@@ -28,11 +28,8 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.wire.cross_section import CrossSection, Layer
 
-_ON_AXIS = 1e-12  # sine of a strand on the neutral axis, but for rounding
-_NEAR_AXIS = 1e-9
-_GUESSES = 1e-9 * 4.0 ** np.arange(61)[:, None]  # of the curvature of first slip, 1/m
-_SHARES = np.arange(129)[:, None] / 128.0
-_ROUNDS = 8  # each to a 128th: to rounding
+_SLIP_GUESSES = 1e-9 * 4.0 ** np.arange(61)[:, None]  # 1/m
+_BRACKET_SHARES = np.arange(129)[:, None] / 128.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +41,8 @@ class Contacts:
     inner : friction coefficient of each ring with what lies inside it, first ring first
     outer : of each ring with what lies outside it; for the outermost ring, the insulation
     radial_force : F_rad of the insulation, N per radian of lay and strand of the outermost ring
-    lay_lengths : whether pressure is handed inwards by the rings' own lay lengths; else as if they
-        were equal, as the source does
+    lay_lengths : whether the pressure on inner rings accounts for the rings' own lay lengths; the
+        source assumes equal ones
     """
 
     inner: tuple[float, ...]
@@ -70,9 +67,9 @@ class Contacts:
 
 
 def insulated(n_rings: int, *, strand: float, insulation: float, radial_force: float) -> Contacts:
-    """Contacts of an insulated wire: mu_s between strands, mu_p with the insulation.
+    """Return the contacts of an insulated wire: mu_s between strands, mu_p with the insulation.
 
-    A single strand has no rings, and none of both.
+    A single strand has no rings and no contacts.
     """
     outer = (*[strand] * (n_rings - 1), insulation)[:n_rings]
     return Contacts((strand,) * n_rings, outer, radial_force)
@@ -80,9 +77,9 @@ def insulated(n_rings: int, *, strand: float, insulation: float, radial_force: f
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
-    """One ring, with what its strands are asked for and can hold at the angles that matter.
+    """One ring, with the demand on its strands and their friction limit at each angle needed.
 
-    Its forces are wanted at the angles of its own strands and, since they press on the rings
+    Forces are evaluated at the angles of its own strands and, since they press on the rings
     inside, at those of all inner strands: at the first `end` angles, its own being the last.
 
     Parameters
@@ -114,7 +111,7 @@ class Bundle:
     ----------
     rings : from the innermost
     sign : shape (strands,), 1 on the side in tension, -1 in compression, 0 on the neutral axis
-    lever : shape (strands,), r sin(theta) cos(alpha), m: what the axial force turns with
+    lever : shape (strands,), r sin(theta) cos(alpha), m, of the axial force
     """
 
     rings: tuple[Ring, ...]
@@ -139,7 +136,7 @@ class AxialForces:
 
 
 def axial_strain(section: CrossSection, tension: float) -> float:
-    """Strain of a straight wire under tension, elastic and not turning about its axis.
+    """Return the axial strain of a straight elastic wire that does not turn about its axis.
 
     Parameters
     ----------
@@ -153,7 +150,7 @@ def axial_strain(section: CrossSection, tension: float) -> float:
     Raises
     ------
     ValueError
-        If the tension is negative: strands under pressure part from each other.
+        If the tension is negative: compressed strands separate.
     """
     if not (np.isfinite(tension) and tension >= 0.0):
         message = f"tension={tension!r}: allowed are finite numbers >= 0"
@@ -167,19 +164,20 @@ def axial_strain(section: CrossSection, tension: float) -> float:
 
 
 def sines(section: CrossSection, orientation: float | Floats) -> Floats:
-    """Sine of the angle of each strand outside the core from the neutral axis, shape (strands,).
+    """Return the sine of each strand's angle from the neutral axis, without the core.
 
-    Of several orientations, a column of them, one row each.
+    Shape (strands,); for a column of orientations one row each.
     """
+    min_sine = 1e-12  # a strand on the neutral axis has a smaller one by rounding
     first = int(section.has_core)
     sine = np.sin(section.angle[section.layer >= first] + orientation)
-    return np.where(np.abs(sine) < _ON_AXIS, 0.0, sine)
+    return np.where(np.abs(sine) < min_sine, 0.0, sine)
 
 
 def arrange(
     section: CrossSection, contacts: Contacts, sine: Floats, *, tension: float = 0.0
 ) -> Bundle:
-    """Make ready what does not depend on the curvature.
+    """Compute what does not depend on the curvature.
 
     Parameters
     ----------
@@ -208,9 +206,9 @@ def arrange(
     means = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
     strain = axial_strain(section, tension)
     shares = _shares(layers, means, uses_lay_lengths=contacts.lay_lengths)
-    reach = _Reach(layers, sine, contacts, strain)
+    setup = _RingSetup(layers, sine, contacts, strain)
     rings = [
-        _ring(reach, q, np.where(index == q, radius, means[q]), shares[q])
+        _ring(setup, q, np.where(index == q, radius, means[q]), shares[q])
         for q in range(len(layers))
     ]
     cosine = np.cos([layer.lay_angle for layer in layers])
@@ -219,8 +217,8 @@ def arrange(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Reach:
-    """What all rings are made of: see `arrange`; `strain` is that of the wire's own tension."""
+class _RingSetup:
+    """Input of all rings, see `arrange`; `strain` is that of the wire's own tension."""
 
     layers: tuple[Layer, ...]
     sine: Floats
@@ -228,34 +226,34 @@ class _Reach:
     strain: float
 
 
-def _ring(of: _Reach, q: int, radius: Floats, shares: tuple[float, ...]) -> Ring:
-    layers, sine, contacts = of.layers, of.sine, of.contacts
+def _ring(setup: _RingSetup, q: int, radius: Floats, shares: tuple[float, ...]) -> Ring:
+    layers, sine, contacts = setup.layers, setup.sine, setup.contacts
     end = sum(layer.count for layer in layers[: q + 1])
     layer, inner = layers[q], contacts.inner[q]
     rigidity = layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 2
     k = inner * abs(np.sin(layer.lay_angle))
-    reach = np.abs(friction_angle(k, np.arcsin(sine[:end])))
+    friction_reach = np.abs(friction_angle(k, np.arcsin(sine[:end])))
     return Ring(
         end - layer.count,
         end,
         rigidity * radius[:end] * np.abs(sine[:end]),
-        (inner + contacts.outer[q]) * reach,
-        k * rigidity * of.strain * reach,
-        rigidity * of.strain,
+        (inner + contacts.outer[q]) * friction_reach,
+        k * rigidity * setup.strain * friction_reach,
+        rigidity * setup.strain,
         contacts.radial_force * layers[-1].count / layer.count,
         shares,
     )
 
 
 def friction_angle(k: float, angle: Floats) -> Floats:
-    """expm1(k angle) / k, rad: the angle from the neutral axis, stretched by the strand's pull."""
+    """Return expm1(k angle) / k, rad: the angle weighted by friction of the strand's tension."""
     return np.expm1(k * angle) / k if k > 0.0 else angle
 
 
 def _shares(
     layers: tuple[Layer, ...], radii: list[float], *, uses_lay_lengths: bool
 ) -> list[tuple[float, ...]]:
-    """Pressure H on each ring (outer index) for each N of force in each ring outside it."""
+    """Return the pressure H on each ring (outer index) per N of force in each outer ring."""
     sine = [abs(np.sin(layer.lay_angle)) for layer in layers]
     lay = [
         np.tan(abs(layer.lay_angle)) / radius for layer, radius in zip(layers, radii, strict=True)
@@ -271,11 +269,11 @@ def _shares(
 
 
 def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
-    """Axial forces of all strands on first loading, rings from the outermost inwards.
+    """Compute the axial forces of all strands on first loading, from the outermost ring inwards.
 
     Parameters
     ----------
-    bundle : rings made ready
+    bundle : see `arrange`
     curvature : shape (curvatures, 1), or (n, strands) with its own for each strand; 1/m, not
         negative; for bending the other way turn the section by half a turn
 
@@ -297,19 +295,23 @@ def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
         sticks = demand < hold
         present = np.where(sticks, demand, hold) * sign
         rise = np.where(sticks, ring.demand, pressure_slope * ring.per_pressure) * sign
-        own = slice(ring.start, ring.end)
-        force[:, own], slope[:, own], stuck[:, own] = present[:, own], rise[:, own], sticks[:, own]
+        columns = slice(ring.start, ring.end)
+        force[:, columns], slope[:, columns], stuck[:, columns] = (
+            present[:, columns],
+            rise[:, columns],
+            sticks[:, columns],
+        )
         outer.insert(0, present)
         rises.insert(0, rise)
     return AxialForces(force, slope, stuck)
 
 
 def ring_pressure(bundle: Bundle, q: int, outer: list[Floats]) -> Floats:
-    """Pressure H on a ring at each of its angles, N per radian of lay, never negative.
+    """Return the pressure H on a ring at each of its angles, N per radian of lay, not negative.
 
     Parameters
     ----------
-    bundle : rings made ready
+    bundle : see `arrange`
     q : number of the ring
     outer : forces from bending of each ring outside it, next first, N, shape (n, ring.end) each,
         at least as many columns as the ring `q` has angles
@@ -326,7 +328,7 @@ def ring_pressure(bundle: Bundle, q: int, outer: list[Floats]) -> Floats:
 
 
 def _pressure_slope(bundle: Bundle, q: int, pressure: Floats, rises: list[Floats]) -> Floats:
-    """Slope of H with the curvature, from those of the forces outside; zero where they lift off."""
+    """Return the slope of H with the curvature; zero where the outer rings lift off."""
     ring = bundle.rings[q]
     slope = np.zeros((1, 1))
     for k, rise in enumerate(rises, start=q + 1):
@@ -337,7 +339,7 @@ def _pressure_slope(bundle: Bundle, q: int, pressure: Floats, rises: list[Floats
 def slip_onsets(
     section: CrossSection, contacts: Contacts, *, tension: float = 0.0, orientation: float = 0.0
 ) -> Floats:
-    """Curvature at which each strand outside the core first slips, 1/m, shape (strands,).
+    """Return the curvature at which each strand outside the core first slips, 1/m.
 
     Parameters
     ----------
@@ -346,33 +348,34 @@ def slip_onsets(
 
     Returns
     -------
-    In the order of the section's strands without the core. A strand on the neutral axis has no
-    force to lose: it is given the limit for strands next to it. Infinite where a strand never
-    slips.
+    Shape (strands,), in the order of the section without the core. A strand on the neutral axis
+    gets the limit of strands next to it. Infinite where a strand never slips.
 
     Notes
     -----
-    Found to rounding, by narrowing down. Within a ring the strands near the neutral axis slip first
-    when friction is even (theta_e / sin theta grows with theta), not those farthest from it, as a
-    sentence of the source's 3.2.1 has it.
+    Within a ring the strands near the neutral axis slip first
+    when friction is even (theta_e / sin theta grows with theta), not those farthest from it, as
+    stated in 3.2.1 of the source.
     """
+    min_sine = 1e-9
+    rounds = 8  # each to a 128th: to rounding
     sine = sines(section, orientation)
-    near = np.where(sine == 0.0, _NEAR_AXIS, sine)
-    bundle = arrange(section, contacts, near, tension=tension)
+    near_sine = np.where(sine == 0.0, min_sine, sine)
+    bundle = arrange(section, contacts, near_sine, tension=tension)
 
-    slips = ~_stuck(bundle, np.broadcast_to(_GUESSES, (len(_GUESSES), len(near))))
+    slips = ~_sticks(bundle, np.broadcast_to(_SLIP_GUESSES, (len(_SLIP_GUESSES), len(near_sine))))
     never, first = ~slips.any(axis=0), slips.argmax(axis=0)
-    upper = _GUESSES[first, 0]
-    lower = np.where(first == 0, 0.0, _GUESSES[first - 1, 0])
-    for _ in range(_ROUNDS):
-        rungs = lower + (upper - lower) * _SHARES  # of a ladder, so many at once
-        slips = ~_stuck(bundle, rungs[1:-1])
-        first = np.where(slips.any(axis=0), slips.argmax(axis=0) + 1, len(_SHARES) - 1)
-        strand = np.arange(len(near))
-        lower, upper = rungs[first - 1, strand], rungs[first, strand]
+    upper = _SLIP_GUESSES[first, 0]
+    lower = np.where(first == 0, 0.0, _SLIP_GUESSES[first - 1, 0])
+    for _ in range(rounds):
+        curvatures = lower + (upper - lower) * _BRACKET_SHARES
+        slips = ~_sticks(bundle, curvatures[1:-1])
+        first = np.where(slips.any(axis=0), slips.argmax(axis=0) + 1, len(_BRACKET_SHARES) - 1)
+        strand = np.arange(len(near_sine))
+        lower, upper = curvatures[first - 1, strand], curvatures[first, strand]
     return np.where(never, np.inf, lower)
 
 
-def _stuck(bundle: Bundle, curvature: Floats) -> Flags:
+def _sticks(bundle: Bundle, curvature: Floats) -> Flags:
     stuck: Flags = axial_forces(bundle, curvature).stuck
     return stuck

@@ -1,10 +1,9 @@
-"""The sliders of a wire as its numbers change: what a calibration does not know, as laws.
+"""Slider laws of a wire as functions of its uncertain parameters.
 
-A law fitted anew for every set of numbers would place its sliders anew, and what a rod answers
-would jump with them. Here sliders keep the slip curvatures that they were given once, and their
-stiffnesses are the falls of slope of the changed law between them: smooth in every number. What is
-lost is where strands begin to slip: with twice the friction up to 30 % of the moment at a few
-hundredths of 1/m, and at most 1.5 % from 1 1/m on.
+A law fitted separately for each set of parameters would move its sliders, and the response of a rod
+would jump. Here sliders keep their slip curvatures, and their stiffnesses are the drops of slope of
+the changed law: smooth in every parameter. The error is where strands begin to slip: with twice the
+friction up to 30 % of the moment at a few hundredths of 1/m, and at most 1.5 % from 1 1/m on.
 """
 
 from __future__ import annotations
@@ -30,33 +29,30 @@ from labpipe.wire.stretch_torsion import StretchTorsion, stretch_torsion
 from labpipe.wire.wire_table import build, mass_per_length, wire_table
 
 LAW_FACTOR = "law_factor"
-"""Logarithm of what all moments are multiplied by: how specimens and spools differ."""
+"""Logarithm of the factor on all moments: scatter of specimens and spools."""
 TORSION_FACTOR = "torsion_factor"
-"""Logarithm of what the torsional stiffness is multiplied by."""
+"""Logarithm of the factor on the torsional stiffness."""
 MASS_FACTOR = "mass_factor"
-"""Logarithm of what the mass per length is multiplied by."""
-
-_LEAST = 1e-9  # of the first stiffness: a slider that a changed law has no use for
-_CONCAVE = 1e-12
+"""Logarithm of the factor on the mass per length."""
 
 
 def with_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
-    """A wire with calibrated numbers in place of those of its sheet.
+    """Return a wire with calibrated values in place of those of its sheet.
 
     Parameters
     ----------
-    spec : of the calibrated wire, or of another of the same make
-    values : by name of `PARAMETERS`, SI units; one that is missing or NaN is left as it is. The
+    spec : of the calibrated wire, or another of the same type
+    values : by name of `PARAMETERS`, SI units; one that is missing or NaN is unchanged. The
         copper scale is a factor on the strength of the sheet
 
     Returns
     -------
-    The wire; the radial force is what goes with its friction coefficients.
+    The wire; its radial force matches its friction coefficients.
     """
-    known = {name: value for name, value in values.items() if np.isfinite(value)}
+    finite_values = {name: value for name, value in values.items() if np.isfinite(value)}
     friction = spec.friction_strand + spec.friction_insulation
-    modulus, table = known.get(INSULATION_MODULUS), spec.insulation_table
-    if modulus is not None and table is not None:  # its curve is as much stiffer as its first slope
+    modulus, table = finite_values.get(INSULATION_MODULUS), spec.insulation_table
+    if modulus is not None and table is not None:  # its curve scales with its modulus
         strains, stresses = table
         stiffer = modulus / (stresses[0] / strains[0])
         spec = replace(
@@ -64,17 +60,17 @@ def with_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
         )
     return replace(
         spec,
-        radial_force=known[RADIAL_FRICTION] / friction
-        if RADIAL_FRICTION in known
+        radial_force=finite_values[RADIAL_FRICTION] / friction
+        if RADIAL_FRICTION in finite_values
         else spec.radial_force,
-        insulation_modulus=known.get(INSULATION_MODULUS, spec.insulation_modulus),
-        copper_k=spec.copper_k * known.get(COPPER_SCALE, 1.0),
+        insulation_modulus=finite_values.get(INSULATION_MODULUS, spec.insulation_modulus),
+        copper_k=spec.copper_k * finite_values.get(COPPER_SCALE, 1.0),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireLaw:
-    """What a rod wants to know of a wire.
+    """Properties of a wire for the rod model.
 
     Parameters
     ----------
@@ -99,10 +95,9 @@ class LawFamily:
     Parameters
     ----------
     spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's own where left
-        out
+    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's by default
     base : the law with these values
-    scale : of the chords, so that the base law is as much above its wire's as below
+    scale : of the chords, so that the base law is centred about the wire's
     """
 
     spec: WireSpec
@@ -111,34 +106,37 @@ class LawFamily:
     scale: float
 
     def at(self, inputs: Mapping[str, float]) -> WireLaw:
-        """The law of other numbers.
+        """Return the law for other parameters.
 
         Parameters
         ----------
-        inputs : logarithms of `PARAMETERS`, of the values themselves; those left out are `values`,
-            or the sheet's own. `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, 0 where left out.
-            Other names are not looked at
+        inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet, and
+            `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, by default 0. Other names are ignored
 
         Raises
         ------
         WireError
             If there is no such wire.
         """
-        said = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        spec = with_values(self.spec, {**self.values, **said})
+        # of the first stiffness, for a slider that a changed law does not use
+        min_slider_share = 1e-9
+        changed_values = {
+            name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs
+        }
+        spec = with_values(self.spec, {**self.values, **changed_values})
         built = build(spec)
         corners = self.corners
-        bent = moment_curvature(
+        curve = moment_curvature(
             *(built.section, built.contacts, corners),
             tension=spec.tension,
             orientation=spec.orientation,
         )
         factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
-        slopes = factor * self.scale * _falling_slopes(corners, bent.moment)
+        slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
         law = replace(
             self.base,
             stiffness=float(slopes[-1]),
-            stiffnesses=np.maximum(-np.diff(slopes), _LEAST * slopes[0]),
+            stiffnesses=np.maximum(-np.diff(slopes), min_slider_share * slopes[0]),
         )
         pair: StretchTorsion = stretch_torsion(built.section)
         return WireLaw(
@@ -151,20 +149,20 @@ class LawFamily:
 
     @property
     def corners(self) -> Vector:
-        """Zero, the slip curvatures, and the end of the range, 1/m."""
+        """Return zero, the slip curvatures, and the end of the range, 1/m."""
         return np.concatenate([[0.0], self.base.slip_curvatures, [self.base.last]])
 
 
 def family_of(
     spec: WireSpec, values: Mapping[str, float] | None = None, *, sliders: int = SLIDERS
 ) -> LawFamily:
-    """Choose slip curvatures for a wire, and give the laws that it has with other numbers.
+    """Choose slip curvatures for a wire, and return its family of laws.
 
     Parameters
     ----------
     spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, around which it is looked at, such as those of a solution of a
-        calibration; the sheet's own where left out or NaN
+    values : of `PARAMETERS`, for which they are chosen, such as those of a calibration; the sheet's
+        where left out or NaN
     sliders : at most
 
     Raises
@@ -174,22 +172,23 @@ def family_of(
     WireError
         As `wire_table`.
     """
-    around = dict(values or {})
-    table = wire_table(with_values(spec, around))
+    chosen_values = dict(values or {})
+    table = wire_table(with_values(spec, chosen_values))
     base = sliders_of(table, sliders)
-    family = LawFamily(spec, around, base, 1.0)
+    family = LawFamily(spec, chosen_values, base, 1.0)
     moment = np.interp(family.corners, table.curvature, table.moment)
     plain = _falling_slopes(family.corners, moment)
     return replace(family, scale=base.first_stiffness / float(plain[0]))
 
 
 def _falling_slopes(curvature: Floats, moment: Floats) -> Floats:
-    """Slopes of the chords between corners, none above the one before it.
+    """Return the slopes of the chords between corners, made non-increasing.
 
     A law that stiffens somewhere is bridged, as `fit_sliders` does.
     """
+    rounding_share = 1e-12  # of the first slope
     slopes = np.diff(moment) / np.diff(curvature)
-    if np.all(np.diff(slopes) <= _CONCAVE * slopes[0]):
+    if np.all(np.diff(slopes) <= rounding_share * slopes[0]):
         return slopes
     hull = thin(curvature, moment, most=len(curvature))
     bridged = np.interp(curvature, hull.curvature, hull.moment)

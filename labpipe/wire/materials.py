@@ -1,8 +1,8 @@
 """Stress-strain curves of strands: Ramberg-Osgood, a table, elastic-perfectly-plastic, elastic.
 
 Every curve is odd (PHYSICS 4: the same in tension and compression), starts with its modulus and
-carries a note of where it comes from. Strains are plain numbers, stresses Pa. A curve is not
-followed beyond its last strain.
+states its source. Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond
+its last strain.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ import numpy as np
 from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats
 
-_MOST_NEWTON = 60
-
 
 class Material(Protocol):
-    """A stress-strain curve; hashable, so that what is computed from it can be kept."""
+    """A stress-strain curve; hashable, so that results can be cached."""
 
     @property
     def modulus(self) -> float:
@@ -42,7 +40,7 @@ class Material(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Elastic:
-    """Hooke's law without an end.
+    """Hooke's law without limit.
 
     Parameters
     ----------
@@ -58,17 +56,17 @@ class Elastic:
 
     @property
     def largest_strain(self) -> float:
-        """No end."""
+        """Return infinity."""
         return np.inf
 
     def stress(self, strain: Floats) -> Floats:
-        """E times strain, Pa; NaN stays NaN."""
+        """Return E times strain, Pa; NaN stays NaN."""
         return self.modulus * strain
 
 
 @dataclass(frozen=True, slots=True)
 class ElasticPerfectlyPlastic:
-    """Hooke's law up to the yield stress, which then stays.
+    """Hooke's law up to the yield stress, constant beyond.
 
     Parameters
     ----------
@@ -86,16 +84,16 @@ class ElasticPerfectlyPlastic:
 
     @property
     def largest_strain(self) -> float:
-        """No end."""
+        """Return infinity."""
         return np.inf
 
     def stress(self, strain: Floats) -> Floats:
-        """E times strain between minus and plus the yield stress, Pa; NaN stays NaN."""
+        """Return E times strain, limited to the yield stress, Pa; NaN stays NaN."""
         return np.clip(self.modulus * strain, -self.yield_stress, self.yield_stress)
 
     @property
     def corners(self) -> tuple[Floats, Floats]:
-        """Strain at yield; what the slope loses there, as a share of the modulus: all of it."""
+        """Return the yield strain and the loss of slope there, as a share of the modulus."""
         return np.array([self.yield_stress / self.modulus]), np.ones(1)
 
 
@@ -131,20 +129,21 @@ class RambergOsgood:
 
     @property
     def largest_strain(self) -> float:
-        """No end."""
+        """Return infinity."""
         return np.inf
 
     def strain(self, stress: Floats) -> Floats:
-        """Strain at stresses of any shape; odd, NaN stays NaN."""
+        """Return the strain at stresses of any shape; odd, NaN stays NaN."""
         plastic = (np.abs(stress) / self.strength) ** (1.0 / self.exponent)
         return stress / self.modulus + np.copysign(plastic, stress)
 
     def stress(self, strain: Floats) -> Floats:
-        """Stress to rounding, Pa; NaN stays NaN."""
+        """Return the stress to rounding, Pa; NaN stays NaN."""
+        newton_steps = 60
         size = np.abs(np.asarray(strain, dtype=np.float64))
         stress = np.minimum(self.modulus * size, self.strength * size**self.exponent)
         power = 1.0 / self.exponent
-        for _ in range(_MOST_NEWTON):
+        for _ in range(newton_steps):
             flow = (stress / self.strength) ** (power - 1.0) / self.strength
             excess = stress / self.modulus + stress * flow - size
             step = excess / (1.0 / self.modulus + power * flow)
@@ -160,7 +159,7 @@ class StressTable:
 
     Parameters
     ----------
-    strains : increasing, positive; zero strain at zero stress is understood
+    strains : increasing, positive; zero strain at zero stress is implied
     stresses : Pa, positive and never falling; the first slope is the modulus
     source : where the numbers come from
 
@@ -177,8 +176,8 @@ class StressTable:
     def __post_init__(self) -> None:
         if len(self.strains) != len(self.stresses) or not self.strains:
             message = (
-                f"{len(self.strains)} strains and {len(self.stresses)} stresses: allowed are as "
-                f"many of both, at least one"
+                f"{len(self.strains)} strains and {len(self.stresses)} stresses: allowed are equal "
+                f"numbers of both, at least one"
             )
             raise ValueError(message)
         strains, stresses = self._from_zero()
@@ -202,7 +201,7 @@ class StressTable:
 
     @property
     def corners(self) -> tuple[Floats, Floats]:
-        """Strains of the table but the last; what the slope loses there, in shares of the modulus.
+        """Return the strains but the last, and the loss of slope there in shares of the modulus.
 
         A loss is negative where the table grows steeper again.
         """
@@ -212,16 +211,16 @@ class StressTable:
 
     @property
     def modulus(self) -> float:
-        """First slope, Pa."""
+        """Return the first slope, Pa."""
         return self.stresses[0] / self.strains[0]
 
     @property
     def largest_strain(self) -> float:
-        """The last strain of the table."""
+        """Return the last strain of the table."""
         return self.strains[-1]
 
     def stress(self, strain: Floats) -> Floats:
-        """Stress on the lines, Pa; NaN beyond the last strain, and where the strain is NaN."""
+        """Interpolate the stress, Pa; NaN beyond the last strain, and where the strain is NaN."""
         lines = np.interp(np.abs(strain), *self._from_zero(), right=np.nan)
         return np.copysign(lines, strain)
 

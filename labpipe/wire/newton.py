@@ -1,7 +1,7 @@
 """Newton's method for the clamped wire at Chebyshev-Lobatto stations along it.
 
 The wire's own weight w per length acts along -y, so that at s the force (Px, Py - w (L - s)) is
-passed on.
+transmitted.
 """
 
 from __future__ import annotations
@@ -16,15 +16,13 @@ from numpy.polynomial import chebyshev
 from labpipe.law.plays import MomentLaw, Response, respond
 from labpipe.records.arrays import Floats
 
-_ITERATIONS = 40
 TOLERANCE = 1e-7
-"""Of the largest moment, the last change: the next would be less than 1e-14, measured 1e-15."""
-_LARGEST_TURN = 0.7
+"""Last change of the moments, of the largest; the next would be below 1e-14."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demand:
-    """What a condition asks at a tip position and a load.
+    """Demand of a condition at a tip position and a load.
 
     Parameters
     ----------
@@ -45,10 +43,10 @@ class Demand:
 
 
 class Condition(Protocol):
-    """What fixes the force at the tip."""
+    """Condition that fixes the force at the tip."""
 
     def demand(self, tip: Floats, load: float) -> Demand:
-        """Work out force, gap and their derivatives at a tip position and a load."""
+        """Compute force, gap and their derivatives at a tip position and a load."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +56,7 @@ class DeadLoad:
     force: Floats
 
     def demand(self, tip: Floats, load: float) -> Demand:
-        """The force itself."""
+        """Return the force itself."""
         return Demand(self.force, np.zeros((2, 2)), np.zeros(2), load, np.zeros_like(tip), 1.0)
 
 
@@ -69,7 +67,7 @@ class EndLoad:
     deflection: float
 
     def demand(self, tip: Floats, load: float) -> Demand:
-        """The load along y; the gap to the deflection."""
+        """Return the load along y, and the gap to the deflection."""
         along_y = np.array([0.0, 1.0])
         return Demand(
             load * along_y, np.zeros((2, 2)), along_y, float(tip[1]) - self.deflection, along_y
@@ -85,7 +83,7 @@ class Pull:
     weight: float
 
     def demand(self, tip: Floats, load: float) -> Demand:
-        """Tension towards the anchor and weight downwards; the gap is the string's stretch."""
+        """Return tension and weight; the gap is the string's stretch."""
         reach = self.anchor - tip
         distance = float(np.hypot(*reach))
         force = load / self.length * reach - np.array([0.0, self.weight])
@@ -100,7 +98,7 @@ class Pull:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unknowns:
-    """What Newton's method improves: moments, shape (stations,), N m, and the load, N."""
+    """Unknowns of Newton's method: moments, shape (stations,), N m, and the load, N."""
 
     moment: Floats
     load: float
@@ -108,7 +106,7 @@ class Unknowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """What it found: moments, history, tip force, load, curvatures of it and of the start."""
+    """Solution: moments, history, tip force, load, curvatures of it and of the start."""
 
     moment: Floats
     plays: Floats
@@ -120,7 +118,7 @@ class Equilibrium:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """Stations are those of the whole length, m; `beyond` is the weight beyond each of them, N."""
+    """Input of `solve`: stations along the length, m; `beyond` is the weight beyond each, N."""
 
     law: MomentLaw
     plays: Floats
@@ -154,7 +152,7 @@ def solve(
     tolerance: float = TOLERANCE,
     self_weight: float = 0.0,
 ) -> Equilibrium | None:
-    """Find the equilibrium next to a start, or None if the iteration does not settle.
+    """Find the equilibrium next to a start, or None if the iteration does not converge.
 
     Parameters
     ----------
@@ -166,13 +164,14 @@ def solve(
     tolerance : last change of the moments, as a share of the largest; the next is of its square
     self_weight : N/m, of the wire
     """
+    max_iterations = 40
     unit = chebyshev_stations(len(start.moment))
     stations = Stations(*(length * part for part in (unit.position, unit.from_clamp, unit.to_tip)))
     beyond = self_weight * (length - stations.position)
     problem = _Problem(law, plays, condition, stations, beyond)
     moment, load = start.moment, start.load
     first = None
-    for _ in range(_ITERATIONS):
+    for _ in range(max_iterations):
         system = _linearise(problem, moment, load)
         first = system.response.curvature if first is None else first
         if not np.all(np.isfinite(system.residual)):
@@ -182,7 +181,7 @@ def solve(
         moment, load = moment + change[:-1], load + change[-1]
         largest = np.max(np.abs(moment)) + 1e-9 * law.stiffness / length
         if np.max(np.abs(change[:-1])) <= tolerance * largest:
-            last = _bent(problem, moment, load)
+            last = _bend(problem, moment, load)
             response, force = last.response, last.wanted.force
             return Equilibrium(
                 moment, response.plays, force, float(load), response.curvature, first
@@ -191,13 +190,14 @@ def solve(
 
 
 def _damping(change: Floats, compliance: Floats, length: float) -> float:
-    """Share of a step that turns no part of the wire by more than `_LARGEST_TURN` (rad)."""
+    """Return the share of a step that turns no part of the wire too far."""
+    max_turn = 0.7  # rad, of any part of the wire
     turn = float(np.max(np.abs(change * compliance))) * length
-    return min(1.0, _LARGEST_TURN / turn) if turn > 0.0 else 1.0
+    return min(1.0, max_turn / turn) if turn > 0.0 else 1.0
 
 
-def _bent(problem: _Problem, moment: Floats, load: float) -> _Bent:
-    """The wire as moments bend it, and what the condition asks for then."""
+def _bend(problem: _Problem, moment: Floats, load: float) -> _Bent:
+    """Bend the wire by given moments, and evaluate the condition."""
     stations = problem.stations
     response = respond(problem.law, moment, problem.plays)
     angle = stations.from_clamp @ response.curvature
@@ -208,10 +208,10 @@ def _bent(problem: _Problem, moment: Floats, load: float) -> _Bent:
 
 
 def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
-    """Residual and exact Jacobian by moments (first n columns) and load (last column)."""
-    bent = _bent(problem, moment, load)
-    cos, sin, wanted = bent.cos, bent.sin, bent.wanted
-    angle_by_moment = problem.stations.from_clamp * bent.response.compliance
+    """Return the residual, and its exact Jacobian by moments (first n columns) and load (last)."""
+    bent_wire = _bend(problem, moment, load)
+    cos, sin, wanted = bent_wire.cos, bent_wire.sin, bent_wire.wanted
+    angle_by_moment = problem.stations.from_clamp * bent_wire.response.compliance
     to_tip, weights = problem.stations.to_tip, problem.stations.weights
     tip_by_moment = np.stack([-weights * sin, weights * cos]) @ angle_by_moment
     levers = np.stack([-to_tip @ sin, to_tip @ cos], axis=1)
@@ -227,12 +227,12 @@ def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
     jacobian[n, n] = wanted.gap_by_load
     bending = levers @ wanted.force - to_tip @ (problem.beyond * cos)
     residual = np.append(moment - bending, wanted.gap)
-    return _Linearised(residual, jacobian, bent.response)
+    return _Linearised(residual, jacobian, bent_wire.response)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stations:
-    """Stations on the unit interval, the clamp at 0 and the tip at 1, and integrals between them.
+    """Stations on the unit interval, the clamp at 0 and the tip at 1, with integration matrices.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ class Stations:
 
     @property
     def weights(self) -> Floats:
-        """Quadrature weights over the whole interval, shape (n,)."""
+        """Return quadrature weights over the whole interval, shape (n,)."""
         weights: Floats = self.from_clamp[-1]
         return weights
 
@@ -277,7 +277,7 @@ def chebyshev_stations(count: int) -> Stations:
 
 
 def interpolation_matrix(count: int, positions: Floats) -> Floats:
-    """Matrix that takes values at the stations to values at `positions` on the unit interval.
+    """Return the matrix from values at the stations to values at `positions` in [0, 1].
 
     Parameters
     ----------

@@ -3,8 +3,8 @@
 Eqs. (3.1)-(3.4) of the source: the energy is the sum of squared overlaps of strands with each other
 (each pair counted from both sides) and with the bore. From random starts this gives *a* packing,
 not *the* layout: seven strands nearly always end in the hexagon, 19 or 37 never do, and slack
-leaves a continuum of packings. Hence several seeded starts, some of them rings with jitter, of
-which the best is kept, and the hexagon as the usual choice.
+leaves a continuum of packings. Hence the best of several seeded starts is kept, some of them rings
+with jitter, and the hexagon is the usual choice.
 """
 
 from __future__ import annotations
@@ -27,14 +27,11 @@ from labpipe.wire.cross_section import (
     place,
 )
 
-_NEAR = 1.5  # diameters: neighbours
-_NO_ENERGY = 1e-16  # of strands of radius 1: overlaps of 1e-8, which no other start betters
-
 Kind: TypeAlias = Literal["hexagonal", "concentric", "packed", "compressed"]
 
 
 def overlap_energy(flat: Floats, strand_radius: float, bore_radius: float) -> tuple[float, Floats]:
-    """Energy of equal strands in a bore, and its gradient.
+    """Return the energy of equal strands in a bore, and its gradient.
 
     Parameters
     ----------
@@ -55,7 +52,7 @@ def overlap_energy(flat: Floats, strand_radius: float, bore_radius: float) -> tu
 
 
 def squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, Floats]:
-    """Sum of squared overlaps of circles, each pair once, and its gradient.
+    """Return the sum of squared overlaps of circles, each pair once, and its gradient.
 
     Parameters
     ----------
@@ -64,8 +61,8 @@ def squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, 
 
     Returns
     -------
-    Sum, m^2, and gradient, shape (n, 2), m. Circles that lie on one another know no way apart:
-    they do not push.
+    Sum, m^2, and gradient, shape (n, 2), m. Coincident circles do
+    not push each other.
     """
     apart = centres[:, None] - centres[None]
     distance = np.hypot(apart[..., 0], apart[..., 1])
@@ -78,68 +75,70 @@ def squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, 
 def packed(
     layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0, n_starts: int = 12
 ) -> CrossSection:
-    """Equal strands where the overlap energy is least, out of several seeded starts.
+    """Pack equal strands with the least overlap energy of several seeded starts.
 
     Parameters
     ----------
-    layers : their counts share the strands out by distance from the axis; equal diameters. A core,
-        of one strand, stays on the axis
+    layers : strands are assigned to them by distance from the axis; equal diameters. A core of one
+        strand stays on the axis
     insulation : the tube, whose bore bounds the strands
     seed : of the random starts; same seed, same packing. A single strand lies on the axis
-    n_starts : at most so many, random and from rings with jitter in turns; the first without any
-        overlap ends the search
+    n_starts : largest number of starts, random and from rings with jitter in turns; the first
+        without overlap ends the search
 
     Raises
     ------
     ValueError
-        If the diameters differ, or the best packing overlaps too much; the message says how much.
+        If the diameters differ, or the best packing overlaps too much; the message states the
+        overlap.
     """
+    min_energy = 1e-16  # of strands of radius 1: overlaps of 1e-8
     diameters = {layer.diameter for layer in layers}
     if len(diameters) > 1:
         message = f"diameters={sorted(diameters)}: only equal strands are packed"
         raise ValueError(message)
-    if sum(layer.count for layer in layers) == 1:  # would stay anywhere in its slack
+    if sum(layer.count for layer in layers) == 1:  # a single strand lies on the axis
         return place("packed", layers, np.zeros((1, 2)), insulation)
     strand, bore = layers[0].diameter / 2.0, insulation.bore_radius
     rng = np.random.default_rng(seed)
     best, least = np.zeros(0), np.inf
     for start in range(n_starts):
-        begin = _jittered_rings(layers, rng) if start % 2 else _scattered(layers, bore, rng)
+        begin = _ring_start(layers, rng) if start % 2 else _random_start(layers, bore, rng)
         # In units of the strand's radius, so that the tolerances mean something.
-        centres, energy = _settled(begin / strand, bore / strand, layers[0].count == 1)
+        centres, energy = _minimise_overlap(begin / strand, bore / strand, layers[0].count == 1)
         if energy < least:
             best, least = centres * strand, energy
-        if least < _NO_ENERGY:
+        if least < min_energy:
             break
-    return place("packed", layers, _by_distance(best, layers), insulation)
+    return place("packed", layers, _ordered_strands(best, layers), insulation)
 
 
-def _settled(begin: Floats, bore: float, has_core: bool) -> tuple[Floats, float]:
-    """Centres of least energy from a start, and that energy, in units of the strand's radius."""
+def _minimise_overlap(begin: Floats, bore: float, has_core: bool) -> tuple[Floats, float]:
+    """Minimise the energy from a start; return centres and energy, in strand radii."""
     core = np.zeros(2 * int(has_core))
 
     def energy(free: Floats) -> tuple[float, Floats]:
         value, gradient = overlap_energy(np.concatenate([core, free]), 1.0, bore)
         return value, gradient[len(core) :]
 
-    found = minimize(
+    optimum = minimize(
         energy,
         begin.ravel()[len(core) :],
         jac=True,
         method="L-BFGS-B",
         options={"ftol": 1e-16, "gtol": 1e-10, "maxiter": 1000},
     )
-    return np.concatenate([core, found.x]).reshape(-1, 2), float(found.fun)
+    return np.concatenate([core, optimum.x]).reshape(-1, 2), float(optimum.fun)
 
 
-def _scattered(layers: tuple[Layer, ...], bore: float, rng: np.random.Generator) -> Floats:
+def _random_start(layers: tuple[Layer, ...], bore: float, rng: np.random.Generator) -> Floats:
     n_strands = sum(layer.count for layer in layers)
     radius = (bore - layers[0].diameter / 2.0) * np.sqrt(rng.uniform(size=n_strands))
     angle = rng.uniform(0.0, 2.0 * np.pi, n_strands)
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
-def _jittered_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Floats:
+def _ring_start(layers: tuple[Layer, ...], rng: np.random.Generator) -> Floats:
     rings = []
     first = 0 if layers[0].count == 1 else 1
     for number, layer in enumerate(layers, start=first):
@@ -150,8 +149,8 @@ def _jittered_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Floa
     return points + rng.normal(scale=0.05 * layers[0].diameter, size=points.shape)
 
 
-def _by_distance(centres: Floats, layers: tuple[Layer, ...]) -> Floats:
-    """Strands in order of layer, then of angle, with the first of the first ring at angle 0."""
+def _ordered_strands(centres: Floats, layers: tuple[Layer, ...]) -> Floats:
+    """Sort strands by layer, then angle, and turn the first of the first ring to angle 0."""
     ordered = centres[np.argsort(np.hypot(*centres.T), kind="stable")]
     ends = np.cumsum([layer.count for layer in layers])[:-1]
     rings = [ring[np.argsort(np.arctan2(*ring.T[::-1]))] for ring in np.split(ordered, ends)]
@@ -167,7 +166,7 @@ def lay_out(
     kind: Kind | None = None,
     seed: int = 0,
 ) -> CrossSection:
-    """Lay the strands out in one of the four ways.
+    """Lay the strands out in one of four layouts.
 
     Parameters
     ----------
@@ -192,18 +191,18 @@ def lay_out(
         case "compressed":
             return compressed(layers, insulation)
     for symmetric in (hexagonal, concentric):
-        with suppress(ValueError):  # does not fit: the next one
+        with suppress(ValueError):  # does not fit: try the next one
             return symmetric(layers, insulation)
     is_equal = len({layer.diameter for layer in layers}) == 1
-    # of unequal strands, rings are asked for once more for their reason
+    # unequal strands: concentric raises with its reason
     return packed(layers, insulation, seed=seed) if is_equal else concentric(layers, insulation)
 
 
 def helix_overlap(section: CrossSection) -> float:
-    """Deepest overlap of the helices of one layer, over their diameter; 0 when none overlap.
+    """Return the deepest overlap of helices of one layer, over their diameter.
 
     Circles that touch in the section are helices that overlap: across its own axis a strand has
-    cos(lay angle) of the room that it has around the wire.
+    cos(lay angle) of its spacing around the wire.
 
     Parameters
     ----------
@@ -214,19 +213,24 @@ def helix_overlap(section: CrossSection) -> float:
     Two helices at radii a and b, with the angle p between them and the pitch 2 pi / k, are apart by
     the least of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z.
     """
+    neighbour_diameters = 1.5
     deepest = 0.0
     for number, layer in enumerate(section.layers):
         here = section.layer == number
         centres = np.column_stack([section.x[here], section.y[here]])
-        first, second = KDTree(centres).query_pairs(_NEAR * layer.diameter, output_type="ndarray").T
+        first, second = (
+            KDTree(centres)
+            .query_pairs(neighbour_diameters * layer.diameter, output_type="ndarray")
+            .T
+        )
         if first.size and layer.lay_angle:
-            apart = _helices_apart(centres[first], centres[second], layer.lay_angle)
+            apart = _helix_distances(centres[first], centres[second], layer.lay_angle)
             deepest = max(deepest, 1.0 - float(apart.min()) / layer.diameter)
     return deepest
 
 
-def _helices_apart(first: Floats, second: Floats, lay_angle: float) -> Floats:
-    """Least distance of pairs of centre lines, shape (pairs,)."""
+def _helix_distances(first: Floats, second: Floats, lay_angle: float) -> Floats:
+    """Return the least distance of pairs of centre lines, shape (pairs,)."""
     a, b = np.hypot(*first.T), np.hypot(*second.T)
     turn = np.arctan2(
         first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0], (first * second).sum(1)

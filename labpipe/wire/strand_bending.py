@@ -8,13 +8,13 @@ taken by Gauss's rule over equal shares of the angle p, so that the laminae are 
 strain is largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when all has
 yielded. The sum of 11 laminae in the source's appendix, up to and with the rim, is 4.6 % low.
 
-A curve of straight lines is a sum of corners, and what a corner at the strain e takes from the
-moment is known in closed form: with sin q = e / (a kappa),
+A piecewise linear curve is a sum of corners, and the loss of moment by a corner at the strain e has
+a closed form: with sin q = e / (a kappa),
 
     int_q^(pi/2) (sin p - sin q) sin p cos^2 p dp
         = (pi/2 - q) / 8 + sin(4 q) / 32 - sin q cos^3 q / 3.
 
-So the law of such a strand bends down wherever its curve does, and has no ripple.
+So the law of such a strand is concave wherever its curve is, without ripple.
 """
 
 from __future__ import annotations
@@ -34,15 +34,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LAMINAE = 64
-_DECADES = (-14.0, -6.0, 0.0)  # powers of ten of the rim's strain: nearly elastic, then plastic
-_KNOTS_PER_DECADE = (12, 64)
-_ROUNDING = 1e-12  # of the last strain of a curve
-_SMALLEST = 1e-300  # strain: nothing is divided by zero
+_STRAIN_DECADES = (-14.0, -6.0, 0.0)
+"""Powers of ten of the rim's strain: nearly elastic, then plastic."""
+_STRAIN_ROUNDING = 1e-12  # of the last strain of a curve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StrandMoment:
-    """What one straight strand adds by its own bending.
+    """Moment of one straight strand by its own bending.
 
     Parameters
     ----------
@@ -55,7 +54,7 @@ class StrandMoment:
 
 
 def helix_factor(lay_angle: float, poisson: float) -> float:
-    """Bending stiffness of a helical strand as a share of that of a straight one.
+    """Return the bending stiffness of a helical strand as a share of that of a straight one.
 
     Parameters
     ----------
@@ -76,14 +75,13 @@ def helix_factor(lay_angle: float, poisson: float) -> float:
 
 
 def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMINAE) -> Floats:
-    """Moment of a round strand over the moment it would have if it stayed elastic.
+    """Return the moment of a round strand over its elastic moment.
 
     Parameters
     ----------
     material : stress-strain curve
     rim_strain : shape (n,), positive, curvature times strand radius
-    laminae : points of Gauss's rule over the angle p of the module's text; a curve of straight
-        lines needs none
+    laminae : points of Gauss's rule over the angle p; unused for a piecewise linear curve
 
     Returns
     -------
@@ -94,7 +92,7 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
     Eqs. (3.20)-(3.22) of the source with the secant modulus; the integral is the same with stress.
     """
     if isinstance(material, ElasticPerfectlyPlastic | StressTable):
-        return _share_of_lines(material, rim_strain)[0]
+        return _polygon_share(material, rim_strain)[0]
     roots, weights = np.polynomial.legendre.leggauss(laminae)
     angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
     sine = np.sin(angle)
@@ -103,13 +101,16 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
     return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
 
 
-def _share_of_lines(
+def _polygon_share(
     material: ElasticPerfectlyPlastic | StressTable, rim_strain: Floats
 ) -> tuple[Floats, Floats]:
-    """Elastic share for a curve of straight lines, exact, and the slope of share times strain."""
+    """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
+    min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
-    known = np.where(rim_strain <= material.largest_strain * (1.0 + _ROUNDING), rim_strain, np.nan)
-    sine = np.minimum(corner / np.maximum(known, _SMALLEST)[:, None], 1.0)
+    strain = np.where(
+        rim_strain <= material.largest_strain * (1.0 + _STRAIN_ROUNDING), rim_strain, np.nan
+    )
+    sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     # sin(4 q) / 32 written out, for small angles and large
@@ -119,7 +120,7 @@ def _share_of_lines(
 
 
 def strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
-    """Own bending moment of a straight round strand, and its slope, on first loading.
+    """Return the bending moment of a straight round strand, and its slope, on first loading.
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
     if isinstance(material, Elastic):
         return StrandMoment(stiffness * curvature, np.full(rim.shape, stiffness))
     if isinstance(material, ElasticPerfectlyPlastic | StressTable):
-        part, tangent = (part.reshape(rim.shape) for part in _share_of_lines(material, rim.ravel()))
+        part, tangent = (part.reshape(rim.shape) for part in _polygon_share(material, rim.ravel()))
     else:
         first, share, slope = _share_table(material)
         level = np.log(np.maximum(rim, first))
@@ -158,7 +159,7 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
 
 
 def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
-    """Bending moment of the insulation, and its slope, on first loading.
+    """Return the bending moment of the insulation, and its slope, on first loading.
 
     Parameters
     ----------
@@ -176,8 +177,7 @@ def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
 
     Notes
     -----
-    A straight line for a tube without a curve, at any strain: how far it holds is for whoever uses
-    it to say.
+    A tube without a curve is linear at any strain; the caller checks the range.
     """
     if tube.curve is None:
         stiffness = tube.bending_stiffness
@@ -190,8 +190,8 @@ def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
 
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:
-    last = min(material.largest_strain, 10.0 ** _DECADES[-1])
-    if np.any(rim > last * (1.0 + _ROUNDING)):
+    last = min(material.largest_strain, 10.0 ** _STRAIN_DECADES[-1])
+    if np.any(rim > last * (1.0 + _STRAIN_ROUNDING)):
         message = (
             f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
             f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "
@@ -204,9 +204,12 @@ def _require_known(material: Material, diameter: float, rim: Floats) -> None:
 def _share_table(
     material: Material,
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
-    """First strain, and splines of the elastic share and its slope against the strain's log."""
-    end = min(np.log10(material.largest_strain), _DECADES[-1])
-    stretches = zip(_DECADES, (min(_DECADES[1], end), end), _KNOTS_PER_DECADE, strict=False)
+    """Return the first strain, and splines of elastic share and slope against log strain."""
+    knots_per_decade = (12, 64)
+    end = min(np.log10(material.largest_strain), _STRAIN_DECADES[-1])
+    stretches = zip(
+        _STRAIN_DECADES, (min(_STRAIN_DECADES[1], end), end), knots_per_decade, strict=False
+    )
     powers = [np.linspace(a, b, max(4, round((b - a) * n)) + 1) for a, b, n in stretches if b > a]
     strain = np.unique(10.0 ** np.concatenate(powers))
     strain[-1] = min(strain[-1], material.largest_strain)

@@ -1,4 +1,4 @@
-"""Stretch and torsion of a wire, and what one does to the other (PHYSICS 9).
+"""Stretch and torsion of a wire, and their coupling (PHYSICS 9).
 
 A strand at radius r with the lay angle a is strained along itself by eps cos^2 a where the wire is
 stretched by eps, and by r tau sin a cos a where it is twisted by tau (rad/m, positive in the sense
@@ -9,7 +9,7 @@ of a positive lay). So the pull N and the torque T are
     GJ = sum E A r^2 sin^2 a cos a + own + G_ins pi/2 (R_o^4 - R_i^4).
 
 Slip does not relieve this: strands keep their radius and stretch as a whole (Costello, *Theory of
-Wire Rope*, 1997). Strands that bed down make a real wire softer.
+Wire Rope*, 1997). Strands that settle into each other make a real wire softer.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from labpipe.wire.cross_section import CrossSection
 
 @dataclass(frozen=True, slots=True)
 class StretchTorsion:
-    """The symmetric pair of a wire.
+    """Symmetric stiffness matrix of stretch and torsion.
 
     Parameters
     ----------
     axial : EA, N, of a wire that does not turn
-    coupling : C, N m, negative where the lay is
+    coupling : C, N m, with the sign of the lay
     torsional : GJ, N m^2, of a wire that does not lengthen
     """
 
@@ -38,12 +38,12 @@ class StretchTorsion:
 
     @property
     def torsional_free(self) -> float:
-        """Torsional stiffness of a wire that may lengthen, N m^2: GJ - C^2 / EA."""
+        """Return the torsional stiffness of a wire that may lengthen, N m^2: GJ - C^2 / EA."""
         return self.torsional - self.coupling**2 / self.axial
 
 
 def stretch_torsion(section: CrossSection) -> StretchTorsion:
-    """Work out the pair of elastic strands in their tube.
+    """Compute stretch and torsion of elastic strands in their tube.
 
     Parameters
     ----------

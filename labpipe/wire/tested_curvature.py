@@ -1,4 +1,4 @@
-"""How far the tests of a calibration bent the wire: beyond, its law is the model's alone."""
+"""Curvature range of the tests of a calibration; beyond, the law is extrapolated."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from labpipe.wire.calibration.measured_curves import MeasuredCurve
 
 
 def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
-    """Largest curvature at the clamp at the ends of the curves, 1/m.
+    """Return the largest curvature at the clamp at the ends of the curves, 1/m.
 
     Parameters
     ----------
-    wire : as it was calibrated
-    values : shape (3,), calibrated, of `PARAMETERS`; NaN where the wire has no such thing
+    wire : calibrated
+    values : shape (3,), calibrated, of `PARAMETERS`; NaN where the wire has no such part
     curves : measured, of this wire
 
     Raises
@@ -30,12 +30,12 @@ def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]
         message = "curves: allowed is at least one"
         raise ValueError(message)
     parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
-    known = np.where(np.isnan(values), parts.given, values)
-    found = []
+    parameters = np.where(np.isnan(values), parts.given, values)
+    curvatures = []
     for curve in curves:
         deepest = float(np.nanmax(np.abs(curve.deflection)))
-        bent = loading_curve(
-            *(parts, known, curve.length, curve.rig, deepest), self_weight=wire.self_weight
+        loading = loading_curve(
+            *(parts, parameters, curve.length, curve.rig, deepest), self_weight=wire.self_weight
         )
-        found.append(float(np.interp(deepest, bent.deflection, bent.clamp_curvature)))
-    return max(found)
+        curvatures.append(float(np.interp(deepest, loading.deflection, loading.clamp_curvature)))
+    return max(curvatures)

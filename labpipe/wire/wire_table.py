@@ -1,4 +1,4 @@
-"""All that the model says of a wire, from its row in a sheet: law, stiffnesses, cantilever."""
+"""Table of a wire from its row in a sheet: law, stiffnesses, cantilever."""
 
 from __future__ import annotations
 
@@ -19,7 +19,13 @@ from labpipe.wire.bending_law import (
     stick_stiffness,
 )
 from labpipe.wire.cantilever_curve import cantilever_of
-from labpipe.wire.cross_section import TOLERANCE, CrossSection, Insulation, Layer, compressed
+from labpipe.wire.cross_section import (
+    OVERLAP_TOLERANCE,
+    CrossSection,
+    Insulation,
+    Layer,
+    compressed,
+)
 from labpipe.wire.cross_section import hexagonal as as_hexagon
 from labpipe.wire.friction import Contacts, axial_strain, insulated, slip_onsets
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
@@ -27,13 +33,11 @@ from labpipe.wire.packing import Kind, helix_overlap, lay_out
 from labpipe.wire.stretch_torsion import stretch_torsion
 
 GRID_POINTS = 200
-_DECADES = 4.0  # of curvature below the largest
-_DISTINCT = 1e-4  # of a curvature: nearer points are one
-_AT_ONCE = 1e-6  # of the largest curvature: strands that slip before stick to nothing
+_MIN_POINT_SPACING = 1e-4  # of a curvature: nearer points are one
 
 
 def wire_table(spec: WireSpec) -> WireTable:
-    """Work out the law of a wire on first loading, and what else simulation wants.
+    """Compute the law of a wire on first loading, and the other properties for simulation.
 
     Parameters
     ----------
@@ -50,18 +54,18 @@ def wire_table(spec: WireSpec) -> WireTable:
     Raises
     ------
     WireError
-        If the strands do not fit (with the overlap), the law softens (with the curvature), the
-        tension strains them beyond their stress table, or a number is out of its range.
+        If the strands do not fit (the message states the overlap), the law softens (at the stated
+        curvature), the tension strains them beyond their stress table, or a number is out of range.
 
     Notes
     -----
     The law is that of `wire.bending_law`. The cantilever is clamped at one end, with an end
-    load normal to the clamped axis; it starts from rest, where it lies level under its own weight,
-    its tip held.
+    load normal to the clamped axis; it starts from rest, level under its own weight with its
+    tip held.
     """
     built = build(spec)
     largest, shortened = range_of(spec, strain=built.axial_strain)
-    onsets = _onsets(built, spec, largest)
+    onsets = _slip_onsets(built, spec, largest)
     curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
     limit = straight_range(spec)
     lowest, highest = orientation_range(built.section, built.contacts, curve, tension=spec.tension)
@@ -96,14 +100,18 @@ def wire_table(spec: WireSpec) -> WireTable:
         doubtful_curvature=limit,
         doubtful_deflection=bent.deflection_at(curve, limit),
         notes=(
-            *(*_defaults(spec), *built.notes, *shortened, *_tension(spec)),
-            *(*_slips_at_once(spec, onsets, curve), *_doubtful(spec, curve, limit), *bent.notes),
+            *(*_default_notes(spec), *built.notes, *shortened, *_tension_notes(spec)),
+            *(
+                *_slip_notes(spec, onsets, curve),
+                *_insulation_notes(spec, curve, limit),
+                *bent.notes,
+            ),
         ),
     )
 
 
 def layout_of(section: CrossSection) -> WireLayout:
-    """Where the strands of a section with insulation lie, as a record."""
+    """Return the positions of the strands of an insulated section as a record."""
     tube = section.insulation
     if tube is None:
         message = "the section has no insulation: allowed is one with a tube"
@@ -116,37 +124,39 @@ def layout_of(section: CrossSection) -> WireLayout:
 
 
 def mass_per_length(spec: WireSpec, section: CrossSection) -> float:
-    """Mass per length of a wire, kg/m: as its sheet says, else of its section by the densities."""
+    """Return the mass per length of a wire, kg/m, from its sheet or from section and densities."""
     if spec.mass_per_length is not None:
         return spec.mass_per_length
     return section.mass_per_length(spec.conductor_density, spec.insulation_density)
 
 
 def curvature_grid(largest: float, onsets: Floats) -> Floats:
-    """Curvatures of a table, 1/m: zero, four decades up to the largest, and the slip onsets.
+    """Return the curvatures of a table, 1/m: zero, four decades up to the largest, the slip onsets.
 
     Parameters
     ----------
     largest : 1/m, the last curvature
-    onsets : shape (n,), 1/m, positive, distinct, below the largest; even points next to one give
-        way to it
+    onsets : shape (n,), 1/m, positive, distinct, below the largest; they replace even points next
+        to them
     """
-    even = np.geomspace(10.0**-_DECADES, 1.0, GRID_POINTS) * largest
+    decades = 4.0  # of curvature below the largest
+    even = np.geomspace(10.0**-decades, 1.0, GRID_POINTS) * largest
     even[-1] = largest
-    near = np.abs(even[:, None] - onsets) <= _DISTINCT * even[:, None]
+    near = np.abs(even[:, None] - onsets) <= _MIN_POINT_SPACING * even[:, None]
     return np.concatenate([[0.0], np.union1d(even[~near.any(axis=1)], onsets)])
 
 
-def _onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
-    """Curvatures at which strands begin to slip within the range, each once; 0 for at once."""
-    found = np.sort(
+def _slip_onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
+    """Return the distinct curvatures at which strands begin to slip; 0 for immediate slip."""
+    min_onset_share = 1e-6  # of the largest curvature: strands that slip earlier never stick
+    curvatures = np.sort(
         slip_onsets(
             built.section, built.contacts, tension=spec.tension, orientation=spec.orientation
         )
     )
-    is_at_once = found <= _AT_ONCE * largest
-    later = found[~is_at_once & (found < largest * (1.0 - _DISTINCT))]
-    later = later[np.diff(later, prepend=0.0) > _DISTINCT * later]
+    is_at_once = curvatures <= min_onset_share * largest
+    later = curvatures[~is_at_once & (curvatures < largest * (1.0 - _MIN_POINT_SPACING))]
+    later = later[np.diff(later, prepend=0.0) > _MIN_POINT_SPACING * later]
     return np.concatenate([np.zeros(int(is_at_once.any())), later])
 
 
@@ -167,31 +177,31 @@ def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
         message = (
             f"the law softens: the moment falls from {curve.moment[at]:.6g} N m at "
             f"{curvature[at]:.6g} 1/m to {curve.moment[at + 1]:.6g} N m at "
-            f"{curvature[at + 1]:.6g} 1/m, so that a moment has more than one curvature"
+            f"{curvature[at + 1]:.6g} 1/m, so that curvature is not a function of the moment"
         )
         raise WireError(message)
     return curve
 
 
-def _defaults(spec: WireSpec) -> tuple[QualityNote, ...]:
+def _default_notes(spec: WireSpec) -> tuple[QualityNote, ...]:
     if not spec.defaults:
         return ()
-    message = f"the sheet does not say, so taken are: {', '.join(spec.defaults.values())}"
+    message = f"the sheet leaves these out; defaults used: {', '.join(spec.defaults.values())}"
     return (QualityNote("defaults_taken", Severity.INFO, spec.place, message),)
 
 
-def _tension(spec: WireSpec) -> tuple[QualityNote, ...]:
+def _tension_notes(spec: WireSpec) -> tuple[QualityNote, ...]:
     if not spec.tension:
         return ()
     message = (
-        f"the law holds under a tension of {spec.tension:.4g} N, there before bending; the "
-        f"cantilever bends by that law, the pull of the tension on its shape left out"
+        f"the law holds for a tension of {spec.tension:.4g} N applied before bending; the "
+        f"cantilever uses that law without the effect of the tension on its shape"
     )
     return (QualityNote("tension", Severity.INFO, spec.place, message),)
 
 
 def straight_range(spec: WireSpec) -> float:
-    """Curvature up to which the insulation's straight line is taken to hold, 1/m.
+    """Return the curvature up to which the insulation counts as linear, 1/m.
 
     Infinite for a wire with a stress table of its insulation: its law ends with the table.
     """
@@ -200,19 +210,19 @@ def straight_range(spec: WireSpec) -> float:
     return 2.0 * spec.insulation_strain / spec.wire_diameter
 
 
-def _doubtful(spec: WireSpec, curve: MomentCurve, limit: float) -> tuple[QualityNote, ...]:
+def _insulation_notes(spec: WireSpec, curve: MomentCurve, limit: float) -> tuple[QualityNote, ...]:
     if curve.curvature[-1] <= limit:
         return ()
     strain = 100.0 * spec.insulation_strain
     message = (
-        f"where the rim of the insulation is strained by more than {strain:.3g} %, its straight "
-        f"line is not taken to hold: moments beyond are doubtful (lighter in figures, 'doubtful' "
-        f"in tables); a stress table of the insulation says more"
+        f"where the rim of the insulation is strained by more than {strain:.3g} %, its modulus "
+        f"does not apply: moments beyond are doubtful (lighter in figures, 'doubtful' in tables); "
+        f"a stress table of the insulation extends the range"
     )
     return (QualityNote("insulation_doubtful", Severity.WARNING, spec.place, message),)
 
 
-def _slips_at_once(spec: WireSpec, onsets: Floats, curve: MomentCurve) -> tuple[QualityNote, ...]:
+def _slip_notes(spec: WireSpec, onsets: Floats, curve: MomentCurve) -> tuple[QualityNote, ...]:
     if not np.any(onsets == 0.0):
         return ()
     slope = float(curve.secant_stiffness[1])
@@ -222,13 +232,6 @@ def _slips_at_once(spec: WireSpec, onsets: Floats, curve: MomentCurve) -> tuple[
         f"zero is {slope:.4g} N m^2, not the stick stiffness, {curve.stick_stiffness:.4g} N m^2"
     )
     return (QualityNote("slips_at_once", Severity.WARNING, spec.place, message),)
-
-
-_ROUNDING = 1e-9  # of the bore's radius: strands that touch
-_STEEP, _STEEPEST = 0.05, 0.1  # of the strands' diameter: overlap of helices; of area, too
-_ECCENTRIC = 0.02  # of the bore's radius: centroid of the strands off the axis
-_YIELDS = 1.2  # times the stress of the curve: pull of strands that are taken as elastic
-_HALF_TURN = np.linspace(0.0, np.pi, 180, endpoint=False)
 
 
 class WireError(ValueError):
@@ -244,7 +247,7 @@ class BuiltWire:
     section : strands in place
     contacts : friction and pressure
     axial_strain : of the straight wire under its tension
-    notes : what had to be taken instead of what was asked for, or let pass
+    notes : replacements of what the sheet specifies, and tolerated faults
     """
 
     section: CrossSection
@@ -269,14 +272,14 @@ def build(spec: WireSpec) -> BuiltWire:
     Raises
     ------
     WireError
-        If the strands do not fit the bore or each other (with the overlap), as circles or as the
-        helices that they are, the tension strains them beyond their stress table, or a number is
+        If the strands do not fit the bore or each other (with the overlap), as circles or as
+        helices, the tension strains them beyond their stress table, or a number is
         out of its range.
     """
     try:
         _require_numbers(spec)
         section, notes = _section(spec)
-        notes = (*notes, *_helices(section, spec))
+        notes = (*notes, *_helix_notes(section, spec))
         rings = len(section.layers) - int(section.has_core)
         contacts = insulated(
             rings,
@@ -284,16 +287,16 @@ def build(spec: WireSpec) -> BuiltWire:
             insulation=spec.friction_insulation,
             radial_force=spec.radial_force,
         )
-        strain = axial_strain(section, spec.tension)  # refuses what cannot be a tension
+        strain = axial_strain(section, spec.tension)  # refuses a negative tension
     except ValueError as error:
         raise WireError(str(error)) from error
     range_of(spec, strain=strain)  # refuses a tension beyond the stress table
-    notes = (*notes, *_eccentric(section, spec), *_overlap(section, spec))
-    return BuiltWire(section, contacts, strain, (*notes, *_yielding(spec, strain)))
+    notes = (*notes, *_eccentric_notes(section, spec), *_overlap_notes(section, spec))
+    return BuiltWire(section, contacts, strain, (*notes, *_yield_notes(spec, strain)))
 
 
 def _require_numbers(spec: WireSpec) -> None:
-    """Refuse what no other part of the model looks at."""
+    """Check the numbers that no other part of the model checks."""
     require_positive("length", spec.length)
     require_finite("orientation", spec.orientation)
     if spec.largest_curvature is not None:
@@ -301,7 +304,7 @@ def _require_numbers(spec: WireSpec) -> None:
 
 
 def material_of(spec: WireSpec) -> Material:
-    """The strands' stress-strain curve: the table where there is one, else Ramberg-Osgood.
+    """Return the strands' stress-strain curve: the table if there is one, else Ramberg-Osgood.
 
     Raises
     ------
@@ -316,7 +319,7 @@ def material_of(spec: WireSpec) -> Material:
 
 
 def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
-    """Layers from the axis outwards; the core, if there is one, has no lay angle.
+    """Return the layers from the axis outwards; a core has no lay angle.
 
     Raises
     ------
@@ -342,13 +345,13 @@ def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
 
 def _section(spec: WireSpec) -> tuple[CrossSection, tuple[QualityNote, ...]]:
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    table, wall = spec.insulation_table, spec.insulation_thickness
+    table, thickness = spec.insulation_table, spec.insulation_thickness
     poisson = spec.insulation_poisson
     if table is None:
-        tube = Insulation(bore, wall, spec.insulation_modulus, poisson)
+        tube = Insulation(bore, thickness, spec.insulation_modulus, poisson)
     else:
-        known = StressTable(*table, source="insulation table of the wire sheet")
-        tube = Insulation(bore, wall, known.modulus, poisson, known)
+        curve = StressTable(*table, source="insulation table of the wire sheet")
+        tube = Insulation(bore, thickness, curve.modulus, poisson, curve)
     layers = layers_of(spec)
     match spec.layout:
         case "compressed":
@@ -361,78 +364,84 @@ def _section(spec: WireSpec) -> tuple[CrossSection, tuple[QualityNote, ...]]:
 def _automatic(
     layers: tuple[Layer, ...], tube: Insulation, spec: WireSpec
 ) -> tuple[CrossSection, tuple[QualityNote, ...]]:
-    """The hexagon; else rings where they fit, or a packing of equal strands, with a note."""
+    """Return the hexagon; else, with a note, rings where they fit or a packing of equal strands."""
     try:
         return as_hexagon(layers, tube), ()
     except ValueError as error:
-        why = str(error)
+        reason = str(error)
     section = lay_out(layers, tube)
-    message = f"the layout is {section.kind}, not a hexagon ({why})"
+    message = f"the layout is {section.kind}, not a hexagon ({reason})"
     return section, (QualityNote("layout_fallback", Severity.WARNING, spec.place, message),)
 
 
-def _eccentric(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
-    """Say by how much a packing lies to one side of the bore, and what that does."""
+def _eccentric_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
+    """Note a packing that lies to one side of the bore, and its effect."""
+    max_silent_offset = 0.02  # of the bore's radius
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
     area = np.array([layer.area for layer in section.layers])[section.layer]
-    off = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
-    if section.kind != "packed" or off <= _ECCENTRIC * bore:
+    offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
+    if section.kind != "packed" or offset <= max_silent_offset * bore:
         return ()
-    stiffness = [stick_stiffness(section, orientation=turn) for turn in _HALF_TURN]
+    turns = np.linspace(0.0, np.pi, 180, endpoint=False)
+    stiffness = [stick_stiffness(section, orientation=turn) for turn in turns]
     message = (
-        f"the strands lie to one side of the bore: their centroid is {off * 1e3:.3g} mm off the "
-        f"axis, {100.0 * off / bore:.2g} % of the bore's radius. Bent about the axis, the stick "
+        f"the strands lie to one side of the bore: their centroid is {offset * 1e3:.3g} mm off the "
+        f"axis, {100.0 * offset / bore:.2g} % of the bore's radius. Bent about the axis, the stick "
         f"stiffness is {min(stiffness):.4g} to {max(stiffness):.4g} N m^2, by orientation"
     )
     return (QualityNote("layout_eccentric", Severity.WARNING, spec.place, message),)
 
 
-def _overlap(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
+def _overlap_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
+    touch_tolerance = 1e-9  # of the bore's radius
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    if section.overlap <= _ROUNDING * bore:
+    if section.overlap <= touch_tolerance * bore:
         return ()
     message = (
         f"strands overlap each other or the bore by {section.overlap * 1e6:.3g} um, "
         f"{100.0 * section.overlap / bore:.2g} % of the bore's radius; up to "
-        f"{100.0 * TOLERANCE:.1f} % is let pass"
+        f"{100.0 * OVERLAP_TOLERANCE:.1f} % is allowed"
     )
     return (QualityNote("overlap_tolerated", Severity.INFO, spec.place, message),)
 
 
-def _helices(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
-    """Refuse a lay so steep that strands, as wide as it makes them, cannot be in the bore.
+def _helix_notes(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
+    """Refuse a lay so steep that the strands do not fit the bore; note a steep one.
 
-    A strand takes 1 / cos(lay angle) of its area and of its width from the section. Circles are
-    the field's way of laying out, and for a usual lay (up to 20 deg) they are little off.
+    In the section a strand has 1 / cos(lay angle) of its area and width. Layouts of circles, as
+    usual, are accurate enough for lay angles up to 20 deg.
     """
+    max_silent_overlap = 0.05  # of the strands' diameter
+    max_overlap = 0.1  # of the strands' diameter, and of the area
     copper = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in section.layers)
     bore = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
-    if copper > (1.0 + _STEEPEST) * bore:
+    if copper > (1.0 + max_overlap) * bore:
         message = (
             f"the strands do not fit the bore: with 1 / cos(lay angle) their areas in the section "
             f"are {copper * 1e6:.4g} mm^2, and the bore has {bore * 1e6:.4g} mm^2"
         )
         raise ValueError(message)
     overlap = 0.0 if section.kind == "compressed" else helix_overlap(section)
-    if overlap <= _STEEP:
+    if overlap <= max_silent_overlap:
         return ()
-    said = (
+    overlap_text = (
         f"by their lay angle, helices that touch in the section overlap by {100.0 * overlap:.2g} % "
         f"of their diameter"
     )
-    if overlap > _STEEPEST:
-        message = f"the strands do not fit each other: {said}; {_STEEPEST:.0%} is let pass"
+    if overlap > max_overlap:
+        message = f"the strands do not fit each other: {overlap_text}; {max_overlap:.0%} is allowed"
         raise ValueError(message)
-    message = f"{said}: lay angle, strands or layout may be another in the real wire"
+    message = f"{overlap_text}: lay angle, strands or layout may differ in the real wire"
     return (QualityNote("helices_overlap", Severity.WARNING, spec.place, message),)
 
 
-def _yielding(spec: WireSpec, strain: float) -> tuple[QualityNote, ...]:
-    """Say when the strands would yield under the tension, as the model leaves them elastic."""
+def _yield_notes(spec: WireSpec, strain: float) -> tuple[QualityNote, ...]:
+    """Note strands that would yield under the tension, which the model treats as elastic."""
+    max_elastic_factor = 1.2  # times the stress of the curve
     material = material_of(spec)
     elastic = material.modulus * strain
     carried = float(material.stress(np.array([strain]))[0])
-    if elastic <= _YIELDS * carried:
+    if elastic <= max_elastic_factor * carried:
         return ()
     message = (
         f"a tension of {spec.tension:.4g} N strains the elastic wire by {strain:.3g}: the strands "
@@ -443,7 +452,7 @@ def _yielding(spec: WireSpec, strain: float) -> tuple[QualityNote, ...]:
 
 
 def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
-    """Curvature up to which the law of a wire is tabulated.
+    """Return the curvature up to which the law of a wire is tabulated.
 
     Parameters
     ----------
@@ -452,7 +461,7 @@ def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Quali
 
     Returns
     -------
-    1/m: what was asked for, or a bending radius of five wire diameters; less, with the note
+    1/m: the value of the sheet, or a bending radius of five wire diameters; less, with the note
     ``range_shortened``, where the rim of a strand, or of the insulation, reaches the last strain of
     its stress table by tension and bending together.
 
@@ -464,7 +473,7 @@ def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Quali
     wanted = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
     notes: tuple[QualityNote, ...] = ()
     strand, wire = max(spec.strand_diameters), spec.wire_diameter
-    for table, diameter, what in (
+    for table, diameter, place in (
         (spec.stress_table, strand, f"a strand of {strand * 1e3:.3g} mm"),
         (spec.insulation_table, wire, f"the insulation of {wire * 1e3:.3g} mm"),
     ):
@@ -477,14 +486,14 @@ def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Quali
                 f"stress table ends at a strain of {last:.4g}"
             )
             raise WireError(message)
-        known = 2.0 * (last - strain) / diameter
-        if known >= wanted:
+        end = 2.0 * (last - strain) / diameter
+        if end >= wanted:
             continue
         pulled = f", of which the tension takes {strain:.3g}" if strain else ""
         message = (
-            f"tables end at {known:.4g} 1/m, not at {wanted:.4g} 1/m: there the rim of {what} "
+            f"tables end at {end:.4g} 1/m, not at {wanted:.4g} 1/m: there the rim of {place} "
             f"reaches the last strain of the stress table, {last:.4g}{pulled}"
         )
         note = QualityNote("range_shortened", Severity.WARNING, spec.place, message)
-        wanted, notes = known, (*notes, note)
+        wanted, notes = end, (*notes, note)
     return wanted, notes

@@ -87,14 +87,9 @@ METHOD = (
     "samples and load cell; scatter of samples by restricted likelihood; profile likelihood from "
     "every least of the objective, with quantiles of t averaged over what that scatter may be"
 )
-_UNLIKELY = 1.727
+_UNLIKELY_RISE = 1.727
 """Rise of the objective, over that at 95 %, up to which another solution is said, and up to which
 what is called identified has its value: 99 %."""
-_CLOSE = 1.5
-"""Span of an interval below which that at 99 % spans less than `WELL`, too."""
-_MISSTATED = (0.8, 1.25)  # noise found over noise stated
-_PLAIN = 0.05  # half the slope of the objective: flatter is no wall that was run into
-_SLOW = 0.3  # correlation of neighbouring residuals that is worth a note
 
 
 def tell(found: CalibrationFit) -> Calibration:
@@ -107,7 +102,7 @@ def tell(found: CalibrationFit) -> Calibration:
     problem = found.problem
     solutions = tuple(_solution(found, valley) for valley in found.valleys)
     solutions = tuple(
-        solution for solution in solutions if solution.rise <= _UNLIKELY * solution.limit
+        solution for solution in solutions if solution.rise <= _UNLIKELY_RISE * solution.limit
     )
     parameters = tuple(_parameter(found, solutions, number) for number in range(P))
     compared = tuple(_agreements(found))
@@ -195,10 +190,11 @@ def _widest(
     Noise that happens to end an interval early, so that it just spans too little for a weak
     verdict, would be called knowledge: what is identified must be so at 99 %, too.
     """
+    min_span = 1.5  # with a narrower interval the one at 99 % spans less than `WELL`, too
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    ends = [low, high, *np.exp(reach(found, number, _UNLIKELY)).tolist()]
-    if _CLOSE < high / low < WELL:
-        for traced in traces(found, number, unlikely=_UNLIKELY):
+    ends = [low, high, *np.exp(reach(found, number, _UNLIKELY_RISE)).tolist()]
+    if min_span < high / low < WELL:
+        for traced in traces(found, number, unlikely=_UNLIKELY_RISE):
             ends += np.exp([traced.lower, traced.upper]).tolist()
     return min(ends), max(ends)
 
@@ -255,11 +251,12 @@ def _has_prior(found: CalibrationFit, number: int) -> bool:
 
 def _bound(found: CalibrationFit, number: int) -> str:
     """The bound that the search ran into; none where it only ran out on a plain."""
+    min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
     at, problem = found.fit.point.logs[number], found.problem
     pull = float(pull_of(problem, found.levels, found.fit)[number])
-    if at <= problem.lower[number] and pull < -_PLAIN:
+    if at <= problem.lower[number] and pull < -min_bound_slope:
         return "lower"
-    return "upper" if at >= problem.upper[number] and pull > _PLAIN else ""
+    return "upper" if at >= problem.upper[number] and pull > min_bound_slope else ""
 
 
 def _profile(traced: Trace) -> Profile:
@@ -372,6 +369,8 @@ def _notes(
 def _level_notes(
     found: CalibrationFit, compared: tuple[CurveAgreement, ...]
 ) -> Iterator[QualityNote]:
+    noise_ratio_range = (0.8, 1.25)  # estimated noise over stated noise
+    max_correlation = 0.3  # of neighbouring residuals, without a note
     levels, where = found.levels, found.problem.curves[0].wire
     if found.problem.n_samples == 1 and not found.is_scatter_known:
         message = (
@@ -380,13 +379,13 @@ def _level_notes(
         )
         yield QualityNote("one_sample", Severity.WARNING, where, message)
     factor = float(np.sqrt(levels.noise))
-    if not _MISSTATED[0] <= factor <= _MISSTATED[1]:
+    if not noise_ratio_range[0] <= factor <= noise_ratio_range[1]:
         message = (
             f"the residuals scatter {factor:.3g} times as much as the stated noise; the intervals "
             f"go by the residuals"
         )
         yield QualityNote("noise_misstated", Severity.WARNING, where, message)
-    if levels.correlation > _SLOW:
+    if levels.correlation > max_correlation:
         worst = max(compared, key=lambda curve: curve.lag_one_correlation)
         message = (
             f"neighbouring residuals are alike (correlation {levels.correlation:.2f}, most in "

@@ -154,7 +154,11 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     COPPER_SCALE: (0.05, 20.0),
 }
 """Of the search, where nothing else is said: N, Pa, 1."""
-_STARTS: Mapping[str, float] = {RADIAL_FRICTION: 0.05, INSULATION_MODULUS: 1e9, COPPER_SCALE: 1.0}
+_DEFAULT_STARTS: Mapping[str, float] = {
+    RADIAL_FRICTION: 0.05,
+    INSULATION_MODULUS: 1e9,
+    COPPER_SCALE: 1.0,
+}
 """Where the wire itself says nothing, or zero."""
 
 
@@ -241,7 +245,7 @@ def _require_sound(choices: Mapping[str, ParameterChoice], gain: float) -> None:
 def _value(name: str, choice: ParameterChoice, given: float) -> float:
     if choice.value is not None:
         return choice.value
-    return given if given > 0.0 else _STARTS[name]
+    return given if given > 0.0 else _DEFAULT_STARTS[name]
 
 
 def _without_effect(name: str) -> CalibrationFailure:
@@ -269,17 +273,14 @@ NAMES: Mapping[str, str] = {
 }
 FRICTION_NAMES = ("strand_friction", "insulation_friction", "radial_force")
 """mu_s, mu_p, F_rad."""
-_CALLED: Mapping[str, str] = {
+_LABELS: Mapping[str, str] = {
     **NAMES,
     **dict(zip(FRICTION_NAMES, ("mu_s", "mu_p", "F_rad"), strict=True)),
 }
 
-WELL, HOPELESS = 2.0, 100.0
+WELL = 2.0
+HOPELESS = 100.0
 """Spans of an interval, upper over lower: well identified below, not identified above."""
-_MOSTLY_PRIOR = 0.9  # error over that of the prior
-_LEAST = 1.0  # singular value: below, a combination is not known to within a factor of e
-_IN_IT = 0.05  # squared weight of a number in what is not known that makes it unknown
-_STEP = 1e-3
 
 
 def verdict_of(
@@ -307,11 +308,12 @@ def verdict_of(
     span_with_others : the same with what is not in the 95 % set, but not far from it: other
         solutions, and the line on which insulation and copper trade places
     """
+    prior_share = 0.9  # error over that of the prior
     if at_bound:
         return Identifiability.AT_BOUND
     if contradicts:
         return Identifiability.AGAINST_PRIOR
-    if log_error > _MOSTLY_PRIOR * prior_error:
+    if log_error > prior_share * prior_error:
         return Identifiability.BY_PRIOR
     if is_open or span > HOPELESS:
         return Identifiability.NOT
@@ -458,13 +460,17 @@ def separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separab
     jacobian : shape (points, n), over the noise
     what : of the numbers, for the words
     """
+    min_singular_value = 1.0  # below it, a combination is unknown by a factor of e
+    max_unknown_weight = 0.05  # squared weight of a parameter in the unknown directions
     _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
-    lost = values < _LEAST
+    lost = values < min_singular_value
     weights = np.sum(rows[lost] ** 2, axis=0)
-    known = {name: bool(weight < _IN_IT) for name, weight in zip(names, weights, strict=True)}
+    known = {
+        name: bool(weight < max_unknown_weight) for name, weight in zip(names, weights, strict=True)
+    }
     listed = ", ".join(f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values)
     ending = f"singular values of {what}: {listed}; below 1 is unknown to within a factor of e"
-    unknown = [_CALLED.get(name, name) for name in names if not known[name]]
+    unknown = [_LABELS.get(name, name) for name in names if not known[name]]
     left = len(names) - int(lost.sum())
     share = f"{left} of {len(names)} combinations {'is' if left == 1 else 'are'} known ({ending})"
     if not unknown:
@@ -500,13 +506,14 @@ def friction_jacobian(
     -------
     Shape (points, 3), by central differences.
     """
+    difference_step = 1e-3
     total = contacts.inner[-1] + contacts.outer[-1]
     force = values[0] / total
     columns = []
     for number, part in enumerate((contacts.inner[-1], contacts.outer[-1], total)):
         # Steps that change phi alike: forces have corners where strands begin to slip, and columns
         # of numbers that act through phi alone stay proportional only if they cross the same ones.
-        step = _STEP * total / max(part, 2.0 * _STEP * total)
+        step = difference_step * total / max(part, 2.0 * difference_step * total)
         forces = []
         for sign in (1.0, -1.0):
             grown = np.ones(3)

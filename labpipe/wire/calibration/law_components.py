@@ -36,15 +36,11 @@ from labpipe.wire.heavy_loading import load_heavy
 from labpipe.wire.materials import RambergOsgood
 from labpipe.wire.strand_bending import elastic_share, helix_factor, tube_moment
 
-_STRAINS = (1e-9, 100.0, 32)
+_TABLE_STRAINS = (1e-9, 100.0, 32)
 """Rim strains that the copper's table spans, and its knots per decade: soft copper at a small
 strain is hard copper at a large one."""
-_REFINED, _BEYOND = 24, 4.0  # friction: knots between the onsets, how far beyond the last
-_STRAIGHT = 1e-9  # of the first slope: a smaller change of slope is no corner
 _POINTS = 44  # of a loading curve
-_REACH, _CROWDED = 8.0, 1.5  # logarithm of last over first curvature; closer towards the last
-_SAME, _SAME_END = 1e-6, 1e-9
-_FINER, _BESIDE = 4, 1e-9  # of a table: knots in each panel, and how far beside a corner it is
+_MIN_KNOT_SPACING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,19 +156,22 @@ def take_apart(section: CrossSection, contacts: Contacts, *, orientation: float 
 
 
 def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> FrictionPart | None:
+    n_knots = 24  # between the onsets
+    end_factor = 4.0  # times the last onset
+    corner_tolerance = 1e-9  # of the first slope
     if not contacts.inner or contacts.inner[-1] + contacts.outer[-1] == 0.0:
         return None
     unit = replace(contacts, radial_force=1.0)
     onsets = slip_onsets(section, unit, orientation=orientation)
     onsets = onsets[np.isfinite(onsets)]
-    even = np.geomspace(onsets.min(), _BEYOND * onsets.max(), _REFINED)
+    even = np.geomspace(onsets.min(), end_factor * onsets.max(), n_knots)
     knots = np.union1d(onsets, even)
-    knots = knots[np.diff(knots, prepend=0.0) > _SAME * knots]
+    knots = knots[np.diff(knots, prepend=0.0) > _MIN_KNOT_SPACING * knots]
     law = moment_curvature(section, unit, knots, orientation=orientation)
     curvature = np.concatenate([[0.0], knots])
     moment = np.concatenate([[0.0], law.stick + law.slip])
     slopes = np.diff(moment) / np.diff(curvature)
-    bends = np.abs(np.diff(slopes)) > _STRAIGHT * slopes[0]
+    bends = np.abs(np.diff(slopes)) > corner_tolerance * slopes[0]
     kept = np.concatenate([[True], bends, [False]])
     curvature, moment = curvature[kept], moment[kept]
     steps = 0.5 * (moment[1:] + moment[:-1]) * np.diff(curvature)
@@ -185,8 +184,8 @@ def _tube(tube: Insulation | None) -> CubicSpline | None:
     if tube is None or tube.curve is None:
         return None
     last = tube.curve.largest_strain
-    count = round(np.log10(last / _STRAINS[0]) * _STRAINS[2])
-    curvature = np.geomspace(_STRAINS[0], last, count) / tube.outer_radius * (1.0 - 1e-12)
+    count = round(np.log10(last / _TABLE_STRAINS[0]) * _TABLE_STRAINS[2])
+    curvature = np.geomspace(_TABLE_STRAINS[0], last, count) / tube.outer_radius * (1.0 - 1e-12)
     moment, level = tube_moment(tube, curvature).moment, np.log(curvature)
     work = CubicSpline(level, moment * curvature).antiderivative()
     energy = work(level) + 0.5 * moment[0] * curvature[0]
@@ -218,9 +217,9 @@ def _exponent(material: object) -> float:
 def _copper(section: CrossSection, exponent: float) -> CopperPart:
     layers = [layer for layer in section.layers if _exponent(layer.material) == exponent]
     rim = max(layer.diameter for layer in layers) / 2.0
-    most = min(_STRAINS[1], *(layer.material.largest_strain for layer in layers))
-    count = round(np.log10(most / _STRAINS[0]) * _STRAINS[2])
-    curvature = np.geomspace(_STRAINS[0], most, count) / rim * (1.0 - 1e-12)
+    most = min(_TABLE_STRAINS[1], *(layer.material.largest_strain for layer in layers))
+    count = round(np.log10(most / _TABLE_STRAINS[0]) * _TABLE_STRAINS[2])
+    curvature = np.geomspace(_TABLE_STRAINS[0], most, count) / rim * (1.0 - 1e-12)
     moment = np.zeros_like(curvature)
     for layer in layers:
         share = elastic_share(layer.material, curvature * layer.diameter / 2.0)
@@ -284,13 +283,15 @@ def loading_table(parts: WireParts, values: Floats, largest_curvature: float) ->
     ValueError
         If a strand or the insulation is bent beyond the known part of its material's curve.
     """
+    knots_per_panel = 4
+    corner_offset = 1e-9  # relative distance of a knot from its corner
     _require_known(parts, values, largest_curvature)
     edges, _ = _edges(parts, values, largest_curvature)
-    shares = np.arange(_FINER) / _FINER
+    shares = np.arange(knots_per_panel) / knots_per_panel
     fine = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
     curvature = np.append(fine, edges[-1])
     slopes, changes = [], []
-    for side in (curvature[:-1] * (1.0 + _BESIDE), curvature[1:] * (1.0 - _BESIDE)):
+    for side in (curvature[:-1] * (1.0 + corner_offset), curvature[1:] * (1.0 - corner_offset)):
         slopes.append(1.0 / _bend(parts, values, side).slope)  # strands begin to slip at edges
         changes.append(-_moment_change(parts, values, side) * slopes[-1])
     moment = _bend(parts, values, curvature).moment
@@ -298,8 +299,9 @@ def loading_table(parts: WireParts, values: Floats, largest_curvature: float) ->
 
 
 def _require_known(parts: WireParts, values: Floats, curvature: float) -> None:
+    rounding_share = 1e-9
     reach, known = parts.reach(values)
-    if curvature > reach * (1.0 + _SAME_END):
+    if curvature > reach * (1.0 + rounding_share):
         message = f"curvature={curvature:.6g} 1/m: {known}"
         raise ValueError(message)
 
@@ -325,7 +327,9 @@ def _moment_change(parts: WireParts, values: Floats, curvature: Floats) -> Float
 
 def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, Ints]:
     """Panels between the corners of friction and between even points; the points are wanted."""
-    even = largest * np.exp(-_REACH * np.linspace(1.0, 0.0, _POINTS) ** _CROWDED)
+    log_range = 8.0  # logarithm of the last over the first curvature
+    spacing_power = 1.5  # knots are denser towards the last
+    even = largest * np.exp(-log_range * np.linspace(1.0, 0.0, _POINTS) ** spacing_power)
     corners = np.zeros(0)
     if parts.friction is not None:
         force = values[0] / parts.friction.coefficients
@@ -333,7 +337,9 @@ def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, In
     corners = corners[corners < largest]
     near = even[np.minimum(np.searchsorted(even, corners), len(even) - 1)]
     below = even[np.maximum(np.searchsorted(even, corners) - 1, 0)]
-    is_apart = np.minimum(np.abs(near - corners), np.abs(below - corners)) > _SAME * corners
+    is_apart = (
+        np.minimum(np.abs(near - corners), np.abs(below - corners)) > _MIN_KNOT_SPACING * corners
+    )
     edges = np.concatenate([[0.0], np.sort(np.concatenate([even, corners[is_apart]]))])
     return edges, np.searchsorted(edges, even)
 
@@ -381,7 +387,6 @@ def _yield(part: CopperPart, scale: float, curvature: Floats) -> tuple[Floats, F
     return secant * curvature, slope, energy * curvature**2
 
 
-_MARGIN, _WIDER, _FARTHER = 1.5, 1.5, 2.0
 _J, _M, _R = slice(0, len(PARAMETERS)), len(PARAMETERS), len(PARAMETERS) + 1
 COLUMNS = len(PARAMETERS) + 2
 """Of a Gram matrix: the derivatives by the parameters, the model's force, the residual."""
@@ -420,11 +425,14 @@ def loading_curve(
     ValueError
         If a material's curve ends before the wire is bent so far.
     """
+    curvature_margin = 1.5
+    widening = 1.5
+    end_factor = 2.0
     share = min(deflection / length, 0.9)
     reach, known = parts.reach(values)
-    largest = min(reach, _MARGIN * 3.0 * share / (1.0 - share**2) / length)
+    largest = min(reach, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
     if self_weight > 0.0:
-        end = min(reach, _FARTHER * largest)
+        end = min(reach, end_factor * largest)
         curve = load_heavy(loading_table(parts, values, end), length, rig, self_weight, deflection)
         _require_known(parts, values, float(curve.clamp_curvature.max()))
         return curve
@@ -435,7 +443,7 @@ def loading_curve(
             rise = np.gradient(curve.clamp_curvature, curve.deflection)[-1]
             message = f"curvature={reach + rise * left:.6g} 1/m: {known}"
             raise ValueError(message)
-        largest = min(reach, _WIDER * largest)
+        largest = min(reach, widening * largest)
         curve = load_cantilever(loading_law(parts, values, largest), length, rig)
     return curve
 

@@ -39,21 +39,10 @@ from labpipe.wire.calibration.variances import (
 )
 
 _TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_SCALE)
-_FIRST_SCATTER = 0.05
-_ROUNDS, _SETTLED = 6, 0.01
-_SHARES = (0.3, 0.8)
-"""Of the load that the insulation takes, where the model cannot follow from the given start."""
 _STRIDE = 0.3
 """Between points of the line, in logarithms of the copper's strength."""
-_SAME = 0.1
+_SAME_PLACE_STRIDES = 0.1
 """Of a stride: what is closer is one place."""
-_ROUGH = 0.01
-"""Of the objective, to which points of the line are fitted."""
-_HIGHEST = 200.0
-"""Rise of the objective above which no least is looked at: no quantile of so few samples is as
-large."""
-_HILL = 1.0
-"""Rise of the objective between two leasts, above the higher: with less they are one valley."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,23 +110,27 @@ def settle(problem: Problem, logs: Floats, free: Flags, *, scatter: float | None
     ValueError
         If the model cannot follow the curves at any start.
     """
-    levels = Levels(1.0, 0.0, _FIRST_SCATTER if scatter is None else scatter)
+    first_scatter = 0.05
+    max_rise = 200.0  # of the objective: no quantile of so few samples is as large
+    levels = Levels(1.0, 0.0, first_scatter if scatter is None else scatter)
     first = _first(problem, levels, _starts(problem, logs, free), free)
     fit, levels = refine(problem, first, levels, free, scatter=scatter)
     line = line_of(problem, levels, fit, free)
     valleys = find_local_minima(problem, levels, line, fit, free)
     lowest = min(valleys, key=lambda valley: valley.objective)
     others = [valley for valley in valleys if valley is not lowest]
-    others = [other for other in others if other.objective - lowest.objective <= _HIGHEST]
+    others = [other for other in others if other.objective - lowest.objective <= max_rise]
     least = lowest.objective
     if lowest is not fit:
         fit, levels = refine(problem, lowest, levels, free, scatter=scatter)
     low = fit.objective
     found = (_again(problem, levels, other, free, lowest=low) for other in others)
     fits = _different([fit, *(finding for finding in found if finding is not None)])
-    fits = [fit for fit in fits if fit.objective - fits[0].objective <= _HIGHEST]
+    fits = [fit for fit in fits if fit.objective - fits[0].objective <= max_rise]
     apart = [
-        element for element in line if abs(_place(element) - _place(fits[0])) > _SAME * _STRIDE
+        element
+        for element in line
+        if abs(_place(element) - _place(fits[0])) > _SAME_PLACE_STRIDES * _STRIDE
     ]
     line = sorted([*apart, fits[0]], key=_place)
     rises = [0.0 if element is fits[0] else max(element.objective - least, 0.0) for element in line]
@@ -150,7 +143,7 @@ def _different(fits: list[Fit]) -> list[Fit]:
     """Each least once, the lowest first: with other levels two searches may end in one."""
     kept: list[Fit] = []
     for fit in sorted(fits, key=lambda fit: fit.objective):
-        if all(abs(_place(fit) - _place(other)) > _SAME * _STRIDE for other in kept):
+        if all(abs(_place(fit) - _place(other)) > _SAME_PLACE_STRIDES * _STRIDE for other in kept):
             kept.append(fit)
     return kept
 
@@ -173,7 +166,8 @@ def refine(
     problem, free, scatter : as for `settle`
     fit, levels : a fit, and the levels it was made with
     """
-    for _ in range(_ROUNDS):
+    max_rounds = 6
+    for _ in range(max_rounds):
         factors = np.exp(fit.point.gain + fit.point.offsets[problem.sample])
         correlation = correlation_of(problem.curves, fit.models, factors)
         grams = products(problem, correlation, fit.point, fit.models)
@@ -206,14 +200,17 @@ def _within(point: Point, levels: Levels) -> Point:
 
 
 def _are_close(one: Levels, other: Levels) -> bool:
-    if abs(one.correlation - other.correlation) > _SETTLED:
+    level_tolerance = 0.01
+    if abs(one.correlation - other.correlation) > level_tolerance:
         return False
-    close = abs(one.noise / other.noise - 1.0) <= _SETTLED
-    return close and abs(one.scatter - other.scatter) <= _SETTLED * max(other.scatter, 1e-9)
+    close = abs(one.noise / other.noise - 1.0) <= level_tolerance
+    return close and abs(one.scatter - other.scatter) <= level_tolerance * max(other.scatter, 1e-9)
 
 
 def _starts(problem: Problem, logs: Floats, free: Flags) -> Iterator[Floats]:
     """The given start, then others, should the model not follow the curves from there."""
+    # of the load, where the model cannot follow from the given start
+    insulation_shares = (0.3, 0.8)
     yield logs
     if not (free[_TUBE] and free[_COPPER]):
         return
@@ -223,7 +220,7 @@ def _starts(problem: Problem, logs: Floats, free: Flags) -> Iterator[Floats]:
     total = sum(float(np.abs(model.force).sum()) for model in models)
     of_tube = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
     measured = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
-    for share in _SHARES:
+    for share in insulation_shares:
         start = nominal.copy()
         start[_TUBE] += np.log(share * measured / of_tube)
         start[_COPPER] += np.log((1.0 - share) * measured / max(total - of_tube, 0.01 * total))
@@ -245,6 +242,7 @@ def find_local_minima(
     -------
     In order of the copper's strength; of two without a hill of `_HILL` between them, the lower.
     """
+    min_hill = 1.0  # rise of the objective above the higher of two separate minima
     found = [fit]
     for dip in _dips(line):
         if dip is not fit:
@@ -253,7 +251,7 @@ def find_local_minima(
     found.sort(key=_place)
     kept: list[Fit] = []
     for finding in found:
-        if kept and _hill(line, kept[-1], finding) < _HILL:
+        if kept and _hill(line, kept[-1], finding) < min_hill:
             kept[-1] = min(kept[-1], finding, key=lambda one: one.objective)
         else:
             kept.append(finding)
@@ -294,6 +292,7 @@ def _stops(at: float, bound: float) -> Floats:
 
 def _stretch(problem: Problem, levels: Levels, fit: Fit, others: Flags, stops: Floats) -> list[Fit]:
     """Fits at one stop after the other, each begun where the last two point to."""
+    objective_tolerance = 0.01
     found = [fit]
     for stop in stops:
         last = found[-1].point
@@ -303,7 +302,9 @@ def _stretch(problem: Problem, levels: Levels, fit: Fit, others: Flags, stops: F
         logs[_COPPER] = stop
         try:
             start, low = replace(last, logs=logs), fit.objective
-            found.append(search(problem, levels, start, others, enough=_ROUGH, lowest=low))
+            found.append(
+                search(problem, levels, start, others, enough=objective_tolerance, lowest=low)
+            )
         except ValueError:
             break  # the model cannot follow the curves with such copper
     return found[1:]

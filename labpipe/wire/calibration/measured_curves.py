@@ -253,7 +253,7 @@ def runs_p(residuals: Floats) -> float:
     return float(2.0 * ndtr(-abs(runs - mean) / np.sqrt(variance)))
 
 
-FEWEST = 3
+MIN_COMPARED_POINTS = 3
 """Points with which two curves are compared."""
 
 
@@ -287,7 +287,7 @@ def match(
     words = _words(curve, shared, deflection, of)
     left_out = int(np.sum(~shared))
     nothing = np.full(len(shared), np.nan)
-    if shared.sum() < FEWEST:
+    if shared.sum() < MIN_COMPARED_POINTS:
         return CurveMatch(nothing, None, len(shared), words)
     lower, upper = (nothing, nothing) if band is None else (_at(curve, deflection, b) for b in band)
     reference = np.where(shared, _at(curve, deflection, force), np.nan)
@@ -319,10 +319,10 @@ def _words(curve: ExternalCurve, shared: Flags, deflection: Floats, of: str) -> 
     span = f"{low:.3g} to {high:.4g} mm, the range of {of}"
     if kept == total:
         return ""
-    if kept < FEWEST:
+    if kept < MIN_COMPARED_POINTS:
         first, last = 1e3 * curve.deflection[0], 1e3 * curve.deflection[-1]
         return (
             f"{kept} of {total} points, from {first:.4g} to {last:.4g} mm, lie within {span}; "
-            f"{FEWEST} at least are needed"
+            f"{MIN_COMPARED_POINTS} at least are needed"
         )
     return f"{total - kept} of {total} points left out, outside of {span}"

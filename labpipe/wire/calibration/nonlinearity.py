@@ -24,9 +24,7 @@ from labpipe.records.arrays import Floats
 from labpipe.wire.calibration.law_components import whitened_products
 from labpipe.wire.calibration.parameter_search import Fit, Levels, Problem
 
-_FARTHEST = 6.0
-"""Distance, in standard deviations of noise, beyond which no curve can fit better by chance."""
-_CHANCE = 0.05
+_FALSE_ALARM_RATE = 0.05
 
 
 def widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> float:
@@ -41,7 +39,7 @@ def widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> fl
     start = next(number for number, fit in enumerate(line) if fit is base)
     products = _differences(problem, levels, line, base)
     angle = swept(products, range(start - 1, -1, -1)) + swept(products, range(start + 1, len(line)))
-    return tube_quantile(angle) / float(ndtri(1.0 - 0.5 * _CHANCE))
+    return tube_quantile(angle) / float(ndtri(1.0 - 0.5 * _FALSE_ALARM_RATE))
 
 
 def tube_quantile(angle: float) -> float:
@@ -58,7 +56,9 @@ def tube_quantile(angle: float) -> float:
     """
 
     def excess(q: float) -> float:
-        return float(2.0 * ndtr(-q) + angle / (2.0 * np.pi) * np.exp(-0.5 * q * q)) - _CHANCE
+        return (
+            float(2.0 * ndtr(-q) + angle / (2.0 * np.pi) * np.exp(-0.5 * q * q)) - _FALSE_ALARM_RATE
+        )
 
     return float(brentq(excess, 1.9, 10.0))
 
@@ -71,10 +71,11 @@ def swept(products: Floats, stretch: range) -> float:
     products : shape (points, points), of the differences from where it is seen
     stretch : points from there on, up to the first that is too far
     """
+    max_distance = 6.0  # standard deviations of noise: no curve fits better by chance beyond
     distance = np.sqrt(np.maximum(np.diag(products), 0.0))
     total = 0.0
     for near, far in pairwise(stretch):
-        if distance[far] > _FARTHEST or distance[near] == 0.0:
+        if distance[far] > max_distance or distance[near] == 0.0:
             break
         cosine = products[near, far] / (distance[near] * distance[far])
         total += float(np.arccos(np.clip(cosine, -1.0, 1.0)))

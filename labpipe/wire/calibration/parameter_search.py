@@ -27,15 +27,10 @@ from labpipe.wire.calibration.law_components import (
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
 
 P = len(PARAMETERS)
-_MOST_STEPS, _FEW_STEPS = 60, 8
-_FAR = 200.0  # above another fit: no quantile of so few samples is as large
-_LONGEST_STEP = 1.5
-_SETTLED = 1e-5  # of the objective, predicted by a full step; intervals look at changes of 1
-_IDLE, _MOST_IDLE = 1e-3, 3  # gains of the objective in a row that end a walk along a flat valley
-_ROUGHLY = 1e-3  # of how far a fit lies above another
-_WHOLE, _SHORTEST = 0.75, 0.1  # shares of a step: above it is whole; none is shorter
-_JITTER = 1e-2  # a step that promised less and did not keep it: the curves are tabulated
-_DAMPING = (1e-6, 10.0, 1e8)  # first, growth, last
+_MAX_STEPS = 60
+_OBJECTIVE_TOLERANCE = (
+    1e-5  # of the objective, predicted by a full step; intervals look at changes of 1
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +120,7 @@ def search(
     start: Point,
     free: Flags,
     *,
-    enough: float = _SETTLED,
+    enough: float = _OBJECTIVE_TOLERANCE,
     lowest: float = np.inf,
 ) -> Fit:
     """Go from a start to the least of the objective.
@@ -143,28 +138,37 @@ def search(
     ValueError
         If the start is beyond what the model can do.
     """
+    idle_gain = 1e-3  # of the objective
+    max_idle_steps = 3  # in a row, which end a search along a flat valley
+    rise_share = 1e-3  # of the distance above another fit
+    jitter = 1e-2  # gain below which a failed step is due to the tabulated curves
+    damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
     here = _look(problem, levels, start)
-    damping, steps, idle = _DAMPING[0], 0, 0
-    while steps < _most(here, lowest) and damping <= _DAMPING[2] and idle < _MOST_IDLE:
+    damping, steps, idle = damping_range[0], 0, 0
+    while steps < _most(here, lowest) and damping <= damping_range[2] and idle < max_idle_steps:
         step, pull = _step_inside(problem, levels, here, free, damping)
-        if float(step @ pull) <= max(enough, _ROUGHLY * (here.objective - lowest)):
+        if float(step @ pull) <= max(enough, rise_share * (here.objective - lowest)):
             return replace(here, steps=steps, settled=True)
         steps += 1
         ahead = _ahead(problem, levels, here, step, float(step @ pull))
         if ahead is not None and ahead.objective <= here.objective:
-            slow = max(_IDLE, (here.objective - lowest) / _MOST_STEPS)  # would not come down to it
+            slow = max(
+                idle_gain, (here.objective - lowest) / _MAX_STEPS
+            )  # would not come down to it
             idle = idle + 1 if here.objective - ahead.objective <= slow else 0
-            here, damping = ahead, max(damping / _DAMPING[1] ** 2, _DAMPING[0])
-        elif float(step @ pull) <= _JITTER:
+            here, damping = ahead, max(damping / damping_range[1] ** 2, damping_range[0])
+        elif float(step @ pull) <= jitter:
             return replace(here, steps=steps, settled=True)
         else:
-            damping *= _DAMPING[1]
-    return replace(here, steps=steps, settled=steps < _MOST_STEPS)
+            damping *= damping_range[1]
+    return replace(here, steps=steps, settled=steps < _MAX_STEPS)
 
 
 def _most(here: Fit, lowest: float) -> int:
     """Steps that a search may take: few, as long as it is far above a better fit."""
-    return _FEW_STEPS if here.objective - lowest > _FAR else _MOST_STEPS
+    max_far_steps = 8
+    far_rise = 200.0  # above another fit: no quantile of so few samples is as large
+    return max_far_steps if here.objective - lowest > far_rise else _MAX_STEPS
 
 
 def _look(problem: Problem, levels: Levels, point: Point) -> Fit:
@@ -194,13 +198,15 @@ def _ahead(problem: Problem, levels: Levels, here: Fit, step: Floats, gain: floa
 
     In a narrow bent valley whole steps go to and fro between its sides.
     """
+    whole_share = 0.75  # of a step, from which the whole step is taken
+    shortest_share = 0.1
     whole = _try(problem, levels, _move(problem, here.point, step))
     if whole is None:
         return None
     share = gain / max(whole.objective - here.objective + 2.0 * gain, gain)
-    if share > _WHOLE:
+    if share > whole_share:
         return whole
-    part = _try(problem, levels, _move(problem, here.point, max(share, _SHORTEST) * step))
+    part = _try(problem, levels, _move(problem, here.point, max(share, shortest_share) * step))
     return part if part is not None and part.objective < whole.objective else whole
 
 
@@ -283,6 +289,7 @@ def _step_inside(
 
 
 def _step(matrix: Floats, pull: Floats, moves: Flags, damping: float) -> Floats:
+    longest_step = 1.5
     step = np.zeros(len(pull))
     if not moves.any():
         return step
@@ -291,4 +298,4 @@ def _step(matrix: Floats, pull: Floats, moves: Flags, damping: float) -> Floats:
     scaled = inner / np.outer(scale, scale) + damping * np.eye(len(scale))
     step[moves] = np.linalg.solve(scaled, pull[moves] / scale) / scale
     longest = float(np.max(np.abs(step)))
-    return step * min(1.0, _LONGEST_STEP / longest) if longest > 0.0 else step
+    return step * min(1.0, longest_step / longest) if longest > 0.0 else step

@@ -30,13 +30,6 @@ from labpipe.wire.calibration.parameter_search import (
 )
 from labpipe.wire.calibration.scatter_mixture import quantiles
 
-_LEAST = 1.96
-_CLOSE = 0.01  # of the root of the threshold
-_STEEP = 3.0  # over the threshold: the straight way there may have led into a dead end
-_ENOUGH = 1e-3  # of the objective, to which the others are fitted
-_MOST_LOOKS = 24
-_FARTHER = 2.5  # at most, times the last distance
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
@@ -207,7 +200,8 @@ def _root(quantile: float, error: float) -> float:
     Not to know the levels widens. Where a parameter has lost its effect, as an insulation without
     stiffness, the linear model is none, and its quantile may be anything on either side.
     """
-    return max(float(quantile) / error, _LEAST) if error > 0.0 else _LEAST
+    min_quantile = 1.96
+    return max(float(quantile) / error, min_quantile) if error > 0.0 else min_quantile
 
 
 def _direction(problem: Problem, levels: Levels, fit: Fit, free: Flags, number: int) -> Floats:
@@ -239,17 +233,19 @@ class _Walk:
 
     def look(self, start: Fit, distance: float) -> tuple[float, Fit]:
         """Root of the deviance at a distance from the least, from a fit near by."""
+        max_threshold_factor = 3.0  # above it the straight way may have led into a dead end
         best = float(self.fit.point.logs[self.number])
         target = best + self.sign * distance
         shift = (target - float(start.point.logs[self.number])) * self.direction
         found = self._search(_shifted(self, start, shift, target))
-        if found.objective - self.fit.objective > _STEEP * self.limit:
+        if found.objective - self.fit.objective > max_threshold_factor * self.limit:
             plain = self._search(_shifted(self, start, 0.0 * shift, target))
             found = min(found, plain, key=lambda fit: fit.objective)
         return float(np.sqrt(max(found.objective - self.fit.objective, 0.0))), found
 
     def _search(self, there: Point) -> Fit:
-        return search(self.problem, self.levels, there, self.others, enough=_ENOUGH)
+        objective_tolerance = 1e-3
+        return search(self.problem, self.levels, there, self.others, enough=objective_tolerance)
 
 
 def _shifted(walk: _Walk, start: Fit, shift: Floats, target: float) -> Point:
@@ -262,6 +258,8 @@ def _shifted(walk: _Walk, start: Fit, shift: Floats, target: float) -> Point:
 
 def _walk(walk: _Walk, root: float, error: float) -> _Side:
     """Find where the root of the deviance passes a value, going outwards and then in between."""
+    root_tolerance = 0.01  # of the root of the threshold
+    max_evaluations = 24
     room = walk.sign * (walk.bound - float(walk.fit.point.logs[walk.number]))
     if room <= 0.0:
         return _Side(walk.bound, walk.bound, is_open=True, seen=())
@@ -269,10 +267,10 @@ def _walk(walk: _Walk, root: float, error: float) -> _Side:
     bracket, near = _Bracket((0.0, 0.0), None, 0), walk.fit
     seen: list[tuple[float, float]] = []
     distance = min(root * error, room) if error > 0.0 else room
-    for _ in range(_MOST_LOOKS):
+    for _ in range(max_evaluations):
         height, found = walk.look(near, distance)
         seen.append((distance, height))
-        if abs(height - root) <= _CLOSE * root:
+        if abs(height - root) <= root_tolerance * root:
             break
         if height < root:
             near = found
@@ -304,10 +302,11 @@ class _Bracket:
 
         Halves where the line has come to the same side twice: the deviance is then no parabola.
         """
+        max_growth = 2.5  # of the distance, per step
         near, height = self.low
         if self.high is None:
             ahead = near * root / height if height > 0.0 else np.inf
-            return min(max(ahead, 1.1 * near), _FARTHER * near, room)
+            return min(max(ahead, 1.1 * near), max_growth * near, room)
         if abs(self.stays) > 2:
             return 0.5 * (near + self.high[0])
         share = (root - height) / (self.high[1] - height)

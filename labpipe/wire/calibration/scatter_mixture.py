@@ -18,11 +18,6 @@ from labpipe.records.wire_calibration import ScatterMixture
 from labpipe.wire.calibration.parameter_search import Fit, Levels, P, Problem
 from labpipe.wire.calibration.variances import LinearModel, linear_model
 
-_LEAST, _MOST, _COUNT = 0.3, 1000.0, 64
-"""Grid of scatters: from a part of what noise makes of one sample's factor to many times the found
-one, and how many."""
-_UNLIKELY = 1e-6  # chance of a scatter that is left out
-_HALVINGS = 40
 TAIL = 0.025
 """Outside the interval, on each side."""
 
@@ -46,6 +41,7 @@ def quantiles(
     -----
     By halving: the distribution is a sum of Student's t, each with its own place and width.
     """
+    halvings = 40
     centre = directions @ mixture.shift.T
     variance = np.einsum("ni,sij,nj->ns", directions, mixture.covariance, directions)
     own = np.broadcast_to(one_more, len(directions))[:, None] * mixture.scatter
@@ -56,7 +52,7 @@ def quantiles(
 
     def quantile_at(share: float) -> Floats:
         low, high = least, most
-        for _ in range(_HALVINGS):
+        for _ in range(halvings):
             middle = 0.5 * (low + high)
             below = stdtr(mixture.freedom, (middle[:, None] - centre) / error) @ mixture.chance
             low, high = np.where(below < share, middle, low), np.where(below < share, high, middle)
@@ -80,6 +76,7 @@ def mix(
     The prior is even in the logarithm of the scatter, from three tenths of what noise makes of one
     sample's factor: below, scatter changes nothing.
     """
+    min_probability = 1e-6  # of a scatter
     linear = linear_model(problem, fit, free)
     freedom = float(linear.n - len(linear.columns))
     ratios = (
@@ -95,7 +92,7 @@ def mix(
         for (noise, _), ratio in zip(found, ratios, strict=True)
     ]
     likely = chance / chance.sum()
-    kept = likely > _UNLIKELY
+    kept = likely > min_probability
     return ScatterMixture(
         likely[kept] / likely[kept].sum(),
         np.sqrt(ratios * [noise for noise, _ in found])[kept],
@@ -107,9 +104,12 @@ def mix(
 
 def _ratios(linear: LinearModel, levels: Levels) -> Floats:
     """Scatter over noise, as variances."""
+    least_noise_share = 0.3  # of the scatter that noise makes of the factor of one sample
+    max_scatter_factor = 1000.0  # times the estimated scatter
+    n_scatters = 64
     own = float(np.median(linear.grams[:, P, P])) ** -0.5
-    most = max(levels.scatter / np.sqrt(levels.noise), own) * _MOST
-    return np.geomspace(_LEAST * own, most, _COUNT) ** 2
+    most = max(levels.scatter / np.sqrt(levels.noise), own) * max_scatter_factor
+    return np.geomspace(least_noise_share * own, most, n_scatters) ** 2
 
 
 def _solve(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floats, Floats]:

@@ -21,16 +21,14 @@ from labpipe.wire.calibration.law_components import ModelForce
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, shared_errors
 from labpipe.wire.calibration.parameter_search import Fit, Levels, P, Problem
 
-_HIGHEST_CORRELATION = 0.98
-_RATIOS = (-6.0, 14.0, 41)  # logarithms of scatter^2 times information over noise, and how many
-_STEP = 0.02  # of logarithms of variances, for their derivatives
-_RIDGE = 1e-12
-_FEWEST = 1.0  # degrees of freedom: Satterthwaite's formula can fall below for a few samples
+_LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
+_MATRIX_RIDGE = 1e-12
 
 
 def quantile(freedom: float) -> float:
     """Two-sided 95 % quantile of t; the normal one for endless degrees of freedom."""
-    return float(stdtrit(min(max(freedom, _FEWEST), 1e9), 0.975))
+    min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
+    return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +66,7 @@ def correlation_of(
     curves, models : measured and modelled
     factors : shape (curves,), of each sample on the model
     """
+    max_correlation = 0.98
     above = below = 0.0
     for curve, model, factor in zip(curves, models, factors, strict=True):
         noise = np.asarray(curve.noise)
@@ -77,7 +76,7 @@ def correlation_of(
         left -= np.linalg.solve(held, shared @ left) @ shared
         above += float(left[1:] @ left[:-1])
         below += float(left @ left)
-    return float(np.clip(above / below, 0.0, _HIGHEST_CORRELATION)) if below > 0.0 else 0.0
+    return float(np.clip(above / below, 0.0, max_correlation)) if below > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +106,7 @@ class LinearModel:
         total = self.shrunk(ratio).sum(axis=0)
         inner = total[np.ix_(self.columns, self.columns)]
         scale = np.sqrt(np.diag(inner))
-        unit = inner / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+        unit = inner / np.outer(scale, scale) + _MATRIX_RIDGE * np.eye(len(scale))
         pull = total[self.columns, -1] / scale
         left = float(total[-1, -1] - pull @ np.linalg.solve(unit, pull))
         freedom = self.n - len(self.columns)
@@ -128,6 +127,7 @@ def estimate_levels(
     correlation : of neighbours, with which the fit's products are whitened
     scatter : where it is given; else it is estimated, and 0 for one sample
     """
+    log_ratios = (-6.0, 14.0, 41)  # of scatter^2 times information over noise: first, last, number
     linear = linear_model(problem, fit, free)
     if scatter is None and problem.n_samples == 1:
         scatter = 0.0
@@ -137,7 +137,7 @@ def estimate_levels(
             noise = linear.estimate(scatter**2 / noise)[0]
         return Levels(noise, correlation, scatter)
     information = float(np.median(linear.grams[:, P, P]))
-    grid = np.linspace(*_RATIOS)
+    grid = np.linspace(*log_ratios)
     heights = [linear.estimate(float(np.exp(at)) / information)[1] for at in grid]
     best = int(np.argmin(heights))
     around = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
@@ -179,10 +179,10 @@ def uncertainty(
         return _covariance(problem, linear, free, noise, samples)
 
     noise, samples = levels.noise, levels.scatter**2
-    up, down = np.exp(_STEP), np.exp(-_STEP)
+    up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
     by_noise = covariance(noise * up, samples) - covariance(noise * down, samples)
     by_samples = covariance(noise, samples * up) - covariance(noise, samples * down)
-    by_level = np.stack([by_noise, by_samples]) / (2.0 * _STEP)
+    by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
     known = is_scatter_known or levels.scatter == 0.0
     spread = _level_covariance(linear, noise, samples, is_scatter_known=known)
     return Uncertainty(covariance(noise, samples), by_level, spread)
@@ -200,7 +200,7 @@ def _covariance(
     if moves.any():
         inner = matrix[np.ix_(moves, moves)]
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-30))
-        unit = inner / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+        unit = inner / np.outer(scale, scale) + _MATRIX_RIDGE * np.eye(len(scale))
         out[np.ix_(moves, moves)] = np.linalg.inv(unit) / np.outer(scale, scale)
     return out
 
@@ -213,16 +213,16 @@ def _level_covariance(
     if is_scatter_known:
         return np.diag([2.0 / freedom, 0.0])
     here = _between(linear, noise, samples)
-    up, down = np.exp(_STEP), np.exp(-_STEP)
+    up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
     slope = (
         np.trace(_between(linear, noise * up, samples * up))
         - np.trace(_between(linear, noise * down, samples * down))
-    ) / (2.0 * _STEP)
+    ) / (2.0 * _LOG_VARIANCE_STEP)
     # P scales as the inverse of both variances: trace(Z'PZ) falls by itself, in part by each.
     alone = (
         np.trace(_between(linear, noise, samples * up))
         - np.trace(_between(linear, noise, samples * down))
-    ) / (2.0 * _STEP)
+    ) / (2.0 * _LOG_VARIANCE_STEP)
     both = float(np.sum(here**2)) * samples**2
     cross = -float(slope - alone) * samples
     white = freedom - both - 2.0 * cross
@@ -236,6 +236,6 @@ def _between(linear: LinearModel, noise: float, samples: float) -> Floats:
     total = shrunk.sum(axis=0)
     inner = total[np.ix_(linear.columns, linear.columns)]
     scale = np.sqrt(np.diag(inner))
-    unit = inner / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+    unit = inner / np.outer(scale, scale) + _MATRIX_RIDGE * np.eye(len(scale))
     arms = shrunk[:, P, linear.columns] / scale
     return np.asarray(np.diag(shrunk[:, P, P]) - arms @ np.linalg.solve(unit, arms.T))
