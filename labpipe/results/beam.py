@@ -42,7 +42,7 @@ from labpipe.results.kinds import (
 )
 from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.results.stiffness import OfStiffness
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, combined
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine
 from labpipe.uncertainty.intervals import Measured, measure
 from labpipe.uncertainty.replicates import Input, Replicates
 
@@ -396,7 +396,9 @@ class BendingStiffness(OfStiffness):
         ratio, remark = self._ratio(test.setup.span, test.setup.section, stiffness.window)
         if isinstance(ratio, Failure):
             return ratio, ""
-        decide = combined(partial(self._of_trace, window=stiffness.window), stiffness.decide)
+        decide = combine(
+            partial(self._of_trace, window=stiffness.window), stiffness.decide
+        )
         outcome = test.measure(decide)
         return outcome if isinstance(outcome, Failure) else outcome[0], remark
 

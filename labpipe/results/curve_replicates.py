@@ -37,9 +37,9 @@ from labpipe.uncertainty.replicates import (
     Input,
     Law,
     Replicates,
-    parts_of,
-    replicated,
+    draw_replicates,
     smooth_curve,
+    spline_intervals_of,
 )
 from labpipe.uncertainty.zero_drift import drift_modes
 
@@ -83,7 +83,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     )
     first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
     inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
-    made_so = replicated(
+    made_so = draw_replicates(
         measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
     )
     return replace(made_so, before_filters=None) if _does_nothing(acts[1]) else made_so
@@ -267,7 +267,7 @@ def _without_noise(change: Floats, *, grid: Trace, cuts: Sequence[int]) -> Float
 
     The largest of many samples would be raised by that noise, whichever way the input is moved.
     """
-    parts = parts_of(grid)
+    parts = spline_intervals_of(grid)
     return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
 
 

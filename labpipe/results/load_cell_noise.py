@@ -20,7 +20,7 @@ from labpipe.records.signals import Clocks, Filter, Signal
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.signal.filters import in_pieces
 from labpipe.uncertainty.extractors import Trace
-from labpipe.uncertainty.replicates import stream
+from labpipe.uncertainty.replicates import random_stream
 
 
 def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
@@ -159,7 +159,7 @@ class PeakSamples:
         if len(near) > max_samples:
             return None
         # Which stretch of the record goes with a replicate is drawn alike every time.
-        chance = stream(self.samples.seed, "samples of the force")
+        chance = random_stream(self.samples.seed, "samples of the force")
         largest, apart = np.full(len(noise), -np.inf), 2 * self.samples.reach
         for run in np.split(near, np.flatnonzero(np.diff(near) > apart) + 1):
             filtered = self._filtered(noise, int(run[0]), int(run[-1]) + 1, chance)

@@ -31,8 +31,8 @@ from labpipe.results.kinds import (
 from labpipe.results.reduced_test import ReducedTest, SpanBend
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
-from labpipe.uncertainty.noise_model import noise_of
-from labpipe.uncertainty.replicates import COUNT, smooth_curve, stream
+from labpipe.uncertainty.noise_model import estimate_noise
+from labpipe.uncertainty.replicates import N_REPLICATES, random_stream, smooth_curve
 from labpipe.units import GRAVITY
 
 _SPAN = "mid_span"
@@ -303,17 +303,17 @@ class _Frames:
             for value in (values, smooth)
         )
         moving = [slice(low, high) for low, high in pairwise(self.cuts)]
-        noise = noise_of(
+        noise = estimate_noise(
             [value[part] for value in values for part in moving],
             [curve[part] for curve in smooth for part in moving],
             [value[: self.cuts[0]] for value in values],
             [value[self.cuts[-1] :] for value in values],
             copies=len(values),
         )
-        chance = stream(self.seed, name)
+        chance = random_stream(self.seed, name)
         records = [
             noise.draw(len(values[0]), batch_records, chance) @ weights
-            for _ in range(COUNT // batch_records)
+            for _ in range(N_REPLICATES // batch_records)
         ]
         return np.concatenate(records).astype(np.float64)
 

@@ -59,7 +59,7 @@ from labpipe.results.kinds import (
     marked_slips,
 )
 from labpipe.results.reduced_test import ReducedTest, Stiffness
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, combined
+from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine
 from labpipe.uncertainty.intervals import Measured
 
 _AT_REST = 0.1
@@ -187,7 +187,9 @@ class Hardening(Kind):
             after = stiffness.deciding(test, number)
             plain = [stiffness.plain(test, cycle) for cycle in (later, test.cycles[0])]
             values = [plain[0][0] / plain[1][0]] if plain[0] and plain[1] else None
-            outcome = test.measure(combined(_hardened, after, partial(_first, before)), values)
+            outcome = test.measure(
+                combine(_hardened, after, partial(_first, before)), values
+            )
             numbers.append(
                 self.number(
                     _above_noise(first, outcome),
@@ -440,7 +442,9 @@ def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
         return peak
     if peak.value <= 3.0 * peak.error:
         return Failure("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
-    share = combined(_quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest))
+    share = combine(
+        _quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest)
+    )
     ratio = test.measure(share)
     return ratio if isinstance(ratio, Failure) else ratio[0]
 
@@ -475,7 +479,7 @@ class Modulus(OfStiffness):
         elif isinstance(area, Failure):
             outcome = area
         else:
-            measured = test.measure(combined(self._modulus, stiffness.decide))
+            measured = test.measure(combine(self._modulus, stiffness.decide))
             outcome = measured if isinstance(measured, Failure) else measured[0]
         doubts = marked_slips(test, stiffness.bends_with) + _of_the_machine(test, stiffness)
         return Computed((self.number(outcome, method, during=stiffness.during, doubts=doubts),))

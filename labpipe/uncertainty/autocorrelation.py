@@ -1,4 +1,4 @@
-"""Noise that remembers: its long-run variance, and its spectrum from stretches of a signal."""
+"""Autocorrelated noise: long-run variance, and spectrum from stretches of a signal."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ from scipy.special import factorial
 
 from labpipe.records.arrays import Floats
 
-TERMS = 128
-"""Cosines that the noise is judged by: half waves over the window."""
-_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
-_ORDER = np.arange(16)
-"""Powers of a phase of half a radian, beyond which its sine and cosine are exact."""
+MAX_COSINES = 128
+"""Cosines, half waves over the window, that the noise is estimated from."""
+_WHITE_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
+"""White noise below correlated noise, as shares of the spectrum at frequency zero."""
 
 
 def long_run_variance(residuals: Floats, *, parameters: int) -> float:
-    """Variance that the mean of n residuals has, times n.
+    """Return n times the variance of the mean of n residuals.
 
     Parameters
     ----------
-    residuals : shape (n,), evenly sampled; NaN count as absent
-    parameters : number of parameters that the fit behind the residuals spent
+    residuals : shape (n,), evenly sampled; NaN are ignored
+    parameters : number of parameters of the fit that left the residuals
 
     Returns
     -------
@@ -50,13 +48,13 @@ def long_run_variance(residuals: Floats, *, parameters: int) -> float:
     for lag in range(1, lags + 1):
         covariance = float(centred[lag:] @ centred[:-lag]) / count
         total += 2.0 * (1.0 - lag / (lags + 1.0)) * covariance
-    # A fit takes low frequencies out of its residuals: the triangle then sums to too little.
+    # A fit removes low frequencies from its residuals, so the weighted sum is too small.
     lost = 1.0 - min(0.5, parameters * (lags + 1.0) / count)
     return max(total / lost, 0.5 * plain) * count / (count - parameters)
 
 
 def fast_noise(values: Floats) -> Floats:
-    """Standard deviation of a signal about parabolas through blocks of 20 samples; the median.
+    """Return the median standard deviation about parabolas through blocks of 20 samples.
 
     Parameters
     ----------
@@ -64,8 +62,8 @@ def fast_noise(values: Floats) -> Floats:
 
     Returns
     -------
-    Shape (...), in the unit of the values. Noise that remembers longer than a block passes for
-    signal.
+    Shape (...), in the unit of the values. Noise with a correlation time longer than a block counts
+    as signal.
 
     Examples
     --------
@@ -83,16 +81,16 @@ def fast_noise(values: Floats) -> Floats:
 
 
 def limits_by_noise(limit: float, rows: Floats) -> Floats:
-    """A limit that was set by the fast noise of one record, as that of many like it would be.
+    """Scale a limit, set by the fast noise of one record, to the noise of each of many like it.
 
     Parameters
     ----------
-    limit : any unit
-    rows : shape (rows, n), of such records; columns with a NaN are left out
+    limit : in any unit
+    rows : shape (rows, n), such records; columns with a NaN are ignored
 
     Returns
     -------
-    Shape (rows,), as much above or below `limit` as the noise of each is beside that of all.
+    Shape (rows,): `limit` times the noise of each row over their mean noise.
     """
     noise = fast_noise(rows[:, ~np.isnan(rows).any(axis=0)])
     middle = float(noise.mean())
@@ -101,12 +99,12 @@ def limits_by_noise(limit: float, rows: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Correlation times that are considered.
+    """Grid of correlation times.
 
     Parameters
     ----------
     count : samples of the longest stretch; the longest time is a fifth of it
-    terms : cosines of it that are looked at
+    terms : cosines of it that are used
     """
 
     count: int
@@ -128,8 +126,10 @@ class Grid:
         # window (see the studies).
         prior_power = -0.4
         prior = (self.times / self.times[0]) ** prior_power
-        half = 0.5 * prior  # white noise beneath, or none: the one as likely as the other
-        return np.concatenate([prior[::-1], [1.0], half, *[half / len(_FLOORS)] * len(_FLOORS)])
+        half = 0.5 * prior  # with and without white noise below: equally probable
+        return np.concatenate(
+            [prior[::-1], [1.0], half, *[half / len(_WHITE_FLOORS)] * len(_WHITE_FLOORS)]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +142,7 @@ class _Spectra:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReducedTest:
+class StretchLikelihood:
     """Likelihood of each of g spectra by one stretch.
 
     Parameters
@@ -151,7 +151,7 @@ class ReducedTest:
     waves : shape (terms, p), cosines of its basis
     likelihood : shape (g,), its logarithm but for the sum of squares
     squares : shape (g,), whitened sum of squares
-    freedom : cosines less coefficients
+    freedom : degrees of freedom: cosines less coefficients
     shifts : shape (g, p), of the coefficients by generalised least squares
     unit : shape (g, p, p), their covariance for noise whose spectrum is 1 at frequency zero
     """
@@ -165,15 +165,15 @@ class ReducedTest:
     unit: Floats
 
     @classmethod
-    def of(cls, basis: Floats, values: Floats, grid: Grid, most: int) -> ReducedTest:
+    def of(cls, basis: Floats, values: Floats, grid: Grid, most: int) -> StretchLikelihood:
         """Restricted likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) in cosines.
 
         Parameters
         ----------
         basis : shape (p, n), orthonormal rows
-        values : shape (n,), without NaN; what the basis explains of them does not matter
+        values : shape (n,), without NaN; the part that the basis explains has no effect
         grid : of the spectra
-        most : cosines that are looked at, the slowest
+        most : number of cosines used, the slowest
         """
         spent, count = basis.shape
         terms = min(count, most)
@@ -191,7 +191,7 @@ class ReducedTest:
     def plain_covariance(self) -> Floats:
         """Covariance of ordinary least squares under each spectrum.
 
-        What the basis has beyond the last cosine meets noise of at most that cosine's power.
+        Beyond the last cosine, the noise has at most the power of that cosine.
         """
         spent = self.waves.shape[1]
         beyond = np.eye(spent) - self.waves.T @ self.waves
@@ -202,7 +202,7 @@ class ReducedTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """Chance of each of g spectra by all stretches together.
+    """Probability of each of g spectra from all stretches.
 
     Parameters
     ----------
@@ -216,8 +216,8 @@ class Noise:
     freedom: int
 
     @classmethod
-    def of(cls, stretches: Sequence[ReducedTest], grid: Grid) -> Noise:
-        """Likelihoods multiplied, the variance common to all, and the prior of the grid."""
+    def of(cls, stretches: Sequence[StretchLikelihood], grid: Grid) -> Noise:
+        """Multiply the likelihoods, with one variance for all, and the prior of the grid."""
         freedom = sum(stretch.freedom for stretch in stretches)
         squares = np.sum([stretch.squares for stretch in stretches], axis=0)
         squares = np.asarray(np.maximum(squares, np.finfo(float).tiny), dtype=np.float64)
@@ -228,7 +228,7 @@ class Noise:
 
 
 def slowest_cosines(rows: Floats, terms: int) -> Floats:
-    """Coefficients of the slowest cosines of a discrete cosine transform.
+    """Return the lowest coefficients of a discrete cosine transform.
 
     Parameters
     ----------
@@ -241,10 +241,10 @@ def slowest_cosines(rows: Floats, terms: int) -> Floats:
 
     Notes
     -----
-    Long records are cut into blocks so short that the phase of the quickest cosine stays within
-    half a radian of that in the middle. There each cosine is its power series, and of each block
-    only its first moments are needed: O(n) for any n. The whole transform takes four times as long
-    for 400 000 samples, and forty times where the number of samples is a prime.
+    Long records are cut into blocks so short that the phase of the fastest cosine stays within half
+    a radian of that in the middle. In a block each cosine is its power series, so only the first
+    moments of the block are needed: O(n) for any n. The whole transform takes four times as long
+    for 400 000 samples, and forty times if the number of samples is a prime.
 
     Examples
     --------
@@ -259,12 +259,14 @@ def slowest_cosines(rows: Floats, terms: int) -> Floats:
     size = ceil(count / blocks)
     cut = np.pad(rows, ((0, 0), (0, -count % size))).reshape(len(rows), -1, size)
     inside = (np.arange(size) - 0.5 * (size - 1)) / size
-    moments = cut @ np.vander(inside, len(_ORDER), increasing=True)
+    # Enough powers that sine and cosine of half a radian are exact.
+    orders = np.arange(16)
+    moments = cut @ np.vander(inside, len(orders), increasing=True)
     cosine = np.arange(terms)
-    # Whole numbers of a quarter turn over n, so that no phase loses digits to its many turns.
+    # Integer quarter turns over n, so that phases of many turns lose no digits.
     quarters = np.outer(2 * np.arange(cut.shape[1]) + 1, cosine * size) % (4 * count)
     middles = np.exp(0.5j * pi / count * quarters)
-    series = (1j * pi / count * size * cosine[:, None]) ** _ORDER / factorial(_ORDER)
+    series = (1j * pi / count * size * cosine[:, None]) ** orders / factorial(orders)
     turned = np.tensordot(moments, middles, axes=(1, 0))
     waves: Floats = np.einsum("wmk,km->wk", turned, series).real
     waves *= np.sqrt(2.0 / count)
@@ -273,18 +275,17 @@ def slowest_cosines(rows: Floats, terms: int) -> Floats:
 
 
 def smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:
-    """Cut a signal into stretches that can stand beside a fit.
+    """Cut a signal into stretches without corners.
 
     Parameters
     ----------
-    values : shape (n,); NaN are left out
-    width : samples of each
+    values : shape (n,); NaN are ignored
+    width : samples of each stretch
 
     Returns
     -------
-    Neighbouring stretches, what is left over lying at the beginning; without those whose residuals
-    about a cubic have more than four times the median variance of all: a corner, a cliff or a step
-    is in them.
+    Consecutive stretches up to the end of the signal, without those whose residuals about a cubic
+    have more than four times the median variance: they contain a corner or a step.
     """
     finite = values[~np.isnan(values)]
     count = len(finite) // width
@@ -298,13 +299,13 @@ def smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, ...]:
 
 @lru_cache(maxsize=8)
 def cubic_basis(count: int) -> Floats:
-    """Orthonormal polynomials to degree three over so many even samples, shape (4, count)."""
+    """Return orthonormal polynomials up to degree three over even samples, shape (4, count)."""
     basis: Floats = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 4))[0].T
     return np.ascontiguousarray(basis)
 
 
 def exact_covariance(basis: Floats, grid: Grid) -> Floats:
-    """Covariance of the projections on a basis (p, n) under each spectrum, shape (g, p, p)."""
+    """Return the covariance of projections on a basis (p, n) for each spectrum, (g, p, p)."""
     spent, count = basis.shape
     covariances = _covariances(grid, count)
     unit = np.empty((len(covariances), spent, spent))
@@ -318,32 +319,32 @@ def exact_covariance(basis: Floats, grid: Grid) -> Floats:
 
 
 def _covariances(grid: Grid, count: int) -> Floats:
-    """Covariances at each lag of noise with the spectra of `_spectra`, shape (g, count)."""
+    """Return autocovariances of noise with the spectra of `_spectra`, shape (g, count)."""
     lags, factors = np.arange(count), np.exp(-1.0 / grid.times)[:, None]
     slow = (1.0 - factors) / (1.0 + factors) * factors**lags
     white = (lags == 0).astype(np.float64)[None, :]
     moving = ((1.0 + factors**2) * white - factors * (lags == 1)) / (1.0 - factors) ** 2
-    mixed = [floor * white + (1.0 - floor) * slow for floor in _FLOORS]
+    mixed = [floor * white + (1.0 - floor) * slow for floor in _WHITE_FLOORS]
     return np.vstack([moving[::-1], white, slow, *mixed])
 
 
 def _products(waves: Floats) -> Floats:
-    """All products of two columns, shape (terms, p^2)."""
+    """Return all products of two columns, shape (terms, p^2)."""
     return (waves[:, :, None] * waves[:, None, :]).reshape(len(waves), -1)
 
 
 @lru_cache(maxsize=16)
 def _spectra(grid: Grid, count: int, terms: int) -> _Spectra:
-    """Spectra of autoregressive noise at the cosines, 1 at frequency zero.
+    """Return spectra of autoregressive noise at the cosines, 1 at frequency zero.
 
-    Each with floors of white noise beneath, from none to a third: a load cell has both, and a pure
-    first-order process that is to explain the white part comes out too quick and too small.
+    Each with white noise from zero to a third below: a load cell has both, and a pure first-order
+    process fitted to both is too fast and too small.
     """
     factors = np.append(0.0, np.exp(-1.0 / grid.times))[:, None]
     turns = np.cos(np.pi * np.arange(terms) / count)
     spectra: Floats = (1.0 - factors) ** 2 / (1.0 - 2.0 * factors * turns + factors**2)
-    # The mirror images rise with frequency. Without them white noise would lie at the edge of what
-    # is allowed, and its intervals would come out too wide.
-    mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _FLOORS]
+    # Mirror images rise with frequency. Without them white noise would be at the edge of the grid,
+    # and its intervals would be too wide.
+    mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _WHITE_FLOORS]
     all_spectra = np.vstack([1.0 / spectra[:0:-1], spectra, *mixed])
     return _Spectra(all_spectra, 1.0 / all_spectra, np.log(all_spectra).sum(axis=1))

@@ -1,8 +1,7 @@
-"""What a number is read from, and how: once from the measured curve, then from many like it.
+"""Extractors of numbers from a curve and its replicates.
 
-A number is a plain function of a curve. What it is read from (windows, turns, the sample of the
-failure) is decided once, on one curve; the numbers are then computed for as many curves as there
-are, all at once.
+A number is a function of a curve. Its samples (windows, turns, the failure) are chosen once, on one
+curve; the number is then computed for all replicates at once.
 """
 
 from __future__ import annotations
@@ -20,20 +19,19 @@ from labpipe.records.estimates import Failure
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """A curve that numbers are read from, or many curves that it may have been.
+    """A curve that numbers are read from, or its replicates.
 
     Parameters
     ----------
     time : shape (n,), s, or numbers of rows
-    displacement, force : shape (..., n), m, N; NaN where not known
+    displacement, force : shape (..., n), m, N; NaN where unknown
     branches : in samples of the curve
-    failed_at : sample of the failure; None without one
+    failed_at : sample of the failure, or None
     sizes : m (an area m^2), of specimen and rig by the keys of the protocol
-    beyond : share of a sampling step by which the specimen failed, or turned, behind the last
-        sample before it
-    steps : that each sampling step has been divided into
-    noise : shape (..., n), N, of many curves what noise adds to the force before all filters; None
-        where it is not known, or filters do nothing
+    beyond : time from the last sample before a failure or turn to it, in sampling steps
+    steps : parts that each sampling step has been divided into
+    noise : shape (..., n), N, of replicates, noise of the force before all filters; None if it is
+        unknown or filters do nothing
     """
 
     time: Floats
@@ -47,11 +45,11 @@ class Trace:
     noise: Floats | Singles | None = None
 
     def finer(self, times: int) -> Trace:
-        """The same curve, with straight lines from sample to sample divided into so many steps.
+        """Return the curve with each sampling step divided by linear interpolation.
 
         Parameters
         ----------
-        times : steps, from 1 on
+        times : parts per step, at least 1
         """
         if times == 1:
             return self
@@ -79,20 +77,19 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """How numbers are read, once it is decided from where.
+    """How numbers are read, with their samples chosen.
 
     Parameters
     ----------
-    numbers : of a trace with the samples that it was decided on: each number, shape (...) of the
-        curves; NaN where a curve has none
-    n : samples that the numbers rest on
-    in_noise : the same of curves with noise, where that moves the samples that are read; None
-        where they are the same
-    is_cut : whether its windows end at samples, and nothing else of it is counted in samples: finer
-        samples of the same curve say then what it would be without them
-    feels_corners : whether that is to be read from the measured curve: the smooth one rounds off
-        corners that the number rests on
-    between : what each number would be more of if samples lay without end, where it says so itself
+    numbers : returns each number of a trace with the same samples, shape (...) of the curves; NaN
+        where a curve has none
+    n : number of samples used
+    in_noise : the same for curves with noise, if noise changes which samples are read, else None
+    is_cut : whether windows end at samples, and nothing else depends on the sampling: finer samples
+        then show the effect of the sampling
+    feels_corners : whether that effect is taken from the measured curve, because the smooth one
+        rounds off corners that the number depends on
+    between : correction of each number to infinitely fine samples, if the extractor knows it
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
@@ -104,25 +101,25 @@ class Reading:
 
     @property
     def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
-        """What gives the numbers of curves with noise."""
+        """Function that returns the numbers of curves with noise."""
         return self.in_noise or self.numbers
 
 
 Decide: TypeAlias = Callable[[Trace], Reading | Failure]
-"""Decides on one curve what numbers are read from, or why they cannot be."""
+"""Chooses, on one curve, the samples that numbers are read from; or says why there are none."""
 
 
-def combined(how: Callable[..., Floats], *parts: Decide) -> Decide:
-    """Decide on a number that is made of others.
+def combine(function: Callable[..., Floats], *parts: Decide) -> Decide:
+    """Combine numbers into one.
 
     Parameters
     ----------
-    how : of a trace, and of the first number of each part
-    parts : what it is made of
+    function : of a trace and of the first number of each part
+    parts : numbers that it depends on
 
     Returns
     -------
-    A failure where a part is one: the first.
+    A reading, or the first failure of a part.
     """
 
     def decide(trace: Trace) -> Reading | Failure:
@@ -134,10 +131,10 @@ def combined(how: Callable[..., Floats], *parts: Decide) -> Decide:
             readings.append(outcome)
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            return (how(trace, *(reading.numbers(trace)[0] for reading in readings)),)
+            return (function(trace, *(reading.numbers(trace)[0] for reading in readings)),)
 
         def drawn(trace: Trace) -> tuple[Floats]:
-            return (how(trace, *(reading.drawn(trace)[0] for reading in readings)),)
+            return (function(trace, *(reading.drawn(trace)[0] for reading in readings)),)
 
         is_cut = all(reading.is_cut for reading in readings)
         has_noise = any(reading.feels_corners for reading in readings)

@@ -12,10 +12,10 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
 from labpipe.uncertainty.autocorrelation import (
-    TERMS,
+    MAX_COSINES,
     Grid,
     Noise,
-    ReducedTest,
+    StretchLikelihood,
     cubic_basis,
     exact_covariance,
 )
@@ -28,7 +28,7 @@ class LinearFit:
     Parameters
     ----------
     coefficients : shape (p,)
-    covariance : shape (p, p), averaged over the correlation times that the residuals allow
+    covariance : shape (p, p), averaged over the correlation times by their probability
     half_widths : shape (p,), of the 95 % intervals
     unit_errors : shape (p,), standard errors in independent noise of variance 1
     residual_deviation : residual standard deviation, n - p degrees of freedom
@@ -63,11 +63,11 @@ def fit_linear(
     ----------
     design : shape (n, p), full rank, rows evenly sampled in time and without NaN
     values : shape (n,), without NaN
-    weighted : False for ordinary least squares, whose coefficients everybody gets; True for
-        generalised least squares, better where a jump is looked for in strongly correlated noise
-    beside : other stretches of the same signal, of at least 8 samples each, sampled alike and
-        without NaN, in which it is smooth: what is left of them about a cubic shows the noise
-        as the residuals do. A short stretch alone cannot tell how far its noise remembers
+    weighted : False for ordinary least squares; True for generalised least squares, better for a
+        jump in strongly correlated noise
+    beside : other smooth stretches of the same signal, at least 8 samples each, sampled alike and
+        without NaN: their residuals about a cubic show the noise, too. A short window alone does
+        not show the correlation time of its noise
 
     Returns
     -------
@@ -78,24 +78,21 @@ def fit_linear(
     ValueError
         For fewer than p + 4 samples; with stretches beside, for fewer than p + 1.
 
-    Notes
-    -----
-    The noise is taken for a first-order autoregressive process of unknown correlation time, white
-    in the middle, a fifth of the window long at one end, the mirror image of that at the other,
-    with more or less white noise beneath. In cosines over the window such noise is uncorrelated to
-    a good approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), with the
-    variance of its spectrum, so that each spectrum has a restricted likelihood in closed form
-    (Harville, J. Am. Stat. Assoc. 72 (1977) 320). Given the spectrum a coefficient follows
-    Student's t; the interval is that of the mixture over spectra, weighted by their likelihood and
-    a prior: of power -0.4 over the logarithm of the correlation time, half without and half with
-    white noise, plus one share for white noise alone. Only the 128 slowest cosines enter (all of
-    them with `weighted`): hum, filters and rounding tell nothing about the mean over a window (the
-    thought of the equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018)
-    541). A curve that is not of the model's shape looks like slow noise and widens the interval.
-    Stretches beside the fit multiply the likelihood of each spectrum by theirs, all of one
-    variance; the longest of all stretches sets the range of correlation times. The window may then
-    be shorter than the noise remembers, so that the covariance of ordinary least squares is the
-    exact one and not that of cosines.
+    Notes ----- The noise is modelled as a first-order autoregressive process of unknown correlation
+    time, up to a fifth of the window, or its mirror image, with more or less white noise below. In
+    cosines over the window such noise is uncorrelated to a good approximation (Ahmed, Natarajan and
+    Rao, IEEE Trans. Comput. C-23 (1974) 90), with the variance of its spectrum, so that each
+    spectrum has a restricted likelihood in closed form (Harville, J. Am. Stat. Assoc. 72 (1977)
+    320). Given the spectrum a coefficient follows Student's t; the interval is that of the mixture
+    over spectra, weighted by their likelihood and a prior: of power -0.4 over the logarithm of the
+    correlation time, half without and half with white noise, plus one share for white noise alone.
+    Only the 128 slowest cosines enter (all of them with `weighted`): hum, filters and rounding have
+    no information on the mean over a window (as in the equal-weighted cosine estimator: Lazarus et
+    al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that is not of the model's shape looks like
+    slow noise and widens the interval. Stretches beside the fit multiply the likelihood of each
+    spectrum by theirs, all of one variance; the longest of all stretches sets the range of
+    correlation times. The window may then be shorter than the correlation time, so the covariance
+    of ordinary least squares is the exact one and not that of cosines.
     """
     count, spent = design.shape
     least = spent + (1 if beside else 4)
@@ -106,9 +103,12 @@ def fit_linear(
     plain = basis @ values
     residuals = values - plain @ basis
     most = max([count, *(len(floats) for floats in beside)])
-    grid = Grid(most, most if weighted else min(most, TERMS))
-    window = ReducedTest.of(basis, residuals, grid, count if weighted else TERMS)
-    others = [ReducedTest.of(cubic_basis(len(floats)), floats, grid, TERMS) for floats in beside]
+    grid = Grid(most, most if weighted else min(most, MAX_COSINES))
+    window = StretchLikelihood.of(basis, residuals, grid, count if weighted else MAX_COSINES)
+    others = [
+        StretchLikelihood.of(cubic_basis(len(floats)), floats, grid, MAX_COSINES)
+        for floats in beside
+    ]
     noise = Noise.of([window, *others], grid)
     if weighted:
         shifts, unit = window.shifts, window.unit
@@ -131,7 +131,7 @@ def fit_linear(
 
 
 def orthonormal(design: Floats) -> tuple[Floats, Floats]:
-    """Orthonormal basis of the columns of a design.
+    """Return an orthonormal basis of the columns of a design.
 
     Parameters
     ----------
@@ -148,9 +148,9 @@ def orthonormal(design: Floats) -> tuple[Floats, Floats]:
 
 
 def _half_widths(noise: Noise, variances: Floats, offsets: Floats) -> Floats:
-    """Half widths that hold 95 % of the mixture of t-distributions.
+    """Return half widths that contain 95 % of the mixture of t-distributions.
 
-    Newton's steps: the share that a half width holds is concave, so they do not overshoot.
+    By Newton's method: the coverage is concave in the half width, so it does not overshoot.
     """
     # Spectra below this probability do not change a half width.
     min_chance = 1e-15
@@ -161,7 +161,7 @@ def _half_widths(noise: Noise, variances: Floats, offsets: Floats) -> Floats:
     counted = noise.chances > min_chance
     chances, safe, offsets = noise.chances[counted], safe[counted], offsets[counted]
     for _ in range(12):
-        share, slope = _held(half, safe, offsets, noise.freedom)
+        share, slope = _coverage(half, safe, offsets, noise.freedom)
         step = (0.95 - chances @ share) / (chances @ slope)
         half = np.maximum(half + step, least)
         if np.all(np.abs(step) <= 1e-6 * half):
@@ -169,8 +169,8 @@ def _half_widths(noise: Noise, variances: Floats, offsets: Floats) -> Floats:
     return np.where(np.any(deviations > 0.0, axis=0), half, 0.0)
 
 
-def _held(half: Floats, safe: Floats, offsets: Floats, freedom: int) -> tuple[Floats, Floats]:
-    """Share that a half width holds of each t-distribution, and what it gains per width."""
+def _coverage(half: Floats, safe: Floats, offsets: Floats, freedom: int) -> tuple[Floats, Floats]:
+    """Return the coverage of each t-distribution by a half width, and its derivative."""
     if not offsets.any():
         t = half / safe
         return 2.0 * stdtr(freedom, t) - 1.0, 2.0 * _density(t, freedom) / safe
@@ -180,7 +180,7 @@ def _held(half: Floats, safe: Floats, offsets: Floats, freedom: int) -> tuple[Fl
 
 
 def _density(t: Floats, freedom: int) -> Floats:
-    """Density of Student's distribution."""
+    """Return the density of Student's t-distribution."""
     density: Floats = (1.0 + t * t / freedom) ** (-0.5 * (freedom + 1))
     density /= np.sqrt(freedom) * beta(0.5, 0.5 * freedom)
     return density

@@ -1,7 +1,7 @@
-"""A short record as a few polynomials: what its noise is judged by.
+"""Fit a few polynomials to a short record, to estimate its noise.
 
-A record of less than some 150 samples cannot show how long its noise is correlated, and a corner in
-it is as large as its noise. Up to three polynomials, cut where they fit best, follow the corners.
+A record of fewer than about 150 samples does not show the correlation time of its noise, and a
+corner in it is as large as its noise. Up to three polynomials follow the corners.
 """
 
 from __future__ import annotations
@@ -14,9 +14,6 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 
-_ROUNDING = 1e-9
-"""Share of the range below which what polynomials leave is arithmetic."""
-
 
 class Piece(NamedTuple):
     """Samples of a record that one polynomial follows, and its degree."""
@@ -27,11 +24,11 @@ class Piece(NamedTuple):
 
 
 def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
-    """Cut a short record into at most three pieces that polynomials follow.
+    """Cut a short record into at most three pieces for polynomials.
 
     Parameters
     ----------
-    values : shape (n,), evenly sampled, without NaN; n from 4 on
+    values : shape (n,), evenly sampled, without NaN; n at least 4
 
     Returns
     -------
@@ -50,7 +47,7 @@ def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
     max_pieces = 3
     count = len(values)
     squares = {degree: _sums_of_squares(values, degree) for degree in allowed_degrees}
-    dust = count * (_ROUNDING * float(np.ptp(values))) ** 2
+    rounding = count * (1e-9 * float(np.ptp(values))) ** 2
     best: tuple[Piece, ...] = (Piece(0, count, 1),)
     lowest = np.inf
     for number in range(1, max_pieces + 1):
@@ -60,7 +57,7 @@ def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
                 continue
             left, ends = _best_cuts([squares[degree] for degree in degrees], count)
             penalty = spent * np.log(count) / (count - spent - 2)
-            criterion = np.log(max(left, dust, np.finfo(float).tiny) / count) + penalty
+            criterion = np.log(max(left, rounding, np.finfo(float).tiny) / count) + penalty
             if criterion < lowest:
                 lowest = criterion
                 best = tuple(map(Piece, (0, *ends), (*ends, count), degrees))
@@ -68,7 +65,7 @@ def polynomial_pieces(values: Floats) -> tuple[Piece, ...]:
 
 
 def _best_cuts(squares: list[Floats], count: int) -> tuple[float, tuple[int, ...]]:
-    """Smallest sum of squares of pieces of given degrees, and where they are cut."""
+    """Return the smallest sum of squares for given degrees, and the cuts."""
     until = squares[0][0]
     cuts = list[Floats]()
     for piece in squares[1:]:
@@ -83,7 +80,7 @@ def _best_cuts(squares: list[Floats], count: int) -> tuple[float, tuple[int, ...
 
 
 def _sums_of_squares(values: Floats, degree: int) -> Floats:
-    """What a polynomial leaves of samples from i to before j, shape (n + 1, n + 1); else inf."""
+    """Return residual sums of squares of samples [i, j), shape (n + 1, n + 1); inf if too few."""
     min_free_samples = 2
     count = len(values)
     sums = np.full((count + 1, count + 1), np.inf)
@@ -99,6 +96,6 @@ def _sums_of_squares(values: Floats, degree: int) -> Floats:
 
 @lru_cache(maxsize=512)
 def _slopes(count: int, degree: int) -> Floats:
-    """Orthonormal polynomials without the constant, shape (count, degree)."""
+    """Return orthonormal polynomials without the constant, shape (count, degree)."""
     at = np.linspace(-1.0, 1.0, count)
     return np.linalg.qr(np.vander(at, degree + 1, increasing=True))[0][:, 1:]

@@ -1,9 +1,9 @@
-"""Curves that a measured one may have been: its smooth record, with noise drawn anew.
+"""Replicates of a measured curve: its smooth curve with newly drawn noise.
 
-JCGM 101:2008 (GUM supplement 1): the uncertainty of a number is the spread of the number over draws
-of everything it rests on. The noise of the signals is drawn as records; an input that is the same
-for the whole record (a gain, a zero, an offset) is one draw a record, and what it changes is seen
-once, on the smooth record.
+JCGM 101:2008 (GUM supplement 1): the uncertainty of a number is its spread over draws of everything
+that it depends on. The noise of the signals is drawn as records; an input that is the same for the
+whole record (a gain, a zero, an offset) is one draw per record, and its effect is computed once, on
+the smooth curve.
 """
 
 from __future__ import annotations
@@ -22,42 +22,39 @@ from labpipe.records.causes import RESOLUTION
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Reason
 from labpipe.uncertainty.extractors import Trace
-from labpipe.uncertainty.noise_model import LEAST, SHORT, Noise, noise_of
+from labpipe.uncertainty.noise_model import (
+    MIN_NOISE_SAMPLES,
+    SHORT_RECORD_SAMPLES,
+    Noise,
+    estimate_noise,
+)
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 
-COUNT = 400
-"""Replicates: widths of intervals repeat within 5 %."""
-_CHUNK = 50
-"""Replicates that are read at once."""
-_PARTS, _PARTS_OF_CYCLE = 12, 40
-"""Intervals of the spline through a single loading, and through a branch of a cyclic test: with 40
-a tensile curve follows slow noise."""
-_PER_PART = 8
-"""Samples of an interval at least."""
-_DUST = 1e-4
-"""Share of the range of a signal below which its noise may be of any kind."""
-_DEGREE = 3
+N_REPLICATES = 400
+"""Enough that widths of intervals repeat within 5 %."""
+_BATCH_REPLICATES = 50
+_MIN_INTERVAL_SAMPLES = 8
+_SPLINE_DEGREE = 3
 
 Filter: TypeAlias = Callable[[Floats], Floats]
 Law: TypeAlias = Literal["normal", "uniform", "step"]
-"""What an input is drawn from, in its standard uncertainties: a normal or a rectangular
-distribution; a whole step of which the truth lies somewhere inside, behind the last sample."""
-STEP_DEVIATION = 1.0 / np.sqrt(12.0)
+"""Distribution of an input, in its standard uncertainties: normal, rectangular, or uniform over one
+whole step after the last sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Input:
-    """Something that a whole record rests on, and that is known with an uncertainty.
+    """An uncertain input quantity of a whole record.
 
     Parameters
     ----------
-    cause : in words, such as ``gain of the load cell``
-    moved : a trace as it is with the input so many standard uncertainties higher
-    law : what it is drawn from
-    moves_curve : whether it moves the curve, so that windows are decided anew
-    draws : shape (replicates,), in standard uncertainties, where the input has been drawn before
-    stream : name of its stream of chance; the cause where it is empty
-    doubts : why its uncertainty may not be trusted; nor may numbers that rest on it
+    cause : such as ``gain of the load cell``
+    moved : returns a trace with the input changed by a number of standard uncertainties
+    law : its distribution
+    moves_curve : whether it changes the curve, so that windows are chosen again
+    draws : shape (replicates,), in standard uncertainties, if the input was drawn before
+    stream : name of its random stream; the cause if empty
+    doubts : why its uncertainty, and that of numbers that depend on it, may be wrong
     """
 
     cause: str
@@ -71,23 +68,23 @@ class Input:
     @property
     def deviation(self) -> float:
         """Standard deviation of its draws, in the unit of `moved`."""
-        return float(STEP_DEVIATION) if self.law == "step" else 1.0
+        return float(1.0 / np.sqrt(12.0)) if self.law == "step" else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replicates:
-    """A curve and `COUNT` others that it may have been.
+    """A curve and its `N_REPLICATES` replicates.
 
     Parameters
     ----------
     measured : the curve that numbers are read from
-    smooth : without its noise and without filters, perhaps on fewer samples
+    smooth : the curve without noise and filters, perhaps on fewer samples
     displacement, force : shape (replicates, n), m, N: the smooth curve with noise, filtered
-    inputs : what else is drawn
+    inputs : further uncertain inputs
     seed : of all draws
-    noises : what the noise of force and displacement was taken for; of those that have noise
-    before_filters : shape (replicates, n), N, what noise adds to the force before all filters; None
-        where it is not known, or filters do nothing
+    noises : noise models of force and displacement, for those that have noise
+    before_filters : shape (replicates, n), N, noise of the force before all filters; None if it is
+        unknown or filters do nothing
     """
 
     measured: Trace
@@ -100,24 +97,24 @@ class Replicates:
     before_filters: Singles | None = None
 
     def traces(self) -> Iterator[Trace]:
-        """The replicates, some at a time."""
-        for first in range(0, len(self.force), _CHUNK):
-            rows = slice(first, first + _CHUNK)
+        """Yield the replicates in batches."""
+        for first in range(0, len(self.force), _BATCH_REPLICATES):
+            rows = slice(first, first + _BATCH_REPLICATES)
             displacement, force = self.displacement[rows], self.force[rows]
             noise = None if self.before_filters is None else self.before_filters[rows]
             yield replace(self.smooth, displacement=displacement, force=force, noise=noise)
 
     def draws(self, quantity: Input) -> Floats:
-        """Draws of an input, in its standard uncertainties, shape (replicates,): always the same.
+        """Return the draws of an input, in standard uncertainties, shape (replicates,).
 
         Parameters
         ----------
-        quantity : by whose cause the stream of numbers is chosen
+        quantity : the input; its name selects the random stream
         """
         if quantity.draws is not None:
             return quantity.draws
-        rng, count = stream(self.seed, quantity.stream or quantity.cause), len(self.force)
-        # One draw in each of as many equal parts: its spread does not depend on luck.
+        rng, count = random_stream(self.seed, quantity.stream or quantity.cause), len(self.force)
+        # Stratified: one draw in each of as many equal parts.
         chance = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
         if quantity.law == "normal":
             return np.asarray(ndtri(chance), dtype=np.float64)
@@ -126,23 +123,23 @@ class Replicates:
         return np.asarray(-chance, dtype=np.float64)
 
     def has_noise(self, name: str) -> bool:
-        """Whether the noise of a signal is more than dust beside its range.
+        """Return whether the noise of a signal is more than 1e-4 of its range.
 
         Parameters
         ----------
         name : ``force`` or ``displacement``
         """
         smooth: Floats = getattr(self.smooth, name)
-        noise = np.nanstd(getattr(self, name)[:_CHUNK] - smooth)
-        return bool(noise > _DUST * (np.nanmax(smooth) - np.nanmin(smooth)))
+        noise = np.nanstd(getattr(self, name)[:_BATCH_REPLICATES] - smooth)
+        return bool(noise > 1e-4 * (np.nanmax(smooth) - np.nanmin(smooth)))
 
     def displaced(self, by: float, *inputs: Input) -> Replicates:
-        """The same curves, displacement counted from another place.
+        """Return the curves with another zero of displacement.
 
         Parameters
         ----------
         by : m, added to every displacement
-        inputs : that come in with it
+        inputs : further inputs to add
         """
         return replace(
             self,
@@ -153,8 +150,8 @@ class Replicates:
         )
 
 
-def stream(seed: bytes, name: str) -> np.random.Generator:
-    """Make a stream of chance of its own for a name, the same for the same record.
+def random_stream(seed: bytes, name: str) -> np.random.Generator:
+    """Make the random generator of a name, the same for the same record.
 
     Parameters
     ----------
@@ -165,14 +162,15 @@ def stream(seed: bytes, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
-def parts_of(trace: Trace) -> int:
-    """Intervals of the smooth curve through each piece of a record.
+def spline_intervals_of(trace: Trace) -> int:
+    """Return the spline intervals per piece of a record.
 
     Parameters
     ----------
-    trace : the record; one with a branch back is cyclic
+    trace : the record; one with several branches is cyclic
     """
-    return _PARTS_OF_CYCLE if len(trace.branches) > 1 else _PARTS
+    # With 40 intervals, a tensile curve follows slow noise.
+    return 40 if len(trace.branches) > 1 else 12
 
 
 def smooth_curve(
@@ -184,19 +182,19 @@ def smooth_curve(
     broken: int | None = None,
     branches: Sequence[Branch] | None = None,
 ) -> Floats:
-    """Smooth curve through a record, piece by piece: least-squares cubic splines of even intervals.
+    """Fit least-squares cubic splines with even intervals to the pieces of a record.
 
     Parameters
     ----------
     time, values : shape (n,); NaN stay NaN
-    cuts : numbers of the samples at which a new piece begins: turns, slips, the failure
-    parts : intervals of each piece at most
-    broken : the cut at which the curve may jump; at all others the pieces meet
-    branches : in which something moves; None where it does all the time
+    cuts : samples at which a new piece begins: turns, slips, the failure
+    parts : largest number of intervals per piece
+    broken : the cut at which the curve may jump; at all others the pieces are joined
+    branches : branches with motion; None if there is motion all the time
 
     Returns
     -------
-    Shape (n,). A piece of few samples gets fewer intervals, and a straight line at last.
+    Shape (n,). Short pieces have fewer intervals, the shortest a straight line.
     """
     # Fewer intervals in pieces at rest: a curve that follows the noise of a plateau reaches the
     # largest of its samples, and the interval of a peak would be too high.
@@ -208,28 +206,30 @@ def smooth_curve(
     for low, high in pairwise(ends):
         is_finite = ~np.isnan(values[low:high])
         t, y = time[low:high][is_finite], values[low:high][is_finite]
-        if len(y) < LEAST or t[-1] <= t[0]:
-            smooth[low:high][is_finite] = _line(t, y)
+        if len(y) < MIN_NOISE_SAMPLES or t[-1] <= t[0]:
+            smooth[low:high][is_finite] = _straight_line(t, y)
             continue
         x = (t - t[0]) / (t[-1] - t[0])
         rests = branches is not None and not any(x.start <= low < x.stop for x in branches)
-        if len(y) <= SHORT and not rests:
+        if len(y) <= SHORT_RECORD_SAMPLES and not rests:
             smooth[low:high][is_finite] = _polynomials(x, y)
             continue
-        min_samples, most = (min_rest_samples, max_rest_intervals) if rests else (_PER_PART, parts)
+        min_samples, most = (
+            (min_rest_samples, max_rest_intervals) if rests else (_MIN_INTERVAL_SAMPLES, parts)
+        )
         count = int(np.clip(len(y) // min_samples, 1, most))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
-        curve = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)(x)
-        stands = rests and _stands(y, curve, count + _DEGREE)
-        smooth[low:high][is_finite] = y.mean() if stands else curve
+        curve = make_lsq_spline(x, y, _supported_knots(knots, x), _SPLINE_DEGREE)(x)
+        is_constant = rests and _is_constant(y, curve, count + _SPLINE_DEGREE)
+        smooth[low:high][is_finite] = y.mean() if is_constant else curve
     for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
         if cut != broken and cut - before > 1 and after - cut > 1:
-            _meet(smooth, cut)
+            _join_pieces(smooth, cut)
     return smooth
 
 
 def _polynomials(x: Floats, y: Floats) -> Floats:
-    """Polynomials through the pieces of a short record."""
+    """Fit polynomials to the pieces of a short record."""
     polynomials = np.empty(len(y))
     for start, stop, degree in polynomial_pieces(y):
         piece = slice(start, stop)
@@ -237,11 +237,11 @@ def _polynomials(x: Floats, y: Floats) -> Floats:
     return polynomials
 
 
-def _stands(values: Floats, curve: Floats, parameters: int) -> bool:
-    """Whether the mean of a rest says as much as a curve through it.
+def _is_constant(values: Floats, curve: Floats, parameters: int) -> bool:
+    """Return whether the mean of a rest fits as well as a curve.
 
     By the information criterion of Schwarz, Ann. Stat. 6 (1978) 461. A curve through noise is
-    highest at an end of the rest, and a peak that is read there comes out too high.
+    highest at an end of the rest, and a peak there would be too high.
     """
     count = len(values)
     about_mean, about_curve = np.var(values), np.mean((values - curve) ** 2)
@@ -249,12 +249,12 @@ def _stands(values: Floats, curve: Floats, parameters: int) -> bool:
     return bool(about_mean <= limit * about_curve)
 
 
-def _meet(values: Floats, cut: int) -> None:
-    """Let two pieces meet where they cross: a turn lies between two samples, not at the cut.
+def _join_pieces(values: Floats, cut: int) -> None:
+    """Join two pieces where they cross: a turn is between two samples, not at the cut.
 
-    A piece that begins a sample early, or ends one late, runs past the corner. There the other one
-    holds, carried on by a sample: the lower of both where the slope falls, else the higher. Pieces
-    that are farther apart than their slopes explain, as at a slip, stay as they are.
+    A piece that begins a sample early, or ends one late, runs past the corner. There the other
+    piece is extrapolated by a sample: the lower of both if the slope falls, else the higher. Pieces
+    farther apart than their slopes explain, as at a slip, are not changed.
     """
     max_gap_steps = 2.5
     left, right = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
@@ -265,18 +265,20 @@ def _meet(values: Floats, cut: int) -> None:
     values[cut - 1], values[cut] = pick(values[cut - 1], back), pick(values[cut], ahead)
 
 
-def _with_samples(knots: Floats, x: Floats) -> Floats:
-    """Knots without those in gaps, so that every spline of the basis has samples beneath it."""
+def _supported_knots(knots: Floats, x: Floats) -> Floats:
+    """Remove knots in gaps, so that every spline of the basis has samples."""
     inner = knots[4:-4]
     counts = np.diff(np.searchsorted(x, np.concatenate([[0.0], inner, [1.0]])))
-    supported = [knot for knot, before in zip(inner, counts[:-1], strict=True) if before > _DEGREE]
-    while supported and (x > supported[-1]).sum() <= _DEGREE:
+    supported = [
+        knot for knot, before in zip(inner, counts[:-1], strict=True) if before > _SPLINE_DEGREE
+    ]
+    while supported and (x > supported[-1]).sum() <= _SPLINE_DEGREE:
         supported.pop()
     return np.concatenate([knots[:4], supported, knots[-4:]])
 
 
-def _line(t: Floats, y: Floats) -> Floats:
-    """Straight line through a few samples; fewer than three are taken as they are."""
+def _straight_line(t: Floats, y: Floats) -> Floats:
+    """Fit a straight line to a few samples; fewer than three are returned unchanged."""
     if len(y) < 3 or np.ptp(t) == 0.0:
         return y
     lever = t - t.mean()
@@ -284,7 +286,7 @@ def _line(t: Floats, y: Floats) -> Floats:
     return line
 
 
-def replicated(
+def draw_replicates(
     measured: Trace,
     unfiltered: Trace,
     cuts: Sequence[int],
@@ -294,32 +296,38 @@ def replicated(
     seed: bytes,
     compliance: float = 0.0,
 ) -> Replicates:
-    """Draw curves that a measured one may have been.
+    """Draw replicates of a measured curve.
 
     Parameters
     ----------
-    measured : numbers are read from
-    unfiltered : the same without filters, on at most some 20 000 samples
+    measured : the curve that numbers are read from
+    unfiltered : the same without filters, on at most about 20 000 samples
     cuts : samples of `unfiltered` at which a new piece begins
-    filters : what the protocol's filters make of displacements and of forces (..., n)
-    inputs : what else is drawn
+    filters : filters of the protocol for displacements and for forces (..., n)
+    inputs : further uncertain inputs
     seed : of all draws
-    compliance : m/N, times the force to be taken off the displacement of `unfiltered`
+    compliance : m/N; times the force, it is subtracted from the displacement of `unfiltered`
 
     Returns
     -------
-    The same for the same seed.
+    The replicates, the same for the same seed.
     """
-    parts, before = parts_of(unfiltered), None
+    parts, before = spline_intervals_of(unfiltered), None
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
     for name, act in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
         curve = smooth_curve(time, values, cuts, parts, broken=failed, branches=unfiltered.branches)
-        noise = _noise(values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force")
-        before = None if noise.is_none else noise.draw(len(time), COUNT, stream(seed, name))
-        drawn.append(_filtered(curve, before, act))
+        noise = _record_noise(
+            values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force"
+        )
+        before = (
+            None
+            if noise.is_zero
+            else noise.draw(len(time), N_REPLICATES, random_stream(seed, name))
+        )
+        drawn.append(_noisy_and_filtered(curve, before, act))
         noises[name] = noise
         smooth.append(curve)
     displacement, force = drawn
@@ -332,31 +340,31 @@ def replicated(
     return replace(replicates, noises=noises)
 
 
-def _filtered(curve: Floats, noise: Singles | None, act: Filter) -> Floats:
-    """A curve with each noise, filtered: shape (replicates, n), some at a time."""
+def _noisy_and_filtered(curve: Floats, noise: Singles | None, act: Filter) -> Floats:
+    """Add noise to a curve and filter it, in batches: shape (replicates, n)."""
     if noise is None:
-        return np.broadcast_to(act(curve[None]), (COUNT, len(curve)))
+        return np.broadcast_to(act(curve[None]), (N_REPLICATES, len(curve)))
     filtered = np.empty(noise.shape)
-    for first in range(0, len(noise), _CHUNK):
-        rows = slice(first, first + _CHUNK)
+    for first in range(0, len(noise), _BATCH_REPLICATES):
+        rows = slice(first, first + _BATCH_REPLICATES)
         filtered[rows] = act(curve + noise[rows])
     return filtered
 
 
-def _noise(
+def _record_noise(
     values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int], *, has_steps: bool
 ) -> Noise:
-    """Noise of a record by its branches up to where the specimen failed, or by all pieces."""
+    """Estimate the noise of a record from its branches up to the failure, or from all pieces."""
     last = len(values) if trace.failed_at is None else trace.failed_at + 1
     pieces = _pieces(cuts, last)
-    if max(piece.stop - piece.start for piece in pieces) < _PER_PART:
+    if max(piece.stop - piece.start for piece in pieces) < _MIN_INTERVAL_SAMPLES:
         pieces = _pieces(cuts, len(values))
     of_pieces = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
     if len(trace.branches) < 2:
-        return noise_of(*of_pieces, has_steps=has_steps)
-    # Before the first branch of a cyclic test and behind its last one nothing moves.
+        return estimate_noise(*of_pieces, has_steps=has_steps)
+    # Rests before the first branch of a cyclic test and after its last one.
     before, behind = values[: trace.branches[0].start], values[trace.branches[-1].stop :]
-    return noise_of(*of_pieces, [before], [behind], has_steps=has_steps)
+    return estimate_noise(*of_pieces, [before], [behind], has_steps=has_steps)
 
 
 def _pieces(cuts: Sequence[int], last: int) -> list[slice]:

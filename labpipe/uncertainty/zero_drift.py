@@ -1,4 +1,4 @@
-"""A zero that wanders: a random walk by its first modes."""
+"""Zero drift: a random walk by its first modes."""
 
 from __future__ import annotations
 
@@ -7,35 +7,35 @@ import numpy as np
 from labpipe.records.arrays import Floats
 
 MODES = 3
-"""They hold 93 % of the variance of a random walk."""
+"""They contain 93 % of the variance of a random walk."""
 
 
 def drift_modes(away: Floats, by: float) -> list[Floats]:
-    """How a zero wanders from where it was taken, each for a standard normal draw of its own.
+    """Return the modes of a zero drift, each for its own standard normal draw.
 
     The modes of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi)
     (Karhunen-Loeve; M. Loeve, Probability Theory II, 4th ed., 1978). They are scaled so that the
-    variance at the end is that which is stated.
+    variance at the end is the stated one.
 
     Parameters
     ----------
-    away : shape (n,), s from where the zero was taken, of which one at least is not zero
-    by : standard uncertainty of the zero where it is farthest away, in any unit
+    away : shape (n,), s, time from where the zero was taken; at least one is not zero
+    by : standard uncertainty of the zero at the largest time, in any unit
 
     Returns
     -------
-    `MODES` of shape (n,), in the unit of `by`; none for a zero that stands still.
+    `MODES` of shape (n,), in the unit of `by`; none for a zero without drift.
     """
     if not by:
         return []
     places = np.pi * (np.arange(MODES) + 0.5)
     scale = by / float(np.sqrt(np.sum(places**-2.0)))
-    most, drift_modes = away.max(), list[Floats]()
+    most, modes = away.max(), list[Floats]()
     for place in places.tolist():
         wave = place * away
         wave /= most
         np.sin(wave, out=wave)
         wave *= scale
         wave /= place
-        drift_modes.append(wave)
-    return drift_modes
+        modes.append(wave)
+    return modes

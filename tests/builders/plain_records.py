@@ -13,7 +13,7 @@ from labpipe.records.curve import Branch, Direction
 from labpipe.records.recording import MarkerTracks
 from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure
-from labpipe.uncertainty.replicates import Filter, Input, Replicates, replicated
+from labpipe.uncertainty.replicates import Filter, Input, Replicates, draw_replicates
 
 STIFFNESS = 100.0
 """N/m"""
@@ -100,7 +100,7 @@ def replicates_of(
     seed: bytes = b"seed",
     compliance: float = 0.0,
 ) -> Replicates:
-    return replicated(trace, trace, cuts, filters, inputs, seed=seed, compliance=compliance)
+    return draw_replicates(trace, trace, cuts, filters, inputs, seed=seed, compliance=compliance)
 
 
 def measured(

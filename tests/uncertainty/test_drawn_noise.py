@@ -11,7 +11,7 @@ import pytest
 from scipy import signal
 
 from labpipe.records.arrays import Floats
-from labpipe.uncertainty.noise_model import Noise, _processes, noise_of
+from labpipe.uncertainty.noise_model import Noise, _processes, estimate_noise
 from labpipe.uncertainty.polynomial_pieces import polynomial_pieces
 from labpipe.uncertainty.replicates import smooth_curve
 
@@ -29,7 +29,7 @@ def autoregressive(factor: float, shape: Sequence[int], seed: int) -> Floats:
 def judged(values: Floats, *more: Floats) -> Noise:
     """Of records whose smooth curve is zero."""
     branches = [values, *more]
-    return noise_of(branches, [np.zeros(len(branch)) for branch in branches])
+    return estimate_noise(branches, [np.zeros(len(branch)) for branch in branches])
 
 
 def known(variance: float, longest: int) -> Noise:
@@ -89,11 +89,11 @@ def test_one_short_record_leaves_its_variance_open() -> None:
 
 
 def test_the_chances_follow_the_record() -> None:
-    white = [judged(RNG(seed).normal(size=3000)).memory for seed in range(10)]
+    white = [judged(RNG(seed).normal(size=3000)).correlation_time for seed in range(10)]
     assert np.median(white) < 2.0
     for tau in (3.0, 10.0, 40.0):
         records = autoregressive(np.exp(-1.0 / tau), (8, 6000), 4)
-        found = [judged(record).memory for record in records]
+        found = [judged(record).correlation_time for record in records]
         assert np.median(found) == pytest.approx(tau, rel=0.35)
     assert judged(RNG(0).normal(size=3000)).chances.sum() == pytest.approx(1.0)
 
@@ -141,7 +141,7 @@ def test_a_piece_with_a_step_or_with_more_noise_is_left_out() -> None:
     """Of 1.8 times the deviation: 3.2 times the variance, which white noise has by no chance."""
     values = RNG(13).normal(size=3000)
     steps = np.where(np.arange(3000) < 1100, 0.0, 40.0)
-    stepped = noise_of([values + steps], [steps])
+    stepped = estimate_noise([values + steps], [steps])
     louder = values.copy()
     louder[1000:1250] *= 1.8
     for noise in (stepped, judged(louder)):
@@ -168,10 +168,10 @@ def test_no_noise() -> None:
     four, cubic = np.array([1.0, 5.0, 2.0, 8.0]), 1e5 + np.linspace(0.0, 1.0, 500) ** 3
     for values in (np.zeros(0), four, np.full(500, 7.0), np.full(500, np.nan), cubic):
         noise = judged(values)
-        assert noise.is_none
+        assert noise.is_zero
         assert not noise.draw(max(len(values), 1), 3, RNG(0)).any()
     eight = judged(np.array([1.0, 5.0, 2.0, 8.0, 1.0, 0.0, 3.0, 4.0]))
-    assert (eight.is_none, eight.freedom) == (False, 6)
+    assert (eight.is_zero, eight.freedom) == (False, 6)
 
 
 def flicker(shape: tuple[int, int], seed: int) -> Floats:
@@ -193,7 +193,7 @@ def wander(rows: Floats, *, at_rest: bool) -> float:
     for row in rows:
         branches = [row[200 + 650 * at : 850 + 650 * at] for at in range(4)]
         rests = [[row[rest]] if at_rest else [] for rest in RESTS]
-        noise = noise_of(branches, [0.0 * branch for branch in branches], *rests)
+        noise = estimate_noise(branches, [0.0 * branch for branch in branches], *rests)
         drawn = noise.draw(3000, 400, RNG(8))
         found.append(np.std(drawn[:, RESTS[1]].mean(axis=1) - drawn[:, RESTS[0]].mean(axis=1)))
     return float(np.mean(found))
@@ -230,7 +230,7 @@ def test_a_corner_of_a_long_record_is_no_fast_noise() -> None:
     curve = 5e4 * np.minimum(at / 0.05, 1.0)
     values = curve + RNG(4).normal(0.0, 2.0, len(at))
     smooth = smooth_curve(at, values, [], 12)
-    noise = noise_of([values], [smooth])
+    noise = estimate_noise([values], [smooth])
     assert noise.draw(len(at), 50, RNG(0)).std() == pytest.approx(2.0, rel=0.1)
 
 
@@ -259,6 +259,6 @@ def test_noise_of_a_short_record_is_what_polynomials_leave(
         pieces = polynomial_pieces(values)
         assert (pieces[0].start, pieces[-1].stop) == (0, count)
         assert all(one.stop == other.start for one, other in pairwise(pieces))
-        noise = noise_of([values], [values])
+        noise = estimate_noise([values], [values])
         spreads.append(noise.draw(count, 50, RNG(0)).std())
     assert 0.75 < np.median(spreads) / 0.002 < most

@@ -264,7 +264,7 @@ def test_noise_as_slow_as_the_record(share: float) -> None:
     chances = np.zeros(len(made.noises["force"].chances))
     chances[[0, 48]] = 1.0 - share / 0.05, share / 0.05
     noise = replace(made.noises["force"], chances=chances)
-    assert noise.memory == pytest.approx(3000 * share, rel=0.01)
+    assert noise.correlation_time == pytest.approx(3000 * share, rel=0.01)
     found = measure(replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000))
     assert isinstance(found, tuple)
     codes = [reason.code for _, reason in found[0].doubts]

@@ -13,7 +13,7 @@ from labpipe.records.arrays import Floats
 from labpipe.uncertainty.autocorrelation import (
     Grid,
     Noise,
-    ReducedTest,
+    StretchLikelihood,
     cubic_basis,
     exact_covariance,
     fast_noise,
@@ -118,7 +118,9 @@ def test_the_residual_deviation_is_that_of_the_textbook() -> None:
 
 def test_more_stretches_know_the_correlation_better() -> None:
     grid = Grid(100, 100)
-    evidence = [ReducedTest.of(cubic_basis(100), noise(k, 100, 5.0), grid, 128) for k in range(8)]
+    evidence = [
+        StretchLikelihood.of(cubic_basis(100), noise(k, 100, 5.0), grid, 128) for k in range(8)
+    ]
     one, all_of_them = (Noise.of(evidence[:count], grid) for count in (1, 8))
     entropies = [
         -float(np.sum(part.chances * np.log(part.chances + 1e-300))) for part in (one, all_of_them)

@@ -10,8 +10,8 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure
-from labpipe.uncertainty.extractors import Reading, Trace, combined
-from labpipe.uncertainty.replicates import COUNT, Input, Law, replicated, smooth_curve
+from labpipe.uncertainty.extractors import Reading, Trace, combine
+from labpipe.uncertainty.replicates import N_REPLICATES, Input, Law, draw_replicates, smooth_curve
 from labpipe.uncertainty.zero_drift import drift_modes
 from tests.builders.plain_records import replicates_of, trace_of
 
@@ -65,7 +65,7 @@ def test_draws_of_an_input(law: Law, low: float, high: float) -> None:
     given = Input("zero of the force", unmoved, law=law)
     drawn = replicates_of(trace_of(TIME)).draws(given)
     mean, deviation = (-0.5, 12.0**-0.5) if law == "step" else (0.0, 1.0)
-    assert drawn.shape == (COUNT,)
+    assert drawn.shape == (N_REPLICATES,)
     assert low <= drawn.min() < drawn.max() <= high
     assert (np.mean(drawn), given.deviation) == pytest.approx((mean, deviation), abs=0.01)
     assert np.std(drawn) == pytest.approx(deviation, rel=0.02)
@@ -76,7 +76,7 @@ def test_draws_of_an_input(law: Law, low: float, high: float) -> None:
 def test_replicates_scatter_about_the_smooth_curve() -> None:
     force, way = cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000), TIME + RNG(2).normal(0.0, 0.02, 1000)
     found = replicates_of(trace_of(force, way))
-    assert found.force.shape == found.displacement.shape == (COUNT, 1000)
+    assert found.force.shape == found.displacement.shape == (N_REPLICATES, 1000)
     for drawn, smooth, truth, spread in (
         (found.force, found.smooth.force, cubic(TIME), 0.3),
         (found.displacement, found.smooth.displacement, TIME, 0.02),
@@ -176,7 +176,7 @@ def test_rests_of_a_cyclic_test_are_looked_at() -> None:
     freedom = list[int]()
     for branches in (both[:1], both):
         trace = Trace(time, way + wandering(1), force, branches)
-        made = replicated(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
+        made = draw_replicates(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
         freedom.append(made.noises["displacement"].freedom)
     assert freedom[1] - freedom[0] == 2 * 48 - 1 - 3
     ends = [made.displacement[:, part].mean(axis=1) for part in (slice(0, 200), slice(2800, None))]
@@ -230,13 +230,13 @@ def test_a_finer_curve_is_the_same_curve() -> None:
 
 
 def test_a_number_is_made_of_the_first_of_each_part() -> None:
-    found = combined(shared, largest, reach)(TRACE)
+    found = combine(shared, largest, reach)(TRACE)
     assert isinstance(found, Reading)
     assert found.n == 3
     assert found.numbers(TRACE)[0] == 6.0 / 2.0 * 4.0
     why, later = Failure("no_peak", "none"), Failure("no_reach", "none")
-    assert combined(shared, largest, lambda _: later)(TRACE) is later
-    assert combined(shared, lambda _: why, lambda _: later)(TRACE) is why
+    assert combine(shared, largest, lambda _: later)(TRACE) is later
+    assert combine(shared, lambda _: why, lambda _: later)(TRACE) is why
     force = np.array([[1.0, 2.0, 3.0], [2.0, 8.0, 4.0]])
     way = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 4.0]])
     many = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
@@ -254,7 +254,7 @@ def test_in_noise_each_part_is_read_as_in_noise() -> None:
 
     assert moved(TRACE).drawn(TRACE)[0] == 1.0
     assert largest(TRACE).drawn(TRACE)[0] == 6.0
-    found = combined(shared, moved, reach)(TRACE)
+    found = combine(shared, moved, reach)(TRACE)
     assert isinstance(found, Reading)
     assert found.numbers(TRACE)[0] == 12.0
     assert found.drawn(TRACE)[0] == 2.0
@@ -268,7 +268,7 @@ def test_draws_that_are_given_and_displacements_from_elsewhere() -> None:
     other = found.draws(replace(given, cause="scale of the force"))
     assert abs(np.corrcoef(draws, other)[0, 1]) < 0.2
     assert np.array_equal(found.draws(replace(given, cause="section", stream="slack")), draws)
-    known = np.arange(float(COUNT))
+    known = np.arange(float(N_REPLICATES))
     assert found.draws(replace(given, draws=known)) is known
     moved = found.displaced(-2e-3, given)
     for before, after in ((found.measured, moved.measured), (found.smooth, moved.smooth)):
