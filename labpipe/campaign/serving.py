@@ -31,7 +31,7 @@ from labpipe.campaign.saved_decisions import ImportedDecisions, take_in
 from labpipe.errors import LabpipeError, UsageError, error_text, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE
-from labpipe.report.page_parts import served
+from labpipe.report.page_parts import allow_own_server
 from labpipe.report.page_tests import page_file
 from labpipe.report.wording import count_of
 from labpipe.units import whole_number
@@ -39,8 +39,6 @@ from labpipe.units import whole_number
 LOOPBACK: Final = "127.0.0.1"
 REPORT: Final = "report"
 _TESTS: Final = page_file("").partition("/")[0]
-_MOST_BYTES = 5_000_000
-"""Of what a page may send."""
 _TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".svg": "image/svg+xml",
@@ -189,7 +187,9 @@ class _Handler(BaseHTTPRequestHandler):
             return
         if parts == [REPORT, PAGE_FILE]:
             text = (site.report / PAGE_FILE).read_text(encoding="utf-8")
-            self._send(served(text).encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
+            self._send(
+                allow_own_server(text).encode(), _TYPES[".html"], policy="frame-ancestors 'none'"
+            )
             return
         if len(parts) == 3 and parts[:2] == [REPORT, _TESTS]:
             with site.work:
@@ -215,11 +215,13 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_json(answer)
 
     def _body(self) -> bytes:
+        # Of what a page may send.
+        max_bytes = 5_000_000
         said = self.headers.get("Content-Length", "")
         length = whole_number(said)
-        if length is None or length > _MOST_BYTES:
+        if length is None or length > max_bytes:
             self.close_connection = True
-            found = f"expected at most {_MOST_BYTES} bytes, found {said[:20] or 'no length'}."
+            found = f"expected at most {max_bytes} bytes, found {said[:20] or 'no length'}."
             raise RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"decisions: {found}")
         return self.rfile.read(length)
 

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Bending, BendingCloud, Direction, MeasuredLaw
 from labpipe.records.result import TestResult
-from labpipe.report.curve_figures import MOST_COLOURS, cycle_colours
+from labpipe.report.curve_figures import MAX_CYCLE_COLOURS, cycle_colours
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
@@ -18,8 +18,8 @@ from labpipe.report.figure_page import (
     new_page,
     panel_letter,
     put_key,
-    say,
     titled_page,
+    write_reason,
 )
 from labpipe.report.wording import Scale, footnote, scale, title, unit_words, why_missing
 
@@ -28,23 +28,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_MOST_POINTS = 4000
-"""Points of a cloud that a figure shows; more hide one another."""
 _LAW, _NOISE = "black", "#e6e6e6"
 _BAND: dict[str, Any] = {"color": "black", "alpha": 0.18, "lw": 0}
 _TANGENT: dict[str, Any] = {
     "color": "#D55E00", "linestyle": "", "marker": "o", "markersize": 3.2, "capsize": 1.5,
     "markerfacecolor": "white", "linewidth": 0.7, "elinewidth": 0.7,
 }  # fmt: skip
-_LEAST_SHOWN = 1e-3
-"""Of the largest curvature: where the axis of stiffnesses begins if nothing is noise."""
 
 
 def draw_moment_curvature(result: TestResult) -> Figure:
     """Draw (a) the cloud of all branches with the law and (b) the law's stiffnesses."""
     if result.bending is None:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
-        say(page.subplots(), why_missing(result, "measured moment-curvature"))
+        write_reason(page.subplots(), why_missing(result, "measured moment-curvature"))
         return page
     page = titled_page(
         title(result), footnote(result), width_mm=DOUBLE_COLUMN, height_mm=92, key_rows=2
@@ -63,18 +59,19 @@ def plot_cloud(result: TestResult, axes: Axes) -> None:
 
     Parameters
     ----------
-    result : its measured bending is drawn: loading as dots, unloading as open circles, cycles told
-        apart by colour, beginning where the law says that the specimen was at rest; the band is the
-        law's 95 % interval, the grey stripe where curvature is not above its noise
+    result : its measured bending is drawn: loading as dots, unloading as open circles, one colour
+        per cycle, starting where the law puts the specimen at rest; the band is the 95 % interval
+        of the law, the grey stripe the curvatures within noise
     axes : to draw on
     """
+    max_cloud_points = 4000
     bending = result.bending
     if bending is None:
         return
-    across, up = _curvature(result), _shown(scale(result, "moment", "N*m"))
+    across, up = _curvature(result), _with_typeset_unit(scale(result, "moment", "N*m"))
     x, y = _points(bending)
-    every = -(-x.size // _MOST_POINTS)
-    for branch, look in _looks(result, bending.cloud).items():
+    every = -(-x.size // max_cloud_points)
+    for branch, look in _branch_styles(result, bending.cloud).items():
         rows = bending.cloud.branch == branch
         points = (x[rows].ravel()[::every], y[rows].ravel()[::every])
         axes.plot(points[0] * across.factor, points[1] * up.factor, **look)
@@ -85,7 +82,7 @@ def plot_cloud(result: TestResult, axes: Axes) -> None:
 
 
 def _points(bending: Bending) -> tuple[Floats, Floats]:
-    """Curvatures and moments from the straight, unloaded specimen; without a law from its rest."""
+    """Return curvatures and moments from the straight, unloaded state; without a law from rest."""
     cloud, law = bending.cloud, bending.law
     if law is None:
         return cloud.curvature, cloud.moment
@@ -109,17 +106,18 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
 
     Parameters
     ----------
-    result : its law is drawn from where curvature is above its noise; the grey stripe is where it
-        is not; the tangent at the knots of the law, with its interval
+    result : its law is drawn where curvature is above its noise; the grey stripe is where it
+        is not; tangents are drawn at the knots of the law, with their intervals
     axes : to draw on, curvature on a logarithmic axis; a sentence if there is no law
     """
+    min_curvature_share = 1e-3  # start of the axis, of the largest curvature
     law = result.bending.law if result.bending is not None else None
     if law is None:
-        say(axes, str(result.bending.reason or "") if result.bending is not None else "")
+        write_reason(axes, str(result.bending.reason or "") if result.bending is not None else "")
         return
     from matplotlib.ticker import LogFormatter
 
-    across, up = _curvature(result), _shown(scale(result, "bending_stiffness", "N*m^2"))
+    across, up = _curvature(result), _with_typeset_unit(scale(result, "bending_stiffness", "N*m^2"))
     x = law.curvature[1:] * across.factor
     lower, middle, upper = (
         getattr(law, f"secant{end}")[1:] * up.factor for end in ("_lower", "", "_upper")
@@ -127,7 +125,7 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
     axes.fill_between(x, lower, upper, **_BAND)
     axes.plot(x, middle, color=_LAW)
     _draw_tangents(axes, law, across, up)
-    start = max(0.5 * law.floor, _LEAST_SHOWN * law.curvature[-1]) * across.factor
+    start = max(0.5 * law.floor, min_curvature_share * law.curvature[-1]) * across.factor
     axes.axvspan(start, max(law.floor * across.factor, start), color=_NOISE, lw=0)
     axes.set_xscale("log")
     axes.set_xlim(start, float(x[-1]))
@@ -139,10 +137,7 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
 
 
 def _draw_tangents(axes: Axes, law: MeasuredLaw, across: Scale, up: Scale) -> None:
-    """Draw the slope of the law where it is given, at its knots, with its interval.
-
-    Between knots it is no measurement: a line through all places would show noise as zigzags.
-    """
+    """Draw the slope of the law at its knots, where it is measured, with its interval."""
     at = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
     at = at[np.isfinite(law.tangent[at])]
     middle = law.tangent[at]
@@ -157,14 +152,14 @@ def _plain(value: float, _place: object) -> str:
     return f"{value:g}"
 
 
-def _looks(result: TestResult, cloud: BendingCloud) -> dict[int, dict[str, Any]]:
-    """How the points of each branch look."""
+def _branch_styles(result: TestResult, cloud: BendingCloud) -> dict[int, dict[str, Any]]:
+    """Return the style of the points of each branch."""
     colours = cycle_colours(int(cloud.cycle.max(initial=1)))
-    looks: dict[int, dict[str, Any]] = {}
+    styles: dict[int, dict[str, Any]] = {}
     for branch in np.unique(cloud.branch)[::-1].tolist():  # the first loading on top
         colour = colours[int(cloud.cycle[cloud.branch == branch][0]) - 1]
         filled = colour if _is_loading(result, branch) else "none"
-        looks[branch] = {
+        styles[branch] = {
             "linestyle": "",
             "marker": "o",
             "markersize": 1.8,
@@ -173,7 +168,7 @@ def _looks(result: TestResult, cloud: BendingCloud) -> dict[int, dict[str, Any]]
             "markerfacecolor": filled,
             "alpha": 0.6,
         }
-    return looks
+    return styles
 
 
 def _is_loading(result: TestResult, branch: int) -> bool:
@@ -186,7 +181,7 @@ def _handles(bending: Bending) -> list[Any]:
     last = int(bending.cloud.cycle.max(initial=1))
     cycles = [
         line_key(f"cycle {number}", linestyle="", marker="o", markersize=3, color=colour)
-        for number, colour in enumerate(cycle_colours(last) if last <= MOST_COLOURS else (), 1)
+        for number, colour in enumerate(cycle_colours(last) if last <= MAX_CYCLE_COLOURS else (), 1)
     ]
     ways = [
         line_key(word, linestyle="", marker="o", markersize=3, color=GREY, markerfacecolor=face)
@@ -208,9 +203,9 @@ _OF_LINES = {"color", "linestyle", "marker", "markersize", "markerfacecolor"}
 
 
 def _curvature(result: TestResult) -> Scale:
-    return _shown(scale(result, "curvature", "1/m"))
+    return _with_typeset_unit(scale(result, "curvature", "1/m"))
 
 
-def _shown(unit: Scale) -> Scale:
-    """A unit with a dot for a product and raised powers."""
+def _with_typeset_unit(unit: Scale) -> Scale:
+    """Write a unit with a dot for a product and raised powers."""
     return Scale(unit.factor, unit_words(unit.unit))

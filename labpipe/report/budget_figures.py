@@ -1,4 +1,4 @@
-"""What intervals are made of: shares of the causes, a bar per number, of a test and of a group."""
+"""Budgets of intervals: shares of the causes, a bar per number, for a test and for a group."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ from labpipe.report.figure_page import (
     keyed_page,
     new_page,
     panel_letter,
-    say,
+    write_reason,
 )
 from labpipe.report.group_plots import count_words
 from labpipe.report.wording import (
     Scale,
     display_of,
     footnote,
-    in_words,
     is_main,
     place_of,
+    result_label,
     rounded,
     shown_in,
     title,
@@ -69,19 +69,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_FINEST = -6
-"""Last place of a number beyond which it has a power of ten."""
-_THICK = 0.74
-"""Of a bar, as a share of its row."""
-_ROW, _FRAME = 6.0, 26.0
-"""mm: height of a bar with its gap, and of axis and heading."""
-_LEFT, _RIGHT = 0.06, 0.03
-"""Margins, as shares of the width of a page."""
+_ROW_MM = 6.0
+"""Height of a bar with its gap."""
+_FRAME_MM = 26.0
+"""Height of axis and heading."""
 MOST_BARS = 20
-_LEAST_SHOWN = 0.02
-"""Share from which a cause has a colour of its own in one of the bars."""
-_LEAST_WRITTEN = 0.10
-"""Share from which a bar has room for its number."""
+_MIN_LABELLED_SHARE = 0.10
+"""Smallest share of a bar that has room for its number."""
 SMALLER = "causes under 2 % in every bar"
 _HATCH = "////"
 COLOURS_OF_CAUSES: Mapping[str, str] = {
@@ -116,48 +110,51 @@ COLOURS_OF_CAUSES: Mapping[str, str] = {
 }
 """One family of colours for each instrument; a cause has the same colour in every figure."""
 _OTHER = "#ededed"
-_DARK = 0.45
-"""Brightness below which white reads better on a colour than black."""
 
 
 class Bar(NamedTuple):
-    """One number: what it is called, the shares of its interval, what stands to its right."""
+    """One number: its name, the shares of its interval by cause, and the text to its right."""
 
     name: str
     shares: Mapping[str, float]
-    words: str = ""
+    text: str = ""
 
 
 def draw_budget(result: TestResult) -> Figure:
-    """Draw what the intervals of a test are made of: shares of the variance, a bar per number.
+    """Draw the budgets of a test's intervals: shares of the variance, a bar per number.
 
     Numbers of later cycles, of single slips and of the clocks are left out.
     """
-    own = [result for result in result.results if result.largest_share is not None]
-    shown = [each for each in own if is_main(each.name) and _is_first(each.name)][:MOST_BARS]
-    if not shown:
+    results_with_budget = [result for result in result.results if result.largest_share is not None]
+    shown_results = [
+        number for number in results_with_budget if is_main(number.name) and _is_first(number.name)
+    ][:MOST_BARS]
+    if not shown_results:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=40)
-        say(page.subplots(), "No number of this test says what its interval is made of.")
+        write_reason(page.subplots(), "No number of this test has a budget of its interval.")
         return page
-    bars = [_bar(each, result.display) for each in shown]
-    cycle = "Of numbers of cycles, those of the first." if any("." in x.name for x in shown) else ""
+    bars = [_bar(number, result.display) for number in shown_results]
+    cycle = (
+        "Numbers per cycle: first cycle only." if any("." in x.name for x in shown_results) else ""
+    )
     note = " ".join(filter(None, (cycle, footnote(result))))
-    words = PageTexts(title(result), note, _keys(bars))
-    height = _FRAME + _ROW * len(bars)
-    page = keyed_page(words, height_mm=height, width_mm=DOUBLE_COLUMN)
-    _leave_room(page)
+    texts = PageTexts(title(result), note, _keys(bars))
+    height = _FRAME_MM + _ROW_MM * len(bars)
+    page = keyed_page(texts, height_mm=height, width_mm=DOUBLE_COLUMN)
+    _set_side_margins(page)
     plot_bars(bars, page.subplots())
     return page
 
 
-def _leave_room(page: Figure) -> None:
-    """Keep a margin on either side: where a page lacks the font, its words are wider."""
+def _set_side_margins(page: Figure) -> None:
+    """Set margins on both sides: texts are wider where the font of the page is missing."""
+    left_margin, right_margin = 0.06, 0.03  # shares of the width of the page
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     engine = page.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
         _, low, _, height = engine.get()["rect"]
-        engine.set(rect=(_LEFT, low, 1.0 - _LEFT - _RIGHT, height))
+        engine.set(rect=(left_margin, low, 1.0 - left_margin - right_margin, height))
 
 
 def _is_first(name: str) -> bool:
@@ -168,22 +165,27 @@ def _bar(result: Result, display: Mapping[str, str]) -> Bar:
     rows = zip(result.budget, result.shares, strict=True)
     scale = shown_in(result.name, result.unit, display)
     shares = {row.cause: share for row, share in rows}
-    return Bar(_name(result.name), shares, half_width(result.interval, scale))
+    return Bar(_bar_name(result.name), shares, half_width(result.interval, scale))
 
 
-def _name(name: str) -> str:
-    """A number in words, without the cycle, which is the first in every bar."""
-    return in_words(name.partition(".")[0])
+def _bar_name(name: str) -> str:
+    """Name a number without its cycle, which is the first in every bar."""
+    return result_label(name.partition(".")[0])
 
 
 def half_width(interval: Interval | None, scale: Scale) -> str:
-    """Half the width of an interval in words, such as ``-+ 0.11 mm``; empty without one."""
+    """Write half the width of an interval, such as ``-+ 0.11 mm``; empty without an interval."""
+    last_plain_place = -6  # smaller numbers have a power of ten
     if interval is None:
         return ""
     half = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
     place = place_of(half, None, digits=2)
-    words = write_number(half, None, digits=2).value if place < _FINEST else rounded(half, place)
-    return f"\u00b1 {words} {unit_words(scale.unit)}".strip()
+    text = (
+        write_number(half, None, digits=2).value
+        if place < last_plain_place
+        else rounded(half, place)
+    )
+    return f"\u00b1 {text} {unit_words(scale.unit)}".strip()
 
 
 def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
@@ -191,25 +193,26 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
 
     Parameters
     ----------
-    bars : with shares that add to one; without any, a place is left free
-    axes : to draw on; hatched is what all tests of a rig share
-    of : what the shares are shares of
+    bars : with shares that add to one; a bar without shares leaves its row empty
+    axes : to draw on; causes that all tests of a rig share are hatched
+    of : the quantity that is divided into shares
     """
+    bar_height = 0.74  # share of the row
     from matplotlib.patches import Rectangle
 
     named = set(named_causes([bar.shares for bar in bars]))
     beside = axes.get_yaxis_transform()
     for height, bar in enumerate(bars):
         start = 0.0
-        for cause, share in parts_of(bar.shares, named).items():
-            corner = 100 * start, height - _THICK / 2
-            axes.add_artist(Rectangle(corner, 100 * share, _THICK, **_look(cause)))
-            if share >= _LEAST_WRITTEN:
-                _write(axes, 100 * (start + share / 2), height, share, cause)
+        for cause, share in bar_parts(bar.shares, named).items():
+            corner = 100 * start, height - bar_height / 2
+            axes.add_artist(Rectangle(corner, 100 * share, bar_height, **_bar_style(cause)))
+            if share >= _MIN_LABELLED_SHARE:
+                _write_share(axes, 100 * (start + share / 2), height, share, cause)
             start += share
-        axes.text(1.01, height, bar.words, transform=beside, va="center")
+        axes.text(1.01, height, bar.text, transform=beside, va="center")
         axes.text(-0.01, height, bar.name, transform=beside, va="center", ha="right")
-    if any(bar.words for bar in bars):
+    if any(bar.text for bar in bars):
         axes.text(1.01, -0.8, "95 %", transform=beside, color=GREY, va="center")
     axes.set_yticks([])
     axes.set_ylim(len(bars) - 0.5, -0.5)
@@ -218,53 +221,57 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     axes.set_xlabel(f"Share of the {of} (%)")
 
 
-def _write(axes: Axes, at: float, height: float, share: float, cause: str) -> None:
-    """Put a share on its colour; on hatched ground it has a patch below it."""
+def _write_share(axes: Axes, at: float, height: float, share: float, cause: str) -> None:
+    """Write a share on its colour; on hatching, on a patch of plain colour."""
+    dark_below = 0.45  # brightness below which white is easier to read than black
     from matplotlib.colors import to_rgb
 
     ground = COLOURS_OF_CAUSES.get(cause, _OTHER)
     red, green, blue = to_rgb(ground)
-    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
+    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < dark_below
     is_hatched = IS_COMMON.get(cause, False)
-    words = axes.text(
+    label = axes.text(
         at, height, f"{100 * share:.0f}", ha="center", va="center",
         color="white" if is_dark else "black",
         bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
     )  # fmt: skip
-    words.set_in_layout(False)  # it lies on its bar
+    label.set_in_layout(False)  # it lies on its bar
 
 
-def parts_of(shares: Mapping[str, float], named: set[str]) -> dict[str, float]:
-    """Put shares in the order of the key; what is not named stands in one piece at the end.
+def bar_parts(shares: Mapping[str, float], named: set[str]) -> dict[str, float]:
+    """Sort shares in the order of the key, with the sum of those not named at the end.
 
     Parameters
     ----------
     shares : by cause
     named : causes that have a colour of their own
     """
-    ordered = {cause: shares[cause] for cause in _listed(shares)}
+    ordered = {cause: shares[cause] for cause in _sort_causes(shares)}
     parts = {cause: share for cause, share in ordered.items() if cause in named}
     rest = sum(share for cause, share in ordered.items() if cause not in named)
     return {**parts, **({SMALLER: rest} if rest > 0.0 else {})}
 
 
-def _listed(causes: Iterable[str]) -> list[str]:
+def _sort_causes(causes: Iterable[str]) -> list[str]:
     every = set(causes)
     return [*([SCATTER] if SCATTER in every else []), *in_order(every - {SCATTER})]
 
 
 def named_causes(bars: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes that have a share worth seeing in one of the bars.
+    """List the causes whose share in at least one bar is large enough to be drawn.
 
     Parameters
     ----------
     bars : shares by cause
     """
-    every = {cause for shares in bars for cause, share in shares.items() if share >= _LEAST_SHOWN}
-    return _listed(every)
+    min_named_share = 0.02
+    every = {
+        cause for shares in bars for cause, share in shares.items() if share >= min_named_share
+    }
+    return _sort_causes(every)
 
 
-def _look(cause: str) -> dict[str, Any]:
+def _bar_style(cause: str) -> dict[str, Any]:
     is_common = IS_COMMON.get(cause, False)
     look = {
         "facecolor": COLOURS_OF_CAUSES.get(cause, _OTHER),
@@ -276,28 +283,30 @@ def _look(cause: str) -> dict[str, Any]:
 
 def _keys(bars: Sequence[Bar]) -> list[Artist]:
     named = named_causes([bar.shares for bar in bars])
-    rest = any(SMALLER in parts_of(bar.shares, set(named)) for bar in bars)
+    rest = any(SMALLER in bar_parts(bar.shares, set(named)) for bar in bars)
     causes = [*named, *([SMALLER] if rest else [])]
-    keys = [area_key(cause, **_look(cause)) for cause in causes]
+    keys = [area_key(cause, **_bar_style(cause)) for cause in causes]
     if any(IS_COMMON.get(cause, False) for cause in named):
         hatched = {"facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": _HATCH}
-        keys.append(area_key("hatched: all tests share it", **hatched))
+        keys.append(area_key("hatched: common to all tests", **hatched))
     return keys
 
 
 def budgets_to_draw(group: Group) -> list[GroupNumber]:
-    """Pick the numbers of a group that have budgets: no later cycles, no slips, no clocks.
+    """Return the numbers of a group that have budgets: no later cycles, no slips, no clocks.
 
     Parameters
     ----------
     group : with or without samples
     """
-    own = [number for number in group.numbers if is_main(number.name) and _is_first(number.name)]
-    return [each for each in own if group_budget(each).of_tests][:MOST_BARS]
+    numbers = [
+        number for number in group.numbers if is_main(number.name) and _is_first(number.name)
+    ]
+    return [number for number in numbers if group_budget(number).of_tests][:MOST_BARS]
 
 
 def draw_group_budgets(group: Group) -> Figure:
-    """Draw what intervals of the tests of a group, and of its means, are made of.
+    """Draw the budgets of the intervals of a group's tests and of its means.
 
     Parameters
     ----------
@@ -306,19 +315,21 @@ def draw_group_budgets(group: Group) -> Figure:
     numbers = budgets_to_draw(group)
     budgets = [group_budget(number) for number in numbers]
     of_tests = [
-        Bar(_name(number.name), budget.of_tests)
+        Bar(_bar_name(number.name), budget.of_tests)
         for number, budget in zip(numbers, budgets, strict=True)
     ]
     of_means = [
-        Bar(_name(number.name), budget.of_mean, _half_of_mean(group, number))
+        Bar(_bar_name(number.name), budget.of_mean, _half_of_mean(group, number))
         for number, budget in zip(numbers, budgets, strict=True)
     ]
     heading = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
-    words = PageTexts(heading, "", _keys([*of_tests, *of_means]))
+    texts = PageTexts(heading, "", _keys([*of_tests, *of_means]))
     has_means = any(bar.shares for bar in of_means)
-    height = _FRAME + (2.0 * _ROW * len(numbers) + 18.0 if has_means else _ROW * len(numbers) + 4.0)
-    page = keyed_page(words, height_mm=height)
-    _leave_room(page)
+    height = _FRAME_MM + (
+        2.0 * _ROW_MM * len(numbers) + 18.0 if has_means else _ROW_MM * len(numbers) + 4.0
+    )
+    page = keyed_page(texts, height_mm=height)
+    _set_side_margins(page)
     panels = page.subplots(2 if has_means else 1, squeeze=False).ravel()
     plot_bars(of_tests, panels[0])
     panel_letter(panels[0], "a", "One test: median shares")

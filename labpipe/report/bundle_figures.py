@@ -1,4 +1,4 @@
-"""Bundles: section and bounds of bending, and where samples lie between slipping and sticking."""
+"""Bundles: section, bounds of bending, and samples between slipping and sticking."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from labpipe.report.figure_page import (
     PageTexts,
     area_key,
     keyed_page,
+    label_log_axis,
     line_key,
-    number_log,
     panel_letter,
     style_colours,
 )
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentences
-from labpipe.report.plot_thinning import sure_and_doubtful
+from labpipe.report.plot_thinning import split_doubtful
 from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_sections import CURVATURE, LENGTH, MOMENT, STIFFNESS
 from labpipe.report.wording import Scale, display_of, shown_in, unit_words, write_number
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 
 UNIT = "N*m^2"
 _NOTES = (
-    "All slips: every wire slips on its neighbours, and its strands on each other. Wires slip: the"
-    " same with strands that stick. Nothing slips:"
-    " the section stays plane, bent in the plane of the test; below it, the least and the largest"
-    " of all directions. Both are worked out from the wire sheet, for wires alone: what tape,"
-    " conduit and friction add is in the measured number only.",
-    "Share of the way: 0 % where all slips, 100 % where nothing does. Its interval is that of the"
-    " measured number; how well the wire sheet knows the wires is not in it.",
+    "All slips: every wire slips on its neighbours, and every strand on the other strands. Wires"
+    " slip: the wires slip, their strands stick. Nothing slips: the section stays plane, bent in"
+    " the plane of the test; the line below gives the smallest and largest stiffness over all"
+    " directions. All bounds are computed from the wire sheet, for the wires alone: tape, conduit"
+    " and friction contribute to the measured number only.",
+    "Share of the way: 0 % where all slips, 100 % where nothing slips. Its interval is that of the"
+    " measured number; errors of the wire sheet are not included.",
 )
 
 
@@ -57,7 +57,7 @@ def has_bundles(campaign: Campaign) -> bool:
 
 
 def place_table(campaign: Campaign) -> Table | None:
-    """Make the table of bending stiffnesses between their bounds; None without a wire sheet.
+    """Return the table of bending stiffnesses between their bounds; None without a wire sheet.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def place_table(campaign: Campaign) -> Table | None:
 
 
 def place_scales(campaign: Campaign) -> dict[str, Scale]:
-    """Unit of bending stiffness by group: one for all where their protocols differ in it."""
+    """Return the unit of bending stiffness by group: one for all if their protocols differ."""
     scales = {group.name: shown_in("", UNIT, display_of(group)) for group in campaign.groups}
     first = next(iter(scales.values()))
     is_one = all(scale.unit == first.unit for scale in scales.values())
@@ -92,8 +92,8 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
         none = Cell(DASH)
         return head, Cell(written.value, written.interval), none, none, none, Cell(DASH, why)
     low, free, high, least, largest = (
-        write_number(each, None, scale.factor, digits=3).value
-        for each in (place.low, place.free, place.high, *place.principal)
+        write_number(stiffness, None, scale.factor, digits=3).value
+        for stiffness in (place.low, place.free, place.high, *place.principal)
     )
     share = write_number(100.0 * place.share, None, digits=2)
     if place.share_interval is not None:
@@ -109,11 +109,8 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
     )
 
 
-MOST_ROWS = 36
+MAX_ROWS = 36
 """Rows of a figure, unless one group has more."""
-_ROW, _REST = 4.2, 16.0
-_LONGEST = 88
-"""Characters of a reason in a row."""
 _BOUNDS: dict[str, Any] = {
     "color": "#d5d5d5", "linewidth": 5.0, "solid_capstyle": "butt", "zorder": 1
 }  # fmt: skip
@@ -123,10 +120,10 @@ _FREE: dict[str, Any] = {
 _SAMPLE: dict[str, Any] = {"color": "#0072B2", "marker": "o", "markersize": 3.6}
 _MEAN: dict[str, Any] = {"color": "black", "marker": "D", "markersize": 4.2}
 _CAPTION = (
-    "Grey: from where every wire and strand slips to where nothing slips, by the bundle model of"
-    " the wire sheet, for wires alone; the tick: wires slip, the strands within them do"
-    " not. Dots: samples with their 95 % intervals; diamonds: means of the groups."
-    " The axis is logarithmic; an interval that reaches zero ends at its left edge."
+    "Grey bar: from every wire and strand slipping to nothing slipping, computed by the bundle"
+    " model from the wire sheet, for the wires alone; tick: wires slip, their strands stick. Dots:"
+    " samples with their 95 % intervals; diamonds: means of the groups. The axis is logarithmic;"
+    " an interval that reaches zero ends at its left edge."
 )
 
 
@@ -139,7 +136,7 @@ def place_figures(campaign: Campaign) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    None without places; as many as are needed for `MOST_ROWS` rows each, groups kept whole.
+    No figure without places; otherwise figures of up to `MAX_ROWS` rows, groups kept whole.
     """
     scales = place_scales(campaign)
     parts = list(_parts(campaign.places))
@@ -156,11 +153,11 @@ def _parts(places: Sequence[BundlePlace]) -> Iterator[list[BundlePlace]]:
     for place in places:
         groups.setdefault(place.group, []).append(place)
     part: list[BundlePlace] = []
-    for own in groups.values():
-        if part and len(part) + len(own) > MOST_ROWS:
+    for group_places in groups.values():
+        if part and len(part) + len(group_places) > MAX_ROWS:
             yield part
             part = []
-        part = [*part, *own]
+        part = [*part, *group_places]
     if part:
         yield part
 
@@ -173,8 +170,9 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     places : rows, from the top
     scale : display unit of bending stiffness
     """
-    words = PageTexts("Between slipping and sticking  \u00b7  bundle model", keys=_place_keys())
-    page = keyed_page(words, height_mm=_REST + _ROW * len(places), width_mm=150.0)
+    row_mm, rest_mm = 4.2, 16.0
+    texts = PageTexts("Between slipping and sticking  \u00b7  bundle model", keys=_place_keys())
+    page = keyed_page(texts, height_mm=rest_mm + row_mm * len(places), width_mm=150.0)
     axes = page.subplots()
     low, high = _ends(places, scale.factor)
     axes.set_xscale("log")
@@ -187,25 +185,31 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(places) - 0.4, -0.6)
     axes.set_xlabel(f"Bending stiffness ({unit_words(scale.unit)})")
-    number_log(axes.xaxis)
+    label_log_axis(axes.xaxis)
     axes.xaxis.set_major_formatter(_plain)
     return page
 
 
 def _plain(value: float, _: object = None) -> str:
-    """A number of an axis without a power of ten, in groups of three digits."""
+    """Write a number of an axis without a power of ten, in groups of three digits."""
     return f"{value:,.0f}".replace(",", "\u2009") if value >= 1.0 else f"{value:g}"
 
 
 def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
-    """Ends of the axis: all bounds and values, and their intervals where they are above zero."""
-    every = [each for place in places for each in (place.low, place.high, place.value or 0.0)]
+    """Return the ends of the axis for all positive bounds, values and ends of intervals."""
+    every = [
+        stiffness for place in places for stiffness in (place.low, place.high, place.value or 0.0)
+    ]
     every += [place.interval.upper for place in places if place.interval is not None]
-    values = [factor * each for each in every if each > 0.0] or [1.0, 10.0]  # not NaN either
+    values = [factor * stiffness for stiffness in every if stiffness > 0.0] or [
+        1.0,
+        10.0,
+    ]  # not NaN either
     return 0.7 * min(values), 1.4 * max(values)
 
 
 def _plot_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
+    max_reason_length = 88
     look = _SAMPLE if place.test else _MEAN
     if not isnan(place.low):
         axes.plot([factor * place.low, factor * place.high], [row, row], **_BOUNDS)
@@ -218,8 +222,8 @@ def _plot_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
         axes.plot([factor * place.value], [row], linestyle="", zorder=3, **look)
     why = sentences(place.reasons)
     if why:
-        shown = why if len(why) <= _LONGEST else f"{why[:_LONGEST]}\u2026"
-        axes.text(0.99, row, shown, transform=axes.get_yaxis_transform(), ha="right", va="center",
+        text = why if len(why) <= max_reason_length else f"{why[:max_reason_length]}\u2026"
+        axes.text(0.99, row, text, transform=axes.get_yaxis_transform(), ha="right", va="center",
                   size=6, color=GREY)  # fmt: skip
 
 
@@ -235,8 +239,6 @@ def _place_keys() -> list[Artist]:
 FIGURE = "bundle"
 """Name of the files, without the ending."""
 
-_HEIGHT = 84.0
-_MARGIN = 1.12
 _OUTLINE: dict[str, Any] = {"edgecolor": "black", "linewidth": 0.5}
 _BORE: dict[str, Any] = {
     "fill": False, "edgecolor": "black", "linewidth": 0.6, "linestyle": (0, (4, 2))
@@ -250,7 +252,6 @@ _SLIP: dict[str, Any] = {"color": "#0072B2", "linewidth": 1.4}
 _STICK: dict[str, Any] = {"color": "#D55E00", "linewidth": 1.4}
 _BETWEEN: dict[str, Any] = {"color": "#dedede", "linewidth": 0}
 _ELASTIC: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 1.4))}
-_ALIKE = 1e-6
 
 
 def save_bundle_figure(model: BundleModel, folder: Path, *, png: bool = False) -> list[Path]:
@@ -283,8 +284,9 @@ def bundle_figure(model: BundleModel) -> Figure:
     A page. The arms of the principal axes end at the edge of the wires; bending is along y,
     upwards. Both axes of the moments are logarithmic.
     """
-    words = PageTexts(_title(model), _note(model), _bundle_keys(model))
-    page = keyed_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
+    height_mm = 84.0
+    texts = PageTexts(_title(model), _note(model), _bundle_keys(model))
+    page = keyed_page(texts, height_mm=height_mm, width_mm=DOUBLE_COLUMN)
     section, moments = page.subplots(1, 2, width_ratios=(0.8, 1.0))
     plot_bundle_section(model, section)
     plot_bounds(model, moments)
@@ -301,6 +303,7 @@ def plot_bundle_section(model: BundleModel, axes: Axes) -> None:
     model : of the bundle; where all directions are equally stiff, the axes drawn are y and x
     axes : to draw on
     """
+    margin_factor = 1.12
     from matplotlib.patches import Circle
 
     layout, colours = model.layout, _colours()
@@ -315,17 +318,17 @@ def plot_bundle_section(model: BundleModel, axes: Axes) -> None:
     reach = LENGTH.factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
     _draw_axes(model, axes)
     axes.set_aspect("equal")
-    axes.set_xlim(-_MARGIN * reach, _MARGIN * reach)
-    axes.set_ylim(-_MARGIN * reach, _MARGIN * reach)
+    axes.set_xlim(-margin_factor * reach, margin_factor * reach)
+    axes.set_ylim(-margin_factor * reach, margin_factor * reach)
     axes.set_xlabel(LENGTH.label("x"))
     axes.set_ylabel(LENGTH.label("y, direction of bending"))
 
 
 def _draw_axes(model: BundleModel, axes: Axes) -> None:
-    """Directions of the largest and the least stiffness through the neutral point."""
+    """Draw the directions of the largest and the smallest stiffness through the neutral point."""
     x, y = (LENGTH.factor * value for value in model.neutral)
     reach = 1.06 * LENGTH.factor * model.layout.radius
-    angle = math.pi / 2.0 if _is_alike(model) else model.principal_angle
+    angle = math.pi / 2.0 if _is_isotropic(model) else model.principal_angle
     for turn, look in ((angle, _STIFFEST), (angle + math.pi / 2.0, _SOFTEST)):
         across, up = reach * math.cos(turn), reach * math.sin(turn)
         axes.plot([x - across, x + across], [y - up, y + up], **look)
@@ -352,7 +355,7 @@ def plot_bounds(model: BundleModel, axes: Axes) -> None:
         (slip, _SLIP, model.is_doubtful[use]),
         (stick, _STICK, model.is_doubtful_stick[use]),
     ):
-        for part, fade in sure_and_doubtful(~doubtful):
+        for part, fade in split_doubtful(~doubtful):
             axes.plot(across[part], moment[part], **look, alpha=fade)
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -360,7 +363,7 @@ def plot_bounds(model: BundleModel, axes: Axes) -> None:
     axes.set_xlabel(CURVATURE.label("Curvature"))
     axes.set_ylabel(MOMENT.label("Bending moment"))
     for axis in (axes.xaxis, axes.yaxis):
-        number_log(axis)
+        label_log_axis(axis)
 
 
 def _bundle_keys(model: BundleModel) -> list[Artist]:
@@ -372,35 +375,37 @@ def _bundle_keys(model: BundleModel) -> list[Artist]:
     if model.bundle.conduit_bore is not None:
         bore = {name: _BORE[name] for name in ("linewidth", "linestyle")}
         keys.append(line_key("bore of the conduit", color="black", **bore))
-    if _is_alike(model):
-        keys.append(line_key("y and x: all directions are alike", **_STIFFEST))
+    if _is_isotropic(model):
+        keys.append(line_key("y and x: equal in all directions", **_STIFFEST))
     else:
         keys.append(line_key("stiffest direction", **_STIFFEST))
-        keys.append(line_key("least stiff direction", **_SOFTEST))
+        keys.append(line_key("most flexible direction", **_SOFTEST))
     return [
         *keys,
         line_key("wires stick", **_STICK),
         line_key("wires slip", **_SLIP),
-        line_key("if no copper yielded", **_ELASTIC),
+        line_key("without yielding of copper", **_ELASTIC),
     ]
 
 
 def _title(model: BundleModel) -> str:
-    said = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
+    heading = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
     if model.packing_fraction is None:
-        return said
+        return heading
     bore = LENGTH.factor * (model.bundle.conduit_bore or 0.0)
-    return f"{said}  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
+    return (
+        f"{heading}  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
+    )
 
 
 def _note(model: BundleModel) -> str:
     least, largest = model.principal
     directions = (
-        "alike in all directions"
-        if _is_alike(model)
+        "equal in all directions"
+        if _is_isotropic(model)
         else f"{_digits(least)} to {_digits(largest)} over all directions"
     )
-    said = (
+    bounds = (
         f"EI in {STIFFNESS.unit}: {_digits(model.low)} with wires and strands slipping, "
         f"{_digits(model.free)} with wires slipping, {_digits(model.high)} with nothing slipping "
         f"({directions})."
@@ -410,18 +415,21 @@ def _note(model: BundleModel) -> str:
         for note in model.notes
         if note.code in ("copper_yields", "insulation_doubtful")
     ]
-    return " ".join([said, *(f"{limit[0].upper()}{limit[1:]}." for limit in limits)])
+    return " ".join([bounds, *(f"{limit[0].upper()}{limit[1:]}." for limit in limits)])
 
 
 def _digits(stiffness: float) -> str:
     return write_number(stiffness, None, STIFFNESS.factor, digits=4).value
 
 
-def _is_alike(model: BundleModel) -> bool:
+def _is_isotropic(model: BundleModel) -> bool:
+    rel_tolerance = 1e-6
     least, largest = model.principal
-    return largest - least <= _ALIKE * largest
+    return largest - least <= rel_tolerance * largest
 
 
 def _colours() -> list[str]:
-    own = style_colours()
-    return own[-1:] + own[-2:-1] + own[2:4]  # light ones first, so that lines are seen on them
+    colours = style_colours()
+    return (
+        colours[-1:] + colours[-2:-1] + colours[2:4]
+    )  # light colours first: lines are drawn over them

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 FIGURE = "bundle-loop"
 """Name of the files, without the ending."""
 
-_HEIGHT = 82.0
 _MEASURED: dict[str, Any] = {
     "color": "black", "marker": "o", "markersize": 2.2, "linewidth": 0.5
 }  # fmt: skip
@@ -51,20 +50,21 @@ def save_loop_figure(name: str, fit: FrictionFit, folder: Path, *, png: bool = F
 
 
 def loop_figure(name: str, fit: FrictionFit) -> Figure:
-    """Draw (a) what was fitted and (b) what was predicted, each over the measured force.
+    """Draw (a) the fitted and (b) the predicted force, each over the measured force.
 
     Parameters
     ----------
     name : of the test
     fit : of its friction
     """
+    height_mm = 82.0
     keys = [
         line_key("measured", **_MEASURED),
         line_key("fitted (one parameter)", **_FITTED),
         line_key("predicted", **_PREDICTED),
     ]
-    words = PageTexts(f"{name}  ·  friction between the wires", _note(fit), keys)
-    page = keyed_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
+    texts = PageTexts(f"{name}  ·  friction between the wires", _note(fit), keys)
+    page = keyed_page(texts, height_mm=height_mm, width_mm=DOUBLE_COLUMN)
     fitted, predicted = page.subplots(1, 2, sharex=True, sharey=True)
     plot_loop(fit, ~fit.is_held_out, _FITTED, fitted)
     plot_loop(fit, fit.is_held_out, _PREDICTED, predicted)
@@ -74,7 +74,7 @@ def loop_figure(name: str, fit: FrictionFit) -> Figure:
 
 
 def plot_loop(fit: FrictionFit, chosen: Flags, look: dict[str, Any], axes: Axes) -> None:
-    """Draw some points of a loop, and what the model says of them.
+    """Draw points of a loop and the forces of the model there.
 
     Parameters
     ----------
@@ -93,15 +93,15 @@ def plot_loop(fit: FrictionFit, chosen: Flags, look: dict[str, Any], axes: Axes)
 
 def _note(fit: FrictionFit) -> str:
     slide = LENGTH.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
-    tape = f", the tape slides from {slide:.3g} mm on" if np.isfinite(slide) else ""
+    tape = f"; the tape slides beyond {slide:.3g} mm" if np.isfinite(slide) else ""
     held = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return (
-        f"Read off the first loading: {_percent(fit.composite_share)} of the wires' axial "
-        f"stiffness takes part up to the kink at {LENGTH.factor * fit.loop.kink[0]:.3g} mm{tape}. "
-        f"Fitted to panel a alone: {held.value} % of that is still held after the kink "
+        f"From the first loading: {_percent(fit.composite_share)} of the wires' axial stiffness "
+        f"acts up to the kink at {LENGTH.factor * fit.loop.kink[0]:.3g} mm{tape}. "
+        f"Fitted to panel a alone: {held.value} % of that acts after the kink "
         f"(95 %: {held.lower} % to {held.upper} %). "
         f"Work over the cycles of panel b: {1e3 * fit.loss:.3g} mJ measured, "
-        f"{1e3 * fit.predicted_loss:.3g} mJ predicted. Error: root of the mean square."
+        f"{1e3 * fit.predicted_loss:.3g} mJ predicted. Error: root mean square."
     )
 
 

@@ -1,4 +1,4 @@
-"""Measured curves, and curves from elsewhere, beside what the calibrated model predicts."""
+"""Measured and external curves compared with predictions of the calibrated model."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from labpipe.report.figure_page import (
     GREY,
     PageTexts,
     area_key,
-    in_pages,
     keyed_page,
     line_key,
     panel_grid,
     panel_letter,
     require_room,
+    split_pages,
 )
 from labpipe.report.issues import sentences
-from labpipe.report.plot_thinning import extremes, sure_and_doubtful
+from labpipe.report.plot_thinning import extremes, split_doubtful
 from labpipe.report.wording import count_of
 
 if TYPE_CHECKING:
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MOST_PANELS = 6
-"""Panels on a page."""
-_COLUMNS, _ROW = 2, 66.0
+MAX_PANELS = 6
+"""Panels per page."""
+_COLUMNS = 2
 _SAMPLE: dict[str, Any] = {"color": GREY, "linewidth": 0.45, "alpha": 0.75, "zorder": 2}
 MEAN_LOOK: dict[str, Any] = {"color": "black", "linewidth": 1.3, "zorder": 4}
 MEASURED_LOOK: dict[str, Any] = {"color": "#bbbbbb", "alpha": 0.7, "linewidth": 0, "zorder": 1}
@@ -57,11 +57,12 @@ MODEL_LOOK: dict[str, Any] = {
 PREDICTED_LOOK: dict[str, Any] = {"color": BAND, "alpha": 0.5, "linewidth": 0, "zorder": 1.5}
 """The mean of samples, its band, the model, and its band."""
 _EDGE: dict[str, Any] = {"color": MODEL, "linewidth": 0.5, "zorder": 3}
-_BINS, _ROOM, _LINE = 100, 1.08, 48
+_HEADROOM = 1.08
+"""Top of an axis, of the largest value."""
 
 
 def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
-    """Draw force against deflection as measured and as the model has it, a panel for each group.
+    """Draw measured and modelled force against deflection, a panel per group.
 
     Parameters
     ----------
@@ -72,12 +73,12 @@ def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
     ValueError
         If there is no group, or there are more than fit on a page.
     """
-    require_room(len(groups), MOST_PANELS, "groups")
+    require_room(len(groups), MAX_PANELS, "groups")
     has_model = any(group.prediction is not None for group in groups)
     keys = [line_key("sample", **_SAMPLE), *_keys(groups, has_model=has_model)]
-    words = PageTexts("Measured and predicted first loadings", _note(groups), keys)
+    texts = PageTexts("Measured and predicted first loadings", _note(groups), keys)
     page = keyed_page(
-        words, height_mm=_ROW * math.ceil(len(groups) / _COLUMNS), width_mm=DOUBLE_COLUMN
+        texts, height_mm=66.0 * math.ceil(len(groups) / _COLUMNS), width_mm=DOUBLE_COLUMN
     )
     panels = panel_grid(page, len(groups), columns=_COLUMNS)
     for letter, group, axes in zip("abcdef", groups, panels, strict=False):
@@ -93,13 +94,12 @@ def plot_group(group: ValidationGroup, axes: Axes) -> None:
     Parameters
     ----------
     group : of one wire and one length
-    axes : to draw on; numbers of the agreement stand in its upper left corner, or why there is no
-        prediction
+    axes : to draw on, with the agreement, or the reason for no prediction, in the upper left corner
     """
     for sample in group.samples.values():
-        kept = extremes(sample.force, bins=_BINS)
-        across = DEFLECTION.factor * sample.displacement[kept]
-        axes.plot(across, FORCE.factor * sample.force[kept], **_SAMPLE)
+        rows = extremes(sample.force, bins=100)
+        across = DEFLECTION.factor * sample.displacement[rows]
+        axes.plot(across, FORCE.factor * sample.force[rows], **_SAMPLE)
     _draw_measured(group.band, axes)
     if group.prediction is not None:
         _draw_prediction(group.prediction, group.is_sure, axes)
@@ -108,17 +108,17 @@ def plot_group(group: ValidationGroup, axes: Axes) -> None:
         linespacing=1.25,
     )  # fmt: skip
     axes.set_xlim(left=0.0)
-    axes.set_ylim(min(0.0, _lowest(group)), _ROOM * axes.get_ylim()[1])
+    axes.set_ylim(min(0.0, _lowest(group)), _HEADROOM * axes.get_ylim()[1])
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(FORCE.label("Force"))
 
 
 def agreement_words(group: ValidationGroup) -> str:
-    """Say in a few lines how well the model agrees with a group.
+    """Describe in a few lines how well the model agrees with a group.
 
     Parameters
     ----------
-    group : without errors of the model, what is measured and why there is no prediction
+    group : if the model has no errors, the text gives the reason for no prediction
     """
     lines = [count_of(len(group.samples), "sample")]
     if not np.isfinite(group.band.lower).any():
@@ -126,7 +126,7 @@ def agreement_words(group: ValidationGroup) -> str:
     errors = group.errors
     if errors is None:
         why = f"No prediction. {sentences([group.reason])}".strip()
-        return "\n".join([*lines, *textwrap.wrap(why, _LINE)])
+        return "\n".join([*lines, *textwrap.wrap(why, 48)])
     rmse = SMALL_FORCE.factor * errors.rmse
     lines.append(
         f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(errors.rmse_share)} of the largest force"
@@ -147,7 +147,7 @@ def _draw_prediction(prediction: Prediction, is_sure: Flags, axes: Axes) -> None
     x = DEFLECTION.factor * prediction.deflection
     lower, upper = FORCE.factor * prediction.lower, FORCE.factor * prediction.upper
     band_alpha = PREDICTED_LOOK["alpha"]
-    for use, fade in sure_and_doubtful(is_sure):
+    for use, fade in split_doubtful(is_sure):
         look = PREDICTED_LOOK | {"alpha": fade * band_alpha}
         axes.fill_between(x[use], lower[use], upper[use], **look)
         for edge in (lower, upper):
@@ -156,39 +156,41 @@ def _draw_prediction(prediction: Prediction, is_sure: Flags, axes: Axes) -> None
 
 
 def _lowest(group: ValidationGroup) -> float:
-    """Lowest force of the mean and of the samples, in the display unit: noise is seen whole."""
+    """Return the lowest force of the mean and the samples, in the display unit."""
     forces: list[Floats] = [group.band.mean, *(sample.force for sample in group.samples.values())]
-    known = [force[np.isfinite(force)] for force in forces]
-    return FORCE.factor * min((float(each.min()) for each in known if len(each)), default=0.0)
+    finite = [force[np.isfinite(force)] for force in forces]
+    return FORCE.factor * min(
+        (float(values.min()) for values in finite if len(values)), default=0.0
+    )
 
 
 _LIGHTER = (
-    "The model is lighter where the rim of the insulation is strained beyond what its straight line"
-    " is taken to hold for: it is doubtful there."
+    "The model is drawn lighter where it is doubtful: there the strain at the rim of the insulation"
+    " exceeds its assumed linear range."
 )
 
 
 def _note(groups: Sequence[ValidationGroup]) -> str:
-    """What the bands are of."""
-    said = ["Grey band: the mean of all such samples by Student's t, n - 1 degrees of freedom."]
+    """Describe the bands."""
+    lines = ["Grey band: mean of the samples, Student's t with n - 1 degrees of freedom."]
     if any(len(group.samples) < 2 for group in groups):
-        said.append("One sample has no band.")
+        lines.append("One sample has no band.")
     counts = sorted({group.mean_of for group in groups if group.prediction is not None})
     for number in counts:
         what = "one more sample" if number == 1 else f"the mean of {number} samples"
         of = ""
         if len(counts) > 1:
             of = f" ({', '.join(_names(groups, number))})"
-        said.append(f"Blue band: the model's for {what}{of}.")
+        lines.append(f"Blue band: model, for {what}{of}.")
     if not all(group.is_sure.all() for group in groups):
-        said.append(_LIGHTER)
+        lines.append(_LIGHTER)
     notes = {
         note.message: None
         for group in groups
         if group.prediction is not None
         for note in group.prediction.notes
     }
-    return " ".join([*said, *(f"{text[:1].upper()}{text[1:]}." for text in notes)])
+    return " ".join([*lines, *(f"{text[:1].upper()}{text[1:]}." for text in notes)])
 
 
 def _names(groups: Sequence[ValidationGroup], mean_of: int) -> list[str]:
@@ -200,7 +202,7 @@ def _names(groups: Sequence[ValidationGroup], mean_of: int) -> list[str]:
 
 
 def _keys(groups: Sequence[ValidationGroup], *, has_model: bool) -> list[Artist]:
-    """What there is of the mean of samples, its band, the model, and its band."""
+    """Return the keys of the mean, its band, the model and its band, where drawn."""
     keys = [line_key("mean of samples", **MEAN_LOOK)] if groups else []
     if any(np.isfinite(group.band.lower).any() for group in groups):
         keys.append(area_key("95 % band of the mean", **MEASURED_LOOK))
@@ -210,21 +212,19 @@ def _keys(groups: Sequence[ValidationGroup], *, has_model: bool) -> list[Artist]
     return keys
 
 
-_EXTERNAL_ROW = 70.0
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
 _MARKS = ("o", "s", "^", "D", "v")
-_KEY_LETTERS, _MARKED = 44, 14
-_FREE_ROWS, _ROOM_PER_ROW, _ROW_PER_ROW = 4, 0.06, 4.0
-"""Rows of a key that fit above most curves, and the room that each further one takes."""
+_FREE_KEY_ROWS = 4
+"""Rows of a key that fit above most curves without more room."""
 
 
 class ExternalPanel(NamedTuple):
-    """What one pair of axes shows.
+    """Contents of one pair of axes.
 
     Parameters
     ----------
     wire, length : name, m
-    is_normal : the load stays normal to the undeformed axis, in the model too
+    is_normal : the load stays normal to the undeformed axis, also in the model
     group : tests of that wire and length; None where there are none
     comparisons : external curves
     """
@@ -237,36 +237,39 @@ class ExternalPanel(NamedTuple):
 
     @property
     def prediction(self) -> Prediction | None:
-        """The model as far as the longest of the curves goes."""
-        known = [
+        """Prediction up to the end of the longest curve."""
+        predictions = [
             comparison.prediction
             for comparison in self.comparisons
             if comparison.prediction is not None
         ]
-        return max(known, key=lambda found: float(found.deflection[-1]), default=None)
+        return max(
+            predictions, key=lambda prediction: float(prediction.deflection[-1]), default=None
+        )
 
 
 def external_pages(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
-    """Sort external curves by wire, length and load, and share them out to pages of `MOST_PANELS`.
+    """Group external curves by wire, length and load, in pages of `MAX_PANELS` panels.
 
     Parameters
     ----------
     report : of a calibration
     """
-    found: dict[tuple[str, float, bool], list[ExternalCurveComparison]] = {}
+    comparisons: dict[tuple[str, float, bool], list[ExternalCurveComparison]] = {}
     for comparison in report.comparisons:
         curve = comparison.curve
         key = (curve.wire, round(curve.length, 6), curve.is_normal)
-        found.setdefault(key, []).append(comparison)
+        comparisons.setdefault(key, []).append(comparison)
     groups = {(group.wire, round(group.length, 6)): group for group in report.groups}
     panels = [
-        ExternalPanel(*key, groups.get(key[:2]), tuple(curves)) for key, curves in found.items()
+        ExternalPanel(*key, groups.get(key[:2]), tuple(curves))
+        for key, curves in comparisons.items()
     ]
-    return in_pages(panels, MOST_PANELS)
+    return split_pages(panels, MAX_PANELS)
 
 
 def external_figure(panels: Sequence[ExternalPanel]) -> Figure:
-    """Draw external curves beside tests and model, a panel for each wire, length and kind of load.
+    """Draw external curves, tests and model, a panel per wire, length and kind of load.
 
     Parameters
     ----------
@@ -277,13 +280,14 @@ def external_figure(panels: Sequence[ExternalPanel]) -> Figure:
     ValueError
         If there is no panel, or there are more than fit on a page.
     """
-    require_room(len(panels), MOST_PANELS, "panels")
+    row_mm = 70.0
+    require_room(len(panels), MAX_PANELS, "panels")
     rows = math.ceil(len(panels) / _COLUMNS)
     groups = [panel.group for panel in panels if panel.group is not None]
     keys = _keys(groups, has_model=any(panel.prediction is not None for panel in panels))
-    words = PageTexts("External curves, tests and model", _external_note(panels), keys)
-    row = _EXTERNAL_ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
-    page = keyed_page(words, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
+    texts = PageTexts("External curves, tests and model", _external_note(panels), keys)
+    row = row_mm + 4.0 * max(0, max(map(_key_rows, panels)) - _FREE_KEY_ROWS)
+    page = keyed_page(texts, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
     drawn = panel_grid(page, len(panels), columns=_COLUMNS)
     for letter, panel, axes in zip("abcdef", panels, drawn, strict=False):
         plot_external(panel, axes)
@@ -308,9 +312,12 @@ def plot_external(panel: ExternalPanel, axes: Axes) -> None:
         edges = (FORCE.factor * model.lower_mean, FORCE.factor * model.upper_mean)
         axes.fill_between(across, *edges, **PREDICTED_LOOK)
         axes.plot(across, FORCE.factor * model.force, **MODEL_LOOK)
-    lines = [_draw(comparison, number, axes) for number, comparison in enumerate(panel.comparisons)]
+    lines = [
+        _draw_comparison(comparison, number, axes)
+        for number, comparison in enumerate(panel.comparisons)
+    ]
     axes.set_xlim(left=0.0)
-    room = _ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
+    room = _HEADROOM + 0.06 * max(0, _key_rows(panel) - _FREE_KEY_ROWS)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
     axes.legend(handles=lines, loc="upper left", handlelength=2.2, borderaxespad=0.4)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
@@ -318,12 +325,12 @@ def plot_external(panel: ExternalPanel, axes: Axes) -> None:
 
 
 def _key_rows(panel: ExternalPanel) -> int:
-    """Lines of text in the key of a panel."""
+    """Count the lines of text in the key of a panel."""
     return sum(1 + match_words(comparison).count("\n") for comparison in panel.comparisons)
 
 
-def _draw(each: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
-    curve = each.curve
+def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
+    curve = comparison.curve
     (line,) = axes.plot(
         DEFLECTION.factor * curve.deflection,
         FORCE.factor * curve.force,
@@ -331,50 +338,54 @@ def _draw(each: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
         linewidth=0.9,
         marker=_MARKS[number % len(_MARKS)],
         markersize=3.0,
-        markevery=max(1, len(curve.force) // _MARKED),
+        markevery=max(1, len(curve.force) // 14),
         zorder=6,
-        label=match_words(each),
+        label=match_words(comparison),
     )
     return line
 
 
-def match_words(each: ExternalCurveComparison) -> str:
-    """Name an external curve and say in a line each how far it is from tests and from the model.
+def match_words(comparison: ExternalCurveComparison) -> str:
+    """Name an external curve and write its RMSE to the tests and to the model.
 
     Parameters
     ----------
-    each : compared with both
+    comparison : with tests and model
     """
-    lines = textwrap.wrap(each.curve.name, _KEY_LETTERS)
-    lines.append("no tests to compare" if each.tests is None else _rmse("tests", each.tests))
-    words = "\n".join([*lines, _rmse("model", each.model)])
-    return f" {words}" if words.startswith("_") else words  # matplotlib hides such a label
+    lines = textwrap.wrap(comparison.curve.name, 44)
+    lines.append(
+        "no tests to compare" if comparison.tests is None else _rmse("tests", comparison.tests)
+    )
+    label = "\n".join([*lines, _rmse("model", comparison.model)])
+    return f" {label}" if label.startswith("_") else label  # matplotlib hides such a label
 
 
-def _rmse(other: str, found: CurveMatch) -> str:
-    if found.errors is None:
+def _rmse(other: str, match: CurveMatch) -> str:
+    if match.errors is None:
         return f"{other}: not compared"
-    rmse = SMALL_FORCE.factor * found.errors.rmse
+    rmse = SMALL_FORCE.factor * match.errors.rmse
     return (
-        f"{other}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(found.errors.rmse_share)} of peak"
+        f"{other}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(match.errors.rmse_share)} of peak"
     )
 
 
 def _external_note(panels: Sequence[ExternalPanel]) -> str:
-    """What the bands are of, and which points were not compared."""
-    said = []
+    """Describe the bands and list points that were not compared."""
+    lines = []
     if any(panel.group is not None for panel in panels):
-        said.append("Grey band: the mean of the tests by Student's t, n - 1 degrees of freedom.")
+        lines.append("Grey band: mean of the tests, Student's t with n - 1 degrees of freedom.")
     if any(panel.prediction is not None for panel in panels):
-        said.append("Blue band: the model's for the mean sample.")
-    said.append("Peak: the largest force of what a curve is compared with, at the points compared.")
+        lines.append("Blue band: model, for the mean sample.")
+    lines.append("Peak: largest reference force at the compared points.")
     notes = [
         note for panel in panels for comparison in panel.comparisons for note in comparison.notes
     ]
     if any(note.code == "external_curve_load" for note in notes):
-        said.append("Where the load is normal to the axis, that of the tests is not.")
+        lines.append(
+            "In panels with a load normal to the axis, the load of the tests is not normal."
+        )
     for panel in panels:
         for comparison in panel.comparisons:
-            told = [note for note in comparison.notes if note.code != "external_curve_load"]
-            said += [f"'{comparison.curve.name}': {note.message}." for note in told]
-    return " ".join(said)
+            other_notes = [note for note in comparison.notes if note.code != "external_curve_load"]
+            lines += [f"'{comparison.curve.name}': {note.message}." for note in other_notes]
+    return " ".join(lines)

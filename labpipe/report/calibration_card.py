@@ -23,7 +23,7 @@ from labpipe.report.calibration_summary import (
     FORCE,
     HEADS,
     MODEL,
-    SHOWN,
+    PARAMETER_DISPLAYS,
     SMALL_FORCE,
     length_looks,
     length_words,
@@ -38,8 +38,8 @@ from labpipe.report.figure_page import (
     PageTexts,
     area_key,
     keyed_page,
+    label_log_axis,
     line_key,
-    number_log,
     panel_letter,
 )
 from labpipe.report.plot_thinning import extremes
@@ -59,13 +59,11 @@ _FAINT: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.4}
 _MEANS: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
 _ZERO: dict[str, Any] = {"color": "black", "linewidth": 0.6, "zorder": 1}
 N_MEANS = 25
-"""Stretches that residuals are averaged over at the least."""
-_BINS = 120
-"""Stretches of a curve that are drawn by their highest and lowest point."""
+"""Least number of blocks over which residuals are averaged."""
 
 
-def looks_of(calibration: Calibration) -> dict[float, Look]:
-    """Look of the samples of each length."""
+def sample_looks(calibration: Calibration) -> dict[float, Look]:
+    """Return the style of the samples of each length."""
     return length_looks([curve.length for curve in calibration.curves])
 
 
@@ -81,9 +79,9 @@ def plot_loadings(
     ----------
     calibration : its curves are drawn
     axes : to draw on
-    predictions : by length, m: what the model says with its band; no band without one
+    predictions : of the model with its band, by length, m; without one there is no band
     """
-    looks = looks_of(calibration)
+    looks = sample_looks(calibration)
     for curve in calibration.curves:
         look = looks[curve.length]
         _plot(axes, curve.deflection, FORCE.factor * curve.force, look)
@@ -112,15 +110,15 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
     ----------
     calibration : its curves are drawn
     axes : to draw on
-    has_own_factor : the model is multiplied with each sample's own factor first, so that what
-        is left is noise and misfit of shape
+    has_own_factor : multiply the model by each sample's own factor first, which leaves noise and
+        misfit of shape
 
     Notes
     -----
-    Every point is drawn faint, and means over neighbouring points as a line: `N_MEANS` or more of
-    them, where there are as many points.
+    Every point is drawn faint; a line shows the means of at least `N_MEANS` blocks of neighbouring
+    points, if there are as many points.
     """
-    looks = looks_of(calibration)
+    looks = sample_looks(calibration)
     axes.axhline(0.0, **_ZERO)
     for curve in calibration.curves:
         factor = curve.sample_factor if has_own_factor else 1.0
@@ -135,7 +133,7 @@ def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool
 
 
 def _draw_band(axes: Axes, prediction: Prediction, curve: CurveAgreement) -> None:
-    """The band of the mean sample, as far as the tests go."""
+    """Draw the band of the mean sample up to the largest deflection of the tests."""
     use = prediction.deflection <= np.max(curve.deflection)
     axes.fill_between(
         DEFLECTION.factor * prediction.deflection[use],
@@ -146,15 +144,15 @@ def _draw_band(axes: Axes, prediction: Prediction, curve: CurveAgreement) -> Non
 
 
 def _deepest(calibration: Calibration, length: float) -> CurveAgreement:
-    own = [curve for curve in calibration.curves if curve.length == length]
-    return max(own, key=lambda curve: float(np.max(curve.deflection)))
+    curves = [curve for curve in calibration.curves if curve.length == length]
+    return max(curves, key=lambda curve: float(np.max(curve.deflection)))
 
 
 def _plot(axes: Axes, deflection: Floats, values: Floats, look: Look, **more: Any) -> None:
-    kept = extremes(values, bins=_BINS)
-    across = DEFLECTION.factor * deflection[kept]
+    rows = extremes(values, bins=120)
+    across = DEFLECTION.factor * deflection[rows]
     style = {"color": look.colour, "linestyle": look.dash, **SAMPLE, **more}
-    axes.plot(across, values[kept], **style)
+    axes.plot(across, values[rows], **style)
 
 
 THRESHOLD: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
@@ -163,16 +161,8 @@ PRIOR: dict[str, Any] = {"color": "#009E73", "linewidth": 1.0, "linestyle": (0, 
 _CURVE: dict[str, Any] = {"color": MODEL, "linewidth": 1.2}
 _DOTS: dict[str, Any] = {"color": MODEL, "linestyle": "", "marker": "o", "markersize": 2.2}
 _VALUE: dict[str, Any] = {"color": "black", "marker": "^", "markersize": 4.5, "clip_on": False}
-_HEIGHT = 2.6
-"""Of a panel, over the threshold."""
 _MARGIN = 0.12
-"""Beside what a panel has to show, as a share of it in logarithms."""
-_NORMAL = 1.959963984540054
-_FINE = 200
-_NARROW_LINE = 30
-_NARROW, _WIDE = 6.0, 500.0
-"""Ratio of the ends of an axis below which 1, 2, 5 are too few ticks, above which decades are too
-many."""
+"""Margin beside the shown values, as a share of their logarithmic range."""
 
 
 def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
@@ -180,50 +170,51 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
 
     Parameters
     ----------
-    parameter : one that was not fitted gets a panel that says so
+    parameter : if it was not fitted, the panel says so
     axes : to draw on; with the threshold on either side of each solution, the parts of the 95 %
         interval in grey, up to the end of the panel where it is open, the value as a triangle,
         open ones for other solutions, and the deviance of the prior from its own centre where
         there is one
     """
     if not parameter.profiles:
-        _say(axes, typeset(parameter.words))
+        _write_sentence(axes, typeset(parameter.words))
         return
-    shown = SHOWN[parameter.name]
-    low, high = seen(parameter)
+    axis = PARAMETER_DISPLAYS[parameter.name]
+    low, high = panel_range(parameter)
     axes.set_xscale("log")
     _draw_interval(parameter, axes, (low, high))
-    find_local_minima = sorted(_least(profile)[0] for profile in parameter.profiles)
+    minima = sorted(_minimum(profile)[0] for profile in parameter.profiles)
     borders = [
         low,
-        *np.sqrt(np.array(find_local_minima[1:]) * np.array(find_local_minima[:-1])).tolist(),
+        *np.sqrt(np.array(minima[1:]) * np.array(minima[:-1])).tolist(),
         high,
     ]
     for profile in parameter.profiles:
-        side = find_local_minima.index(_least(profile)[0])
-        _draw_solution(profile, axes, shown.scale.factor, (borders[side], borders[side + 1]))
-    axes.plot(shown.scale.factor * parameter.value, 0.0, **_VALUE)
+        side = minima.index(_minimum(profile)[0])
+        _draw_solution(profile, axes, axis.scale.factor, (borders[side], borders[side + 1]))
+    axes.plot(axis.scale.factor * parameter.value, 0.0, **_VALUE)
     _draw_prior(parameter, axes, (low, high))
-    axes.set_xlim(shown.scale.factor * low, shown.scale.factor * high)
-    axes.set_ylim(0.0, _highest(parameter))
-    axes.set_xlabel(shown.label)
-    _number(axes)
+    axes.set_xlim(axis.scale.factor * low, axis.scale.factor * high)
+    axes.set_ylim(0.0, _panel_top(parameter))
+    axes.set_xlabel(axis.label)
+    _set_ticks(axes)
 
 
-def _highest(parameter: CalibratedParameter) -> float:
-    """Deviance up to which a panel shows."""
+def _panel_top(parameter: CalibratedParameter) -> float:
+    """Return the largest deviance that a panel shows."""
+    height_over_threshold = 2.6
     ends = [max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles]
-    return _HEIGHT * max(ends)
+    return height_over_threshold * max(ends)
 
 
-def _least(profile: Profile) -> tuple[float, float]:
-    """Value and deviance of the solution that a profile was traced from."""
+def _minimum(profile: Profile) -> tuple[float, float]:
+    """Return value and deviance of the solution from which a profile was traced."""
     number = int(np.argmin(profile.deviance))
     return float(profile.value[number]), float(profile.deviance[number])
 
 
 def _draw_interval(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:
-    factor, last = SHOWN[parameter.name].scale.factor, len(parameter.intervals) - 1
+    factor, last = PARAMETER_DISPLAYS[parameter.name].scale.factor, len(parameter.intervals) - 1
     for number, part in enumerate(parameter.intervals):
         low = ends[0] if number == 0 and parameter.is_open_below else part.lower
         high = ends[1] if number == last and parameter.is_open_above else part.upper
@@ -231,9 +222,9 @@ def _draw_interval(parameter: CalibratedParameter, axes: Axes, ends: tuple[float
 
 
 def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[float, float]) -> None:
-    """Draw one profile, its thresholds between two values, and a triangle if it is not the best."""
-    values, deviance = smooth(profile)
-    least, height = _least(profile)
+    """Draw one profile, its thresholds, and a triangle if it is not the best solution."""
+    values, deviance = interpolate_profile(profile)
+    least, height = _minimum(profile)
     axes.plot(factor * values, deviance, **_CURVE)
     axes.plot(factor * profile.value, profile.deviance, **_DOTS)
     axes.plot([factor * ends[0], factor * least], [profile.threshold_below] * 2, **THRESHOLD)
@@ -242,16 +233,16 @@ def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[floa
         axes.plot(factor * least, height, **_VALUE, markerfacecolor="white")
 
 
-def seen(parameter: CalibratedParameter) -> tuple[float, float]:
-    """Find the values that the panel of a parameter shows, SI.
+def panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
+    """Return the range of values that the panel of a parameter shows, SI.
 
     Parameters
     ----------
-    parameter : with a profile; its interval, or up to where its profile was followed, is seen
+    parameter : its interval, or the traced range of its profile, is shown
     """
     if not parameter.profiles:
         return parameter.value, parameter.value
-    highest = _highest(parameter)
+    highest = _panel_top(parameter)
     traced = [
         value
         for profile in parameter.profiles
@@ -271,8 +262,8 @@ def seen(parameter: CalibratedParameter) -> tuple[float, float]:
     return float(np.exp(low - margin)), float(np.exp(high + margin))
 
 
-def smooth(profile: Profile) -> tuple[Floats, Floats]:
-    """Lay a curve through the points at which a profile was worked out.
+def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
+    """Interpolate a profile between its points.
 
     Parameters
     ----------
@@ -280,59 +271,58 @@ def smooth(profile: Profile) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    Values, and deviances at them: of its square root, with the sign of the side, by straight lines
-    over the logarithm of the value, since where a parameter is normal in it that root is straight.
+    Values and deviances. The signed square root of the deviance is interpolated linearly over the
+    logarithm of the value: for a normal parameter that root is a straight line.
     """
-    logs, (least, height) = np.log(profile.value), _least(profile)
+    fine_points = 200
+    logs, (least, height) = np.log(profile.value), _minimum(profile)
     side = np.sign(logs - np.log(least))
-    fine: Floats = np.union1d(np.linspace(logs[0], logs[-1], _FINE), logs)
+    fine: Floats = np.union1d(np.linspace(logs[0], logs[-1], fine_points), logs)
     root = np.interp(fine, logs, side * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
     return np.exp(fine), root**2 + height
 
 
-def _say(axes: Axes, sentence: str) -> None:
+def _write_sentence(axes: Axes, sentence: str) -> None:
+    line_length = 30
     axes.set_axis_off()
     axes.text(
-        0.5, 0.5, textwrap.fill(sentence, _NARROW_LINE), transform=axes.transAxes, ha="center",
+        0.5, 0.5, textwrap.fill(sentence, line_length), transform=axes.transAxes, ha="center",
         va="center", color=GREY,
     )  # fmt: skip
 
 
 def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:
-    """Draw the square of the distance from the prior's centre in its standard deviations."""
+    """Draw the deviance of the prior: its squared distance in standard deviations."""
+    normal_quantile = 1.959963984540054
     if parameter.conflict is None:
         return
     values: Floats = np.geomspace(*ends, 200)
-    error = np.log(parameter.conflict.factor) / _NORMAL
+    error = np.log(parameter.conflict.factor) / normal_quantile
     away = np.log(values / parameter.conflict.centre) / error
-    axes.plot(SHOWN[parameter.name].scale.factor * values, away**2, **PRIOR)
+    axes.plot(PARAMETER_DISPLAYS[parameter.name].scale.factor * values, away**2, **PRIOR)
 
 
-def _number(axes: Axes) -> None:
+def _set_ticks(axes: Axes) -> None:
+    linear_below, few_decades_above = 6.0, 500.0  # ratio of the ends of an axis
     from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
     axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
     low, high = axes.get_xlim()
-    number_log(axes.xaxis)
-    if high < _NARROW * low:
+    label_log_axis(axes.xaxis)
+    if high < linear_below * low:
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.xaxis.set_minor_locator(NullLocator())
-    elif high > _WIDE * low:
+    elif high > few_decades_above * low:
         axes.xaxis.set_major_locator(LogLocator(numticks=4))
         axes.xaxis.set_minor_locator(NullLocator())
 
 
-_HEIGHTS = (58.0, 34.0, 32.0)
-"""mm, of the rows of panels without what is around them."""
-_AROUND = 16.5
-"""mm, of heading, numbers and label of a panel."""
-_TALLEST, _LOWEST = 255.0, 0.7
-"""mm, of panels and words upright on A4; share of `_HEIGHTS` left to panels above many words."""
-_LINE = 3.7
-"""mm, of the words."""
-_LETTERS = 145
-_LEFT = 0.012
-_COLUMNS = (0.0, 0.24, 0.34, 0.53, 0.60)
+_PANEL_HEIGHTS = (58.0, 34.0, 32.0)
+"""mm, rows of panels without their headings, numbers and labels."""
+_FRAME_MM = 16.5
+"""Heading, numbers and label of a panel."""
+_LINE_MM = 3.7
+"""Height of a line of text."""
 _DOUBTFUL = {
     Identifiability.NOT,
     Identifiability.TWO,
@@ -340,9 +330,8 @@ _DOUBTFUL = {
     Identifiability.BY_PRIOR,
     Identifiability.AGAINST_PRIOR,
 }
-_POINTS_PER_MM = 72.0 / 25.4
-_NO_BAND = "Drawn without the band of the model."
-_RESIDUALS = "Residuals: every point faint, means over neighbouring points as lines."
+_NO_BAND = "The band of the model is not drawn."
+_RESIDUALS = "Residuals: points faint, means of neighbouring points as lines."
 
 
 def calibration_card(
@@ -355,7 +344,7 @@ def calibration_card(
     Parameters
     ----------
     calibration : of one wire
-    predictions : what the model says at each length (m) of the tests, for its band
+    predictions : of the model at each length (m) of the tests, for its band
 
     Returns
     -------
@@ -363,17 +352,18 @@ def calibration_card(
     of each sample taken out, (d) to (f) profiles of the parameters, and numbers and verdicts in
     words.
     """
+    letters_per_line = 145
     rows = [HEADS, *(parameter_row(parameter) for parameter in calibration.parameters)]
     lines = [
         line
         for sentence in sentences(calibration)
-        for line in textwrap.wrap(sentence, _LETTERS, subsequent_indent="   ")
+        for line in textwrap.wrap(sentence, letters_per_line, subsequent_indent="   ")
     ]
     heights = _heights(len(rows) + len(lines) + 1.3)
     note = _RESIDUALS if predictions else f"{_RESIDUALS} {_NO_BAND}"
     page = keyed_page(
         PageTexts(_title(calibration), note, _keys(calibration, predictions)),
-        height_mm=sum(heights) + _AROUND * len(_HEIGHTS),
+        height_mm=sum(heights) + _FRAME_MM * len(_PANEL_HEIGHTS),
         width_mm=DOUBLE_COLUMN,
     )
     panels = page.subplot_mosaic("aaaaaa;bbbccc;ddeeff;wwwwww", height_ratios=heights)
@@ -381,7 +371,7 @@ def calibration_card(
     plot_residuals(calibration, panels["b"])
     plot_residuals(calibration, panels["c"], has_own_factor=True)
     _draw_profiles(calibration, [panels[letter] for letter in "def"])
-    _write(panels["w"], rows, lines)
+    _write_table(panels["w"], rows, lines)
     for letter, heading in zip("abc", _HEADINGS, strict=True):
         panel_letter(panels[letter], letter, heading)
     return page
@@ -390,7 +380,7 @@ def calibration_card(
 _HEADINGS = (
     "first loadings",
     "residuals",
-    "residuals, each sample by its own factor",
+    "residuals with each sample's own factor",
 )
 _OF_PARAMETERS = ("friction", "insulation", "copper")
 
@@ -401,11 +391,13 @@ def _title(calibration: Calibration) -> str:
 
 
 def _heights(lines: float) -> tuple[float, ...]:
-    """Heights of the panels and of so many lines of words, mm."""
-    words = _LINE * lines
-    room = _TALLEST - _AROUND * len(_HEIGHTS) - words
-    share = min(max(room / sum(_HEIGHTS), _LOWEST), 1.0)
-    return *(share * height for height in _HEIGHTS), words
+    """Return the heights of the panels and of a number of lines of text, mm."""
+    max_height_mm = 255.0  # of an upright A4 page
+    min_panel_share = 0.7  # of the panels' full heights, above much text
+    text_height = _LINE_MM * lines
+    room = max_height_mm - _FRAME_MM * len(_PANEL_HEIGHTS) - text_height
+    share = min(max(room / sum(_PANEL_HEIGHTS), min_panel_share), 1.0)
+    return *(share * height for height in _PANEL_HEIGHTS), text_height
 
 
 def _draw_profiles(calibration: Calibration, panels: Sequence[Axes]) -> None:
@@ -415,20 +407,23 @@ def _draw_profiles(calibration: Calibration, panels: Sequence[Axes]) -> None:
     panels[0].set_ylabel("Deviance")
 
 
-def _write(axes: Axes, rows: Sequence[Sequence[str]], lines: Sequence[str]) -> None:
+def _write_table(axes: Axes, rows: Sequence[Sequence[str]], lines: Sequence[str]) -> None:
     """Write a table and lines below one another, from the top of a panel."""
+    column_edges = (0.0, 0.24, 0.34, 0.53, 0.60)
     axes.set_axis_off()
     for number, row in enumerate(rows):
-        for at, text in zip(_COLUMNS, row, strict=True):
+        for at, text in zip(column_edges, row, strict=True):
             is_bold = number == 0 or text in _DOUBTFUL
-            _put(axes, text, at, number, weight="bold" if is_bold else "normal")
+            _put_text(axes, text, at, number, weight="bold" if is_bold else "normal")
     for number, line in enumerate(lines, start=len(rows)):
-        _put(axes, line, 0.0, number + 0.5)
+        _put_text(axes, line, 0.0, number + 0.5)
 
 
-def _put(axes: Axes, text: str, at: float, line: float, **look: Any) -> None:
+def _put_text(axes: Axes, text: str, at: float, line: float, **look: Any) -> None:
+    left = 0.012
+    points_per_mm = 72.0 / 25.4
     axes.annotate(
-        text, (_LEFT + at, 1.0), (0.0, -line * _LINE * _POINTS_PER_MM), textcoords="offset points",
+        text, (left + at, 1.0), (0.0, -line * _LINE_MM * points_per_mm), textcoords="offset points",
         xycoords=("figure fraction", "axes fraction"), va="top", annotation_clip=False,
         **look,
     ).set_in_layout(False)  # fmt: skip
@@ -440,11 +435,11 @@ def _keys(
 ) -> list[Artist]:
     keys: list[Artist] = [
         line_key(_samples(calibration, length), color=look.colour, linestyle=look.dash, **SAMPLE)
-        for length, look in looks_of(calibration).items()
+        for length, look in sample_looks(calibration).items()
     ]  # fmt: skip
     keys.append(line_key("model", **MODEL_LINE))
     if predictions:
-        keys.append(area_key("its 95 % band, mean sample", **MODEL_BAND))
+        keys.append(area_key("95 % band of the model, mean sample", **MODEL_BAND))
     if any(parameter.profiles for parameter in calibration.parameters):
         keys.append(line_key("95 % threshold", **THRESHOLD))
         keys.append(area_key("95 % interval", **INTERVAL))

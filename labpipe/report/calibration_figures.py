@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.report.calibration_agreement import (
-    MOST_PANELS,
+    MAX_PANELS,
     external_figure,
     external_pages,
     validation_figure,
@@ -24,7 +24,14 @@ from labpipe.report.calibration_summary import (
     CalibrationReport,
     length_words,
 )
-from labpipe.report.figure_page import WIDTH, PageTexts, in_pages, keyed_page, line_key, say
+from labpipe.report.figure_page import (
+    WIDTH,
+    PageTexts,
+    keyed_page,
+    line_key,
+    split_pages,
+    write_reason,
+)
 from labpipe.report.saving import FigureToSave, save_pages
 
 if TYPE_CHECKING:
@@ -40,11 +47,7 @@ _FIT: dict[str, Any] = {
     "color": "black", "linewidth": 0.9, "linestyle": (0, (4, 1.6)), "zorder": 3
 }  # fmt: skip
 _MODEL: dict[str, Any] = {"color": MODEL, "linewidth": 1.3, "zorder": 2}
-_AROUND = 14.0
-"""mm, of the numbers and labels of the panel."""
-_MARGIN = 0.06
-_NOTE = "Markers sit on the surface of the wire; the curves are its axis."
-_FLATTEST, _STEEPEST = 0.35, 1.1
+_NOTE = "Markers are on the surface of the wire; the curves are its axis."
 
 
 def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
@@ -55,16 +58,18 @@ def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
     name : of what was bent, such as ``A2, 85 mm``
     shapes : one for each deflection; without any, the page says so
     """
+    frame_mm = 14.0  # numbers and labels of the panel
+    min_aspect, max_aspect = 0.35, 1.1
     title = f"{name}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
         page = keyed_page(PageTexts(title), height_mm=40.0)
-        say(page.subplots(), "There is no shape to draw.")
+        write_reason(page.subplots(), "There is no shape to draw.")
         return page
-    low, high = _box(shapes)
+    low, high = _bounds(shapes)
     across, up = (high - low).tolist()
-    share = min(max(up / across, _FLATTEST), _STEEPEST)
+    share = min(max(up / across, min_aspect), max_aspect)
     page = keyed_page(
-        PageTexts(title, _NOTE, _keys(shapes)), height_mm=_AROUND + (WIDTH - _AROUND) * share
+        PageTexts(title, _NOTE, _keys(shapes)), height_mm=frame_mm + (WIDTH - frame_mm) * share
     )
     plot_shapes(shapes, page.subplots())
     return page
@@ -82,8 +87,8 @@ def plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
         for points, look in ((shape.model, _MODEL), (shape.fit, _FIT), (shape.markers, _MARKERS)):
             x, y = DEFLECTION.factor * points.T
             axes.plot(x, y, **look)
-        _name(shape, axes)
-    low, high = _box(shapes)
+        _label_end(shape, axes)
+    low, high = _bounds(shapes)
     axes.set_aspect("equal", adjustable="box", anchor="W")
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
@@ -91,9 +96,9 @@ def plot_shapes(shapes: Sequence[BentShape], axes: Axes) -> None:
     axes.set_ylabel(DEFLECTION.label("Towards the pull, y"))
 
 
-def _name(shape: BentShape, axes: Axes) -> None:
-    """Write the deflection beside the end that is furthest from the clamp."""
-    ends = [known[-1] for known in map(_known, _lines(shape)) if len(known)]
+def _label_end(shape: BentShape, axes: Axes) -> None:
+    """Write the deflection beside the end furthest from the clamp."""
+    ends = [line[-1] for line in map(_finite_rows, _lines(shape)) if len(line)]
     if not ends:
         return
     at = DEFLECTION.factor * np.max(ends, axis=0)
@@ -103,12 +108,13 @@ def _name(shape: BentShape, axes: Axes) -> None:
     )  # fmt: skip
 
 
-def _box(shapes: Sequence[BentShape]) -> tuple[Floats, Floats]:
-    """Corners of all that is drawn with some room, in the display unit."""
-    points = np.concatenate([_known(line) for shape in shapes for line in _lines(shape)])
+def _bounds(shapes: Sequence[BentShape]) -> tuple[Floats, Floats]:
+    """Return the corners of everything drawn with a margin, in the display unit."""
+    margin = 0.06
+    points = np.concatenate([_finite_rows(line) for shape in shapes for line in _lines(shape)])
     points = DEFLECTION.factor * np.concatenate([points, np.zeros((1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
-    room = _MARGIN * max(float(np.max(high - low)), 1.0)
+    room = margin * max(float(np.max(high - low)), 1.0)
     return low - room, high + np.array([2.5 * room, room])
 
 
@@ -116,7 +122,7 @@ def _lines(shape: BentShape) -> tuple[Floats, Floats, Floats]:
     return shape.model, shape.fit, shape.markers
 
 
-def _known(points: Floats) -> Floats:
+def _finite_rows(points: Floats) -> Floats:
     rows: Floats = points[np.isfinite(points).all(axis=1)]
     return rows
 
@@ -145,7 +151,7 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
     """
     card = partial(calibration_card, report.calibration, predictions=report.predictions)
     yield FigureToSave("calibration", card)
-    for number, groups in enumerate(in_pages(report.groups, MOST_PANELS), start=1):
+    for number, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
         yield FigureToSave(f"validation-{number}", partial(validation_figure, groups))
     for number, panels in enumerate(external_pages(report), start=1):
         name = "external-curves" if number == 1 else f"external-curves-{number}"
@@ -167,7 +173,7 @@ def save_calibration_figures(
     ----------
     report : all that they show
     folder : made if it is not there
-    say : told the name of each figure as it is drawn
+    say : called with the name of each figure as it is drawn
     png : each as PNG, too
 
     Returns

@@ -1,4 +1,4 @@
-"""What the report of a calibration shows: its records, units, looks and sentences."""
+"""Contents of a calibration's report: records, units, styles and sentences."""
 
 from __future__ import annotations
 
@@ -39,32 +39,32 @@ _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
 _POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
 
-class Shown(NamedTuple):
-    """How a parameter is shown.
+class ParameterDisplay(NamedTuple):
+    """Name, symbol and unit of a parameter in a report.
 
     Parameters
     ----------
-    words : its name
+    name : in words
     symbol : on an axis
-    scale : its display unit; an empty one for a ratio
+    scale : display unit; empty for a ratio
     """
 
-    words: str
+    name: str
     symbol: str
     scale: Scale
 
     @property
     def label(self) -> str:
-        """Words for an axis."""
+        """Label of an axis."""
         return self.scale.label(self.symbol) if self.scale.unit else self.symbol
 
 
-SHOWN: Mapping[str, Shown] = {
-    name: Shown(words, symbol, Scale(*DISPLAYED[name]))
-    for name, words, symbol in (
+PARAMETER_DISPLAYS: Mapping[str, ParameterDisplay] = {
+    key: ParameterDisplay(name, symbol, Scale(*DISPLAYED[key]))
+    for key, name, symbol in (
         (RADIAL_FRICTION, "friction phi", "Friction \u03c6"),
         (INSULATION_MODULUS, "modulus of the insulation", "Insulation modulus"),
-        (COPPER_SCALE, "strength of the copper, factor", "Factor on copper's strength"),
+        (COPPER_SCALE, "factor on the strength of the copper", "Factor on copper strength"),
     )
 }
 _IN_WORDS: Mapping[str, str] = {
@@ -78,7 +78,7 @@ _IN_WORDS: Mapping[str, str] = {
 
 
 def typeset(sentence: str) -> str:
-    """Make a sentence of a calibration fit for print.
+    """Typeset a sentence of a calibration.
 
     Parameters
     ----------
@@ -86,16 +86,16 @@ def typeset(sentence: str) -> str:
 
     Returns
     -------
-    A whole sentence: a capital first, unless a symbol is first, powers of ten written as such,
-    parameters in words, and Greek letters.
+    A sentence with a capital, unless it starts with a symbol, with typeset powers of ten, names
+    of parameters and Greek letters.
 
     Examples
     --------
     >>> typeset("the radial_force was held at 2 N")
     'The F_rad was held at 2 N.'
     """
-    for name, words in _IN_WORDS.items():
-        sentence = re.sub(rf"\b{name}\b", words, sentence)
+    for name, name_in_text in _IN_WORDS.items():
+        sentence = re.sub(rf"\b{name}\b", name_in_text, sentence)
     sentence = _POWER.sub(_power, sentence.strip().rstrip("."))
     is_symbol = sentence.startswith(("phi", "mu_"))
     for name, letter in _LETTERS.items():
@@ -103,13 +103,13 @@ def typeset(sentence: str) -> str:
     return f"{sentence if is_symbol else sentence[:1].upper() + sentence[1:]}."
 
 
-def _power(found: re.Match[str]) -> str:
-    sign = "-" if found[1] == "-" else ""
-    return f" \u00d7 10{(sign + found[2]).translate(SUPERSCRIPTS)}"
+def _power(match: re.Match[str]) -> str:
+    sign = "-" if match[1] == "-" else ""
+    return f" \u00d7 10{(sign + match[2]).translate(SUPERSCRIPTS)}"
 
 
 def percent(share: float) -> str:
-    """A share to two digits or more, such as ``1.9 %``; empty where there is none.
+    """Write a share with at least two digits, such as ``1.9 %``; empty for NaN.
 
     Examples
     --------
@@ -122,12 +122,12 @@ def percent(share: float) -> str:
 
 
 def length_words(length: float) -> str:
-    """A length, such as ``85 mm``."""
+    """Write a length, such as ``85 mm``."""
     return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
 
 
 def length_looks(lengths: Sequence[float]) -> dict[float, Look]:
-    """Give the samples of each length a colour and a dash, to be told apart in grey too.
+    """Give the samples of each length a colour and a dash that also differ in grey.
 
     Parameters
     ----------
@@ -141,21 +141,21 @@ def length_looks(lengths: Sequence[float]) -> dict[float, Look]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValidationGroup:
-    """Samples of one wire at one length, and what the model says of them.
+    """Samples of one wire at one length, and the prediction of the model.
 
     Parameters
     ----------
     wire : name
     length : free length, m
-    is_calibrated : the calibration rests on these samples; else the model predicts them
+    is_calibrated : the samples were used for the calibration; else the model predicts them
     samples : first loading of each, by the name of its test
     band : mean of the samples with its 95 % bands; with one sample a mean without bands
-    prediction : of the model; None where it has none
+    prediction : of the model, if any
     mean_of : number of samples whose mean lies between `lower` and `upper` of the prediction
     errors : of the model against all points of the samples; None without a prediction
     reason : why there is no prediction; else None
-    doubtful_deflection : m, from which on the prediction is doubtful, as the rim of the insulation
-        leaves the range of its straight line; infinite where it does not
+    doubtful_deflection : m, beyond which the prediction is doubtful, because the rim of the
+        insulation leaves its linear range; infinite if it does not
     """
 
     wire: str
@@ -171,7 +171,7 @@ class ValidationGroup:
 
     @property
     def is_sure(self) -> Flags:
-        """Whether each point of the prediction is none of the doubtful ones; empty without one."""
+        """Whether each point of the prediction is below the doubtful deflection."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
         return np.asarray(deflection <= self.doubtful_deflection)
 
@@ -183,9 +183,9 @@ class BentShape:
     Parameters
     ----------
     deflection : m, of the tip
-    markers : shape (markers, 2), as measured; NaN where one was not seen
-    fit : shape (n, 2), curve fitted to the markers; empty where none was
-    model : shape (m, 2), as the wire model has it; empty where it has none
+    markers : shape (markers, 2), as measured; NaN where a marker was not tracked
+    fit : shape (n, 2), curve fitted to the markers; empty without a fit
+    model : shape (m, 2), of the wire model; empty without one
     """
 
     deflection: float
@@ -200,14 +200,14 @@ class BentShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationReport:
-    """All that the figures and the workbook of a calibration show.
+    """Contents of the figures and the workbook of a calibration.
 
     Parameters
     ----------
     calibration : of one wire
-    groups : wires and lengths that it is compared with, its own among them
-    shapes : by what they are of, such as ``A2, 85 mm``
-    comparisons : curves from elsewhere, compared with tests and model
+    groups : wires and lengths that it is compared with, including its own
+    shapes : by sample and length, such as ``A2, 85 mm``
+    comparisons : external curves, compared with tests and model
     """
 
     calibration: Calibration
@@ -217,7 +217,7 @@ class CalibrationReport:
 
     @property
     def predictions(self) -> dict[float, Prediction]:
-        """What the model says of the tests that it was calibrated by, by length."""
+        """Predictions for the tests that were used for the calibration, by length."""
         return {
             group.length: group.prediction
             for group in self.groups
@@ -226,10 +226,8 @@ class CalibrationReport:
 
 
 HEADS = ("parameter", "value", "95 % interval", "unit", "verdict")
-_DIGITS = 2
-"""Of a value whose interval is open."""
-_TOLD = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
-"""Codes of notes that repeat what the sentences of the parameters say."""
+_REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
+"""Codes of notes that repeat the sentences of the parameters."""
 
 
 def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
@@ -237,20 +235,25 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
 
     Parameters
     ----------
-    parameter : an interval that is open on a side is ``below ...`` or ``above ...``
+    parameter : an interval open on one side is ``below ...`` or ``above ...``
     """
-    shown = SHOWN[parameter.name]
-    factor, is_open = shown.scale.factor, parameter.is_open_below or parameter.is_open_above
-    own = next(
+    open_interval_digits = 2
+    display = PARAMETER_DISPLAYS[parameter.name]
+    factor, is_open = display.scale.factor, parameter.is_open_below or parameter.is_open_above
+    interval = next(
         (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper),
         parameter.interval,
     )
-    written = write_number(parameter.value, own, factor)
-    value = write_number(parameter.value, None, factor, digits=_DIGITS) if is_open else written
-    between = " or ".join(_parts(parameter, factor))
-    unit = shown.scale.unit or "1"
+    written = write_number(parameter.value, interval, factor)
+    value = (
+        write_number(parameter.value, None, factor, digits=open_interval_digits)
+        if is_open
+        else written
+    )
+    between = " or ".join(_interval_parts(parameter, factor))
+    unit = display.scale.unit or "1"
     return (
-        typeset(shown.words).rstrip("."),
+        typeset(display.name).rstrip("."),
         value.value,
         between or "\u2013",
         unit,
@@ -258,8 +261,8 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
     )
 
 
-def _parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
-    """Each part of an interval with the digits that its own width allows."""
+def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
+    """Write each part of an interval with the digits that its width allows."""
     last = len(parameter.intervals) - 1
     for number, part in enumerate(parameter.intervals):
         middle = min(max(parameter.value, part.lower), part.upper)
@@ -278,7 +281,7 @@ def _parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
 
 
 def sentences(calibration: Calibration) -> list[str]:
-    """Say what a calibration found, and what it does not know.
+    """Describe the results of a calibration in sentences.
 
     Parameters
     ----------
@@ -286,26 +289,26 @@ def sentences(calibration: Calibration) -> list[str]:
 
     Returns
     -------
-    Sentences on: each parameter, its prior, agreement with the tests, what cannot be told apart,
-    notes.
+    Sentences on each parameter, its prior, agreement with the tests, parameters that cannot be
+    identified separately, and notes.
     """
     return [
-        *_parameters(calibration),
-        _agreement(calibration),
-        _levels(calibration),
-        *_separabilities(calibration),
-        *_notes(calibration),
+        *_parameter_sentences(calibration),
+        _agreement_sentence(calibration),
+        _noise_sentence(calibration),
+        *_separability_sentences(calibration),
+        *_note_sentences(calibration),
     ]
 
 
-def _parameters(calibration: Calibration) -> Iterator[str]:
+def _parameter_sentences(calibration: Calibration) -> Iterator[str]:
     for parameter in calibration.parameters:
         yield typeset(parameter.words)
         if parameter.conflict is not None:
             yield typeset(parameter.conflict.message)
 
 
-def _agreement(calibration: Calibration) -> str:
+def _agreement_sentence(calibration: Calibration) -> str:
     rmse = SMALL_FORCE.factor * calibration.rmse
     counts = (
         count_of(calibration.n_points, "point"),
@@ -318,30 +321,30 @@ def _agreement(calibration: Calibration) -> str:
     )
 
 
-def _levels(calibration: Calibration) -> str:
+def _noise_sentence(calibration: Calibration) -> str:
     levels = calibration.levels
-    scatter = f"Samples scatter by {percent(levels.scatter)} in force"
+    scatter = f"The force scatters by {percent(levels.scatter)} between samples"
     if levels.scatter_freedom == 0.0:
-        scatter = "How samples scatter is not known"
+        scatter = "The scatter of the samples is not known"
     return (
         f"{scatter}; the gain of the load cell is uncertain by {percent(levels.gain)}; "
-        f"the noise is {levels.noise_factor:.2f} times as much as stated, and neighbouring points "
-        f"are correlated by {levels.correlation:.2f}."
+        f"the noise is {levels.noise_factor:.2f} times the stated noise, and neighbouring points "
+        f"have a correlation of {levels.correlation:.2f}."
     )
 
 
-def _separabilities(calibration: Calibration) -> Iterator[str]:
-    """Of friction always; of the parameters where they are not all told apart."""
-    for each in (calibration.friction_separability, calibration.separability):
-        if each is not None and _is_worth_saying(each):
-            yield typeset(each.words)
+def _separability_sentences(calibration: Calibration) -> Iterator[str]:
+    """Describe the separability of friction and of the parameters where some are not identified."""
+    for separability in (calibration.friction_separability, calibration.separability):
+        if separability is not None and _is_worth_saying(separability):
+            yield typeset(separability.words)
 
 
 def _is_worth_saying(separability: Separability) -> bool:
     return not all(separability.are_identified.values())
 
 
-def _notes(calibration: Calibration) -> Iterator[str]:
+def _note_sentences(calibration: Calibration) -> Iterator[str]:
     for note in calibration.notes:
-        if note.code not in _TOLD and note.severity is not Severity.INFO:
+        if note.code not in _REPEATED_CODES and note.severity is not Severity.INFO:
             yield f"Note: {typeset(note.message)}"

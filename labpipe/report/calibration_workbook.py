@@ -1,4 +1,4 @@
-"""The results of a calibration as a workbook: one sheet for each question."""
+"""Workbook of a calibration: one sheet per question."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from labpipe.records.wire_calibration import (
 from labpipe.report.calibration_summary import (
     DEFLECTION,
     FORCE,
-    SHOWN,
+    PARAMETER_DISPLAYS,
     CalibrationReport,
-    Shown,
+    ParameterDisplay,
     ValidationGroup,
     length_words,
     parameter_row,
@@ -36,7 +36,7 @@ EXTERNAL_CURVES, EXTERNAL_POINTS = "external curves", "external curves, points"
 
 
 def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
-    """Make the tables of external curves.
+    """Return the sheets of external curves.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sh
 
     Returns
     -------
-    ``external curves``, two rows for each, and ``external curves, points``; none without any.
+    ``external curves``, two rows per curve, and ``external curves, points``; empty without curves.
     """
     if not comparisons:
         return []
@@ -54,53 +54,53 @@ def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sh
         "points inside the band (%)", "reason", "file", "from",
     )  # fmt: skip
     rows = [row for comparison in comparisons for row in _external_agreement(comparison)]
-    points = [row for comparison in comparisons for row in _points(comparison)]
+    points = [row for comparison in comparisons for row in _external_points(comparison)]
     across, up = DEFLECTION.label("deflection"), FORCE.label("force")
     columns = ("name", across, up, FORCE.label("mean of the tests"), FORCE.label("model"))
     return [
         Sheet(
             EXTERNAL_CURVES, heads, rows, 1,
-            asks="How far are external curves from tests and model?",
+            question="How well do external curves agree with tests and model?",
         ),
         Sheet(
             EXTERNAL_POINTS, columns, points, 1,
-            asks="Where are they apart? Force at the deflections of the external curves.",
+            question="Where do they differ? Force at the deflections of the external curves.",
         ),
     ]  # fmt: skip
 
 
-def _external_agreement(each: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
-    curve = each.curve
+def _external_agreement(comparison: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
+    curve = comparison.curve
     load = "normal" if curve.is_normal else "as tested"
     head = (curve.name, curve.wire, DEFLECTION.factor * curve.length, load)
     tail = (curve.file, curve.source)
-    if each.tests is None:
+    if comparison.tests is None:
         yield (*head, "tests", 0, *[None] * 4, "no tests of this wire and length", *tail)
     else:
-        yield (*head, "tests", *_errors(each.tests), *tail)
-    yield (*head, "model", *_errors(each.model), *tail)
+        yield (*head, "tests", *_errors(comparison.tests), *tail)
+    yield (*head, "model", *_errors(comparison.model), *tail)
 
 
-def _errors(found: CurveMatch) -> tuple[Value, ...]:
-    errors = found.errors
+def _errors(match: CurveMatch) -> tuple[Value, ...]:
+    errors = match.errors
     if errors is None:
-        return (0, found.left_out, None, None, None, found.words)
+        return (0, match.left_out, None, None, None, match.words)
     inside = 100.0 * errors.inside if math.isfinite(errors.inside) else None
     rmse = FORCE.factor * errors.rmse
-    return (errors.n, found.left_out, rmse, 100.0 * errors.rmse_share, inside, found.words)
+    return (errors.n, match.left_out, rmse, 100.0 * errors.rmse_share, inside, match.words)
 
 
-def _points(each: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
-    curve, nothing = each.curve, [math.nan] * len(each.curve.force)
-    tests = nothing if each.tests is None else each.tests.reference.tolist()
-    columns = (curve.deflection.tolist(), curve.force.tolist(), tests, each.model.reference)
+def _external_points(comparison: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
+    curve, nothing = comparison.curve, [math.nan] * len(comparison.curve.force)
+    tests = nothing if comparison.tests is None else comparison.tests.reference.tolist()
+    columns = (curve.deflection.tolist(), curve.force.tolist(), tests, comparison.model.reference)
     for across, *forces in zip(*columns, strict=True):
-        known = (FORCE.factor * float(v) if math.isfinite(v) else None for v in forces)
-        yield (curve.name, DEFLECTION.factor * across, *known)
+        values = (FORCE.factor * float(v) if math.isfinite(v) else None for v in forces)
+        yield (curve.name, DEFLECTION.factor * across, *values)
 
 
 def yes(value: bool) -> str:
-    """Word a truth value for a cell."""
+    """Write a truth value for a cell."""
     return "yes" if value else "no"
 
 
@@ -111,11 +111,11 @@ _FRICTION = ("strand_friction", "insulation_friction", "radial_force")
 
 
 def tables_of(report: CalibrationReport) -> list[Sheet]:
-    """Make all tables of a calibration.
+    """Return all sheets of a calibration.
 
     Parameters
     ----------
-    report : what they hold
+    report : of a calibration
 
     Returns
     -------
@@ -124,19 +124,19 @@ def tables_of(report: CalibrationReport) -> list[Sheet]:
     """
     calibration = report.calibration
     return [
-        _summary(calibration),
-        _solutions(calibration),
-        _fit(calibration),
-        _identified(calibration),
-        _agreement(report.groups),
+        _summary_sheet(calibration),
+        _solutions_sheet(calibration),
+        _fit_sheet(calibration),
+        _identified_sheet(calibration),
+        _agreement_sheet(report.groups),
         *comparison_tables(report.comparisons),
-        _curves(calibration),
-        _forces(report.groups),
-        _notes(report),
+        _curves_sheet(calibration),
+        _forces_sheet(report.groups),
+        _notes_sheet(report),
     ]
 
 
-def _summary(calibration: Calibration) -> Sheet:
+def _summary_sheet(calibration: Calibration) -> Sheet:
     heads = (
         "parameter", "name", "unit", "value", "lower", "upper", "parts of the interval",
         "open below", "open above",
@@ -144,15 +144,19 @@ def _summary(calibration: Calibration) -> Sheet:
         "prior, centre", "prior, factor", "without the prior", "conflict (standard errors)",
         "contradicts", "source of prior or fixed value", "in words", "prior in words",
     )  # fmt: skip
-    rows = [_parameter(parameter) for parameter in calibration.parameters]
-    asks = "What are the parameters of the model, and do the tests determine them?"
+    rows = [_parameter_row(parameter) for parameter in calibration.parameters]
+    question = "What are the parameters of the model, and do the tests determine them?"
     last = ("in words", "prior in words")
-    return Sheet(SUMMARY, heads, rows, 2, asks=asks, wrapped=last)
+    return Sheet(SUMMARY, heads, rows, 2, question=question, wrapped=last)
 
 
-def _parameter(parameter: CalibratedParameter) -> tuple[Value, ...]:
-    shown, interval, conflict = SHOWN[parameter.name], parameter.interval, parameter.conflict
-    up = shown.scale.factor
+def _parameter_row(parameter: CalibratedParameter) -> tuple[Value, ...]:
+    display, interval, conflict = (
+        PARAMETER_DISPLAYS[parameter.name],
+        parameter.interval,
+        parameter.conflict,
+    )
+    up = display.scale.factor
     ends: tuple[Value, ...] = (None, None, "", "", "", None, None)
     if interval is not None:
         ends = (
@@ -166,36 +170,36 @@ def _parameter(parameter: CalibratedParameter) -> tuple[Value, ...]:
             up * conflict.centre, conflict.factor, up * conflict.alone, conflict.size,
             yes(conflict.contradicts), conflict.source,
         )  # fmt: skip
-    words = (typeset(parameter.words), "" if conflict is None else typeset(conflict.message))
-    named = (typeset(shown.words).rstrip("."), parameter.name, shown.scale.unit or "1")
+    texts = (typeset(parameter.words), "" if conflict is None else typeset(conflict.message))
+    named = (typeset(display.name).rstrip("."), parameter.name, display.scale.unit or "1")
     verdict = (parameter.verdict.value, parameter.at_bound)
-    return (*named, up * parameter.value, *ends, *verdict, *prior, *words)
+    return (*named, up * parameter.value, *ends, *verdict, *prior, *texts)
 
 
-def _solutions(calibration: Calibration) -> Sheet:
-    """Every least of the objective that is not quite unlikely, the best first."""
-    shown = [SHOWN[name] for name in PARAMETERS]
+def _solutions_sheet(calibration: Calibration) -> Sheet:
+    """List the local minima of the objective that are not very unlikely, the best first."""
+    displays = [PARAMETER_DISPLAYS[name] for name in PARAMETERS]
     heads = (
-        "solution", *(f"{each.words} ({each.scale.unit or '1'})" for each in shown),
-        "RMSE (N)", "rise of the objective", "likelihood over that of the best",
+        "solution", *(f"{display.name} ({display.scale.unit or '1'})" for display in displays),
+        "RMSE (N)", "rise of the objective", "likelihood relative to the best",
         "in the 95 % set",
     )  # fmt: skip
     rows = [
         (
             number,
-            *(_scaled(each, v) for each, v in zip(shown, solution.values.tolist(), strict=True)),
+            *map(_scaled, displays, solution.values.tolist()),
             solution.rmse, solution.rise, solution.likelihood, yes(solution.is_allowed),
         )
         for number, solution in enumerate(calibration.solutions, start=1)
     ]  # fmt: skip
-    return Sheet(SOLUTIONS, heads, rows, 1, asks="What else fits the tests?")
+    return Sheet(SOLUTIONS, heads, rows, 1, question="What else fits the tests?")
 
 
-def _scaled(shown: Shown, value: float) -> float | None:
-    return shown.scale.factor * value if math.isfinite(value) else None
+def _scaled(display: ParameterDisplay, value: float) -> float | None:
+    return display.scale.factor * value if math.isfinite(value) else None
 
 
-def _fit(calibration: Calibration) -> Sheet:
+def _fit_sheet(calibration: Calibration) -> Sheet:
     levels = calibration.levels
     rows: list[tuple[Value, ...]] = [
         ("wire", calibration.wire, ""),
@@ -205,21 +209,21 @@ def _fit(calibration: Calibration) -> Sheet:
         ("SSE", calibration.sse, "N²"),
         ("RMSE", calibration.rmse, "N"),
         ("RMSE over the largest force", calibration.rmse_share, "1"),
-        ("noise, found over stated", levels.noise_factor, "1"),
+        ("noise relative to the stated noise", levels.noise_factor, "1"),
         ("degrees of freedom of the noise", levels.noise_freedom, "1"),
         ("correlation of neighbouring points", levels.correlation, "1"),
-        ("scatter of samples, in logarithms of the force", levels.scatter, "1"),
+        ("scatter of samples, of the logarithm of the force", levels.scatter, "1"),
         ("degrees of freedom of the scatter", levels.scatter_freedom, "1"),
-        ("uncertainty of the load cell's gain, in logarithms", levels.gain, "1"),
-        ("intervals wider, for the family of curves is bent", calibration.widening, "1"),
+        ("uncertainty of the load cell's gain, of its logarithm", levels.gain, "1"),
+        ("factor on intervals for nonlinearity of the model", calibration.widening, "1"),
         ("method", calibration.method, ""),
     ]
-    asks = "What does the calibration rest on?"
-    return Sheet(FIT, ("number", "value", "unit"), rows, 1, asks=asks)
+    question = "Which data and which noise is the calibration based on?"
+    return Sheet(FIT, ("number", "value", "unit"), rows, 1, question=question)
 
 
-def _identified(calibration: Calibration) -> Sheet:
-    """Correlations, and singular values with the weights of what they belong to."""
+def _identified_sheet(calibration: Calibration) -> Sheet:
+    """List correlations, and singular values with the weights of their combinations."""
     rows: list[tuple[Value, ...]] = [
         (
             "correlation of the logarithms with",
@@ -228,44 +232,48 @@ def _identified(calibration: Calibration) -> Sheet:
         )
         for name, row in zip(PARAMETERS, calibration.correlations.tolist(), strict=True)
     ]
-    rows += _singular("singular value of the parameters", calibration.separability)
+    rows += _singular_rows("singular value of the parameters", calibration.separability)
     if calibration.friction_separability is not None:
-        rows += _singular("singular value of friction", calibration.friction_separability)
+        rows += _singular_rows("singular value of friction", calibration.friction_separability)
     heads = (
-        "what",
+        "quantity",
         "of",
         *(f"weight or correlation, {name}" for name in (*PARAMETERS, *_FRICTION)),
     )
-    asks = (
-        "Which combinations of parameters are known? One with singular value s is known to 1 / s in"
-        " logarithms; below 1 the tests do not determine it."
+    question = (
+        "Which combinations of parameters are identified? With the singular value s the standard"
+        " error of the logarithm is 1 / s; below 1 the tests do not determine the combination."
     )
-    return Sheet(IDENTIFIED, heads, rows, 2, asks=asks)
+    return Sheet(IDENTIFIED, heads, rows, 2, question=question)
 
 
-def _singular(what: str, found: Separability) -> Iterator[tuple[Value, ...]]:
-    for value, weights in zip(found.singular_values.tolist(), found.combinations, strict=True):
-        named = dict(zip(found.names, weights.tolist(), strict=True))
+def _singular_rows(what: str, separability: Separability) -> Iterator[tuple[Value, ...]]:
+    for value, weights in zip(
+        separability.singular_values.tolist(), separability.combinations, strict=True
+    ):
+        named = dict(zip(separability.names, weights.tolist(), strict=True))
         yield (what, value, *_by_name(named))
-    for name, is_known in found.are_identified.items():
-        yield ("told apart", name, *_by_name({name: yes(is_known)}))
+    for name, is_known in separability.are_identified.items():
+        yield ("identified separately", name, *_by_name({name: yes(is_known)}))
 
 
 def _by_name(values: Mapping[str, Value]) -> tuple[Value, ...]:
     return tuple(values.get(name) for name in (*PARAMETERS, *_FRICTION))
 
 
-def _agreement(groups: Sequence[ValidationGroup]) -> Sheet:
+def _agreement_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
     heads = (
         "wire", DEFLECTION.label("length"), "samples", "model is", "points", "SSE (N²)",
         FORCE.label("RMSE"), "RMSE over the largest force (%)", "points inside the band (%)",
         "band predicts the mean of (samples)", "reason",
     )  # fmt: skip
-    asks = (
-        "How far are the samples from the model, of wires that calibrated it and of others? The"
-        " band is that of one more sample; SSE grows with the number of points."
+    question = (
+        "How well does the model agree with samples of the calibration and with others? The band is"
+        " for one more sample; SSE grows with the number of points."
     )
-    return Sheet(AGREEMENT, heads, [_agreement_row(group) for group in groups], 2, asks=asks)
+    return Sheet(
+        AGREEMENT, heads, [_agreement_row(group) for group in groups], 2, question=question
+    )
 
 
 def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
@@ -281,7 +289,7 @@ def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
     return (*head, errors.n, errors.sse, rmse, *shares, group.mean_of, why)
 
 
-def _curves(calibration: Calibration) -> Sheet:
+def _curves_sheet(calibration: Calibration) -> Sheet:
     heads = (
         "test", "sample", DEFLECTION.label("length"), "points", "factor of the sample", "SSE (N²)",
         FORCE.label("RMSE"), "RMSE over the largest force (%)", "correlation of neighbours",
@@ -295,46 +303,46 @@ def _curves(calibration: Calibration) -> Sheet:
         )
         for curve in calibration.curves
     ]  # fmt: skip
-    asks = "How far is each test from the model, without the sample's own factor?"
-    return Sheet(CURVES, heads, rows, 1, asks=asks)
+    question = "How well does each test agree with the model, without the sample's own factor?"
+    return Sheet(CURVES, heads, rows, 1, question=question)
 
 
-def _notes(report: CalibrationReport) -> Sheet:
-    """Notes of the calibration and of what it predicts, those of one wording once, worst first."""
-    told: dict[tuple[str, str], QualityNote] = {}
+def _notes_sheet(report: CalibrationReport) -> Sheet:
+    """List the notes of the calibration and its predictions, each wording once, worst first."""
+    notes: dict[tuple[str, str], QualityNote] = {}
     for note in report.calibration.notes:
-        told["calibration", note.message] = note
+        notes["calibration", note.message] = note
     for group in report.groups:
         for note in group.prediction.notes if group.prediction is not None else ():
-            told["prediction", note.message] = note
+            notes["prediction", note.message] = note
     for comparison in report.comparisons:
         for note in comparison.notes:
-            told[f"external curve '{comparison.curve.name}'", note.message] = note
+            notes[f"external curve '{comparison.curve.name}'", note.message] = note
     rows = [
         (of, note.severity.value, note.where, note.message, note.code)
         for severity in reversed(Severity)
-        for (of, _), note in told.items()
+        for (of, _), note in notes.items()
         if note.severity is severity
     ]
-    found = (report.calibration.friction_separability, report.calibration.separability)
+    separabilities = (report.calibration.friction_separability, report.calibration.separability)
     rows += [
         (
             "calibration",
             Severity.INFO.value,
-            ", ".join(finding.names),
-            typeset(finding.words),
+            ", ".join(separability.names),
+            typeset(separability.words),
             "told_apart",
         )
-        for finding in found
-        if finding is not None
+        for separability in separabilities
+        if separability is not None
     ]
-    asks = "What has to be known about the calibration?"
+    question = "Which notes apply to the calibration?"
     heads = ("of", "kind", "where", "what", "code")
-    return Sheet(NOTES, heads, rows, 1, asks=asks, wrapped=("what",))
+    return Sheet(NOTES, heads, rows, 1, question=question, wrapped=("what",))
 
 
-def _forces(groups: Sequence[ValidationGroup]) -> Sheet:
-    """Mean, model and samples of all groups below each other, each on its own deflections."""
+def _forces_sheet(groups: Sequence[ValidationGroup]) -> Sheet:
+    """List mean, model and samples of all groups, each at its own deflections."""
     heads = (
         "wire", DEFLECTION.label("length"), "what", DEFLECTION.label("deflection"),
         *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
@@ -351,17 +359,18 @@ def _forces(groups: Sequence[ValidationGroup]) -> Sheet:
             rows += [(*head, *row) for row in block]
         title = f"{group.wire}, {length_words(group.length)}"
         charts.append(Chart(title, DEFLECTION.label("Deflection"), FORCE.label("Force"), lines))
-    asks = "What are the forces of samples and model? 'lower' and 'upper' are 95 % bands."
+    question = "What are the forces of samples and model? 'lower' and 'upper' are 95 % bands."
     drawn = [chart for chart in charts if chart.lines]
-    return Sheet("forces", heads, rows, 3, asks=asks, charts=drawn)
+    return Sheet("forces", heads, rows, 3, question=question, charts=drawn)
 
 
 def _blocks(group: ValidationGroup) -> dict[str, list[Row]]:
-    """Rows of the mean, of the model where there is one, and of each sample."""
-    band, found = group.band, group.prediction
+    """Return the rows of the mean, of the model, if any, and of each sample."""
+    band, prediction = group.band, group.prediction
     mean = _columns(band.displacement, band.mean, band.lower, band.upper)
-    model = [] if found is None else _columns(
-        found.deflection, found.force, found.lower, found.upper, found.lower_mean, found.upper_mean
+    forces = ("force", "lower", "upper", "lower_mean", "upper_mean")
+    model = [] if prediction is None else _columns(
+        prediction.deflection, *(getattr(prediction, name) for name in forces)
     )  # fmt: skip
     samples = {
         test: _columns(sample.displacement, sample.force) for test, sample in group.samples.items()
@@ -370,26 +379,26 @@ def _blocks(group: ValidationGroup) -> dict[str, list[Row]]:
 
 
 def _columns(across: Floats, *forces: Floats) -> list[Row]:
-    """Deflection and forces in the units of the headings; what is missing at the end is empty."""
+    """Return rows of deflection and forces in the units of the headings, padded with None."""
+    max_forces = 5
     x = (DEFLECTION.factor * across).tolist()
     up = [(FORCE.factor * force).tolist() for force in forces]
-    missing = [None] * (_MOST_FORCES - len(up))
+    missing = [None] * (max_forces - len(up))
     return [(*row, *missing) for row in zip(x, *up, strict=True)]
 
 
-_MOST_FORCES = 5
 _ABOUT = (
     "Calibration of the wire model by first loadings of cantilevers. Cells hold all digits of a"
-    " number. An empty cell: no such number. Every table has filters.",
-    "Sheet 'summary': lower and upper are the ends of 95 % intervals by profile likelihood; where"
-    " one is open, the end of its search stands there. Where it falls into parts, they are named.",
-    "Sheet 'solutions': values of the summary are those of the first, intervals and bands those of"
-    " all that are in the 95 % set.",
+    " number. An empty cell: not available. Every table has filters.",
+    "Sheet 'summary': lower and upper are the ends of 95 % intervals by profile likelihood; for an"
+    " open interval, the end of the search. If an interval has several parts, they are listed.",
+    "Sheet 'solutions': the values of the summary belong to the first solution, intervals and bands"
+    " to all solutions in the 95 % set.",
     "Sheet 'forces': lower and upper of the mean are its 95 % band by Student's t with n - 1"
-    " degrees of freedom, those of the model hold one more sample; those of the mean sample hold"
-    " the mean.",
-    "Sheets 'external curves': those that the plan names, compared with the mean of the tests and"
-    " with the model, at their own deflections and never beyond either.",
+    " degrees of freedom; those of the model cover one more sample, those of the mean sample the"
+    " mean.",
+    "Sheets 'external curves': the curves of the plan, compared with the mean of the tests and with"
+    " the model at their own deflections, within the range of both.",
 )
 
 
@@ -398,7 +407,7 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
 
     Parameters
     ----------
-    report : all of it
+    report : of a calibration
     path : of the file
 
     Raises

@@ -17,18 +17,18 @@ from labpipe.report.figure_page import (
     Look,
     PageTexts,
     area_key,
-    keep_in_view,
     keyed_page,
+    limit_to_values,
     line_key,
     panel_letter,
-    say,
     style_colours,
+    write_reason,
 )
 from labpipe.report.group_figures import stems
 from labpipe.report.group_plots import group_scale, interval_key, plot_marks
-from labpipe.report.plot_thinning import bends
+from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.saving import FigureToSave
-from labpipe.report.wording import display_of, heading, in_words, shortened, shown_in
+from labpipe.report.wording import display_of, heading, result_label, shortened, shown_in
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -36,22 +36,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAIN = "bending_stiffness"
-_HEIGHT = 66.0
-_POINTS, _UNSEEN = 40, 0.003
-"""Points of a curve at the most, and the share of its height by which it may be off, so that a
-page of eighteen groups is below 2 MB."""
-_SHIFT = 0.008
-"""How far apart intervals of two groups at one displacement are drawn, as a share of it all."""
-_ROOM = 0.4
-"""Height left for bands above and below the mean curves, as a share of theirs."""
+MAIN_NUMBER = "bending_stiffness"
 _BAND_LOOK: dict[str, Any] = {"alpha": 0.16, "linewidth": 0, "zorder": 1}
 _DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)),
     (0, (3, 1, 1, 1, 1, 1)),
 )  # fmt: skip
 _SIGNS = "osD^vP"
-_LONGEST = 34
+_MAX_LABEL_LENGTH = 34
 
 
 def figures_of_families(campaign: Campaign) -> Iterator[tuple[str, FigureToSave]]:
@@ -65,9 +57,9 @@ def figures_of_families(campaign: Campaign) -> Iterator[tuple[str, FigureToSave]
     ------
     The field and its figure, in the order of the questions.
     """
-    own = families(campaign)
-    every = [f"{each.field}: {context_words(each.groups, each.field)}" for each in own]
-    for family, name in zip(own, stems(f"difference {each}" for each in every), strict=True):
+    drawn = families(campaign)
+    names = stems(f"difference {x.field}: {context_words(x.groups, x.field)}" for x in drawn)
+    for family, name in zip(drawn, names, strict=True):
         yield (
             family.field,
             FigureToSave(name, partial(draw_family, family), caption(family), _alt(family)),
@@ -75,32 +67,32 @@ def figures_of_families(campaign: Campaign) -> Iterator[tuple[str, FigureToSave]
 
 
 def caption(family: Family) -> str:
-    """Say how to read the figure of a family, and what it cannot show."""
+    """Describe the figure of a family and what it does not show."""
     first = family.groups[0]
-    above = f"{field_words(family.field)}: {', '.join(family.words)}; "
-    words = (
+    above = f"{field_words(family.field)}: {', '.join(family.labels)}; "
+    text = (
         f"{above}{equal_words(family.groups, family.field)}. (a) Mean force on first loading, only"
         f" where all samples of a group have data{_interval_words(family)}."
     )
     if _is_scaled(family):
-        words += " (b) The same for force / peak force of each sample."
+        text += " (b) The same for force / peak force of each sample."
     number = main_number(family)
     if number:
-        words += (
-            f" ({'c' if _is_scaled(family) else 'b'}) {in_words(number)}: mean of each group with"
-            " its 95 % interval, cut where it is wider than the panel; small dots are samples."
+        text += (
+            f" ({'c' if _is_scaled(family) else 'b'}) {result_label(number)}: mean of each group"
+            " with its 95 % interval, clipped to the panel; small dots: samples."
         )
     lone = [
-        word for word, group in zip(family.words, family.groups, strict=True) if group.band.n == 1
+        word for word, group in zip(family.labels, family.groups, strict=True) if group.band.n == 1
     ]
     lacking = [
         word
-        for word, group in zip(family.words, family.groups, strict=True)
+        for word, group in zip(family.labels, family.groups, strict=True)
         if not len(group.band.displacement)
     ]
     return " ".join(
         [
-            words,
+            text,
             *([f"One sample, no band: {', '.join(lone)}."] if lone else []),
             *([f"No mean curve: {', '.join(lacking)}."] if lacking else []),
             *(["Protocol: " + first.protocol + "."]),
@@ -110,9 +102,9 @@ def caption(family: Family) -> str:
 
 def _interval_words(family: Family) -> str:
     bands = [group.band for group in family.groups]
-    words = "; pale: holds the mean at any one displacement with 95 %"
-    marks = "; vertical: 95 % intervals of means over fewer than six curves, side by side"
-    return words * any(band.has_area for band in bands) + marks * any(
+    band_text = "; pale: pointwise 95 % band of the mean"
+    marks = "; vertical: 95 % intervals of means of fewer than six curves, side by side"
+    return band_text * any(band.has_area for band in bands) + marks * any(
         len(band.marks) for band in bands
     )
 
@@ -120,12 +112,12 @@ def _interval_words(family: Family) -> str:
 def _alt(family: Family) -> str:
     return (
         f"Mean force against displacement of {len(family.groups)} groups that differ in"
-        f" {family.field.replace('_', ' ')}: {', '.join(family.words)}."
+        f" {family.field.replace('_', ' ')}: {', '.join(family.labels)}."
     )
 
 
 def main_number(family: Family) -> str:
-    """Name the number that groups are compared by: bending stiffness, else the first that all have.
+    """Return the number by which groups are compared: bending stiffness or the first common one.
 
     Parameters
     ----------
@@ -133,27 +125,30 @@ def main_number(family: Family) -> str:
 
     Returns
     -------
-    Empty where there is none.
+    Empty without a common number.
     """
     has = [{number.name for number in group.numbers if number.mean} for group in family.groups]
     shared = [
-        number.name for number in family.groups[0].numbers if all(number.name in own for own in has)
+        number.name
+        for number in family.groups[0].numbers
+        if all(number.name in names for names in has)
     ]
-    return MAIN if MAIN in shared else next(iter(shared), "")
+    return MAIN_NUMBER if MAIN_NUMBER in shared else next(iter(shared), "")
 
 
 def draw_family(family: Family) -> Figure:
-    """Draw groups over each other: force, force / peak force where there is one, the main number.
+    """Draw force, force / peak force, if available, and the main number of the groups.
 
     Parameters
     ----------
-    family : six groups at the most
+    family : at most six groups
     """
+    height_mm = 66.0
     scaled = _is_scaled(family)
     number = main_number(family)
     title = f"{field_words(family.field)}  \u00b7  {context_words(family.groups, family.field)}"
     page = keyed_page(
-        PageTexts(title, keys=_keys(family)), height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN
+        PageTexts(title, keys=_keys(family)), height_mm=height_mm, width_mm=DOUBLE_COLUMN
     )
     count = 1 + scaled + bool(number)
     panels = iter(page.subplots(1, count, squeeze=False).ravel())
@@ -168,7 +163,7 @@ def draw_family(family: Family) -> Figure:
     if number:
         axes = next(panels)
         plot_means(family, number, axes)
-        panel_letter(axes, next(letters), in_words(number))
+        panel_letter(axes, next(letters), result_label(number))
     return page
 
 
@@ -181,6 +176,7 @@ def plot_bands(family: Family, axes: Axes, *, is_scaled: bool = False) -> None:
     axes : to draw on
     is_scaled : draw force / peak force
     """
+    interval_shift = 0.008  # between intervals of two groups, of the largest displacement
     first = family.groups[0]
     across = group_scale(first, "displacement")
     up = 1.0 if is_scaled else group_scale(first, "force").factor
@@ -191,35 +187,35 @@ def plot_bands(family: Family, axes: Axes, *, is_scaled: bool = False) -> None:
         and len(band.displacement)
     ]
     if not drawn:
-        say(axes, "No group has a mean curve.")
+        write_reason(axes, "No group has a mean curve.")
         return
     places = [at - 0.5 * (len(drawn) - 1) for at in range(len(drawn))]
     for look, band in drawn:
-        x, kept = across.factor * band.displacement, _drawn(band, band.mean)
-        axes.plot(x[kept], up * band.mean[kept], color=look.colour, linestyle=look.dash, zorder=3)
-        shift = _SHIFT * band.displacement[-1] * places.pop(0)
+        x, rows = across.factor * band.displacement, _line_points(band, band.mean)
+        axes.plot(x[rows], up * band.mean[rows], color=look.colour, linestyle=look.dash, zorder=3)
+        shift = interval_shift * band.displacement[-1] * places.pop(0)
         plot_marks(band, axes, across.factor, up, color=look.colour, shift=shift)
         if band.has_area:
-            kept = np.union1d(_drawn(band, band.lower), _drawn(band, band.upper))
-            edges = (up * band.lower[kept], up * band.upper[kept])
-            axes.fill_between(x[kept], *edges, color=look.colour, **_BAND_LOOK)
-    axes.set_ylim(*_seen([band for _, band in drawn], up))
+            rows = np.union1d(_line_points(band, band.lower), _line_points(band, band.upper))
+            edges = (up * band.lower[rows], up * band.upper[rows])
+            axes.fill_between(x[rows], *edges, color=look.colour, **_BAND_LOOK)
+    axes.set_ylim(*_force_limits([band for _, band in drawn], up))
     axes.set_xlabel(across.label("Displacement"))
     axes.set_ylabel(
         "Force / peak force" if is_scaled else group_scale(first, "force").label("Force")
     )
 
 
-def _drawn(band: Band, values: Floats) -> Ints:
-    """Points that a line through values of a band is drawn with."""
-    return bends(band.displacement, values, points=_POINTS, tolerance=_UNSEEN)
+def _line_points(band: Band, values: Floats) -> Ints:
+    """Return the points with which a line of a band is drawn, few enough for a small file."""
+    return simplify_line(band.displacement, values, points=40, tolerance=0.003)
 
 
-def _seen(bands: Sequence[Band], up: float) -> tuple[float, float]:
-    """Means in full, and as much of their bands as leaves the means apart."""
+def _force_limits(bands: Sequence[Band], up: float) -> tuple[float, float]:
+    """Return the limits of the axis: full means, and bands only as far as the means stay apart."""
     low = min(float(np.nanmin(band.mean)) for band in bands)
     high = max(float(np.nanmax(band.mean)) for band in bands)
-    room = _ROOM * (high - low)
+    room = 0.4 * (high - low)  # for bands, above and below the means
     edges = [edge for band in bands for edge in (band.lower, band.upper) if np.isfinite(edge).any()]
     least = min([low, *(float(np.nanmin(edge)) for edge in edges)])
     most = max([high, *(float(np.nanmax(edge)) for edge in edges)])
@@ -239,24 +235,24 @@ def plot_means(family: Family, name: str, axes: Axes) -> None:
     numbers = [
         next(number for number in group.numbers if number.name == name) for group in family.groups
     ]
-    shown = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
+    unit = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
     every: list[float] = []
     for row, (number, look, sign) in enumerate(
         zip(numbers, _looks(family), _SIGNS[: len(numbers)], strict=True)
     ):
         values = [
-            shown.factor * value.value
-            for value in number.values.values()
-            if value.value is not None
+            unit.factor * value.value for value in number.values.values() if value.value is not None
         ]
         axes.plot(values, [row + 0.22] * len(values), ".", color=look.colour, markersize=3)
-        every += [*values, shown.factor * _plot_mean(number, row, (look, sign), shown.factor, axes)]
-    axes.set_yticks(range(len(numbers)), [shortened(word, _LONGEST) for word in family.words])
+        every += [*values, unit.factor * _plot_mean(number, row, (look, sign), unit.factor, axes)]
+    axes.set_yticks(
+        range(len(numbers)), [shortened(word, _MAX_LABEL_LENGTH) for word in family.labels]
+    )
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(numbers) - 0.4, -0.6)
-    axes.set_xlabel(heading(name, shown.unit))
+    axes.set_xlabel(heading(name, unit.unit))
     axes.locator_params(axis="x", nbins=4)
-    keep_in_view(every, axes)
+    limit_to_values(every, axes)
 
 
 def _plot_mean(
@@ -278,23 +274,23 @@ def _is_scaled(family: Family) -> bool:
 
 
 def _looks(family: Family) -> list[Look]:
-    """A colour and a dash of its own for each group, to be told apart in grey too."""
-    own = style_colours()
-    return [Look(own[at % len(own)], _DASHES[at]) for at in range(len(family.groups))]
+    """Give each group a colour and a dash that also differ in grey."""
+    colours = style_colours()
+    return [Look(colours[at % len(colours)], _DASHES[at]) for at in range(len(family.groups))]
 
 
 def _keys(family: Family) -> list[Artist]:
     keys: list[Artist] = [
         line_key(
-            f"{shortened(word, _LONGEST)} (n = {group.band.n})",
+            f"{shortened(word, _MAX_LABEL_LENGTH)} (n = {group.band.n})",
             color=look.colour,
             linestyle=look.dash,
         )
-        for look, word, group in zip(_looks(family), family.words, family.groups, strict=True)
+        for look, word, group in zip(_looks(family), family.labels, family.groups, strict=True)
     ]
     if any(len(group.band.marks) for group in family.groups):
         keys.append(interval_key("95 % interval of the mean", color=GREY))
-    keys.append(line_key("one sample", color=GREY, marker=".", markersize=3, linestyle=""))
+    keys.append(line_key("sample", color=GREY, marker=".", markersize=3, linestyle=""))
     if any(group.band.has_area for group in family.groups):
-        keys.append(area_key("95 % band, point by point", color=GREY, **_BAND_LOOK))
+        keys.append(area_key("95 % band, pointwise", color=GREY, **_BAND_LOOK))
     return keys

@@ -1,4 +1,4 @@
-"""Questions that groups answer which differ in one field alone, and the tables of differences."""
+"""Comparisons of groups that differ in one field alone, and the tables of differences."""
 
 from __future__ import annotations
 
@@ -22,21 +22,19 @@ from labpipe.report.wording import (
 )
 from labpipe.statistics.group_fields import BORE, OF_SECTION, in_order, varying_fields
 
-MOST_TOGETHER = 6
-"""Groups that are compared in one figure: more curves could not be told apart."""
-_MOST_SHARE = 10.0
-"""End of an interval beyond which it says nothing of interest: +1000 %."""
+MAX_COMPARED_GROUPS = 6
+"""Groups in one figure: more curves could not be distinguished."""
 
 _OF_BUNDLES = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
     BORE,
 )  # fmt: skip
-"""Fields whose words have a place of their own; any other stands with its name."""
+"""Fields whose values are written without their names."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """Two groups and all that was compared of them.
+    """Two groups and their compared numbers.
 
     Parameters
     ----------
@@ -50,46 +48,46 @@ class Pair:
 
     @property
     def field(self) -> str:
-        """The one field that they differ in; empty for several or none."""
+        """The one field in which they differ; empty for several or none."""
         return self.differences[0].question
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """Groups of which any two differ in one field alone, and in the same.
+    """Groups that all differ from each other in the same single field.
 
     Parameters
     ----------
-    field : that they differ in
-    groups : two at least, `MOST_TOGETHER` at the most, in order of the field
+    field : in which they differ
+    groups : two to `MAX_COMPARED_GROUPS`, in order of the field
     """
 
     field: str
     groups: tuple[Group, ...]
 
     @property
-    def words(self) -> tuple[str, ...]:
-        """Word of the field, group by group."""
-        return tuple(group.fields.get(self.field, "not said") for group in self.groups)
+    def labels(self) -> tuple[str, ...]:
+        """Value of the field of each group."""
+        return tuple(group.fields.get(self.field, "not stated") for group in self.groups)
 
 
-def answering_pairs(campaign: Campaign) -> list[Pair]:
+def single_field_pairs(campaign: Campaign) -> list[Pair]:
     """List the pairs of groups that differ in one field alone, in the order of the differences."""
     groups = {group.name: group for group in campaign.groups}
     pairs = groupby(
         (difference for difference in campaign.differences if difference.family),
         key=lambda difference: (difference.first, difference.second),
     )
-    return [Pair(groups[one], groups[two], tuple(each)) for (one, two), each in pairs]
+    return [Pair(groups[one], groups[two], tuple(differences)) for (one, two), differences in pairs]
 
 
-def not_asked(campaign: Campaign) -> list[Difference]:
+def multi_field_differences(campaign: Campaign) -> list[Difference]:
     """List the differences of groups that differ in several fields at once, or in none."""
     return [difference for difference in campaign.differences if not difference.family]
 
 
 def families(campaign: Campaign) -> list[Family]:
-    """Put groups together of which any two differ in one field alone.
+    """Collect groups that all differ from each other in one single field.
 
     Parameters
     ----------
@@ -97,27 +95,29 @@ def families(campaign: Campaign) -> list[Family]:
 
     Returns
     -------
-    In the order of the questions. Each pair is in one family at least; a family of more than
-    `MOST_TOGETHER` groups is cut, and the first group, to which the others are compared, stands in
-    each part.
+    Families in the order of the comparisons. Each pair is in at least one family; a family of
+    more than `MAX_COMPARED_GROUPS` groups is split, with its first group, the reference, in each
+    part.
     """
     families: list[Family] = []
-    for name, pairs in groupby(answering_pairs(campaign), key=lambda pair: pair.field):
+    for name, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field):
         linked = {(pair.first.name, pair.second.name): pair for pair in pairs}
-        groups = {each.name: each for pair in linked.values() for each in (pair.first, pair.second)}
-        whole = [groups[key] for key in _by_word(groups, name)]
+        groups = {
+            group.name: group for pair in linked.values() for group in (pair.first, pair.second)
+        }
+        whole = [groups[key] for key in _sort_names(groups, name)]
         families += [
             Family(name, part) for clique in _cliques(whole, set(linked)) for part in _parts(clique)
         ]
     return families
 
 
-def _by_word(groups: Mapping[str, Group], field: str) -> list[str]:
+def _sort_names(groups: Mapping[str, Group], field: str) -> list[str]:
     return sorted(groups, key=lambda name: in_order(field, groups[name].fields.get(field, "")))
 
 
 def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[list[Group]]:
-    """Largest sets, greedily: every pair that is linked is in one of them."""
+    """Collect large sets of linked groups greedily, so that each linked pair is in one of them."""
     both = linked | {(two, one) for one, two in linked}
     covered: set[tuple[str, str]] = set()
     for at, first in enumerate(groups):
@@ -126,7 +126,9 @@ def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[
                 continue
             members = [first, second]
             for other in groups:
-                if other not in members and all((other.name, own.name) in both for own in members):
+                if other not in members and all(
+                    (other.name, member.name) in both for member in members
+                ):
                     members.append(other)
             covered |= {(one.name, two.name) for one in members for two in members}
             yield [group for group in groups if group in members]
@@ -134,17 +136,17 @@ def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[
 
 def _parts(groups: Sequence[Group]) -> Iterator[tuple[Group, ...]]:
     first, rest = groups[0], groups[1:]
-    for start in range(0, len(rest), MOST_TOGETHER - 1):
-        yield first, *rest[start : start + MOST_TOGETHER - 1]
+    for start in range(0, len(rest), MAX_COMPARED_GROUPS - 1):
+        yield first, *rest[start : start + MAX_COMPARED_GROUPS - 1]
 
 
 def field_words(field: str) -> str:
-    """Name of a field in words, such as ``Taping``."""
+    """Name a field in words, such as ``Taping``."""
     return field.replace("_", " ").capitalize()
 
 
 def question_words(pair: Pair) -> str:
-    """Word the question that a pair answers.
+    """Describe the comparison of a pair.
 
     Parameters
     ----------
@@ -160,15 +162,15 @@ def question_words(pair: Pair) -> str:
 
 
 def equal_words(groups: Sequence[Group], field: str) -> str:
-    """Say what groups have alike beside a field, and what varies within them."""
+    """Describe the common fields of groups and the fields that vary within them."""
     varying = dict.fromkeys(
         name
         for group in groups
         for name in varying_fields(group)
-        if name != field and not (name == "type" and "composition" in _said(group))
+        if name != field and not (name == "type" and "composition" in _field_names(group))
     )
-    words = context_words(groups, field)
-    inside = f" ({words})" if words else ""
+    context = context_words(groups, field)
+    inside = f" ({context})" if context else ""
     if not varying:
         return f"all else equal{inside}"
     names = ", ".join(name.replace("_", " ") for name in varying)
@@ -176,14 +178,14 @@ def equal_words(groups: Sequence[Group], field: str) -> str:
     return f"all else equal{inside} but for {names}, which {verb} within the groups"
 
 
-def _said(group: Group) -> set[str]:
+def _field_names(group: Group) -> set[str]:
     return {name for sample in group.samples for name in sample.specimen.fields}
 
 
 def context_words(groups: Sequence[Group], field: str) -> str:
-    """List what groups have alike, such as ``19 B2, half-lap PVC, corrugated-tube``.
+    """List the common fields of groups, such as ``19 B2, half-lap PVC, corrugated-tube``.
 
-    Sizes of the section are left out: they come with the type, or with the conduit.
+    Sizes of the section are left out: the type or the conduit implies them.
     """
     first = groups[0].fields
     alike = {
@@ -191,15 +193,21 @@ def context_words(groups: Sequence[Group], field: str) -> str:
         for name, word in first.items()
         if name != field and all(group.fields.get(name) == word for group in groups)
     }
-    own = [
+    other_fields = [
         f"{name.replace('_', ' ')} {word}"
         for name, word in alike.items()
         if name not in _OF_BUNDLES and name not in OF_SECTION
     ]
-    if "composition" not in _said(groups[0]):
-        return ", ".join(filter(None, [alike.get("type", ""), *own]))
+    if "composition" not in _field_names(groups[0]):
+        return ", ".join(filter(None, [alike.get("type", ""), *other_fields]))
     spread = {group.fields.get("arrangement", "") for group in groups if _is_mixed(group)}
-    parts = [*_made_of(alike), *sorted(spread), _taped(alike), _in_conduit(alike), *own]
+    parts = [
+        *_wire_words(alike),
+        *sorted(spread),
+        _tape_words(alike),
+        _conduit_words(alike),
+        *other_fields,
+    ]
     return ", ".join(filter(None, parts))
 
 
@@ -207,8 +215,8 @@ def _is_mixed(group: Group) -> bool:
     return "&" in group.fields.get("wire", "")
 
 
-def _made_of(alike: Mapping[str, str]) -> list[str]:
-    """Wires, or how many there are."""
+def _wire_words(alike: Mapping[str, str]) -> list[str]:
+    """Name the wires or their number."""
     wires = [alike["composition"]] if "composition" in alike else []
     if not wires and "wire" in alike:
         wires = [alike["wire"]]
@@ -217,31 +225,31 @@ def _made_of(alike: Mapping[str, str]) -> list[str]:
     return wires
 
 
-def _taped(alike: Mapping[str, str]) -> str:
+def _tape_words(alike: Mapping[str, str]) -> str:
     if alike.get("taping") == NONE:
         return "no tape"
-    words = (alike.get(name, "") for name in ("taping", "tape"))
-    return " ".join(word for word in words if word not in {"", NONE})
+    parts = (alike.get(name, "") for name in ("taping", "tape"))
+    return " ".join(word for word in parts if word not in {"", NONE})
 
 
-def _in_conduit(alike: Mapping[str, str]) -> str:
+def _conduit_words(alike: Mapping[str, str]) -> str:
     word = alike.get("conduit", "")
     return "" if word == NONE else word
 
 
-_HEADS = ("Number", "Difference (95 %, corrected)", "Does not matter below", "Verdict")
+_HEADS = ("Number", "Difference (95 %, corrected)", "Irrelevant below", "Verdict")
 
 
 def question_table(pair: Pair) -> Table:
-    """Make the table of a pair that differs in one field alone.
+    """Return the table of a pair that differs in one field alone.
 
     Parameters
     ----------
-    pair : its field heads the table as a question
+    pair : its comparison is the title
 
     Returns
     -------
-    A row per number. What speaks against comparing stands once, below the table.
+    A row per number; caveats against the comparison are below the table.
     """
     rows = tuple(_row(difference, display_of(pair.first)) for difference in pair.differences)
     caveats = dict.fromkeys(
@@ -251,65 +259,72 @@ def question_table(pair: Pair) -> Table:
 
 
 def answer_cells(pair: Pair) -> tuple[Cell, ...]:
-    """Say what a pair answers by its first main number: question, verdict, difference, counts.
+    """Return comparison, verdict, difference and counts of a pair for its first main number.
 
     Parameters
     ----------
     pair : that differs in one field alone
     """
-    asked = pair.differences[0]
-    before, after = asked.fields[pair.field]
+    difference = pair.differences[0]
+    before, after = difference.fields[pair.field]
     alike = context_words((pair.first, pair.second), pair.field)
-    written = _written(asked, display_of(pair.first))
-    ends = f"({written.interval})" if written.interval else sentences([asked.difference.reason])
+    written = _written(difference, display_of(pair.first))
+    ends = (
+        f"({written.interval})" if written.interval else sentences([difference.difference.reason])
+    )
     return (
         Cell(f"{field_words(pair.field)}: {after} against {before}", alike),
-        Cell(str(asked.verdict).upper(), asked.why),
-        Cell(f"{heading(asked.name, '1')} {written.value} {ends}".strip()),
-        Cell(" v ".join(str(_count(each, asked.name)) for each in (pair.second, pair.first))),
+        Cell(str(difference.verdict).upper(), difference.why),
+        Cell(f"{heading(difference.name, '1')} {written.value} {ends}".strip()),
+        Cell(
+            " v ".join(str(_count(group, difference.name)) for group in (pair.second, pair.first))
+        ),
     )
 
 
 def _count(group: Group, name: str) -> int:
-    """How many values are behind the mean of a number."""
+    """Return the number of values of a mean."""
     mean = next((number.mean for number in group.numbers if number.name == name), None)
     return 0 if mean is None else mean.chosen.n
 
 
 def _written(difference: Difference, display: Mapping[str, str]) -> Written:
-    """A difference and its corrected interval: in percent, or in its unit."""
+    """Write a difference and its corrected interval in percent or in its unit."""
+    max_shown_ratio = 10.0  # +1000 %: ends beyond it are "more than"
     is_beyond = False
     if difference.share is None:
-        shown = shown_in(difference.name, difference.unit, display)
-        found = difference.difference
-        given = write_number(found.mean, difference.interval, shown.factor, apart=found.apart)
-        unit = f" {unit_words(shown.unit)}".rstrip()
+        display_unit = shown_in(difference.name, difference.unit, display)
+        shift = difference.difference
+        number = write_number(
+            shift.mean, difference.interval, display_unit.factor, apart=shift.apart
+        )
+        unit = f" {unit_words(display_unit.unit)}".rstrip()
     else:
         ends = difference.interval
-        if ends is not None and ends.upper > _MOST_SHARE:
-            ends = Interval(min(ends.lower, _MOST_SHARE), _MOST_SHARE, ends.level)
+        if ends is not None and ends.upper > max_shown_ratio:
+            ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
             is_beyond = True
-        given, unit = write_number(difference.share, ends, 100.0), " %"
-    lower, upper = (f"{_signed(end)}{unit}" if end else "" for end in (given.lower, given.upper))
+        number, unit = write_number(difference.share, ends, 100.0), " %"
+    lower, upper = (f"{_signed(end)}{unit}" if end else "" for end in (number.lower, number.upper))
     upper = f"more than {upper}" if is_beyond else upper
-    return Written(f"{_signed(given.value)}{unit}", lower, upper)
+    return Written(f"{_signed(number.value)}{unit}", lower, upper)
 
 
 def _signed(number: str) -> str:
-    """Write a plus where a difference is up."""
+    """Write a plus before a positive difference."""
     return number if number.startswith(("-", "\u2013", "0")) else f"+{number}"
 
 
 def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]:
-    shown = shown_in(difference.name, difference.unit, display)
+    display_unit = shown_in(difference.name, difference.unit, display)
     written = _written(difference, display)
     ends = (
         f"({written.interval})" if written.interval else sentences([difference.difference.reason])
     )
     margin = nan if difference.margin is None else difference.margin
-    matters = write_number(margin, None, shown.factor, digits=3).value
+    matters = write_number(margin, None, display_unit.factor, digits=3).value
     return (
-        Cell(heading(difference.name, shown.unit)),
+        Cell(heading(difference.name, display_unit.unit)),
         Cell(f"{written.value} {ends}".strip()),
         Cell(matters),
         Cell(str(difference.verdict)),
@@ -317,7 +332,7 @@ def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]
 
 
 def fields_in_words(difference: Difference) -> str:
-    """List the fields that two groups differ in, such as ``taping: half-lap against none``."""
+    """List the differing fields of two groups, such as ``taping: half-lap against none``."""
     return "; ".join(
         f"{name.replace('_', ' ')}: {after} against {before}"
         for name, (before, after) in difference.fields.items()
@@ -325,25 +340,25 @@ def fields_in_words(difference: Difference) -> str:
 
 
 def remarks_on_pairs(campaign: Campaign) -> list[str]:
-    """Say which pairs the page does not show, and where they are."""
-    said = []
+    """Describe the pairs that the page does not show."""
+    lines = []
     if campaign.compared:
         name = campaign.compared.replace("_", " ")
         if not campaign.differences:
-            said.append(f"No two groups differ in {name} alone.")
-        said.append(
+            lines.append(f"No two groups differ in {name} alone.")
+        lines.append(
             f"Only pairs of groups that differ in {name} alone are shown (--compare"
-            f" {campaign.compared}); {_pairs(campaign.pairs_not_shown)} left out."
+            f" {campaign.compared}); {_count_pairs(campaign.pairs_not_shown)} left out."
         )
-    several = not_asked(campaign)
-    if several:
-        count = len({(each.first, each.second) for each in several})
-        said.append(
-            f"{_pairs(count)} not judged, as the groups differ in several fields at once, which"
-            " answers no question: see the sheet 'comparisons' of tables.xlsx."
+    multi_field = multi_field_differences(campaign)
+    if multi_field:
+        count = len({(difference.first, difference.second) for difference in multi_field})
+        lines.append(
+            f"{_count_pairs(count)} not judged because the groups differ in several fields at once:"
+            " see the sheet 'comparisons' of tables.xlsx."
         )
-    return said
+    return lines
 
 
-def _pairs(count: int) -> str:
+def _count_pairs(count: int) -> str:
     return f"{count} pair{'s are' if count != 1 else ' is'}"

@@ -1,4 +1,4 @@
-"""A test's curve: force against displacement, and with its fitted lines."""
+"""Curve of a test: force against displacement, and with its fitted lines."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from labpipe.report.figure_page import (
     new_page,
     panel_letter,
     put_key,
-    say,
+    write_reason,
 )
 from labpipe.report.plot_thinning import extremes
 from labpipe.report.wording import (
     Scale,
     footnote,
-    in_words,
+    result_label,
     scale,
     title,
     unit_words,
@@ -41,12 +41,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_EXACT = 1e-9
-"""Share of a signal's range that is rounding."""
-
-
 class Treatment(Enum):
-    """How the curve differs from the samples; the value is what a figure calls it."""
+    """Treatment of the samples in the curve; the value is its name in a figure."""
 
     NONE = "not filtered"
     CORRECTED = "corrected, not filtered"
@@ -54,7 +50,7 @@ class Treatment(Enum):
 
 
 def treatment_of_force(result: TestResult) -> Treatment:
-    """Tell what was done to the force of a test.
+    """Return the treatment of the force of a test.
 
     Parameters
     ----------
@@ -62,19 +58,21 @@ def treatment_of_force(result: TestResult) -> Treatment:
 
     Returns
     -------
-    Filtered too where there is nothing to compare with: then nothing says that it was not.
+    `FILTERED` also if there is no aligned series to compare with.
 
     Notes
     -----
-    A correction (a slip added back, a stray sample bridged) moves whole stretches or a few samples:
-    from sample to sample the median change of what was added is zero. A filter changes every
-    sample by an amount of its own.
+    A correction (a repaired slip, a bridged outlier) shifts intervals or a few samples: the median
+    change of the correction from sample to sample is zero. A filter changes every sample by a
+    different amount.
     """
-    return _of(result, "force", result.curve.force if result.curve is not None else None)
+    return _series_treatment(
+        result, "force", result.curve.force if result.curve is not None else None
+    )
 
 
 def treatment(result: TestResult) -> Treatment:
-    """Tell what was done to force and displacement of a test.
+    """Return the treatment of force and displacement of a test.
 
     Parameters
     ----------
@@ -82,18 +80,21 @@ def treatment(result: TestResult) -> Treatment:
 
     Returns
     -------
-    The greater of both. What frame and grips give is taken off the displacement sample by sample;
-    where that was done (note ``compliance_removed``), the displacement counts as corrected.
+    The stronger of both. Compliance of frame and grips is subtracted from the displacement sample
+    by sample; with that (note ``compliance_removed``) the displacement counts as corrected.
     """
     force = treatment_of_force(result)
     curve = result.curve
-    travel = _of(result, "displacement", curve.displacement if curve is not None else None)
+    travel = _series_treatment(
+        result, "displacement", curve.displacement if curve is not None else None
+    )
     if any(note.code == "compliance_removed" for note in result.quality):
         travel = Treatment.CORRECTED
     return max(force, travel, key=list(Treatment).index)
 
 
-def _of(result: TestResult, name: str, after: Floats | None) -> Treatment:
+def _series_treatment(result: TestResult, name: str, after: Floats | None) -> Treatment:
+    rounding_share = 1e-9  # of the range of the signal
     series = result.aligned.series if result.aligned is not None else {}
     if after is None or name not in series or len(series[name].values) != len(after):
         return Treatment.FILTERED
@@ -101,19 +102,18 @@ def _of(result: TestResult, name: str, after: Floats | None) -> Treatment:
     change = change[~np.isnan(change)]
     if not len(change):
         return Treatment.FILTERED
-    least = _EXACT * float(np.nanmax(after) - np.nanmin(after))
+    least = rounding_share * float(np.nanmax(after) - np.nanmin(after))
     if np.abs(change).max() <= least:
         return Treatment.NONE
     steps = np.abs(np.diff(change))
     return Treatment.CORRECTED if np.median(steps) <= least else Treatment.FILTERED
 
 
-MOST_COLOURS = 6
-"""Cycles that a legend tells apart; more of them get a colour bar."""
+MAX_CYCLE_COLOURS = 6
+"""Cycles in a legend; more cycles get a colour bar."""
 
-_BRANCH_BINS = 350
-_BINS_WHOLE = 4000
-"""Stretches that a branch is thinned to, and a curve that was not split into branches."""
+_CURVE_BINS = 4000
+"""Bins to which a curve without branches is thinned."""
 _STYLES: dict[Direction, Literal["-"] | tuple[float, tuple[float, float]]] = {
     Direction.LOADING: "-",
     Direction.UNLOADING: (0, (4, 1.6)),
@@ -121,10 +121,7 @@ _STYLES: dict[Direction, Literal["-"] | tuple[float, tuple[float, float]]] = {
 
 
 def draw_force_displacement(result: TestResult) -> Figure:
-    """Draw (a) the calibrated samples as recorded and (b) the curve that numbers come from.
-
-    Where nothing was done to the samples, there is one panel.
-    """
+    """Draw (a) the calibrated samples as recorded and (b) the curve, in one panel if equal."""
     done = treatment(result)
     if done is Treatment.NONE:
         page = new_page(result, width_mm=WIDTH, height_mm=82, has_key=True)
@@ -140,7 +137,7 @@ def draw_force_displacement(result: TestResult) -> Figure:
     if len(panels) > 1:
         panels[-1].set_ylabel("")
     if result.curve is not None and result.curve.branches:
-        _explain(page, panels, result.curve)
+        _draw_key(page, panels, result.curve)
     return page
 
 
@@ -149,24 +146,24 @@ def plot_raw(result: TestResult, axes: Axes) -> None:
 
     Parameters
     ----------
-    result : its aligned series ``force`` and ``displacement`` are drawn; the turning points of the
-        curve say which sample belongs to which cycle, without a curve all are one colour
+    result : its aligned series ``force`` and ``displacement`` are drawn, coloured by cycle between
+        the turning points of the curve, or in one colour without a curve
     axes : to draw on; an explaining sentence if there are no such series
     """
     series = result.aligned.series if result.aligned is not None else {}
     if result.aligned is None or not {"force", "displacement"} <= set(series):
-        say(axes, why_missing(result, "unfiltered force and displacement"))
+        write_reason(axes, why_missing(result, "unfiltered force and displacement"))
         return
     pair = series["displacement"].values, series["force"].values
     branches = result.curve.branches if result.curve is not None else ()
     if not branches:
-        _plot_thinned(result, axes, *pair, bins=_BINS_WHOLE, color=GREY, linewidth=0.5)
+        _plot_thinned(result, axes, *pair, bins=_CURVE_BINS, color=GREY, linewidth=0.5)
     for branch, colour in zip(branches, _branch_colours(branches), strict=True):
         ends = np.searchsorted(result.aligned.time, [branch.start_time, branch.stop_time])
         part = slice(ends[0], ends[1] + 1)
         look: dict[str, Any] = {"color": colour, "linestyle": _STYLES[branch.direction]}
         _plot_thinned(result, axes, pair[0][part], pair[1][part], linewidth=0.5, **look)
-    _label(result, axes)
+    _label_axes(result, axes)
 
 
 def plot_filtered(result: TestResult, axes: Axes) -> None:
@@ -179,28 +176,28 @@ def plot_filtered(result: TestResult, axes: Axes) -> None:
     """
     curve = result.curve
     if curve is None:
-        say(axes, why_missing(result, "curve"))
+        write_reason(axes, why_missing(result, "curve"))
         return
     if not curve.branches:
-        _plot_thinned(result, axes, curve.displacement, curve.force, bins=_BINS_WHOLE, color=GREY)
+        _plot_thinned(result, axes, curve.displacement, curve.force, bins=_CURVE_BINS, color=GREY)
     for branch, colour in zip(curve.branches, _branch_colours(curve.branches), strict=True):
-        # one sample more: the line of a branch reaches the line of the next
+        # one sample more: the lines of two branches meet
         part = slice(branch.start, branch.stop + 1)
         pair = curve.displacement[part], curve.force[part]
         _plot_thinned(result, axes, *pair, color=colour, linestyle=_STYLES[branch.direction])
     _mark_peaks(result, axes, curve)
-    _label(result, axes)
+    _label_axes(result, axes)
 
 
 def _plot_thinned(
-    result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = _BRANCH_BINS, **look: Any
+    result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = 350, **look: Any
 ) -> None:
-    kept = extremes(y, bins=bins)
+    rows = extremes(y, bins=bins)
     across, up = _scales(result)
-    axes.plot(x[kept] * across.factor, y[kept] * up.factor, **look)
+    axes.plot(x[rows] * across.factor, y[rows] * up.factor, **look)
 
 
-def _label(result: TestResult, axes: Axes) -> None:
+def _label_axes(result: TestResult, axes: Axes) -> None:
     across, up = _scales(result)
     axes.set_xlabel(across.label("Displacement"))
     axes.set_ylabel(up.label("Force"))
@@ -208,7 +205,7 @@ def _label(result: TestResult, axes: Axes) -> None:
 
 
 def _mark_peaks(result: TestResult, axes: Axes, curve: Curve) -> None:
-    """Put an open triangle on the highest force of each cycle."""
+    """Mark the highest force of each cycle with an open triangle."""
     across, up = _scales(result)
     colours = cycle_colours(int(curve.cycle.max(initial=0)))
     for number, colour in enumerate(colours, start=1):
@@ -220,13 +217,13 @@ def _mark_peaks(result: TestResult, axes: Axes, curve: Curve) -> None:
 
 
 def cycle_colours(count: int) -> list[str]:
-    """Colour of each cycle: the style's own for a few, a colour map for many."""
+    """Return the colour of each cycle: of the style for a few, of a colour map for many."""
     import matplotlib as mpl
     from matplotlib.colors import to_hex
 
-    if count <= MOST_COLOURS:
-        own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
-        return [to_hex(own[number % len(own)]) for number in range(count)]
+    if count <= MAX_CYCLE_COLOURS:
+        colours = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+        return [to_hex(colours[number % len(colours)]) for number in range(count)]
     colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
     return [to_hex(colour_map(0.92 * place)) for place in np.linspace(0, 1, count)]
 
@@ -236,10 +233,10 @@ def _branch_colours(branches: tuple[Branch, ...]) -> list[str]:
     return [colours[branch.cycle - 1] for branch in branches]
 
 
-def _explain(page: Figure, panels: list[Axes], curve: Curve) -> None:
-    """Name cycles, directions and peaks above the panels, where no data can be."""
+def _draw_key(page: Figure, panels: list[Axes], curve: Curve) -> None:
+    """Draw the key of cycles, directions and peaks above the panels."""
     count = max(branch.cycle for branch in curve.branches)
-    few = count <= MOST_COLOURS
+    few = count <= MAX_CYCLE_COLOURS
     cycles = [
         line_key(f"cycle {number}", color=colour)
         for number, colour in enumerate(cycle_colours(count) if count > 1 and few else (), start=1)
@@ -270,31 +267,29 @@ def _colour_bar(page: Figure, panels: list[Axes], count: int) -> None:
     bar.outline.set_linewidth(0.4)
 
 
-_LOADING_BINS = 1500
-_RED = "#b2182b"
-_PLACES: dict[str, tuple[str, Any]] = {
+_PLACE_LINES: dict[str, tuple[str, Any]] = {
     "break_point": ("break point", ":"),
     "kink_displacement": ("kink", ":"),
-    "plateau_displacement": ("onset of the plateau", (0, (8, 2))),
+    "plateau_displacement": ("onset of plateau", (0, (8, 2))),
 }
-"""Results that are places on the axis of displacement: words for the key, and style of the line."""
+"""Results that are displacements: label in the key and style of the line."""
 
 
 def draw_stiffness_lines(result: TestResult) -> Figure:
-    """Draw the first loading branch with the lines that stiffnesses were read from."""
+    """Draw the first loading branch with the lines fitted for stiffness."""
     branches = result.curve.branches if result.curve is not None else ()
     if not any(branch.direction is Direction.LOADING for branch in branches):
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
-        say(page.subplots(), why_missing(result, "loading branch"))
+        write_reason(page.subplots(), why_missing(result, "loading branch"))
         return page
     keys = [*_branch_keys(result), *_line_keys(result), *_point_keys(result)]
-    words = PageTexts(title(result), footnote(result), keys)
-    page = keyed_page(words, height_mm=92, width_mm=DOUBLE_COLUMN)
+    texts = PageTexts(title(result), footnote(result), keys)
+    page = keyed_page(texts, height_mm=92, width_mm=DOUBLE_COLUMN)
     axes = page.subplots()
     plot_branch(result, axes)
     plot_lines(result, axes)
     mark_points(result, axes)
-    _label(result, axes)
+    _label_axes(result, axes)
     return page
 
 
@@ -303,13 +298,14 @@ _AS_MEASURED: dict[str, Any] = {"color": GREY, "linestyle": (0, (4, 1.6)), "line
 
 
 def plot_branch(result: TestResult, axes: Axes) -> None:
-    """Draw the first loading branch, and as it was measured where slips were repaired.
+    """Draw the first loading branch, and the measured one if slips were repaired.
 
     Parameters
     ----------
     result : a test with a curve
     axes : to draw on
     """
+    loading_bins = 1500
     curve = result.curve
     if curve is None:
         return
@@ -318,12 +314,12 @@ def plot_branch(result: TestResult, axes: Axes) -> None:
     across, up = _scales(result)
     if result.aligned is not None and _is_repaired(result):
         measured = result.aligned.series["force"].values[part]
-        kept = extremes(measured, bins=_LOADING_BINS)
-        x, y = curve.displacement[part][kept] * across.factor, measured[kept] * up.factor
+        rows = extremes(measured, bins=loading_bins)
+        x, y = curve.displacement[part][rows] * across.factor, measured[rows] * up.factor
         axes.plot(x, y, **_AS_MEASURED)
     force = curve.force[part]
-    kept = extremes(force, bins=_LOADING_BINS)
-    x, y = curve.displacement[part][kept] * across.factor, force[kept] * up.factor
+    rows = extremes(force, bins=loading_bins)
+    x, y = curve.displacement[part][rows] * across.factor, force[rows] * up.factor
     axes.plot(x, y, **_LOADING)
 
 
@@ -358,14 +354,14 @@ def _line_keys(result: TestResult) -> list[Artist]:
 
 
 def _slope_words(result: TestResult, line: FittedLine) -> str:
-    """Name of a line and its slope, with the interval of the result of that name, if any."""
+    """Write the name and the slope of a line, with the interval of the result, if any."""
     stiffness = scale(result, "stiffness", "N/m")
-    found = next((result for result in result.results if result.name == line.result), None)
-    is_it = found is not None and found.unit == "N/m" and found.value is not None
-    value, ends = (found.value, found.interval) if found is not None and is_it else (None, None)
+    fitted = next((result for result in result.results if result.name == line.result), None)
+    is_it = fitted is not None and fitted.unit == "N/m" and fitted.value is not None
+    value, ends = (fitted.value, fitted.interval) if fitted is not None and is_it else (None, None)
     slope = line.slope if value is None else value
-    words = write_number(slope, ends, stiffness.factor).text
-    return f"{in_words(line.result)}: {words} {unit_words(stiffness.unit)}"
+    number = write_number(slope, ends, stiffness.factor).text
+    return f"{result_label(line.result)}: {number} {unit_words(stiffness.unit)}"
 
 
 def mark_points(result: TestResult, axes: Axes) -> None:
@@ -377,10 +373,10 @@ def mark_points(result: TestResult, axes: Axes) -> None:
     axes : to draw on
     """
     across, up = _scales(result)
-    for name, (_, dashes) in _PLACES.items():
+    for name, (_, dashes) in _PLACE_LINES.items():
         place = _value(result, name)
         if place is not None:
-            axes.axvline(place * across.factor, **_place_look(dashes))
+            axes.axvline(place * across.factor, **_place_style(dashes))
     for slip in result.slips:
         axes.axvline(slip.position * across.factor, **_SLIP)
     at, force = _value(result, "failure_displacement"), _value(result, "failure_force")
@@ -388,18 +384,18 @@ def mark_points(result: TestResult, axes: Axes) -> None:
         axes.plot(at * across.factor, force * up.factor, **_FAILURE)
 
 
-_SLIP: dict[str, Any] = {"color": _RED, "linewidth": 0.6, "linestyle": (0, (5, 2))}
-_FAILURE: dict[str, Any] = {"color": _RED, "marker": "x", "linestyle": ""}
+_SLIP: dict[str, Any] = {"color": "#b2182b", "linewidth": 0.6, "linestyle": (0, (5, 2))}
+_FAILURE: dict[str, Any] = {"color": "#b2182b", "marker": "x", "linestyle": ""}
 
 
-def _place_look(dashes: Any) -> dict[str, Any]:
+def _place_style(dashes: Any) -> dict[str, Any]:
     return {"color": GREY, "linewidth": 0.6, "linestyle": dashes}
 
 
 def _point_keys(result: TestResult) -> list[Artist]:
     places = [
-        line_key(words, **_place_look(dashes))
-        for name, (words, dashes) in _PLACES.items()
+        line_key(label, **_place_style(dashes))
+        for name, (label, dashes) in _PLACE_LINES.items()
         if _value(result, name) is not None
     ]
     slips = [line_key(f"slip, {slip.decision}", **_SLIP) for slip in result.slips[:1]]
@@ -408,8 +404,8 @@ def _point_keys(result: TestResult) -> list[Artist]:
 
 
 def _value(result: TestResult, name: str) -> float | None:
-    found: list[Result] = [result for result in result.results if result.name == name]
-    return found[0].value if found else None
+    matches: list[Result] = [result for result in result.results if result.name == name]
+    return matches[0].value if matches else None
 
 
 def _scales(result: TestResult) -> tuple[Scale, Scale]:

@@ -1,4 +1,4 @@
-"""The page a figure is drawn on: size, style, words, key, looks, the sentence of an empty one."""
+"""Page of a figure: size, style, texts, key, looks of lines, sentence of an empty panel."""
 
 from __future__ import annotations
 
@@ -33,17 +33,10 @@ WIDTH = 120.0
 GREY = "#666666"
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
 _LINE_MM = 4.2
+"""Height of a line of text."""
 _EDGE = 0.012
-_LONGEST_TICK, _LONGEST_LINE = 40, 150
-"""Characters of a word at an axis, and of a line anywhere on a page."""
+"""Left edge of texts, of the width of the page."""
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
-_FEW_DECADES = 500.0
-_ROOM_FOR_INTERVALS = 1.5
-"""Beside the values of an axis, as a share of their range."""
-_NOTE_CHARACTERS = 0.7
-"""Characters of a footnote for each mm of the page's width."""
-_KEY_HANDLE = 11.8
-"""mm of a key's line with the gaps around it."""
 
 
 class PageTexts(NamedTuple):
@@ -53,7 +46,7 @@ class PageTexts(NamedTuple):
     ----------
     title : one line
     note : footnote, broken into lines by the page
-    keys : signs to explain
+    keys : lines and signs to explain
     """
 
     title: str
@@ -62,7 +55,7 @@ class PageTexts(NamedTuple):
 
 
 class Look(NamedTuple):
-    """Colour and dash of what lines belong to: a spool, a wire, a length, a group."""
+    """Colour and dash of the lines of a spool, a wire, a length or a group."""
 
     colour: str
     dash: Any
@@ -70,7 +63,7 @@ class Look(NamedTuple):
 
 @contextmanager
 def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Draw and save inside this block in labpipe's style; nothing global stays changed.
+    """Draw and save in labpipe's style inside this block, without global changes.
 
     Parameters
     ----------
@@ -78,21 +71,21 @@ def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
 
     Notes
     -----
-    Matplotlib's warning of a letter that no font here has is not passed on: the figure shows a box
-    in its place, and the name stands whole in the summary, the page and the workbook.
+    Matplotlib's warning about a glyph missing from all fonts is suppressed: the figure shows a box,
+    and summary, page and workbook have the full name.
     """
     _load_matplotlib()
     import matplotlib as mpl
 
-    own: Any = dict(changes or {})
-    with mpl.rc_context(own, fname=str(STYLE_FILE)), warnings.catch_warnings():
+    settings: Any = dict(changes or {})
+    with mpl.rc_context(settings, fname=str(STYLE_FILE)), warnings.catch_warnings():
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         yield
 
 
 @cache
 def _load_matplotlib() -> None:
-    """Import what draws; its modules last, so that the collector is to pass them by."""
+    """Import matplotlib and exclude its modules from garbage collection."""
     was_enabled = gc.isenabled()
     gc.disable()
     import matplotlib.backends.backend_svg
@@ -110,7 +103,7 @@ def new_page(
 
     Parameters
     ----------
-    result : names the test, its specimen and protocol; its doubtful results go to the footnote
+    result : gives test, specimen and protocol for the title, doubtful results for the footnote
     width_mm, height_mm : mm on paper
     has_key : keep a line free below the title, for `put_key`
 
@@ -124,13 +117,13 @@ def new_page(
 
 
 def titled_page(
-    words: str, note: str, *, width_mm: float, height_mm: float, key_rows: int = 0
+    heading: str, note: str, *, width_mm: float, height_mm: float, key_rows: int = 0
 ) -> Figure:
     """Make an empty figure with any title and footnote.
 
     Parameters
     ----------
-    words, note : title of one line, and footnote of as many as it has; an empty one takes no room
+    heading, note : title of one line; footnote of any number of lines, may be empty
     width_mm, height_mm : mm on paper
     key_rows : lines kept free below the title, for `put_key`
 
@@ -142,7 +135,7 @@ def titled_page(
 
     figure = Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
     line = _LINE_MM / height_mm
-    figure.text(_EDGE, 1 - 0.3 * line, words, va="top", color=GREY)
+    figure.text(_EDGE, 1 - 0.3 * line, heading, va="top", color=GREY)
     if note:
         figure.text(_EDGE, 0.3 * line, note, va="bottom", color=GREY)
     low = line * (0.4 + 0.9 * (note.count("\n") + 1)) if note else 0.0
@@ -153,47 +146,49 @@ def titled_page(
 
 
 def keyed_page(
-    words: PageTexts, *, height_mm: float, width_mm: float = WIDTH, columns: int = 0
+    texts: PageTexts, *, height_mm: float, width_mm: float = WIDTH, columns: int = 0
 ) -> Figure:
     """Make an empty page with its key below the title.
 
     Parameters
     ----------
-    words : what is around the panels
+    texts : title, note and key
     height_mm : mm, without the lines of the key and of the footnote
     width_mm : mm on paper
-    columns : of the key; as many as have room if 0
+    columns : of the key; as many as fit if 0
     """
-    labels = [str(key.get_label()) for key in words.keys]
-    columns = columns or _columns(list(map(_width_mm, labels)), width_mm - 2.0)
-    rows = math.ceil(len(words.keys) / columns)
-    lines = textwrap.wrap(words.note, int(_NOTE_CHARACTERS * width_mm))
+    characters_per_mm = 0.7  # of the width of the page, in a footnote
+    labels = [str(key.get_label()) for key in texts.keys]
+    columns = columns or _key_columns(list(map(_width_mm, labels)), width_mm - 2.0)
+    rows = math.ceil(len(texts.keys) / columns)
+    lines = textwrap.wrap(texts.note, int(characters_per_mm * width_mm))
     page = titled_page(
-        words.title,
+        texts.title,
         "\n".join(lines),
         width_mm=width_mm,
         height_mm=height_mm + 4.6 * rows + 3.8 * len(lines),
         key_rows=rows,
     )
-    if words.keys:
-        put_key(page, words.keys, columns=columns)
+    if texts.keys:
+        put_key(page, texts.keys, columns=columns)
     return page
 
 
-def _width_mm(words: str) -> float:
-    """Width of words of a key on paper, mm."""
+def _width_mm(text: str) -> float:
+    """Return the width of a text of a key on paper, mm."""
     import matplotlib as mpl
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
 
     font = FontProperties(size=mpl.rcParams["legend.fontsize"])
-    points, *_ = text_to_path.get_text_width_height_descent(words, font, ismath=False)
+    points, *_ = text_to_path.get_text_width_height_descent(text, font, ismath=False)
     return points / _POINTS_PER_INCH * _MM_PER_INCH
 
 
-def _columns(lengths: Sequence[float], room: float) -> int:
-    """Columns of a key: one line if all fits, else as many as the longest words allow."""
-    widths = [_KEY_HANDLE + length for length in lengths]
+def _key_columns(lengths: Sequence[float], room: float) -> int:
+    """Return the columns of a key: one line if all fits, else as the longest label allows."""
+    handle_mm = 11.8  # sample of a line with its gaps
+    widths = [handle_mm + length for length in lengths]
     if sum(widths) <= room:
         return max(len(widths), 1)
     most = max(int(room / max(widths)), 1)
@@ -201,28 +196,24 @@ def _columns(lengths: Sequence[float], room: float) -> int:
 
 
 def finish_layout(page: Figure) -> None:
-    """Give every panel its place now, for good; words are made such that they fit and show.
+    """Lay out a page permanently, with shortened and printable texts.
 
     Parameters
     ----------
-    page : its words are measured as an SVG has them, so that its places do not depend on whether
-        it is drawn in pixels too
+    page : its texts are measured as in SVG, so that the layout is the same for pixels
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     FigureCanvasSVG(page)
-    _fit_words(page)
+    _fit_texts(page)
     engine = page.get_layout_engine()
     if engine is not None:
         engine.execute(page)
     page.set_layout_engine("none")
 
 
-_NOTEBOOK_DPI = 120
-
-
 def with_own_fonts(page: Figure) -> Figure:
-    """Give a page, inside the present style, what it needs to look the same outside of it.
+    """Fix the fonts of a page so that it looks the same outside the current style.
 
     Parameters
     ----------
@@ -230,8 +221,9 @@ def with_own_fonts(page: Figure) -> Figure:
 
     Returns
     -------
-    The same page: its words name their fonts, and a notebook can show it.
+    The same page, with named fonts, and an image for notebooks.
     """
+    notebook_dpi = 120
     import matplotlib as mpl
     from matplotlib.font_manager import fontManager
     from matplotlib.text import Text
@@ -241,7 +233,7 @@ def with_own_fonts(page: Figure) -> Figure:
     fonts = [font for font in wanted if font in installed]
     for text in page.findobj(Text):
         text.set_fontfamily(fonts)
-    page.set_dpi(_NOTEBOOK_DPI)
+    page.set_dpi(notebook_dpi)
     vars(page)["_repr_png_"] = partial(_as_png, page)
     return page
 
@@ -253,37 +245,38 @@ def _as_png(page: Figure) -> bytes:
     return image.getvalue()
 
 
-def _fit_words(page: Figure) -> None:
-    """Leave panels room beside their words; report page and workbook have the whole names."""
+def _fit_texts(page: Figure) -> None:
+    """Shorten long texts to leave room for panels; page and workbook have the full names."""
+    max_tick_length, max_line_length = 40, 150
     from matplotlib.ticker import FixedLocator
 
-    for axis in _axes_lines(page):
+    for axis in _axis_objects(page):
         if isinstance(axis.get_major_locator(), FixedLocator):
-            words = [label.get_text() for label in axis.get_ticklabels()]
-            fitting = [_fitting(word, _LONGEST_TICK) for word in words]
-            if fitting != words:
+            labels = [label.get_text() for label in axis.get_ticklabels()]
+            fitting = [_shorten_lines(word, max_tick_length) for word in labels]
+            if fitting != labels:
                 axis.set_ticks(axis.get_majorticklocs(), fitting)
     for text in _texts(page):
-        fitted = _fitting(text.get_text(), _LONGEST_LINE)
-        if fitted != text.get_text():  # else it would be laid out anew
+        fitted = _shorten_lines(text.get_text(), max_line_length)
+        if fitted != text.get_text():  # setting a text repeats its layout
             text.set_text(fitted)
 
 
-def _fitting(text: str, most: int) -> str:
+def _shorten_lines(text: str, most: int) -> str:
     return "\n".join(shortened(line, most) for line in printable(text).split("\n"))
 
 
-def _axes_lines(page: Figure) -> Iterator[Axis]:
+def _axis_objects(page: Figure) -> Iterator[Axis]:
     for axes in page.axes:
         yield from (axes.xaxis, axes.yaxis)
 
 
 def _texts(page: Figure) -> Iterator[Text]:
-    """All texts but those of ticks, which are made when they are asked for."""
+    """Yield all texts but those of ticks, which are made on demand."""
     from matplotlib.legend import Legend
     from matplotlib.text import Text
 
-    yield from (axis.label for axis in _axes_lines(page))
+    yield from (axis.label for axis in _axis_objects(page))
     for holder in (page, *page.axes):
         for child in holder.get_children():
             if isinstance(child, Text):
@@ -293,13 +286,13 @@ def _texts(page: Figure) -> Iterator[Text]:
 
 
 def put_key(page: Figure, handles: Sequence[Artist], *, columns: int | None = None) -> None:
-    """Name lines and signs in the lines below the title, where no data can be.
+    """Draw the key of lines and signs below the title, outside the panels.
 
     Parameters
     ----------
     page : made with room for the lines
-    handles : what to name
-    columns : how many stand in a line; all of them if None
+    handles : lines and signs
+    columns : entries per line; all of them if None
     """
     line = _LINE_MM / (page.get_figheight() * _MM_PER_INCH)
     page.legend(
@@ -312,22 +305,22 @@ def put_key(page: Figure, handles: Sequence[Artist], *, columns: int | None = No
     )
 
 
-def line_key(words: str, **look: Any) -> Artist:
-    """Sample of a line or a sign, with what it is called, for a key."""
+def line_key(label: str, **look: Any) -> Artist:
+    """Return an entry of a key: a line or a sign with its label."""
     from matplotlib.lines import Line2D
 
-    return Line2D([], [], label=words, **look)
+    return Line2D([], [], label=label, **look)
 
 
-def area_key(words: str, **look: Any) -> Artist:
-    """Sample of an area, with what it is called, for a key."""
+def area_key(label: str, **look: Any) -> Artist:
+    """Return an entry of a key: an area with its label."""
     from matplotlib.patches import Patch
 
-    return Patch(label=words, **look)
+    return Patch(label=label, **look)
 
 
 def side_key(axes: Axes, handles: Sequence[Artist]) -> None:
-    """Name what a panel shows on top of its right end, above the data."""
+    """Draw the key of a panel above its upper right corner."""
     axes.legend(
         handles=list(handles),
         loc="lower right",
@@ -338,13 +331,13 @@ def side_key(axes: Axes, handles: Sequence[Artist]) -> None:
     )
 
 
-def panel_letter(axes: Axes, letter: str, words: str) -> None:
-    """Head a panel with ``(a) words`` at its upper left."""
-    axes.set_title(f"({letter}) {words}", loc="left")
+def panel_letter(axes: Axes, letter: str, heading: str) -> None:
+    """Write ``(a) heading`` above the upper left corner of a panel."""
+    axes.set_title(f"({letter}) {heading}", loc="left")
 
 
-def say(axes: Axes, sentence: str) -> None:
-    """Leave a panel empty but for a sentence that says why."""
+def write_reason(axes: Axes, sentence: str) -> None:
+    """Write into an empty panel why it is empty."""
     axes.set_axis_off()
     axes.text(
         0.5,
@@ -357,36 +350,37 @@ def say(axes: Axes, sentence: str) -> None:
     )
 
 
-def number_log(axis: Axis) -> None:
-    """Write plain numbers at 1, 2 and 5 of each decade where there are few decades, else at 1.
+def label_log_axis(axis: Axis) -> None:
+    """Label a logarithmic axis with plain numbers: at 1, 2 and 5 for few decades, else at 1.
 
     Parameters
     ----------
-    axis : a logarithmic one, with its limits set
+    axis : logarithmic, with its limits set
     """
+    few_decades_ratio = 500.0
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()
-    steps = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
+    steps = (1.0, 2.0, 5.0) if high < few_decades_ratio * low else (1.0,)
     axis.set_major_locator(LogLocator(subs=steps))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 
 
 def style_colours() -> list[str]:
-    """Colours of the style, in their order."""
+    """Return the colours of the style."""
     import matplotlib as mpl
 
-    own: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
-    return own
+    colours: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    return colours
 
 
 def line_looks(count: int) -> list[Look]:
-    """Give each of several lines a colour and a dash of its own, to be told apart in grey too."""
-    own = style_colours()
+    """Give each line a colour and a dash that also differ in grey."""
+    colours = style_colours()
     return [
-        # the dash moves on where the colours begin anew, so that no pair comes twice
-        Look(own[number % len(own)], dash_of(number + number // len(own)))
+        # the dash changes where the colours repeat, so that each pair is unique
+        Look(colours[number % len(colours)], dash_of(number + number // len(colours)))
         for number in range(count)
     ]
 
@@ -400,35 +394,36 @@ _SEGMENT: dict[str, Any] = {
 
 
 def line_looks_of_fits(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Broad and pale for lines over set windows, thin and dotted upon them for fitted segments.
+    """Return styles of fitted lines: broad and pale over set windows, dotted for segments.
 
     Parameters
     ----------
-    names : of the results that were read from the lines; one may come several times
+    names : of the results of the lines, with repetitions
     """
-    own = style_colours()[1:]  # the first is that of curves
-    known = dict.fromkeys(names)
-    windows = [name for name in known if not name.startswith("segment")]
-    looks: dict[str, dict[str, Any]] = dict.fromkeys(known, _SEGMENT)
+    colours = style_colours()[1:]  # the first is that of curves
+    names_once = dict.fromkeys(names)
+    windows = [name for name in names_once if not name.startswith("segment")]
+    looks: dict[str, dict[str, Any]] = dict.fromkeys(names_once, _SEGMENT)
     return looks | {
-        name: {**_WINDOW, "color": own[number % len(own)]} for number, name in enumerate(windows)
+        name: {**_WINDOW, "color": colours[number % len(colours)]}
+        for number, name in enumerate(windows)
     }
 
 
 def dash_of(number: int) -> Any:
-    """Dash of a line by its number, from 0; they begin anew after four."""
+    """Return the dash of a line by its number, from 0; four dashes repeat."""
     return _DASHES[number % len(_DASHES)]
 
 
 def panel_grid(page: Figure, count: int, *, columns: int, sharey: bool = False) -> list[Axes]:
-    """Make panels row by row; places that are left over stay empty.
+    """Make panels row by row.
 
     Parameters
     ----------
     page : they are put on
     count : of panels, at least one
-    columns : side by side at the most
-    sharey : all have one height axis
+    columns : at most
+    sharey : use one vertical axis for all
     """
     columns = min(columns, count)
     rows = math.ceil(count / columns)
@@ -438,36 +433,37 @@ def panel_grid(page: Figure, count: int, *, columns: int, sharey: bool = False) 
     return list(panels[:count])
 
 
-def in_pages(items: Sequence[T], most: int) -> list[Sequence[T]]:
-    """Share things out to pages of so many."""
+def split_pages(items: Sequence[T], most: int) -> list[Sequence[T]]:
+    """Split items into pages."""
     return [items[start : start + most] for start in range(0, len(items), most)]
 
 
 def require_room(count: int, most: int, what: str) -> None:
-    """Refuse a page of nothing, and one of more than it has room for.
+    """Raise an error if a page is empty or overfull.
 
     Raises
     ------
     ValueError
-        With the number and what is allowed.
+        With the number and the allowed range.
     """
     if not 1 <= count <= most:
-        message = f"{count} {what}: allowed are 1 to {most} on a page"
+        message = f"{what}: expected 1 to {most} on a page, found {count}"
         raise ValueError(message)
 
 
-def keep_in_view(values: Sequence[float], axes: Axes, least: float = 0.0) -> None:
-    """Let the axis cut intervals that would press the values into one place.
+def limit_to_values(values: Sequence[float], axes: Axes, least: float = 0.0) -> None:
+    """Limit an axis so that wide intervals do not compress the values.
 
     Parameters
     ----------
     values : in the unit of the axis; NaN for none
-    axes : with all that is drawn
-    least : that stays in view, in the unit of the axis
+    axes : with everything drawn
+    least : width that stays in view, in the unit of the axis
     """
-    known = [value for value in values if not math.isnan(value)]
-    low, high = min(known), max(known)
-    room = max(_ROOM_FOR_INTERVALS * (high - low), 0.55 * (least - (high - low)))
+    max_interval_share = 1.5  # beside the values, of their range
+    finite = [value for value in values if not math.isnan(value)]
+    low, high = min(finite), max(finite)
+    room = max(max_interval_share * (high - low), 0.55 * (least - (high - low)))
     if room > 0.0:
         now = axes.get_xlim()
         axes.set_xlim(max(now[0], low - room), min(now[1], high + room))

@@ -1,4 +1,4 @@
-"""The figures of one test by the names that protocols use, and saving them."""
+"""Figures of one test by their names in protocols."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
 
     Parameters
     ----------
-    result : a processed test; a figure whose data is missing is made all the same and says in a
-        sentence why it is empty
+    result : a processed test; a figure without data says why it is empty
     folder : made if it is not there
     png : each as PNG, too
 
@@ -57,7 +56,7 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
     """
     unknown = [name for name in result.figures if name not in FIGURES]
     if unknown:
-        message = f"figures={unknown}: expected some of {list(FIGURES)}"
+        message = f"figures: expected names of {list(FIGURES)}, found {unknown}"
         raise ValueError(message)
     pages = [FigureToSave(name, partial(FIGURES[name], result)) for name in result.figures]
     again = "process the test"
@@ -65,7 +64,7 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
 
 
 def draw_figure(result: TestResult, name: str) -> Figure:
-    """Draw one figure for a notebook or a script of one's own.
+    """Draw one figure for a notebook or a script.
 
     Parameters
     ----------
@@ -74,8 +73,7 @@ def draw_figure(result: TestResult, name: str) -> Figure:
 
     Returns
     -------
-    The figure, laid out in labpipe's style. It keeps its looks wherever it is drawn, and a notebook
-    shows it.
+    The figure, laid out in labpipe's style, which it keeps wherever it is drawn.
     """
     with style():
         page = FIGURES[name](result)

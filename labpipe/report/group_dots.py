@@ -1,4 +1,4 @@
-"""The numbers of a group as dots: samples, means of spools and the mean, with intervals."""
+"""Numbers of a group as dots: samples, means of spools and the mean, with intervals."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 from labpipe.records.curve import Interval
 from labpipe.records.group import Group, GroupNumber, MeanInterval
 from labpipe.records.result import Status
-from labpipe.report.figure_page import GREY, keep_in_view, line_key, panel_grid
+from labpipe.report.figure_page import GREY, limit_to_values, line_key, panel_grid
 from labpipe.report.group_plots import (
     RED,
     group_page,
     spool_looks,
 )
-from labpipe.report.wording import display_of, in_words, shown_in, unit_words
+from labpipe.report.wording import display_of, result_label, shown_in, unit_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -25,12 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MOST_NUMBERS = 6
-MOST_ROWS = 24
-"""Samples that get a row each; in larger groups those of a spool share one."""
-_ROW = 3.7
-_PANEL = 17.0
-_COLUMNS = 2
+MAX_DOT_NUMBERS = 6
+MAX_DOT_ROWS = 24
+"""Samples with a row each; in larger groups the samples of a spool share a row."""
 _RING: dict[str, Any] = {
     "marker": "o", "color": RED, "markerfacecolor": "none", "markersize": 8, "linestyle": ""
 }  # fmt: skip
@@ -49,7 +46,7 @@ class Row:
     colour, marker : of its dot
     is_open : an open dot: the result is doubtful
     is_marked : a ring around it: marked as an outlier
-    note : written where there is no dot
+    note : text if there is no dot
     """
 
     height: float
@@ -64,13 +61,13 @@ class Row:
 
 
 def numbers_to_draw(group: Group) -> list[GroupNumber]:
-    """Pick numbers with at least two samples, no later cycles, and `MOST_NUMBERS` at the most."""
-    own = [
+    """Return at most `MAX_DOT_NUMBERS` numbers with two or more samples, no later cycles."""
+    numbers = [
         number
         for number in group.numbers
         if _is_first(number.name) and number.mean is not None and number.mean.over_samples.n > 1
     ]
-    return own[:MOST_NUMBERS]
+    return numbers[:MAX_DOT_NUMBERS]
 
 
 def draw_dots(group: Group) -> Figure:
@@ -80,6 +77,9 @@ def draw_dots(group: Group) -> Figure:
     ----------
     group : one that has `numbers_to_draw`
     """
+    row_mm = 3.7
+    panel_mm = 17.0
+    panel_columns = 2
     numbers = numbers_to_draw(group)
     drawn = {number.name for number in numbers}
     left_out = [
@@ -87,20 +87,20 @@ def draw_dots(group: Group) -> Figure:
         for number in group.numbers
         if _is_first(number.name) and number.name not in drawn
     ]
-    rows = math.ceil(len(numbers) / _COLUMNS)
-    lines = _next(rows_of(group, numbers[0]))
-    note = f"In the tables only: {'; '.join(map(in_words, left_out))}." if left_out else ""
+    rows = math.ceil(len(numbers) / panel_columns)
+    lines = _next_height(dot_rows(group, numbers[0]))
+    note = f"In the tables only: {'; '.join(map(result_label, left_out))}." if left_out else ""
     page = group_page(
-        group, _keys(numbers), columns=4, height_mm=rows * (_PANEL + _ROW * lines), note=note
+        group, _keys(numbers), columns=4, height_mm=rows * (panel_mm + row_mm * lines), note=note
     )
-    panels = panel_grid(page, len(numbers), columns=_COLUMNS, sharey=True)
+    panels = panel_grid(page, len(numbers), columns=panel_columns, sharey=True)
     for number, axes in zip(numbers, panels, strict=True):
         plot_dots(group, number, axes)
     return page
 
 
 def plot_dots(group: Group, number: GroupNumber, axes: Axes) -> None:
-    """Draw one number: a dot and its interval per row, the mean's interval as a grey stripe.
+    """Draw one number: a dot and its interval per row.
 
     Parameters
     ----------
@@ -108,53 +108,57 @@ def plot_dots(group: Group, number: GroupNumber, axes: Axes) -> None:
     number : one with a mean
     axes : to draw on
     """
-    shown = shown_in(number.name, number.unit, display_of(group))
-    rows = rows_of(group, number)
+    unit = shown_in(number.name, number.unit, display_of(group))
+    rows = dot_rows(group, number)
     for row in rows:
-        _plot_row(row, shown.factor, axes)
+        _plot_row(row, unit.factor, axes)
     labels = {math.floor(row.height + 0.5): row.label for row in rows}
     axes.set_yticks(list(labels), list(labels.values()))
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(labels) - 0.4, -0.6)
-    axes.set_title(in_words(number.name), loc="left")
-    axes.set_xlabel(unit_words(shown.unit))
-    keep_in_view([shown.factor * row.value for row in rows], axes, _least_width(rows, shown.factor))
+    axes.set_title(result_label(number.name), loc="left")
+    axes.set_xlabel(unit_words(unit.unit))
+    limit_to_values(
+        [unit.factor * row.value for row in rows], axes, _least_width(rows, unit.factor)
+    )
     axes.locator_params(axis="x", nbins=5)
 
 
-def rows_of(group: Group, number: GroupNumber) -> list[Row]:
-    """Lay out the rows of a panel: each spool's samples and its mean, then the mean of all.
+def dot_rows(group: Group, number: GroupNumber) -> list[Row]:
+    """Return the rows of a panel: samples and mean of each spool, then the mean of all.
 
     Parameters
     ----------
-    group, number : what to lay out; a sample without the number keeps its row, with a word in it
+    group, number : a sample without the number keeps its row, with a note
 
     Returns
     -------
-    The same heights for every number of a group. In a group of more than `MOST_ROWS` samples those
-    of a spool share a row, beside each other and without intervals.
+    Rows at the same heights for every number of a group. In a group of more than `MAX_DOT_ROWS`
+    samples those of a spool share a row, side by side, without intervals.
     """
     rows: list[Row] = []
     looks = spool_looks(group)
     for spool, look in looks.items():
-        own = [sample.test for sample in group.samples if sample.specimen.spool == spool]
-        rows += _sample_rows(number, own, _next(rows), look.colour, len(group.samples) > MOST_ROWS)
+        tests = [sample.test for sample in group.samples if sample.specimen.spool == spool]
+        rows += _sample_rows(
+            number, tests, _next_height(rows), look.colour, len(group.samples) > MAX_DOT_ROWS
+        )
         if len(looks) == 1:
             break  # its mean is that of all
         mean = number.mean.spool_means.get(spool) if number.mean is not None else None
         label = f"mean of {spool}"
-        rows.append(_mean_row(_next(rows), label, mean, look.colour))
+        rows.append(_mean_row(_next_height(rows), label, mean, look.colour))
     chosen = number.mean.chosen if number.mean is not None else None
-    return [*rows, _mean_row(_next(rows), "mean", chosen, "black")]
+    return [*rows, _mean_row(_next_height(rows), "mean", chosen, "black")]
 
 
 def _least_width(rows: list[Row], factor: float) -> float:
-    """Width of the narrowest interval: with less in view, dots would seem to differ that do not."""
+    """Return the width of the narrowest interval, below which dots would falsely seem to differ."""
     widths = [row.interval.upper - row.interval.lower for row in rows if row.interval is not None]
     return abs(factor) * min(widths, default=0.0)
 
 
-def _next(rows: list[Row]) -> float:
+def _next_height(rows: list[Row]) -> float:
     return math.floor(rows[-1].height + 0.5) + 1.0 if rows else 0.0
 
 
@@ -203,7 +207,7 @@ def _plot_row(row: Row, factor: float, axes: Axes) -> None:
 
 
 def _is_first(name: str) -> bool:
-    """Tell numbers of the specimen as a whole, or of its first cycle, from those of later ones."""
+    """Return whether a number belongs to the whole specimen or to its first cycle."""
     return name.partition(".")[2] in {"", "1"}
 
 

@@ -1,4 +1,4 @@
-"""The figures of a group: slips, which figures there are, and saving them."""
+"""Figures of a group: slips, and the list of all figures."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from labpipe.report.group_plots import (
     draw_scaled,
     finite_end,
     first_loading,
+    force_limits,
     group_page,
     group_scale,
     has_lines,
     label_axes,
-    seen,
     spool_looks,
     thin,
 )
@@ -38,7 +38,7 @@ from labpipe.report.group_shapes import (
     has_shapes,
 )
 from labpipe.report.saving import FigureToSave
-from labpipe.report.wording import in_words, shortened
+from labpipe.report.wording import result_label, shortened
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -46,45 +46,45 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MOST_PANELS = 8
-_SLIP_COLUMNS = 2
+MAX_SLIP_PANELS = 8
 _HEIGHT = 62.0
-_LONGEST = 40
+_MAX_TITLE_LENGTH = 40
 _MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
 _CUT: dict[str, Any] = {"color": GREY, "linewidth": 0.6, "linestyle": ":"}
 
 
-def with_slips(group: Group) -> list[Sample]:
-    """Samples of a group that slipped and have a curve."""
+def samples_with_slips(group: Group) -> list[Sample]:
+    """Return the samples of a group that slipped and have a curve."""
     return [
         sample for sample in group.samples if sample.slips and first_loading(sample) is not None
     ]
 
 
 def draw_slips(group: Group) -> Figure:
-    """Draw a panel for each sample that slipped, at the most `MOST_PANELS`.
+    """Draw a panel per sample that slipped, at most `MAX_SLIP_PANELS`.
 
     Parameters
     ----------
     group : one with slips; samples beyond the last panel are named in the footnote
     """
-    samples = with_slips(group)
-    shown, rest = samples[:MOST_PANELS], samples[MOST_PANELS:]
-    rows = math.ceil(len(shown) / _SLIP_COLUMNS)
+    panel_columns = 2
+    samples = samples_with_slips(group)
+    drawn, rest = samples[:MAX_SLIP_PANELS], samples[MAX_SLIP_PANELS:]
+    rows = math.ceil(len(drawn) / panel_columns)
     note = (
         f"Not drawn, but in the list of slips: {', '.join(s.test for s in rest)}." if rest else ""
     )
-    page = group_page(group, _slip_keys(shown), height_mm=_HEIGHT * rows, note=note)
-    panels = panel_grid(page, len(shown), columns=_SLIP_COLUMNS, sharey=True)
-    for sample, axes in zip(shown, panels, strict=True):
+    page = group_page(group, _slip_keys(drawn), height_mm=_HEIGHT * rows, note=note)
+    panels = panel_grid(page, len(drawn), columns=panel_columns, sharey=True)
+    for sample, axes in zip(drawn, panels, strict=True):
         plot_slips(group, sample, axes)
-        axes.set_title(shortened(sample.test, _LONGEST), loc="left")
+        axes.set_title(shortened(sample.test, _MAX_TITLE_LENGTH), loc="left")
         axes.label_outer(remove_inner_ticks=True)
     return page
 
 
 def plot_slips(group: Group, sample: Sample, axes: Axes) -> None:
-    """Draw the first loading of one sample: as measured dashed, as processed solid, slips marked.
+    """Draw the first loading of one sample, measured and processed, with its slips.
 
     Parameters
     ----------
@@ -110,9 +110,9 @@ def plot_slips(group: Group, sample: Sample, axes: Axes) -> None:
 
 
 def _height(curve: SampleCurve, position: float) -> float:
-    """Force of the curve at a slip, N; NaN outside of it."""
-    known = np.isfinite(curve.force) & np.isfinite(curve.displacement)
-    x, y = curve.displacement[known], curve.force[known]
+    """Return the force of the curve at a slip, N; NaN outside the curve."""
+    finite = np.isfinite(curve.force) & np.isfinite(curve.displacement)
+    x, y = curve.displacement[finite], curve.force[finite]
     return float(np.interp(position, x, y, left=np.nan, right=np.nan)) if len(x) else math.nan
 
 
@@ -128,8 +128,8 @@ def _slip_keys(samples: list[Sample]) -> list[Artist]:
     return keys
 
 
-def drawings(group: Group) -> Iterator[FigureToSave]:
-    """List the figures that a group has data for; the curves are always there.
+def group_drawings(group: Group) -> Iterator[FigureToSave]:
+    """List the figures for which a group has data; curves are always included.
 
     Parameters
     ----------
@@ -137,9 +137,8 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    Curves, normalised curves, shapes, measured laws, slips, fitted lines, numbers, budgets, by
-    names without
-    that of the group.
+    Curves, normalised curves, shapes, measured laws, slips, fitted lines, numbers and budgets, by
+    names without that of the group.
     """
     about = f"{group.name}, {count_words(group)}"
     yield FigureToSave(
@@ -147,8 +146,8 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
     )
     if group.band_scaled is not None:
         caption = (
-            "Force over the peak force of the same sample. What is left of the scatter is not"
-            " a matter of strength. " + _curve_caption(group, group.band_scaled, is_scaled=True)
+            "Force over the peak force of the same sample. The remaining scatter is not a scatter"
+            " of strength. " + _curve_caption(group, group.band_scaled, is_scaled=True)
         )
         alt = f"Force over peak force against displacement of {about}."
         yield FigureToSave("scaled", partial(draw_scaled, group), caption, alt)
@@ -158,13 +157,12 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
     if has_laws(group):
         alt = f"Measured bending moment against curvature of {about}."
         yield FigureToSave("moment", partial(draw_group_laws, group), _LAWS, alt)
-    if with_slips(group):
+    if samples_with_slips(group):
         caption = (
-            "Samples that slid in their grips, first loading. Grey and dashed: the force as it was"
-            " measured. In colour: the force that the numbers were taken from. Each triangle is a"
-            " slip of the list above."
+            "Samples that slipped in their grips, first loading. Grey, dashed: measured force. In"
+            " colour: force used for the numbers. Each triangle is a slip of the list above."
         )
-        slipped = ", ".join(sample.test for sample in with_slips(group))
+        slipped = ", ".join(sample.test for sample in samples_with_slips(group))
         yield FigureToSave(
             "slips", partial(draw_slips, group), caption, f"Slips of {slipped} on their curves."
         )
@@ -172,7 +170,7 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
         yield FigureToSave("lines", partial(draw_lines, group), _LINES, _line_alt(group))
     numbers = numbers_to_draw(group)
     if numbers:
-        names = "; ".join(in_words(number.name) for number in numbers)
+        names = "; ".join(result_label(number.name) for number in numbers)
         yield FigureToSave(
             "numbers", partial(draw_dots, group), _DOTS, f"Each sample's {names}: {about}."
         )
@@ -182,97 +180,94 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
 
 
 _SHAPES = (
-    "Where cameras saw the samples at equal steps of the first loading, at equal axis scale; a"
-    " colour is a deflection. Dots are markers, which lie beside the axis, or sections of markers;"
-    " of a clamped sample the first and the last dot are on the axis. Lines only join them."
+    "Shapes of the samples, measured by cameras at equal steps of the first loading, at equal axis"
+    " scale; each colour is a deflection. Dots are markers, beside the axis of the sample, or"
+    " sections of markers; for a clamped sample the first and the last dot are on the axis. Lines"
+    " only connect the dots."
 )
 _LAWS = (
-    "Bending moment against curvature on first loading, as measured by load cell and cameras, a"
-    " line for each sample."
+    "Bending moment against curvature on first loading, measured by load cell and cameras, one line"
+    " per sample."
 )
 _LINES = (
-    "Straight lines over the windows that they were fitted in, on the first loading of each"
-    " sample (grey). The slopes in the key are those of the table of means. Broad and pale: the"
-    " windows that the protocol sets. Dotted: the two segments whose break point was fitted too."
-    " The curves go on beyond the right edge."
+    "Fitted straight lines over their windows, on the first loading of each sample (grey). The"
+    " slopes in the key are those of the table of means. Broad and pale: windows set by the"
+    " protocol. Dotted: two segments with a fitted break point. The curves continue beyond the"
+    " right edge."
 )
 _BUDGETS = (
-    "What the intervals are made of; of numbers of cycles, those of the first. (a) Of one test:"
-    " medians of the shares of its variance over the samples, scaled to 100 %. (b) Of the mean of"
-    " the group, with half the width of its interval: more samples make the scatter smaller, and"
-    " not what is hatched."
+    "Contributions to the intervals; numbers per cycle: first cycle only. (a) One test: medians"
+    " over the samples of the shares of its variance, scaled to 100 %. (b) Mean of the group, with"
+    " half the width of its interval: more samples reduce the scatter, but not the hatched causes."
 )
 _DOTS = (
-    "A dot and its 95 % interval for each sample, for the mean of each spool and for the mean that"
-    " holds (the last row). In large groups the samples of a spool share a row, without intervals."
-    " Intervals that are wider than the panel are cut by its edge; the tables have their ends."
+    "A dot and its 95 % interval for each sample, for the mean of each spool and for the reported"
+    " mean (last row). In large groups the samples of a spool share a row, without intervals."
+    " Intervals wider than the panel are clipped; the tables give their ends."
 )
 
 
 def _curve_caption(group: Group, band: Band, *, is_scaled: bool = False) -> str:
-    words = (
-        "Thin: the first loading of each sample, up to its failure where it failed. Faint:"
-        " unloading and later cycles, where there are any."
+    text = (
+        "Thin: first loading of each sample, up to failure if it failed. Faint: unloading and later"
+        " cycles, if any."
     )
-    mean = f" Thick: the mean of {band.n} {band.over}, drawn only where all of them have data."
+    mean = f" Thick: mean of {band.n} {band.over}, drawn only where all of them have data."
     if len(band.marks):
-        cut = _cut_words(group, band, is_scaled=is_scaled)
-        return f"{words}{mean} Vertical: 95 % intervals of the mean at three displacements.{cut}"
+        cut = _clipping_text(group, band, is_scaled=is_scaled)
+        return f"{text}{mean} Vertical: 95 % intervals of the mean at three displacements.{cut}"
     if not band.has_area:
-        return f"{words} There is no band; the figure says why."
+        return f"{text} There is no band; the figure gives the reason."
     return (
-        f"{words}{mean} Grey area: holds the mean at any one displacement with 95 %."
-        + _whole_words(group, band, is_scaled=is_scaled)
-        + _cut_words(group, band, is_scaled=is_scaled)
+        f"{text}{mean} Grey area: pointwise 95 % band of the mean."
+        + _simultaneous_band_text(group, band, is_scaled=is_scaled)
+        + _clipping_text(group, band, is_scaled=is_scaled)
     )
 
 
-def _whole_words(group: Group, band: Band, *, is_scaled: bool) -> str:
-    """Of the band for the whole curve, and how far it goes where the panel does not show it."""
+def _simultaneous_band_text(group: Group, band: Band, *, is_scaled: bool) -> str:
+    """Describe the band of the whole curve, with its ends if the panel clips it."""
     if not np.isfinite(band.lower_all).any():
         return ""
-    words = " Dashed edges: hold the whole mean curve with 95 %."
-    low, high = seen(group, band, is_scaled=is_scaled)
+    text = " Dashed: 95 % band of the whole mean curve."
+    low, high = force_limits(group, band, is_scaled=is_scaled)
     if low <= np.nanmin(band.lower_all) and np.nanmax(band.upper_all) <= high:
-        return words
+        return text
     at = int(np.nanargmax(band.upper_all - band.lower_all))
     across, up = group_scale(group, "displacement"), group_scale(group, "force")
     force, unit = (1.0, "") if is_scaled else (up.factor, f" {up.unit}")
     return (
-        f"{words} They leave the panel, as {band.n} curves say little about a whole one:"
-        f" at {across.factor * band.displacement[at]:.3g} {across.unit}, where they are furthest"
-        f" apart, they are at {force * band.lower_all[at]:.3g} and"
-        f" {force * band.upper_all[at]:.3g}{unit}."
+        f"{text} It exceeds the panel because there are only {band.n} curves: at its widest, at"
+        f" {across.factor * band.displacement[at]:.3g} {across.unit}, it extends from"
+        f" {force * band.lower_all[at]:.3g} to {force * band.upper_all[at]:.3g}{unit}."
     )
 
 
-def _cut_words(group: Group, band: Band, *, is_scaled: bool) -> str:
-    low, high = seen(group, band, is_scaled=is_scaled)
+def _clipping_text(group: Group, band: Band, *, is_scaled: bool) -> str:
+    low, high = force_limits(group, band, is_scaled=is_scaled)
     is_cut = np.nanmin(band.lower) < low or np.nanmax(band.upper) > high
-    what = "The grey area is" if band.has_area else "Intervals are"
-    return f" {what} wider than the panel and cut by its edge." if is_cut else ""
+    subject = "The grey area is" if band.has_area else "Intervals are"
+    return f" {subject} wider than the panel and clipped." if is_cut else ""
 
 
 def _curve_alt(group: Group) -> str:
     across, up = group_scale(group, "displacement"), group_scale(group, "force")
-    words = f"Force against displacement: {group.name}, {count_words(group)}."
+    text = f"Force against displacement: {group.name}, {count_words(group)}."
     if not len(group.band.displacement):
-        return words
+        return text
     far = across.factor * finite_end(group.band.displacement)
     top = up.factor * finite_end(group.band.mean)
-    return (
-        f"{words} The mean reaches {top:.3g} {up.unit}; it is known up to {far:.3g} {across.unit}."
-    )
+    return f"{text} The mean reaches {top:.3g} {up.unit} and ends at {far:.3g} {across.unit}."
 
 
 def _line_alt(group: Group) -> str:
     names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
-    words = "; ".join(in_words(name) for name in names)
-    return f"Fitted lines on the curves of {group.name}: {words}."
+    names_text = "; ".join(result_label(name) for name in names)
+    return f"Fitted lines on the curves of {group.name}: {names_text}."
 
 
 def stems(names: Iterable[str]) -> list[str]:
-    """Turn names of groups into beginnings of file names: ASCII, lower case, each its own.
+    """Turn names of groups into stems of file names: ASCII, lower case, unique.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The plots of a group on the page: curves, shapes, moment-curvature, force over peak force."""
+"""Plots of a group on the page: curves, shapes, moment-curvature, force over peak force."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, SlipDecision
 from labpipe.records.group import Band, Group, Sample, SampleCurve
-from labpipe.report.group_plots import first_loading, group_scale, seen, value_of
+from labpipe.report.group_plots import first_loading, force_limits, group_scale, value_of
 from labpipe.report.issues import sentence
 from labpipe.report.page_facts import PageTests, key_of
-from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, even
-from labpipe.report.plot_thinning import bends
+from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over, equal_scale_height
+from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.wording import Scale, count_of, display_of, shown_in, unit_words
 
 COLOURS = 8
-"""Colours of the page for spools and groups; they begin anew after so many."""
+"""Colours of the page for spools and groups; they repeat after this number."""
 
 
 class _Points(NamedTuple):
-    """Points of a first loading, of all else of a test, and over the peak force; shapes."""
+    """Points of a first loading, of all other branches of a test and of a scaled curve; shapes."""
 
     first: int
     others: int
@@ -32,17 +32,16 @@ class _Points(NamedTuple):
 
 
 _FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
-"""Of few samples, and of so many that their lines lie upon each other: a test is below 3 kB."""
-_UNSEEN = 0.001
+"""For few samples, and for many, with overlapping lines: a test is below 3 kB."""
+_MAX_OFFSET_SHARE = 0.001
 _BAND_POINTS = 28
-_MOST_WITH_INTERVALS = 6
-_SMALL = (262, 150)
-_FLATTEST, _HIGHEST = 88, 190
+_MAX_DETAILED_SAMPLES = 6
+_SMALL_PLOT = (262, 150)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Drawn:
-    """A group with what its plots need.
+class _GroupView:
+    """A group with the data of its plots.
 
     Parameters
     ----------
@@ -58,25 +57,25 @@ class _Drawn:
     up: Scale
 
     def number(self, sample: Sample) -> int:
-        """Number of a test on the page."""
+        """Return the number of a test on the page."""
         return self.tests.number[key_of(sample)]
 
     @property
     def points(self) -> _Points:
-        """How many points its lines have."""
-        return _FEW if len(self.group.samples) <= _MOST_WITH_INTERVALS else _MANY
+        """Numbers of points of its lines."""
+        return _FEW if len(self.group.samples) <= _MAX_DETAILED_SAMPLES else _MANY
 
     def colour(self, sample: Sample) -> str:
-        """Class of the colour of a sample: that of its spool; of one spool, its own."""
+        """Return the class of a sample's colour: of its spool, or its own for one spool."""
         spools = list(dict.fromkeys(sample.specimen.spool for sample in self.group.samples))
         at = spools.index(sample.specimen.spool)
-        if len(spools) == 1 and len(self.group.samples) <= _MOST_WITH_INTERVALS:
+        if len(spools) == 1 and len(self.group.samples) <= _MAX_DETAILED_SAMPLES:
             at = [key_of(sample) for sample in self.group.samples].index(key_of(sample))
         return f"c{at % COLOURS}"
 
 
 def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
-    """Make the plots of a group, as far as it has data for them.
+    """Return the plots of a group for which it has data.
 
     Parameters
     ----------
@@ -86,27 +85,27 @@ def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
 
     Returns
     -------
-    Force against displacement first, if any sample has a curve; then the smaller ones.
+    Force against displacement first, if any sample has a curve; then smaller plots.
     """
-    drawn = _Drawn(
+    drawn = _GroupView(
         group, stem, tests, group_scale(group, "displacement"), group_scale(group, "force")
     )
-    makers = (_curves, _shapes, _moments, _scaled)
+    makers = (_curve_plot, _shape_plot, _moment_plot, _scaled_plot)
     return [plot for make in makers if (plot := make(drawn)) is not None]
 
 
-def _curves(drawn: _Drawn) -> Plot | None:
+def _curve_plot(drawn: _GroupView) -> Plot | None:
     group, band = drawn.group, drawn.group.band
     if all(first_loading(sample) is None for sample in group.samples):
         return None
-    low, high = seen(group, band)
+    low, high = force_limits(group, band)
     lines = [
         *band_lines(band, drawn.across.factor, drawn.up.factor),
-        *_rejected(drawn),
+        *_rejected_lines(drawn),
         *(line for sample in group.samples for line in _sample_lines(drawn, sample)),
-        *_windows(drawn),
+        *_window_lines(drawn),
         *mean_lines(band, drawn.across.factor, drawn.up.factor),
-        *(line for sample in group.samples for line in _events(drawn, sample)),
+        *(line for sample in group.samples for line in _event_lines(drawn, sample)),
     ]
     x = axis_over("Displacement", unit_words(drawn.across.unit), [line.x for line in lines])
     y = Axis("Force", unit_words(drawn.up.unit), low * drawn.up.factor, high * drawn.up.factor)
@@ -116,14 +115,14 @@ def _curves(drawn: _Drawn) -> Plot | None:
     )
 
 
-def _sample_lines(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
-    """First loading, all else fainter, and the force as measured where slips were repaired."""
+def _sample_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
+    """Yield first loading, other branches, and the measured force if slips were repaired."""
     test, colour = drawn.number(sample), drawn.colour(sample)
     first = first_loading(sample)
     others = [
-        each
-        for each in (*sample.loading, *sample.unloading)
-        if each is not first and len(each.displacement)
+        curve
+        for curve in (*sample.loading, *sample.unloading)
+        if curve is not first and len(curve.displacement)
     ]
     for other in others:
         points = max(drawn.points.others // len(others), 8)
@@ -136,16 +135,16 @@ def _sample_lines(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
 
 
 def _line(
-    drawn: _Drawn, look: str, test: int, curve: tuple[SampleCurve, Floats], *, points: int
+    drawn: _GroupView, look: str, test: int, curve: tuple[SampleCurve, Floats], *, points: int
 ) -> Line:
-    """A branch, with the force that is drawn of it, at so many points at the most."""
+    """Return the line of a branch and its force, thinned to a number of points."""
     branch, force = curve
-    kept = bends(branch.displacement, force, points=points, tolerance=_UNSEEN)
-    x, y = branch.displacement[kept] * drawn.across.factor, force[kept] * drawn.up.factor
+    rows = simplify_line(branch.displacement, force, points=points, tolerance=_MAX_OFFSET_SHARE)
+    x, y = branch.displacement[rows] * drawn.across.factor, force[rows] * drawn.up.factor
     return Line(look, x, y, test)
 
 
-def _rejected(drawn: _Drawn) -> Iterator[Line]:
+def _rejected_lines(drawn: _GroupView) -> Iterator[Line]:
     for test in drawn.tests.rejected(drawn.stem):
         first = first_loading(test.sample)
         if first is not None:
@@ -154,8 +153,8 @@ def _rejected(drawn: _Drawn) -> Iterator[Line]:
             )
 
 
-def _windows(drawn: _Drawn) -> Iterator[Line]:
-    """Straight lines over the windows that stiffnesses were read from."""
+def _window_lines(drawn: _GroupView) -> Iterator[Line]:
+    """Yield the fitted lines over their windows."""
     for sample in drawn.group.samples:
         test = drawn.number(sample)
         parts: dict[str, list[FittedLine]] = {}
@@ -172,22 +171,22 @@ def _heights(line: FittedLine) -> tuple[float, float]:
     return line.level, line.level + line.slope * (line.stop - line.start)
 
 
-def _events(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
-    """Slips and failure of a test, each a dot on its curve."""
+def _event_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
+    """Yield slips and failure of a test as dots on its curve."""
     first, test = first_loading(sample), drawn.number(sample)
     if first is None:
         return
-    known = np.isfinite(first.displacement) & np.isfinite(first.force)
+    finite = np.isfinite(first.displacement) & np.isfinite(first.force)
     places = np.array([slip.position for slip in sample.slips])
-    if len(places) and known.any():
-        height = np.interp(places, first.displacement[known], first.force[known])
-        yield _dots("slip", places, height, drawn, test)
+    if len(places) and finite.any():
+        height = np.interp(places, first.displacement[finite], first.force[finite])
+        yield _dot_line("slip", places, height, drawn, test)
     at, force = value_of(sample, "failure_displacement"), value_of(sample, "failure_force")
     if at is not None and force is not None:
-        yield _dots("failure", np.array([at]), np.array([force]), drawn, test)
+        yield _dot_line("failure", np.array([at]), np.array([force]), drawn, test)
 
 
-def _dots(look: str, places: Floats, heights: Floats, drawn: _Drawn, test: int) -> Line:
+def _dot_line(look: str, places: Floats, heights: Floats, drawn: _GroupView, test: int) -> Line:
     gaps = np.full(len(places), np.nan)
     x = np.column_stack([places, gaps]).ravel() * drawn.across.factor
     y = np.column_stack([heights, gaps]).ravel() * drawn.up.factor
@@ -197,40 +196,42 @@ def _dots(look: str, places: Floats, heights: Floats, drawn: _Drawn, test: int) 
 def band_lines(
     band: Band, across: float, up: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
-    """Draw the band of a mean curve as an area, and the edges of that for the whole curve.
+    """Yield the pointwise band of a mean curve as an area and the edges of the simultaneous band.
 
     Parameters
     ----------
-    band : without a band, nothing is drawn
+    band : of few curves without an area, nothing is drawn
     across, up : from SI to the units of the axes
     look : class of its colour
-    group : stem, where several groups are in one plot
+    group : stem, if several groups are in one plot
     """
     if band.n < 2 or not band.has_area:
         return
-    kept = _thinned(band)
-    x = band.displacement[kept] * across
-    lower, upper = band.lower[kept] * up, band.upper[kept] * up
-    known = np.isfinite(lower) & np.isfinite(upper)
-    outline = np.concatenate([x[known], x[known][::-1]])
-    edge = np.concatenate([upper[known], lower[known][::-1]])
+    rows = _band_rows(band)
+    x = band.displacement[rows] * across
+    lower, upper = band.lower[rows] * up, band.upper[rows] * up
+    finite = np.isfinite(lower) & np.isfinite(upper)
+    outline = np.concatenate([x[finite], x[finite][::-1]])
+    edge = np.concatenate([upper[finite], lower[finite][::-1]])
     yield Line(f"band {look}".strip(), outline, edge, group=group, is_closed=True)
     if group:
         return
-    for all_of_it in (band.lower_all, band.upper_all):
-        if np.isfinite(all_of_it).any():
-            yield Line("whole", x, all_of_it[kept] * up)
+    for edge_all in (band.lower_all, band.upper_all):
+        if np.isfinite(edge_all).any():
+            yield Line("whole", x, edge_all[rows] * up)
 
 
-def _thinned(band: Band) -> Ints:
-    """Points that all edges of a band are drawn with."""
-    return bends(band.displacement, band.upper, points=_BAND_POINTS, tolerance=_UNSEEN)
+def _band_rows(band: Band) -> Ints:
+    """Return the points with which all edges of a band are drawn."""
+    return simplify_line(
+        band.displacement, band.upper, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+    )
 
 
 def mean_lines(
     band: Band, across: float, up: float, look: str = "", group: str = ""
 ) -> Iterator[Line]:
-    """Draw a mean curve, and of few curves its intervals at single displacements.
+    """Yield a mean curve and, for few curves, its intervals at single displacements.
 
     Parameters
     ----------
@@ -238,8 +239,10 @@ def mean_lines(
     """
     if not len(band.displacement) or (band.n < 2 and not group):
         return  # the mean of one sample is that sample
-    kept = bends(band.displacement, band.mean, points=_BAND_POINTS, tolerance=_UNSEEN)
-    x, y = band.displacement[kept] * across, band.mean[kept] * up
+    rows = simplify_line(
+        band.displacement, band.mean, points=_BAND_POINTS, tolerance=_MAX_OFFSET_SHARE
+    )
+    x, y = band.displacement[rows] * across, band.mean[rows] * up
     yield Line(f"mean {look}".strip(), x, y, group=group)
     marks = band.marks
     if len(marks):
@@ -250,10 +253,10 @@ def mean_lines(
         yield Line(f"interval {look}".strip(), x, ends, group=group)
 
 
-def _keys(drawn: _Drawn, lines: Sequence[Line]) -> list[Key]:
-    """What the plot shows: its tests one by one where they are few, else its spools."""
+def _keys(drawn: _GroupView, lines: Sequence[Line]) -> list[Key]:
+    """Return the key of a plot: its tests if they are few, else its spools."""
     group, looks = drawn.group, {line.look.partition(" ")[0] for line in lines}
-    if len(group.samples) <= _MOST_WITH_INTERVALS:
+    if len(group.samples) <= _MAX_DETAILED_SAMPLES:
         keys = [
             Key(
                 f"curve {drawn.colour(sample)}",
@@ -271,34 +274,37 @@ def _keys(drawn: _Drawn, lines: Sequence[Line]) -> list[Key]:
             }.items()
         ]
     over = f"mean of {group.band.n} {group.band.over}"
-    words = {"mean": over, **_WORDS}
-    return keys + [Key(look, said, "class", look) for look, said in words.items() if look in looks]
+    labels = {"mean": over, **_KEY_LABELS}
+    return keys + [
+        Key(look, label, "class", look) for look, label in labels.items() if look in looks
+    ]
 
 
-_WORDS = {
+_KEY_LABELS = {
     "interval": "95 % interval of the mean",
-    "band": "95 % band, at one displacement",
+    "band": "95 % band, pointwise",
     "whole": "95 % band, whole curve",
     "unloading": "unloading, later cycles",
-    "window": "window of a stiffness",
+    "window": "window of a stiffness fit",
     "segment": "fitted segments",
-    "measured": "as measured, before repair of slips",
+    "measured": "measured, before repair of slips",
     "slip": "slip",
     "failure": "failure",
-    "rejected": "rejected: in no mean",
+    "rejected": "rejected: not in any mean",
 }
 
 
 def _caption(group: Group) -> str:
-    """Why there is no band, if there is none."""
+    """Return why there is no band; empty with a band."""
     return sentence(group.band.reason.message) if group.band.reason else ""
 
 
-def _shapes(drawn: _Drawn) -> Plot | None:
-    """Markers along the specimen at equal steps of the first loading, at equal scale."""
-    own = [sample for sample in drawn.group.samples if sample.shapes is not None]
+def _shape_plot(drawn: _GroupView) -> Plot | None:
+    """Return the plot of markers at equal steps of the first loading, at equal scale."""
+    min_height, max_height = 88, 190
+    samples = [sample for sample in drawn.group.samples if sample.shapes is not None]
     lines = []
-    for sample in own:
+    for sample in samples:
         shapes = sample.shapes
         if shapes is None or not len(shapes.deflection):
             continue
@@ -313,13 +319,13 @@ def _shapes(drawn: _Drawn) -> Plot | None:
     unit = unit_words(drawn.across.unit)
     x_axis = axis_over("Along the specimen", unit, [line.x for line in lines])
     y_axis = axis_over("Deflection", unit, [line.y for line in lines], room=0.06)
-    width = _SMALL[0]
-    height = min(max(even(width, x_axis, y_axis), _FLATTEST), _HIGHEST)
-    x_axis, y_axis = _alike(x_axis, y_axis, width, height)
+    width = _SMALL_PLOT[0]
+    height = min(max(equal_scale_height(width, x_axis, y_axis), min_height), max_height)
+    x_axis, y_axis = _equal_scale(x_axis, y_axis, width, height)
     steps = ", ".join(
-        f"{way * drawn.across.factor:.2g}" for way in _steps(own)[-drawn.points.shapes :]
+        f"{way * drawn.across.factor:.2g}" for way in _steps(samples)[-drawn.points.shapes :]
     )
-    caption = f"Markers at {steps} {unit} of the first loading, both axes at one scale."
+    caption = f"Markers at {steps} {unit} of the first loading, at equal axis scale."
     title = f"Shapes of {count_of(len(lines), 'sample')} of {drawn.group.name}."
     size = (width, height)
     return Plot("shapes", drawn.stem, title, caption, x_axis, y_axis, lines, (), size)
@@ -327,13 +333,14 @@ def _shapes(drawn: _Drawn) -> Plot | None:
 
 def _steps(samples: Sequence[Sample]) -> Floats:
     most = max(
-        (sample.shapes for sample in samples if sample.shapes), key=lambda own: len(own.deflection)
+        (sample.shapes for sample in samples if sample.shapes),
+        key=lambda shapes: len(shapes.deflection),
     )
     return np.round(most.deflection, 4) + 0.0
 
 
-def _alike(x: Axis, y: Axis, width: int, height: int) -> tuple[Axis, Axis]:
-    """Widen one of two axes until both have one scale."""
+def _equal_scale(x: Axis, y: Axis, width: int, height: int) -> tuple[Axis, Axis]:
+    """Widen one of two axes so that both have the same scale."""
     scale = max((x.high - x.low) / width, (y.high - y.low) / height)
     return _widened(x, scale * width), _widened(y, scale * height)
 
@@ -343,29 +350,31 @@ def _widened(axis: Axis, span: float) -> Axis:
     return Axis(axis.name, axis.unit, middle - 0.5 * span, middle + 0.5 * span)
 
 
-def _moments(drawn: _Drawn) -> Plot | None:
-    """The measured law of each sample; of few its 95 % interval as an area."""
+def _moment_plot(drawn: _GroupView) -> Plot | None:
+    """Return the plot of measured laws, for few samples with 95 % intervals as areas."""
     display = display_of(drawn.group)
     across, up = shown_in("", "1/m", display), _moment_scale(display)
-    own = [(sample, sample.law) for sample in drawn.group.samples if sample.law is not None]
-    if not own:
+    samples_with_laws = [
+        (sample, sample.law) for sample in drawn.group.samples if sample.law is not None
+    ]
+    if not samples_with_laws:
         return None
     areas, lines = [], []
-    for sample, law in own:
+    for sample, law in samples_with_laws:
         colour, test = drawn.colour(sample), drawn.number(sample)
         x = law.curvature * across.factor
-        if len(own) <= _MOST_WITH_INTERVALS:
+        if len(samples_with_laws) <= _MAX_DETAILED_SAMPLES:
             outline = np.concatenate([x, x[::-1]])
             edge = np.concatenate([law.moment_upper, law.moment_lower[::-1]]) * up.factor
             areas.append(Line(f"band {colour}", outline, edge, test, is_closed=True))
         lines.append(Line(f"curve {colour}", x, law.moment * up.factor, test))
     x_axis = axis_over("Curvature", unit_words(across.unit), [line.x for line in lines])
     y_axis = axis_over("Bending moment", unit_words(up.unit), [line.y for line in (*areas, *lines)])
-    words = "Measured from the shapes, first loading."
-    words += " Area: 95 % interval of each sample." if areas else ""
+    caption = "Measured from the shapes, first loading."
+    caption += " Area: 95 % interval of each sample." if areas else ""
     title = f"Bending moment against curvature of {drawn.group.name}."
     every = [*areas, *lines]
-    return Plot("moment", drawn.stem, title, words, x_axis, y_axis, every, (), _SMALL)
+    return Plot("moment", drawn.stem, title, caption, x_axis, y_axis, every, (), _SMALL_PLOT)
 
 
 def _moment_scale(display: Mapping[str, str]) -> Scale:
@@ -375,31 +384,33 @@ def _moment_scale(display: Mapping[str, str]) -> Scale:
     return Scale(1.0 / si_factor(wanted, "N*m"), wanted)
 
 
-def _scaled(drawn: _Drawn) -> Plot | None:
-    """Force over the peak force of each sample: what is left is no matter of strength."""
+def _scaled_plot(drawn: _GroupView) -> Plot | None:
+    """Return the plot of force over the peak force of each sample."""
     band = drawn.group.band_scaled
     if band is None:
         return None
     lines = [
         *list(band_lines(band, drawn.across.factor, 1.0))[:1],
-        *(line for sample in drawn.group.samples for line in _share(drawn, sample)),
+        *(line for sample in drawn.group.samples for line in _scaled_lines(drawn, sample)),
         *mean_lines(band, drawn.across.factor, 1.0),
     ]
     if not lines:
         return None
     unit = unit_words(drawn.across.unit)
     x = axis_over("Displacement", unit, [line.x for line in lines])
-    low, high = seen(drawn.group, band, is_scaled=True)
+    low, high = force_limits(drawn.group, band, is_scaled=True)
     y = Axis("Force / peak force", "", low, high)
     title = f"Force over peak force against displacement of {drawn.group.name}."
-    words = "Force over the peak force of the same sample: what scatters here is not strength."
-    return Plot("scaled", drawn.stem, title, words, x, y, lines, (), _SMALL)
+    caption = "Force over the peak force of the same sample: the scatter shown is not of strength."
+    return Plot("scaled", drawn.stem, title, caption, x, y, lines, (), _SMALL_PLOT)
 
 
-def _share(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
+def _scaled_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
     first, peak = first_loading(sample), value_of(sample, "peak_force.1")
     if first is None or not peak:
         return
-    kept = bends(first.displacement, first.force, points=drawn.points.scaled, tolerance=_UNSEEN)
-    x, y = first.displacement[kept] * drawn.across.factor, first.force[kept] / peak
+    rows = simplify_line(
+        first.displacement, first.force, points=drawn.points.scaled, tolerance=_MAX_OFFSET_SHARE
+    )
+    x, y = first.displacement[rows] * drawn.across.factor, first.force[rows] / peak
     yield Line(f"curve {drawn.colour(sample)}", x, y, drawn.number(sample))

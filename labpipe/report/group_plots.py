@@ -1,4 +1,4 @@
-"""Curves of a group: of all samples with mean and 95 % bands, and with their fitted lines."""
+"""Curves of a group: all samples with mean and 95 % bands, and with their fitted lines."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from labpipe.report.figure_page import (
     line_key,
     line_looks,
     line_looks_of_fits,
-    say,
+    write_reason,
 )
 from labpipe.report.issues import sentence
-from labpipe.report.plot_thinning import bends
+from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.wording import (
     Scale,
     count_of,
     display_of,
-    in_words,
+    result_label,
     shown_in,
     unit_words,
     write_number,
@@ -40,22 +40,22 @@ if TYPE_CHECKING:
 
 RED = "#b2182b"
 POINTS, FAINT_POINTS = 120, 40
-"""Points that a curve is drawn with at the most, so that a page of thirty tests is below 1 MB."""
+"""Largest numbers of points of a curve, so that a page of thirty tests is below 1 MB."""
 
 
 def spool_looks(group: Group) -> dict[str, Look]:
-    """Give each spool a colour, and a dash so that they differ on a grey print too."""
+    """Give each spool a colour and a dash that also differ in grey."""
     spools = dict.fromkeys(sample.specimen.spool for sample in group.samples)
     return dict(zip(spools, line_looks(len(spools)), strict=True))
 
 
 def group_scale(group: Group, quantity: str) -> Scale:
-    """Display unit of displacement or force in a group."""
+    """Return the display unit of displacement or force in a group."""
     return shown_in("", {"displacement": "m", "force": "N"}[quantity], display_of(group))
 
 
 def count_words(group: Group) -> str:
-    """Count what a group holds, such as ``6 samples from 2 spools``."""
+    """Count samples and spools of a group, such as ``6 samples from 2 spools``."""
     spools = {sample.specimen.spool for sample in group.samples}
     return f"{count_of(len(group.samples), 'sample')} from {count_of(len(spools), 'spool')}"
 
@@ -68,37 +68,37 @@ def group_page(
     Parameters
     ----------
     group : names the page
-    keys : signs to explain
+    keys : lines and signs to explain
     height_mm : mm, without the lines of the key and of the footnote
     note : footnote, broken into lines here
-    columns : of the key; as many as have room if 0
+    columns : of the key; as many as fit if 0
     """
     title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
     return keyed_page(PageTexts(title, note, keys), height_mm=height_mm, columns=columns)
 
 
 def thin(curve: SampleCurve, values: Floats, *, points: int = POINTS) -> tuple[Floats, Floats]:
-    """Displacement and values of a curve at the points that are drawn.
+    """Return displacement and values of a curve at the drawn points.
 
     Parameters
     ----------
     curve : of a sample
     values : shape (n,), along it
-    points : how many at the most; corners and steps are among them
+    points : at most; corners and steps are included
     """
-    kept = bends(curve.displacement, values, points=points)
-    x: Floats = curve.displacement[kept]
-    y: Floats = values[kept]
+    rows = simplify_line(curve.displacement, values, points=points)
+    x: Floats = curve.displacement[rows]
+    y: Floats = values[rows]
     return x, y
 
 
 def first_loading(sample: Sample) -> SampleCurve | None:
-    """The loading curve of the first cycle; None for a sample without any."""
+    """Return the loading curve of the first cycle; None for a sample without curves."""
     return next((curve for curve in sample.loading if len(curve.displacement)), None)
 
 
 def value_of(sample: Sample, name: str) -> float | None:
-    """A result of a sample by its name, in SI; None where it failed or was not asked for."""
+    """Return a result of a sample by its name, in SI; None if it is missing or failed."""
     return next((result.value for result in sample.results if result.name == name), None)
 
 
@@ -109,12 +109,11 @@ def label_axes(group: Group, axes: Axes) -> None:
 
 
 def finite_end(values: Floats) -> float:
-    """Largest finite value; 0 where there is none."""
+    """Return the largest finite value; 0 without finite values."""
     finite = values[np.isfinite(values)]
     return float(finite.max()) if len(finite) else 0.0
 
 
-_HEIGHT = 82.0
 _MEAN: dict[str, Any] = {"color": "black", "linewidth": 1.5, "zorder": 4}
 _POINTWISE: dict[str, Any] = {"color": "black", "alpha": 0.16, "linewidth": 0, "zorder": 1}
 _ALL: dict[str, Any] = {
@@ -126,10 +125,7 @@ _BAND_POINTS = 80
 MARK: dict[str, Any] = {
     "linewidth": 1.0, "marker": "_", "markersize": 6, "markeredgewidth": 1.0, "zorder": 4
 }  # fmt: skip
-"""Look of an interval at one displacement."""
-_ROOM = 0.5
-"""Height left for a band above and below the curves, as a share of theirs."""
-_ROOM_FOR_ALL, _MARGIN = 0.25, 0.04
+"""Style of an interval at one displacement."""
 
 
 def draw_curves(group: Group) -> Figure:
@@ -139,23 +135,23 @@ def draw_curves(group: Group) -> Figure:
     ----------
     group : an empty group, or one without curves, gets a page that says so
     """
-    return _draw(group, group.band, is_scaled=False)
+    return _draw_page(group, group.band, is_scaled=False)
 
 
 def draw_scaled(group: Group) -> Figure:
     """Draw force / peak force of each sample against displacement, with mean and bands."""
     band = group.band if group.band_scaled is None else group.band_scaled
-    return _draw(group, band, is_scaled=True)
+    return _draw_page(group, band, is_scaled=True)
 
 
-def _draw(group: Group, band: Band, *, is_scaled: bool) -> Figure:
+def _draw_page(group: Group, band: Band, *, is_scaled: bool) -> Figure:
     if all(first_loading(sample) is None for sample in group.samples):
         page = group_page(group, [], height_mm=40.0)
         what = "No sample in this group." if not group.samples else "No sample has a curve."
-        say(page.subplots(), what)
+        write_reason(page.subplots(), what)
         return page
-    note = _reason(band)
-    page = group_page(group, _keys(group, band, is_scaled=is_scaled), height_mm=_HEIGHT, note=note)
+    note = _band_note(band)
+    page = group_page(group, _keys(group, band, is_scaled=is_scaled), height_mm=82.0, note=note)
     axes = page.subplots()
     plot_samples(group, axes, is_scaled=is_scaled)
     plot_band(group, band, axes, is_scaled=is_scaled)
@@ -170,7 +166,7 @@ def plot_samples(group: Group, axes: Axes, *, is_scaled: bool = False) -> None:
 
     Parameters
     ----------
-    group : colour and dash tell its spools apart
+    group : its spools differ in colour and dash
     axes : to draw on
     is_scaled : divide the force of each sample by its peak force, first loading only
     """
@@ -179,7 +175,7 @@ def plot_samples(group: Group, axes: Axes, *, is_scaled: bool = False) -> None:
     for sample in group.samples:
         look = looks[sample.specimen.spool]
         up = _factor(group, sample, is_scaled=is_scaled)
-        for curve in () if is_scaled else _others(sample):
+        for curve in () if is_scaled else _other_curves(sample):
             x, y = thin(curve, curve.force, points=FAINT_POINTS)
             axes.plot(x * across, y * up, color=look.colour, alpha=_FAINT, linewidth=0.5)
         first = first_loading(sample)
@@ -195,35 +191,34 @@ def plot_band(group: Group, band: Band, axes: Axes, *, is_scaled: bool = False) 
     Parameters
     ----------
     group : gives the display units
-    band : of few curves its intervals are drawn where it has them; without bands only its mean,
-        without a mean nothing
+    band : of few curves with intervals instead; nothing is drawn without a mean
     axes : to draw on
-    is_scaled : its forces are shares of the peak force
+    is_scaled : the forces are shares of the peak force
     """
     if band.n < 2 or not len(band.displacement):
         return  # the mean of one sample is that sample
-    kept = np.unique(
+    rows = np.unique(
         np.linspace(0, len(band.displacement) - 1, _BAND_POINTS).round().astype(np.int64)
     )
     across = group_scale(group, "displacement").factor
-    x = band.displacement[kept] * across
+    x = band.displacement[rows] * across
     up = 1.0 if is_scaled else group_scale(group, "force").factor
-    axes.plot(x, band.mean[kept] * up, **_MEAN)
+    axes.plot(x, band.mean[rows] * up, **_MEAN)
     plot_marks(band, axes, across, up, color="black")
     if band.has_area:
-        axes.fill_between(x, band.lower[kept] * up, band.upper[kept] * up, **_POINTWISE)
+        axes.fill_between(x, band.lower[rows] * up, band.upper[rows] * up, **_POINTWISE)
         for edge in (band.lower_all, band.upper_all):
-            if _is_known(edge):
-                axes.plot(x, edge[kept] * up, **_ALL)
-    if _is_known(band.lower):
-        low, high = seen(group, band, is_scaled=is_scaled)
+            if _has_values(edge):
+                axes.plot(x, edge[rows] * up, **_ALL)
+    if _has_values(band.lower):
+        low, high = force_limits(group, band, is_scaled=is_scaled)
         axes.set_ylim(low * up, high * up)
 
 
 def plot_marks(
     band: Band, axes: Axes, across: float, up: float, *, color: str, shift: float = 0.0
 ) -> None:
-    """Draw the intervals of the mean of few curves, where it has them.
+    """Draw the intervals of the mean of few curves.
 
     Parameters
     ----------
@@ -231,54 +226,54 @@ def plot_marks(
     axes : to draw on
     across, up : from SI to the units of the axes
     color : of the lines
-    shift : m, to the right, so that groups do not lie upon each other
+    shift : m, to the right, so that groups do not overlap
     """
     for at in band.marks:
         x = across * (band.displacement[at] + shift)
         axes.plot([x, x], [up * band.lower[at], up * band.upper[at]], color=color, **MARK)
 
 
-def interval_key(words: str, *, color: str) -> Artist:
-    """Sample of an interval as it is drawn, upright with two ends, for a key."""
+def interval_key(label: str, *, color: str) -> Artist:
+    """Return an entry of a key: an upright interval with two ends."""
     from matplotlib.path import Path
 
     ends = [(-0.5, -1.0), (0.5, -1.0), (0.0, -1.0), (0.0, 1.0), (-0.5, 1.0), (0.5, 1.0)]
     beam = Path(ends, [1, 2, 1, 2, 1, 2])
     look = {"marker": beam, "markersize": 8, "linestyle": "", "markeredgewidth": 1.0}
-    return line_key(words, color=color, markerfacecolor="none", **look)
+    return line_key(label, color=color, markerfacecolor="none", **look)
 
 
-def seen(group: Group, band: Band, *, is_scaled: bool = False) -> tuple[float, float]:
-    """Find the forces that the figure of the curves shows, in N or as a share of the peak force.
+def force_limits(group: Group, band: Band, *, is_scaled: bool = False) -> tuple[float, float]:
+    """Return the limits of force of the curves' figure, in N or as a share of the peak force.
 
     Parameters
     ----------
-    group : its curves are seen in full
-    band : its pointwise band is seen, up to half the height of the curves beyond them; its
-        simultaneous band is seen in full where a quarter is enough, and else as far as it is there
+    group : its curves are shown in full
+    band : its pointwise band is shown up to half the height of the curves beyond them, its
+        simultaneous band in full if a quarter of the height is enough, else clipped
     is_scaled : forces are shares of the peak force
     """
     forces = [
-        float(edge) * (_share(sample) if is_scaled else 1.0)
+        float(edge) * (_force_factor(sample) if is_scaled else 1.0)
         for sample in group.samples
         for curve in (sample.loading[:1] if is_scaled else (*sample.loading, *sample.unloading))
         if np.isfinite(curve.force).any()
         for edge in (np.nanmin(curve.force), np.nanmax(curve.force))
     ]
-    known = [force for force in forces if np.isfinite(force)] or [0.0, 1.0]
-    low, high = _widened(min(known), max(known), band.lower, band.upper, _ROOM)
+    finite = [force for force in forces if np.isfinite(force)] or [0.0, 1.0]
+    low, high = _widened(min(finite), max(finite), band.lower, band.upper, 0.5)
     whole = _widened(low, high, band.lower_all, band.upper_all, np.inf)
-    if whole[1] - whole[0] <= (1.0 + _ROOM_FOR_ALL) * (high - low):
+    if whole[1] - whole[0] <= 1.25 * (high - low):
         low, high = whole
-    margin = _MARGIN * (high - low) or 1.0
+    margin = 0.04 * (high - low) or 1.0
     return low - margin, high + margin
 
 
 def _widened(
     low: float, high: float, lower: Floats, upper: Floats, most: float
 ) -> tuple[float, float]:
-    """A range made wide enough for a band, by a share of itself at the most."""
-    if not _is_known(lower) or high == low:
+    """Widen a range for a band, at most by a share of itself."""
+    if not _has_values(lower) or high == low:
         return low, high
     room = most * (high - low)
     return (
@@ -290,11 +285,11 @@ def _widened(
 def _factor(group: Group, sample: Sample, *, is_scaled: bool) -> float:
     if not is_scaled:
         return group_scale(group, "force").factor
-    return _share(sample)
+    return _force_factor(sample)
 
 
-def _share(sample: Sample) -> float:
-    """What a force is multiplied with to be a share of the peak force; NaN without one."""
+def _force_factor(sample: Sample) -> float:
+    """Return the factor from force to share of the peak force; NaN without a peak force."""
     peak = value_of(sample, _PEAK)
     return 1.0 / peak if peak else float("nan")
 
@@ -305,11 +300,11 @@ def _mark_failure(sample: Sample, axes: Axes, across: float, up: float, *, size:
         axes.plot(at * across, force * up, "x", color=RED, markersize=size, zorder=5)
 
 
-def _is_known(edge: Floats) -> bool:
+def _has_values(edge: Floats) -> bool:
     return bool(np.isfinite(edge).any())
 
 
-def _reason(band: Band) -> str:
+def _band_note(band: Band) -> str:
     if not band.reason:
         return ""
     why = sentence(band.reason.message)
@@ -326,10 +321,10 @@ def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
     if band.n >= 2 and len(band.displacement):
         keys.append(line_key(f"mean of {band.n} {band.over}", **_MEAN))
         if band.has_area:
-            keys.append(area_key("95 % band, point by point", **_POINTWISE))
+            keys.append(area_key("95 % band, pointwise", **_POINTWISE))
         elif len(band.marks):
             keys.append(interval_key("95 % interval of the mean", color="black"))
-        if _is_known(band.lower_all):
+        if _has_values(band.lower_all):
             keys.append(line_key("95 % band, whole curve", **_ALL))
     faint = "" if is_scaled else _faint_words(group)
     if faint:
@@ -340,31 +335,26 @@ def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
 
 
 def _faint_words(group: Group) -> str:
-    """What is drawn of the samples beside their first loading."""
+    """Name the branches drawn besides the first loading."""
     unloading = any(sample.unloading for sample in group.samples)
     later = any(len(sample.loading) > 1 for sample in group.samples)
     return ", ".join(["unloading"] * unloading + ["later cycles"] * later)
 
 
-def _others(sample: Sample) -> list[SampleCurve]:
+def _other_curves(sample: Sample) -> list[SampleCurve]:
     first = first_loading(sample)
     return [curve for curve in (*sample.loading, *sample.unloading) if curve is not first]
 
 
-_LINES_HEIGHT = 82.0
-_CURVES = "#9a9a9a"
-_BEYOND = 1.5
-"""How far the axis goes on behind the last window, in lengths up to its end."""
-
-
 def draw_lines(group: Group) -> Figure:
-    """Draw curves in grey on their windows in colour, segments dotted, with the slopes in the key.
+    """Draw grey curves with their fitted lines, and the slopes in the key.
 
     Parameters
     ----------
     group : one with lines
     """
-    page = group_page(group, _line_keys(group), height_mm=_LINES_HEIGHT, columns=1)
+    height_mm = 82.0
+    page = group_page(group, _line_keys(group), height_mm=height_mm, columns=1)
     axes = page.subplots()
     plot_lines(group, axes)
     label_axes(group, axes)
@@ -377,23 +367,24 @@ def has_lines(group: Group) -> bool:
 
 
 def plot_lines(group: Group, axes: Axes) -> None:
-    """Draw each sample up to a little beyond its windows, and its lines.
+    """Draw each sample to just beyond its windows, and its lines.
 
     Parameters
     ----------
-    group : lines of one result have one look
+    group : lines of one result have the same style
     axes : to draw on
     """
+    axis_extension = 1.5  # end of the curves, of the end of the last window
     looks = line_looks_of_fits(_names_of_lines(group))
     across = group_scale(group, "displacement").factor
     up = group_scale(group, "force").factor
-    end = _BEYOND * max(line.stop for sample in group.samples for line in sample.lines)
+    end = axis_extension * max(line.stop for sample in group.samples for line in sample.lines)
     for sample in group.samples:
         curve = first_loading(sample)
         if curve is not None:
-            seen = np.where(curve.displacement <= end, curve.force, np.nan)
-            x, y = thin(curve, seen)
-            axes.plot(x * across, y * up, color=_CURVES, linewidth=0.5, zorder=3)
+            force = np.where(curve.displacement <= end, curve.force, np.nan)
+            x, y = thin(curve, force)
+            axes.plot(x * across, y * up, color="#9a9a9a", linewidth=0.5, zorder=3)
         for line in sample.lines:
             ends = np.array([line.start, line.stop])
             height = line.level + line.slope * (ends - line.start)
@@ -406,17 +397,17 @@ def _names_of_lines(group: Group) -> list[str]:
 
 def _line_keys(group: Group) -> list[Artist]:
     looks = line_looks_of_fits(_names_of_lines(group))
-    return [line_key(_slope(group, name), **look) for name, look in looks.items()]
+    return [line_key(_slope_label(group, name), **look) for name, look in looks.items()]
 
 
-def _slope(group: Group, name: str) -> str:
-    """Name of a line and its mean slope with the interval."""
+def _slope_label(group: Group, name: str) -> str:
+    """Write the name of a line and its mean slope with the interval."""
     number = next((number for number in group.numbers if number.name == name), None)
     if number is None or number.mean is None:
-        return in_words(name)
-    shown = shown_in(name, number.unit, display_of(group))
+        return result_label(name)
+    unit = shown_in(name, number.unit, display_of(group))
     mean = number.mean.chosen
-    words = write_number(mean.mean, mean.interval, shown.factor, apart=mean.apart).text
+    slope = write_number(mean.mean, mean.interval, unit.factor, apart=mean.apart).text
     over = "samples" if number.mean.is_pooled else "spool means"
     of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
-    return f"{in_words(name)}: {words} {unit_words(shown.unit)}{of}"
+    return f"{result_label(name)}: {slope} {unit_words(unit.unit)}{of}"

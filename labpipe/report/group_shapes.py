@@ -1,4 +1,4 @@
-"""What cameras saw of a group: shapes of its samples, and measured moment against curvature."""
+"""Camera results of a group: shapes of its samples, and measured moment against curvature."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.records.figure_data import DrawnShapes
 from labpipe.records.group import Group
-from labpipe.report.figure_page import GREY, area_key, line_key, say
+from labpipe.report.figure_page import GREY, area_key, line_key, write_reason
 from labpipe.report.group_plots import group_page, group_scale, spool_looks
 from labpipe.report.wording import Scale, display_of, place_of, rounded, unit_words
 from labpipe.units import si_factor
@@ -19,20 +19,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_WIDTH_MM, _LEAST_MM, _MOST_MM = 96.0, 26.0, 110.0
-"""Width of the panel of shapes on paper; its height is kept within these."""
-_MARGIN = 0.05
-_HEIGHT = 82.0
-_MOST_BANDS = 3
-"""Samples whose laws have their bands drawn; more would hide one another."""
-
-
 def has_shapes(group: Group) -> bool:
-    """Tell whether cameras saw the shape of any sample."""
-    return any(_is_seen(sample.shapes) for sample in group.samples)
+    """Return whether cameras tracked the shape of any sample."""
+    return any(_is_tracked(sample.shapes) for sample in group.samples)
 
 
-def _is_seen(shapes: DrawnShapes | None) -> bool:
+def _is_tracked(shapes: DrawnShapes | None) -> bool:
     return shapes is not None and bool(np.isfinite(shapes.positions).any())
 
 
@@ -43,18 +35,20 @@ def draw_group_shapes(group: Group) -> Figure:
     ----------
     group : one with shapes; else the page says so
     """
-    seen = [sample.shapes for sample in group.samples if sample.shapes is not None]
-    points = [each.positions.reshape(-1, 2) for each in seen if _is_seen(each)]
+    width_mm, min_height_mm, max_height_mm = 96.0, 26.0, 110.0
+    margin = 0.05
+    shapes = [sample.shapes for sample in group.samples if sample.shapes is not None]
+    points = [shape.positions.reshape(-1, 2) for shape in shapes if _is_tracked(shape)]
     if not points:
         page = group_page(group, [], height_mm=40.0)
-        say(page.subplots(), "No camera saw the shape of any sample.")
+        write_reason(page.subplots(), "No sample has a shape measured by cameras.")
         return page
     every = np.concatenate(points)
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-    edge = _MARGIN * float(high[0] - low[0])
+    edge = margin * float(high[0] - low[0])
     wide, tall = (high - low + 2.0 * edge).tolist()
-    height = float(np.clip(_WIDTH_MM * tall / wide, _LEAST_MM, _MOST_MM)) + 14.0
-    longest = max(seen, key=lambda each: len(each.deflection))
+    height = float(np.clip(width_mm * tall / wide, min_height_mm, max_height_mm)) + 14.0
+    longest = max(shapes, key=lambda shape: len(shape.deflection))
     page = group_page(group, _step_keys(group, longest), height_mm=height, columns=0)
     axes = page.subplots()
     plot_group_shapes(group, axes)
@@ -65,11 +59,11 @@ def draw_group_shapes(group: Group) -> Figure:
 
 
 def plot_group_shapes(group: Group, axes: Axes) -> None:
-    """Draw a line with dots for each sample and step; a step has one colour in all samples.
+    """Draw a line with dots for each sample and step, coloured by step.
 
     Parameters
     ----------
-    group : dash tells its spools apart
+    group : its spools differ in dash
     axes : to draw on
     """
     along = group_scale(group, "displacement")
@@ -100,8 +94,10 @@ def _step_keys(group: Group, shapes: DrawnShapes) -> list[Artist]:
     along = group_scale(group, "displacement")
     place = place_of(float(np.max(shapes.deflection, initial=0.0)), None, along.factor, digits=3)
     steps = [
-        line_key(f"{rounded(along.factor * each, place)} {along.unit}", color=colour, marker="o")
-        for each, colour in zip(shapes.deflection.tolist(), _colours(shapes), strict=True)
+        line_key(
+            f"{rounded(along.factor * deflection, place)} {along.unit}", color=colour, marker="o"
+        )
+        for deflection, colour in zip(shapes.deflection.tolist(), _colours(shapes), strict=True)
     ]
     looks = spool_looks(group)
     spools = [
@@ -111,7 +107,7 @@ def _step_keys(group: Group, shapes: DrawnShapes) -> list[Artist]:
 
 
 def has_laws(group: Group) -> bool:
-    """Tell whether moment against curvature was measured of any sample."""
+    """Return whether moment against curvature was measured for any sample."""
     return any(sample.law is not None for sample in group.samples)
 
 
@@ -124,15 +120,15 @@ def draw_group_laws(group: Group) -> Figure:
     """
     if not has_laws(group):
         page = group_page(group, [], height_mm=40.0)
-        say(page.subplots(), "Moment against curvature was measured of no sample.")
+        write_reason(page.subplots(), "No sample has a measured moment-curvature law.")
         return page
     keys: list[Artist] = [
         line_key(f"spool {spool}", color=look.colour, linestyle=look.dash)
         for spool, look in spool_looks(group).items()
     ]
     if _with_bands(group):
-        keys.append(area_key("95 % of one sample", color=GREY, **_BAND))
-    page = group_page(group, keys, height_mm=_HEIGHT)
+        keys.append(area_key("95 % interval of one sample", color=GREY, **_BAND))
+    page = group_page(group, keys, height_mm=82.0)
     plot_laws(group, page.subplots())
     return page
 
@@ -141,19 +137,19 @@ _BAND: dict[str, Any] = {"alpha": 0.18, "lw": 0}
 
 
 def _with_bands(group: Group) -> bool:
-    return sum(sample.law is not None for sample in group.samples) <= _MOST_BANDS
+    return sum(sample.law is not None for sample in group.samples) <= 3
 
 
 def plot_laws(group: Group, axes: Axes) -> None:
-    """Draw a line for each sample; of a few samples, each with its 95 % interval.
+    """Draw a line per sample, for few samples with its 95 % interval.
 
     Parameters
     ----------
-    group : colour and dash tell its spools apart
+    group : its spools differ in colour and dash
     axes : to draw on
     """
     display = display_of(group)
-    across, up = _shown("1/m", display.get("curvature", "1/m")), _moment(group)
+    across, up = _display_scale("1/m", display.get("curvature", "1/m")), _moment_scale(group)
     looks = spool_looks(group)
     for sample in group.samples:
         law, look = sample.law, looks[sample.specimen.spool]
@@ -168,9 +164,9 @@ def plot_laws(group: Group, axes: Axes) -> None:
     axes.set_ylabel(up.label("Bending moment"))
 
 
-def _moment(group: Group) -> Scale:
-    return _shown("N*m", display_of(group).get("moment", "N*m"))
+def _moment_scale(group: Group) -> Scale:
+    return _display_scale("N*m", display_of(group).get("moment", "N*m"))
 
 
-def _shown(si_unit: str, unit: str) -> Scale:
+def _display_scale(si_unit: str, unit: str) -> Scale:
     return Scale(1.0 / si_factor(unit, si_unit), unit_words(unit))

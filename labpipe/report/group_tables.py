@@ -16,10 +16,10 @@ from labpipe.report.issues import (
 from labpipe.report.wording import (
     display_of,
     heading,
-    in_words,
+    replace_names,
+    result_label,
     shown_in,
     unit_words,
-    with_names_in_words,
     write_number,
 )
 
@@ -31,18 +31,18 @@ DASH = "\u2013"
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """What stands in a cell.
+    """Contents of a cell.
 
     Parameters
     ----------
     text : large
     small : below it
-    mark : behind it: ``?`` for doubtful
-    tip : sentence or code that is shown when somebody points at it
-    sort : what the column is sorted by, in SI; None for the text
+    mark : behind the text: ``?`` for doubtful
+    tip : sentence or code shown on hover
+    sort : value by which the column is sorted, SI; None for the text
     drawing : in place of the text
     link : address on the page
-    test : number of the test that it decides on; None for none
+    test : number of the test that the cell decides on, if any
     """
 
     text: str
@@ -61,7 +61,7 @@ class Table:
 
     Parameters
     ----------
-    caption : what it shows
+    caption : title
     heads : one per column
     rows : cells
     notes : sentences below it
@@ -73,17 +73,17 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def spool_means(group: Group) -> Table:
-    """Make the table of spool means, with the decision how to average them in words.
+def spool_mean_table(group: Group) -> Table:
+    """Return the table of spool means and of the decisions how to average them.
 
-    What all decisions have in common stands once, below the table.
+    A text common to all decisions is written once, below the table.
     """
     spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
-    own = [number for number in group.numbers if number.mean is not None]
-    decisions, shared = _decisions([each.mean for each in own if each.mean is not None])
-    rows = [_spool_row(group, each, spools) for each in own]
+    numbers = [number for number in group.numbers if number.mean is not None]
+    decisions, shared = _decisions([number.mean for number in numbers if number.mean is not None])
+    rows = [_spool_row(group, number, spools) for number in numbers]
     heads = ("Number", *(f"Spool {spool}" for spool in spools))
-    title = f"{group.name}: spool means, and how they are averaged"
+    title = f"{group.name}: spool means and their averaging"
     if not any(decisions):
         return Table(title, heads, tuple(rows), shared)
     ends = [Cell(decision or "As below.") for decision in decisions]
@@ -92,14 +92,23 @@ def spool_means(group: Group) -> Table:
 
 
 def _decisions(means: Sequence[NestedMean]) -> tuple[list[str], tuple[str, ...]]:
-    """What is special in each decision, and what is said in all of them."""
+    """Split decisions into the clauses of each and those common to all."""
     clauses = [_clauses(mean.decision) for mean in means]
     shared = (
-        [clause for clause in clauses[0] if all(clause in own for own in clauses)] if means else []
+        [
+            clause
+            for clause in clauses[0]
+            if all(clause in decision_clauses for decision_clauses in clauses)
+        ]
+        if means
+        else []
     )
-    special = [_sentence([each for each in own if each not in shared]) for own in clauses]
+    special = [
+        _join_clauses([clause for clause in decision_clauses if clause not in shared])
+        for decision_clauses in clauses
+    ]
     if not any(special):
-        return special, (_sentence(shared),) if shared else ()
+        return special, (_join_clauses(shared),) if shared else ()
     every = "; ".join(clause.removesuffix(":") for clause in shared)
     return special, (f"Every number: {every[0].lower()}{every[1:]}.",) if shared else ()
 
@@ -108,13 +117,13 @@ def _clauses(decision: Decision) -> list[str]:
     return [f"{decision.done}:", *decision.because] if decision.because else [decision.done]
 
 
-def _sentence(clauses: Sequence[str]) -> str:
+def _join_clauses(clauses: Sequence[str]) -> str:
     joined = "; ".join(clauses).replace(":; ", ": ").removesuffix(":")
     return f"{joined[:1].upper()}{joined[1:]}." if joined else ""
 
 
 def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tuple[Cell, ...]:
-    shown = shown_in(number.name, number.unit, display_of(group))
+    unit = shown_in(number.name, number.unit, display_of(group))
     if number.mean is None:
         return ()
     cells = []
@@ -123,13 +132,13 @@ def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tupl
         if mean is None:
             cells.append(Cell(DASH, "no number"))
             continue
-        written = write_number(mean.mean, mean.interval, shown.factor, apart=mean.apart)
+        written = write_number(mean.mean, mean.interval, unit.factor, apart=mean.apart)
         cells.append(Cell(written.value, f"{written.interval} n = {mean.n}".strip()))
-    return Cell(heading(number.name, shown.unit)), *cells
+    return Cell(heading(number.name, unit.unit)), *cells
 
 
 def slip_table(group: Group) -> Table | None:
-    """Make the slip ledger of a group; None where nothing slipped."""
+    """Return the slip table of a group; None without slips."""
     display = display_of(group)
     across, up = shown_in("", "m", display), shown_in("", "N", display)
     rows = []
@@ -137,14 +146,14 @@ def slip_table(group: Group) -> Table | None:
         for slip in sample.slips:
             at = write_number(slip.position, slip.position_interval, across.factor)
             lost = write_number(slip.drop, slip.drop_interval, up.factor)
-            words = decision_words(slip.decision)
-            cells = Cell(at.value, at.interval), Cell(lost.value, lost.interval), Cell(words)
+            decision = decision_words(slip.decision)
+            cells = Cell(at.value, at.interval), Cell(lost.value, lost.interval), Cell(decision)
             rows.append((Cell(sample.test), *cells))
     heads = (
         "Sample",
         f"Displacement ({unit_words(across.unit)})",
         f"Force lost ({unit_words(up.unit)})",
-        "What was done",
+        "Treatment",
     )
     return Table(f"{group.name}: slips in the grips", heads, tuple(rows)) if rows else None
 
@@ -155,7 +164,7 @@ _NO_METHOD = "No sample has this number."
 _HEADINGS = {
     Kind.UNREADABLE: "Not read",
     Kind.REJECTED: "Rejected",
-    Kind.UNLIKE: "Not alike",
+    Kind.UNLIKE: "Different",
     Kind.FAILED: "Failed",
     Kind.DOUBTFUL: "Doubtful",
     Kind.LEFT_OUT: "Left out",
@@ -165,31 +174,31 @@ _HEADINGS = {
     Kind.NO_INTERVAL: "No interval",
     Kind.NOTE: "Note",
 }
-"""One word or two for the line of a cause."""
+"""Short heading for the line of a cause."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A cause on the page: one line, and what folds out of it.
+    """A cause on the page: one line with its details.
 
     Parameters
     ----------
     head : kind of the cause
-    said : its reason, a sentence
-    whom : which test or group, or how many
-    effect : on the number that it moves most; empty where that is not known
-    details : a row for each that shares the cause
+    reason : a sentence
+    subject : test or group, or their number
+    effect : on the number that it changes most; empty if unknown
+    details : a row per concern with this cause
     """
 
     head: str
-    said: str
+    reason: str
     subject: str
     effect: str
     details: Table
 
 
 def cause_lines(causes: Sequence[Cause]) -> list[Line]:
-    """Make a line for each cause.
+    """Return a line for each cause.
 
     Parameters
     ----------
@@ -200,7 +209,7 @@ def cause_lines(causes: Sequence[Cause]) -> list[Line]:
             _HEADINGS[cause.kind],
             cause.sentence,
             cause.subject,
-            "" if cause.effect is None else cause.effect.words,
+            "" if cause.effect is None else cause.effect.text,
             Table(
                 f"{cause.kind} ({len(cause.concerns)})",
                 ("Test", "What", "Why"),
@@ -212,7 +221,7 @@ def cause_lines(causes: Sequence[Cause]) -> list[Line]:
 
 
 def note_table(campaign: Campaign) -> Table | None:
-    """Make the table of notes of which nothing follows, a row for each kind; None without any."""
+    """Return the table of notes without consequences, a row per kind; None without notes."""
     rows = tuple(
         (
             Cell(note.concerns[0].reason, tip=note.code),
@@ -221,8 +230,8 @@ def note_table(campaign: Campaign) -> Table | None:
         )
         for note in find_notes(campaign)
     )
-    heads = ("Note, the first of its kind", "How many", "Where")
-    return Table("Notes of which nothing follows", heads, rows) if rows else None
+    heads = ("Note (first of its kind)", "Number", "Where")
+    return Table("Notes without consequences", heads, rows) if rows else None
 
 
 def _concern_row(concern: Issue) -> tuple[Cell, ...]:
@@ -232,22 +241,26 @@ def _concern_row(concern: Issue) -> tuple[Cell, ...]:
 
 
 def method_tables(campaign: Campaign) -> list[Table]:
-    """Make a table per protocol that says how each number and its interval were made."""
+    """Return a table per protocol of the methods of each number and its interval."""
     samples: dict[str, list[Sample]] = {}
     for group in campaign.groups:
         samples.setdefault(group.protocol, []).extend(group.samples)
-    return [_method_table(protocol, own) for protocol, own in samples.items() if own]
+    return [
+        _method_table(protocol, group_samples)
+        for protocol, group_samples in samples.items()
+        if group_samples
+    ]
 
 
 def _method_table(protocol: str, samples: Sequence[Sample]) -> Table:
     methods: dict[str, dict[str, None]] = {}
     for sample in samples:
         for result in sample.results:
-            known = methods.setdefault(result.name, {})
+            methods_of_number = methods.setdefault(result.name, {})
             if result.method:
-                known[result.method] = None
+                methods_of_number[result.method] = None
     rows = tuple(
-        (Cell(in_words(name), tip=name), Cell(with_names_in_words("; ".join(method)) or _NO_METHOD))
+        (Cell(result_label(name), tip=name), Cell(replace_names("; ".join(method)) or _NO_METHOD))
         for name, method in methods.items()
     )
-    return Table(f"Protocol {protocol}: how each number was made", ("Number", "Method"), rows)
+    return Table(f"Protocol {protocol}: method of each number", ("Number", "Method"), rows)

@@ -1,4 +1,4 @@
-"""A harness from three sides, its bend radius as colour, and that radius along the line."""
+"""A harness from three sides with its bend radius as colour, and the radius along the line."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from labpipe.report.figure_page import (
     PageTexts,
     area_key,
     keyed_page,
+    label_log_axis,
     line_key,
-    number_log,
     panel_letter,
 )
 from labpipe.report.saving import FigureToSave, save_pages
@@ -32,13 +32,12 @@ if TYPE_CHECKING:
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
 """Names of the files, without the ending."""
 
-_HEIGHT, _SWEEP_HEIGHT = 118.0, 76.0
 _COLOURS = "viridis"
 _BELOW = "#d62728"
 _BAND: dict[str, Any] = {"color": "#9ecae1", "linewidth": 0.0}
 _EARLIER: dict[str, Any] = {"color": "#999999", "linewidth": 0.7}
 _OPEN: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.0}
-"""Dots of what is doubtful."""
+"""Dots of doubtful values."""
 _WAY: dict[str, Any] = {"color": "#bbbbbb", "linewidth": 0.5}
 _LIMIT: dict[str, Any] = {"color": _BELOW, "linewidth": 0.8, "linestyle": (0, (5, 2))}
 _SIGNS: dict[str, dict[str, Any]] = {
@@ -51,11 +50,6 @@ _SIGNS: dict[str, dict[str, Any]] = {
 }
 _VIEWS = (("side", 0, 2), ("end", 1, 2), ("top", 0, 1))
 _AXES = "xyz"
-_LEAST_SHARE = 0.12
-"""Of the widest side of the line: how much of a side is shown at the least."""
-_STRAIGHTER = 40.0
-"""Times the allowed radius: lines that are straighter have one colour."""
-_ARROW = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +60,7 @@ class DrawnShape:
     ----------
     step : number
     positions : shape (n + 1, 3), m
-    radius : shape (n + 1,), m; infinite where it is straight
+    radius : shape (n + 1,), m; infinite where the line is straight
     band : lower and upper ends of the positions, shape (n + 1, 3) each; None without
     radius_band : lower and upper ends of the radius, shape (n + 1,) each; None without
     """
@@ -80,15 +74,15 @@ class DrawnShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnMark:
-    """What holds or pulls the line.
+    """A boundary that holds or pulls the line.
 
     Parameters
     ----------
     name, kind : of the boundary
     position : shape (3,), m, at the last step
-    way : shape (steps + 1, 3), m, that a grip took, or a string has; empty for others
-    direction : shape (3,), of the line in it, or of the force; None without
-    holds : whether it still does
+    way : shape (steps + 1, 3), m, path of a grip or of a string; empty for others
+    direction : shape (3,), of the line or of the force there; None without
+    holds : whether it still holds
     """
 
     name: str
@@ -101,7 +95,7 @@ class DrawnMark:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnHarness:
-    """All that the figure of a harness shows.
+    """Contents of the figure of a harness.
 
     Parameters
     ----------
@@ -125,7 +119,7 @@ class DrawnHarness:
 def save_harness_figure(
     drawn: DrawnHarness, sweep: DrawnSweep | None, folder: Path, *, png: bool = False
 ) -> list[Path]:
-    """Draw a harness as SVG, and its sweep where there is one.
+    """Draw a harness as SVG, and its sweep, if any.
 
     Parameters
     ----------
@@ -152,15 +146,15 @@ def harness_figure(drawn: DrawnHarness) -> Figure:
     ----------
     drawn : the harness
     """
-    words = PageTexts(f"{drawn.name}  ·  shape", drawn.note, _keys(drawn))
-    page = keyed_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
+    texts = PageTexts(f"{drawn.name}  ·  shape", drawn.note, _keys(drawn))
+    page = keyed_page(texts, height_mm=118.0, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(2, 2, width_ratios=(1.35, 1.0)).ravel()
     lines: list[LineCollection] = []
     for letter, panel, (view, across, up) in zip("abc", panels, _VIEWS, strict=False):
         lines.append(plot_view(drawn, across, up, panel))
         panel_letter(panel, letter, f"From the {view}")
     bar = page.colorbar(lines[0], ax=list(panels[1:2]), label=LENGTH.label("Bend radius"))
-    number_log(bar.ax.yaxis)
+    label_log_axis(bar.ax.yaxis)
     plot_radius(drawn, panels[3])
     panel_letter(panels[3], "d", "Along the line")
     return page
@@ -173,19 +167,19 @@ def _keys(drawn: DrawnHarness) -> list[Artist]:
         steps = ", ".join(str(shape.step) for shape in drawn.shapes[:-1])
         keys.append(line_key(f"step {steps}", **_EARLIER))
     if last.band is not None:
-        keys.append(area_key("95 % band, point by point", **_BAND))
+        keys.append(area_key("95 % band, pointwise", **_BAND))
     for kind, look in _SIGNS.items():
         names = [mark.name for mark in drawn.marks if mark.kind == kind]
         if names:
-            words = f"{kind} {', '.join(names)}"
-            keys.append(line_key(words, color="black", linestyle="", **look))
+            label = f"{kind} {', '.join(names)}"
+            keys.append(line_key(label, color="black", linestyle="", **look))
     if any(mark.kind == "grip" and len(mark.way) > 1 for mark in drawn.marks):
-        keys.append(line_key("way of a grip", **_WAY))
+        keys.append(line_key("path of a grip", **_WAY))
     return [*keys, line_key("allowed bend radius", **_LIMIT)]
 
 
 def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineCollection:
-    """Draw a line from one side, with what holds it.
+    """Draw a line and its boundaries from one side.
 
     Parameters
     ----------
@@ -195,7 +189,7 @@ def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineColl
 
     Returns
     -------
-    The line of the last step, which has the colours.
+    The coloured line of the last step.
     """
     import matplotlib as mpl
     from matplotlib.collections import LineCollection, PolyCollection
@@ -204,15 +198,22 @@ def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineColl
     for plane in drawn.planes:
         _plot_plane(drawn, plane, pair, axes)
     for shape in drawn.shapes[:-1]:
-        _draw(axes, shape.positions[:, pair], **_EARLIER, zorder=2)
+        _draw_line(axes, shape.positions[:, pair], **_EARLIER, zorder=2)
     if last.band is not None:
         low, high = (LENGTH.factor * end[:, pair] for end in last.band)
-        axes.add_collection(PolyCollection(_boxes(low, high), **_BAND, zorder=1), autolim=False)
+        axes.add_collection(
+            PolyCollection(_band_outlines(low, high), **_BAND, zorder=1), autolim=False
+        )
     points = LENGTH.factor * last.positions[:, pair]
     ends = np.stack([points[:-1], points[1:]], axis=1)
     colours = mpl.colormaps[_COLOURS].with_extremes(under=_BELOW)
     line = LineCollection(
-        list(ends), cmap=colours, norm=_norm(drawn), linewidth=2.2, capstyle="round", zorder=3
+        list(ends),
+        cmap=colours,
+        norm=_colour_norm(drawn),
+        linewidth=2.2,
+        capstyle="round",
+        zorder=3,
     )
     line.set_array(LENGTH.factor * np.minimum(last.radius[:-1], last.radius[1:]))
     axes.add_collection(line, autolim=False)
@@ -222,16 +223,17 @@ def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineColl
     return line
 
 
-def _norm(drawn: DrawnHarness) -> Any:
-    """Colours from the allowed radius on; what is below has one of its own."""
+def _colour_norm(drawn: DrawnHarness) -> Any:
+    """Return the scale of colours from the allowed radius upwards."""
+    straight_radius_factor = 40.0  # of the allowed radius: straighter lines have one colour
     from matplotlib.colors import LogNorm
 
     allowed = LENGTH.factor * drawn.allowed
-    return LogNorm(allowed, _STRAIGHTER * allowed, clip=False)
+    return LogNorm(allowed, straight_radius_factor * allowed, clip=False)
 
 
-def _boxes(low: Floats, high: Floats) -> list[Floats]:
-    """Outlines of what two bands sweep between neighbouring nodes."""
+def _band_outlines(low: Floats, high: Floats) -> list[Floats]:
+    """Return the outlines of a band between neighbouring nodes."""
     from scipy.spatial import ConvexHull, QhullError
 
     outlines = []
@@ -246,7 +248,7 @@ def _boxes(low: Floats, high: Floats) -> list[Floats]:
 
 
 def _extent(drawn: DrawnHarness) -> float:
-    """Widest side of all that is drawn of the line, m."""
+    """Return the widest side of all drawn lines, m."""
     every = np.vstack([shape.positions for shape in drawn.shapes])
     return float(np.max(np.ptp(every, axis=0)))
 
@@ -255,33 +257,40 @@ def _plot_plane(
     drawn: DrawnHarness, plane: tuple[Floats, Floats], pair: list[int], axes: Axes
 ) -> None:
     point, normal = plane
-    seen = normal[pair]
-    if np.linalg.norm(seen) < 0.5:  # looked at from above
+    normal_in_view = normal[pair]
+    if np.linalg.norm(normal_in_view) < 0.5:  # seen from above
         return
-    reach = 10.0 * _extent(drawn) / np.linalg.norm(seen) * np.array([-seen[1], seen[0]])
+    reach = (
+        10.0
+        * _extent(drawn)
+        / np.linalg.norm(normal_in_view)
+        * np.array([-normal_in_view[1], normal_in_view[0]])
+    )
     ends = np.array([point[pair] - reach, point[pair] + reach])
-    _draw(axes, ends, color=GREY, linewidth=1.2, zorder=0)
+    _draw_line(axes, ends, color=GREY, linewidth=1.2, zorder=0)
 
 
 def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], axes: Axes) -> None:
+    arrow_share = 0.06
     place = mark.position[pair]
     colour = "black" if mark.holds else "#bbbbbb"
-    _draw(axes, mark.way[:, pair], **_WAY, zorder=0)
-    _draw(axes, place[None], color=colour, linestyle="", zorder=4, **_SIGNS[mark.kind])
+    _draw_line(axes, mark.way[:, pair], **_WAY, zorder=0)
+    _draw_line(axes, place[None], color=colour, linestyle="", zorder=4, **_SIGNS[mark.kind])
     if mark.direction is not None:
-        reach = _ARROW * extent * mark.direction[pair]
+        reach = arrow_share * extent * mark.direction[pair]
         ends = np.array([place - reach, place + reach])
-        _draw(axes, ends, color=colour, linewidth=0.8, zorder=4)
+        _draw_line(axes, ends, color=colour, linewidth=0.8, zorder=4)
 
 
-def _draw(axes: Axes, points: Floats, **look: Any) -> None:
-    """Draw a line through points, shape (k, 2), m, that does not widen what is shown."""
+def _draw_line(axes: Axes, points: Floats, **look: Any) -> None:
+    """Draw a line through points, shape (k, 2), m, without changing the limits."""
     from matplotlib.lines import Line2D
 
     axes.add_artist(Line2D(*(LENGTH.factor * points.T), **look))
 
 
 def _set_view(drawn: DrawnHarness, pair: list[int], axes: Axes) -> None:
+    min_side_share = 0.12  # smallest side of the view, of the widest side of the line
     every = np.vstack(
         [
             *(shape.positions for shape in drawn.shapes),
@@ -290,7 +299,7 @@ def _set_view(drawn: DrawnHarness, pair: list[int], axes: Axes) -> None:
         ]
     )[:, pair]
     middle = 0.5 * (every.max(axis=0) + every.min(axis=0))
-    half = np.maximum(0.55 * np.ptp(every, axis=0), _LEAST_SHARE * _extent(drawn))
+    half = np.maximum(0.55 * np.ptp(every, axis=0), min_side_share * _extent(drawn))
     axes.update_datalim(LENGTH.factor * np.array([middle - half, middle + half]))
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
@@ -299,7 +308,7 @@ def _set_view(drawn: DrawnHarness, pair: list[int], axes: Axes) -> None:
 
 
 def plot_radius(drawn: DrawnHarness, axes: Axes) -> None:
-    """Draw the bend radius along the line, with what is allowed.
+    """Draw the bend radius along the line, with the allowed radius.
 
     Parameters
     ----------
@@ -309,24 +318,24 @@ def plot_radius(drawn: DrawnHarness, axes: Axes) -> None:
     along, last = LENGTH.factor * drawn.along, drawn.shapes[-1]
     axes.set_yscale("log")
     for shape in drawn.shapes[:-1]:
-        axes.plot(along, _shown(shape.radius), **_EARLIER)
+        axes.plot(along, _finite_radius(shape.radius), **_EARLIER)
     if last.radius_band is not None:
-        low, high = map(_shown, last.radius_band)
+        low, high = map(_finite_radius, last.radius_band)
         axes.fill_between(along, low, high, **_BAND)
-    axes.plot(along, _shown(last.radius), color="black", linewidth=1.0)
+    axes.plot(along, _finite_radius(last.radius), color="black", linewidth=1.0)
     axes.axhline(LENGTH.factor * drawn.allowed, **_LIMIT)
     allowed = LENGTH.factor * drawn.allowed
-    sharpest = [np.nanmin(_shown(shape.radius), initial=np.inf) for shape in drawn.shapes]
-    highest = max([100.0 * allowed, *(3.0 * each for each in sharpest if np.isfinite(each))])
+    sharpest = [np.nanmin(_finite_radius(shape.radius), initial=np.inf) for shape in drawn.shapes]
+    highest = max([100.0 * allowed, *(3.0 * radius for radius in sharpest if np.isfinite(radius))])
     axes.set_ylim(0.7 * min(*sharpest, allowed), highest)
     axes.set_xlim(along[0], along[-1])
     axes.set_xlabel(LENGTH.label("From the start"))
     axes.set_ylabel(LENGTH.label("Bend radius"))
-    number_log(axes.yaxis)
+    label_log_axis(axes.yaxis)
 
 
-def _shown(radius: Floats) -> Floats:
-    """Radii in mm; NaN, a gap, where the line is straight."""
+def _finite_radius(radius: Floats) -> Floats:
+    """Return radii in mm; NaN where the line is straight."""
     return np.asarray(np.where(np.isfinite(radius), LENGTH.factor * radius, np.nan))
 
 
@@ -338,10 +347,10 @@ class DrawnSweep:
     ----------
     name, note : title and footnote
     length : shape (k,), m
-    radius : shape (k,), m, smallest bend radius at the last step; NaN where there is none
-    way : shape (k,), m, the smallest on the way
+    radius : shape (k,), m, smallest bend radius at the last step; NaN if not available
+    way : shape (k,), m, smallest bend radius over all steps
     radius_band : lower and upper ends, shape (k,) each; None without
-    shapes : shape (n + 1, 3), m, of each length at the last step; empty of one that failed
+    shapes : shape (n + 1, 3), m, of each length at the last step; empty for a failed one
     allowed : bend radius, m
     is_doubtful : shape (k,)
     """
@@ -365,35 +374,35 @@ def sweep_figure(sweep: DrawnSweep) -> Figure:
     sweep : the lengths
     """
     keys = [
-        *_keys_of_lengths(sweep),
-        line_key("when laid", color="black", marker="o", markersize=3.0, linewidth=1.0),
-        line_key("on the way", **_EARLIER, marker="o", markersize=2.0),
+        *_length_keys(sweep),
+        line_key("installed", color="black", marker="o", markersize=3.0, linewidth=1.0),
+        line_key("during installation", **_EARLIER, marker="o", markersize=2.0),
         line_key("allowed bend radius", **_LIMIT),
     ]
     if sweep.radius_band is not None:
-        keys.append(area_key("95 % band, length by length", **_BAND))
+        keys.append(area_key("95 % band, pointwise", **_BAND))
     if sweep.is_doubtful.any():
         keys.append(line_key("doubtful", color="black", **_OPEN, linestyle="", marker="o"))
-    words = PageTexts(f"{sweep.name}  ·  length against bend radius", sweep.note, keys)
-    page = keyed_page(words, height_mm=_SWEEP_HEIGHT, width_mm=DOUBLE_COLUMN)
+    texts = PageTexts(f"{sweep.name}  ·  length against bend radius", sweep.note, keys)
+    page = keyed_page(texts, height_mm=76.0, width_mm=DOUBLE_COLUMN)
     shapes, radii = page.subplots(1, 2, width_ratios=(1.2, 1.0))
     plot_lengths(sweep, shapes)
     plot_sweep(sweep, radii)
-    panel_letter(shapes, "a", f"From the {_view_of(sweep)[0]}, by length")
+    panel_letter(shapes, "a", f"From the {_choose_view(sweep)[0]}, by length")
     panel_letter(radii, "b", "Smallest bend radius")
     return page
 
 
-def _keys_of_lengths(sweep: DrawnSweep) -> list[Artist]:
-    """A sample of each line with its length; of a doubtful one, dashed."""
+def _length_keys(sweep: DrawnSweep) -> list[Artist]:
+    """Return a key for each length; a doubtful one is dashed."""
     return [
-        line_key(f"{LENGTH.factor * length:.6g} {LENGTH.unit}", **_look_of_line(sweep, number))
+        line_key(f"{LENGTH.factor * length:.6g} {LENGTH.unit}", **_length_style(sweep, number))
         for number, length in enumerate(sweep.length)
         if len(sweep.shapes[number])
     ]
 
 
-def _look_of_line(sweep: DrawnSweep, number: int) -> dict[str, Any]:
+def _length_style(sweep: DrawnSweep, number: int) -> dict[str, Any]:
     import matplotlib as mpl
 
     colours = mpl.colormaps[_COLOURS](np.linspace(0.05, 0.9, len(sweep.shapes)))
@@ -401,8 +410,8 @@ def _look_of_line(sweep: DrawnSweep, number: int) -> dict[str, Any]:
     return {"color": colours[number], "linewidth": 1.1, "linestyle": dashes}
 
 
-def _view_of(sweep: DrawnSweep) -> tuple[str, int, int]:
-    """The view, of those of the other figure that show x, that shows most of the lines."""
+def _choose_view(sweep: DrawnSweep) -> tuple[str, int, int]:
+    """Return the view, side or top, that shows most of the lines."""
     every = np.vstack(sweep.shapes)
     side, _, top = _VIEWS
     return top if np.ptp(every[:, 1]) > np.ptp(every[:, 2]) else side
@@ -416,10 +425,10 @@ def plot_lengths(sweep: DrawnSweep, axes: Axes) -> None:
     sweep : the lengths
     axes : to draw on
     """
-    _, across, up = _view_of(sweep)
+    _, across, up = _choose_view(sweep)
     for number, positions in enumerate(sweep.shapes):
         points = LENGTH.factor * positions[:, [across, up]]
-        axes.plot(*points.T, **_look_of_line(sweep, number))
+        axes.plot(*points.T, **_length_style(sweep, number))
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(LENGTH.label(_AXES[across]))
     axes.set_ylabel(LENGTH.label(_AXES[up]))
@@ -435,15 +444,20 @@ def plot_sweep(sweep: DrawnSweep, axes: Axes) -> None:
     """
     length = LENGTH.factor * sweep.length
     if sweep.radius_band is not None:
-        low, high = map(_shown, sweep.radius_band)
+        low, high = map(_finite_radius, sweep.radius_band)
         axes.fill_between(length, low, high, **_BAND)
-    axes.plot(length, _shown(sweep.way), marker="o", markersize=2.0, **_EARLIER)
+    axes.plot(length, _finite_radius(sweep.way), marker="o", markersize=2.0, **_EARLIER)
     axes.plot(
-        length, _shown(sweep.radius), color="black", marker="o", markersize=3.0, linewidth=1.0
+        length,
+        _finite_radius(sweep.radius),
+        color="black",
+        marker="o",
+        markersize=3.0,
+        linewidth=1.0,
     )
     for radius, look in ((sweep.way, _EARLIER), (sweep.radius, {"color": "black"})):
         open_dots = {**_OPEN, "color": look["color"], "marker": "o", "linestyle": ""}
-        axes.plot(length[sweep.is_doubtful], _shown(radius)[sweep.is_doubtful], **open_dots)
+        axes.plot(length[sweep.is_doubtful], _finite_radius(radius)[sweep.is_doubtful], **open_dots)
     axes.axhline(LENGTH.factor * sweep.allowed, **_LIMIT)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel(LENGTH.label("Length of the line"))

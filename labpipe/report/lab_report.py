@@ -1,25 +1,25 @@
-"""The report of a campaign: one page, a workbook, on request figures, written into a folder."""
+"""Report of a campaign: a page, a workbook and, on request, figures, written to a folder."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
 from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
 from labpipe.report.comparison_figures import figures_of_families
 from labpipe.report.comparisons import remarks_on_pairs
-from labpipe.report.group_figures import drawings, stems
+from labpipe.report.group_figures import group_drawings, stems
 from labpipe.report.group_panels import group_panels
 from labpipe.report.group_tables import (
     cause_lines,
     method_tables,
     note_table,
     slip_table,
-    spool_means,
+    spool_mean_table,
 )
 from labpipe.report.issue_ranking import find_causes
 from labpipe.report.issues import sentences
@@ -41,22 +41,26 @@ from labpipe.report.page_groups import (
     samples_tables,
 )
 from labpipe.report.page_parts import (
-    filled,
+    css_string,
+    fill_template,
     page_data,
     page_script,
     page_style,
-    quoted,
     style_hash,
     style_of,
 )
 from labpipe.report.page_tests import export_table, test_rows
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.saving import save_report_figures, written_to
-from labpipe.report.summary_page import KeyBlock, answers, count_words, fold, key_blocks, to_decide
-from labpipe.report.wording import printable, with_names_in_words
-
-if TYPE_CHECKING:
-    pass
+from labpipe.report.summary_page import (
+    KeyBlock,
+    answers,
+    count_words,
+    fold,
+    key_blocks,
+    open_decisions,
+)
+from labpipe.report.wording import printable, replace_names
 
 _TEMPLATE = "lab_report.html"
 _NO_INSTRUMENTS = "no calibration certificate stated in the protocols"
@@ -64,12 +68,12 @@ _NO_INSTRUMENTS = "no calibration certificate stated in the protocols"
 
 @dataclass(frozen=True, slots=True)
 class Letterhead:
-    """Who a report is from and for; all of it may be empty.
+    """Sender and customer of a report; all of it may be empty.
 
     Parameters
     ----------
-    facts : such as laboratory, customer, order: name and words
-    logo : a picture as a ``data:`` address
+    facts : names and values, such as laboratory, customer, order
+    logo : picture as a ``data:`` address
     """
 
     facts: tuple[tuple[str, str], ...] = ()
@@ -86,19 +90,19 @@ def render_page(
 
     Parameters
     ----------
-    campaign : all that is shown
-    letterhead : who it is from and for
-    has_test_pages : whether there is a page for each test, to be linked to
+    campaign : to report
+    letterhead : sender and customer
+    has_test_pages : link to a page per test
 
     Returns
     -------
     An HTML document that needs no other file and no network, and can be read and printed without
-    its script. Every text of the campaign is escaped.
+    its script. All texts of the campaign are escaped.
     """
     names = stems(group.name for group in campaign.groups)
     report, script = report_id(campaign), page_script()
-    style = style_of(quoted(f"{campaign.title}  \u00b7  report {report}"), page_style())
-    return filled(
+    style = style_of(css_string(f"{campaign.title}  \u00b7  report {report}"), page_style())
+    return fill_template(
         _TEMPLATE,
         campaign=campaign,
         report=report,
@@ -109,17 +113,19 @@ def render_page(
         page_data=page_data(campaign, report=report),
         pages=has_test_pages,
         logo=letterhead.logo,
-        **_first(campaign, names, letterhead),
-        **_rest(campaign, names),
+        **_first_screen(campaign, names, letterhead),
+        **_other_sections(campaign, names),
     )
 
 
-def _first(campaign: Campaign, names: Sequence[str], letterhead: Letterhead) -> dict[str, Any]:
-    """What stands on page one."""
+def _first_screen(
+    campaign: Campaign, names: Sequence[str], letterhead: Letterhead
+) -> dict[str, Any]:
+    """Return the contents of page one."""
     tests, causes = PageTests(campaign, names), find_causes(campaign)
-    open_ones = to_decide(causes, tests)
-    own, blocks = answers(campaign), key_blocks(campaign, names)
-    folds = fold(len(own), blocks, len(open_ones))
+    open_ones = open_decisions(causes, tests)
+    answer_rows, blocks = answers(campaign), key_blocks(campaign, names)
+    folds = fold(len(answer_rows), blocks, len(open_ones))
     samples = samples_of(campaign)
     recorded = roles_words(samples)
     return {
@@ -127,8 +133,8 @@ def _first(campaign: Campaign, names: Sequence[str], letterhead: Letterhead) -> 
         "facts": _facts(campaign, letterhead),
         "instruments": instrument_lines(samples),
         "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
-        "answers": own,
-        "blocks": _cut(blocks, folds.groups),
+        "answers": answer_rows,
+        "blocks": _limit_rows(blocks, folds.groups),
         "open_ones": open_ones,
         "folds": folds,
         "causes": cause_lines(causes),
@@ -137,12 +143,12 @@ def _first(campaign: Campaign, names: Sequence[str], letterhead: Letterhead) -> 
 
 def _facts(campaign: Campaign, letterhead: Letterhead) -> list[tuple[str, str]]:
     samples = samples_of(campaign)
-    made = str(campaign.made_on) if campaign.made_on else ""
+    made_on = str(campaign.made_on) if campaign.made_on else ""
     by = f"labpipe {campaign.labpipe_version}".strip()
     return [
         *letterhead.facts,
         ("Tested", f"{days_words(samples)} by {operators_words(samples)}"),
-        ("Report", ", ".join(filter(None, [report_id(campaign), made, by]))),
+        ("Report", ", ".join(filter(None, [report_id(campaign), made_on, by]))),
         ("Protocols", _protocols(campaign)),
     ]
 
@@ -151,18 +157,18 @@ def _protocols(campaign: Campaign) -> str:
     return ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
 
 
-def _cut(blocks: Sequence[KeyBlock], most: int) -> list[tuple[KeyBlock, int]]:
-    """How many groups of each block are shown at once."""
-    shown = []
+def _limit_rows(blocks: Sequence[KeyBlock], most: int) -> list[tuple[KeyBlock, int]]:
+    """Limit the number of groups of each block that are shown at first."""
+    blocks_with_counts = []
     for block in blocks:
         count = min(len(block.rows), max(most, 0))
-        shown.append((block, count))
+        blocks_with_counts.append((block, count))
         most -= count
-    return shown
+    return blocks_with_counts
 
 
-def _rest(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
-    """What stands below page one."""
+def _other_sections(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
+    """Return the contents below page one."""
     tests = PageTests(campaign, names)
     groups = list(zip(campaign.groups, names, strict=True))
     by_stem = {stem: group.name for group, stem in groups}
@@ -186,7 +192,7 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
         "stem": stem,
         "about": about_group(group) if group.samples else "",
         "is_empty": not group.samples,
-        "why_empty": sentences([group.band.reason]) or "The group has no sample.",
+        "why_empty": sentences([group.band.reason]) or "The group has no samples.",
         "rejected": tests.rejected(stem),
         "plots": group_panels(group, stem, tests),
         "numbers": number_table(group),
@@ -194,7 +200,7 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
         "causes": budget_causes(group),
         "samples": samples_tables(group, tests),
         "slips": slip_table(group),
-        "spools": spool_means(group) if _spools(group) > 1 else None,
+        "spools": spool_mean_table(group) if _spools(group) > 1 else None,
         "remarks": _remarks(group),
     }
 
@@ -204,9 +210,9 @@ def _spools(group: Group) -> int:
 
 
 def _remarks(group: Group) -> list[str]:
-    """Notes on the group that change nothing; those on single tests stand on their own pages."""
+    """Return the notes of the group without consequences."""
     return [
-        with_names_in_words(f"{note.where}: {note.message}")
+        replace_names(f"{note.where}: {note.message}")
         for note in group.notes
         if note.severity is Severity.INFO
     ]
@@ -219,7 +225,7 @@ FIGURES_FOLDER = "figures"
 
 @dataclass(frozen=True, slots=True)
 class Extras:
-    """What a report is to have beside the page and the workbook.
+    """Optional parts of a report.
 
     Parameters
     ----------
@@ -282,7 +288,7 @@ def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> l
     wanted = [
         drawing._replace(name=f"{stem}-{drawing.name}")
         for group, stem in zip(campaign.groups, names, strict=True)
-        for drawing in drawings(group)
+        for drawing in group_drawings(group)
     ]
     wanted += [figure for _, figure in figures_of_families(campaign)]
     wanted += place_figures(campaign)

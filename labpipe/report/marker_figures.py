@@ -1,4 +1,4 @@
-"""A test's markers: the shapes that they give, and where each position comes from."""
+"""Markers of a test: their shapes, and the source of each position."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from labpipe.report.figure_page import (
     line_key,
     new_page,
     panel_letter,
-    say,
     side_key,
+    write_reason,
 )
 from labpipe.report.plot_thinning import extremes, worst
 from labpipe.report.rig_drawing import Rig, rig_of
@@ -34,23 +34,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_STEPS = 5
-_WIDTH_MM = 144.0
-_MARGIN = 0.04
-_FLATTEST = 0.1
-"""Width of a panel on paper; margin and least height of a panel over the specimen's length."""
 _LOOKS = {
     PointFlag.MEASURED: ("o", True),
     PointFlag.RELABELLED: ("s", True),
     PointFlag.FILLED: ("o", False),
     PointFlag.CONSTRUCTED: ("D", False),
 }
-"""Sign of a point, and whether it is filled with colour, by where its position comes from."""
+"""Marker of a point, and whether it is filled, by the source of its position."""
 
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Frames to draw, the tip's way at each of them (m), and the word for that way."""
+    """Frames to draw, the deflection of the tip at each (m), and its name."""
 
     frames: Ints
     levels: Floats
@@ -59,24 +54,25 @@ class Steps:
 
 def draw_wire_shapes(result: TestResult) -> Figure:
     """Draw shapes in the plane of bending; without branches in two planes."""
+    width_mm = 144.0
     shape = result.shape
     if shape is None or not len(shape.time):
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
-        say(page.subplots(), why_missing(result, "shape"))
+        write_reason(page.subplots(), why_missing(result, "shape"))
         return page
     steps, rig = choose_frames(result, shape), rig_of(result)
     planes = [1] if _first_loading(result) is not None else [1, 2]
-    heights = [_WIDTH_MM * _proportion(shape, steps, plane, rig) for plane in planes]
+    heights = [width_mm * _aspect_ratio(shape, steps, plane, rig) for plane in planes]
     total = sum(heights) + 17.0 + 14.0 * (len(planes) - 1)
-    note = " ".join(filter(None, (_beside_words(result, shape, rig), footnote(result))))
-    words = PageTexts(title(result), note, _sign_keys(shape, steps, rig))
-    page = keyed_page(words, height_mm=total, width_mm=DOUBLE_COLUMN)
+    note = " ".join(filter(None, (_offset_note(result, shape, rig), footnote(result))))
+    texts = PageTexts(title(result), note, _sign_keys(shape, steps, rig))
+    page = keyed_page(texts, height_mm=total, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for letter, axes, plane in zip("ab", panels, planes, strict=False):
         plot_shapes(result, axes, plane=plane)
         if len(planes) > 1:
             panel_letter(axes, letter, f"x-{'xyz'[plane]} view")
-    _name_steps(result, panels[0], steps)
+    _draw_step_key(result, panels[0], steps)
     return page
 
 
@@ -85,21 +81,22 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
 
     Parameters
     ----------
-    result : its first loading branch is used where it has one: steps of tip deflection; else steps
-        of the tip's distance from where it was at first
+    result : steps of tip deflection on its first loading branch, else steps of the distance of the
+        tip from its first position
     shape : at least one frame
 
     Returns
     -------
     About six frames, the first at rest.
     """
-    way, word = _way(result, shape)
+    n_steps = 5
+    way, word = _tip_path(result, shape)
     if np.isnan(way).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), word)
     factor = scale(result, "displacement", "m").factor
-    step = _round_step(float(np.nanmax(way)) * factor / _STEPS) / factor
+    step = _round_step(float(np.nanmax(way)) * factor / n_steps) / factor
     levels = np.arange(0.0, np.nanmax(way) * (1 + 1e-9), step)
-    # the first frame at a level, not the nearest of all: later ones may belong to another motion
+    # the first frame at a level: later ones may belong to another motion
     reached = [np.flatnonzero(way >= level - 1e-12) for level in levels]
     frames = np.array([hits[0] for hits in reached if len(hits)], dtype=np.int64)
     return Steps(frames, levels[: len(frames)], word)
@@ -114,13 +111,13 @@ def _first_loading(result: TestResult) -> tuple[float, float] | None:
 _LOADING = Direction.LOADING
 
 
-def _way(result: TestResult, shape: Shape) -> tuple[Floats, str]:
-    """The tip's way in every frame, m; NaN outside the first loading."""
+def _tip_path(result: TestResult, shape: Shape) -> tuple[Floats, str]:
+    """Return the deflection of the tip in every frame, m; NaN outside the first loading."""
     loading = _first_loading(result)
     if loading is None or result.curve is None:
-        tip = shape.positions[:, _last_seen(shape)]
-        seen = np.flatnonzero(~np.isnan(tip).any(axis=1))
-        start = tip[seen[0]] if len(seen) else np.full(3, np.nan)
+        tip = shape.positions[:, _last_tracked(shape)]
+        tracked = np.flatnonzero(~np.isnan(tip).any(axis=1))
+        start = tip[tracked[0]] if len(tracked) else np.full(3, np.nan)
         far: Floats = np.linalg.norm(tip - start, axis=1)
         return far, "tip excursion"
     curve = result.curve
@@ -130,14 +127,14 @@ def _way(result: TestResult, shape: Shape) -> tuple[Floats, str]:
     return way, "tip deflection" if is_clamped else "deflection"
 
 
-def _last_seen(shape: Shape) -> int:
-    """The point nearest the free end that has a position at all."""
-    seen = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
-    return int(seen[-1]) if len(seen) else len(shape.names) - 1
+def _last_tracked(shape: Shape) -> int:
+    """Return the tracked point nearest to the free end."""
+    tracked = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
+    return int(tracked[-1]) if len(tracked) else len(shape.names) - 1
 
 
 def _round_step(step: float) -> float:
-    """The number 1, 2 or 5 times a power of ten nearest to a step, by ratio."""
+    """Round a step to 1, 2 or 5 times a power of ten."""
     if step <= 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(step))
@@ -146,41 +143,43 @@ def _round_step(step: float) -> float:
 
 
 def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, float]:
-    """Ends of an axis, m: all that is drawn with a margin, and never less than a flat strip."""
-    curves = [_fitted(shape, int(frame))[axis] for frame in steps.frames]
+    """Return the ends of an axis, m: everything drawn with a margin, at least a flat strip."""
+    margin = 0.04
+    min_aspect = 0.1  # height of a panel over the length of the specimen
+    curves = [_fitted_curve(shape, int(frame))[axis] for frame in steps.frames]
     rollers = [
         centre[axis] + side * rig.roller_radius
-        for centre in (*_supports(rig), *_loads(shape, steps, rig))
+        for centre in (*_support_centres(rig), *_load_centres(shape, steps, rig))
         for side in (-1.0, 1.0)
         if axis < len(centre)
     ]
     drawn = np.concatenate([shape.positions[steps.frames, :, axis].ravel(), *curves, rollers])
     drawn = drawn[np.isfinite(drawn)] if np.isfinite(drawn).any() else np.zeros(1)
     middle, half = (drawn.max() + drawn.min()) / 2, np.ptp(drawn) / 2
-    half = max(half, _FLATTEST * shape.length / 2) + _MARGIN * shape.length
+    half = max(half, min_aspect * shape.length / 2) + margin * shape.length
     return float(middle - half), float(middle + half)
 
 
-def _proportion(shape: Shape, steps: Steps, plane: int, rig: Rig) -> float:
-    """Height of a panel over its width, at equal axis scale."""
+def _aspect_ratio(shape: Shape, steps: Steps, plane: int, rig: Rig) -> float:
+    """Return the height of a panel over its width, at equal axis scale."""
     (left, right), (low, high) = (_limits(shape, steps, axis, rig) for axis in (0, plane))
     return (high - low) / (right - left)
 
 
-def _supports(rig: Rig) -> list[tuple[float, float]]:
-    """Centres of the rollers that hold a specimen, m: on the side to which it is pushed."""
+def _support_centres(rig: Rig) -> list[tuple[float, float]]:
+    """Return the centres of the rollers that support a specimen, m."""
     if not rig.span or not rig.roller_radius:
         return []
     return [(-0.5 * rig.span, rig.reach), (0.5 * rig.span, rig.reach)]
 
 
-def _loads(shape: Shape, steps: Steps, rig: Rig) -> list[tuple[float, float]]:
-    """Centres of the roller that pushes at mid-span, m, at each step where a curve is known."""
-    if not _supports(rig):
+def _load_centres(shape: Shape, steps: Steps, rig: Rig) -> list[tuple[float, float]]:
+    """Return the centres of the loading roller at mid-span, m, at each step with a curve."""
+    if not _support_centres(rig):
         return []
     loads = []
     for frame in steps.frames:
-        x, y = _fitted(shape, int(frame))[:2]
+        x, y = _fitted_curve(shape, int(frame))[:2]
         if len(x) and np.isfinite(y).all():
             loads.append((0.0, float(np.interp(0.0, x, y)) - rig.reach))
     return loads
@@ -189,8 +188,8 @@ def _loads(shape: Shape, steps: Steps, rig: Rig) -> list[tuple[float, float]]:
 def _draw_rollers(axes: Axes, shape: Shape, steps: Steps, rig: Rig, factor: float) -> None:
     from matplotlib.patches import Circle
 
-    load = _loads(shape, steps, rig)
-    for centres, look in ((_supports(rig), _SUPPORT), ([*load[:1], *load[-1:]], _LOAD)):
+    load = _load_centres(shape, steps, rig)
+    for centres, look in ((_support_centres(rig), _SUPPORT), ([*load[:1], *load[-1:]], _LOAD)):
         for x, y in centres:
             place = (x * factor, y * factor)
             axes.add_patch(Circle(place, rig.roller_radius * factor, zorder=0.5, **look))
@@ -200,18 +199,17 @@ _SUPPORT: dict[str, Any] = {"facecolor": "#d9d9d9", "edgecolor": GREY, "linewidt
 _LOAD: dict[str, Any] = {
     "facecolor": "none", "edgecolor": GREY, "linewidth": 0.8, "linestyle": (0, (3, 1.5))
 }  # fmt: skip
-_LEAST_BESIDE = 1e-5
-"""Distance of markers from the axis that is worth a word, m."""
 
 
-def _beside_words(result: TestResult, shape: Shape, rig: Rig) -> str:
-    """Say that markers lie beside the curve, which is the axis of a clamped specimen."""
+def _offset_note(result: TestResult, shape: Shape, rig: Rig) -> str:
+    """Note the offset of markers from the axis of a clamped specimen."""
+    min_offset = 1e-5  # m
     is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
-    if not is_clamped or abs(rig.centre_offset) < _LEAST_BESIDE or not shape.coefficients.shape[2]:
+    if not is_clamped or abs(rig.centre_offset) < min_offset or not shape.coefficients.shape[2]:
         return ""
     way = scale(result, "displacement", "m")
     return (
-        f"Centres of markers lie {abs(rig.centre_offset) * way.factor:.3g} {way.unit} beside the"
+        f"Centres of markers are {abs(rig.centre_offset) * way.factor:.3g} {way.unit} beside the"
         " axis, which is the curve."
     )
 
@@ -223,25 +221,25 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     ----------
     result : its shape is drawn
     axes : to draw on; an explaining sentence if there is no shape
-    plane : axis that is drawn upwards: 1 for y, in the plane of bending; 2 for z, out of it
+    plane : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
     """
     shape = result.shape
     if shape is None or not len(shape.time):
-        say(axes, why_missing(result, "shape"))
+        write_reason(axes, why_missing(result, "shape"))
         return
     steps, rig = choose_frames(result, shape), rig_of(result)
     way = scale(result, "displacement", "m")
     if plane == 1:
         _draw_rollers(axes, shape, steps, rig, way.factor)
     for frame, colour in zip(steps.frames, _colours(len(steps.frames)), strict=True):
-        x, up = _fitted(shape, int(frame))[[0, plane]] * way.factor
+        x, up = _fitted_curve(shape, int(frame))[[0, plane]] * way.factor
         axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
         for flag in _LOOKS:
             mine = shape.flags[frame] == flag
             if not mine.any():
                 continue
             x, up = shape.positions[frame][mine][:, [0, plane]].T * way.factor
-            axes.plot(x, up, color=colour, **_look(flag, colour))
+            axes.plot(x, up, color=colour, **_marker_style(flag, colour))
     axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0, rig)))
     axes.set_ylim(*(end * way.factor for end in _limits(shape, steps, plane, rig)))
     axes.set_aspect("equal", adjustable="box", anchor="W")
@@ -249,15 +247,15 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     axes.set_ylabel(way.label("xyz"[plane]))
 
 
-def _fitted(shape: Shape, frame: int) -> Floats:
-    """Points on the fitted curve, shape (3, points), m; none where no curve was fitted."""
+def _fitted_curve(shape: Shape, frame: int) -> Floats:
+    """Return points on the fitted curve, shape (3, points), m; none without a curve."""
     terms = shape.coefficients.shape[2]
     along = np.linspace(0, 1, 81 if terms else 0)
     curve: Floats = shape.coefficients[frame] @ along[None, :] ** np.arange(terms)[:, None]
     return curve
 
 
-def _look(flag: PointFlag, colour: str) -> dict[str, Any]:
+def _marker_style(flag: PointFlag, colour: str) -> dict[str, Any]:
     sign, full = _LOOKS[flag]
     return {
         "marker": sign,
@@ -277,23 +275,25 @@ def _colours(count: int) -> list[str]:
 
 
 def _sign_keys(shape: Shape, steps: Steps, rig: Rig) -> list[Artist]:
-    """Name the signs that are drawn."""
+    """Return the key of the drawn points and rollers."""
     from matplotlib.lines import Line2D
 
     present = set(np.unique(shape.flags[steps.frames]))
     handles: list[Artist] = [
-        Line2D([], [], color=GREY, **_look(flag, GREY)) for flag in _LOOKS if flag in present
+        Line2D([], [], color=GREY, **_marker_style(flag, GREY))
+        for flag in _LOOKS
+        if flag in present
     ]
     if shape.coefficients.shape[2]:
         handles.append(line_key("fitted curve", color=GREY, linewidth=0.9))
-    if _supports(rig):
+    if _support_centres(rig):
         handles.append(area_key("supports", **_SUPPORT))
         handles.append(area_key("load, first and last", **_LOAD))
     return handles
 
 
-def _name_steps(result: TestResult, axes: Axes, steps: Steps) -> None:
-    """Say beside the panel how far the tip had come at each shape."""
+def _draw_step_key(result: TestResult, axes: Axes, steps: Steps) -> None:
+    """Draw the key of the deflections of the tip beside the panel."""
     way = scale(result, "displacement", "m")
     levels = [
         line_key(f"{level * way.factor:g} {way.unit}", color=colour, linewidth=1.6)
@@ -314,15 +314,15 @@ FLAG_COLOURS = {
     PointFlag.FILLED: "#e69f00",
     PointFlag.MISSING: "#1a1a1a",
 }
-_COLUMNS = 900
-_MM_PER_ROW = 4.2
-_HALF_ROW = 0.36
+_PIXEL_BINS = 900
+"""Bins in time, about one per pixel."""
 
 
 def draw_marker_quality(result: TestResult) -> Figure:
-    """Draw markers as rows against time, and below them the error of the rigid bodies."""
+    """Draw a row per marker against time, and below them the errors of the rigid bodies."""
+    row_mm = 4.2
     rows = 0 if result.shape is None else int(_is_marker(result.shape).sum())
-    upper = max(rows * _MM_PER_ROW, 25.0)
+    upper = max(rows * row_mm, 25.0)
     page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=upper + 55.0)
     flags, lower = page.subplots(2, 1, sharex=True, height_ratios=[upper, 25.0])
     plot_flags(result, flags)
@@ -332,28 +332,28 @@ def draw_marker_quality(result: TestResult) -> Figure:
 
 
 def plot_flags(result: TestResult, axes: Axes) -> None:
-    """Draw a row per marker, coloured by where its position comes from.
+    """Draw a row per marker, coloured by the source of its position.
 
     Parameters
     ----------
-    result : its shape is drawn; constructed points are left out, as they were never markers. Of
-        the frames that share a pixel the worst is shown, so that no gap is too short to see
+    result : its shape is drawn without constructed points. Each pixel shows the worst of its
+        frames, so that short gaps are visible
     axes : to draw on; an explaining sentence if there is no shape
     """
     shape = result.shape
     if shape is None or not len(shape.time):
-        say(axes, why_missing(result, "shape"))
+        write_reason(axes, why_missing(result, "shape"))
         return
     from matplotlib.collections import PolyCollection
 
     mine = _is_marker(shape)
     names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
-    flags = worst(shape.flags[:, mine], _rank(), bins=_COLUMNS)
+    flags = worst(shape.flags[:, mine], _rank(), bins=_PIXEL_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     edges *= scale(result, "time", "s").factor
     for flag, colour in FLAG_COLOURS.items():
         axes.add_collection(
-            PolyCollection(list(_bars(flags == flag, edges)), color=colour, linewidth=0)
+            PolyCollection(list(_bar_corners(flags == flag, edges)), color=colour, linewidth=0)
         )
     axes.autoscale_view()
     axes.set_yticks(range(len(names)), names)
@@ -361,10 +361,10 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.margins(x=0.01)
-    _name_flags(axes, set(np.unique(flags)))
+    _draw_flag_key(axes, set(np.unique(flags)))
 
 
-def _name_flags(axes: Axes, present: set[int]) -> None:
+def _draw_flag_key(axes: Axes, present: set[int]) -> None:
     handles = [
         area_key(flag.name.lower(), color=colour)
         for flag, colour in FLAG_COLOURS.items()
@@ -374,7 +374,7 @@ def _name_flags(axes: Axes, present: set[int]) -> None:
 
 
 def plot_tracking(result: TestResult, axes: Axes) -> None:
-    """Draw the mean marker error of each rigid body; without one, the number of visible markers.
+    """Draw the mean marker error of each rigid body, or the number of visible markers.
 
     Parameters
     ----------
@@ -383,7 +383,7 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
     """
     tracks = next((one.markers for one in result.recordings.values() if one.markers), None)
     if tracks is None or not len(tracks.time):
-        say(axes, why_missing(result, "take"))
+        write_reason(axes, why_missing(result, "take"))
         return
     time = tracks.time * scale(result, "time", "s").factor
     bodies = [body for body in tracks.bodies if np.isfinite(body.error).any()]
@@ -391,8 +391,8 @@ def plot_tracking(result: TestResult, axes: Axes) -> None:
         _plot_errors(result, axes, time, bodies)
     else:
         visible = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
-        kept = extremes(visible, bins=_COLUMNS)
-        axes.plot(time[kept], visible[kept], drawstyle="steps-post")
+        rows = extremes(visible, bins=_PIXEL_BINS)
+        axes.plot(time[rows], visible[rows], drawstyle="steps-post")
         axes.set_ylabel("Visible markers")
         axes.set_ylim(0, len(tracks.names) + 0.5)
         axes.locator_params(axis="y", integer=True)
@@ -403,8 +403,8 @@ def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[Rigi
     up = scale(result, "displacement", "m")
     for body in bodies:
         error = body.error * up.factor
-        kept = extremes(error, bins=_COLUMNS)
-        axes.plot(time[kept], error[kept], linewidth=0.7, label=body.name)
+        rows = extremes(error, bins=_PIXEL_BINS)
+        axes.plot(time[rows], error[rows], linewidth=0.7, label=body.name)
     axes.set_ylabel(up.label("Body error"))
     axes.set_ylim(bottom=0.0)
     side_key(axes, axes.lines)
@@ -416,7 +416,7 @@ def _is_marker(shape: Shape) -> NDArray[np.bool_]:
 
 
 def _rank() -> NDArray[np.uint8]:
-    """Rank of each flag: missing is worse than filled, filled than relabelled."""
+    """Return the rank of each flag, the worst highest."""
     order = [
         PointFlag.CONSTRUCTED,
         PointFlag.MEASURED,
@@ -429,10 +429,11 @@ def _rank() -> NDArray[np.uint8]:
     return rank
 
 
-def _bars(inside: NDArray[np.bool_], edges: Floats) -> Floats:
-    """Corners of a bar for each stretch of columns, row by row, shape (bars, 4, 2)."""
+def _bar_corners(inside: NDArray[np.bool_], edges: Floats) -> Floats:
+    """Return the corners of a bar for each run of columns, row by row, shape (bars, 4, 2)."""
+    half_row = 0.36
     rows, steps = np.nonzero(np.diff(inside.T.astype(np.int8), axis=1, prepend=0, append=0))
     left, right = edges[steps[::2]], edges[steps[1::2]]
-    low, high = rows[::2] - _HALF_ROW, rows[::2] + _HALF_ROW
+    low, high = rows[::2] - half_row, rows[::2] + half_row
     corners = ((left, low), (left, high), (right, high), (right, low))
     return np.stack([np.column_stack(corner) for corner in corners], axis=1)

@@ -15,30 +15,26 @@ from labpipe.report.comparisons import (
     Family,
     Pair,
     answer_cells,
-    answering_pairs,
     context_words,
     families,
     field_words,
     question_table,
+    single_field_pairs,
 )
 from labpipe.report.group_panels import COLOURS, band_lines, mean_lines
 from labpipe.report.group_plots import group_scale
 from labpipe.report.group_tables import Table
 from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
-from labpipe.report.wording import count_of, display_of, in_words, shown_in, unit_words
-
-_CURVES, _MEANS = (392, 200), (180, 200)
-_ROOM = 0.5
-"""Room for intervals beside the means of a plot, as a share of the range of all values."""
+from labpipe.report.wording import count_of, display_of, result_label, shown_in, unit_words
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Groups of which any two differ in one field alone.
+    """Groups that differ from each other in one field alone.
 
     Parameters
     ----------
-    heading : what they have alike
+    heading : common fields
     plots : mean curves, and the main number of each
     """
 
@@ -48,7 +44,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """All that a campaign says about one field.
+    """Comparisons of a campaign in one field.
 
     Parameters
     ----------
@@ -57,7 +53,7 @@ class Question:
     answers : a row per pair: the first main number
     comparisons : with plots
     tables : of each pair, all main numbers
-    notes : what speaks against comparing, each once
+    notes : caveats against the comparison, each once
     """
 
     field: str
@@ -69,7 +65,7 @@ class Question:
 
 
 def questions(campaign: Campaign, stems: Mapping[str, str]) -> list[Question]:
-    """Say what groups that differ in one field tell of it, field by field.
+    """Return the comparisons of groups that differ in one field, field by field.
 
     Parameters
     ----------
@@ -81,12 +77,12 @@ def questions(campaign: Campaign, stems: Mapping[str, str]) -> list[Question]:
         drawn.setdefault(family.field, []).append(_comparison(family, stems))
     return [
         _question(field, list(pairs), drawn.get(field, []))
-        for field, pairs in groupby(answering_pairs(campaign), key=lambda pair: pair.field)
+        for field, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field)
     ]
 
 
 def _question(field: str, pairs: Sequence[Pair], drawn: Sequence[Comparison]) -> Question:
-    heads = ("Question", "Answer", "Difference (95 %, corrected)", "n")
+    heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
     table = Table(f"Answers: {field_words(field)}", heads, tuple(map(answer_cells, pairs)))
     tables = tuple(question_table(pair) for pair in pairs)
     notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
@@ -95,21 +91,23 @@ def _question(field: str, pairs: Sequence[Pair], drawn: Sequence[Comparison]) ->
 
 
 def _comparison(family: Family, stems: Mapping[str, str]) -> Comparison:
-    plots = [plot for plot in (_curves(family, stems), _means(family, stems)) if plot is not None]
+    plots = [
+        plot for plot in (_curve_plot(family, stems), _mean_plot(family, stems)) if plot is not None
+    ]
     return Comparison(context_words(family.groups, family.field), tuple(plots))
 
 
-def _looks(family: Family) -> Iterator[tuple[Group, str, str]]:
-    """Each group with its word and the class of its colour."""
-    for at, (group, word) in enumerate(zip(family.groups, family.words, strict=True)):
+def _group_looks(family: Family) -> Iterator[tuple[Group, str, str]]:
+    """Yield each group with its label and the class of its colour."""
+    for at, (group, word) in enumerate(zip(family.groups, family.labels, strict=True)):
         yield group, word, f"c{at % COLOURS}"
 
 
-def _curves(family: Family, stems: Mapping[str, str]) -> Plot | None:
-    """Mean first loading of each group, with what is known of the mean."""
+def _curve_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
+    """Return the plot of the mean first loading of each group with its band."""
     first = family.groups[0]
     across, up = group_scale(first, "displacement"), group_scale(first, "force")
-    drawn = [(group.band, look, stems[group.name]) for group, _, look in _looks(family)]
+    drawn = [(group.band, look, stems[group.name]) for group, _, look in _group_looks(family)]
     lines = [
         line
         for band, look, stem in drawn
@@ -122,16 +120,16 @@ def _curves(family: Family, stems: Mapping[str, str]) -> Plot | None:
         return None
     keys = [
         Key(f"mean {look}", f"{word} (n = {group.band.n})", "group", stems[group.name])
-        for group, word, look in _looks(family)
+        for group, word, look in _group_looks(family)
     ]
     x = axis_over("Displacement", unit_words(across.unit), [line.x for line in lines])
     y = _force_axis([band for band, _, _ in drawn], up.factor, unit_words(up.unit))
     title = f"Mean force against displacement of {count_of(len(family.groups), 'group')}."
-    return Plot("means", "", title, "", x, y, lines, keys, _CURVES)
+    return Plot("means", "", title, "", x, y, lines, keys, (392, 200))
 
 
 def _force_axis(bands: Sequence[Band], factor: float, unit: str) -> Axis:
-    """Means in full, and as much of their intervals as leaves the means apart."""
+    """Return an axis with full means, and intervals only as far as the means stay apart."""
     means = axis_over("Force", unit, [factor * band.mean for band in bands])
     edges = [factor * edge for band in bands for edge in (band.lower, band.upper)]
     whole = axis_over("Force", unit, edges) if any(map(np.size, edges)) else means
@@ -140,31 +138,34 @@ def _force_axis(bands: Sequence[Band], factor: float, unit: str) -> Axis:
     return Axis("Force", unit, min(low, means.low), max(high, means.high))
 
 
-def _means(family: Family, stems: Mapping[str, str]) -> Plot | None:
-    """The main number: a row per group with its mean, its interval and its samples."""
+def _mean_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
+    """Return the plot of the main number: a row per group with mean, interval and samples."""
+    interval_room = 0.5  # beside the values, of their range
     name = main_number(family)
     if not name:
         return None
     numbers = [
         next(number for number in group.numbers if number.name == name) for group in family.groups
     ]
-    shown = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
+    unit = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
     lines = []
-    rows = zip(numbers, _looks(family), strict=True)
+    rows = zip(numbers, _group_looks(family), strict=True)
     for row, (number, (group, _, look)) in enumerate(rows):
-        lines += list(_row(number, -float(row), shown.factor, look, stems[group.name]))
+        lines += list(_group_lines(number, -float(row), unit.factor, look, stems[group.name]))
     values = [line.x for line in lines if not line.look.startswith("interval")]
     every = axis_over("", "", [line.x for line in lines])
     tight = axis_over("", "", values)
-    room = _ROOM * (tight.high - tight.low)
+    room = interval_room * (tight.high - tight.low)
     low, high = max(every.low, tight.low - room), min(every.high, tight.high + room)
-    x = Axis(in_words(name), unit_words(shown.unit), low, high)
+    x = Axis(result_label(name), unit_words(unit.unit), low, high)
     y = Axis("", "", 0.5 - len(numbers), 0.5, is_bare=True)
-    title = f"{in_words(name)} of {count_of(len(numbers), 'group')}, with 95 % intervals."
-    return Plot("numbers", "", title, "", x, y, lines, (), _MEANS)
+    title = f"{result_label(name)} of {count_of(len(numbers), 'group')}, with 95 % intervals."
+    return Plot("numbers", "", title, "", x, y, lines, (), (180, 200))
 
 
-def _row(number: GroupNumber, height: float, factor: float, look: str, stem: str) -> Iterator[Line]:
+def _group_lines(
+    number: GroupNumber, height: float, factor: float, look: str, stem: str
+) -> Iterator[Line]:
     values = [value.value for value in number.values.values() if value.value is not None]
     x = np.array([part for value in values for part in (factor * value, np.nan)])
     yield Line(f"sample {look}", x, np.full(len(x), height - 0.22), group=stem)

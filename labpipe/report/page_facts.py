@@ -1,4 +1,4 @@
-"""What the head of a report says: who tested what, when, with what, and which tests there are."""
+"""Facts of a report: operators, days, instruments, and the list of tests."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from labpipe.records.result import Instrument, Status
 from labpipe.report.wording import count_of
 from labpipe.statistics.group_fields import SPOOL, fields_of
 
-_ID_LENGTH = 10
-
 
 @dataclass(frozen=True, slots=True)
 class PageTest:
@@ -24,10 +22,10 @@ class PageTest:
     Parameters
     ----------
     number : of the test, in the order of the table of tests
-    sample : what is known of it
-    stem : of its group; empty for a rejected test that fits no group
+    sample : of the test
+    stem : of its group; empty for a rejected test that matches no group
     state : ``ok``, ``doubtful``, ``failed`` or ``rejected``
-    why : why it was rejected, by whom and when; empty for any other
+    why : reason, person and day of a rejection; else empty
     """
 
     number: int
@@ -38,7 +36,7 @@ class PageTest:
 
 
 class PageTests:
-    """All tests of a report by number, group by group, the rejected ones last.
+    """Tests of a report by number, group by group, rejected ones last.
 
     Parameters
     ----------
@@ -48,35 +46,37 @@ class PageTests:
 
     def __init__(self, campaign: Campaign, stems: Sequence[str]) -> None:
         groups = list(zip(campaign.groups, stems, strict=True))
-        own = [(sample, stem) for group, stem in groups for sample in group.samples]
-        kept = [
+        samples = [(sample, stem) for group, stem in groups for sample in group.samples]
+        included = [
             PageTest(number, sample, stem, state_of(sample))
-            for number, (sample, stem) in enumerate(own)
+            for number, (sample, stem) in enumerate(samples)
         ]
         homes = {group.name: stem for group, stem in groups}
         rejected = [
-            PageTest(number, sample, homes.get(home_of(sample, campaign), ""), "rejected", why)
-            for number, (sample, why) in enumerate(_rejected(campaign), start=len(kept))
+            PageTest(
+                number, sample, homes.get(group_of_rejected(sample, campaign), ""), "rejected", why
+            )
+            for number, (sample, why) in enumerate(_rejected(campaign), start=len(included))
         ]
-        self.every = (*kept, *rejected)
+        self.every = (*included, *rejected)
 
     @cached_property
     def number(self) -> Mapping[str, int]:
-        """Number by the file that a sample was read from and its name."""
-        return {key_of(each.sample): each.number for each in self.every}
+        """Numbers of the tests by source file and name."""
+        return {key_of(test.sample): test.number for test in self.every}
 
     @cached_property
     def by_name(self) -> Mapping[str, PageTest]:
-        """Tests by name; names are told apart by the folder."""
-        return {each.sample.test: each for each in self.every}
+        """Tests by name."""
+        return {test.sample.test: test for test in self.every}
 
     def rejected(self, stem: str) -> list[PageTest]:
-        """Rejected tests of a group."""
-        return [each for each in self.every if each.state == "rejected" and each.stem == stem]
+        """Return the rejected tests of a group."""
+        return [test for test in self.every if test.state == "rejected" and test.stem == stem]
 
 
 def key_of(sample: Sample) -> str:
-    """What tells two samples of a report apart."""
+    """Return a unique key of a sample in a report."""
     return f"{sample.source}\n{sample.test}"
 
 
@@ -85,8 +85,8 @@ def _rejected(campaign: Campaign) -> Iterator[tuple[Sample, str]]:
         yield sample, campaign.rejected.get(sample.source, sample.decided)
 
 
-def home_of(sample: Sample, campaign: Campaign) -> str:
-    """Find the group that a rejected test would be in.
+def group_of_rejected(sample: Sample, campaign: Campaign) -> str:
+    """Return the group to which a rejected test would belong.
 
     Parameters
     ----------
@@ -95,36 +95,37 @@ def home_of(sample: Sample, campaign: Campaign) -> str:
 
     Returns
     -------
-    Name of the group of its protocol that it has most in common with, of those that it has all
-    fields in common with that groups are made by; empty where there is none.
+    Name of the group of its protocol with the most common fields, among those with the same
+    grouping fields; empty without such a group.
     """
-    own = fields_of(sample.specimen)
+    fields = fields_of(sample.specimen)
     alike = {
-        group.name: sum(own.get(name) == word for name, word in group.fields.items())
+        group.name: sum(fields.get(name) == word for name, word in group.fields.items())
         for group in campaign.groups
-        if group.protocol == sample.protocol and _fits(own, group, campaign.by)
+        if group.protocol == sample.protocol and _matches_group(fields, group, campaign.by)
     }
     return max(alike, key=lambda name: alike[name], default="")
 
 
-def _fits(own: Mapping[str, str], group: Group, by: Iterable[str]) -> bool:
-    return all(own.get(name) == group.fields.get(name) for name in by if name != SPOOL)
+def _matches_group(fields: Mapping[str, str], group: Group, by: Iterable[str]) -> bool:
+    return all(fields.get(name) == group.fields.get(name) for name in by if name != SPOOL)
 
 
 def state_of(sample: Sample) -> str:
-    """Worst state of the numbers of a test: ``ok``, ``doubtful`` or ``failed``."""
-    found = {result.status for result in sample.results}
+    """Return the worst state of the numbers of a test: ``ok``, ``doubtful`` or ``failed``."""
+    states = {result.status for result in sample.results}
     worst = (Status.FAILED, Status.DOUBTFUL)
-    return next((str(status) for status in worst if status in found), str(Status.OK))
+    return next((str(status) for status in worst if status in states), str(Status.OK))
 
 
 def report_id(campaign: Campaign) -> str:
-    """Make an identifier of what a report shows: its tests and what was decided on them.
+    """Return an identifier of the contents of a report: its tests and the decisions on them.
 
     Parameters
     ----------
-    campaign : all of it; the same tests, decisions and groups give the same identifier
+    campaign : the same tests, decisions and groups give the same identifier
     """
+    id_length = 10
     digest = hashlib.sha256()
     for group in campaign.groups:
         for sample in group.samples:
@@ -132,7 +133,7 @@ def report_id(campaign: Campaign) -> str:
     for why in campaign.rejected.items():
         digest.update("\n".join(why).encode(errors="replace"))
     digest.update(f"{campaign.title}\n{campaign.labpipe_version}".encode(errors="replace"))
-    return digest.hexdigest()[:_ID_LENGTH]
+    return digest.hexdigest()[:id_length]
 
 
 def samples_of(campaign: Campaign) -> list[Sample]:
@@ -141,29 +142,29 @@ def samples_of(campaign: Campaign) -> list[Sample]:
 
 
 def days_words(samples: Iterable[Sample]) -> str:
-    """Say when tests were made, such as ``2026-03-02 to 2026-03-06, 2 of unknown day``."""
+    """Describe the days of tests, such as ``2026-03-02 to 2026-03-06, 2 of unknown day``."""
     days = [sample.date for sample in samples]
-    known = sorted({day for day in days if day is not None})
+    dates = sorted({day for day in days if day is not None})
     missing = sum(day is None for day in days)
-    if not known:
+    if not dates:
         return "on an unknown day (no sheet states one)"
-    words = _days(known)
-    return f"{words}, {count_of(missing, 'test')} of unknown day" if missing else words
+    period = _date_range(dates)
+    return f"{period}, {count_of(missing, 'test')} of unknown day" if missing else period
 
 
-def _days(known: Sequence[date]) -> str:
-    first, last = known[0], known[-1]
+def _date_range(dates: Sequence[date]) -> str:
+    first, last = dates[0], dates[-1]
     return f"{first}" if first == last else f"{first} to {last}"
 
 
 def operators_words(samples: Iterable[Sample]) -> str:
-    """Name who tested; says where sheets name nobody."""
+    """Name the operators, and count tests without operator."""
     names = Counter(sample.operator for sample in samples)
     missing = names.pop("", 0)
-    known = ", ".join(names)
-    if not known:
+    stated = ", ".join(names)
+    if not stated:
         return "operator not stated"
-    return f"{known} ({count_of(missing, 'test')} without operator)" if missing else known
+    return f"{stated} ({count_of(missing, 'test')} without operator)" if missing else stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +174,8 @@ class InstrumentLine:
     Parameters
     ----------
     name : its channel, and the certificate of its calibration
-    due : when its calibration is due; says since when it was overdue
-    is_overdue : some test was made after it was due
+    due : text of the due date of its calibration, or since when it is overdue
+    is_overdue : a test was made after the due date
     """
 
     name: str
@@ -193,18 +194,18 @@ def instrument_lines(samples: Sequence[Sample]) -> list[InstrumentLine]:
     for sample in samples:
         for instrument in sample.instruments:
             used.setdefault(instrument, []).append(sample)
-    return [_instrument_line(each, tests) for each, tests in used.items()]
+    return [_instrument_line(instrument, tests) for instrument, tests in used.items()]
 
 
 def _instrument_line(instrument: Instrument, tests: Sequence[Sample]) -> InstrumentLine:
     due = instrument.due
     late = [test for test in tests if due is not None and test.date is not None and test.date > due]
-    words = "no due date stated" if due is None else f"calibration due {due}"
+    text = "no due date stated" if due is None else f"calibration due {due}"
     if late:
-        words = f"calibration OVERDUE since {due} in {count_of(len(late), 'test')}"
-    return InstrumentLine(f"{instrument.channel} {instrument.certificate}", words, bool(late))
+        text = f"calibration OVERDUE since {due} in {count_of(len(late), 'test')}"
+    return InstrumentLine(f"{instrument.channel} {instrument.certificate}", text, bool(late))
 
 
 def roles_words(samples: Iterable[Sample]) -> str:
-    """Name what recorded the tests, by the roles of their exports."""
-    return ", ".join(dict.fromkeys(each.role for sample in samples for each in sample.inputs))
+    """Name the roles of the recorded files of the tests."""
+    return ", ".join(dict.fromkeys(source.role for sample in samples for source in sample.inputs))

@@ -1,4 +1,4 @@
-"""Numbers of the page: value and half of the interval, with the digits that the interval has."""
+"""Numbers of the page: value and half interval, with the digits of the interval."""
 
 from __future__ import annotations
 
@@ -7,10 +7,6 @@ from math import isfinite
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
 from labpipe.report.wording import write_number
-
-_UNEVEN = 0.1
-"""Share of the half width by which the two sides may differ and still be written as one."""
-_TIMES = " \u00d7 "
 
 
 def with_interval(
@@ -22,12 +18,12 @@ def with_interval(
     ----------
     value, interval : in SI
     factor : from SI to the unit that is shown
-    apart : estimate that stands apart from the value; None where the value says it all
+    apart : estimate that differs from the value, if any
 
     Returns
     -------
-    ``value ± half`` where the interval is as wide to both sides, else ``value (lower to upper)``;
-    the value alone without an interval.
+    ``value ± half`` for a symmetric interval, else ``value (lower to upper)``; without an interval
+    the value alone.
 
     Examples
     --------
@@ -36,22 +32,23 @@ def with_interval(
     >>> with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
+    max_uneven_share = 0.1  # difference of both sides of a symmetric interval, of half its width
     written = write_number(value, interval, factor, apart=apart)
     if interval is None or not written.lower:
         return written.value
     up, down = interval.upper - value, value - interval.lower
     half = max(up, down)
-    if apart is not None or not isfinite(half) or abs(up - down) > _UNEVEN * half:
+    if apart is not None or not isfinite(half) or abs(up - down) > max_uneven_share * half:
         return f"{written.value} ({written.interval})"
-    number, times, power = written.value.partition(_TIMES)
-    size = float(f"1e{power[2:].translate(_PLAIN)}") if times else 1.0
+    number, times, power = written.value.partition(" \u00d7 ")
+    size = float(f"1e{power[2:].translate(_PLAIN_DIGITS)}") if times else 1.0
     decimals = len(number.partition(".")[2])
     two_digits = float(f"{abs(factor) * half / size:.1e}")
-    said = f"{number} \u00b1 {two_digits:.{decimals}f}"
-    return f"({said}){times}{power}" if times else said
+    text = f"{number} \u00b1 {two_digits:.{decimals}f}"
+    return f"({text}){times}{power}" if times else text
 
 
-_PLAIN = str.maketrans("\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079",
+_PLAIN_DIGITS = str.maketrans("\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079",
                        "-0123456789")  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What goes into a report's page besides its text: script, rules of what that makes, data."""
+"""Parts of a report's page besides its text: script, style sheets, data."""
 
 from __future__ import annotations
 
@@ -25,12 +25,10 @@ _OWN_SERVER: Final = "connect-src 'self'"
 
 
 def page_script() -> Markup:
-    """Read the script of a page, to stand alone in one ``script`` element.
+    """Return the script of a page for one ``script`` element.
 
-    Returns
-    -------
-    Sorts and filters tables, zooms figures, keeps decisions. Nothing of it is visible to other
-    scripts, and it asks no network.
+    It sorts and filters tables, zooms figures and stores decisions. It defines no global names and
+    uses no network.
     """
     from markupsafe import Markup
 
@@ -39,23 +37,18 @@ def page_script() -> Markup:
 
 
 def page_style() -> Markup:
-    """Read the rules of what the script makes, to stand in the ``style`` element of a page.
-
-    Returns
-    -------
-    They use the page's own colours: ``--ink``, ``--soft``, ``--paper``, ``--look``, ``--accent``.
-    """
+    """Return the style rules of elements made by the script, in the colours of the page."""
     from markupsafe import Markup
 
     return Markup(_text(STYLE))
 
 
 def page_data(campaign: Campaign, *, report: str) -> Markup:
-    """Write what the script must know, to stand in a ``script`` of type ``application/json``.
+    """Return the data of the script for a ``script`` element of type ``application/json``.
 
     Parameters
     ----------
-    campaign : with the entries of its ``decisions.json`` as they stand
+    campaign : with the current entries of its ``decisions.json``
     report : id of the report
 
     Returns
@@ -64,25 +57,25 @@ def page_data(campaign: Campaign, *, report: str) -> Markup:
     """
     from markupsafe import Markup
 
-    said = {
+    data = {
         "schema": _SCHEMA,
         "campaign": campaign.name,
         "report": report,
         "labpipe": campaign.labpipe_version,
         "decisions": [dict(decision) for decision in campaign.decisions],
     }
-    # Escaped to ASCII, so that a lone surrogate of a name goes into the page, too.
-    text = json.dumps(said, separators=(",", ":")).replace("&", r"\u0026")
+    # Escaped to ASCII: a name may contain a lone surrogate.
+    text = json.dumps(data, separators=(",", ":")).replace("&", r"\u0026")
     return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e"))
 
 
-def filled(template: str, **values: Any) -> str:
-    """Fill the template of a page; every text that goes into it is escaped.
+def fill_template(template: str, **values: Any) -> str:
+    """Fill the template of a page; all texts are escaped.
 
     Parameters
     ----------
     template : name of the file
-    values : by name, all that the template asks for
+    values : all values of the template, by name
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -97,11 +90,11 @@ def filled(template: str, **values: Any) -> str:
 
 
 def style_of(footer: str, more: str) -> Markup:
-    """Put the style sheet of a page together.
+    """Return the style sheet of a page.
 
     Parameters
     ----------
-    footer : what stands at the foot of each printed sheet, `quoted`
+    footer : of each printed sheet, from `css_string`
     more : rules of that page alone
     """
     from markupsafe import Markup
@@ -110,11 +103,11 @@ def style_of(footer: str, more: str) -> Markup:
 
 
 def style_hash(text: str) -> Markup:
-    """What a page's policy calls a text that may count: its SHA-256.
+    """Return the SHA-256 of a style or a script as the page's policy writes it.
 
     Parameters
     ----------
-    text : of a style or a script, as it stands in the page
+    text : of a style or a script, as in the page
     """
     from markupsafe import Markup
 
@@ -122,8 +115,8 @@ def style_hash(text: str) -> Markup:
     return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
 
 
-def quoted(text: str) -> str:
-    """Write a text for a style sheet, such that nothing in it can end the text or the sheet.
+def css_string(text: str) -> str:
+    """Write a text as an escaped string of a style sheet.
 
     Parameters
     ----------
@@ -140,16 +133,16 @@ def _escaped(letter: str) -> str:
     return f"\\{ord(letter):x} "
 
 
-def served(page: str) -> str:
-    """Allow a page that this machine serves itself to talk back to it.
+def allow_own_server(page: str) -> str:
+    """Allow a page that this machine serves to connect to its server.
 
     Parameters
     ----------
-    page : of a report; its policy says that it may talk to nobody
+    page : of a report, whose policy forbids connections
 
     Returns
     -------
-    The page with a policy that lets it talk to where it came from. As it was, where it has no such
+    The page with a policy that allows connections to its own server; unchanged without such a
     policy: then its decisions are saved as a file.
     """
     head, policy, rest = page.partition(_NO_NETWORK)

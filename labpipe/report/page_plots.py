@@ -1,8 +1,7 @@
 """Plots as elements of a page: small, sharp on paper, complete without a script.
 
-The curves of a plot are its data. They stand in an inner drawing whose coordinates are whole
-numbers from 0 to 65535, with the ends of both axes beside them, so that the page's script can
-enlarge the plot and read values from it.
+The curves of a plot are its data: an inner drawing with whole coordinates from 0 to 65535 and the
+ends of both axes, from which the page's script enlarges the plot and reads values.
 """
 
 from __future__ import annotations
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
 
 FULL = 65535
 """Width and height of the inner drawing: 16 bit."""
-_STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
-_FLAT = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +52,10 @@ class Line:
 
     Parameters
     ----------
-    look : class that it is drawn by, with the number of its colour
+    look : class of its style, with the number of its colour
     x, y : shape (n,), in the units of the axes; NaN interrupts it
-    test : number of its test on the page; None where it is of none
-    group : stem of its group, where several groups are in one plot
+    test : number of its test on the page, if any
+    group : stem of its group, if several groups are in one plot
     is_closed : an area
     """
 
@@ -72,17 +69,17 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """An entry below a plot: a sign and what it means.
+    """An entry of the key below a plot.
 
     Parameters
     ----------
     look : class of the sign
-    words : what it means
-    attribute, value : what the lines of that entry have: ``t``, ``class`` or ``group``
+    label : of the sign
+    attribute, value : of the lines of that entry: ``t``, ``class`` or ``group``
     """
 
     look: str
-    words: str
+    label: str
     attribute: str = ""
     value: str = ""
 
@@ -94,12 +91,12 @@ class Plot:
     Parameters
     ----------
     kind : ``curves``, ``shapes``, ``moment`` ...
-    group : stem of its group; empty for one of several
-    title : what a person reads who cannot see it
+    group : stem of its group; empty for several groups
+    title : alternative text
     caption : how to read it
     x, y : axes
-    lines : later ones lie upon earlier ones
-    keys : signs that are explained below it
+    lines : later ones are drawn over earlier ones
+    keys : entries below the plot
     size : width and height in points of the drawing, without its frame
     """
 
@@ -115,23 +112,23 @@ class Plot:
 
 
 LEFT, TOP, RIGHT, BELOW = 52, 8, 12, 38
-"""Room for the words around a plot, in points."""
+"""Room for texts around a plot, points."""
 
 
 def axis_over(name: str, unit: str, values: Iterable[Floats], *, room: float = 0.03) -> Axis:
-    """Make an axis that shows all values, with a little room at both ends.
+    """Return an axis that shows all values, with a margin at both ends.
 
     Parameters
     ----------
     name, unit : of the axis
-    values : in `unit`; what is not finite does not count
+    values : in `unit`; values that are not finite are ignored
     room : at each end, as a share of the range
     """
     ends = [
         end
         for value in values
-        if (known := value[np.isfinite(value)]).size
-        for end in (float(known.min()), float(known.max()))
+        if (finite := value[np.isfinite(value)]).size
+        for end in (float(finite.min()), float(finite.max()))
     ] or [0.0, 1.0]
     low, high = min(ends), max(ends)
     span = (high - low) or abs(high) or 1.0
@@ -144,23 +141,25 @@ def ticks(axis: Axis, most: int) -> list[float]:
     Parameters
     ----------
     axis : with its ends
-    most : how many at the most
+    most : at most
 
     Examples
     --------
     >>> ticks(Axis("Force", "N", -0.4, 10.4), 6)
     [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
     """
+    nice_steps = (1.0, 2.0, 2.5, 5.0, 10.0)
+    flat_span = 1e-12
     span = axis.high - axis.low
     power = 10.0 ** floor(log10(span / most))
-    step = next(power * step for step in _STEPS if power * step * most >= span)
-    first = int(np.ceil(axis.low / step - _FLAT))
-    last = int(np.floor(axis.high / step + _FLAT))
+    step = next(power * step for step in nice_steps if power * step * most >= span)
+    first = int(np.ceil(axis.low / step - flat_span))
+    last = int(np.floor(axis.high / step + flat_span))
     return [number * step for number in range(first, last + 1)]
 
 
 def tick_words(values: Sequence[float]) -> list[str]:
-    """Write the values of ticks with as many decimals as tell them apart.
+    """Write the values of ticks with as many decimals as they need.
 
     Examples
     --------
@@ -171,7 +170,7 @@ def tick_words(values: Sequence[float]) -> list[str]:
 
 
 def svg(plot: Plot) -> Markup:
-    """Draw a plot as one ``svg`` element; every word in it is escaped.
+    """Draw a plot as one ``svg`` element; all texts are escaped.
 
     Parameters
     ----------
@@ -186,18 +185,18 @@ def svg(plot: Plot) -> Markup:
         *_x_axis(plot.x, width, height),
         *_y_axis(plot.y, width, height),
         f'<svg class="area" x="{LEFT}" y="{TOP}" width="{width}" height="{height}"'
-        f' viewBox="0 0 {FULL} {FULL}" preserveAspectRatio="none"{_ends(plot)}>',
+        f' viewBox="0 0 {FULL} {FULL}" preserveAspectRatio="none"{_data_attributes(plot)}>',
         *(_path(line, plot.x, plot.y) for line in plot.lines),
         "</svg></svg>",
     ]
     return Markup("".join(parts))
 
 
-def _ends(plot: Plot) -> str:
+def _data_attributes(plot: Plot) -> str:
     from markupsafe import escape
 
     numbers = {"x0": plot.x.low, "x1": plot.x.high, "y0": plot.y.low, "y1": plot.y.high}
-    words = {
+    texts = {
         "x-unit": plot.x.unit,
         "y-unit": plot.y.unit,
         "x-name": plot.x.name,
@@ -205,7 +204,7 @@ def _ends(plot: Plot) -> str:
     }
     return "".join(
         [f' data-{name}="{value:.7g}"' for name, value in numbers.items()]
-        + [f' data-{name}="{escape(word)}"' for name, word in words.items()]
+        + [f' data-{name}="{escape(word)}"' for name, word in texts.items()]
     )
 
 
@@ -214,10 +213,10 @@ def _x_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
 
     values = ticks(axis, max(2, width // 80))
     yield f'<g class="x-axis" transform="translate(0 {TOP + height})">'
-    for value, words in zip(values, tick_words(values), strict=True):
+    for value, label in zip(values, tick_words(values), strict=True):
         at = LEFT + width * (value - axis.low) / (axis.high - axis.low)
         yield f'<g class="tick" transform="translate({at:.1f} 0)">'
-        yield f'<path d="M0 0V{-height}"/><text y="14">{words}</text></g>'
+        yield f'<path d="M0 0V{-height}"/><text y="14">{label}</text></g>'
     yield f'<text class="label" x="{LEFT + width / 2:.0f}" y="31">{escape(axis.label)}</text></g>'
 
 
@@ -226,10 +225,10 @@ def _y_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
 
     values = [] if axis.is_bare else ticks(axis, max(2, height // 46))
     yield f'<g class="y-axis" transform="translate({LEFT} 0)">'
-    for value, words in zip(values, tick_words(values), strict=True):
+    for value, label in zip(values, tick_words(values), strict=True):
         at = TOP + height * (axis.high - value) / (axis.high - axis.low)
         yield f'<g class="tick" transform="translate(0 {at:.1f})">'
-        yield f'<path d="M0 0H{width}"/><text x="-5" y="4">{words}</text></g>'
+        yield f'<path d="M0 0H{width}"/><text x="-5" y="4">{label}</text></g>'
     middle = TOP + height / 2
     yield f'<text class="label" transform="translate({13 - LEFT} {middle:.0f}) rotate(-90)">'
     yield f"{escape(axis.label)}</text></g>"
@@ -240,11 +239,11 @@ def _path(line: Line, x: Axis, y: Axis) -> str:
 
     test = "" if line.test is None else f' data-t="{line.test}"'
     group = f' data-group="{escape(line.group)}"' if line.group else ""
-    return f'<path class="{line.look}"{test}{group} d="{steps_of(line, x, y)}"/>'
+    return f'<path class="{line.look}"{test}{group} d="{path_steps(line, x, y)}"/>'
 
 
-def steps_of(line: Line, x: Axis, y: Axis) -> str:
-    """Write a line as its first point and whole steps, anew after each gap.
+def path_steps(line: Line, x: Axis, y: Axis) -> str:
+    """Write a line as its first point and whole steps, with a new start after each gap.
 
     Parameters
     ----------
@@ -254,13 +253,13 @@ def steps_of(line: Line, x: Axis, y: Axis) -> str:
     Examples
     --------
     >>> axis = Axis("", "", 0.0, 65535.0)
-    >>> steps_of(Line("curve", np.array([0.0, 9.0, 10.0]), np.array([5.0, 5.0, 9.0])), axis, axis)
+    >>> path_steps(Line("curve", np.array([0.0, 9.0, 10.0]), np.array([5.0, 5.0, 9.0])), axis, axis)
     'M0 65530l9 0 1-4'
     """
-    known = np.isfinite(line.x) & np.isfinite(line.y)
-    across = _scaled(line.x, x.low, x.high)
-    up = FULL - _scaled(line.y, y.low, y.high)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
+    finite = np.isfinite(line.x) & np.isfinite(line.y)
+    across = _grid_numbers(line.x, x.low, x.high)
+    up = FULL - _grid_numbers(line.y, y.low, y.high)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(np.int8)))
     strokes = [
         _stroke(across[start:stop], up[start:stop])
         for start, stop in zip(edges[::2], edges[1::2], strict=True)
@@ -268,7 +267,7 @@ def steps_of(line: Line, x: Axis, y: Axis) -> str:
     return "".join(strokes) + ("z" if line.is_closed and strokes else "")
 
 
-def _scaled(values: Floats, low: float, high: float) -> Floats:
+def _grid_numbers(values: Floats, low: float, high: float) -> Floats:
     scaled: Floats = np.rint(FULL * (np.nan_to_num(values) - low) / (high - low))
     return np.clip(scaled, -FULL, 2 * FULL)
 
@@ -281,23 +280,24 @@ def _stroke(across: Floats, up: Floats) -> str:
     return f"{first}l{' '.join(map(str, steps))}".replace(" -", "-")
 
 
-def strip(
+def mean_strip(
     ends: tuple[float, float], interval: Interval | None, mean: float, samples: Sequence[float] = ()
 ) -> Markup:
     """Draw a mean with its interval in a line of a table, with its samples below it.
 
     Parameters
     ----------
-    ends : of the scale, which all strips of a column or a row share
-    interval : of the mean; None for none
-    mean : in the unit of the ends; NaN for none
+    ends : of the scale
+    interval : of the mean, if any
+    mean : in the unit of the ends; NaN without a mean
     samples : dots
     """
+    strip_width = 120
     from markupsafe import Markup
 
     def place(value: float) -> str:
         share = (value - ends[0]) / ((ends[1] - ends[0]) or 1.0)
-        return f"{_STRIP * min(max(share, -0.02), 1.02):.0f}"
+        return f"{strip_width * min(max(share, -0.02), 1.02):.0f}"
 
     dots = "".join(f"M{place(value)} 12h0" for value in samples if isfinite(value))
     marks = f'<path class="dots" d="{dots}"/>' if dots else ""
@@ -305,14 +305,11 @@ def strip(
         marks += f'<path class="bar" d="M{place(interval.lower)} 6H{place(interval.upper)}"/>'
     if isfinite(mean):
         marks += f'<path class="dot" d="M{place(mean)} 6h0"/>'
-    return Markup(f'<svg class="strip" viewBox="-4 0 {_STRIP + 8} 16">{marks}</svg>')
-
-
-_STRIP = 120
+    return Markup(f'<svg class="strip" viewBox="-4 0 {strip_width + 8} 16">{marks}</svg>')
 
 
 def sparkline(curves: Sequence[tuple[Floats, Floats]]) -> Markup:
-    """Draw curves as small as a word: what they look like, without axes.
+    """Draw small curves without axes.
 
     Parameters
     ----------
@@ -320,15 +317,15 @@ def sparkline(curves: Sequence[tuple[Floats, Floats]]) -> Markup:
     """
     from markupsafe import Markup
 
-    x = axis_over("", "", [each for each, _ in curves], room=0.0)
-    y = axis_over("", "", [each for _, each in curves], room=0.05)
-    paths = "".join(f'<path d="{steps_of(Line("", *curve), x, y)}"/>' for curve in curves)
+    x = axis_over("", "", [values for values, _ in curves], room=0.0)
+    y = axis_over("", "", [values for _, values in curves], room=0.05)
+    paths = "".join(f'<path d="{path_steps(Line("", *curve), x, y)}"/>' for curve in curves)
     box = f'viewBox="0 0 {FULL} {FULL}" preserveAspectRatio="none"'
     return Markup(f'<svg class="spark" {box}>{paths}</svg>')
 
 
-def even(plot_width: int, x: Axis, y: Axis) -> int:
-    """Height of a plot whose two axes have one scale, in points.
+def equal_scale_height(plot_width: int, x: Axis, y: Axis) -> int:
+    """Return the height of a plot with equal axis scale, points.
 
     Parameters
     ----------

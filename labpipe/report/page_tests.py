@@ -1,4 +1,4 @@
-"""The tables of all tests on the page: state, day, first number, decision; and their exports."""
+"""Tables of all tests on the page: state, day, first number, decision; and their files."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class TestRow:
     ----------
     test : with its number, state and key
     group : name of its group
-    day, operator : empty where nothing says them
+    day, operator : empty if unknown
     first : its first main number
     decided : ``accept``, ``reject`` or empty
-    said : what was decided, why, by whom and when
+    decision : with reason, person and day
     page : address of its own page
-    why : what is doubtful or failed in it, or why it was rejected
+    why : reasons of doubtful or failed results, or of the rejection
     """
 
     __test__ = False
@@ -39,18 +39,18 @@ class TestRow:
     operator: str
     first: Cell
     decided: str
-    said: str
+    decision: str
     page: str
     why: str
 
     @property
     def address(self) -> str:
-        """Of its page, as a link has it: a name may hold signs that mean something there."""
+        """Address of its page, quoted for a link."""
         return quote(self.page, errors="replace")
 
 
 def test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[TestRow]:
-    """Make the rows of the table of tests.
+    """Return the rows of the table of tests.
 
     Parameters
     ----------
@@ -73,11 +73,11 @@ def _row(test: PageTest, group: str, main: str) -> TestRow:
         group=group,
         day="" if sample.date is None else str(sample.date),
         operator=sample.operator,
-        first=_first(test, main),
+        first=_first_number_cell(test, main),
         decided=decided,
-        said=test.why or sample.decided,
+        decision=test.why or sample.decided,
         page=page_file(sample.label or sample.test),
-        why=why_of(test),
+        why=problems_of(test),
     )
 
 
@@ -96,18 +96,18 @@ def page_file(label: str) -> str:
     return f"tests/{label.replace('/', '__')}.html"
 
 
-def _first(test: PageTest, main: str) -> Cell:
-    """The first main number with its unit, as the column holds several quantities."""
+def _first_number_cell(test: PageTest, main: str) -> Cell:
+    """Return the cell of the first main number with its unit, as the quantities differ."""
     result = next((result for result in test.sample.results if result.name == main), None)
     if result is None:
         return Cell(DASH)
-    shown = shown_in(main, result.unit, test.sample.display)
-    words = result_cell(result, shown.factor)
-    return Cell(words.text, heading(main, shown.unit), words.mark, words.tip, result.value)
+    unit = shown_in(main, result.unit, test.sample.display)
+    cell = result_cell(result, unit.factor)
+    return Cell(cell.text, heading(main, unit.unit), cell.mark, cell.tip, result.value)
 
 
-def why_of(test: PageTest) -> str:
-    """Say in sentences what is doubtful or failed in a test; of a rejected one, why.
+def problems_of(test: PageTest) -> str:
+    """Return the reasons of doubtful and failed results of a test, or of its rejection.
 
     Parameters
     ----------
@@ -115,16 +115,16 @@ def why_of(test: PageTest) -> str:
     """
     if test.why:
         return f"Rejected: {test.why}"
-    reasons = [reason for each in _troubled(test) for reason in each.reasons]
+    reasons = [reason for result in _problem_results(test) for reason in result.reasons]
     return sentences(reasons)
 
 
-def _troubled(test: PageTest) -> Iterator[Result]:
+def _problem_results(test: PageTest) -> Iterator[Result]:
     return (result for result in test.sample.results if str(result.status) != "ok")
 
 
 def export_table(tests: PageTests) -> Table:
-    """Make the table of exports: of each test its files with their SHA-256.
+    """Return the table of recorded files of each test with their SHA-256.
 
     Parameters
     ----------
@@ -133,9 +133,12 @@ def export_table(tests: PageTests) -> Table:
     rows = tuple(
         (
             Cell(test.sample.test),
-            Cell("; ".join(f"{each.file}: {each.sha256}" for each in test.sample.inputs) or DASH),
+            Cell(
+                "; ".join(f"{source.file}: {source.sha256}" for source in test.sample.inputs)
+                or DASH
+            ),
         )
         for test in tests.every
     )
-    heads = ("Test", "Exports with their SHA-256")
-    return Table("Where the numbers come from", heads, rows)
+    heads = ("Test", "Recorded files with SHA-256")
+    return Table("Sources of the numbers", heads, rows)

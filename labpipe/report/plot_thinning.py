@@ -1,4 +1,4 @@
-"""Fewer points to draw, without hiding what the samples do; and which of them are drawn lighter."""
+"""Thinning of curves for drawing that keeps extremes and corners; lighter doubtful parts."""
 
 from __future__ import annotations
 
@@ -11,24 +11,23 @@ from numpy.typing import NDArray
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
-_Stretch: TypeAlias = tuple[float, int, int, int]
-"""Less the distance of the furthest sample, first sample, the furthest, last sample."""
-_FADED = 0.35
+_Segment: TypeAlias = tuple[float, int, int, int]
+"""Negative distance of the furthest sample; first, furthest and last sample."""
 
 
 def extremes(values: Floats, *, bins: int) -> Ints:
-    """Number the samples that a thinned line must pass through.
+    """Return the samples of a thinned line that keeps its extremes.
 
     Parameters
     ----------
     values : shape (n,), in order of drawing
-    bins : stretches of equal length that the samples are cut into, at least 1
+    bins : of equal length, at least 1
 
     Returns
     -------
-    Sorted sample numbers: of each stretch the lowest and the highest sample, so that noise is drawn
-    as wide as it is; its first NaN, so that a gap stays a gap; and the two ends. All samples
-    if there are fewer than four per stretch.
+    Sorted sample numbers: the lowest and the highest sample of each bin, which keeps the width of
+    noise, its first NaN, which keeps gaps, and the two ends. All samples if there are at most
+    four per bin.
 
     Raises
     ------
@@ -36,74 +35,73 @@ def extremes(values: Floats, *, bins: int) -> Ints:
         If `bins` is less than 1.
     """
     if bins < 1:
-        message = f"bins={bins}: expected at least 1"
+        message = f"bins: expected at least 1, found {bins}"
         raise ValueError(message)
     count = len(values)
     if count <= 4 * bins:
         return np.arange(count, dtype=np.int64)
     starts = np.linspace(0, count, bins + 1).astype(np.int64)
-    stretch = np.repeat(np.arange(bins), np.diff(starts))
-    # sorted by stretch, then by value: NaN comes last within each stretch
-    order = np.lexsort((values, stretch))
+    bin_number = np.repeat(np.arange(bins), np.diff(starts))
+    # sorted by bin, then by value: NaN is last within each bin
+    order = np.lexsort((values, bin_number))
     blank = np.isnan(values)
-    seen = np.add.reduceat(~blank, starts[:-1])
-    highest = order[starts[:-1] + np.maximum(seen - 1, 0)]
+    n_finite = np.add.reduceat(~blank, starts[:-1])
+    highest = order[starts[:-1] + np.maximum(n_finite - 1, 0)]
     gaps = np.flatnonzero(blank)
-    first_gaps = gaps[np.unique(stretch[gaps], return_index=True)[1]]
+    first_gaps = gaps[np.unique(bin_number[gaps], return_index=True)[1]]
     ends = [0, count - 1]
     return np.unique(np.concatenate([order[starts[:-1]], highest, first_gaps, ends]))
 
 
-def bends(across: Floats, values: Floats, *, points: int, tolerance: float = 0.002) -> Ints:
-    """Number the samples that a line must pass through to keep its shape.
+def simplify_line(across: Floats, values: Floats, *, points: int, tolerance: float = 0.002) -> Ints:
+    """Return the samples of a simplified line that keeps its shape.
 
     Parameters
     ----------
     across, values : shape (n,), in order of drawing
-    points : how many at the most, without the ends of gaps, which are always kept
-    tolerance : distance from the line that nobody sees, as a share of the range of the values
+    points : at most, besides the ends of gaps, which are always kept
+    tolerance : invisible distance from the line, as a share of the range of the values
 
     Returns
     -------
-    Sorted sample numbers: the two ends, then again and again the sample that lies furthest, along
-    the values, from the line through those kept so far, until none lies further than the tolerance.
-    A corner stays a corner and a step a step; noise keeps its largest excursions. Of a gap, its
-    ends and its first NaN, so that it stays a gap.
+    Sorted sample numbers: the two ends, then repeatedly the sample furthest, along the values, from
+    the line through those kept so far, until none is further than the tolerance. Corners, steps
+    and the largest excursions of noise are kept; of a gap, its ends and its first NaN.
 
     Notes
     -----
-    Douglas and Peucker, Cartographica 10 (1973) 112, the furthest of all stretches first.
+    Douglas and Peucker, Cartographica 10 (1973) 112, the furthest of all segments first.
     """
-    known = np.flatnonzero(np.isfinite(across) & np.isfinite(values))
-    if not len(known):
+    finite = np.flatnonzero(np.isfinite(across) & np.isfinite(values))
+    if not len(finite):
         return np.arange(min(len(values), 1), dtype=np.int64)
-    broken = np.flatnonzero(np.diff(known) > 1)
-    starts = np.concatenate([known[:1], known[broken + 1]])
-    stops = np.concatenate([known[broken], known[-1:]])
-    kept = {*starts.tolist(), *stops.tolist(), *(known[broken] + 1).tolist()}
-    unseen = tolerance * float(np.ptp(values[known]))
-    stretches = [
-        _furthest(across, values, int(start), int(stop))
+    broken = np.flatnonzero(np.diff(finite) > 1)
+    starts = np.concatenate([finite[:1], finite[broken + 1]])
+    stops = np.concatenate([finite[broken], finite[-1:]])
+    rows = {*starts.tolist(), *stops.tolist(), *(finite[broken] + 1).tolist()}
+    max_distance = tolerance * float(np.ptp(values[finite]))
+    segments = [
+        _furthest_sample(across, values, int(start), int(stop))
         for start, stop in zip(starts, stops, strict=True)
     ]
-    heapq.heapify(stretches)
-    while stretches and len(kept) < points:
-        distance, start, at, stop = heapq.heappop(stretches)
-        if -distance <= unseen:
+    heapq.heapify(segments)
+    while segments and len(rows) < points:
+        distance, start, at, stop = heapq.heappop(segments)
+        if -distance <= max_distance:
             break
-        kept.add(at)
-        heapq.heappush(stretches, _furthest(across, values, start, at))
-        heapq.heappush(stretches, _furthest(across, values, at, stop))
-    return np.array(sorted(kept), dtype=np.int64)
+        rows.add(at)
+        heapq.heappush(segments, _furthest_sample(across, values, start, at))
+        heapq.heappush(segments, _furthest_sample(across, values, at, stop))
+    return np.array(sorted(rows), dtype=np.int64)
 
 
-def _furthest(across: Floats, values: Floats, start: int, stop: int) -> _Stretch:
-    """The sample between two that lies furthest from the line through them."""
+def _furthest_sample(across: Floats, values: Floats, start: int, stop: int) -> _Segment:
+    """Return the sample between two that is furthest from the line through them."""
     if stop - start < 2:
         return (0.0, start, start, stop)
     x, y = across[start : stop + 1], values[start : stop + 1]
     width = x[-1] - x[0]
-    # Where nothing moves across, the line is drawn sample by sample.
+    # a vertical part is drawn sample by sample
     share = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))
     distance = np.abs(y - y[0] - (y[-1] - y[0]) * np.clip(share, 0.0, 1.0))
     at = int(np.argmax(distance))
@@ -111,28 +109,28 @@ def _furthest(across: Floats, values: Floats, start: int, stop: int) -> _Stretch
 
 
 def worst(flags: NDArray[np.uint8], rank: NDArray[np.uint8], *, bins: int) -> NDArray[np.uint8]:
-    """Thin flags along time so that the shortest trouble stays visible.
+    """Thin flags along time, keeping the worst.
 
     Parameters
     ----------
     flags : shape (frames, points)
-    rank : how bad each flag is, by its number
-    bins : columns wanted at the most
+    rank : badness of each flag, by its number
+    bins : columns, at most
 
     Returns
     -------
-    Shape (columns, points): the flag of highest rank within each stretch of frames.
+    Shape (columns, points): the flag of highest rank within each bin of frames.
     """
     frames = len(flags)
     starts = np.unique(np.linspace(0, frames, min(bins, frames), endpoint=False).astype(np.int64))
     badness = np.maximum.reduceat(rank[flags], starts, axis=0) if frames else rank[flags]
     by_rank = np.argsort(rank).astype(np.uint8)
-    found: NDArray[np.uint8] = by_rank[badness]
-    return found
+    columns: NDArray[np.uint8] = by_rank[badness]
+    return columns
 
 
-def sure_and_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
-    """Cut a line in what is sure, and what is doubtful, from its last sure point on, lighter.
+def split_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
+    """Split a line into its sure part and its doubtful part, which is drawn lighter.
 
     Parameters
     ----------
@@ -140,10 +138,11 @@ def sure_and_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
 
     Yields
     ------
-    The points of a part, shape (n,), and how opaque it is drawn.
+    The points of a part, shape (n,), and its opacity.
     """
+    faded_opacity = 0.35
     yield sure, 1.0
     if not sure.all():
         doubtful = ~sure
         doubtful[int(sure.sum()) - 1] = True
-        yield doubtful, _FADED
+        yield doubtful, faded_opacity

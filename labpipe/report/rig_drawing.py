@@ -1,4 +1,4 @@
-"""What a figure of shapes has to show of the rig: rollers, and markers that sit beside the axis."""
+"""Rig of a test in figures of shapes: rollers, and the offset of markers from the axis."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from labpipe.results.beam import BendingStiffness
 
 
 class Rig(NamedTuple):
-    """How a specimen is held.
+    """Support of a specimen.
 
     Parameters
     ----------
-    span : m, between supports; 0 for a specimen that is clamped
-    roller_radius : m; 0 where the protocol does not state it
-    section_radius : m, half the outer diameter of the specimen; 0 where it is not stated
+    span : m, between supports; 0 for a clamped specimen
+    roller_radius : m; 0 if not stated
+    section_radius : m, half the outer diameter of the specimen; 0 if not stated
     centre_offset : m, from the axis to the centres of the markers, positive towards the pull
     """
 
@@ -28,17 +28,17 @@ class Rig(NamedTuple):
 
     @property
     def reach(self) -> float:
-        """From the axis of the specimen to that of a roller, m."""
+        """Distance from the axis of the specimen to the axis of a roller, m."""
         return self.roller_radius + self.section_radius
 
 
 def rig_of(result: TestResult) -> Rig:
-    """Read of a test's protocol how the specimen was held.
+    """Return the rig of a test from its protocol.
 
     Parameters
     ----------
-    result : holds its resolved protocol; nothing is known without one, and of one in an earlier
-        grammar that is not sound today: the shapes are drawn all the same
+    result : with its resolved protocol; without one, or with one of an earlier grammar that is no
+        longer valid, the rig is empty
     """
     try:
         protocol = parse_protocol(result.protocol_yaml, result.test)

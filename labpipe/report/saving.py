@@ -1,4 +1,4 @@
-"""Draw figures once, lay them out once, write them as SVG, PNG and PDF, and into a page."""
+"""Save figures, drawn and laid out once, as SVG, PNG and PDF, and embed them in a page."""
 
 from __future__ import annotations
 
@@ -25,43 +25,38 @@ if TYPE_CHECKING:
 _SVG = "http://www.w3.org/2000/svg"
 _LINK = "{http://www.w3.org/1999/xlink}href"
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
-_LONG_LINE = 20
 _STRAIGHT = re.compile(r"M[ML\d.\s-]*z?")
 _NO_TURN = re.compile(r"rotate\(-?0 [^()]*\)")
 _RULE = re.compile(r"([a-z-]+): *([^;{}]+)")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
 _FAMILIES = re.compile(r"'STIXGeneral'(, ('[^']*'|[a-z-]+))*")
-"""The fonts of the style; a browser finds a letter that the first ones lack by itself."""
-_SIZE = re.compile(r"([\d.]+)px")
-_SHORT = 3
-"""Letters from which on the width of words is held."""
+"""The fonts of the style; a browser replaces missing glyphs by itself."""
+_FONT_SIZE = re.compile(r"([\d.]+)px")
 _FONT = "STIXGeneral, 'STIX Two Text', 'Times New Roman', Times, serif"
 
 
 class Inline(NamedTuple):
-    """A drawing as an element of a page, and the classes that it is drawn with."""
+    """A drawing as an element of a page, with its style classes."""
 
     element: str
     classes: dict[str, str]
 
 
 def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
-    """Turn a drawing by matplotlib into an element of a page.
+    """Convert a drawing by matplotlib to an element of a page.
 
     Parameters
     ----------
     drawing : an SVG document
-    prefix : begins every id, so that no two drawings of a page share one
-    title : what a person reads who cannot see it
+    prefix : of all ids, unique on the page
+    title : alternative text
 
     Returns
     -------
-    One ``svg`` element: as wide as the page lets it be, coordinates to 0.01 pt, and to 0.1 pt in
-    long lines, which is less than a line is thick; without metadata and without ids that nothing
-    refers to. Its words are as wide as they were laid out, whatever fonts the reader has. Its looks
-    are classes, as drawings share most of them;
-    equal looks have equal names in all drawings.
+    One ``svg`` element as wide as the page allows, with coordinates to 0.01 pt, in long lines to
+    0.1 pt, less than a line width, without metadata and unused ids. Its texts have the width of
+    the layout with any font. Its styles are classes with equal names in all drawings.
     """
     ET.register_namespace("", _SVG)
     ET.register_namespace("xlink", "http://www.w3.org/1999/xlink")
@@ -69,20 +64,20 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     for metadata in root.findall(f"{{{_SVG}}}metadata"):
         root.remove(metadata)
     _inherit_rules(root)
-    _hold_widths(root)
-    wanted = _references(root)
+    _fix_text_widths(root)
+    wanted = _referenced_ids(root)
     classes: dict[str, str] = {}
     for element in root.iter():
-        _slim(element, wanted, prefix)
-        _classify(element, classes)
-    _unwrap(root)
-    _name(root, title)
+        _shorten_element(element, wanted, prefix)
+        _style_to_class(element, classes)
+    _remove_empty_groups(root)
+    _describe(root, title)
     text = ET.tostring(root, encoding="unicode", short_empty_elements=True)
     return Inline(re.sub(r">\s+<", "><", text).strip(), classes)
 
 
 def _inherit_rules(root: ET.Element) -> None:
-    """Turn rules for all elements into attributes of the drawing: a page allows no other rules."""
+    """Convert rules for all elements to attributes, as a page allows no other rules."""
     for parent in list(root.iter()):
         for rules in parent.findall(f"{{{_SVG}}}style"):
             parent.remove(rules)
@@ -90,56 +85,59 @@ def _inherit_rules(root: ET.Element) -> None:
                 root.set(name, value)
 
 
-def _hold_widths(root: ET.Element) -> None:
-    """Give words the width that they were laid out with: a reader's font may be another one."""
+def _fix_text_widths(root: ET.Element) -> None:
+    """Fix texts to the width of the layout, as the reader's font may differ."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
 
     with style():
         for text in root.iter(f"{{{_SVG}}}text"):
-            size, words = _SIZE.search(text.get("style", "")), text.text or ""
-            if size is None or len(words) < _SHORT:
+            size, label = _FONT_SIZE.search(text.get("style", "")), text.text or ""
+            if size is None or len(label) < 3:
                 continue
             font = FontProperties(size=float(size[1]))
-            width, *_ = text_to_path.get_text_width_height_descent(words, font, ismath=False)
+            width, *_ = text_to_path.get_text_width_height_descent(label, font, ismath=False)
             text.set("textLength", f"{width:.1f}")
             text.set("lengthAdjust", "spacingAndGlyphs")
 
 
-def _references(root: ET.Element) -> set[str]:
-    """Ids that something in the drawing refers to."""
-    links = {value[1:] for each in root.iter() if (value := each.get(_LINK)) is not None}
+def _referenced_ids(root: ET.Element) -> set[str]:
+    """Return the ids that are referenced in the drawing."""
+    links = {value[1:] for element in root.iter() if (value := element.get(_LINK)) is not None}
     used = {
-        found
-        for each in root.iter()
-        for value in each.attrib.values()
-        for found in _REFERENCE.findall(value)
+        reference
+        for element in root.iter()
+        for value in element.attrib.values()
+        for reference in _REFERENCE.findall(value)
     }
     return links | used
 
 
-def _slim(element: ET.Element, wanted: set[str], prefix: str) -> None:
-    own = element.attrib
-    name = own.pop("id", "")
+def _shorten_element(element: ET.Element, wanted: set[str], prefix: str) -> None:
+    min_line_points = 20
+    attributes = element.attrib
+    name = attributes.pop("id", "")
     if name in wanted:
-        own["id"] = f"{prefix}-{name}"
-    if _LINK in own:
-        own[_LINK] = f"#{prefix}-{own[_LINK][1:]}"
-    for key, value in own.items():
-        own[key] = _REFERENCE.sub(rf"url(#{prefix}-\1)", value)
-    if _NO_TURN.fullmatch(own.get("transform", "")):
-        del own["transform"]
-    for key in own.keys() & _WITH_NUMBERS:
-        own[key] = " ".join(_LONG_NUMBER.sub(_two_places, own[key]).split())
-    if own.get("d", "").count("L") > _LONG_LINE and _STRAIGHT.fullmatch(own["d"]):
-        strokes, closing, _ = own["d"].partition("z")
-        own["d"] = "".join(map(_steps, strokes.split("M")[1:])) + closing
-    elif "d" in own:  # numbers that follow a line are ends of further lines
-        own["d"] = re.sub(r"(?<=\d) L (?=[-\d])", " ", own["d"])
+        attributes["id"] = f"{prefix}-{name}"
+    if _LINK in attributes:
+        attributes[_LINK] = f"#{prefix}-{attributes[_LINK][1:]}"
+    for key, value in attributes.items():
+        attributes[key] = _REFERENCE.sub(rf"url(#{prefix}-\1)", value)
+    if _NO_TURN.fullmatch(attributes.get("transform", "")):
+        del attributes["transform"]
+    for key in attributes.keys() & _WITH_NUMBERS:
+        attributes[key] = " ".join(_LONG_NUMBER.sub(_two_places, attributes[key]).split())
+    if attributes.get("d", "").count("L") > min_line_points and _STRAIGHT.fullmatch(
+        attributes["d"]
+    ):
+        strokes, closing, _ = attributes["d"].partition("z")
+        attributes["d"] = "".join(map(_relative_steps, strokes.split("M")[1:])) + closing
+    elif "d" in attributes:  # numbers after a line are ends of further lines
+        attributes["d"] = re.sub(r"(?<=\d) L (?=[-\d])", " ", attributes["d"])
 
 
-def _classify(element: ET.Element, classes: dict[str, str]) -> None:
-    """Put the look of an element under a name made of it."""
+def _style_to_class(element: ET.Element, classes: dict[str, str]) -> None:
+    """Replace the style of an element by a class named after its content."""
     look = _FAMILIES.sub(_FONT, element.attrib.pop("style", ""))
     if look:
         name = f"s{zlib.crc32(look.encode()):x}"
@@ -147,29 +145,29 @@ def _classify(element: ET.Element, classes: dict[str, str]) -> None:
         element.set("class", name)
 
 
-def _unwrap(parent: ET.Element) -> None:
-    """Take away groups that say nothing about what is in them."""
+def _remove_empty_groups(parent: ET.Element) -> None:
+    """Remove groups without attributes."""
     for child in list(parent):
-        _unwrap(child)
+        _remove_empty_groups(child)
         if child.tag == f"{{{_SVG}}}g" and not child.attrib:
             at = list(parent).index(child)
             parent[at : at + 1] = list(child)
 
 
-def _steps(stroke: str) -> str:
-    """A line as its first point and steps of tenths of a point: half as long as all its points."""
+def _relative_steps(stroke: str) -> str:
+    """Write a line as its first point and steps of tenths of a point, half as long as points."""
     ends = [round(10.0 * float(number)) for number in stroke.replace("L", " ").split()]
     steps = [after - before for before, after in zip(ends, ends[2:], strict=False)]
     first, rest = (" ".join(f"{piece / 10:g}" for piece in part) for part in (ends[:2], steps))
     return f"M{first}" + (f"l{rest}".replace(" -", "-") if rest else "")
 
 
-def _two_places(found: re.Match[str]) -> str:
-    return f"{float(found[0]):.2f}".rstrip("0").rstrip(".")
+def _two_places(match: re.Match[str]) -> str:
+    return f"{float(match[0]):.2f}".rstrip("0").rstrip(".")
 
 
-def _name(root: ET.Element, title: str) -> None:
-    """Say what it shows, and let the page decide how wide it is."""
+def _describe(root: ET.Element, title: str) -> None:
+    """Set the alternative text, and leave the size to the page."""
     root.attrib.pop("height", None)
     root.attrib.pop("width", None)
     root.attrib.pop("version", None)
@@ -178,9 +176,9 @@ def _name(root: ET.Element, title: str) -> None:
 
 
 PNG_DPI, _REPORT_DPI = 300, 200
-NOTHING_SAID: Mapping[str, str] = {}
+_NO_METADATA: Mapping[str, str] = {}
 FORMATS = ("svg", "png", "pdf")
-"""In which the figures of a report can be had; SVG always."""
+"""Formats of the figures of a report; SVG is always written."""
 
 
 class FigureToSave(NamedTuple):
@@ -189,9 +187,9 @@ class FigureToSave(NamedTuple):
     Parameters
     ----------
     name : of its files, without the ending
-    draw : makes it
-    caption : how to read it; the description in its files
-    alt : what a person reads who cannot see it; the title in its files
+    draw : returns the figure
+    caption : how to read it; description in its files
+    alt : alternative text; title in its files
     """
 
     name: str
@@ -201,11 +199,11 @@ class FigureToSave(NamedTuple):
 
 
 class Saving(NamedTuple):
-    """Files of a figure, of which the PNG may still be on its way.
+    """Files of a figure, whose PNG may still be in work.
 
     Parameters
     ----------
-    files : SVG, and PNG where one is wanted
+    files : SVG, and PNG if requested
     packing : done when the PNG is written; None without one
     """
 
@@ -213,18 +211,18 @@ class Saving(NamedTuple):
     packing: Future[None] | None = None
 
     def whole(self) -> tuple[Path, ...]:
-        """The files once they are all written; raises what went wrong with the PNG."""
+        """Return the files when all are written; raises errors of the PNG."""
         if self.packing is not None:
             self.packing.result()
         return self.files
 
 
 class SavedFigure(NamedTuple):
-    """A figure of a report that was drawn and saved.
+    """Saved figure of a report.
 
     Parameters
     ----------
-    files : SVG, and PNG and PDF where they were asked for
+    files : SVG, and PNG and PDF if requested
     """
 
     files: tuple[Path, ...]
@@ -244,12 +242,12 @@ def save_pages(
 
     Parameters
     ----------
-    wanted : one is drawn and let go before the next
+    wanted : each is drawn and released before the next
     folder : made if it is not there
-    what, again : what the figures are, and how to draw them again, for a message
-    say : told the name of each figure as it is drawn
-    run : key of the run that the figures show, which goes into the files; empty for none
-    png : each as PNG, too; the SVG is the same to the byte
+    what, again : name of the figures, and how to draw them again, for a message
+    say : called with the name of each figure as it is drawn
+    run : key of the run of the figures, written to the files; may be empty
+    png : each as PNG, too; the SVG is identical
 
     Returns
     -------
@@ -276,33 +274,33 @@ def save_pages(
                         figure_to_save.draw(), folder, figure_to_save.name, packer, dpi=dpi, run=run
                     )
                 )
-            return [path for each in saved for path in each.whole()]
+            return [path for saving in saved for path in saving.whole()]
 
 
 def pngs_of(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
-    """Name the PNGs of figures: of an earlier run they would show other numbers than the SVGs.
+    """Return the names of the PNGs of figures, which are out of date after an earlier run.
 
     Parameters
     ----------
-    wanted : figures, which are not drawn
-    folder : that holds them, for the names
+    wanted : figures, not drawn here
+    folder : of the figures
     """
     return [f"{folder}/{figure_to_save.name}.png" for figure_to_save in wanted]
 
 
 @contextmanager
 def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
-    """Say of a folder that cannot be written to what it was for, and what to do.
+    """Report a folder that cannot be written to, with its purpose and a remedy.
 
     Parameters
     ----------
-    folder : that is written to inside this block
-    what, again : what is written, and how to make it again
+    folder : written to inside this block
+    what, again : name of the files, and how to make them again
 
     Raises
     ------
     StoreError
-        In place of what the operating system refuses.
+        Instead of errors of the operating system.
     """
     try:
         yield
@@ -320,12 +318,12 @@ def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
 def save_report_figures(
     wanted: Iterable[FigureToSave], folder: Path, *, formats: Collection[str] = ("svg",)
 ) -> list[SavedFigure]:
-    """Draw the figures of a report and save each as SVG, and as PNG and PDF where asked for.
+    """Draw the figures of a report and save each as SVG and, on request, as PNG and PDF.
 
     Parameters
     ----------
-    wanted : one is drawn and let go before the next
-    folder : there already
+    wanted : each is drawn and released before the next
+    folder : existing
     formats : some of `FORMATS`; SVG is always written
 
     Returns
@@ -351,7 +349,7 @@ def save_report_figures(
 def _save_for_report(
     wanted: FigureToSave, folder: Path, packer: Executor, formats: Collection[str]
 ) -> tuple[SavedFigure, Saving]:
-    """Draw once, lay out once, write in each format."""
+    """Draw and lay out a figure once, and write it in each format."""
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
     page = wanted.draw()
@@ -375,19 +373,19 @@ def save_page(
     *,
     dpi: int | None = PNG_DPI,
     run: str = "",
-    about: Mapping[str, str] = NOTHING_SAID,
+    about: Mapping[str, str] = _NO_METADATA,
 ) -> Saving:
-    """Lay out a page inside the present style and save it under one name in both formats.
+    """Lay out a page in the current style and save it as SVG and PNG.
 
     Parameters
     ----------
-    page : as it is drawn
-    folder : there already
+    page : as drawn
+    folder : existing
     name : of the files, without the ending
-    packer : packs the pixels into a PNG beside the drawing of what comes next
+    packer : compresses the PNG while the next figure is drawn
     dpi : of the PNG; None for no PNG
-    run : key that goes into the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
-    about : what else the SVG says of itself (``Title``, ``Description``)
+    run : key in the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
+    about : other metadata of the SVG (``Title``, ``Description``)
 
     Returns
     -------
@@ -402,15 +400,15 @@ def save_page(
 
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     finish_layout(page)
-    packing = None if dpi is None else packer.submit(_pixels(page, dpi, run), png)
+    packing = None if dpi is None else packer.submit(_png_writer(page, dpi, run), png)
     vector: Any = FigureCanvasSVG(page)
-    said = {"Date": None, "Identifier": run or None, **about}
-    vector.print_svg(str(svg), metadata=said)
+    metadata = {"Date": None, "Identifier": run or None, **about}
+    vector.print_svg(str(svg), metadata=metadata)
     return Saving((svg,)) if packing is None else Saving((svg, png), packing)
 
 
-def _pixels(page: Figure, dpi: int, run: str) -> Callable[[Path], None]:
-    """Draw a page that is laid out in pixels; what is given writes them to a file."""
+def _png_writer(page: Figure, dpi: int, run: str) -> Callable[[Path], None]:
+    """Draw a page in pixels and return a function that writes them to a file."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo

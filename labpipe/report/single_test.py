@@ -1,4 +1,4 @@
-"""The page of a single test: who, when and with what; numbers, figures, notes, exports."""
+"""Page of a single test: facts, numbers, figures, notes, recorded files."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from labpipe.report.figures import FIGURES
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentence, sentences
 from labpipe.report.page_numbers import with_interval
-from labpipe.report.page_parts import filled, quoted, style_hash, style_of
+from labpipe.report.page_parts import css_string, fill_template, style_hash, style_of
 from labpipe.report.saving import Inline, inline_svg
-from labpipe.report.wording import heading, shown_in, unit_words, with_names_in_words
+from labpipe.report.wording import heading, replace_names, shown_in, unit_words
 
 if TYPE_CHECKING:
     from markupsafe import Markup
     from matplotlib.figure import Figure
 
 _TEMPLATE = "single_test.html"
-_LARGEST_PARTS = 3
 
 
 def render_test(result: TestResult, *, report: str = "") -> str:
@@ -31,18 +30,18 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
     Parameters
     ----------
-    result : with its figures, as the protocol asks for them
-    report : id of the report that the page stands beside; empty for none
+    result : with the figures of its protocol
+    report : id of the report that links to the page; may be empty
 
     Returns
     -------
     An HTML document that needs no other file, no network and no script.
     """
-    drawn = [_drawn(result, name) for name in result.figures if name in FIGURES]
-    classes = {name: look for each in drawn for name, look in each.classes.items()}
-    words = " \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))
-    looks = style_of(quoted(words), _class_rules(classes))
-    return filled(
+    drawn = [_inline_figure(result, name) for name in result.figures if name in FIGURES]
+    classes = {name: look for figure in drawn for name, look in figure.classes.items()}
+    footer = " \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))
+    looks = style_of(css_string(footer), _class_rules(classes))
+    return fill_template(
         _TEMPLATE,
         result=result,
         report=report,
@@ -50,14 +49,14 @@ def render_test(result: TestResult, *, report: str = "") -> str:
         style_hash=style_hash(looks),
         facts=_facts(result),
         numbers=_numbers(result),
-        figures=[_markup(each.element) for each in drawn],
+        figures=[_markup(figure.element) for figure in drawn],
         notes=_notes(result),
         exports=_exports(result),
     )
 
 
 def _markup(element: str) -> Markup:
-    """A drawing by matplotlib, in which every text is escaped."""
+    """Mark a drawing by matplotlib, whose texts are escaped, as safe."""
     from markupsafe import Markup
 
     return Markup(element)
@@ -67,8 +66,8 @@ def _class_rules(classes: dict[str, str]) -> str:
     return "\n".join(f".{name} {{{look}}}" for name, look in classes.items())
 
 
-def _drawn(result: TestResult, name: str) -> Inline:
-    """A figure as an element of the page; its words stay words."""
+def _inline_figure(result: TestResult, name: str) -> Inline:
+    """Return a figure as an element of the page, with texts as text."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     with style({"svg.fonttype": "none"}):
@@ -93,45 +92,53 @@ def _facts(result: TestResult) -> list[tuple[str, str]]:
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
         ("Dimensions", ", ".join([*sizes, *fields]) or DASH),
-        ("Tested", f"{result.date or 'on an unknown day'} by {result.operator or 'nobody named'}"),
+        (
+            "Tested",
+            f"{result.date or 'on an unknown day'} by {result.operator or 'an unnamed operator'}",
+        ),
         ("Instruments", instruments or "no calibration certificate stated in the protocol"),
         ("Protocol", result.protocol),
         ("Run", f"{result.run[:16] or DASH}, labpipe {result.labpipe_version}"),
     ]
 
 
-def _instrument(each: Instrument) -> str:
-    due = f"due {each.due}" if each.due else "no due date"
-    return f"{each.channel} {each.certificate} (calibrated {each.calibrated}, {due})"
+def _instrument(instrument: Instrument) -> str:
+    due = f"due {instrument.due}" if instrument.due else "no due date"
+    return (
+        f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated}, {due})"
+    )
 
 
 def _numbers(result: TestResult) -> Table:
-    heads = ("Number", "Value, 95 %", "State", "Why", "Largest parts of the interval")
-    said = ["", *(sentences(result.reasons) for result in result.results)]
+    heads = ("Number", "Value, 95 %", "State", "Why", "Largest causes of the interval")
+    reasons = ["", *(sentences(result.reasons) for result in result.results)]
     rows = tuple(
-        _row(result, each, "As above." if why and why == above else why)
-        for each, why, above in zip(result.results, said[1:], said, strict=False)
+        _number_row(result, row_result, "As above." if why and why == above else why)
+        for row_result, why, above in zip(result.results, reasons[1:], reasons, strict=False)
     )
     return Table("Numbers of this test", heads, rows)
 
 
-def _row(result: TestResult, each: Result, why: str) -> tuple[Cell, ...]:
-    shown = shown_in(each.name, each.unit, result.display)
+def _number_row(result: TestResult, row_result: Result, why: str) -> tuple[Cell, ...]:
+    unit = shown_in(row_result.name, row_result.unit, result.display)
     value = DASH
-    if each.value is not None:
-        value = with_interval(each.value, each.interval, shown.factor, apart=each.apart)
+    if row_result.value is not None:
+        value = with_interval(
+            row_result.value, row_result.interval, unit.factor, apart=row_result.apart
+        )
     return (
-        Cell(heading(each.name, shown.unit), tip=each.name),
-        Cell(value, mark="?" if each.status is Status.DOUBTFUL else ""),
-        Cell(str(each.status), tip=", ".join(each.codes)),
+        Cell(heading(row_result.name, unit.unit), tip=row_result.name),
+        Cell(value, mark="?" if row_result.status is Status.DOUBTFUL else ""),
+        Cell(str(row_result.status), tip=", ".join(row_result.codes)),
         Cell(why),
-        Cell("; ".join(_parts(each))),
+        Cell("; ".join(_largest_parts(row_result))),
     )
 
 
-def _parts(result: Result) -> Iterator[str]:
+def _largest_parts(result: Result) -> Iterator[str]:
+    n_largest = 3
     rows = sorted(zip(result.shares, result.budget, strict=True), key=lambda row: -row[0])
-    for share, part in rows[:_LARGEST_PARTS]:
+    for share, part in rows[:n_largest]:
         if share >= 0.01:
             yield f"{part.cause} {100 * share:.0f} %"
 
@@ -141,7 +148,7 @@ def _notes(result: TestResult) -> Table:
     notes = sorted(result.quality, key=lambda note: order.index(note.severity))
     rows = tuple(
         (
-            Cell(with_names_in_words(note.where), tip=note.code),
+            Cell(replace_names(note.where), tip=note.code),
             Cell(str(note.severity)),
             Cell(sentence(note.message)),
         )
@@ -151,5 +158,7 @@ def _notes(result: TestResult) -> Table:
 
 
 def _exports(result: TestResult) -> Table:
-    rows = tuple((Cell(each.role), Cell(each.file), Cell(each.sha256)) for each in result.inputs)
+    rows = tuple(
+        (Cell(source.role), Cell(source.file), Cell(source.sha256)) for source in result.inputs
+    )
     return Table("Exports", ("Role", "File", "SHA-256"), rows)

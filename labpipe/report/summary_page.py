@@ -1,4 +1,4 @@
-"""Page one of a report: answers, key numbers, what is to be decided; all on one screen."""
+"""Page one of a report: verdicts, key numbers and open decisions on one screen."""
 
 from __future__ import annotations
 
@@ -14,42 +14,36 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.result import Result
-from labpipe.report.comparisons import Pair, answer_cells, answering_pairs, field_words
+from labpipe.report.comparisons import Pair, answer_cells, field_words, single_field_pairs
 from labpipe.report.group_plots import first_loading
 from labpipe.report.group_tables import DASH, Cell, Line, Table, cause_lines
 from labpipe.report.issue_ranking import Cause
 from labpipe.report.issues import Kind
 from labpipe.report.page_facts import PageTest, PageTests, samples_of
 from labpipe.report.page_numbers import mean_with_interval, with_interval
-from labpipe.report.page_plots import sparkline, strip
-from labpipe.report.plot_thinning import bends
+from labpipe.report.page_plots import mean_strip, sparkline
+from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.wording import count_of, display_of, heading, shown_in
 from labpipe.statistics.group_fields import in_order
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-_KEY_NUMBERS = 3
-"""Numbers of a group on the first screen."""
-_SPARK_POINTS = 24
-_MOST_ANSWERS, _MOST_DECISIONS = 8, 4
-_ROOM, _ROW, _ROW_OF_GROUP, _ROW_OF_DECISION = 690, 24, 21, 54
-"""Points of a screen of 900 for answers, groups and decisions, and for a line of each."""
-_TO_DECIDE = (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER)
+_KINDS_TO_DECIDE = (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER)
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """All pairs of groups that answer one question.
+    """Verdict on all pairs of groups that differ in one field.
 
     Parameters
     ----------
     field : that the groups differ in
     question : in words
-    verdict : of the only pair; of several, how many pairs have which
+    verdict : of a single pair; for several, the number of pairs per verdict
     difference : of the pair with the largest one
-    counts : values behind each of its means
-    pairs : one row each
+    counts : numbers of values of its means
+    pairs : a row per pair
     """
 
     field: str
@@ -61,41 +55,41 @@ class Answer:
 
 
 def answers(campaign: Campaign) -> list[Answer]:
-    """Fold the pairs of groups by the question that they answer.
+    """Collect the verdicts on pairs of groups by field.
 
     Parameters
     ----------
-    campaign : with its differences; the first main number of each pair counts
+    campaign : with its differences; the first main number of each pair is used
     """
     return [
         _answer(field, list(pairs))
-        for field, pairs in groupby(answering_pairs(campaign), key=lambda pair: pair.field)
+        for field, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field)
     ]
 
 
 def _answer(field: str, pairs: Sequence[Pair]) -> Answer:
     rows = tuple(answer_cells(pair) for pair in pairs)
-    largest = max(range(len(pairs)), key=lambda at: _weight(pairs[at]))
+    largest = max(range(len(pairs)), key=lambda at: _rank_of_pair(pairs[at]))
     verdicts = Counter(pair.differences[0].verdict for pair in pairs)
     if len(pairs) == 1:
         question, verdict = rows[0][0].text, rows[0][1].text
     else:
         every = {word for pair in pairs for word in pair.differences[0].fields[field]}
-        words = sorted(every, key=lambda word: in_order(field, word))
-        question = f"{field_words(field)}: {', '.join(words)}"
-        verdict = ", ".join(f"{str(each).upper()} {verdicts[each]}"
-                            for each in Verdict if verdicts[each])  # fmt: skip
+        values = sorted(every, key=lambda word: in_order(field, word))
+        question = f"{field_words(field)}: {', '.join(values)}"
+        verdict = ", ".join(f"{str(verdict_kind).upper()} {verdicts[verdict_kind]}"
+                            for verdict_kind in Verdict if verdicts[verdict_kind])  # fmt: skip
     of_several = f", largest of {len(pairs)} pairs" if len(pairs) > 1 else ""
-    table = Table("", ("Question", "Answer", "Difference (95 %, corrected)", "n"), rows)
+    table = Table("", ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), rows)
     counts = rows[largest][3].text
     return Answer(field, question, verdict, rows[largest][2].text + of_several, counts, table)
 
 
-def _weight(pair: Pair) -> tuple[bool, float]:
-    """Pairs that differ before others, then by the size of the difference."""
-    asked = pair.differences[0]
-    size = asked.share if asked.share is not None else asked.difference.mean
-    return asked.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
+def _rank_of_pair(pair: Pair) -> tuple[bool, float]:
+    """Rank a pair: differing pairs first, then by the size of the difference."""
+    difference = pair.differences[0]
+    size = difference.share if difference.share is not None else difference.difference.mean
+    return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +98,11 @@ class KeyRow:
 
     Parameters
     ----------
-    name, stem : and the name in links
+    name, stem : the stem is used in links
     n : samples
-    strip : the first number with its interval, on the scale of its column; None for none
+    strip : drawing of the first number with its interval, if any
     numbers : cells
-    sparkline : its curves; None without any
+    sparkline : drawing of its curves, if any
     """
 
     name: str
@@ -134,31 +128,38 @@ class KeyBlock:
 
 
 def key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
-    """Make the key numbers of each group, protocol by protocol.
+    """Return the key numbers of each group by protocol.
 
     Parameters
     ----------
-    campaign : in its groups, what the protocol calls main comes first
+    campaign : with the main numbers of the protocol first in each group
     stems : of its groups
     """
     by_protocol: dict[str, list[tuple[Group, str]]] = {}
     for group, stem in zip(campaign.groups, stems, strict=True):
         by_protocol.setdefault(group.protocol, []).append((group, stem))
-    return [_key_block(own) for own in by_protocol.values()]
+    return [_key_block(protocol_groups) for protocol_groups in by_protocol.values()]
 
 
 def _key_block(groups: Sequence[tuple[Group, str]]) -> KeyBlock:
+    key_numbers = 3
     every = [(number, group) for group, _ in groups for number in group.numbers if _is_key(number)]
-    found = {number.name: (number, group) for number, group in reversed(every)}
-    names = list(dict.fromkeys(number.name for number, _ in every))[:_KEY_NUMBERS]
-    heads = tuple(_heading(*found[name]) for name in names)
-    ends = _ends([own for group, _ in groups if (own := _number(group, names[:1])) is not None])
+    numbers_by_name = {number.name: (number, group) for number, group in reversed(every)}
+    names = list(dict.fromkeys(number.name for number, _ in every))[:key_numbers]
+    heads = tuple(_heading(*numbers_by_name[name]) for name in names)
+    ends = _ends(
+        [
+            first_number
+            for group, _ in groups
+            if (first_number := _number(group, names[:1])) is not None
+        ]
+    )
     rows = tuple(_key_row(group, stem, names, ends) for group, stem in groups)
     return KeyBlock(heads, rows)
 
 
 def _is_key(number: GroupNumber) -> bool:
-    """Of the specimen, and of the first cycle where there are several."""
+    """Return whether a number belongs to the whole specimen or to its first cycle."""
     return not number.is_set_by_rig and number.name.partition(".")[2] in {"", "1"}
 
 
@@ -171,11 +172,11 @@ def _number(group: Group, names: Sequence[str]) -> GroupNumber | None:
 
 
 def _ends(numbers: Sequence[GroupNumber]) -> tuple[float, float]:
-    """Scale of a column: all means in full, intervals as far as they leave the means apart."""
+    """Return the scale of a column: full means, intervals only as far as the means stay apart."""
     chosen = [number.mean.chosen for number in numbers if number.mean is not None]
-    means = [each.mean for each in chosen] or [0.0, 1.0]
-    ends = [end for each in chosen if each.interval is not None
-            for end in (each.interval.lower, each.interval.upper) if isfinite(end)]  # fmt: skip
+    means = [mean.mean for mean in chosen] or [0.0, 1.0]
+    ends = [end for mean in chosen if mean.interval is not None
+            for end in (mean.interval.lower, mean.interval.upper) if isfinite(end)]  # fmt: skip
     low, high = min(means), max(means)
     room = (high - low) or 0.5 * abs(high) or 1.0
     return max(min([low, *ends]), low - room), min(max([high, *ends]), high + room)
@@ -185,80 +186,85 @@ def _key_row(group: Group, stem: str, names: Sequence[str], ends: tuple[float, f
     first = _number(group, names[:1])
     drawn = None
     if first is not None and first.mean is not None:
-        shown, _ = _shown(first.mean.chosen, first)
-        drawn = strip(ends, shown.interval, first.mean.chosen.mean)
+        interval_source, _ = _interval_source(first.mean.chosen, first)
+        drawn = mean_strip(ends, interval_source.interval, first.mean.chosen.mean)
     numbers = tuple(_key_cell(group, name) for name in names)
-    return KeyRow(group.name, stem, len(group.samples), drawn, numbers, _spark(group))
+    return KeyRow(group.name, stem, len(group.samples), drawn, numbers, _group_sparkline(group))
 
 
 def _key_cell(group: Group, name: str) -> Cell:
     number = _number(group, [name])
     if number is None or number.mean is None:
-        return Cell(DASH, tip="no sample has it")
+        return Cell(DASH, tip="no sample has this number")
     factor = shown_in(name, number.unit, display_of(group)).factor
     chosen = number.mean.chosen
-    shown, whose = _shown(chosen, number)
-    tip = whose if shown.apart is None else f"interval of the {_estimate(chosen, factor)}"
-    return Cell(with_interval(chosen.mean, shown.interval, factor), tip=tip)
+    interval_source, whose = _interval_source(chosen, number)
+    tip = (
+        whose
+        if interval_source.apart is None
+        else f"interval of the {_estimate_text(chosen, factor)}"
+    )
+    return Cell(with_interval(chosen.mean, interval_source.interval, factor), tip=tip)
 
 
-def _shown(mean: MeanInterval, number: GroupNumber) -> tuple[MeanInterval | Result, str]:
-    """What has the interval of a number: the mean, or the only test of a group, and whose it is."""
+def _interval_source(mean: MeanInterval, number: GroupNumber) -> tuple[MeanInterval | Result, str]:
+    """Return the mean or the single test that has the interval of a number, and a note on it."""
     if mean.interval is None and len(number.values) == 1:
-        return next(iter(number.values.values())), "one test: how well it was measured"
+        return next(iter(number.values.values())), "one test: uncertainty of its measurement"
     return mean, ""
 
 
-def _estimate(mean: MeanInterval, factor: float) -> str:
-    """The estimate that stands apart from a mean, such as ``estimate 1.23``."""
+def _estimate_text(mean: MeanInterval, factor: float) -> str:
+    """Write the estimate that differs from a mean, such as ``estimate 1.23``."""
     return mean_with_interval(mean, factor).partition("(")[2].partition(",")[0]
 
 
-def _spark(group: Group) -> Markup | None:
+def _group_sparkline(group: Group) -> Markup | None:
     band = group.band
     if len(band.displacement) and band.n > 1:
-        return sparkline([_thinned(band.displacement, band.mean)])
+        return sparkline([_spark_points(band.displacement, band.mean)])
     first = next(
-        (own for sample in group.samples if (own := first_loading(sample)) is not None), None
+        (curve for sample in group.samples if (curve := first_loading(sample)) is not None), None
     )
-    return None if first is None else sparkline([_thinned(first.displacement, first.force)])
+    return None if first is None else sparkline([_spark_points(first.displacement, first.force)])
 
 
-def _thinned(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    kept = bends(x, y, points=_SPARK_POINTS, tolerance=0.01)
-    return np.asarray(x[kept]), np.asarray(y[kept])
+def _spark_points(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    spark_points = 24
+    rows = simplify_line(x, y, points=spark_points, tolerance=0.01)
+    return np.asarray(x[rows]), np.asarray(y[rows])
 
 
 @dataclass(frozen=True, slots=True)
 class OpenDecision:
-    """A cause that somebody has to decide on.
+    """A cause that requires a decision.
 
     Parameters
     ----------
     line : the cause, with its sentence and effect
-    tests : it touches that are not decided yet
+    tests : affected and not yet decided
     """
 
     line: Line
     tests: tuple[PageTest, ...]
 
 
-def to_decide(causes: Sequence[Cause], tests: PageTests) -> list[OpenDecision]:
-    """List the causes that are for a person to decide: doubtful, failed, marked as outliers.
+def open_decisions(causes: Sequence[Cause], tests: PageTests) -> list[OpenDecision]:
+    """List the causes that require a decision: doubtful, failed, marked as outliers.
 
     Parameters
     ----------
     causes : ranked
-    tests : those of them that somebody decided on are left out
+    tests : decided ones are left out
     """
-    found = []
+    decisions = []
     for cause in causes:
-        if cause.kind in _TO_DECIDE:
-            own = tuple(dict.fromkeys(_undecided(cause, tests)))
-            if own:
+        if cause.kind in _KINDS_TO_DECIDE:
+            undecided = tuple(dict.fromkeys(_undecided(cause, tests)))
+            if undecided:
                 (line,) = cause_lines([cause])
-                found.append(OpenDecision(line, own))
-    return found
+                decisions.append(OpenDecision(line, undecided))
+    return decisions
 
 
 def _undecided(cause: Cause, tests: PageTests) -> Iterator[PageTest]:
@@ -269,7 +275,7 @@ def _undecided(cause: Cause, tests: PageTests) -> Iterator[PageTest]:
 
 
 def count_words(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> str:
-    """Count what is on the page, such as ``24 tests · 1 rejected · 2 to decide``."""
+    """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
     tests = len(samples_of(campaign))
     undecided = len({test.number for open_one in open_ones for test in open_one.tests})
     parts = [
@@ -283,7 +289,7 @@ def count_words(campaign: Campaign, open_ones: Sequence[OpenDecision]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Folds:
-    """How many lines of each part the first screen holds; the rest is folded.
+    """Numbers of lines of each part on the first screen; further lines are folded.
 
     Parameters
     ----------
@@ -296,14 +302,19 @@ class Folds:
 
 
 def fold(answered: int, blocks: Sequence[KeyBlock], decisions: int) -> Folds:
-    """Find how many lines of each part go on the first screen.
+    """Return the numbers of lines of each part that fit on the first screen.
 
     Parameters
     ----------
-    answered, decisions : lines that there are
+    answered, decisions : available lines
     blocks : of groups
     """
-    shown, open_ones = min(answered, _MOST_ANSWERS), min(decisions, _MOST_DECISIONS)
-    other_lines = 1 + len(blocks) + (answered > shown) + (decisions > 0) + (decisions > open_ones)
-    room = _ROOM - _ROW * (shown + other_lines) - _ROW_OF_DECISION * open_ones
-    return Folds(shown, max(room // _ROW_OF_GROUP, 3), open_ones)
+    max_answers, max_decisions = 8, 4
+    # pixels, of a screen of 900
+    screen_height, row_height, group_height, decision_height = 690, 24, 21, 54
+    answer_lines, open_ones = min(answered, max_answers), min(decisions, max_decisions)
+    other_lines = (
+        1 + len(blocks) + (answered > answer_lines) + (decisions > 0) + (decisions > open_ones)
+    )
+    room = screen_height - row_height * (answer_lines + other_lines) - decision_height * open_ones
+    return Folds(answer_lines, max(room // group_height, 3), open_ones)

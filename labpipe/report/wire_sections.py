@@ -1,4 +1,4 @@
-"""Wires as figures show them: units, names, looks, and their cross-sections."""
+"""Wires in figures: units, names, styles and cross-sections."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from labpipe.report.figure_page import (
     PageTexts,
     area_key,
     keyed_page,
+    label_log_axis,
     line_key,
-    number_log,
     panel_grid,
     require_room,
     style_colours,
@@ -39,26 +39,25 @@ STIFFNESS = Scale(1e6, "N·mm²")
 _LARGE_STIFFNESS = Scale(1.0, "N·m²")
 FORCE = Scale(1.0, "N")
 
-MOST_WIRES = 12
-"""Wires on one page: more could not be told apart."""
-
-_LONGEST_NAME = 24
+MAX_WIRES = 12
+"""Wires on one page: more could not be distinguished."""
 
 
 def stiffness_scale(tables: Sequence[WireTable]) -> Scale:
-    """Unit for the stiffnesses of a page: N·mm², or N·m² where a wire has 1 N·m² or more."""
+    """Return the unit for the stiffnesses of a page: N·mm², or N·m² from 1 N·m²."""
     largest = max(table.stick_stiffness for table in tables)
     return STIFFNESS if largest < 1.0 else _LARGE_STIFFNESS
 
 
 def short_name(table: WireTable) -> str:
-    """Name of a wire, cut where it is too long for a line that holds more than it."""
+    """Shorten the name of a wire for a line with other texts."""
+    max_name_length = 24
     name = " ".join(table.name.split())
-    return name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 1] + "…"
+    return name if len(name) <= max_name_length else name[: max_name_length - 1] + "…"
 
 
 def strand_words(table: WireTable) -> str:
-    """Strands in words, such as ``19 × 0.24 mm``; of different ones, layer by layer.
+    """Describe strands, such as ``19 × 0.24 mm``; different ones layer by layer.
 
     Examples
     --------
@@ -75,7 +74,7 @@ def strand_words(table: WireTable) -> str:
 
 
 def wire_title(table: WireTable) -> str:
-    """Name, strands, layout and diameter of a wire in one line."""
+    """Write name, strands, layout and diameter of a wire in one line."""
     diameter = 2.0 * LENGTH.factor * table.layout.wire_radius
     return (
         f"{short_name(table)}  ·  wire model  ·  {strand_words(table)}, {table.layout.kind}"
@@ -84,19 +83,18 @@ def wire_title(table: WireTable) -> str:
 
 
 def warnings_of(table: WireTable) -> str:
-    """Sentences of the notes that are more than information, one after the other."""
-    told = [note.message for note in table.notes if note.severity is not Severity.INFO]
-    return " ".join(f"{note[0].upper()}{note[1:].rstrip('.')}." for note in told)
+    """Join the warnings and errors of the notes as sentences."""
+    messages = [note.message for note in table.notes if note.severity is not Severity.INFO]
+    return " ".join(f"{note[0].upper()}{note[1:].rstrip('.')}." for note in messages)
 
 
-def bent(table: WireTable) -> Flags:
-    """Tell which points of a table have a place on a logarithmic axis: all but zero curvature."""
-    found: Flags = np.asarray(table.curvature > 0.0)
-    return found
+def is_bent(table: WireTable) -> Flags:
+    """Return which points of a table have a positive curvature, for a logarithmic axis."""
+    return np.asarray(table.curvature > 0.0)
 
 
-def set_log(axes: Axes, across: Floats) -> None:
-    """Draw against curvature on two logarithmic axes with plain numbers.
+def set_log_axes(axes: Axes, across: Floats) -> None:
+    """Set two logarithmic axes with plain numbers, against curvature.
 
     Parameters
     ----------
@@ -108,16 +106,11 @@ def set_log(axes: Axes, across: Floats) -> None:
     axes.set_xlim(across[0], across[-1])
     axes.set_xlabel(CURVATURE.label("Curvature"))
     for axis in (axes.xaxis, axes.yaxis):
-        number_log(axis)
+        label_log_axis(axis)
 
 
-_COLUMNS = 4
-_CELL_MM = 45.0
-_TEXT_MM = 19.0
-_ALIKE = 2.5
-"""Largest wire over smallest up to which all of a page are drawn to one scale."""
-_MARGIN = 1.06
-_BAR_SHARE = 0.5
+_MAX_SIZE_RATIO = 2.5
+"""Largest over smallest wire of a page up to which all are drawn to the same scale."""
 _INSULATION: dict[str, Any] = {"facecolor": "#dedede", "edgecolor": GREY, "linewidth": 0.6}
 _BORE: dict[str, Any] = {
     "fill": False, "edgecolor": "black", "linewidth": 0.6, "linestyle": (0, (4, 2))
@@ -126,7 +119,7 @@ _AXIS: dict[str, Any] = {"color": "black", "linewidth": 0.5, "linestyle": (0, (8
 
 
 def section_figure(tables: Sequence[WireTable]) -> Figure:
-    """Draw the sections of several wires beside each other.
+    """Draw the sections of several wires side by side.
 
     Parameters
     ----------
@@ -134,23 +127,28 @@ def section_figure(tables: Sequence[WireTable]) -> Figure:
 
     Returns
     -------
-    A page with a panel for each wire: all to one scale where the largest wire is at most 2.5 times
-    the smallest, else each to its own; each with a bar for the scale, its strands and its two
-    limits of stiffness. The neutral axis lies as the model bends the wire.
+    A page with a panel per wire: all to the same scale if the largest wire is at most 2.5 times
+    the smallest, else each to its own; each with a scale bar, its strands and its two limits of
+    stiffness. The neutral axis is that of the model.
 
     Raises
     ------
     ValueError
         If there is no wire, or there are more than fit on a page.
     """
-    require_room(len(tables), MOST_WIRES, "wires")
-    columns = min(_COLUMNS, len(tables))
+    sections_per_row = 4
+    cell_mm = 45.0
+    text_mm = 19.0
+    require_room(len(tables), MAX_WIRES, "wires")
+    columns = min(sections_per_row, len(tables))
     rows = math.ceil(len(tables) / columns)
     width = DOUBLE_COLUMN if columns > 2 else DOUBLE_COLUMN * 2 / 3
-    page = keyed_page(_words(tables), height_mm=rows * (_CELL_MM + _TEXT_MM) + 8.0, width_mm=width)
+    page = keyed_page(
+        _page_texts(tables), height_mm=rows * (cell_mm + text_mm) + 8.0, width_mm=width
+    )
     panels = panel_grid(page, len(tables), columns=columns)
     unit = stiffness_scale(tables)
-    for table, axes, reach in zip(tables, panels, _reaches(tables), strict=True):
+    for table, axes, reach in zip(tables, panels, _panel_reaches(tables), strict=True):
         plot_section(table, axes, reach=reach, unit=unit)
     return page
 
@@ -158,49 +156,49 @@ def section_figure(tables: Sequence[WireTable]) -> Figure:
 def plot_section(
     table: WireTable, axes: Axes, *, reach: float | None = None, unit: Scale | None = None
 ) -> None:
-    """Draw one section, with a bar for the scale below it and its name and numbers above.
+    """Draw one section, with a scale bar below it and its name and numbers above.
 
     Parameters
     ----------
     table : of the wire
     axes : to draw on
     reach : m, from the wire's axis to the edge of the panel; None to fit the wire
-    unit : of the stiffnesses; None to suit the wire
+    unit : of the stiffnesses; None to fit the wire
     """
     layout = table.layout
-    edge = LENGTH.factor * _MARGIN * (reach or layout.wire_radius)
-    for patch in [*_surroundings(layout), *strand_patches(layout, table.spec.orientation)]:
+    edge = LENGTH.factor * 1.06 * (reach or layout.wire_radius)
+    for patch in [*_wall_patches(layout), *strand_patches(layout, table.spec.orientation)]:
         axes.add_patch(patch)
     if layout.kind == "compressed":
-        x, y = _turned(layout, table.spec.orientation)
+        x, y = _rotated_centres(layout, table.spec.orientation)
         axes.plot(x, y, ".", color="black", markersize=2.0)
     axes.plot([-edge, edge], [0.0, 0.0], **_AXIS)
-    axes.set_aspect("equal", anchor="S")  # room that is left over goes between key and titles
+    axes.set_aspect("equal", anchor="S")  # free room is between key and titles
     axes.set_xlim(-edge, edge)
     axes.set_ylim(-1.22 * edge, edge)
     axes.set_axis_off()
-    axes.set_title(_about(table, unit or stiffness_scale([table])), linespacing=1.25)
+    axes.set_title(_section_title(table, unit or stiffness_scale([table])), linespacing=1.25)
     _draw_bar(axes, edge)
 
 
 def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
-    """Outlines of the strands in mm, the neutral axis being the x axis.
+    """Return the outlines of the strands in mm, with the neutral axis as x axis.
 
     Parameters
     ----------
-    layout : where they lie
-    orientation : rad, by which the section is turned
+    layout : of the strands
+    orientation : rad, rotation of the section
 
     Returns
     -------
-    One patch for each strand: circles; of compressed strands, sectors of rings of the strands'
-    areas, which fill the circle inside them.
+    A circle per strand; for compressed strands, sectors of rings with the areas of the strands,
+    without gaps.
     """
     from matplotlib.patches import Circle, Wedge
 
     colours = style_colours()
-    looks = [{"facecolor": colours[each % len(colours)], **_OUTLINE} for each in layout.layer]
-    x, y = _turned(layout, orientation)
+    looks = [{"facecolor": colours[layer % len(colours)], **_OUTLINE} for layer in layout.layer]
+    x, y = _rotated_centres(layout, orientation)
     if layout.kind != "compressed":
         radii = LENGTH.factor * layout.diameter / 2.0
         return [
@@ -221,8 +219,8 @@ def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
 _OUTLINE: dict[str, Any] = {"edgecolor": "black", "linewidth": 0.4}
 
 
-def _turned(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
-    """Centres in mm, turned so that the neutral axis is the x axis."""
+def _rotated_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
+    """Return centres in mm, rotated so that the neutral axis is the x axis."""
     cosine, sine = math.cos(orientation), math.sin(orientation)
     x = LENGTH.factor * (cosine * layout.x - sine * layout.y)
     y = LENGTH.factor * (sine * layout.x + cosine * layout.y)
@@ -230,12 +228,12 @@ def _turned(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
 
 
 def _ring_edges(layout: WireLayout) -> Floats:
-    """Radii in mm between rings that hold the area of their strands without gaps, from 0 on."""
+    """Return the radii of rings with the areas of their strands without gaps, mm, from 0."""
     areas = np.bincount(layout.layer, weights=layout.diameter**2)
     return np.asarray(LENGTH.factor * np.sqrt(np.concatenate([[0.0], np.cumsum(areas)])) / 2.0)
 
 
-def _surroundings(layout: WireLayout) -> list[Patch]:
+def _wall_patches(layout: WireLayout) -> list[Patch]:
     from matplotlib.patches import Annulus, Circle
 
     outer, bore = LENGTH.factor * layout.wire_radius, LENGTH.factor * layout.bore_radius
@@ -243,7 +241,7 @@ def _surroundings(layout: WireLayout) -> list[Patch]:
     return [wall, Circle((0.0, 0.0), bore, **_BORE)]
 
 
-def _about(table: WireTable, unit: Scale) -> str:
+def _section_title(table: WireTable, unit: Scale) -> str:
     diameter = 2.0 * LENGTH.factor * table.layout.wire_radius
     stick, slip = (
         write_number(value, None, unit.factor, digits=3).value
@@ -257,36 +255,37 @@ def _about(table: WireTable, unit: Scale) -> str:
 
 
 def _draw_bar(axes: Axes, edge: float) -> None:
-    """A bar of a round length near half the panel's half width, with the length beside it."""
-    power = 10.0 ** math.floor(math.log10(_BAR_SHARE * 2.0 * edge))
+    """Draw a scale bar of a round length, with the length beside it."""
+    bar_share = 0.5
+    power = 10.0 ** math.floor(math.log10(bar_share * 2.0 * edge))
     length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= edge)
     level = -1.1 * edge
     axes.plot([-edge, length - edge], [level, level], color="black", solid_capstyle="butt")
     axes.text(length - edge + 0.05 * edge, level, f"{length:g} {LENGTH.unit}", va="center")
 
 
-def _reaches(tables: Sequence[WireTable]) -> list[float]:
-    """Half widths of the panels: one for all where the wires are of like size."""
+def _panel_reaches(tables: Sequence[WireTable]) -> list[float]:
+    """Return the half widths of the panels: one for all if the wires have similar sizes."""
     radii = [table.layout.wire_radius for table in tables]
     return [max(radii)] * len(radii) if _is_one_scale(tables) else radii
 
 
 def _is_one_scale(tables: Sequence[WireTable]) -> bool:
     radii = [table.layout.wire_radius for table in tables]
-    return max(radii) <= _ALIKE * min(radii)
+    return max(radii) <= _MAX_SIZE_RATIO * min(radii)
 
 
-def _words(tables: Sequence[WireTable]) -> PageTexts:
+def _page_texts(tables: Sequence[WireTable]) -> PageTexts:
     scale = ""
     if len(tables) > 1:
-        scale = ", all to one scale" if _is_one_scale(tables) else ", each to its own scale"
+        scale = ", all to the same scale" if _is_one_scale(tables) else ", each to its own scale"
     note = ""
     if any(table.layout.kind == "compressed" for table in tables):
         note = (
-            "Compressed strands: sectors of rings with the area of each strand, without gaps; dots"
-            " are the centroids that the model works with."
+            "Compressed strands: sectors of rings with the area of each strand, without gaps; dots:"
+            " centroids used by the model."
         )
-    return PageTexts(f"Cross-sections as the wire model has them{scale}", note, _keys(tables))
+    return PageTexts(f"Cross-sections of the wire model{scale}", note, _keys(tables))
 
 
 def _keys(tables: Sequence[WireTable]) -> list[Artist]:

@@ -1,4 +1,4 @@
-"""How reports write: names in words, units, numbers with the digits that mean something, labels."""
+"""Texts of reports: labels of results, units, numbers with significant digits."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
 
 
 class Scale(NamedTuple):
-    """How a quantity is shown: multiply SI numbers by `factor`, and write `unit`."""
+    """Display unit of a quantity: SI numbers are multiplied by `factor`."""
 
     factor: float
     unit: str
 
     def label(self, quantity: str) -> str:
-        """Word an axis label, such as ``Displacement (mm)``."""
+        """Return the label of an axis, such as ``Displacement (mm)``."""
         return f"{quantity} ({self.unit})"
 
 
 def scale(result: TestResult, quantity: str, si_unit: str) -> Scale:
-    """Find the display unit of a quantity; SI where the protocol names none.
+    """Return the display unit of a quantity; SI if the protocol gives none.
 
     Parameters
     ----------
-    result : holds the display units
+    result : with the display units
     quantity : ``displacement``, ``force``, ``time`` ...
     si_unit : its SI unit
 
@@ -47,14 +47,14 @@ def scale(result: TestResult, quantity: str, si_unit: str) -> Scale:
 
 
 def title(result: TestResult) -> str:
-    """Test, specimen and protocol in one line."""
+    """Write test, specimen and protocol in one line."""
     specimen = result.specimen
     what = f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
     return f"{result.test}  ·  {what}  ·  {result.protocol}"
 
 
 def footnote(result: TestResult) -> str:
-    """How many results are doubtful or failed; empty when all are fine."""
+    """Count doubtful and failed results; empty if there are none."""
     counts = {
         status: sum(entry.status is status for entry in result.results)
         for status in (Status.DOUBTFUL, Status.FAILED)
@@ -63,30 +63,28 @@ def footnote(result: TestResult) -> str:
     return f"Of {len(result.results)} results: {', '.join(parts)}." if parts else ""
 
 
-_NOT_SHOWN = re.compile(
+_UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
 )
 
 
 def printable(text: str) -> str:
-    """Show what no page, workbook or drawing can hold as U+FFFD: control characters and the like.
-
-    What turns the direction of the words behind it counts, too.
+    """Replace control characters, surrogates and marks of text direction by U+FFFD.
 
     Parameters
     ----------
-    text : any; tabs and ends of lines stay
+    text : any; tabs and line ends are kept
     """
-    return _NOT_SHOWN.sub("\ufffd", text)
+    return _UNPRINTABLE.sub("\ufffd", text)
 
 
 def shortened(word: str, most: int) -> str:
-    """Take the middle out of a name that is too long for its place in a figure.
+    """Shorten a long name in its middle.
 
     Parameters
     ----------
     word : any text
-    most : characters that there is room for, 3 at least
+    most : characters, at least 3
 
     Examples
     --------
@@ -100,17 +98,17 @@ def shortened(word: str, most: int) -> str:
 
 
 def count_of(number: int, noun: str) -> str:
-    """A number of things, such as ``1 sample`` or ``3 samples``."""
+    """Write a count, such as ``1 sample`` or ``3 samples``."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def why_missing(result: TestResult, what: str) -> str:
-    """Say that a stage of the test is not there, with the first error that the test notes."""
+    """Explain a missing stage of a test with its first error."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
     return " ".join([f"There is no {what} to draw.", *list(errors)[:1]])
 
 
-_WORDS: Mapping[str, str] = {
+_RESULT_LABELS: Mapping[str, str] = {
     **{output.name: output.label for kind in KINDS for output in kind.outputs if output.label},
     "bending_stiffness": "Bending stiffness",
     "stiffness": "Stiffness",
@@ -119,7 +117,7 @@ _WORDS: Mapping[str, str] = {
     "modulus_thin_wall": "Modulus, thin wall",
     "modulus_annulus": "Modulus, annulus",
 }
-"""Names of results in words: as the kinds of results have them, and names that protocols choose."""
+"""Labels of results: of the kinds of results, and of names in the shipped protocols."""
 _QUANTITIES = {
     "m": "displacement",
     "N": "force",
@@ -132,22 +130,21 @@ _QUANTITIES = {
     "N*m^2": "bending_stiffness",
     "rad": "angle",
 }
-"""The quantity whose display unit a result of this SI unit takes."""
+"""Quantity of the display unit by SI unit."""
 _PER_PEAK = "_per_peak_force"
 _AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
-"""What the shipped protocols call a stiffness at a curvature."""
-_ONE_BY_ONE = ("slip_position", "slip_drop")
-_DIGITS_ALONE = 4
-_DIGITS_OF_INTERVAL = 2
-_PLAIN = (1e-3, 1e6)
-"""Sizes between which a number is written without a power of ten."""
+"""Name of a stiffness at a curvature in the shipped protocols."""
+_SLIP_RESULTS = ("slip_position", "slip_drop")
+_DEFAULT_DIGITS = 4
+_PLAIN_RANGE = (1e-3, 1e6)
+"""Sizes of numbers that are written without a power of ten."""
 SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
 
 
-def in_words(name: str) -> str:
-    """Word the name of a result for a person.
+def result_label(name: str) -> str:
+    """Return the label of a result.
 
     Parameters
     ----------
@@ -155,7 +152,7 @@ def in_words(name: str) -> str:
 
     Returns
     -------
-    Words; for a name that is not known here, its own words.
+    The label; of an unknown name, its own words.
 
     Examples
     --------
@@ -170,27 +167,27 @@ def in_words(name: str) -> str:
     """
     stem, _, part = name.partition(".")
     if stem.endswith(_PER_PEAK):
-        words = f"{in_words(stem.removesuffix(_PER_PEAK))}, per peak force"
+        name_text = f"{result_label(stem.removesuffix(_PER_PEAK))}, per peak force"
     elif at := _AT_CURVATURE.fullmatch(stem):
-        words = f"{in_words(at[1])} at {at[2]} 1/m"
+        name_text = f"{result_label(at[1])} at {at[2]} 1/m"
     else:
-        words = _WORDS.get(stem) or stem.replace("_", " ").capitalize()
+        name_text = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
     if not part:
-        return words
-    return f"{words} {part}" if stem in _ONE_BY_ONE else f"{words}, cycle {part}"
+        return name_text
+    return f"{name_text} {part}" if stem in _SLIP_RESULTS else f"{name_text}, cycle {part}"
 
 
 _NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
-_OPEN_ENDED = ("stiffness_", "modulus_")
-"""Names that a protocol goes on with as it likes."""
+_FREE_PREFIXES = ("stiffness_", "modulus_")
+"""Beginnings of names that a protocol continues freely."""
 
 
-def with_names_in_words(sentence: str) -> str:
-    """Word the names of results that stand in a sentence.
+def replace_names(sentence: str) -> str:
+    """Replace the names of results in a sentence by their labels.
 
     Parameters
     ----------
-    sentence : names of files and keys of a protocol in it stay as they are
+    sentence : names of files and keys of a protocol are kept
 
     Examples
     --------
@@ -198,23 +195,23 @@ def with_names_in_words(sentence: str) -> str:
     'no modulus, as stiffness, second region failed'
     """
 
-    def word(found: re.Match[str]) -> str:
-        stem = found[0].partition(".")[0].removesuffix(_PER_PEAK)
-        if stem not in _WORDS and not stem.startswith(_OPEN_ENDED):
-            return found[0]
-        words = in_words(found[0])
-        return words if found.start() == 0 else words[0].lower() + words[1:]
+    def word(match: re.Match[str]) -> str:
+        stem = match[0].partition(".")[0].removesuffix(_PER_PEAK)
+        if stem not in _RESULT_LABELS and not stem.startswith(_FREE_PREFIXES):
+            return match[0]
+        text = result_label(match[0])
+        return text if match.start() == 0 else text[0].lower() + text[1:]
 
     return _NAME.sub(word, sentence)
 
 
 def is_main(name: str) -> bool:
-    """Tell numbers of the specimen from those of a single slip or of the clocks."""
+    """Return whether a number is of the specimen, not of a slip or of the clocks."""
     return not name.startswith(("slip_", "clock_"))
 
 
 def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:
-    """Find factor and unit that a result is shown in.
+    """Return the display unit of a result.
 
     Parameters
     ----------
@@ -223,7 +220,7 @@ def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:
 
     Returns
     -------
-    Factor from SI to the display unit, and its name; SI where no display unit is known.
+    Factor from SI to the display unit, and its name; SI without a display unit.
     """
     if name == "clock_drift":
         return Scale(1e6, "ppm")
@@ -232,12 +229,12 @@ def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:
 
 
 def display_of(group: Group) -> Mapping[str, str]:
-    """Display units of a group: those of its first sample, as all share a protocol."""
+    """Return the display units of a group: those of its first sample, as all share a protocol."""
     return group.samples[0].display if group.samples else {}
 
 
 def unit_words(unit: str) -> str:
-    """Write a unit for people: ``N*mm^2`` as N·mm², and nothing for a pure number.
+    """Typeset a unit: ``N*mm^2`` as N·mm², empty for a pure number.
 
     Examples
     --------
@@ -248,23 +245,20 @@ def unit_words(unit: str) -> str:
     >>> unit_words("1")
     ''
     """
-    raised = re.sub(r"\^(-?\d+)", lambda found: found[1].translate(SUPERSCRIPTS), unit)
+    raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(SUPERSCRIPTS), unit)
     raised = re.sub(r"\bu(?=[a-zA-Z])", "\u00b5", raised)
     return "" if unit == "1" else raised.replace("*", "·")
 
 
 def heading(name: str, unit: str) -> str:
-    """Name of a result in words with its unit in brackets, for a column or an axis."""
-    words = unit_words(unit)
-    return f"{in_words(name)} ({words})" if words else in_words(name)
+    """Write the label of a result with its unit in brackets, for a column or an axis."""
+    unit_text = unit_words(unit)
+    return f"{result_label(name)} ({unit_text})" if unit_text else result_label(name)
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A number as text, with the ends of its interval; both empty where it has none.
-
-    The estimate is empty unless it stands apart from the value.
-    """
+    """A number as text, with the ends of its interval, if any, and an estimate that differs."""
 
     value: str
     lower: str = ""
@@ -273,7 +267,7 @@ class Written:
 
     @property
     def interval(self) -> str:
-        """The interval in words, such as ``46.3 to 58.3``; empty where there is none."""
+        """Interval as text, such as ``46.3 to 58.3``; may be empty."""
         about = f"estimate {self.estimate}, " if self.estimate else ""
         return f"{about}{self.lower} to {self.upper}" if self.lower else ""
 
@@ -288,22 +282,22 @@ def write_number(
     interval: Interval | None,
     factor: float = 1.0,
     *,
-    digits: int = _DIGITS_ALONE,
+    digits: int = _DEFAULT_DIGITS,
     apart: float | None = None,
 ) -> Written:
     """Write a number with as many digits as its interval supports.
 
     Parameters
     ----------
-    value, interval : in SI; a value that is not finite is written as a dash
+    value, interval : in SI; a value that is not finite is a dash
     factor : from SI to the display unit
     digits : significant digits of a number without an interval
-    apart : estimate that stands apart from the value, in SI; None where the value says it all
+    apart : estimate that differs from the value, in SI, if any
 
     Returns
     -------
-    With an interval, all numbers to the second significant digit of half its width
-    (the convention of the GUM, 7.2.6); without one, `digits` significant digits.
+    With an interval, all numbers to the second significant digit of half its width (GUM, 7.2.6);
+    without one, `digits` significant digits.
 
     Examples
     --------
@@ -317,9 +311,9 @@ def write_number(
 
 
 def place_of(
-    value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DIGITS_ALONE
+    value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> int:
-    """Find the power of ten of the last digit that an interval supports; of `digits` without one.
+    """Return the power of ten of the last digit of a number with an interval, or of `digits`.
 
     Parameters
     ----------
@@ -332,17 +326,17 @@ def place_of(
     >>> place_of(0.052284, Interval(0.046271, 0.058296), 1e3)
     -1
     """
-    shown = [factor * number for number in (value, *_ends(interval))]
-    half = (max(shown[1:]) - min(shown[1:])) / 2.0 if shown[1:] else 0.0
-    if not all(map(math.isfinite, shown)) or not half > 0.0:
-        return _last_place(max(map(abs, filter(math.isfinite, shown)), default=0.0), digits)
-    return _last_place(half, _DIGITS_OF_INTERVAL)
+    numbers = [factor * number for number in (value, *_ends(interval))]
+    half = (max(numbers[1:]) - min(numbers[1:])) / 2.0 if numbers[1:] else 0.0
+    if not all(map(math.isfinite, numbers)) or not half > 0.0:
+        return _last_place(max(map(abs, filter(math.isfinite, numbers)), default=0.0), digits)
+    return _last_place(half, 2)
 
 
 def plain_numbers(
-    value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DIGITS_ALONE
+    value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
 ) -> Callable[[float], str]:
-    """Make what writes a number and the ends of its interval alike, never as a power of ten.
+    """Return a function that writes a number and its interval to the same digit.
 
     Parameters
     ----------
@@ -363,14 +357,14 @@ def _ends(interval: Interval | None) -> tuple[float, ...]:
 
 
 def _written(numbers: Sequence[float], factor: float, place: int) -> Written:
-    """Value, ends and estimate, as many as there are, with a dash for what is not finite."""
+    """Write value, ends and estimate, with a dash for a value that is not finite."""
     if not math.isfinite(numbers[0]):
         return Written("\u2013")
-    return Written(*_alike([factor * number for number in numbers], place))
+    return Written(*_round_together([factor * number for number in numbers], place))
 
 
 def _last_place(size: float, digits: int) -> int:
-    """Power of ten of the last of so many significant digits."""
+    """Return the power of ten of the last significant digit."""
     if size == 0.0 or not math.isfinite(size):
         return -digits
     # rounded first: 9.96 to two digits is 10, not 10.0
@@ -378,11 +372,11 @@ def _last_place(size: float, digits: int) -> int:
     return exponent - digits + 1
 
 
-def _alike(numbers: Iterable[float], place: int) -> list[str]:
-    """Round numbers to one place, and give them one power of ten if they are far from one."""
+def _round_together(numbers: Iterable[float], place: int) -> list[str]:
+    """Round numbers to one place, with a common power of ten if they are far from one."""
     several = list(numbers)
     largest = max(map(abs, several))
-    if _PLAIN[0] <= largest < _PLAIN[1] or largest == 0.0 or not math.isfinite(largest):
+    if _PLAIN_RANGE[0] <= largest < _PLAIN_RANGE[1] or largest == 0.0 or not math.isfinite(largest):
         return [rounded(number, place) for number in several]
     power = math.floor(math.log10(largest))
     tail = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"

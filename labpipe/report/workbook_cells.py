@@ -1,4 +1,4 @@
-"""Cells of a workbook: numbers that keep all digits and show those that mean something; names."""
+"""Cells of a workbook: numbers with all digits that display the significant ones."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import NamedTuple, TypeAlias
 from labpipe.records.curve import Interval
 from labpipe.report.wording import place_of
 
-"""Excel's own sheet of tracked changes, in any case of letters."""
-_DIGITS, _DIGITS_OF_SMALL = 5, 3
-"""Digits of the largest number of a column, and of one that would have few of these."""
-_PLAIN, _FINEST = 1e7, -6
-"""Size from which, and last place beyond which, a number is seen with a power of ten."""
+_COLUMN_DIGITS = 5
+"""Digits of the largest number of a column."""
+_MIN_DIGITS = 3
+"""Digits of a small number that would have fewer in its column."""
 
 
-class Shown(NamedTuple):
-    """A number as a cell holds it, with all its digits, and the form in which it is seen.
+class NumberCell(NamedTuple):
+    """A number with all digits, and its number format.
 
     Parameters
     ----------
@@ -30,12 +29,14 @@ class Shown(NamedTuple):
     form: str
 
 
-Value: TypeAlias = str | float | Shown | None
+Value: TypeAlias = str | float | NumberCell | None
 Row: TypeAlias = Sequence[Value]
 
 
-def shown(value: float | None, interval: Interval | None, factor: float = 1.0) -> Shown | None:
-    """Show a number to the second digit of half its interval; the cell has all of it.
+def number_cell(
+    value: float | None, interval: Interval | None, factor: float = 1.0
+) -> NumberCell | None:
+    """Return a cell that displays a number to the second digit of half its interval.
 
     Parameters
     ----------
@@ -44,17 +45,19 @@ def shown(value: float | None, interval: Interval | None, factor: float = 1.0) -
 
     Returns
     -------
-    None where there is no number.
+    None without a number.
     """
     if value is None or not math.isfinite(value):
         return None
-    return Shown(factor * value, number_form(factor * value, place_of(value, interval, factor)))
+    return NumberCell(
+        factor * value, number_format(factor * value, place_of(value, interval, factor))
+    )
 
 
-def shown_with_ends(
+def interval_cells(
     value: float | None, interval: Interval | None, factor: float = 1.0
-) -> tuple[Shown | None, Shown | None, Shown | None]:
-    """Show a number and the ends of its interval to the same digit.
+) -> tuple[NumberCell | None, NumberCell | None, NumberCell | None]:
+    """Return cells that display a number and the ends of its interval to the same digit.
 
     Parameters
     ----------
@@ -63,24 +66,24 @@ def shown_with_ends(
 
     Returns
     -------
-    Value, lower, upper; None where there is no such number.
+    Value, lower, upper; None for missing ones.
     """
     if interval is None:
-        return shown(value, None, factor), None, None
+        return number_cell(value, None, factor), None, None
     lower, upper = sorted((factor * interval.lower, factor * interval.upper))
     about = interval.lower if value is None else value
     place = place_of(about, interval, factor)
-    low, high = (Shown(each, number_form(each, place)) for each in (lower, upper))
-    return shown(value, interval, factor), low, high
+    low, high = (NumberCell(end, number_format(end, place)) for end in (lower, upper))
+    return number_cell(value, interval, factor), low, high
 
 
-def percent(share: float | None) -> Shown | None:
-    """A share as per cent, such as 38.2% for 0.382."""
-    return None if share is None or not math.isfinite(share) else Shown(share, "0.0%")
+def percent_cell(share: float | None) -> NumberCell | None:
+    """Return the cell of a share in per cent, such as 38.2% for 0.382."""
+    return None if share is None or not math.isfinite(share) else NumberCell(share, "0.0%")
 
 
-def number_form(value: float, place: int) -> str:
-    """Make the number format in which a number is seen down to a power of ten.
+def number_format(value: float, place: int) -> str:
+    """Return the number format that displays a number down to a power of ten.
 
     Parameters
     ----------
@@ -96,7 +99,8 @@ def number_form(value: float, place: int) -> str:
     >>> number_form(3.1e-7, -8)
     '0.0E+00'
     """
-    if value and (abs(value) >= _PLAIN or place < _FINEST):
+    plain_below, last_plain_place = 1e7, -6  # beyond these, with a power of ten
+    if value and (abs(value) >= plain_below or place < last_plain_place):
         behind = math.floor(math.log10(abs(value))) - place
         return _decimals(behind) + "E+00"
     return _decimals(-place)
@@ -107,29 +111,29 @@ def _decimals(count: int) -> str:
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
-def begin_of(text: str, most: int) -> str:
-    """Take as much of a text as there is room for, as Excel counts: in units of UTF-16."""
+def truncate_text(text: str, most: int) -> str:
+    """Truncate a text to a number of UTF-16 units, as Excel counts."""
     return text.encode("utf-16-le")[: 2 * most].decode("utf-16-le", "ignore")
 
 
 def column_place(column: Sequence[Value]) -> int | None:
-    """Place of the last digit of the plain numbers of a column; None if all are whole."""
+    """Return the place of the last digit of the plain numbers of a column; None for integers."""
     plain = [abs(v) for v in column if isinstance(v, float) and math.isfinite(v)]
     if not any(plain):
         return None
-    return place_of(max(plain), None, digits=_DIGITS)
+    return place_of(max(plain), None, digits=_COLUMN_DIGITS)
 
 
-def form_in_column(value: float, place: int | None) -> str:
-    """Form of a plain number: as its column has it, unless it is too small to be seen so."""
+def format_in_column(value: float, place: int | None) -> str:
+    """Return the format of a plain number: that of its column, or its own if it is too small."""
     if isinstance(value, int) or place is None:
         return "0"
-    is_small = 0.0 < abs(value) < _smallest(place)
-    own = place_of(value, None, digits=_DIGITS_OF_SMALL) if is_small else place
-    return number_form(value, own)
+    is_small = 0.0 < abs(value) < _smallest_plain(place)
+    last_place = place_of(value, None, digits=_MIN_DIGITS) if is_small else place
+    return number_format(value, last_place)
 
 
 @cache
-def _smallest(place: int) -> float:
-    """Number that has as few digits down to a power of ten as a small one may."""
-    return float(10.0 ** (place + _DIGITS_OF_SMALL - 1))
+def _smallest_plain(place: int) -> float:
+    """Return the smallest number with enough digits down to a power of ten."""
+    return float(10.0 ** (place + _MIN_DIGITS - 1))

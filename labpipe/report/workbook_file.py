@@ -1,4 +1,4 @@
-"""Tables as the sheets of a workbook: filters, heads that stay in view, digits, charts, print."""
+"""Sheets of a workbook: tables with filters, frozen heads, digits, charts, print layout."""
 
 from __future__ import annotations
 
@@ -15,34 +15,26 @@ from typing import Any, Literal, NamedTuple
 from labpipe.errors import StoreError, error_text
 from labpipe.report.wording import printable, shortened
 from labpipe.report.workbook_cells import (
-    Shown,
+    NumberCell,
     Value,
-    begin_of,
     column_place,
-    form_in_column,
+    format_in_column,
+    truncate_text,
 )
 
-_NARROWEST, _WIDEST, _WRAPPED = 8, 34, 46
-"""Characters: of the narrowest column, of the widest, and of one whose text is wrapped."""
-_LINE = 15.0
-"""Height of a line of text, in points."""
-_FILTER = 3
-"""Characters that the button of a filter takes."""
-_PAGE_WIDTH = 250
-"""Characters side by side on a landscape page, at the smallest print that is still read."""
-_LONGEST_TEXT, _LONGEST_FOOTER = 32_767, 90
+_WRAPPED_WIDTH = 46
+"""Characters of a column with wrapped text."""
+_LINE_HEIGHT = 15.0
+"""Height of a line of text, points."""
+_FILTER_WIDTH = 3
+"""Characters covered by the button of a filter."""
 _RISKY = frozenset("=+-@#")
-"""Letters with which a text, typed anew, would become a formula or an error."""
-_A4 = 9
+"""First letters of a text that would become a formula or an error when it is edited."""
 _MADE = datetime(2000, 1, 1)
 """A fixed time: the same content gives the same bytes."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's, as in the figures."""
 _DASHES = ("solid", "dash", "square_dot", "dash_dot")
-_MOST_ABOVE = 80
-"""Rows of a table that has its charts below it."""
-_MOST_LINES = 12
-"""Lines that a chart can tell apart."""
 
 
 class Line(NamedTuple):
@@ -52,7 +44,7 @@ class Line(NamedTuple):
     ----------
     name : in the legend
     rows : first and last, from 0 below the heading
-    across, up : numbers of the columns; of bars `across` has the names
+    across, up : numbers of the columns; for bars `across` has the names
     minus, plus : columns of the lengths of error bars; 0 for none
     """
 
@@ -65,13 +57,13 @@ class Line(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """A chart beside a table; what it shows is the cells.
+    """A chart of cells beside a table.
 
     Parameters
     ----------
-    title : above it; none if empty
-    across, up : words at the axes, with units
-    lines : drawn; beyond `_MOST_LINES` they are left out
+    title : above it; may be empty
+    across, up : labels of the axes, with units
+    lines : the first 12 are drawn
     kind : lines over numbers, or bars of positive numbers over names
     is_log : both axes are logarithmic
     """
@@ -89,16 +81,16 @@ class Sheet(NamedTuple):
 
     Parameters
     ----------
-    name : free of what a sheet's name may not hold, and no other sheet's
+    name : valid and unique
     heads : headings, with units
     rows : below them
-    frozen : columns at the left that stay in view, as the headings do
-    links : text of the first column -> place that it leads to, such as ``'laws'!A12``
-    asks : the question that it answers
-    charts : below the table; of a long one beside it, and then they go to paper in its place
-    wrapped : headings of columns whose text is broken into lines
-    printed : heading of the last column that goes to paper; all if empty
-    printed_rows : of the table, from the top, that go to paper; all if None
+    frozen : columns at the left that stay in view, like the headings
+    links : text of the first column -> target, such as ``'laws'!A12``
+    question : that the sheet answers
+    charts : below the table; beside a long one, and printed instead of it
+    wrapped : headings of columns with wrapped text
+    printed : heading of the last printed column; all if empty
+    printed_rows : printed rows of the table, from the top; all if None
     """
 
     name: str
@@ -106,7 +98,7 @@ class Sheet(NamedTuple):
     rows: Sequence[Sequence[Value]]
     frozen: int = 0
     links: Mapping[str, str] = {}
-    asks: str = ""
+    question: str = ""
     charts: Sequence[Chart] = ()
     wrapped: Sequence[str] = ()
     printed: str = ""
@@ -114,23 +106,23 @@ class Sheet(NamedTuple):
 
     @property
     def is_long(self) -> bool:
-        """Tell whether charts have to stand beside the table, and go to paper in its place."""
-        return len(self.rows) > _MOST_ABOVE
+        """Whether charts are beside the table and printed instead of it."""
+        return len(self.rows) > 80
 
     @property
     def printed_columns(self) -> int:
-        """Columns that go to paper."""
+        """Number of printed columns."""
         return list(self.heads).index(self.printed) + 1 if self.printed else len(self.heads)
 
 
 class About(NamedTuple):
-    """What a book says of itself.
+    """Description of a book.
 
     Parameters
     ----------
-    title : of what it holds
-    lines : how to read it, a line each
-    footer : at the foot of each printed page: title, report
+    title : of the book
+    lines : how to read it
+    footer : of each printed page
     """
 
     title: str
@@ -142,12 +134,12 @@ READ_ME = "read me"
 
 
 def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) -> None:
-    """Write sheets as an xlsx file, behind one that says how to read them.
+    """Write sheets as an xlsx file, after one that describes them.
 
     Parameters
     ----------
-    about : what stands in the sheet `READ_ME`, which lists the others and leads to them
-    sheets : in their order; the first of them is seen first
+    about : contents of the sheet `READ_ME`, which lists and links the others
+    sheets : in order; the first is shown first
     path : of the file
     again : how to make the file again, for a message
 
@@ -158,9 +150,8 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
 
     Notes
     -----
-    Text stays text: a sample that is called ``=1+1`` is not a formula. Numbers that are not finite
-    are empty cells. Characters that a workbook cannot hold are shown as U+FFFD. The same sheets
-    give the same bytes.
+    Text stays text: a sample named ``=1+1`` is not a formula. Numbers that are not finite are empty
+    cells. Unprintable characters are replaced by U+FFFD. The same sheets give the same bytes.
     """
     memory = io.BytesIO()
     book = _WorkbookWriter(memory, about)
@@ -176,8 +167,7 @@ def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) 
             "",
             expected="a workbook that can be written",
             found=str(error),
-            remedy=f"Make room, change the permissions, or close it where it is open, and {again}"
-            " again.",
+            remedy=f"Make room, change the permissions or close the open file, and {again} again.",
         )
         raise StoreError(message) from error
 
@@ -191,18 +181,18 @@ class _WorkbookWriter:
         self.book = Workbook(file, {"in_memory": True})
         self.book.set_properties({"title": printable(about.title), "created": _MADE})
         self.forms: dict[str, Any] = {}
-        footer = shortened(printable(about.footer or about.title), _LONGEST_FOOTER)
+        footer = shortened(printable(about.footer or about.title), 90)
         self.footer = f"&L&8{footer.replace('&', '&&')}&C&8&A&R&8page &P of &N"
 
     @cached_property
     def head(self) -> Any:
-        """Look of a heading."""
+        """Format of a heading."""
         return self.book.add_format(
             {"bold": True, "text_wrap": True, "valign": "top", "bottom": 1, "align": "left"}
         )
 
     def form(self, number: str = "", **look: Any) -> Any:
-        """Look of a cell, made once."""
+        """Return the format of a cell, created once."""
         key = f"{number} {sorted(look)}" if look else number
         if key not in self.forms:
             wanted = {"valign": "top", **({"num_format": number} if number else {}), **look}
@@ -210,7 +200,7 @@ class _WorkbookWriter:
         return self.forms[key]
 
     def read_me(self, about: About, sheets: Sequence[Sheet]) -> None:
-        """Write how to read the book, and which question each sheet answers."""
+        """Write how to read the book, and the question of each sheet."""
         page = self.book.add_worksheet(READ_ME)
         page.set_column(0, 0, 26)
         page.set_column(1, 1, 100)
@@ -219,23 +209,23 @@ class _WorkbookWriter:
         for row, line in enumerate(about.lines, start=1):
             page.merge_range(row, 0, row, 1, "", wrapped)
             _write_text(page, row, 0, line, wrapped)
-            page.set_row(row, _LINE * math.ceil(len(line) / 115))
+            page.set_row(row, _LINE_HEIGHT * math.ceil(len(line) / 115))
         start = len(about.lines) + 2
-        for column, word in enumerate(("Sheet", "Question that it answers")):
+        for column, word in enumerate(("Sheet", "Question")):
             _write_text(page, start, column, word, self.head)
         for row, sheet in enumerate(sheets, start=start + 1):
-            page.set_row(row, _LINE * math.ceil(len(sheet.asks) / 90))
+            page.set_row(row, _LINE_HEIGHT * math.ceil(len(sheet.question) / 90))
             page.write_url(row, 0, f"internal:'{sheet.name}'!A1", string=sheet.name)
-            _write_text(page, row, 1, sheet.asks, wrapped)
+            _write_text(page, row, 1, sheet.question, wrapped)
         self._set_up_print(page)
         page.fit_to_pages(1, 0)
 
     def add(self, sheet: Sheet, *, is_first: bool) -> None:
-        """Write one sheet: the table, what is beside it, how it is printed."""
+        """Write one sheet: table, charts, print layout."""
         page = self.book.add_worksheet(sheet.name)
         if is_first:
             page.activate()
-        widths = _widths(sheet)
+        widths = _column_widths(sheet)
         for at, width in enumerate(widths):
             page.set_column(at, at, width)
         forms = [column_place(column) for column in zip(*sheet.rows, strict=True)]
@@ -243,19 +233,19 @@ class _WorkbookWriter:
         for number, row in enumerate(sheet.rows, start=1):
             for at, value in enumerate(row):
                 self._write(page, (number, at), value, forms[at], is_wrapped=wrapped[at])
-            lines = _lines(row, wrapped)
+            lines = _row_lines(row, wrapped)
             if lines > 1:
-                page.set_row(number, lines * _LINE)
+                page.set_row(number, lines * _LINE_HEIGHT)
         for number, row in enumerate(sheet.rows if sheet.links else (), start=1):
             if (place := sheet.links.get(str(row[0]))) is not None:
                 page.write_url(number, 0, f"internal:{place}", string=printable(str(row[0])))
         self._make_table(page, sheet)
-        page.set_row(0, _LINE * _head_lines(sheet.heads, widths), self.head)
+        page.set_row(0, _LINE_HEIGHT * _head_lines(sheet.heads, widths), self.head)
         page.freeze_panes(1, sheet.frozen)
         size = _chart_size(sheet, widths)
         self._draw(page, sheet, size)
         self._set_up_print(page)
-        _lay_out(page, sheet, widths, size)
+        _set_print_area(page, sheet, widths, size)
 
     def _write(
         self, page: Any, place: tuple[int, int], value: Value, form: int | None, *, is_wrapped: bool
@@ -267,10 +257,12 @@ class _WorkbookWriter:
             look |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
             _write_text(page, *place, value, self.form(**look))
             return
-        number = value.value if isinstance(value, Shown) else value
+        number = value.value if isinstance(value, NumberCell) else value
         if math.isfinite(number):
-            seen = value.form if isinstance(value, Shown) else form_in_column(value, form)
-            page.write_number(*place, number, self.form(seen))
+            number_format = (
+                value.form if isinstance(value, NumberCell) else format_in_column(value, form)
+            )
+            page.write_number(*place, number, self.form(number_format))
 
     def _make_table(self, page: Any, sheet: Sheet) -> None:
         heads = unique_heads(sheet.heads)
@@ -293,33 +285,35 @@ class _WorkbookWriter:
             page.insert_chart(top, left, drawn, offset)
 
     def _set_up_print(self, page: Any) -> None:
+        a4_paper = 9
         page.set_landscape()
-        page.set_paper(_A4)
+        page.set_paper(a4_paper)
         page.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
         page.set_footer(self.footer)
 
     def close(self) -> None:
-        """Write what is left."""
+        """Close the file."""
         self.book.close()
 
 
 _CHARTS_ABREAST, _GAP = 2, 16
-_CHART_WIDTH, _NARROWEST_CHART, _HEIGHT_OF_WIDTH = 704, 400, 0.62
 _CELL_WIDTH, _CELL_HEIGHT, _CHARACTER = 64, 20, 7
-"""Pixels: of charts, and of cells of usual size."""
+"""Pixels, of cells of default size and of a character."""
 
 
 def _chart_size(sheet: Sheet, widths: Sequence[int]) -> tuple[int, int]:
-    """Width and height of a chart with its gap: below a table two of them are as wide as it is."""
-    width = _CHART_WIDTH
+    """Return width and height of a chart with its gap; two below a table have its width."""
+    chart_width, min_chart_width, height_ratio = 704, 400, 0.62
+    width = chart_width
     if not sheet.is_long:
         room = _CHARACTER * sum(widths[: sheet.printed_columns]) // _CHARTS_ABREAST
-        width = min(max(room, _NARROWEST_CHART), _CHART_WIDTH)
-    return width, int(_HEIGHT_OF_WIDTH * width)
+        width = min(max(room, min_chart_width), chart_width)
+    return width, int(height_ratio * width)
 
 
-def _lay_out(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[int, int]) -> None:
-    """Say what goes to paper: headings on every page, as wide as the page is."""
+def _set_print_area(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[int, int]) -> None:
+    """Set the print area, with headings on every page, fitted to the width of the page."""
+    page_width = 250  # characters on a landscape page, at the smallest readable size
     width, height = size
     deep = math.ceil(math.ceil(len(sheet.charts) / _CHARTS_ABREAST) * height / _CELL_HEIGHT)
     if sheet.charts and sheet.is_long:
@@ -332,14 +326,14 @@ def _lay_out(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[int, in
     bottom = rows + 2 + deep if sheet.charts else max(rows, 1)
     page.repeat_rows(0)
     page.print_area(0, 0, bottom, sheet.printed_columns - 1)
-    across = max(math.ceil(sum(widths[: sheet.printed_columns]) / _PAGE_WIDTH), 1)
+    across = max(math.ceil(sum(widths[: sheet.printed_columns]) / page_width), 1)
     if across > 1 and sheet.frozen:
         page.repeat_columns(0, sheet.frozen - 1)
     page.fit_to_pages(across, 1 if sheet.charts else 0)
 
 
 def unique_heads(heads: Sequence[str]) -> list[str]:
-    """Headings of a table, of which no two may be alike, whatever their letters, and none empty."""
+    """Make headings of a table unique, ignoring case, and not empty."""
     unique_heads: list[str] = []
     taken: set[str] = set()
     for head in heads:
@@ -357,35 +351,37 @@ def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
     page.write_string(row, column, _cell_text(text), form)
 
 
-@lru_cache(maxsize=256)  # a name stands in many rows
+@lru_cache(maxsize=256)  # names repeat in many rows
 def _cell_text(text: str) -> str:
-    return begin_of(printable(text), _LONGEST_TEXT)
+    return truncate_text(printable(text), 32_767)
 
 
-def _lines(row: Sequence[Value], wrapped: Sequence[bool]) -> int:
-    """Lines of the longest text of a row that is wrapped."""
+def _row_lines(row: Sequence[Value], wrapped: Sequence[bool]) -> int:
+    """Count the lines of the longest wrapped text of a row."""
     lengths = [
         len(value)
         for value, is_wrapped in zip(row, wrapped, strict=True)
         if is_wrapped and isinstance(value, str)
     ]
-    return math.ceil(max(lengths, default=0) / (0.95 * _WRAPPED))
+    return math.ceil(max(lengths, default=0) / (0.95 * _WRAPPED_WIDTH))
 
 
 def _head_lines(heads: Sequence[str], widths: Sequence[int]) -> int:
-    """Lines of the longest heading, broken between its words."""
+    """Count the lines of the longest wrapped heading."""
     pairs = zip(heads, widths, strict=True)
-    return max((len(textwrap.wrap(head, width - _FILTER)) for head, width in pairs), default=1)
+    return max(
+        (len(textwrap.wrap(head, width - _FILTER_WIDTH)) for head, width in pairs), default=1
+    )
 
 
-def _widths(sheet: Sheet) -> list[int]:
-    """Width of each column: of its longest text; headings are broken into lines."""
-    widths = [max(_NARROWEST, *map(len, head.split(" "))) + _FILTER for head in sheet.heads]
+def _column_widths(sheet: Sheet) -> list[int]:
+    """Return the width of each column: of its longest text; headings are wrapped."""
+    widths = [max(8, *map(len, head.split(" "))) + _FILTER_WIDTH for head in sheet.heads]
     for row in sheet.rows:
         for at, value in enumerate(row):
             if isinstance(value, str):
                 widths[at] = max(widths[at], len(value) + 1)
-    most = [_WRAPPED if head in sheet.wrapped else _WIDEST for head in sheet.heads]
+    most = [_WRAPPED_WIDTH if head in sheet.wrapped else 34 for head in sheet.heads]
     return [min(pair) for pair in zip(widths, most, strict=True)]
 
 
@@ -394,27 +390,27 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
     drawn = book.add_chart(
         {"type": "bar"} if is_bars else {"type": "scatter", "subtype": "straight"}
     )
-    for number, line in enumerate(chart.lines[:_MOST_LINES]):
+    for number, line in enumerate(chart.lines[:12]):
         drawn.add_series(_series(name, line, number, is_bars=is_bars))
     font = {"name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}}
     grid = {"major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}}}
     log = {"log_base": 10, "crossing": "min"} if chart.is_log else {}
     values = {**font, **grid, **log, "num_format": "General"}
     if is_bars:  # names go up, the first on top; numbers go to the right
-        drawn.set_x_axis({"name": _plain(chart.up), "min": 0, **values})
+        drawn.set_x_axis({"name": _escape_formula(chart.up), "min": 0, **values})
         drawn.set_y_axis({"reverse": True, "crossing": "max", "interval_unit": 1, **font})
     else:
-        drawn.set_x_axis({"name": _plain(chart.across), **values})
-        drawn.set_y_axis({"name": _plain(chart.up), **values})
-    title = {"name": _plain(chart.title), "name_font": {"bold": False, "size": 11}}
+        drawn.set_x_axis({"name": _escape_formula(chart.across), **values})
+        drawn.set_y_axis({"name": _escape_formula(chart.up), **values})
+    title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
     drawn.set_title(title if chart.title else {"none": True})
     drawn.set_legend({"none": True} if is_bars else {"position": "right", "font": {"size": 9}})
     return drawn
 
 
-def _plain(words: str) -> str:
-    """Words of a chart, which must not begin like the formula of a cell."""
-    return re.sub("^=", "\u200a=", printable(words))
+def _escape_formula(text: str) -> str:
+    """Escape a text of a chart that would begin like a formula."""
+    return re.sub("^=", "\u200a=", printable(text))
 
 
 def _cells(sheet: str, first: int, last: int, column: int) -> str:
@@ -428,7 +424,7 @@ def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, 
     colour = COLOURS[number % len(COLOURS)]
     dash = _DASHES[number // len(COLOURS) % len(_DASHES)]
     series: dict[str, Any] = {
-        "name": _plain(line.name),
+        "name": _escape_formula(line.name),
         "categories": [sheet, first, line.across, last, line.across],
         "values": [sheet, first, line.up, last, line.up],
     }

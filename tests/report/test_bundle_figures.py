@@ -14,7 +14,7 @@ from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.harness_bundle import BundleLoop, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.report.bundle_figures import (
-    MOST_ROWS,
+    MAX_ROWS,
     bundle_figure,
     draw_places,
     has_bundles,
@@ -127,7 +127,7 @@ def test_the_way_of_a_gripper_is_seen_whole() -> None:
 
 def test_many_rows_are_several_figures_with_whole_groups() -> None:
     groups = grouped([*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))])
-    places = [replace(PLACE, group=group.name) for group in groups for _ in range(MOST_ROWS - 4)]
+    places = [replace(PLACE, group=group.name) for group in groups for _ in range(MAX_ROWS - 4)]
     name = "between-slipping-and-sticking"
     for count, names in ((len(places), [f"{name}-1", f"{name}-2"]), (4, [name]), (0, [])):
         campaign = Campaign("Synthetic", tuple(groups), places=tuple(places[:count]))

@@ -19,10 +19,10 @@ from labpipe.report.calibration_agreement import (
 )
 from labpipe.report.calibration_card import (
     calibration_card,
+    interpolate_profile,
+    panel_range,
     plot_profile,
     plot_residuals,
-    seen,
-    smooth,
 )
 from labpipe.report.calibration_figures import shapes_figure
 from labpipe.report.calibration_summary import BentShape, CalibrationReport
@@ -120,11 +120,11 @@ def test_two_valleys_and_two_parts() -> None:
     (other,) = [line for line in marks if line.get_markerfacecolor() == "white"]
     assert np.asarray(other.get_ydata())[0] == least > 0.0
     for profile in parameter.profiles:
-        values, deviance = smooth(profile)
+        values, deviance = interpolate_profile(profile)
         assert deviance.min() == pytest.approx(profile.deviance.min())
         np.testing.assert_allclose(np.interp(profile.value, values, deviance), profile.deviance)
-    assert seen(parameter)[0] < parameter.intervals[0].lower
-    assert seen(parameter)[1] > parameter.intervals[1].upper
+    assert panel_range(parameter)[0] < parameter.intervals[0].lower
+    assert panel_range(parameter)[1] > parameter.intervals[1].upper
 
 
 def test_words_of_agreement(approved: Approve) -> None:

@@ -90,13 +90,13 @@ def test_correlations_and_singular_values() -> None:
     assert identified[0][head] == pytest.approx(usual().correlations[0, 1])
     friction = usual().friction_separability
     assert friction is not None
-    own = [row for row in identified if row["what"] == "singular value of friction"]
+    own = [row for row in identified if row["quantity"] == "singular value of friction"]
     assert [row["of"] for row in own] == pytest.approx(friction.singular_values)
     holds(own[0], {
         "weight or correlation, radial_force": friction.combinations[0, 2],
         "weight or correlation, copper_scale": None,
     })  # fmt: skip
-    apart = {row["of"]: row for row in identified if row["what"] == "told apart"}
+    apart = {row["of"]: row for row in identified if row["quantity"] == "identified separately"}
     assert apart["strand_friction"]["weight or correlation, strand_friction"] == "no"
 
 

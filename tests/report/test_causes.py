@@ -101,7 +101,7 @@ def test_a_rejected_test_is_named_and_ranked_as_decided() -> None:
     assert first.kind is Kind.DOUBTFUL
     assert (last.kind, last.subject, last.sentence) == (Kind.REJECTED, "x/result.h5", "it slipped")
     assert last.effect is not None
-    assert last.effect.words == "in no mean, as was decided"
+    assert last.effect.text == "not in any mean, by decision"
 
 
 def test_the_largest_effect_comes_first_and_the_unknown_last() -> None:
@@ -117,9 +117,9 @@ def test_tests_that_a_note_of_the_group_names_are_left_out_for_its_effect() -> N
     note = warning("protocols_differ", "align", "set otherwise from test to test", "c")
     (cause,) = find_causes(campaign_of(group_of(TEN, (), note)))
     assert cause.effect is not None
-    assert cause.effect.words.startswith("without it, Stiffness of A would be 12 % lower")
+    assert cause.effect.text.startswith("without it, Stiffness of A would be 12 % lower")
     assert cause.subject == "c (A)"
-    assert cause.sentence == "Processed otherwise than the other tests of their group: align."
+    assert cause.sentence == "Processed differently from the other tests of their group: align."
 
 
 def test_a_note_that_no_number_rests_on_is_no_cause() -> None:
@@ -146,11 +146,11 @@ WIDER = (stats.t.ppf(0.975, 2) / sqrt(3)) / (stats.t.ppf(0.975, 3) / 2)
     [
         # mean 12; without 15 it is 10.5, 12.5 % lower
         ((10, 11, 15), "c", 1.5 / HALF,
-         "without it, Stiffness of A would be 12 % lower, 0.23 of half its interval"),
+         "without it, Stiffness of A would be 12 % lower, 0.23 times half its interval"),
         ((10, 11), "ab", None, "all values of Stiffness of A"),
         ((10, 11, 12, None), "", WIDER - 1.0,
-         "Stiffness of A over 3 of 4 values, its interval about 1.6 times as wide"),
-        ((10, None), "", None, "Stiffness of A over one value, without an interval"),
+         "mean of 3 of 4 values of Stiffness of A, interval about 1.6 times as wide"),
+        ((10, None), "", None, "one value of Stiffness of A, without an interval"),
         ((None, None), "", inf, "no value of Stiffness of A"),
     ],
 )  # fmt: skip
@@ -160,7 +160,7 @@ def test_what_a_cause_does_to_a_mean(
     own = group_of(dict(zip("abcd", values, strict=False)), doubtful)
     (cause,) = find_causes(campaign_of(own))
     assert cause.effect is not None
-    assert cause.effect.words == words
+    assert cause.effect.text == words
     assert cause.effect.size > 1.0 if size is None else cause.effect.size == pytest.approx(size)
     assert cause.kind is (Kind.DOUBTFUL if doubtful else Kind.FAILED)
     set_by_rig = tuple(replace(number, is_set_by_rig=True) for number in own.numbers)
@@ -170,7 +170,7 @@ def test_what_a_cause_does_to_a_mean(
 
 def test_lines_of_causes(approved: Approve) -> None:
     lines = cause_lines(find_causes(build_campaign()))
-    heads = [f"{line.head}: {line.said} {line.subject}: {line.effect}" for line in lines]
+    heads = [f"{line.head}: {line.reason} {line.subject}: {line.effect}" for line in lines]
     tables = [words for line in lines for words in table_words(line.details)]
     (methods,) = method_tables(build_campaign())
     approved([*heads, *tables, *table_words(methods)])

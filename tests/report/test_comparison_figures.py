@@ -101,7 +101,7 @@ def test_groups_that_differ_in_one_field_are_drawn_together() -> None:
     (comparison,) = question.comparisons
     means, numbers = comparison.plots
     assert {line.group for line in means.lines} == {"g0", "g1"}
-    assert [key.words for key in means.keys] == ["B1 (n = 3)", "B2 (n = 3)"]
+    assert [key.label for key in means.keys] == ["B1 (n = 3)", "B2 (n = 3)"]
     dots = [line for line in numbers.lines if line.look.startswith("dot")]
     group = campaign.groups[0]
     mean = next(number.mean for number in group.numbers if number.name == "bending_stiffness")

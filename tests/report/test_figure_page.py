@@ -21,16 +21,16 @@ from labpipe.records.arrays import Floats
 from labpipe.report.figure_page import (
     STYLE_FILE,
     finish_layout,
-    in_pages,
-    keep_in_view,
+    limit_to_values,
     new_page,
     panel_letter,
     put_key,
     require_room,
+    split_pages,
     style,
     titled_page,
 )
-from labpipe.report.plot_thinning import bends, extremes, worst
+from labpipe.report.plot_thinning import extremes, simplify_line, worst
 from labpipe.report.rig_drawing import Rig, rig_of
 from tests.store.builders_result import build_result
 
@@ -109,20 +109,20 @@ def test_what_cannot_be_drawn_is_shown_as_such() -> None:
 
 
 def test_things_on_pages() -> None:
-    assert in_pages(range(25), 12) == [range(12), range(12, 24), range(24, 25)]
-    assert in_pages([], 12) == []
+    assert split_pages(range(25), 12) == [range(12), range(12, 24), range(24, 25)]
+    assert split_pages([], 12) == []
     require_room(12, 12, "wires")
     for count in (0, 13):
-        with pytest.raises(ValueError, match=f"^{count} wires: allowed are 1 to 12 on a page$"):
+        with pytest.raises(ValueError, match=f"^wires: expected 1 to 12 on a page, found {count}$"):
             require_room(count, 12, "wires")
 
 
 def test_wide_intervals_are_cut_and_values_are_not() -> None:
     axes = Figure().subplots()
     axes.set_xlim(-100.0, 5.0)
-    keep_in_view([1.0, float("nan"), 3.0], axes)
+    limit_to_values([1.0, float("nan"), 3.0], axes)
     assert axes.get_xlim() == (-2.0, 5.0)
-    keep_in_view([1.0], axes)
+    limit_to_values([1.0], axes)
     assert axes.get_xlim() == (-2.0, 5.0)
 
 
@@ -158,7 +158,7 @@ def test_worst_flag_of_a_stretch_wins() -> None:
 def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
     x = np.linspace(0.0, 50.0, 2001)
     force = np.minimum(5.0 * x, 30.0 + 2.0 * x) - np.where(x > 30.0, 4.0, 0.0)
-    kept = bends(x, force, points=60)
+    kept = simplify_line(x, force, points=60)
     assert len(kept) < 10
     assert 10.0 in x[kept]
     assert {30.0, 30.025} <= set(x[kept].round(3).tolist())
@@ -169,16 +169,16 @@ def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
 def test_gaps_standstill_and_noise_in_bends() -> None:
     force = np.arange(100.0)
     force[40:45] = np.nan
-    assert bends(np.arange(100.0), force, points=10).tolist() == [0, 39, 40, 45, 99]
+    assert simplify_line(np.arange(100.0), force, points=10).tolist() == [0, 39, 40, 45, 99]
     up = np.concatenate([np.zeros(50), np.linspace(0.0, 1.0, 50), np.zeros(50)])
-    assert {50, 99, 100} <= set(bends(np.zeros(150), up, points=20).tolist())
-    assert bends(np.zeros(3), np.full(3, np.nan), points=5).tolist() == [0]
-    assert bends(np.zeros(0), np.zeros(0), points=5).tolist() == []
+    assert {50, 99, 100} <= set(simplify_line(np.zeros(150), up, points=20).tolist())
+    assert simplify_line(np.zeros(3), np.full(3, np.nan), points=5).tolist() == [0]
+    assert simplify_line(np.zeros(0), np.zeros(0), points=5).tolist() == []
     noise = np.random.default_rng(1).normal(size=3000)
-    kept = bends(np.arange(3000.0), noise, points=50)
+    kept = simplify_line(np.arange(3000.0), noise, points=50)
     assert len(kept) == 50
     assert {int(noise.argmax()), int(noise.argmin()), 0, 2999} <= set(kept.tolist())
-    with pytest.raises(ValueError, match="bins=0: expected at least 1"):
+    with pytest.raises(ValueError, match="bins: expected at least 1, found 0"):
         extremes(np.zeros(3), bins=0)
 
 

@@ -13,13 +13,13 @@ from labpipe.records.curve import FittedLine
 from labpipe.records.figure_data import DrawnLaw, DrawnShapes
 from labpipe.records.group import Group, Outlier
 from labpipe.report.figure_page import style
-from labpipe.report.group_dots import MOST_ROWS, draw_dots, numbers_to_draw, rows_of
-from labpipe.report.group_figures import MOST_PANELS, draw_slips, drawings, stems
+from labpipe.report.group_dots import MAX_DOT_ROWS, dot_rows, draw_dots, numbers_to_draw
+from labpipe.report.group_figures import MAX_SLIP_PANELS, draw_slips, group_drawings, stems
 from labpipe.report.group_plots import (
     draw_curves,
     draw_lines,
     draw_scaled,
-    seen,
+    force_limits,
 )
 from labpipe.report.group_shapes import draw_group_laws, draw_group_shapes
 from labpipe.statistics.mean_curves import without_band
@@ -37,7 +37,7 @@ def test_figures_that_a_group_has_data_for() -> None:
         (build_group("A", bare, scaled=False), ["curves"]),
         (build_group("A", [], scaled=False), ["curves"]),
     ):
-        assert sorted(drawing.name for drawing in drawings(group)) == sorted(names)
+        assert sorted(drawing.name for drawing in group_drawings(group)) == sorted(names)
     assert numbers_to_draw(build_group("A", [build_sample("s1", "a")])) == []
 
 
@@ -49,7 +49,7 @@ def test_file_names() -> None:
 def test_rows_are_samples_spool_means_and_the_mean() -> None:
     group = build_group("A", troubled_samples())
     number = group.numbers[1]
-    rows = rows_of(group, number)
+    rows = dot_rows(group, number)
     assert [row.label for row in rows] == [
         "tt-s1a", "tt-s1b", "tt-s1c", "mean of s1",
         "tt-s2a", "tt-s2b", "tt-s2c", "mean of s2", "mean",
@@ -62,9 +62,9 @@ def test_rows_are_samples_spool_means_and_the_mean() -> None:
 
 
 def test_samples_of_large_groups_share_a_row() -> None:
-    samples = [build_sample(f"s{n % 2}", str(n), seed=n) for n in range(MOST_ROWS + 2)]
+    samples = [build_sample(f"s{n % 2}", str(n), seed=n) for n in range(MAX_DOT_ROWS + 2)]
     group = build_group("A", samples)
-    rows = rows_of(group, group.numbers[0])
+    rows = dot_rows(group, group.numbers[0])
     half = len(samples) // 2
     assert {row.label for row in rows[:half]} == {f"{half} samples"}
     assert all(abs(row.height) < 0.5 and row.interval is None for row in rows[:half])
@@ -81,12 +81,12 @@ def _in_style() -> Iterator[None]:
 def test_the_axis_follows_curves_and_pointwise_band() -> None:
     group = build_group("A", six_samples())
     wide = replace(group.band, upper_all=group.band.mean + 90.0, lower_all=group.band.mean - 90.0)
-    low, high = seen(group, wide)
+    low, high = force_limits(group, wide)
     peaks = [float(sample.loading[0].force.max()) for sample in group.samples]
     assert max(peaks) < high < 1.1 * max(*peaks, group.band.upper.max())
     near = replace(group.band, upper_all=group.band.upper + 9.0, lower_all=group.band.lower - 9.0)
-    assert seen(group, near)[1] > near.upper_all.max()
-    assert seen(group, near)[0] < near.lower_all.min() < low
+    assert force_limits(group, near)[1] > near.upper_all.max()
+    assert force_limits(group, near)[0] < near.lower_all.min() < low
     few = without_band(replace(group.band, n=3))
     axes = draw_curves(replace(group, band=few)).axes[0]
     assert not axes.collections
@@ -121,7 +121,7 @@ def test_words(approved: Approve) -> None:
     group, troubled = build_group("A", six_samples()), build_group("A", troubled_samples())
     outlier = Outlier("tt-s1c", 5400.0, "Grubbs' test", 0.01)
     number = replace(group.numbers[1], outliers=(outlier,))
-    many = [build_sample("s1", str(number), slips=1) for number in range(MOST_PANELS + 1)]
+    many = [build_sample("s1", str(number), slips=1) for number in range(MAX_SLIP_PANELS + 1)]
     segment = FittedLine("segment_stiffness_first", 5000.0, 0.0, 0.0, 0.01)
     segments = build_group("A", [replace(build_sample("s1", "a"), lines=(segment,))])
     two, three = (without_band(replace(group.band, n=count)) for count in (2, 3))
@@ -152,5 +152,9 @@ def test_figures_told_without_being_seen(approved: Approve) -> None:
     half = np.linspace(0.0, 90.0, len(group.band.mean))
     wide = replace(group.band, lower_all=group.band.mean - half, upper_all=group.band.mean + half)
     lone = build_group("A", [build_sample("s1", "a")])
-    told = [*drawings(group), next(drawings(lone)), next(drawings(replace(group, band=wide)))]
+    told = [
+        *group_drawings(group),
+        next(group_drawings(lone)),
+        next(group_drawings(replace(group, band=wide))),
+    ]
     approved(f"{drawing.name}: {drawing.alt}\n  {drawing.caption}" for drawing in told)

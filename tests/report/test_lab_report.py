@@ -21,7 +21,7 @@ from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Instrument, Status
 from labpipe.report.lab_report import Extras, Letterhead, render_page, write_report
-from labpipe.report.page_parts import page_data, page_script, served
+from labpipe.report.page_parts import allow_own_server, page_data, page_script
 from labpipe.report.single_test import render_test
 from labpipe.report.wording import printable
 from tests.approved import Approve
@@ -164,9 +164,9 @@ def test_the_script_asks_no_network_and_makes_no_markup_of_text() -> None:
 
 def test_a_served_page_may_talk_to_its_machine() -> None:
     page = "<head><meta content=\"default-src 'none'; connect-src 'none'\"></head><body>x</body>"
-    assert served(page) == page.replace("connect-src 'none'", "connect-src 'self'")
+    assert allow_own_server(page) == page.replace("connect-src 'none'", "connect-src 'self'")
     text = "<head></head><body>connect-src 'none'</body>"
-    assert served(text) == text
+    assert allow_own_server(text) == text
 
 
 def test_who_when_with_what_and_every_number() -> None:

@@ -28,9 +28,9 @@ def test_a_picture_is_read_into_the_page(kind: str, tmp_path: Path) -> None:
 
 def test_what_is_no_picture_is_one_message(tmp_path: Path) -> None:
     for content, fault in (
-        (b"<svg onload='x'/>", "a file that is no such picture"),
+        (b"<svg onload='x'/>", "a file of another format"),
         (b"", "0 bytes"),
-        (picture("GIF"), "a file that is no such picture"),
+        (picture("GIF"), "a file of another format"),
         (picture("PNG")[:45], "a damaged picture"),
         (picture("PNG", (3000, 3000)), "a picture of 3000 x 3000 points"),
         (b"\x89PNG" + bytes(300_000), "300004 bytes"),

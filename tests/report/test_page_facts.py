@@ -8,12 +8,12 @@ from datetime import date
 from labpipe.records.group import Campaign, Decision, Outlier
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument
-from labpipe.report.group_tables import Table, slip_table, spool_means
+from labpipe.report.group_tables import Table, slip_table, spool_mean_table
 from labpipe.report.issue_ranking import find_causes
 from labpipe.report.page_facts import (
     PageTests,
     days_words,
-    home_of,
+    group_of_rejected,
     instrument_lines,
     operators_words,
     report_id,
@@ -25,7 +25,7 @@ from labpipe.report.page_groups import (
     samples_tables,
 )
 from labpipe.report.page_tests import page_file, test_rows
-from labpipe.report.summary_page import answers, count_words, key_blocks, to_decide
+from labpipe.report.summary_page import answers, count_words, key_blocks, open_decisions
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import (
@@ -61,9 +61,9 @@ def test_a_rejected_test_goes_where_it_fits_best() -> None:
     a = replace(build_group("A", [sample]), fields={"type": "twist-tube-10", "spool": "s0"})
     b = replace(a, name="B", fields={"type": "twist-tube-10", "spool": "s1"})
     c = replace(a, name="C", fields={"type": "other", "spool": "s1", "length": "75 mm"})
-    assert home_of(sample, Campaign("S", (a, b, c))) == "B"
-    assert home_of(sample, Campaign("S", (c,))) == ""
-    assert home_of(replace(sample, protocol="other"), Campaign("S", (a, b))) == ""
+    assert group_of_rejected(sample, Campaign("S", (a, b, c))) == "B"
+    assert group_of_rejected(sample, Campaign("S", (c,))) == ""
+    assert group_of_rejected(replace(sample, protocol="other"), Campaign("S", (a, b))) == ""
 
 
 def test_an_overdue_calibration_is_said_with_its_tests() -> None:
@@ -115,8 +115,8 @@ def test_decided_and_rejected() -> None:
     group = build_group("A", [kept])
     campaign = Campaign("S", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
     one, two = test_rows(campaign, PageTests(campaign, ["a"]), {"a": "A"})
-    assert (one.decided, one.said, one.day) == ("accept", "fine (me)", "2026-03-02")
-    assert (two.decided, two.said, two.why) == ("reject", "bent (me)", "Rejected: bent (me)")
+    assert (one.decided, one.decision, one.day) == ("accept", "fine (me)", "2026-03-02")
+    assert (two.decided, two.decision, two.why) == ("reject", "bent (me)", "Rejected: bent (me)")
     assert two.page == "tests/c__x.html" == page_file("c/x")
     odd = replace(two, page=page_file("a#1 50 %?"))
     assert odd.address == "tests/a%231%2050%20%25%3F.html"
@@ -155,13 +155,13 @@ def test_key_numbers_of_each_protocol() -> None:
 
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
-    open_ones = to_decide(find_causes(campaign), PageTests(campaign, STEMS))
+    open_ones = open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
     assert {decision.line.head for decision in open_ones} == {"Failed", "Doubtful", "Outlier"}
     assert count_words(campaign, open_ones).endswith(" 3 to decide")
     first = campaign.groups[0]
     decided = tuple(replace(sample, decided="fine (me)") for sample in first.samples)
     settled = replace(campaign, groups=(replace(first, samples=decided),))
-    assert not to_decide(find_causes(settled), PageTests(settled, ["a"]))
+    assert not open_decisions(find_causes(settled), PageTests(settled, ["a"]))
     assert count_words(settled, []).endswith(" 0 to decide")
 
 
@@ -172,7 +172,7 @@ def with_decisions(*decisions: Decision) -> Table:
         for number, decision in zip(group.numbers, decisions, strict=False)
         if number.mean is not None
     ]
-    return spool_means(replace(group, numbers=tuple(numbers)))
+    return spool_mean_table(replace(group, numbers=tuple(numbers)))
 
 
 def test_tables_of_a_group(approved: Approve) -> None:
@@ -202,7 +202,7 @@ def test_tables_of_a_group(approved: Approve) -> None:
         number_table(replace(few, numbers=marked)),
         number_table(build_group("A", [failed])),
         number_table(build_group("A", [replace(failed, results=lost)])),
-        spool_means(build_group("A", six)),
+        spool_mean_table(build_group("A", six)),
         slips,
         with_decisions(*[Decision(one, ("the type is not known",))] * 2),
         with_decisions(
@@ -218,4 +218,4 @@ def test_tables_of_a_group(approved: Approve) -> None:
         about_group(build_group("A", six)),
         *(line for table in tables for line in table_words(table)),
     ])  # fmt: skip
-    assert result_cell(None, 1.0).tip == "not asked for"
+    assert result_cell(None, 1.0).tip == "not requested"

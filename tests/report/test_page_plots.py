@@ -21,10 +21,10 @@ from labpipe.report.page_plots import (
     Line,
     Plot,
     axis_over,
-    even,
+    equal_scale_height,
+    mean_strip,
+    path_steps,
     sparkline,
-    steps_of,
-    strip,
     svg,
     tick_words,
     ticks,
@@ -49,7 +49,7 @@ def test_a_line_is_what_its_steps_say_to_sixteen_bit() -> None:
     noise = np.random.default_rng(7)
     x, y = np.sort(noise.uniform(0, 10, 120)), noise.uniform(-1, 9, 120)
     y[40] = np.nan
-    first, second = points(steps_of(Line("curve", x, y), X, Y), X, Y)
+    first, second = points(path_steps(Line("curve", x, y), X, Y), X, Y)
     np.testing.assert_allclose(first, np.column_stack([x, y])[:40], atol=10 / FULL)
     np.testing.assert_allclose(second, np.column_stack([x, y])[41:], atol=10 / FULL)
 
@@ -116,13 +116,13 @@ def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
 
 
 def test_strips_sparks_and_axes() -> None:
-    drawn = str(strip((0.0, 10.0), Interval(2.0, 4.0), 3.0, [1.0, float("nan")]))
+    drawn = str(mean_strip((0.0, 10.0), Interval(2.0, 4.0), 3.0, [1.0, float("nan")]))
     for path in ('d="M24 6H48"', 'd="M36 6h0"', 'd="M12 12h0"'):
         assert path in drawn
-    assert "<path" not in str(strip((1.0, 1.0), None, float("nan")))
+    assert "<path" not in str(mean_strip((1.0, 1.0), None, float("nan")))
     x = np.linspace(0, 1, 5)
     assert str(sparkline([(x, x)])).count("<path") == 1
-    assert even(200, Axis("", "mm", 0, 100), Axis("", "mm", 0, 25)) == 50
+    assert equal_scale_height(200, Axis("", "mm", 0, 100), Axis("", "mm", 0, 25)) == 50
     axis = axis_over("Force", "N", [np.array([1.0, np.nan, 3.0]), np.empty(0)], room=0.1)
     assert [axis.low, axis.high] == pytest.approx([0.8, 3.2])
     flat = axis_over("Force", "N", [np.array([2.0])])

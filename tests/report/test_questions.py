@@ -8,17 +8,17 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Contrast, MeanInterval
 from labpipe.records.quality import Reason
 from labpipe.report.comparisons import (
-    MOST_TOGETHER,
+    MAX_COMPARED_GROUPS,
     Pair,
-    answering_pairs,
     context_words,
     equal_words,
     families,
     field_words,
-    not_asked,
+    multi_field_differences,
     question_table,
     question_words,
     remarks_on_pairs,
+    single_field_pairs,
 )
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import (
@@ -35,7 +35,7 @@ from tests.report.figure_words import table_words
 
 def test_families_hold_all_that_differ_in_one_field() -> None:
     cases = families(bundle_campaign(conduit_cases()))
-    assert [(family.field, family.words) for family in cases] == [
+    assert [(family.field, family.labels) for family in cases] == [
         ("wire", ("B1", "B1 & B2", "B2")),
         ("wire", ("B1", "B2")),
         ("number", ("12", "19")),
@@ -50,7 +50,7 @@ def test_two_tapes_and_none_are_three_families() -> None:
     samples = three_of(bundle_of("7 B1", tape="none", taping="none"))
     samples += [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B1", tape="PET"))]
     campaign = bundle_campaign(samples)
-    assert [(family.field, family.words) for family in families(campaign)] == [
+    assert [(family.field, family.labels) for family in families(campaign)] == [
         ("taping", ("none", "half-lap")),
         ("taping", ("none", "half-lap")),
         ("tape", ("PET", "PVC")),
@@ -61,9 +61,9 @@ def test_a_large_family_is_cut_and_keeps_its_first_group() -> None:
     counts = (3, 4, 5, 6, 7, 8, 9, 12)
     samples = [sample for count in counts for sample in three_of(bundle_of(f"{count} B1"))]
     first, second = families(bundle_campaign(samples))
-    assert len(first.groups) == MOST_TOGETHER
-    assert first.words == ("3", "4", "5", "6", "7", "8")
-    assert second.words == ("3", "9", "12")
+    assert len(first.groups) == MAX_COMPARED_GROUPS
+    assert first.labels == ("3", "4", "5", "6", "7", "8")
+    assert second.labels == ("3", "9", "12")
 
 
 def test_types_are_a_question_too_and_two_fields_at_once_are_not() -> None:
@@ -72,17 +72,17 @@ def test_types_are_a_question_too_and_two_fields_at_once_are_not() -> None:
         replace(tube, specimen=replace(tube.specimen, type="hose"), source=f"{tube.source}-hose")
         for tube in tubes
     ]
-    (pair,) = answering_pairs(bundle_campaign([*tubes, *hoses]))
+    (pair,) = single_field_pairs(bundle_campaign([*tubes, *hoses]))
     assert question_words(pair) == "Type: tube against hose, all else equal (length 114.3 mm)"
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B2", tape="PET"))]
     campaign = bundle_campaign(samples)
-    assert not answering_pairs(campaign)
+    assert not single_field_pairs(campaign)
     assert not families(campaign)
-    assert len(not_asked(campaign)) == 2
+    assert len(multi_field_differences(campaign)) == 2
 
 
 def test_words_of_questions(approved: Approve) -> None:
-    pairs = answering_pairs(bundle_campaign(conduit_cases()))
+    pairs = single_field_pairs(bundle_campaign(conduit_cases()))
     varied = [
         sample for count in ("7", "12") for wire in ("B1", "B2")
         for sample in three_of(bundle_of(f"{count} {wire}"))
@@ -113,7 +113,7 @@ def test_tables_of_questions(approved: Approve) -> None:
     lone = MeanInterval(-1423.4, None, 120.0, 7, Reason("one_sample", "there is one sample"))
     without = replace(known, contrast=None, interval=None, margin=None, difference=lone)
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
-    (pair,) = answering_pairs(bundle_campaign(samples))
+    (pair,) = single_field_pairs(bundle_campaign(samples))
     number, other = pair.differences
     odd = replace(number, caveats=(*number.caveats, "not made alike: this against that"))
     zero = [*three_of(bundle_of("7 B1"), scale=0.0), *three_of(bundle_of("7 B2"))]
@@ -124,7 +124,7 @@ def test_tables_of_questions(approved: Approve) -> None:
         replace(usual, differences=(replace(known, interval=Interval(-0.99, 5e8)),)),
         pair,
         replace(pair, differences=(odd, other)),
-        *answering_pairs(bundle_campaign(zero)),
+        *single_field_pairs(bundle_campaign(zero)),
     ]
     approved(line for pair in pairs for line in table_words(question_table(pair)))
     share = question_table(pair).rows[0][1].text.partition(" ")[0]

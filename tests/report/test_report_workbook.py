@@ -24,7 +24,7 @@ from labpipe.records.result import Contribution, Result
 from labpipe.report.page_facts import report_id
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import shown_in
-from labpipe.report.workbook_cells import Shown
+from labpipe.report.workbook_cells import NumberCell
 from labpipe.report.workbook_file import About, Chart, Line, Sheet, save_book, unique_heads
 from labpipe.statistics.groups import build_group as grouped
 from tests.approved import Approve
@@ -106,8 +106,8 @@ def part(folder: Path, name: str) -> str:
 
 
 def test_a_sheet_is_a_table_with_filters_and_heads_that_stay(tmp_path: Path) -> None:
-    rows: list[Any] = [(Shown(52.2841, "0.0"), 12.3456789), ("b", math.nan), (None, 0.1)]
-    sheet = Sheet("one", ("name", "force (N)"), rows, 1, asks="How hard?")
+    rows: list[Any] = [(NumberCell(52.2841, "0.0"), 12.3456789), ("b", math.nan), (None, 0.1)]
+    sheet = Sheet("one", ("name", "force (N)"), rows, 1, question="How hard?")
     book = saved_sheets(tmp_path, sheet, Sheet("bare", ("a", "A"), []))
     page, bare = book["one"], book["bare"]
     (filtered,) = page.tables.values()

@@ -15,7 +15,7 @@ from python_calamine import CalamineWorkbook
 
 from labpipe.records.wire import WireTable
 from labpipe.report.wire_workbook import (
-    MOST_ROWS,
+    MAX_LAW_ROWS,
     SUMMARY,
     orientation_spread,
     row_error,
@@ -83,7 +83,7 @@ def test_hundreds_of_wires_share_the_rows(tmp_path: Path) -> None:
     tables = [replace(TABLE, name=f"w{number}") for number in range(count)]
     book = saved(tables, tmp_path)
     (last,) = rows(book, "wires", "w99")
-    assert last["rows shown"] == MOST_ROWS // count < last["rows of the law"]
+    assert last["rows shown"] == MAX_LAW_ROWS // count < last["rows of the law"]
     assert 0.0 < last["error between the rows shown, largest (% of moment)"] < 0.5
     law = rows(book, "laws", "w99")
     assert len(law) == last["rows shown"]

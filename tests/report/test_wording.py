@@ -15,24 +15,24 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.wording import (
     heading,
-    in_words,
     is_main,
     printable,
+    replace_names,
+    result_label,
     shortened,
     shown_in,
     unit_words,
     why_missing,
-    with_names_in_words,
     write_number,
 )
 from labpipe.report.workbook_cells import (
-    Shown,
+    NumberCell,
     column_place,
-    form_in_column,
-    number_form,
-    percent,
-    shown,
-    shown_with_ends,
+    format_in_column,
+    interval_cells,
+    number_cell,
+    number_format,
+    percent_cell,
 )
 from labpipe.results import KINDS
 from tests.store.builders_result import build_result
@@ -105,7 +105,7 @@ def test_rounding_moves_no_number_by_more_than_a_tenth_of_the_half_width(
 
 
 def test_words() -> None:
-    assert in_words("peak_force.1") == "Peak force, cycle 1"
+    assert result_label("peak_force.1") == "Peak force, cycle 1"
     assert heading("stiffness_first", "N/mm") == "Stiffness, first region (N/mm)"
     assert heading("ratio", "1") == "Ratio"
     assert unit_words("N*mm^2") == "N\u00b7mm\u00b2"
@@ -118,7 +118,7 @@ def test_results_are_worded_as_their_kinds_say() -> None:
     assert len(outputs) > 25
     for output in outputs:
         assert output.label, output.name
-        assert in_words(output.name) == output.label
+        assert result_label(output.name) == output.label
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_results_are_worded_as_their_kinds_say() -> None:
     ],
 )
 def test_names_are_worded_and_files_and_keys_are_not(sentence: str, expected: str) -> None:
-    assert with_names_in_words(sentence) == expected
+    assert replace_names(sentence) == expected
 
 
 @pytest.mark.parametrize(
@@ -156,26 +156,28 @@ def test_half_of_the_interval_where_it_is_as_wide_to_both_sides(
 
 
 def test_two_digits_of_the_interval_are_seen_and_all_are_there() -> None:
-    cells = shown_with_ends(0.0522841, Interval(0.046271, 0.058296), 1e3)
+    cells = interval_cells(0.0522841, Interval(0.046271, 0.058296), 1e3)
     assert [cell and cell.form for cell in cells] == ["0.0"] * 3
     values = [cell and cell.value for cell in cells]
     assert values == pytest.approx([52.2841, 46.271, 58.296])
-    turned = shown_with_ends(1.0, Interval(0.9, 1.2), -1.0)
+    turned = interval_cells(1.0, Interval(0.9, 1.2), -1.0)
     assert [cell and cell.value for cell in turned] == [-1.0, -1.2, -0.9]
-    assert shown(74683.0, Interval(70000.0, 79000.0)) == Shown(74683.0, "0")
-    assert shown_with_ends(1.0, None)[1:] == (None, None)
-    assert [shown(value, None) for value in (None, math.nan)] == [None, None]
-    assert [percent(value) for value in (None, math.nan)] == [None, None]
-    assert percent(0.382) == Shown(0.382, "0.0%")
+    assert number_cell(74683.0, Interval(70000.0, 79000.0)) == NumberCell(74683.0, "0")
+    assert interval_cells(1.0, None)[1:] == (None, None)
+    assert [number_cell(value, None) for value in (None, math.nan)] == [None, None]
+    assert [percent_cell(value) for value in (None, math.nan)] == [None, None]
+    assert percent_cell(0.382) == NumberCell(0.382, "0.0%")
 
 
 def test_a_column_has_one_last_place_but_for_small_numbers() -> None:
     place = column_place([0.0, 12.345678, 53.2, None, "x"])
     assert place == -3
     cells: tuple[float, ...] = (53.2, 0.00123456, 3)
-    assert [form_in_column(cell, place) for cell in cells] == ["0.000", "0.00000", "0"]
+    assert [format_in_column(cell, place) for cell in cells] == ["0.000", "0.00000", "0"]
     assert column_place(["a", 3, None]) is None
-    forms = [number_form(*number) for number in ((2.345e8, 6), (3.1e-8, -9), (7e-4, -4), (0.0, -3))]
+    forms = [
+        number_format(*number) for number in ((2.345e8, 6), (3.1e-8, -9), (7e-4, -4), (0.0, -3))
+    ]
     assert forms == ["0.00E+00", "0.0E+00", "0.0000", "0.000"]
 
 
