@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.readers import recognise_export
-from labpipe.readers.time_axes import SAMPLED_ON_EVENT, VARIABLE, find_holes
+from labpipe.readers.time_axes import SAMPLED_ON_EVENT, TIME_VARIABLE, find_holes
 from labpipe.readers.tracking import blank, longest, runs, unchanged
 from labpipe.records.arrays import Floats, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
@@ -108,7 +108,7 @@ def _stream(clock: Clock, recording: Recording) -> dict[str, object]:
 def _is_uneven(clock: Clock, recording: Recording) -> bool:
     """Whether long steps of a time axis are how its program samples, not losses."""
     notes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
-    return clock.name in SAMPLED_ON_EVENT or VARIABLE in notes
+    return clock.name in SAMPLED_ON_EVENT or TIME_VARIABLE in notes
 
 
 def _timing(time: Floats, *, on_event: bool) -> dict[str, object]:

@@ -19,9 +19,9 @@ from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
-from labpipe.readers.channels import NoChannelError, is_as_written, select_channel
+from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
 from labpipe.readers.load_frame.cards import lab_card_files
-from labpipe.readers.text_cells import is_like, is_unit
+from labpipe.readers.text_cells import has_dimension_of, is_unit
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
@@ -102,7 +102,7 @@ def _stated_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
         expected, found = "a unit", "none in the file and none in the protocol"
         unit = in_test_sheet(f"{source.key}.unit", target)
         remedy = f"Write the unit of its numbers, such as {unit}."
-    elif is_like(stated, "kg") and target == "N":
+    elif has_dimension_of(stated, "kg") and target == "N":
         unit = in_test_sheet(f"{source.key}.unit", stated)
         weight = in_test_sheet(f"{source.key}.calibration", f"{{gain: {GRAVITY} N/kg}}")
         remedy = f"{stated} is a unit of mass. To take its weight, write {unit} and {weight}."
@@ -344,7 +344,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     notes += [
         _spelt_note(channel, name, said)
         for channel, name, said in found
-        if not is_as_written(said.channel, channel)
+        if not is_exact_name(said.channel, channel)
     ]
     return replace(recording, channels=channels, clocks=kept, notes=(*recording.notes, *notes))
 

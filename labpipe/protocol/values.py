@@ -50,7 +50,7 @@ _DIMENSIONS = MappingProxyType(
 )
 """Words for what a unit is of."""
 _PARTS = re.compile(r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)")
-"""A number, perhaps with signs between thousands or a decimal comma, and what follows it."""
+"""A number, perhaps with thousands separators or a decimal comma, and what follows it."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _GROUPED = re.compile(
     r"[-+]?[1-9]\d{0,2}([.,' \u2019\u00a0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)[.,]\d+)?"
@@ -60,7 +60,7 @@ _PURE = re.compile(rf"\s*{_NUMBER}\s*(1|%|percent|ppm)?\s*")
 
 
 def number_remedy(number: str, unit: str = "") -> str:
-    """Say how to write a number that has signs between thousands or a decimal comma.
+    """Say how to write a number that has thousands separators or a decimal comma.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def number_remedy(number: str, unit: str = "") -> str:
         whole = number.replace(grouped[1], "").replace(",", ".")
         if is_decimal:
             return f"Write {whole}{behind} or {point}{behind}, as meant."
-        return f"Write it without signs between thousands: {whole}{behind}."
+        return f"Write it without thousands separators: {whole}{behind}."
     return f"Write it with a decimal point: {point}{behind}." if is_decimal else ""
 
 

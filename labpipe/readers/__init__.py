@@ -1,4 +1,4 @@
-"""From exports to recordings: one reader per format, recognised by content, never by suffix."""
+"""Readers of exports: one per format, recognised by content, never by suffix."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["READERS", "Reader", "read_export", "recognise_export"]
 
 
 class _Module(Protocol):
-    """What the module of a format has."""
+    """Interface of the module of a format."""
 
     def recognise(self, path: Path) -> bool: ...
 
@@ -30,22 +30,22 @@ class _Module(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """The reader of a format; its module is imported when it is asked."""
+    """The reader of a format; its module is imported on first use."""
 
     format: ExportFormat
 
     @property
     def name(self) -> str:
-        """As protocols write it."""
+        """Name of the format, as in protocols."""
         return self.format.name
 
     def recognise(self, path: Path) -> bool:
-        """Check by the content whether a file is of this format."""
+        """Return whether the content of a file is of this format."""
         is_of_kind = self.format.is_workbook if is_workbook(path) else self.format.is_text
         return is_of_kind and self._module.recognise(path)
 
     def read(self, path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
-        """Make a recording of a file, faults of the time axis as notes of severity error."""
+        """Read a file; faults of the time axis become notes of severity error."""
         return self._module.read(path, channels=channels)
 
     @property
@@ -72,13 +72,13 @@ def recognise_export(path: Path) -> Reader:
     Raises
     ------
     ReadError
-        If the file cannot be opened, is empty, or is of no format that is read here.
+        If the file cannot be opened, is empty, or is of an unknown format.
     """
     for reader in READERS.values():
         if reader.recognise(path):
             return reader
     if is_workbook(path):
-        open_sheets(path)  # where it cannot be opened at all, that is what is wrong
+        open_sheets(path)  # raises if it cannot be opened
     from labpipe.readers.unknown_files import describe_unknown
 
     unknown = describe_unknown(path)
@@ -99,16 +99,16 @@ def read_export(
     dialect: Sequence[str] | None = None,
     part: str | None = None,
 ) -> Recording:
-    """Read an export that is to be processed.
+    """Read an export for processing.
 
     Parameters
     ----------
     path : the export
-    reader : the format, or formats, that it must have; None to take what the content says
-    channels : names or paths of the channels wanted, None for all; only these are loaded, with
-        their time axes
-    dialect : of a load frame's export, the card or cards that it must fit
-    part : of a load frame's export, the specimen or sheet wanted of one that holds several
+    reader : allowed format or formats; None for any
+    channels : names or paths of the wanted channels, None for all; only these and their time axes
+        are loaded
+    dialect : for load-frame exports, the card or cards that must fit
+    part : for load-frame exports with several specimens or sheets, the wanted one
 
     Returns
     -------
@@ -121,30 +121,28 @@ def read_export(
         axis that runs backwards (`Reader.read` leaves that as a note, for `labpipe inspect`).
     """
     allowed = [reader] if isinstance(reader, str) else list(reader or READERS)
-    found = _recognised_or_named(path, allowed, dialect)
-    if found.name not in allowed:
+    export_reader = _find_reader(path, allowed, dialect)
+    if export_reader.name not in allowed:
         raise unreadable(
             path,
             "",
             f"a file of the format {' or '.join(allowed)}",
-            f"one of the format {found.name}",
+            f"one of the format {export_reader.name}",
             "Name the right file, or change `reader` in the protocol.",
         )
-    if found.name == "load-frame":
+    if export_reader.name == "load-frame":
         from labpipe.readers import load_frame
 
         recording = load_frame.read(path, channels=channels, dialect=dialect, part=part)
     else:
-        recording = found.read(path, channels=channels)
+        recording = export_reader.read(path, channels=channels)
     _refuse_broken_time(recording, path)
     return recording
 
 
-def _recognised_or_named(
-    path: Path, allowed: Sequence[str], dialect: Sequence[str] | None
-) -> Reader:
-    """The reader by content; where none fits, the load frame's if one of its cards was named."""
-    for name in allowed:  # a file is of one format only: spares asking, and loading, the others
+def _find_reader(path: Path, allowed: Sequence[str], dialect: Sequence[str] | None) -> Reader:
+    """Return the reader by content; if none fits, that of load frames if a card is named."""
+    for name in allowed:  # avoids loading the other readers
         if READERS[name].recognise(path):
             return READERS[name]
     try:

@@ -1,4 +1,4 @@
-"""Channels of an export: found by the name that a person wrote, and what is odd about them."""
+"""Channels of an export: search by name, and quality notes."""
 
 from __future__ import annotations
 
@@ -14,26 +14,23 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Recording
 
 ReportOptions: TypeAlias = str | tuple[str, ...]
-"""A channel by its name or path, or by several of which the first that the export has is meant."""
+"""Name or path of a channel, or alternatives of which the first existing one counts."""
 
-_BEFORE = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
-"""What stands before the name of a channel: an underscore, or the number of the channel."""
-_NOTED = 3
-"""Channels that a note lists."""
-_SHOWN = 6
-"""Names that a message lists."""
-_INSPECT = "`labpipe inspect` lists them all."
+_CHANNEL_PREFIX = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
+"""Prefix of a channel name: an underscore, or the number of the channel."""
+_MAX_NOTED = 3
+"""Channels listed in a note."""
 
 
 class NoChannelError(ReadError):
-    """No channel of an export, or more than one, is meant by a name.
+    """A name matches no channel of an export, or more than one.
 
     Parameters
     ----------
-    message : for people
-    wanted : the names that were asked for
-    parts : the specimens or sheets of a load frame's export that each have such a channel; empty
-        where that is not why
+    message : the message
+    wanted : the wanted names
+    parts : specimens or sheets of a load-frame export that each have such a channel; empty if the
+        error has another cause
     """
 
     code = "missing_channel"
@@ -43,21 +40,21 @@ class NoChannelError(ReadError):
         self.wanted, self.parts = wanted, parts
 
     def __reduce__(self) -> tuple[type[NoChannelError], tuple[object, ...]]:
-        """Let it pass from one process to another."""
+        """Support pickling between processes."""
         return type(self), (str(self), self.wanted, self.parts)
 
 
 def select_channel(recording: Recording, wanted: ReportOptions, file: object) -> Channel:
-    """Find the one channel that a name stands for.
+    """Return the channel with a name.
 
     Parameters
     ----------
-    recording : what a reader made of the export
-    wanted : full path and name (``Model Root/Load Cell/Out1``), or the name alone where no other
-        channel has it; quotes and the two characters backslash-n may be left out. Of several
-        names the first one that the export has counts. Where it has none of them as written, one
-        is looked for that differs by the number of a channel before it (``Ch 1 Kraft``,
-        ``C_1_Force``, ``_Load``), by case, accents, or underscores for blanks.
+    recording : the export
+    wanted : full path and name (``Model Root/Load Cell/Out1``), or the name alone if it is unique;
+        quotes and the two characters backslash-n may be omitted. Of several names the first
+        existing one counts. If none exists as written, the search ignores the number of a channel
+        before the name (``Ch 1 Kraft``, ``C_1_Force``, ``_Load``), case, accents, and underscores
+        in place of blanks.
     file : named in the errors
 
     Returns
@@ -67,20 +64,20 @@ def select_channel(recording: Recording, wanted: ReportOptions, file: object) ->
     Raises
     ------
     NoChannelError
-        If no channel is meant by that name (the nearest are listed), or more than one.
+        If no channel has that name (the nearest are listed), or more than one.
     """
     if recording.reader == "load-frame":
-        (found,) = find_in_parts([wanted], recording.channels, file)
+        (index,) = find_in_parts([wanted], recording.channels, file)
     else:
-        known = [(channel.name, channel.path) for channel in recording.channels]
-        found = find_channel(wanted, known, file)
-    return recording.channels[found]
+        pairs = [(channel.name, channel.path) for channel in recording.channels]
+        index = find_channel(wanted, pairs, file)
+    return recording.channels[index]
 
 
 def find_in_parts(
     wanted: Sequence[ReportOptions], channels: Sequence[Channel], file: object
 ) -> list[int]:
-    """Find channels among those of a load frame's export, whose specimens have a clock each.
+    """Find channels of a load-frame export, whose specimens each have a clock.
 
     Parameters
     ----------
@@ -95,29 +92,31 @@ def find_in_parts(
     Raises
     ------
     NoChannelError
-        As `find_channel`; with the specimens that have the channel where several do.
+        As `find_channel`; with the specimens that have the channel, if there are several.
     """
-    known = [(channel.name, channel.path) for channel in channels]
+    pairs = [(channel.name, channel.path) for channel in channels]
     try:
-        return [find_channel(wanted, known, file) for wanted in wanted]
+        return [find_channel(wanted, pairs, file) for wanted in wanted]
     except NoChannelError as error:
         clocks = dict.fromkeys(channel.clock for channel in channels)
-        parts = tuple(part for part in clocks if _has(error.wanted, part, channels))
+        parts = tuple(part for part in clocks if _has_channel(error.wanted, part, channels))
         raise NoChannelError(str(error), error.wanted, parts if len(parts) > 1 else ()) from error
 
 
-def _has(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]) -> bool:
+def _has_channel(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]) -> bool:
     names = [(channel.name, channel.name) for channel in channels if channel.clock == part]
-    return any(meant(name, names) for meant in (_meant, _meant_loosely) for name in wanted)
+    return any(
+        matches(name, names) for matches in (_exact_matches, _loose_matches) for name in wanted
+    )
 
 
-def find_channel(wanted: ReportOptions, known: Sequence[tuple[str, str]], file: object) -> int:
-    """Find which of the (name, path) pairs a name stands for.
+def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: object) -> int:
+    """Return the index of the (name, path) pair that a name matches.
 
     Parameters
     ----------
     wanted : as for `select_channel`
-    known : name and path of each channel of the export
+    pairs : name and path of each channel of the export
     file : named in the errors
 
     Returns
@@ -127,38 +126,40 @@ def find_channel(wanted: ReportOptions, known: Sequence[tuple[str, str]], file: 
     Raises
     ------
     NoChannelError
-        If it stands for none of them, or for more than one.
+        If it matches none of them, or more than one.
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
-    paths = [path for _, path in known]
-    for meant in (_meant, _meant_loosely):
+    paths = [path for _, path in pairs]
+    for matches in (_exact_matches, _loose_matches):
         for name in names:
-            found = meant(name, known)
-            if len(found) == 1:
-                return found[0]
-            if found:
-                raise NoChannelError(_ambiguous(name, [paths[i] for i in found], file), names)
-    raise NoChannelError(_unknown(names, paths, file), names)
+            indices = matches(name, pairs)
+            if len(indices) == 1:
+                return indices[0]
+            if indices:
+                raise NoChannelError(
+                    _ambiguous_text(name, [paths[i] for i in indices], file), names
+                )
+    raise NoChannelError(_unknown_text(names, paths, file), names)
 
 
-def is_as_written(wanted: ReportOptions, channel: Channel) -> bool:
-    """Check whether a channel has one of the names as they are written, not just nearly.
+def is_exact_name(wanted: ReportOptions, channel: Channel) -> bool:
+    """Return whether a channel has one of the names exactly.
 
     Parameters
     ----------
-    wanted : as for `select_channel`, which found the channel
+    wanted : as for `select_channel`
     channel : of the export
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
-    return any(_meant(name, [(channel.name, channel.path)]) for name in names)
+    return any(_exact_matches(name, [(channel.name, channel.path)]) for name in names)
 
 
 def plain_name(name: str) -> str:
-    """Take off a name what programs put before it, and how they spell it.
+    """Remove prefixes that programs add to a channel name, and normalise its spelling.
 
     Parameters
     ----------
-    name : of a channel, without its unit
+    name : name of the channel, without its unit
 
     Examples
     --------
@@ -166,68 +167,72 @@ def plain_name(name: str) -> str:
     ('kraft', 'deplacement', 'load')
     """
     spelt = unicodedata.normalize("NFKD", name)
-    bare = "".join(sign for sign in spelt if not unicodedata.combining(sign)).casefold()
-    before = _BEFORE.match(bare)
-    rest = bare[before.end() :] if before else bare
+    plain = "".join(sign for sign in spelt if not unicodedata.combining(sign)).casefold()
+    before = _CHANNEL_PREFIX.match(plain)
+    rest = plain[before.end() :] if before else plain
     return " ".join(rest.replace("_", " ").rstrip(" .").split())
 
 
-def _meant(wanted: str, known: Sequence[tuple[str, str]]) -> list[int]:
-    """Which of the (name, path) pairs one name may stand for."""
-    exact = [i for i, (_, path) in enumerate(known) if path == wanted]
-    spelt = [i for i, (_, path) in enumerate(known) if _spellings(path) & _spellings(wanted)]
-    named = [i for i, (name, _) in enumerate(known) if name == wanted]
+def _exact_matches(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+    """Return the (name, path) pairs that a name matches."""
+    exact = [i for i, (_, path) in enumerate(pairs) if path == wanted]
+    spelt = [i for i, (_, path) in enumerate(pairs) if _spellings(path) & _spellings(wanted)]
+    named = [i for i, (name, _) in enumerate(pairs) if name == wanted]
     return exact or spelt or named
 
 
-def _meant_loosely(wanted: str, known: Sequence[tuple[str, str]]) -> list[int]:
-    """Which of the (name, path) pairs one name nearly stands for."""
+def _loose_matches(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+    """Return the (name, path) pairs that a name matches apart from prefix and spelling."""
     plain = plain_name(wanted)
-    return [i for i, (name, _) in enumerate(known) if plain and plain_name(name) == plain]
+    return [i for i, (name, _) in enumerate(pairs) if plain and plain_name(name) == plain]
 
 
 def _spellings(path: str) -> set[str]:
-    """Ways to write one path: with or without quotes and Simulink's line breaks."""
-    bare = path.replace('"', "")
-    unbroken = {text.replace("\\n", "").replace("\n", "") for text in (path, bare)}
-    return {path, bare} | unbroken
+    """Return spellings of a path: with or without quotes and Simulink's line breaks."""
+    plain = path.replace('"', "")
+    unbroken = {text.replace("\\n", "").replace("\n", "") for text in (path, plain)}
+    return {path, plain} | unbroken
 
 
-def _ambiguous(wanted: str, paths: list[str], file: object) -> str:
+def _ambiguous_text(wanted: str, paths: list[str], file: object) -> str:
     return error_text(
         file,
         f"channel {wanted!r}",
         expected="a name that only one channel has",
         found=f"{len(paths)} channels of that name",
-        remedy=f"Give the full path, one of: {_listed(paths)}.",
+        remedy=f"Give the full path, one of: {_quoted_list(paths)}.",
     )
 
 
-def _unknown(names: tuple[str, ...], paths: list[str], file: object) -> str:
+def _unknown_text(names: tuple[str, ...], paths: list[str], file: object) -> str:
     close = list(dict.fromkeys(near for name in names for near in nearest(name, paths)))[:5]
-    remedy = f"Nearest: {_listed(close)}. {_INSPECT}" if close else "The file holds no channels."
+    remedy = (
+        f"Nearest: {_quoted_list(close)}. `labpipe inspect` lists them all."
+        if close
+        else "The file holds no channels."
+    )
     expected = f"one of the {len(paths)} channels of the file"
-    place = f"channel {' or '.join(map(repr, names[:_SHOWN]))}"
-    if len(names) > _SHOWN:
-        place += f" or {len(names) - _SHOWN} more"
+    place = f"channel {' or '.join(map(repr, names[:6]))}"
+    if len(names) > 6:
+        place += f" or {len(names) - 6} more"
     return error_text(file, place, expected=expected, found="no such channel", remedy=remedy)
 
 
-def _listed(paths: list[str]) -> str:
+def _quoted_list(paths: list[str]) -> str:
     return ", ".join(f"'{path}'" for path in paths)
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
-    """Number the names that occur more than once, and name the columns without one."""
-    called = [name or f"column {i + 1}" for i, name in enumerate(names)]
+    """Number repeated names, and name columns without a name."""
+    labels = [name or f"column {i + 1}" for i, name in enumerate(names)]
     return [
-        f"{name} [{called[: i + 1].count(name)}]" if called.count(name) > 1 else name
-        for i, name in enumerate(called)
+        f"{name} [{labels[: i + 1].count(name)}]" if labels.count(name) > 1 else name
+        for i, name in enumerate(labels)
     ]
 
 
 def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
-    """Say what is odd about the channels of an export, whatever wrote it.
+    """Return notes on the channels of an export.
 
     Parameters
     ----------
@@ -238,29 +243,30 @@ def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
     Notes ``constant_channel``, ``units_not_stated`` and ``names_not_unique``.
     """
     constant = [channel.path for channel in channels if _is_constant(channel.values)]
-    silent = [channel.path for channel in channels if not channel.unit_in_file]
+    without_unit = [channel.path for channel in channels if not channel.unit_in_file]
     names = Counter(channel.name for channel in channels)
     shared = [f"{count} are called '{name}'" for name, count in names.items() if count > 1]
     total, notes = len(channels), []
     if constant:
-        message = f"{len(constant)} of {total} channels never change: {_some(constant)}"
+        message = f"{len(constant)} of {total} channels never change: {_first_paths(constant)}"
         notes.append(QualityNote("constant_channel", Severity.INFO, "channels", message))
-    if silent:
-        message = f"no unit is stated for {len(silent)} of {total} channels: {_some(silent)}"
-        if len(silent) == total:
+    if without_unit:
+        count = f"{len(without_unit)} of {total}"
+        message = f"no unit is stated for {count} channels: {_first_paths(without_unit)}"
+        if len(without_unit) == total:
             message = "the export states no units; the protocol must"
         notes.append(QualityNote("units_not_stated", Severity.INFO, "channels", message))
     if shared:
-        message = f"of {total} channels {', '.join(shared[:_NOTED])}: tell them apart by path"
+        message = f"of {total} channels {', '.join(shared[:_MAX_NOTED])}: distinguish them by path"
         notes.append(QualityNote("names_not_unique", Severity.INFO, "channels", message))
     return notes
 
 
-def _some(paths: list[str]) -> str:
-    return _listed(paths[:_NOTED]) + (" ..." if len(paths) > _NOTED else "")
+def _first_paths(paths: list[str]) -> str:
+    return _quoted_list(paths[:_MAX_NOTED]) + (" ..." if len(paths) > _MAX_NOTED else "")
 
 
 def _is_constant(values: Floats) -> bool:
-    """Check whether at least two samples are all alike; the ends spare a look at most channels."""
+    """Return whether two or more samples are all equal; comparing the ends first is fast."""
     alike = len(values) > 1 and values[0] == values[-1]
     return alike and bool(values.min() == values.max())

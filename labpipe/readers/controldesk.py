@@ -1,4 +1,4 @@
-"""What all exports of dSPACE ControlDesk share, whatever the container."""
+"""Common parts of the readers of dSPACE ControlDesk exports."""
 
 from __future__ import annotations
 
@@ -20,22 +20,18 @@ from labpipe.records.recording import Channel, Clock, Recording
 _PROGRAM_VERSION = re.compile(r"ControlDesk version:\s*([\w.]+)")
 _SAVED = re.compile(r"Created on: \w{3} (\w{3}) +(\d{1,2}) [\d:]+ (\d{4})")
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-_LONGEST = 4
-"""Digits of a day, a month or a year."""
-_CLOSE = 7
-"""Days between recording and saving that are still believed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A channel of an export that has not been loaded yet.
+    """A channel of an export whose samples are not loaded yet.
 
     Parameters
     ----------
     name, path, unit_in_file : as in `Channel`
     clock : index of its time axis
-    load : gives its samples
-    about : everything else that the export says about it
+    load : returns its samples
+    about : its other properties in the export
     """
 
     name: str
@@ -55,9 +51,9 @@ class Export:
     axes : name (raster, may be empty) and samples of each time axis
     traces : the channels in the order of the file
     origin : the export's text on model and program
-    metadata : what it says about itself
-    notes : what reading its head brought up
-    start : s, the start that it states, None if it does not
+    metadata : its properties
+    notes : notes from its header
+    start : s, stated start time; None if not stated
     """
 
     axes: Sequence[tuple[str, Callable[[], object]]]
@@ -71,7 +67,7 @@ class Export:
 def load_export(
     export: Export, *, reader: str, path: Path, channels: Sequence[ReportOptions] | None
 ) -> Recording:
-    """Load the channels that are wanted, on their time axes.
+    """Load the wanted channels on their time axes.
 
     Parameters
     ----------
@@ -82,7 +78,7 @@ def load_export(
 
     Returns
     -------
-    The recording; channel values as in the file, infinities made NaN, units left open.
+    The recording; values as in the file, infinities replaced by NaN, units not set.
 
     Raises
     ------
@@ -108,7 +104,7 @@ def load_export(
         metadata={**export.metadata, "channels": {t.path: dict(t.about) for t in traces}},
         notes=(
             *export.notes,
-            *_several_note(names),
+            *_clock_count_note(names),
             *_path_notes(traces),
             *(note for clock in clocks.values() for note in clock_notes(clock)),
             *_start_note(list(clocks.values()), export.start),
@@ -118,14 +114,14 @@ def load_export(
     )
 
 
-def plain(value: object) -> object:
-    """Give back what JSON can hold: infinities and NaN become text, arrays become lists."""
+def to_json(value: object) -> object:
+    """Convert a value for JSON: infinities and NaN become text, arrays become lists."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.item() if value.size == 1 else value.ravel()[:16].tolist())
+        return to_json(value.item() if value.size == 1 else value.ravel()[:16].tolist())
     if isinstance(value, list | tuple):
-        items = [plain(item) for item in value]
+        items = [to_json(item) for item in value]
         return items[0] if len(items) == 1 else items
     if isinstance(value, float) and not np.isfinite(value):
         return str(value)
@@ -164,7 +160,7 @@ def _channel(trace: Trace, clock: Clock, path: Path) -> Channel:
     )
 
 
-def _several_note(clocks: Sequence[str]) -> list[QualityNote]:
+def _clock_count_note(clocks: Sequence[str]) -> list[QualityNote]:
     if len(clocks) < 2:
         return []
     message = f"{len(clocks)} time axes: {', '.join(clocks)}"
@@ -180,7 +176,7 @@ def _path_notes(traces: Sequence[Trace]) -> list[QualityNote]:
 
 
 def _start_note(clocks: Sequence[Clock], stated: float | None) -> list[QualityNote]:
-    """Compare the stated start with the first time axis; half a step apart is a contradiction."""
+    """Compare the stated start with the first time axis, to within half a step."""
     if stated is None or not clocks or len(clocks[0].time) < 2:
         return []
     first, second = clocks[0].time[:2]
@@ -198,14 +194,14 @@ def _value_notes(traces: Sequence[Trace], channels: Sequence[Channel]) -> list[Q
 def _blank_note(trace: Trace, blank: Flags, where: str) -> QualityNote:
     infinite = int(np.isinf(_samples(trace.load())).sum())
     first = int(np.flatnonzero(blank)[0]) + 1
-    message = f"{int(blank.sum())} of {len(blank)} samples are no numbers"
+    message = f"{int(blank.sum())} of {len(blank)} samples are not numbers"
     message += f" ({infinite} of them infinite)" if infinite else ""
     message += f", the first at sample {first}"
     return QualityNote("not_finite", Severity.WARNING, where, message)
 
 
 def day_of_saving(header: str) -> date | None:
-    """Find the day in the header text of a MAT file, which is always in English.
+    """Return the day in the header text of a MAT file, which is always in English.
 
     Parameters
     ----------
@@ -213,7 +209,7 @@ def day_of_saving(header: str) -> date | None:
 
     Returns
     -------
-    The day, None if the text holds none.
+    The day; None if there is none.
     """
     match = _SAVED.search(header)
     if match is None or match.group(1) not in _MONTHS:
@@ -222,30 +218,33 @@ def day_of_saving(header: str) -> date | None:
 
 
 def written_date(text: str, near: date | None) -> str:
-    """Settle whether day or month comes first in a date, by a day that is known to be close.
+    """Resolve the order of day and month in a date by a known nearby day.
 
     Parameters
     ----------
     text : as ControlDesk wrote it
-    near : the day of saving, at most a few days later; None if it is not known
+    near : the day of saving, at most a few days later; None if unknown
 
     Returns
     -------
-    ISO date, empty if no reading of the text lies within a week of `near`.
+    ISO date; empty if no order gives a date within a week of `near`.
 
     Examples
     --------
     >>> written_date("4-5-2023 17:30:33", date(2023, 5, 4))
     '2023-05-04'
     """
-    words = re.findall(r"\d+", text)[:3]
-    if len(words) < 3 or near is None or max(map(len, words)) > _LONGEST:
+    # Of a day, a month or a year.
+    max_digits = 4
+    max_days_to_saving = 7
+    digits = re.findall(r"\d+", text)[:3]
+    if len(digits) < 3 or near is None or max(map(len, digits)) > max_digits:
         return ""
-    a, b, c = map(int, words)
+    a, b, c = map(int, digits)
     orders = [(a, b, c)] if a > 31 else [(c, a, b), (c, b, a)]
     days = [day for order in orders if (day := _day(*order)) is not None]
     days.sort(key=lambda day: abs((day - near).days))
-    return days[0].isoformat() if days and abs((days[0] - near).days) <= _CLOSE else ""
+    return days[0].isoformat() if days and abs((days[0] - near).days) <= max_days_to_saving else ""
 
 
 def _day(year: int, month: int, day: int) -> date | None:

@@ -1,28 +1,28 @@
-"""Reads a force-displacement curve from elsewhere: two columns of a text file or of a workbook.
+"""Reader of external force-displacement curves: two columns of a text file or a workbook.
 
 Writes these files: a finite-element program, a program that digitises figures, another lab.
 
 Units: in the heading (``deflection / mm``, ``force [N]``, ``deflection_mm``), in a row of units
-below it, or stated by the caller. Two that differ are refused.
+below it, or stated by the caller. Contradicting units are refused.
 
-Missing data: a row in which both cells are blank is passed over, as in files that hold curves of
-different lengths side by side. One blank cell is refused.
+Missing data: a row in which both cells are blank is skipped, as in files with curves of different
+lengths side by side. One blank cell is refused.
 
 File structure: cells separated by tabulator, semicolon, comma or blanks, whichever splits the first
-rows into numbers; decimal point or comma, one of them in a file. Rows above the names are passed
-over. A file without names is read where its columns are numbered. Of a workbook, the first sheet.
-A last line without line end that stops in the middle (`table_body.whole_lines`) is refused: a
-curve carries no notes, and its last point is often its largest force.
+rows into numbers; decimal point or comma, the same in the whole file. Rows above the names are
+skipped. A file without names is read if its columns are numbered. Of a workbook, the first sheet.
+An incomplete last line without line end (`table_body.whole_lines`) is refused: a curve has no
+notes, and its last point is often its largest force.
 
-A file that CalculiX CrunchiX (``ccx``, ending ``.dat``, known version 2.20) printed is read as it
-is: deflection and force of a tip that is pushed, at each increment. It was asked for ``*NODE
-PRINT`` of ``U`` and, with ``TOTALS=ONLY``, of ``RF``, as the deck that `labpipe model` writes asks.
-Its units are those of the deck, which the file does not say; decks of labpipe are in m and N. It
-holds blocks, each under a heading with the quantity, the set of nodes and the time, such
-as ``displacements (vx,vy,vz) for set TIPHALF and time  0.1250000E-01``. Of displacements a line per
-node, its number first; of the total force one line. The deflection is the mean of the second
-component, along y; the force is the second component too. Of a set whose name ends in HALF the
-force counts twice: it is of a half model.
+A file that CalculiX CrunchiX (``ccx``, ending ``.dat``, known version 2.20) printed is read
+directly: deflection and force of a pushed tip at each increment, from ``*NODE PRINT`` of ``U``
+and, with ``TOTALS=ONLY``, of ``RF``, as in the deck that `labpipe model` writes. Its units are
+those of the deck, which the file does not state; decks of labpipe are in m and N. It contains
+blocks, each under a heading with the quantity, the set of nodes and the time, such
+as ``displacements (vx,vy,vz) for set TIPHALF and time  0.1250000E-01``. Displacements
+have one line per node, its number first; the total force has one line. The deflection is the mean
+of the second component, along y; the force is its second component. The force of a set whose name
+ends in HALF counts twice: it is that of a half model.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from labpipe.readers.raw_files import (
 from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
 from labpipe.readers.table_body import Body, whole_lines
 from labpipe.readers.text_cells import (
-    PLAIN,
+    NUMERAL,
     are_units,
     is_grouped,
     is_number,
@@ -61,28 +61,26 @@ from labpipe.readers.workbooks import is_workbook
 from labpipe.records.arrays import Floats
 from labpipe.units import si_factor, whole_number
 
-__all__ = ["FEWEST", "CurveColumn", "read_curve"]
+__all__ = ["MIN_CURVE_POINTS", "CurveColumn", "read_curve"]
 
-FEWEST = 3
-"""Points that make a curve."""
+MIN_CURVE_POINTS = 3
+"""Points of a curve."""
 _SEPARATORS = ("\t", ";", ",", " ")
-_HEAD = 400
-"""Lines in which the first row of numbers is looked for."""
 _ENCODINGS = ("utf-8", "latin-1")
 _NOT_FINITE = frozenset({"nan", "inf", "infinity"})
-_USUAL = {
+_USUAL_NAMES = {
     "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
     "force": ("force", "tip force"),
 }
 """Usual names of the columns."""
-HALF = "HALF"
-"""What the name of a set ends with whose force is of a half model."""
+HALF_MODEL_SUFFIX = "HALF"
+"""Suffix of the name of a set whose force is that of a half model."""
 _HEADING = re.compile(r"\s*+([^\s(][^(]*)\((\w+,\w+,\w+)\) for set (\S+) and time\s++(\S+)\s*+")
 _DEFLECTION, _FORCE = "displacements", "total force"
-_WHOLE = "a last line that does not stop in the middle, as numbers above it are longer"
-_END = "Export the curve again; if the line is whole, put a line end behind it."
-_AGAIN = "Run ccx again; the file may have been cut off."
-_NEEDED = "Print U, and RF with TOTALS=ONLY, of one set of nodes, as the deck of labpipe does."
+_RUN_AGAIN = "Run ccx again; the file may have been cut off."
+_PRINT_REMEDY = (
+    "Print U, and RF with TOTALS=ONLY, of one set of nodes, as the deck of labpipe does."
+)
 
 
 def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple[Floats, Floats]:
@@ -91,31 +89,32 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
     Parameters
     ----------
     path : text or xlsx
-    deflection, force : where they stand
+    deflection, force : the columns
 
     Returns
     -------
-    Deflection (m), rising from row to row, and force (N), shape (n,) both.
+    Deflection (m), increasing from row to row, and force (N), both of shape (n,).
 
     Raises
     ------
     ReadError
-        If the file, a column or a unit is missing, a cell holds no finite number, a deflection is
-        not above the one before, the largest force is negative, or there are fewer than 3 points.
+        If the file, a column or a unit is missing, a cell contains no finite number, a deflection
+        is not above the one before, the largest force is negative, or there are fewer than 3
+        points.
     """
     table = _table(path)
-    asked = (deflection, force)
-    columns = [find_column(table, each) for each in asked]
+    wanted = (deflection, force)
+    columns = [find_column(table, column) for column in wanted]
     if columns[0] == columns[1]:
-        found = f"column {columns[0] + 1} for both"
+        place = f"column {columns[0] + 1} for both"
         raise unreadable(
-            path, head_of(table), "two columns", found, "Name another one for the force."
+            path, head_of(table), "two columns", place, "Name another one for the force."
         )
-    factors = [unit_factor(table, at, each) for at, each in zip(columns, asked, strict=True)]
+    factors = [unit_factor(table, at, column) for at, column in zip(columns, wanted, strict=True)]
     points = _points(table, columns)
     across, up = (
-        each.sign * factor * np.array([_number(point[i], path) for point in points])
-        for i, (each, factor) in enumerate(zip(asked, factors, strict=True))
+        column.sign * factor * np.array([_number(point[i], path) for point in points])
+        for i, (column, factor) in enumerate(zip(wanted, factors, strict=True))
     )
     _check_order(path, points, across)
     _check_sign(path, points, up)
@@ -143,12 +142,14 @@ def _table(path: Path) -> CurveTable:
 
 
 def _without_mark(row: Sequence[Cell]) -> Row:
-    """A heading without the mark of a comment before it."""
+    """Return a heading without a comment mark before it."""
     bare = Cell(row[0].text.lstrip("# "), row[0].place)
     return (bare, *row[1:]) if bare.text else tuple(row[1:])
 
 
 def _text_cells(path: Path) -> list[list[Cell]]:
+    # Lines in which the first row of numbers is searched.
+    head_lines = 400
     content = read_content(path)
     if is_binary(content):
         remedy = "Save the curve as csv or xlsx."
@@ -157,20 +158,25 @@ def _text_cells(path: Path) -> list[list[Cell]]:
     if is_calculix(lines):
         return tip_rows(lines, path)
     for separator in _SEPARATORS:
-        rows = (_placed(split_line(line, separator), i) for i, line in enumerate(lines, start=1))
-        head = list(islice(rows, _HEAD))
+        rows = (
+            _place_cells(split_line(line, separator), i) for i, line in enumerate(lines, start=1)
+        )
+        head = list(islice(rows, head_lines))
         first = next((i for i, row in enumerate(head) if _is_sample(row)), None)
         if first is not None:
             names, start = [cell.text for cell in head[first]], line_start(content.data, first)
             columns = range(len(names))
             body = Body(content.data, names, columns, first + 1, separator, start=start)
             if whole_lines(body)[1]:
-                raise unreadable(path, f"line {len(lines)}", _WHOLE, repr(lines[-1][-60:]), _END)
+                expected = "a complete last line; the numbers above it are longer"
+                remedy = "Export the curve again; if the line is complete, add a line end."
+                found = repr(lines[-1][-60:])
+                raise unreadable(path, f"line {len(lines)}", expected, found, remedy)
             return [*head, *rows]
     return []
 
 
-def _placed(cells: Sequence[str], line: int) -> list[Cell]:
+def _place_cells(cells: Sequence[str], line: int) -> list[Cell]:
     return [Cell(text.strip(), f"line {line}, column {i}") for i, text in enumerate(cells, start=1)]
 
 
@@ -184,21 +190,21 @@ def _is_not_finite(text: str) -> bool:
 
 
 def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
-    """Two cells for each row that has some, numbers of one decimal sign."""
+    """Return the two cells of each row with values, with one decimal sign."""
     points = []
     for row in table.rows:
         blank = Cell("", row[0].place.partition(",")[0])
         point = [row[at] if at < len(row) else blank for at in columns]
         if any(cell.text for cell in point):
             points.append(point)
-    if len(points) < FEWEST:
-        expected, remedy = f"{FEWEST} points at least", "Give more points of the curve."
+    if len(points) < MIN_CURVE_POINTS:
+        expected, remedy = f"at least {MIN_CURVE_POINTS} points", "Give more points of the curve."
         raise unreadable(table.path, "", expected, f"{len(points)}", remedy)
     texts = [cell for point in points for cell in point]
     if any("." in cell.text for cell in texts):
         for cell in texts:
             if "," in cell.text:
-                remedy = "Write the file anew with one decimal sign and no sign for thousands."
+                remedy = "Write the file again with one decimal sign and no thousands separator."
                 expected, found = "a decimal point, as elsewhere in the file", repr(cell.text)
                 raise unreadable(table.path, cell.place, expected, found, remedy)
     return points
@@ -206,12 +212,12 @@ def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
 
 def _number(cell: Cell, path: Path) -> float:
     sign = "," if "," in cell.text else "."
-    if PLAIN[sign].fullmatch(cell.text) and math.isfinite(float(cell.text.replace(",", "."))):
+    if NUMERAL[sign].fullmatch(cell.text) and math.isfinite(float(cell.text.replace(",", "."))):
         return float(cell.text.replace(",", "."))
     found = repr(cell.text) if cell.text else "a blank cell"
-    remedy = "Correct the row, or take it out."
+    remedy = "Correct the row, or remove it."
     if is_grouped(cell.text):
-        remedy = "Write the file anew without signs between thousands."
+        remedy = "Write the file again without thousands separators."
     raise unreadable(path, cell.place, "a finite number", found, remedy)
 
 
@@ -219,7 +225,7 @@ def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Float
     """Refuse a curve that turns back or has two forces at one deflection."""
     for number, (before, here) in enumerate(pairwise(deflection.tolist()), start=1):
         if here <= before:
-            remedy = "Keep the first loading alone, its points in order, each deflection once."
+            remedy = "Keep the first loading only, its points in order, each deflection once."
             if deflection[-1] < deflection[0]:
                 remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
             expected = f"a deflection above the one before ({1e3 * before:.6g} mm)"
@@ -228,7 +234,7 @@ def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Float
 
 
 def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> None:
-    """Refuse a curve whose largest force pushes back."""
+    """Refuse a curve whose largest force is negative."""
     at = int(np.argmax(np.abs(force)))
     if force[at] <= 0.0:
         expected, found = "a largest force above zero", f"{force[at]:.6g} N"
@@ -238,15 +244,15 @@ def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> 
 
 @dataclass(frozen=True, slots=True)
 class CurveColumn:
-    """A column that is asked for.
+    """A wanted column.
 
     Parameters
     ----------
     what : ``deflection`` or ``force``
-    si_unit : of the answer
-    column : its name, or its number counted from 1; None for one that is called by its usual name
-    unit : in the file; None for what the heading says
-    sign : -1 where the file counts against the direction of bending
+    si_unit : unit of the result
+    column : its name, or its number counted from 1; None for the usual name
+    unit : unit in the file; None for that in the heading
+    sign : -1 if the file counts against the direction of bending
     """
 
     what: str
@@ -263,9 +269,9 @@ class CurveTable:
     Parameters
     ----------
     path : of the file
-    names : of the columns, units taken off by those who look for them; empty without any
+    names : of the columns, with their units; empty without any
     units : of the row of units; empty texts without one
-    rows : of numbers, and what is among them
+    rows : rows of samples and those among them
     """
 
     path: Path
@@ -275,18 +281,18 @@ class CurveTable:
 
 
 def head_of(table: CurveTable) -> str:
-    """Place of the names, or of the first row."""
+    """Return the place of the names, or of the first row."""
     row = table.names or table.rows[0]
     return row[0].place.partition(",")[0]
 
 
-def find_column(table: CurveTable, asked: CurveColumn) -> int:
-    """Find a column by its name, or by its number where none has that name.
+def find_column(table: CurveTable, wanted: CurveColumn) -> int:
+    """Find a column by its name, or by its number if none has that name.
 
     Parameters
     ----------
     table : cells of the file
-    asked : what is wanted
+    wanted : the column
 
     Returns
     -------
@@ -297,56 +303,58 @@ def find_column(table: CurveTable, asked: CurveColumn) -> int:
     ReadError
         If there is none, or several have the name.
     """
-    words = _USUAL[asked.what] if asked.column is None else (asked.column,)
-    wanted = {word.strip().casefold() for word in words}
-    found = [
+    names = _USUAL_NAMES[wanted.what] if wanted.column is None else (wanted.column,)
+    spellings = {name.strip().casefold() for name in names}
+    matches = [
         i
         for i, cell in enumerate(table.names)
-        if wanted & {cell.text.casefold(), _parted(cell.text, asked.si_unit)[0].casefold()}
+        if spellings & {cell.text.casefold(), _split_unit(cell.text, wanted.si_unit)[0].casefold()}
     ]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        said = f"{len(found)}: columns {', '.join(str(i + 1) for i in found)}"
-        remedy = "Give the number of the one that is meant."
-        raise unreadable(table.path, head_of(table), f"one column {words[0]!r}", said, remedy)
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        text = f"{len(matches)}: columns {', '.join(str(i + 1) for i in matches)}"
+        remedy = "Give the number of the right one."
+        raise unreadable(table.path, head_of(table), f"one column {names[0]!r}", text, remedy)
     width = len(table.units)
-    number = whole_number(asked.column or "")
+    number = whole_number(wanted.column or "")
     if number is not None and 1 <= number <= width:
         return number - 1
-    raise _no_column(table, asked, words[0])
+    raise _no_column(table, wanted, names[0])
 
 
-def _no_column(table: CurveTable, asked: CurveColumn, word: str) -> ReadError:
+def _no_column(table: CurveTable, wanted: CurveColumn, name: str) -> ReadError:
     place = head_of(table)
-    remedy = f"Name it in the plan, such as {asked.what}: {{column: U2, unit: {_example(asked)}}}."
+    remedy = (
+        f"Name it in the plan, such as {wanted.what}: {{column: U2, unit: {_example(wanted)}}}."
+    )
     if not table.names:
-        remedy = f"Number it in the plan, such as {asked.what}: {{column: 1, unit: mm}}."
-        expected = f"a row of names above the numbers, with a column {word!r}"
+        remedy = f"Number it in the plan, such as {wanted.what}: {{column: 1, unit: mm}}."
+        expected = f"a row of names above the numbers, with a column {name!r}"
         return unreadable(table.path, place, expected, "numbers alone", remedy)
     known = [cell.text for cell in table.names if cell.text]
-    found = ", ".join(repr(name) for name in nearest(word, known))
-    return unreadable(table.path, place, f"a column {word!r}", found, remedy)
+    found = ", ".join(repr(name) for name in nearest(name, known))
+    return unreadable(table.path, place, f"a column {name!r}", found, remedy)
 
 
-def _example(asked: CurveColumn) -> str:
-    return "mm" if asked.si_unit == "m" else "N"
+def _example(wanted: CurveColumn) -> str:
+    return "mm" if wanted.si_unit == "m" else "N"
 
 
-def _parted(text: str, si_unit: str) -> tuple[str, str]:
-    """Name and unit of a heading; the unit is empty where there is none.
+def _split_unit(text: str, si_unit: str) -> tuple[str, str]:
+    """Return name and unit of a heading; the unit is empty if there is none.
 
-    Behind an underscore only a unit of the dimension wanted is one: ``deflection_mm``, but not
+    After an underscore only a unit of the wanted dimension counts: ``deflection_mm``, but not
     ``force_m``.
     """
     pair = name_and_unit(text)
     if pair is not None and is_unit(pair[1]):
         return pair
     name, _, tail = text.rpartition("_")
-    return (name, tail) if name and _converts(tail, si_unit) else (text, "")
+    return (name, tail) if name and _is_convertible(tail, si_unit) else (text, "")
 
 
-def _converts(unit: str, si_unit: str) -> bool:
+def _is_convertible(unit: str, si_unit: str) -> bool:
     try:
         si_factor(unit, si_unit)
     except ValueError:
@@ -354,14 +362,14 @@ def _converts(unit: str, si_unit: str) -> bool:
     return bool(unit)
 
 
-def unit_factor(table: CurveTable, at: int, asked: CurveColumn) -> float:
-    """Factor from the unit of a column to SI.
+def unit_factor(table: CurveTable, at: int, wanted: CurveColumn) -> float:
+    """Return the factor from the unit of a column to SI.
 
     Parameters
     ----------
     table : cells of the file
     at : number of the column, counted from 0
-    asked : what is wanted, with its unit where the plan says it
+    wanted : the column, with its unit if the plan states it
 
     Raises
     ------
@@ -369,27 +377,27 @@ def unit_factor(table: CurveTable, at: int, asked: CurveColumn) -> float:
         If the unit is not stated, is of another dimension, or plan and heading differ.
     """
     head = table.names[at].text if at < len(table.names) else ""
-    said = _parted(head, asked.si_unit)[1] or table.units[at]
+    stated = _split_unit(head, wanted.si_unit)[1] or table.units[at]
     place = f"{head_of(table)}, column {at + 1}"
-    unit = asked.unit or said
+    unit = wanted.unit or stated
     if not unit:
-        expected = f"a unit of the {asked.what}"
-        remedy = f"Write it in the heading ({asked.what} / {_example(asked)}) or in the plan."
+        expected = f"a unit of the {wanted.what}"
+        remedy = f"Write it in the heading ({wanted.what} / {_example(wanted)}) or in the plan."
         raise unreadable(table.path, place, expected, f"none in {head!r}", remedy)
-    for sentence in {unit, said or unit}:
-        if not _converts(sentence, asked.si_unit):
-            expected = f"a unit of the {asked.what}, such as {_example(asked)}"
-            raise unreadable(table.path, place, expected, f"{sentence!r}", "Correct the heading.")
-    factor = si_factor(unit, asked.si_unit)
-    if said and not math.isclose(si_factor(said, asked.si_unit), factor):
+    for text in {unit, stated or unit}:
+        if not _is_convertible(text, wanted.si_unit):
+            expected = f"a unit of the {wanted.what}, such as {_example(wanted)}"
+            raise unreadable(table.path, place, expected, f"{text!r}", "Correct the heading.")
+    factor = si_factor(unit, wanted.si_unit)
+    if stated and not math.isclose(si_factor(stated, wanted.si_unit), factor):
         remedy = "Correct the one that is wrong."
-        raise unreadable(table.path, place, f"{unit!r}, as in the plan", f"{said!r}", remedy)
+        raise unreadable(table.path, place, f"{unit!r}, as in the plan", f"{stated!r}", remedy)
     return factor
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """What is printed below one heading; values are of the second component."""
+    """The values below one heading, of the second component."""
 
     quantity: str
     set_name: str
@@ -399,7 +407,7 @@ class _Block:
 
 
 def is_calculix(lines: Sequence[str]) -> bool:
-    """Check whether the first line that is not blank is a heading of CalculiX.
+    """Return whether the first non-blank line is a heading of CalculiX.
 
     Parameters
     ----------
@@ -409,7 +417,7 @@ def is_calculix(lines: Sequence[str]) -> bool:
 
 
 def tip_rows(lines: Sequence[str], path: Path) -> list[list[Cell]]:
-    """Find deflection and force of the tip.
+    """Return deflection and force of the tip.
 
     Parameters
     ----------
@@ -423,23 +431,23 @@ def tip_rows(lines: Sequence[str], path: Path) -> list[list[Cell]]:
     Raises
     ------
     ReadError
-        If one of the two is not printed, they are not printed at the same times, more than one set
-        of nodes is, or a line under a heading is not of numbers.
+        If one of the two is missing, their times differ, there is more than one set of nodes, or a
+        line under a heading is not numeric.
     """
     blocks = list(_blocks(lines, path))
     names = sorted({block.set_name for block in blocks})
     if len(names) > 1:
-        raise unreadable(path, "", "one set of nodes", ", ".join(names), _NEEDED)
+        raise unreadable(path, "", "one set of nodes", ", ".join(names), _PRINT_REMEDY)
     deflections, forces = (
         [block for block in blocks if block.quantity == quantity]
         for quantity in (_DEFLECTION, _FORCE)
     )
-    for quantity, found in ((_DEFLECTION, deflections), (_FORCE, forces)):
-        if not found:
+    for quantity, printed in ((_DEFLECTION, deflections), (_FORCE, forces)):
+        if not printed:
             others = ", ".join(sorted({block.quantity for block in blocks}))
-            raise unreadable(path, "", f"blocks '{quantity}'", f"only {others}", _NEEDED)
+            raise unreadable(path, "", f"blocks '{quantity}'", f"only {others}", _PRINT_REMEDY)
     _require_pairs(path, deflections, forces)
-    times = 2.0 if names[0].upper().endswith(HALF) else 1.0
+    times = 2.0 if names[0].upper().endswith(HALF_MODEL_SUFFIX) else 1.0
     heading = [Cell(name, "line 1") for name in ("deflection / m", "force / N")]
     rows = [
         [_cell(sum(u.values) / len(u.values), u), _cell(times * f.values[0], f)]
@@ -453,7 +461,7 @@ def _cell(value: float, block: _Block) -> Cell:
 
 
 def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
-    """Blocks with at least one line of numbers each."""
+    """Yield the blocks, each with at least one line of numbers."""
     headings = [(i, match) for i, line in enumerate(lines) if (match := _HEADING.fullmatch(line))]
     ends = [*(i for i, _ in headings[1:]), len(lines)]
     for (start, match), end in zip(headings, ends, strict=True):
@@ -465,30 +473,30 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
         )
         if not values:
             expected = f"numbers under '{quantity}'"
-            raise unreadable(path, f"line {start + 1}", expected, "none", _AGAIN)
+            raise unreadable(path, f"line {start + 1}", expected, "none", _RUN_AGAIN)
         yield _Block(quantity, set_name, time, filled[0] + 1, values)
 
 
 def _second_component(line: str, at: int, place: str, path: Path) -> float:
-    """The second component. Others may be so small that their exponents lack the letter."""
-    words = line.split()
+    """Return the second component. Exponents of very small ones may lack the letter."""
+    cells = line.split()
     try:
-        if len(words) == at + 2:
-            return float(words[at])
+        if len(cells) == at + 2:
+            return float(cells[at])
     except ValueError:
         pass
     expected = f"{at + 2} numbers"
-    raise unreadable(path, place, expected, repr(line.strip()[:60]), _AGAIN)
+    raise unreadable(path, place, expected, repr(line.strip()[:60]), _RUN_AGAIN)
 
 
 def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_Block]) -> None:
-    """Refuse deflections without forces, and the other way round."""
+    """Refuse deflections without forces, and vice versa."""
     at, of = [block.time for block in deflections], [block.time for block in forces]
     alone = next((block for block in deflections if block.time not in of), None)
     alone = alone or next((block for block in forces if block.time not in at), None)
     if alone is not None:
         expected = f"displacements and total force at time {alone.time}"
-        raise unreadable(path, f"line {alone.line}", expected, f"only {alone.quantity}", _AGAIN)
+        raise unreadable(path, f"line {alone.line}", expected, f"only {alone.quantity}", _RUN_AGAIN)
     if at != of:
         found = f"{len(at)} and {len(of)} in another order"
-        raise unreadable(path, "", "displacements and total force in turn", found, _AGAIN)
+        raise unreadable(path, "", "displacements and total force in turn", found, _RUN_AGAIN)

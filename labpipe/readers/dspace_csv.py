@@ -4,7 +4,7 @@
 
 **Recording**: one channel per trace, all on the clock of the first trace.
 
-**Units**: left open; no file seen states them, the protocol must.
+**Units**: not set; no known file states them, the protocol must.
 
 **Missing data**: blank cells become NaN; ``Infinity`` becomes NaN and is noted.
 
@@ -36,17 +36,17 @@ from labpipe.records.recording import Recording
 from labpipe.units import whole_number
 
 _BOM = b"\xef\xbb\xbf"
-_OPENS = b"trace_values"
+_SAMPLES_MARK = b"trace_values"
 _NAMES = "trace_names"
-_AGAIN = "Export the recording from ControlDesk as CSV again."
-_OF_TRACES = (
+_EXPORT_AGAIN = "Export the recording from ControlDesk as CSV again."
+_TRACE_PROPERTIES = (
     *("devices", "raster", "description", "displayidentifier", "path", "flags"),
     *("min", "max", "minWeak", "maxWeak"),
 )
 
 
 def recognise(path: Path) -> bool:
-    """Check whether a file is a ControlDesk CSV, by the words in its first cells."""
+    """Return whether a file is a ControlDesk CSV, by its first cells."""
     lines = read_head(path).removeprefix(_BOM).splitlines()
     return any(line.startswith((b"descriptions,", b"trace_")) for line in lines)
 
@@ -66,12 +66,12 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     Raises
     ------
     ReadError
-        If a row of properties or the samples are missing or damaged, or a wanted channel is.
+        If a row of properties, the samples or a wanted channel is missing or damaged.
     """
     read_head(path)
     with reading(path, "a readable file"):
         content = path.read_bytes().removeprefix(_BOM)
-    start = _opening(content, path)
+    start = _samples_offset(content, path)
     with reading(path, "rows of properties"):
         text = content[:start].decode("utf-8", errors="replace")
         rows = list(csv.reader(io.StringIO(text, newline="")))
@@ -81,35 +81,35 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     return load_export(export, reader="dspace-csv", path=path, channels=channels)
 
 
-def _opening(content: bytes, path: Path) -> int:
-    """Offset of the line that opens the samples."""
-    start = 0 if content.startswith(_OPENS) else content.find(b"\n" + _OPENS) + 1
-    if start or content.startswith(_OPENS):
+def _samples_offset(content: bytes, path: Path) -> int:
+    """Return the offset of the line that begins the samples."""
+    start = 0 if content.startswith(_SAMPLES_MARK) else content.find(b"\n" + _SAMPLES_MARK) + 1
+    if start or content.startswith(_SAMPLES_MARK):
         return start
     last_line = content.count(b"\n") + 1
     place = f"line {last_line}"
-    raise unreadable(path, place, "a line that begins with trace_values", "none", _AGAIN)
+    raise unreadable(path, place, "a line that begins with trace_values", "none", _EXPORT_AGAIN)
 
 
 def _properties(rows: Sequence[Sequence[str]], path: Path) -> dict[str, list[str]]:
-    """Rows on the traces by the word in their first cell, all as long as the row of names."""
-    found = {row[0]: list(row[1:]) for row in rows if row and row[0]}
-    if len(found.get(_NAMES, [])) < 1:
+    """Return properties of the traces by the first cell of their row, one value per trace."""
+    properties = {row[0]: list(row[1:]) for row in rows if row and row[0]}
+    if len(properties.get(_NAMES, [])) < 1:
         raise unreadable(
             path,
             f"lines 1 to {len(rows)}",
             "a row trace_names with one cell per trace",
             "none",
-            _AGAIN,
+            _EXPORT_AGAIN,
         )
-    width = len(found[_NAMES])
-    return {key: (cells + [""] * width)[:width] for key, cells in found.items()}
+    width = len(properties[_NAMES])
+    return {key: (cells + [""] * width)[:width] for key, cells in properties.items()}
 
 
 def _samples(
     content: bytes, start: int, traces: Mapping[str, list[str]], path: Path
 ) -> tuple[Mapping[int, Floats], list[QualityNote]]:
-    """All traces by number; the first cell of each line is no datum."""
+    """Return all traces by number; the first cell of a line is not a sample."""
     size = traces.get("trace_size", [""])[0]
     width = len(traces[_NAMES])
     body = Body(
@@ -119,7 +119,7 @@ def _samples(
         first_line=content[:start].count(b"\n") + 1,
         separator=",",
         decimal=".",
-        start=start + len(_OPENS),
+        start=start + len(_SAMPLES_MARK),
         stated_rows=whole_number(size),
         as_exported=True,
     )
@@ -156,12 +156,12 @@ def _trace(traces: Mapping[str, list[str]], i: int, samples: Mapping[int, Floats
         unit_in_file=traces.get("trace_units", [""] * (i + 1))[i],
         clock=0,
         load=lambda: samples[i + 1],
-        about={key: traces[key][i] for key in _OF_TRACES if key in traces},
+        about={key: traces[key][i] for key in _TRACE_PROPERTIES if key in traces},
     )
 
 
 def _descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
-    """Group, key and value of the rows before those on the traces."""
+    """Return the values of the description rows by group and key."""
     about: dict[str, dict[str, str]] = {}
     for row in rows:
         if len(row) >= 4 and row[1] and row[0] in {"descriptions", ""}:
@@ -170,7 +170,7 @@ def _descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
 
 
 def _reference_day(nanoseconds: str) -> date | None:
-    """The day of ReferenceTime, ns since 1970 UTC."""
+    """Return the day of ReferenceTime, ns since 1970 UTC."""
     seconds = whole_number(nanoseconds[:-9])
     if seconds is None or len(nanoseconds) > 19:
         return None

@@ -4,7 +4,7 @@
 
 **Recording**: one channel per measured variable, on the clock of its raster.
 
-**Units**: left open; no file seen states them, the protocol must.
+**Units**: not set; no known file states them, the protocol must.
 
 **Missing data**: none in the format; infinities become NaN and are noted.
 
@@ -33,7 +33,7 @@ from labpipe.readers.controldesk import (
     Trace,
     day_of_saving,
     load_export,
-    plain,
+    to_json,
     written_date,
 )
 from labpipe.readers.mat5 import Node, parse_mat5
@@ -46,20 +46,19 @@ if TYPE_CHECKING:
     from labpipe.records.recording import Recording
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _REVISION = re.compile(r"Revision (\d+\.\d+)")
 _QUOTED = re.compile(r'"([^"]*)"$')
-_KNOWN = frozenset({"2.0", "2.1"})
-_SMALL = 64
-"""Elements of an array that is read at once."""
-_DEFLATE_LIMIT = 1100
-"""No deflated data set is larger than 1032 times the file that holds it."""
+_KNOWN_REVISIONS = frozenset({"2.0", "2.1"})
+_MAX_EAGER = 64
+"""Elements; larger arrays are read on demand."""
 
 
 def recognise(path: Path) -> bool:
-    """Check whether a file is a MAT file of version 5 or 7.3, by its first bytes."""
+    """Return whether a file is a MAT file of version 5 or 7.3, by its first bytes."""
     head = read_head(path, 1024)
-    return head.startswith((_V5, _V73)) or head[512:520] == _HDF5
+    return (
+        head.startswith((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")) or head[512:520] == _HDF5
+    )
 
 
 def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
@@ -68,7 +67,7 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     Parameters
     ----------
     path : the export
-    channels : names or paths wanted, None for all; v7.3 files load nothing else
+    channels : names or paths wanted, None for all; of v7.3 files only these are loaded
 
     Returns
     -------
@@ -77,17 +76,17 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     Raises
     ------
     ReadError
-        If it is damaged, holds no struct with X and Y, or lacks a wanted channel.
+        If it is damaged, contains no struct with X and Y, or lacks a wanted channel.
     """
-    with _variables(path) as (variables, created):
-        name, tree = _recorded(variables, path)
+    with _open_variables(path) as (variables, created):
+        name, tree = _find_recording(variables, path)
         export = _parse(name, tree, created, path)
         return load_export(export, reader="dspace-mat", path=path, channels=channels)
 
 
 @contextmanager
-def _variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
-    """Open either container: its variables, and the header text with the day of saving."""
+def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
+    """Open either container; yield its variables and the header text with the day of saving."""
     head = read_head(path, 1024)
     created = head[:116].decode("latin-1").strip(" \0")
     if head[512:520] != _HDF5:
@@ -101,8 +100,8 @@ def _variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
         with reading(path, "a whole MAT v7.3 file"):
             _require_all_inside(file)
             size = path.stat().st_size
-            found = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
-        yield found, created
+            nodes = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
+        yield nodes, created
 
 
 def _read_v5(path: Path) -> dict[str, Node]:
@@ -132,7 +131,9 @@ def _holds_references(item: Any) -> bool:
 
 
 def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> Node:
-    """Text, small array, or (lazily) the samples of a channel."""
+    """Return text, a small array, or a data set that is read on demand."""
+    # No deflated data set is larger than 1032 times its file.
+    max_deflate_ratio = 1100
     is_text = item.attrs.get("MATLAB_class") == b"char"
     if item.attrs.get("MATLAB_empty"):
         return "" if is_text else np.empty(0)
@@ -141,31 +142,31 @@ def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> Node:
     if item.is_virtual or item.external:
         message = f"{item.name} keeps its samples in another file"
         raise ValueError(message)
-    if item.nbytes > _DEFLATE_LIMIT * size or not _is_whole(item):
+    if item.nbytes > max_deflate_ratio * size or not _is_whole(item):
         message = f"{item.name} claims {item.nbytes} bytes in a file of {size}"
         raise ValueError(message)
     if is_text:
         units = np.asarray(item[()]).T.astype("<u2")
         return units.tobytes().decode("utf-16-le", errors="replace")
-    return item if item.size > _SMALL else np.asarray(item[()])
+    return item if item.size > _MAX_EAGER else np.asarray(item[()])
 
 
 def _require_all_inside(file: h5py.File) -> None:
-    """Refuse links into other files, which an export has no need of."""
+    """Refuse links into other files, which exports do not use."""
     import h5py
 
     def leaving(name: bytes, about: Any) -> bytes | None:
         return None if about.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
 
-    found = file.id.links.visit(leaving, info=True)
-    if found is not None:
-        message = f"{found.decode(errors='replace')} is a link into another file"
+    link = file.id.links.visit(leaving, info=True)
+    if link is not None:
+        message = f"{link.decode(errors='replace')} is a link into another file"
         raise ValueError(message)
 
 
 def _is_whole(item: h5py.Dataset) -> bool:
-    """Whether the file holds all samples that a data set claims; small ones are not looked at."""
-    if item.size <= _SMALL:
+    """Return whether the file contains all samples of a data set; small ones are not checked."""
+    if item.size <= _MAX_EAGER:
         return True
     if item.chunks is None:
         return bool(item.id.get_storage_size() >= item.nbytes)
@@ -173,9 +174,9 @@ def _is_whole(item: h5py.Dataset) -> bool:
     return bool(item.id.get_num_chunks() >= prod(ceil(every / one) for every, one in sizes))
 
 
-def _recorded(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str, Node]]:
-    """Find the only variable that has the fields X and Y, whatever it is called."""
-    found = {
+def _find_recording(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str, Node]]:
+    """Return the only variable with the fields X and Y, whatever its name."""
+    structs = {
         name: item[0]
         for name, item in variables.items()
         if isinstance(item, list)
@@ -183,30 +184,30 @@ def _recorded(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str,
         and isinstance(item[0], dict)
         and {"X", "Y"} <= {*item[0]}
     }
-    if len(found) == 1:
-        return next(iter(found.items()))
-    names = ", ".join(list(found or variables)[:5]) or "nothing"
+    if len(structs) == 1:
+        return next(iter(structs.items()))
+    names = ", ".join(list(structs or variables)[:5]) or "nothing"
     raise unreadable(
         path,
         "",
         "one variable with the fields X and Y, as ControlDesk writes it",
-        f"{len(found)} among the variables {names}" if found else f"only {names}",
+        f"{len(structs)} among the variables {names}" if structs else f"only {names}",
         "Export the recording from ControlDesk as MAT.",
     )
 
 
 def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Export:
     axes, traces = _structs(tree, "X", path), _structs(tree, "Y", path)
-    general = _first(tree, "Description", "General")
-    written = _text(general, "DateTime") or _text(_first(tree, "Capture"), "DateTime")
+    general = _nested(tree, "Description", "General")
+    written = _text(general, "DateTime") or _text(_nested(tree, "Capture"), "DateTime")
     metadata = {
         "variable": name,
         "created": created,
         "revision": _revision(tree, path),
         "date": written_date(written, day_of_saving(created)),
-        **{key: plain(item) for key, item in tree.items() if key not in {"X", "Y"}},
+        **{key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}},
     }
-    start = _first(tree, "Description", "Measurement").get("StartTimestamp")
+    start = _nested(tree, "Description", "Measurement").get("StartTimestamp")
     return Export(
         axes=[(_text(axis, "Raster"), _loader(axis, "X", path)) for axis in axes],
         traces=[_trace(item, len(axes), path) for item in traces],
@@ -232,7 +233,7 @@ def _structs(tree: Mapping[str, Node], field: str, path: Path) -> list[dict[str,
 
 def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
     port, folder = _text(item, "Name"), _text(item, "Path")
-    quoted = _QUOTED.search(port)  # revision 2.0 keeps the whole quoted path in Name
+    quoted = _QUOTED.search(port)  # revision 2.0 has the whole quoted path in Name
     full = f"{folder}/{port}" if folder else port
     index = _number(item.get("XIndex", 1))
     if index is None or not 1 <= index <= n_axes or index != int(index):
@@ -240,7 +241,7 @@ def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
             path,
             f"channel '{full}', XIndex",
             f"the number of a time axis, 1 to {n_axes}",
-            str(plain(item.get("XIndex"))),
+            str(to_json(item.get("XIndex"))),
             "Export the recording from ControlDesk again.",
         )
     return Trace(
@@ -249,26 +250,26 @@ def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
         unit_in_file=_text(item, "Unit"),
         clock=int(index) - 1,
         load=_loader(item, full, path),
-        about={key: plain(field) for key, field in item.items() if key != "Data"},
+        about={key: to_json(field) for key, field in item.items() if key != "Data"},
     )
 
 
 def _loader(item: Mapping[str, Node], what: str, path: Path) -> Callable[[], object]:
-    """Samples of an axis or a channel, loaded when called for, whole numbers as floats."""
+    """Return a function that loads the samples of an axis or a channel as floats."""
 
     def load() -> object:
         with reading(path, f"the samples of {what}"):
             data = np.asarray(item["Data"])
             if data.dtype.kind not in "biuf":
-                message = f"{what} holds {data.dtype} in the place of numbers"
+                message = f"{what} contains {data.dtype} instead of numbers"
                 raise ValueError(message)
             return data.astype(np.float64, copy=False)
 
     return load
 
 
-def _first(tree: Mapping[str, Node], *keys: str) -> dict[str, Node]:
-    """The struct found by going down the keys, empty where there is none."""
+def _nested(tree: Mapping[str, Node], *keys: str) -> dict[str, Node]:
+    """Return the nested struct at the keys, empty if there is none."""
     for key in keys:
         below = tree.get(key)
         if not (isinstance(below, list) and below and isinstance(below[0], dict)):
@@ -288,9 +289,9 @@ def _number(value: Node) -> float | None:
 
 
 def _revision(tree: Mapping[str, Node], path: Path) -> str:
-    info = _first(tree, "Info")
+    info = _nested(tree, "Info")
     numbers = [_number(info.get(key)) for key in ("RevisionMajor", "RevisionMinor")]
-    match = _REVISION.search(_text(_first(tree, "Description"), "GeneratorVersion"))
+    match = _REVISION.search(_text(_nested(tree, "Description"), "GeneratorVersion"))
     if None not in numbers:
         revision = ".".join(f"{number:g}" for number in numbers)
     else:
@@ -312,7 +313,7 @@ def _notes(metadata: Mapping[str, object], path: Path) -> list[QualityNote]:
     if name != path.stem:
         message = f"the variable is called '{name}', not after the file"
         notes.append(QualityNote("variable_name_differs", Severity.INFO, "file", message))
-    if revision not in _KNOWN:
+    if revision not in _KNOWN_REVISIONS:
         message = f"file format revision {revision or 'not stated'}: only 2.0 and 2.1 are known"
         notes.append(QualityNote("revision_unseen", Severity.WARNING, "file", message))
     return notes

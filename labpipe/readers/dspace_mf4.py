@@ -4,11 +4,11 @@
 
 **Recording**: one channel per measured variable, one clock per channel group.
 
-**Units**: left open; no file seen states them, the protocol must.
+**Units**: not set; no known file states them, the protocol must.
 
 **Missing data**: none in the format; infinities become NaN and are noted.
 
-**Clock and frame**: the master channel exactly as written; it is named after the raster.
+**Clock and frame**: the master channel exactly as written, named after the raster.
 
 **File structure**: MDF 4.10, read by asammdf (the optional extra ``mf4``).
 
@@ -33,20 +33,16 @@ import numpy as np
 from labpipe.errors import ReadError, error_text
 from labpipe.readers.channels import ReportOptions
 from labpipe.readers.controldesk import Export, Trace, load_export
-from labpipe.readers.raw_files import BROKEN, read_head, reading
+from labpipe.readers.raw_files import DAMAGE_ERRORS, read_head, reading
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 
 _PROPERTY = re.compile(r'<e name="([^"]*)"[^>]*>(.*?)</e>', re.DOTALL)
-_WHAT = "a whole MDF 4 file"
-_LARGEST = 1 << 24
-"""Bytes of a record, which is a sample of each channel of a group."""
 
 
 def recognise(path: Path) -> bool:
-    """Check whether a file is an MDF file of version 4, by its first bytes."""
-    head = read_head(path, 64)
-    return head.startswith(b"MDF     4")
+    """Return whether a file is an MDF file of version 4, by its first bytes."""
+    return read_head(path, 64).startswith(b"MDF     4")
 
 
 def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
@@ -67,52 +63,52 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
         If asammdf is not installed, the file is damaged, or a wanted channel is missing.
     """
     read_head(path)
-    with _opened(path) as file:
+    with _open_file(path) as file:
         return load_export(_parse(file), reader="dspace-mf4", path=path, channels=channels)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_file(path: Path) -> Iterator[Any]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # asammdf on its own optional parts
+        warnings.simplefilter("ignore")  # about optional parts of asammdf
         try:
             from asammdf import MDF
             from asammdf.blocks.utils import MdfException
         except ImportError as error:
             raise ReadError(_not_installed(path)) from error
-        logging.getLogger("asammdf").disabled = True  # it prints what we raise
-        # Of a damaged file asammdf (8.8) forgets some of the streams it opens itself.
+        logging.getLogger("asammdf").disabled = True  # it logs what is raised here
+        # For a damaged file asammdf (8.8) leaves some of its own streams open.
         with (
-            reading(path, _WHAT, also=(MdfException,)),
+            reading(path, "a whole MDF 4 file", also=(MdfException,)),
             path.open("rb") as stream,
             redirect_stdout(StringIO()),  # it prints the groups of a damaged file
-            closing(_open(MDF, stream, (*BROKEN, MdfException))) as file,
+            closing(_open_or_close(MDF, stream, (*DAMAGE_ERRORS, MdfException))) as file,
         ):
             yield file
 
 
-def _open(mdf: Any, stream: BinaryIO, broken: tuple[type[Exception], ...]) -> Any:
-    """Open a file; what asammdf (8.8) leaves half made of a damaged one is closed at once.
+def _open_or_close(mdf: Any, stream: BinaryIO, broken: tuple[type[Exception], ...]) -> Any:
+    """Open a file; close the partial object that asammdf (8.8) leaves for a damaged one.
 
-    It keeps no other hand on it than the traceback, and its deletion would complain on stderr.
+    Only the traceback refers to it, and its deletion would print to stderr.
     """
     try:
         return mdf(stream)
     except broken as error:
         for frame, _ in walk_tb(error.__traceback__):
-            half_made = frame.f_locals.get("self")
-            if hasattr(half_made, "_mapped_file"):
-                _close_streams(half_made)
+            partial = frame.f_locals.get("self")
+            if hasattr(partial, "_mapped_file"):
+                _close_streams(partial)
         raise
 
 
-def _close_streams(half_made: Any) -> None:
+def _close_streams(partial: Any) -> None:
     for name in ("_file", "_mapped_file", "_tempfile"):
-        stream = getattr(half_made, name, None)
+        stream = getattr(partial, name, None)
         if stream is not None:
-            with suppress(BufferError):  # a memory map that the traceback still looks into
+            with suppress(BufferError):  # a memory map that the traceback still uses
                 stream.close()
-    half_made._closed = True
+    partial._closed = True
 
 
 def _not_installed(path: Path) -> str:
@@ -143,7 +139,7 @@ def _parse(file: Any) -> Export:
         traces=traces,
         origin=about.get("Origin", ""),
         metadata={"mdf": file.version, "start_time": file.header.start_time.isoformat(), **about},
-        start=_stated(about.get("StartTimestamp", "")),
+        start=_parse_float(about.get("StartTimestamp", "")),
     )
 
 
@@ -160,19 +156,21 @@ def _trace(file: Any, group: int, index: int, clock: int) -> Trace:
 
 
 def _loader(file: Any, group: int, index: int) -> Callable[[], Floats]:
+    max_record_bytes = 1 << 24
+
     def load() -> Floats:
         channel = file.groups[group].channels[index]
         size = file.groups[group].channel_group.samples_byte_nr
         bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
-        if bits > 8 * size or size > _LARGEST:  # asammdf (8.8) reads on, from any memory
-            message = f"channel {index} in {bits} bits of a record of {size} bytes"
+        if bits > 8 * size or size > max_record_bytes:  # asammdf (8.8) would read beyond it
+            message = f"channel {index} needs {bits} bits of a record of {size} bytes"
             raise ValueError(message)
         return np.asarray(file.get(group=group, index=index).samples, dtype=np.float64)
 
     return load
 
 
-def _stated(text: str) -> float | None:
+def _parse_float(text: str) -> float | None:
     try:
         return float(text)
     except ValueError:

@@ -1,7 +1,7 @@
 """MAT files of version 5: their variables as plain structs, text and arrays.
 
-Written here and not left to scipy.io.loadmat because that one ends the whole program (segmentation
-fault, scipy 1.17) on some damaged files. Layout: MathWorks, *MAT-File Format*, level 5.
+Used instead of scipy.io.loadmat, which crashes the process (segmentation fault, scipy 1.17) on some
+damaged files. Layout: MathWorks, *MAT-File Format*, level 5.
 """
 
 from __future__ import annotations
@@ -14,13 +14,10 @@ from typing import Any
 import numpy as np
 
 Node = Any
-"""A struct array as a list of mappings, text, an array, or None for what has no use here."""
+"""A struct array as a list of mappings, text, an array, or None for unused types."""
 
-_HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
-_CELL, _STRUCT, _OBJECT, _CHAR = 1, 2, 3, 4
 _NUMERIC = range(6, 16)
-_COMPLEX = 0x0800
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
 _NUMBERS |= {12: "i8", 13: "u8"}
 _TEXT = {1: "latin-1", 2: "latin-1", 16: "utf-8"}
@@ -28,14 +25,14 @@ _TEXT = {1: "latin-1", 2: "latin-1", 16: "utf-8"}
 
 @dataclass(slots=True)
 class _Cursor:
-    """A place in the elements of a file, with the byte order of that file."""
+    """A position in the elements of a file, with the byte order of the file."""
 
     data: memoryview
     order: str
     at: int = 0
 
     def element(self) -> tuple[int, memoryview]:
-        """Type and bytes of the next element, and step over it and its padding."""
+        """Return type and bytes of the next element, and advance past its padding."""
         if self.at + 8 > len(self.data):
             message = f"ends after {len(self.data)} bytes of an element"
             raise ValueError(message)
@@ -48,22 +45,22 @@ class _Cursor:
         else:
             padded += size
         if start + size > len(self.data):
-            message = f"an element of {size} bytes stands where {len(self.data) - start} are left"
+            message = f"an element of {size} bytes with {len(self.data) - start} bytes left"
             raise ValueError(message)
         self.at = min(self.at + padded, len(self.data))
         return kind, self.data[start : start + size]
 
     def numbers(self) -> np.ndarray:
-        """Numbers of the next element, in whatever small type they are stored."""
+        """Return the numbers of the next element, in the type in which they are stored."""
         kind, data = self.element()
         if kind not in _NUMBERS:
-            message = f"type {kind} stands where numbers are due"
+            message = f"type {kind} instead of numbers"
             raise ValueError(message)
         array: np.ndarray = np.frombuffer(data, dtype=self.order + _NUMBERS[kind])
         return array
 
     def inside(self, data: memoryview) -> _Cursor:
-        """Cursor over the parts of an element."""
+        """Return a cursor over the parts of an element."""
         return _Cursor(data, self.order)
 
 
@@ -77,16 +74,17 @@ def parse_mat5(content: bytes) -> dict[str, Node]:
     Returns
     -------
     Variables by name. A struct is a list of mappings (one per element of the struct array), text
-    is text (one row is meant), numbers are an array of shape (n,) in the small type in
-    which they are stored. Sparse, complex, function and opaque variables are None.
+    is text (of one row), numbers are an array of shape (n,) in the type in which they are
+    stored. Sparse, complex, function and opaque variables are None.
 
     Raises
     ------
     ValueError, struct.error, zlib.error, LookupError
         If the file is cut off or damaged.
     """
+    header_bytes = 128
     order = ">" if content[126:128] == b"MI" else "<"
-    cursor = _Cursor(memoryview(content), order, _HEADER)
+    cursor = _Cursor(memoryview(content), order, header_bytes)
     variables: dict[str, Node] = {}
     while cursor.at < len(content):
         kind, data = cursor.element()
@@ -99,7 +97,9 @@ def parse_mat5(content: bytes) -> dict[str, Node]:
 
 
 def _matrix(cursor: _Cursor) -> tuple[str, Node]:
-    """Name and value of one array; an array of no bytes is empty."""
+    """Return name and value of one array; an array of no bytes is empty."""
+    cell, struct_, object_, char = 1, 2, 3, 4
+    complex_flag = 0x0800
     if not len(cursor.data):
         return "", np.empty(0)
     flags = int(cursor.numbers()[0])
@@ -107,15 +107,15 @@ def _matrix(cursor: _Cursor) -> tuple[str, Node]:
     _, name = cursor.element()
     kind = flags & 0xFF
     value: Node = None
-    if kind == _OBJECT:
+    if kind == object_:
         cursor.element()  # its class name
-    if kind in {_STRUCT, _OBJECT}:
+    if kind in {struct_, object_}:
         value = _structs(cursor, count)
-    elif kind == _CELL:
+    elif kind == cell:
         value = [_part(cursor) for _ in range(_bounded(count, cursor))]
-    elif kind == _CHAR:
+    elif kind == char:
         value = _text(cursor)
-    elif kind in _NUMERIC and not flags & _COMPLEX:
+    elif kind in _NUMERIC and not flags & complex_flag:
         value = _array(cursor, count)
     return bytes(name).decode("latin-1"), value
 
@@ -123,13 +123,13 @@ def _matrix(cursor: _Cursor) -> tuple[str, Node]:
 def _part(cursor: _Cursor) -> Node:
     kind, data = cursor.element()
     if kind != _MATRIX:
-        message = f"type {kind} stands where an array is due"
+        message = f"type {kind} instead of an array"
         raise ValueError(message)
     return _matrix(cursor.inside(data))[1]
 
 
 def _structs(cursor: _Cursor, count: int) -> list[dict[str, Node]]:
-    """Elements of a struct array: for each of them, its fields in order."""
+    """Return the elements of a struct array, each with its fields in order."""
     width = int(cursor.numbers()[0])
     _, names = cursor.element()
     packed = bytes(names)
@@ -141,9 +141,9 @@ def _structs(cursor: _Cursor, count: int) -> list[dict[str, Node]]:
 
 
 def _bounded(count: int, cursor: _Cursor) -> int:
-    """A count of parts, each of which takes eight bytes at the least."""
+    """Return a count of parts if there are eight bytes for each of them."""
     if not 0 <= count <= len(cursor.data) // 8:
-        message = f"{count} parts are promised in {len(cursor.data)} bytes"
+        message = f"{count} parts in {len(cursor.data)} bytes"
         raise ValueError(message)
     return count
 
@@ -159,6 +159,6 @@ def _text(cursor: _Cursor) -> str:
 def _array(cursor: _Cursor, count: int) -> np.ndarray:
     values = cursor.numbers()
     if len(values) != count:
-        message = f"{len(values)} numbers stand where {count} are promised"
+        message = f"{len(values)} numbers instead of {count}"
         raise ValueError(message)
     return values

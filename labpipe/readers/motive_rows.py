@@ -1,4 +1,4 @@
-"""Marker tracks from Motive's row-style exports (1.0, 1.1): every line has its own type."""
+"""Marker tracks from Motive's row-style exports (1.0, 1.1): each line has its own type."""
 
 from __future__ import annotations
 
@@ -17,20 +17,16 @@ from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.units import whole_number
 
 _BODY_WORDS = frozenset({"trackable", "rigidbody"})
-_POSE = 11
-"""Cells per body of a frame line: id, x y z, qx qy qz qw, yaw pitch roll."""
 
-_MILLIMETRE = 1e-3
-"""Mean error is stated in mm per marker, while positions are in metres."""
 
-_AGAIN = "Export the take from Motive again; the file may have been cut off or edited."
+_EXPORT_AGAIN = "Export the take from Motive again; the file may have been cut off or edited."
 
 Point = tuple[float, float, float]
 
 
 @dataclass(slots=True)
 class _Body:
-    """What the lines say of one rigid body, by number of the frame line."""
+    """Data of one rigid body, by number of the frame line."""
 
     name: str
     id: str
@@ -43,7 +39,7 @@ class _Body:
 
 @dataclass(slots=True)
 class _Take:
-    """Everything found so far, while the lines are read one after the other."""
+    """State of the take while its lines are read."""
 
     version: str = "1.0"
     title: str = ""
@@ -63,10 +59,10 @@ class RowExport:
 
     Parameters
     ----------
-    version : ``1.1`` as the file says, ``1.0`` where it says nothing
+    version : ``1.1`` as in the file, ``1.0`` if not stated
     tracks : the take in SI
-    about : what the export says about itself
-    notes : what reading it brought up
+    about : properties of the export
+    notes : quality notes
     """
 
     version: str
@@ -86,17 +82,17 @@ def parse_rows(text: str, path: Path) -> RowExport:
     Returns
     -------
     The take. A body's measured markers are named ``<body>-Marker <n>``, as version 1.1 names
-    them; positions are taken as metres, for the file states no unit.
+    them; positions are taken as metres, as the file states no unit.
 
     Raises
     ------
     ReadError
-        If a line does not have the cells that its own counts promise, or there are no frames.
+        If a line does not have as many cells as it states, or there are no frames.
 
     Notes
     -----
-    A lost body repeats its last pose: only frames in which its counter of frames since it was
-    last tracked is 0 count. A line that is cut off is left out if it is the last one.
+    A lost body repeats its last pose: only frames count in which its counter of frames since it
+    was last tracked is 0. An incomplete last line is omitted.
     """
     take, notes = _Take(), []
     lines = text.splitlines()
@@ -114,7 +110,7 @@ def parse_rows(text: str, path: Path) -> RowExport:
         raise unreadable(path, "info", expected, found, remedy)
     if not take.numbers:
         place, expected = f"lines 1 to {len(lines)}", "lines that begin with frame"
-        raise unreadable(path, place, expected, "none", _AGAIN)
+        raise unreadable(path, place, expected, "none", _EXPORT_AGAIN)
     return RowExport(take.version, _tracks(take), _about(take), notes + _notes(take))
 
 
@@ -134,7 +130,7 @@ def _bad_line(path: Path, number: int, cells: Sequence[str], error: Exception) -
         f"line {number}",
         expected="one of the row types of a Motive export with all its cells",
         found=f"'{cells[0][:20]}' with {len(cells)} cells ({error})",
-        remedy=_AGAIN,
+        remedy=_EXPORT_AGAIN,
     )
 
 
@@ -163,21 +159,23 @@ def _is_integer(cell: str) -> bool:
 
 
 def _read_frame(take: _Take, cells: list[str]) -> None:
-    """Frame line: number, time, bodies with their poses, then the visible points."""
+    """Read a frame line: number, time, bodies with their poses, then the visible points."""
+    # Cells per body: id, x y z, qx qy qz qw, yaw pitch roll.
+    pose_cells = 11
     count = int(cells[3])
-    start = 4 + _POSE * count
+    start = 4 + pose_cells * count
     n_points = int(cells[start])
     width = 5 if take.version != "1.0" else 4
     if len(cells) != start + 1 + width * n_points:
-        message = f"its counts promise {start + 1 + width * n_points} cells"
+        message = f"expected {start + 1 + width * n_points} cells"
         raise ValueError(message)
     number, time = float(cells[1]), float(cells[2])
-    poses = [cells[4 + _POSE * i : 4 + _POSE * (i + 1)] for i in range(count)]
+    poses = [cells[4 + pose_cells * i : 4 + pose_cells * (i + 1)] for i in range(count)]
     points = [cells[i : i + width] for i in range(start + 1, len(cells), width)]
-    known = {body.id: body for body in take.bodies.values()}
-    values = [(known[pose[0]], [float(cell) for cell in pose[1:8]]) for pose in poses]
+    bodies = {body.id: body for body in take.bodies.values()}
+    values = [(bodies[pose[0]], [float(cell) for cell in pose[1:8]]) for pose in poses]
     places = [(tuple(point[3:]), _point(point)) for point in points]
-    row = len(take.numbers)  # nothing of a bad line is kept: all its cells are numbers by now
+    row = len(take.numbers)  # all cells are valid here: nothing of a bad line is kept
     take.numbers.append(number)
     take.times.append(time)
     take.n_bodies.append(count)
@@ -190,11 +188,11 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
 
 
 def _read_body(take: _Take, cells: list[str]) -> None:
-    """Line on one body in one frame: counter, model and measured markers, flags, mean error."""
+    """Read a body line: counter, model and measured markers, flags, mean error."""
     body, count = take.bodies[cells[3]], int(cells[6])
     model = 4 if take.version != "1.0" else 3
     if len(cells) != 7 + (model + 5) * count + 1:
-        message = f"its counts promise {7 + (model + 5) * count + 1} cells"
+        message = f"expected {7 + (model + 5) * count + 1} cells"
         raise ValueError(message)
     start = 7 + model * count
     places = [_point(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
@@ -230,29 +228,31 @@ def _tracks(take: _Take) -> MarkerTracks:
 
 
 def _marker_columns(take: _Take) -> tuple[tuple[str, ...], list[dict[int, Point]]]:
-    """Measured markers of the bodies, then points that carry another name (1.1)."""
+    """Return measured markers of the bodies, then points with another name (1.1)."""
     objects: list[tuple[str, str]] = []
     columns: list[dict[int, Point]] = []
     for body in take.bodies.values():
         for i in range(body.n_markers):
             objects.append((f"{body.name}-Marker {i + 1}", body.id))
             columns.append({r: p[i] for r, p in body.measured.items() if i < len(p)})
-    own = {name for name, _ in objects}
+    body_markers = {name for name, _ in objects}
     for label, column in take.named.items():
-        if label[0] not in own:
+        if label[0] not in body_markers:
             objects.append(label)
             columns.append(column)
     return unique_names(objects), columns
 
 
 def _rigid_body(body: _Body, frames: int) -> RigidBody:
+    # The mean error is in mm per marker, positions are in metres.
+    millimetre = 1e-3
     pose, error = np.full((frames, 7), np.nan), np.full(frames, np.nan)
     for row, values in body.poses.items():
         if body.tracked.get(row, True):
             pose[row] = values
     for row, value in body.errors.items():
         if body.tracked[row]:
-            error[row] = value * _MILLIMETRE
+            error[row] = value * millimetre
     return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
 
 
@@ -285,16 +285,16 @@ def _notes(take: _Take) -> list[QualityNote]:
 
 
 def _anonymous_note(take: _Take) -> list[QualityNote]:
-    """Points of version 1.0 that belong to no body have no identity: counted, not kept."""
+    """Count the points of version 1.0 that belong to no body: they have no identity."""
     if take.named:
         return []
     measured = np.zeros(len(take.numbers), dtype=np.int64)
     for body in take.bodies.values():
         for row, places in body.measured.items():
             measured[row] += sum(not np.isnan(place[0]) for place in places)
-    left = np.array(take.n_points) - measured
-    if not (left > 0).any():
+    anonymous = np.array(take.n_points) - measured
+    if not (anonymous > 0).any():
         return []
-    message = f"{int(left[left > 0].sum())} points in {int((left > 0).sum())} frames belong to no"
-    message += " body and have no identity: left out"
+    points, frames = int(anonymous[anonymous > 0].sum()), int((anonymous > 0).sum())
+    message = f"{points} points in {frames} frames belong to no body and have no identity: left out"
     return [QualityNote("anonymous_markers", Severity.INFO, "markers", message)]

@@ -1,4 +1,4 @@
-"""Table-style exports of Motive: what each column holds, found by words, and its marker tracks."""
+"""Table-style exports of Motive: header, columns and marker tracks."""
 
 from __future__ import annotations
 
@@ -16,22 +16,19 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.units import whole_number
 
-TIME_TOLERANCE = 0.6e-3
-"""Agreement of the time column with frame / rate, s: 1.23 rounds times to whole milliseconds."""
-
-_ROUNDED = 2e-6
-"""Agreement of a time column that is not rounded to milliseconds, s."""
+_MAX_TIME_DEVIATION = 0.6e-3
+"""Deviation in s of the time column from frame / rate: 1.23 rounds to whole milliseconds."""
 
 
 Columns = Mapping[int, Floats]
-"""Numbers of an export by their column number in the file, shape (frames,); NaN where blank."""
+"""Values by column number in the file, shape (frames,); NaN where blank."""
 Cells = Sequence[str]
-LENGTHS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
+LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
 """Length Units of the export, in m."""
-SEEN = frozenset({"1.21", "1.23", "1.24", "1.25"})
-"""Format versions that real files have shown."""
-_AGAIN = "Export the take from Motive as CSV again."
-_WORDS = ("Type", "Name", "ID")
+KNOWN_VERSIONS = frozenset({"1.21", "1.23", "1.24", "1.25"})
+"""Format versions of known files."""
+_EXPORT_AGAIN = "Export the take from Motive as CSV again."
+_LABELS = ("Type", "Name", "ID")
 _KEYS = (
     *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate"),
     *("Capture Start Time", "Capture Start Frame", "Total Frames in Take"),
@@ -40,7 +37,7 @@ _KEYS = (
 
 
 def needed_columns(header: Header) -> list[int]:
-    """Columns that a recording is made of: frame, time, bodies and measured markers."""
+    """Return the columns of a recording: frame, time, bodies and measured markers."""
     needed = {0} | ({header.time_column} if header.time_column is not None else set())
     for group in header.groups:
         if group.type == "Marker":
@@ -53,11 +50,11 @@ def needed_columns(header: Header) -> list[int]:
 def marker_tracks(
     header: Header, columns: Columns, path: Path
 ) -> tuple[MarkerTracks, list[QualityNote]]:
-    """Turn columns into tracks in SI.
+    """Convert columns to tracks in SI.
 
     Parameters
     ----------
-    header : what the columns are
+    header : the header
     columns : at least the `needed_columns`
     path : named in errors
 
@@ -75,7 +72,7 @@ def marker_tracks(
     markers = [group for group in header.groups if group.type == "Marker"]
     bodies = [group for group in header.groups if group.type == "Rigid Body"]
     places = [place for group in markers for place in _position(group, header, path)]
-    positions = _together(columns, places) * header.length_unit
+    positions = _stack_columns(columns, places) * header.length_unit
     tracks = MarkerTracks(
         time=time,
         frames=frames,
@@ -93,13 +90,13 @@ def marker_tracks(
     return tracks, notes + _euler_note(bodies, header)
 
 
-def _together(columns: Columns, chosen: Sequence[int]) -> Floats:
-    """Columns side by side, shape (frames, chosen)."""
+def _stack_columns(columns: Columns, chosen: Sequence[int]) -> Floats:
+    """Return columns side by side, shape (frames, chosen)."""
     return np.transpose([columns[column] for column in chosen])
 
 
 def unique_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
-    """Make names unique: a repeated one carries its id, and a number where that repeats too.
+    """Make names unique: repeated ones get their id, and a number if that repeats as well.
 
     Parameters
     ----------
@@ -126,7 +123,7 @@ def unique_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def header_notes(header: Header, path: Path) -> list[QualityNote]:
-    """Say what is odd about a header.
+    """Return notes on a header.
 
     Parameters
     ----------
@@ -139,16 +136,16 @@ def header_notes(header: Header, path: Path) -> list[QualityNote]:
     ``columns_left_out``, ``names_not_unique``.
     """
     notes = []
-    if header.version not in SEEN:
+    if header.version not in KNOWN_VERSIONS:
         message = f"Format Version {header.version} has not been seen in a real file:"
-        message += f" read by the rules of {', '.join(sorted(SEEN))}"
+        message += f" read by the rules of {', '.join(sorted(KNOWN_VERSIONS))}"
         notes.append(QualityNote("version_unseen", Severity.WARNING, "file", message))
     take, start = (header.about.get(key, "") for key in ("Take Name", "Capture Start Time"))
     if take and take != path.stem:
         message = f"the take is called '{take}', the file '{path.name}'"
         notes.append(QualityNote("take_name_differs", Severity.INFO, "file", message))
     if start and not start.endswith((" AM", " PM")):
-        message = f"Capture Start Time '{start}': before or after noon is not said in English"
+        message = f"Capture Start Time '{start}': AM or PM is missing"
         notes.append(QualityNote("start_time_unclear", Severity.INFO, "file", message))
     return notes + _left_out_notes(header.groups) + _shared_names(header.groups)
 
@@ -166,7 +163,9 @@ def _frames(header: Header, columns: Columns, path: Path) -> Floats:
 def _time(
     header: Header, columns: Columns, frames: Floats
 ) -> tuple[Floats, float, list[QualityNote]]:
-    """Time as frame / export rate where the column of times agrees, else the column."""
+    """Return frame / export rate if the time column agrees with it, else the time column."""
+    # Deviation in s of a time column that is not rounded to milliseconds.
+    rounding = 2e-6
     written = None if header.time_column is None else columns[header.time_column]
     if header.rate is None:
         time = frames * np.nan if written is None else written
@@ -176,11 +175,11 @@ def _time(
     if written is None or not len(time):
         return time, header.rate, []
     apart = np.abs(written - time)
-    if not np.isfinite(apart).all() or apart.max() > TIME_TOLERANCE:
+    if not np.isfinite(apart).all() or apart.max() > _MAX_TIME_DEVIATION:
         worst = float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan
         message = f"the column of times is up to {1e3 * worst:.4g} ms off frame / rate: kept"
         return written, header.rate, [_note("time_column_differs", message)]
-    if apart.max() > _ROUNDED:
+    if apart.max() > rounding:
         message = "the column of times is rounded to milliseconds"
         message += f" (up to {1e3 * apart.max():.3g} ms off): frame / rate is used"
         return time, header.rate, [_note("time_rounded", message, Severity.INFO)]
@@ -188,7 +187,7 @@ def _time(
 
 
 def derived_rate(time: Floats) -> float:
-    """Frames per second from time stamps: the inverse mean step, holes left out.
+    """Return the frame rate from time stamps: the inverse mean step without holes.
 
     Parameters
     ----------
@@ -209,9 +208,9 @@ def _note(code: str, message: str, severity: Severity = Severity.WARNING) -> Qua
 
 
 def _position(group: Group, header: Header, path: Path) -> list[int]:
-    found = group.axes("Position", "XYZ")
-    if found is not None:
-        return found
+    axes = group.axes("Position", "XYZ")
+    if axes is not None:
+        return axes
     raise unreadable(
         path,
         f"line {header.rows}, {group.type} '{group.name}'",
@@ -222,7 +221,7 @@ def _position(group: Group, header: Header, path: Path) -> list[int]:
 
 
 def _body(name: str, group: Group, header: Header, columns: Columns, path: Path) -> RigidBody:
-    position = _together(columns, _position(group, header, path)) * header.length_unit
+    position = _stack_columns(columns, _position(group, header, path)) * header.length_unit
     errors = [quantity for quantity in group.scalars if "Error" in quantity]
     error = np.full(len(position), np.nan)
     if errors:
@@ -231,17 +230,17 @@ def _body(name: str, group: Group, header: Header, columns: Columns, path: Path)
 
 
 def _rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Floats:
-    """Quaternion x, y, z, w; made from Euler angles where the export holds those."""
+    """Return quaternions x, y, z, w; from Euler angles if the export contains those."""
     quaternion = group.axes("Rotation", "XYZW")
     if quaternion is not None:
-        return _together(columns, quaternion)
+        return _stack_columns(columns, quaternion)
     order = _euler_order(about)
     angles = group.axes("Rotation", order) if order else None
     if angles is None:
         return np.full((len(columns[0]), 4), np.nan)
     from scipy.spatial.transform import Rotation
 
-    degrees = _together(columns, angles)
+    degrees = _stack_columns(columns, angles)
     rotation = np.full((len(degrees), 4), np.nan)
     known = np.isfinite(degrees).all(axis=1)
     if known.any():
@@ -265,8 +264,8 @@ def _euler_note(bodies: Sequence[Group], header: Header) -> list[QualityNote]:
     turned = [body.name for body in bodies if _has_euler(body, header.about)]
     if not turned:
         return []
-    message = f"Euler angles of type '{kind}' in degrees were made quaternions, each turn about"
-    message += " the axes already turned: no real file has confirmed that order"
+    message = f"Euler angles of type '{kind}' in degrees were converted to quaternions as intrinsic"
+    message += " rotations: no real file has confirmed that convention"
     return [QualityNote("rotation_from_euler", Severity.WARNING, ", ".join(turned), message)]
 
 
@@ -275,7 +274,7 @@ def _left_out_notes(groups: Sequence[Group]) -> list[QualityNote]:
     notes = []
     fitted = count.pop("Rigid Body Marker", 0)
     if fitted:
-        message = f"{fitted} Rigid Body Marker are fitted places, not measurements: left out"
+        message = f"{fitted} Rigid Body Marker are fitted positions, not measurements: left out"
         notes.append(QualityNote("fitted_markers", Severity.INFO, "markers", message))
     others = {kind: n for kind, n in count.items() if kind not in {"Marker", "Rigid Body"}}
     if others:
@@ -289,7 +288,7 @@ def _shared_names(groups: Sequence[Group]) -> list[QualityNote]:
     shared = [name for (_, name), n in Counter(kept).items() if n > 1]
     if not shared:
         return []
-    message = f"names that several objects share carry their id: {', '.join(shared[:5])}"
+    message = f"objects with the same name have their id added: {', '.join(shared[:5])}"
     return [QualityNote("names_not_unique", Severity.INFO, "markers", message)]
 
 
@@ -309,14 +308,14 @@ class Group:
     columns: Mapping[tuple[str, str], int]
 
     def axes(self, quantity: str, axes: str) -> list[int] | None:
-        """Column numbers of a quantity along some axes; None unless all are there."""
-        found = [self.columns.get((quantity, axis)) for axis in axes]
-        known = [column for column in found if column is not None]
-        return known if len(known) == len(axes) else None
+        """Return the column numbers of a quantity along some axes; None if one is missing."""
+        columns = [self.columns.get((quantity, axis)) for axis in axes]
+        present = [column for column in columns if column is not None]
+        return present if len(present) == len(axes) else None
 
     @property
     def scalars(self) -> list[str]:
-        """Quantities that have no axes."""
+        """Return the quantities without axes."""
         return [quantity for quantity, axis in self.columns if not axis]
 
 
@@ -341,7 +340,7 @@ class Header:
 
     @property
     def names(self) -> list[str]:
-        """What each column holds, for messages."""
+        """Return the content of each column, for messages."""
         names = ["Frame", *[""] * (self.width - 1)]
         for group in self.groups:
             for quantity, column in group.columns.items():
@@ -350,12 +349,12 @@ class Header:
 
     @property
     def version(self) -> str:
-        """Format version as text."""
+        """Return the format version as text."""
         return self.about.get("Format Version", "")
 
     @property
     def rate(self) -> float | None:
-        """Export frame rate in 1/s (the capture rate where it is not stated)."""
+        """Return the export frame rate in 1/s (the capture rate if it is not stated)."""
         for key in ("Export Frame Rate", "Capture Frame Rate"):
             text = self.about.get(key, "")
             if re.fullmatch(r"\d+(\.\d*)?", text) and float(text) > 0.0:
@@ -364,14 +363,14 @@ class Header:
 
     @property
     def stated_rows(self) -> int | None:
-        """Number of exported frames as line 1 states it."""
+        """Return the number of exported frames stated in line 1."""
         text = self.about.get("Total Exported Frames", "").removesuffix(".0")
         return whole_number(text)
 
     @property
     def length_unit(self) -> float:
-        """Length Units in m."""
-        return LENGTHS[self.about["Length Units"]]
+        """Return the length unit in m."""
+        return LENGTH_UNITS[self.about["Length Units"]]
 
 
 def parse_header(rows: Sequence[Cells], path: Path) -> Header:
@@ -397,10 +396,10 @@ def parse_header(rows: Sequence[Cells], path: Path) -> Header:
     last = _last_row(rows, path)
     start, time_column = _leading_columns(rows[last])
     labels = _labels(rows[1:last], start, last, path)
-    if about.get("Length Units") not in LENGTHS:
-        expected = f"Length Units, one of {', '.join(LENGTHS)}"
+    if about.get("Length Units") not in LENGTH_UNITS:
+        expected = f"Length Units, one of {', '.join(LENGTH_UNITS)}"
         found = f"'{about.get('Length Units', '')}'"
-        raise unreadable(path, "line 1", expected, found, _AGAIN)
+        raise unreadable(path, "line 1", expected, found, _EXPORT_AGAIN)
     groups = _groups(labels, rows[last], start, last, path)
     furthest = max((max(group.columns.values()) for group in groups), default=0)
     return Header(
@@ -413,7 +412,7 @@ def parse_header(rows: Sequence[Cells], path: Path) -> Header:
 
 
 def _key_values(cells: Cells) -> dict[str, str]:
-    """Pair keys and values of line 1; an unquoted comma inside a value is put back."""
+    """Return the values of line 1 by key; unquoted commas within values are restored."""
     pairs = dict(zip(cells[::2], cells[1::2], strict=False))
     if "Length Units" not in pairs and "Length Units" in cells:
         known = [i for i, cell in enumerate(cells) if cell in _KEYS]
@@ -433,19 +432,19 @@ def _check_version(about: Mapping[str, str], path: Path) -> None:
 
 
 def _last_row(rows: Sequence[Cells], path: Path) -> int:
-    """Number of the row that begins with Frame: it is the last of the header."""
+    """Return the number of the last header row, which begins with Frame."""
     for i, row in enumerate(rows):
         if row and row[0].strip() == "Frame":
             return i
     place = f"lines 1 to {len(rows)}"
     expected, found = "a header row that begins with Frame", "none"
-    raise unreadable(path, place, expected, found, _AGAIN)
+    raise unreadable(path, place, expected, found, _EXPORT_AGAIN)
 
 
 def _leading_columns(row: Cells) -> tuple[int, int | None]:
-    """First column that belongs to an object, and the column of times.
+    """Return the first column of an object, and the column of times.
 
-    An optional column ``TimeCode`` stands between (1.24).
+    An optional column ``TimeCode`` is between them (1.24).
     """
     start, time_column = 1, None
     for i, cell in enumerate(row[1:3], start=1):
@@ -458,21 +457,23 @@ def _leading_columns(row: Cells) -> tuple[int, int | None]:
 
 
 def _labels(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[str, Cells]:
-    """Rows of labels by their word; by their order where the words are missing (1.21)."""
+    """Return rows of labels by their name; by their order if the names are missing (1.21)."""
     filled = [row for row in rows if any(cell.strip() for cell in row)]
-    words = [next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled]
-    named = {word: row for word, row in zip(words, filled, strict=True) if word}
+    row_labels = [
+        next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled
+    ]
+    named = {word: row for word, row in zip(row_labels, filled, strict=True) if word}
     if named:
-        quantity = [row for word, row in zip(words, filled, strict=True) if not word]
+        quantity = [row for word, row in zip(row_labels, filled, strict=True) if not word]
         labels: dict[str, Cells] = {**named, "Quantity": quantity[-1] if quantity else []}
     else:
-        labels = dict(zip((*_WORDS, "Quantity"), filled, strict=False))
-    missing = [word for word in _WORDS if word not in labels]
+        labels = dict(zip((*_LABELS, "Quantity"), filled, strict=False))
+    missing = [word for word in _LABELS if word not in labels]
     if missing and (named or filled):
         place = f"lines 2 to {last}"
-        expected = f"header rows {', '.join(_WORDS)}"
-        found_ = f"none for {', '.join(missing)}"
-        raise unreadable(path, place, expected, found_, _AGAIN)
+        expected = f"header rows {', '.join(_LABELS)}"
+        missing_text = f"none for {', '.join(missing)}"
+        raise unreadable(path, place, expected, missing_text, _EXPORT_AGAIN)
     return labels
 
 
@@ -484,14 +485,14 @@ def _groups(
     width = max([len(axes), *(len(row) for row in labels.values())])
     for column in range(start, width):
         type_, name, id_, quantity = (
-            _cell(labels.get(word, []), column) for word in (*_WORDS, "Quantity")
+            _cell(labels.get(word, []), column) for word in (*_LABELS, "Quantity")
         )
         axis = _cell(axes, column).upper()
         if not (type_ or name or quantity or axis):
             continue  # padding of a spreadsheet
         if not type_:
             place = f"line {last + 1}, cell {column + 1}"
-            raise unreadable(path, place, "a column with a type", "none", _AGAIN)
+            raise unreadable(path, place, "a column with a type", "none", _EXPORT_AGAIN)
         number = 0
         while (quantity, axis) in groups.get((type_, name, id_, number), {}):
             number += 1  # the same name and id again: another object

@@ -12,7 +12,7 @@
 column; positions stay in the frame of the motion-capture system.
 
 **File structure**: table style (line 1 keys and values, rows of labels, ``Frame``, data), or row
-style (every line begins with its type). Everything is found by words, nothing by line number.
+style (every line begins with its type). Everything is found by labels, not by line numbers.
 
 **Known versions**: table style 1.21, 1.23, 1.24, 1.25; row style 1.0, 1.1.
 """
@@ -36,38 +36,38 @@ from labpipe.readers.motive_table import (
     parse_header,
 )
 from labpipe.readers.number_rows import read_columns, rows_note
-from labpipe.readers.raw_files import BROKEN, read_head, reading, unreadable
+from labpipe.readers.raw_files import DAMAGE_ERRORS, read_head, reading, unreadable
 from labpipe.readers.table_body import Body
 from labpipe.readers.time_axes import clock_notes
 from labpipe.readers.tracking import track_notes
-from labpipe.readers.workbooks import is_workbook, opened_workbook
+from labpipe.readers.workbooks import is_workbook, open_workbook
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock, MarkerTracks, Recording
 
 _BOM = b"\xef\xbb\xbf"
-_TABLE = (b"Format Version", b'"Format Version')
-_ROWS = (b"comment,", b'"comment",')
-_SHEET_HEAD = 200_000
+_TABLE_STARTS = (b"Format Version", b'"Format Version')
+_ROW_STARTS = (b"comment,", b'"comment",')
 _SHEETS = ("xl/sharedStrings.xml", "xl/worksheets/sheet1.xml")
 _HEADER_LINES = 40
-"""Header rows are looked for in this many lines; the longest real header has 8."""
+"""Lines searched for header rows; the longest real header has 8."""
 
 
 def recognise(path: Path) -> bool:
-    """Check whether a file is a Motive export of either style, or a workbook that holds one."""
+    """Return whether a file is a Motive export of either style, or a workbook with one."""
     if is_workbook(path):
         return _is_saved_take(path)
-    return read_head(path, 64).removeprefix(_BOM).startswith(_TABLE + _ROWS)
+    return read_head(path, 64).removeprefix(_BOM).startswith(_TABLE_STARTS + _ROW_STARTS)
 
 
 def _is_saved_take(path: Path) -> bool:
-    """Check at little cost whether a workbook holds a take, by its first cell."""
+    """Return whether a workbook contains a take, by a fast search for its first cell."""
+    head_bytes = 200_000
     try:
         with zipfile.ZipFile(path) as parts:
             inside = [name for name in _SHEETS if name in parts.namelist()]
-            heads = (parts.open(name).read(_SHEET_HEAD) for name in inside)
+            heads = (parts.open(name).read(head_bytes) for name in inside)
             return any(b"Format Version" in head for head in heads)
-    except BROKEN:
+    except DAMAGE_ERRORS:
         return False
 
 
@@ -76,9 +76,9 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
 
     Parameters
     ----------
-    path : the export, as Motive wrote it, or as a spreadsheet saved it; of a workbook the first
-        sheet with a Motive header is read
-    channels : has no meaning here; takes are read whole
+    path : the export of Motive, or a workbook saved from it; of a workbook the first sheet with a
+        Motive header is read
+    channels : not used; takes are read completely
 
     Returns
     -------
@@ -87,13 +87,13 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     Raises
     ------
     ReadError
-        If the workbook, the header or a cell is damaged, or the version is not known.
+        If the workbook, the header or a cell is damaged, or the version is unknown.
     """
     if is_workbook(path):
         return _read_workbook(path)
     with reading(path, "a readable file"):
         content = path.read_bytes().removeprefix(_BOM)
-    if content.startswith(_ROWS):
+    if content.startswith(_ROW_STARTS):
         return _read_row_style(content.decode("utf-8", errors="replace"), path)
     return _read_table_style(content, path)
 
@@ -123,7 +123,7 @@ def _read_table_style(content: bytes, path: Path) -> Recording:
 def _read_workbook(path: Path) -> Recording:
     from labpipe.readers.sheet_cells import as_text, sheet_columns
 
-    name, rows = _sheet(path)
+    name, rows = _find_sheet(path)
     header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
     wanted = {column: header.names[column] for column in needed_columns(header)}
     columns, notes = sheet_columns(rows, header.rows, wanted, (path, f"sheet '{name}'"))
@@ -182,9 +182,9 @@ def _without_infinities(columns: Columns) -> tuple[Columns, list[QualityNote]]:
     return {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}, [note]
 
 
-def _sheet(path: Path) -> tuple[str, list[list[object]]]:
-    """Name and cells of the first sheet that begins with a Motive header."""
-    with opened_workbook(path, "a whole xlsx workbook") as book:
+def _find_sheet(path: Path) -> tuple[str, list[list[object]]]:
+    """Return name and cells of the first sheet that begins with a Motive header."""
+    with open_workbook(path, "a whole xlsx workbook") as book:
         for name in book.sheet_names:
             rows = book.get_sheet_by_name(name).to_python(skip_empty_area=False)
             if rows and rows[0] and rows[0][0] == "Format Version":

@@ -1,4 +1,4 @@
-"""Rows of numbers of a text export: read fast by a library, every loss noticed and placed."""
+"""Rows of numbers of a text export, parsed by pandas; all losses are reported."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from labpipe.errors import ReadError, error_text
 from labpipe.readers.raw_files import is_blank
 from labpipe.readers.table_body import (
     Body,
-    Shape,
-    chosen_cells,
+    Extent,
+    cells_of_columns,
+    quote_words,
     whole_lines,
-    without_closing,
-    words_shown,
+    without_summary,
 )
 from labpipe.readers.text_cells import (
-    AGAIN,
-    INFINITE,
-    LOST,
-    PLAIN,
-    SIGNS,
+    DECIMAL_SIGNS,
+    EXPORT_AGAIN,
+    INFINITE_WORDS,
+    LOST_DECIMALS,
+    NUMERAL,
     describe_cell,
     is_grouped,
     is_missing,
-    lost_signs,
+    lost_decimals_text,
     quoted,
     split_line,
     thousandfold_jump,
@@ -41,20 +41,15 @@ from labpipe.records.quality import QualityNote, Severity
 if TYPE_CHECKING:
     import pandas as pd
 
-_HEAD = 20000
-"""Bytes in which the decimal sign is looked for."""
 _NAN_WORDS = ("NAN", "NaN", "nan")
-_WORTH = 4_000_000
-"""Bytes from which on pandas reads faster from the file than from memory."""
-_COMMAS = (
+_COMMA_REMEDY = (
     "If commas stand in the numbers, too, export the test again with decimal points, or with"
     " semicolons or tabs between the cells; if not, the file may have been edited."
 )
-_SHOWN = 40
 
 
 def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:
-    """Read columns of numbers; a blank cell is NaN, as is a word for a missing value.
+    """Read columns of numbers; blank cells and words for missing values are NaN.
 
     Parameters
     ----------
@@ -64,171 +59,177 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     Returns
     -------
     columns : by their number, all of shape (rows,)
-    notes : ``summary_rows_left_out`` (rows at the end that begin with words), ``truncated`` (an
-        incomplete last line was left out), ``missing_words`` (words that count as missing, by
-        column), ``lines_short`` (what a line lacks counts as blank), ``rows_differ`` (from the
-        number that the header states)
+    notes : ``summary_rows_left_out`` (rows of text at the end), ``truncated`` (an incomplete last
+        line was omitted), ``missing_words`` (words for missing values, by column),
+        ``lines_short`` (missing cells count as blank), ``rows_differ`` (from the number stated in
+        the header)
 
     Raises
     ------
     ReadError
-        If a cell is no number with the decimal sign of the others or too large a one, a line has
+        If a cell is not a number with the decimal sign of the others, or is too large, a line has
         more cells than there are names, or a column lost its decimal signs.
     """
-    body, closing = without_closing(body)
+    # In which the decimal sign is searched.
+    head_bytes = 20000
+    body, closing = without_summary(body)
     end, notes = whole_lines(body)
     notes = [*closing, *notes]
-    head = body.data[body.start : min(end, body.start + _HEAD)]
+    head = body.data[body.start : min(end, body.start + head_bytes)]
     if not head.strip() and is_blank(body.data[body.start : end]):
         return {column: np.empty(0) for column in body.columns}, notes + rows_note(
             body.stated_rows, 0
         )
     decimal = _decimal_sign(body, head) if body.decimal == "auto" else body.decimal
     first = split_line(head[: head.find(b"\n") + 1 or None].decode("latin-1"), body.separator)
-    shape = Shape(body, end, decimal, max(len(body.names), len(first)))
-    parsed, words = _parsed(shape, path)
-    notes += words
+    extent = Extent(body, end, decimal, max(len(body.names), len(first)))
+    parsed, missing_notes = _parse_columns(extent, path)
+    notes += missing_notes
     columns = {column: parsed[column] for column in body.columns}
     rows = filled_rows(columns)
     if not all(np.isfinite(values).all() for values in columns.values()):
         infinite = any(np.isinf(values).any() for values in columns.values())
         if infinite and not body.as_exported:
-            raise ReadError(first_fault(shape, path))
-        notes += _short_lines(shape, rows)  # where all cells are numbers, no line can be short
+            raise ReadError(first_error(extent, path))
+        notes += _short_lines(extent, rows)  # no line can be short if all cells are numbers
     if not body.as_exported:
-        _refuse_lost_signs(shape, columns, path)
+        _refuse_lost_decimals(extent, columns, path)
     notes += rows_note(body.stated_rows, rows)
     return {column: columns[column][:rows] for column in body.columns}, notes
 
 
 def rows_note(stated: int | None, held: int) -> list[QualityNote]:
-    """Note that a file holds another number of rows than its header states; if it states one."""
+    """Return a note if the number of rows differs from the stated one."""
     if stated in {None, held}:
         return []
     message = f"the header states {stated} rows, the file holds {held}"
     return [QualityNote("rows_differ", Severity.WARNING, "file", message)]
 
 
-def _refuse_lost_signs(shape: Shape, columns: Mapping[int, Floats], path: Path) -> None:
+def _refuse_lost_decimals(extent: Extent, columns: Mapping[int, Floats], path: Path) -> None:
     for column, values in columns.items():
         rows = thousandfold_jump(values)
-        message = None if rows is None else jump_fault(shape, column, rows, path)
+        message = None if rows is None else jump_error(extent, column, rows, path)
         if message is not None:
             raise ReadError(message)
 
 
-def words_note(column: str, words: Mapping[str, int], place: str) -> QualityNote:
-    """Note the words in a column of numbers that count as missing.
+def words_note(column: str, missing: Mapping[str, int], place: str) -> QualityNote:
+    """Return a note on words for missing values in a column.
 
     Parameters
     ----------
     column : its name
-    words : how many cells hold which word
+    missing : number of cells with each word
     place : of the first one
     """
-    count = sum(words.values())
-    held = words_shown(list(words))
+    count = sum(missing.values())
+    held = quote_words(list(missing))
     message = f"{count} cells hold {held}, the first in {place}: they count as missing"
     return QualityNote("missing_words", Severity.INFO, column, message)
 
 
-def _parsed(shape: Shape, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:
-    body = shape.body
-    extra = range(len(body.names), shape.width)  # blank cells behind the last separator
+def _parse_columns(extent: Extent, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:
+    body = extent.body
+    extra = range(len(body.names), extent.width)  # blank cells after the last separator
     wanted = [*body.columns, *extra]
-    if _can_read_straight(shape):
-        with suppress(ValueError, OverflowError):  # perhaps in a column that is not asked for
-            return _numbers(_table(shape, path, body.first_line - 1, None)), []
+    if _can_read_file(extent):
+        with suppress(ValueError, OverflowError):  # possibly in a column that is not wanted
+            return _to_arrays(_read_csv(extent, path, body.first_line - 1, None)), []
     try:
-        columns, notes = _from_memory(shape, wanted)
+        columns, notes = _parse_memory(extent, wanted)
     except (ValueError, OverflowError) as error:
-        raise ReadError(first_fault(shape, path)) from error
+        raise ReadError(first_error(extent, path)) from error
     if any(not np.isnan(columns[column]).all() for column in extra):
-        raise ReadError(first_fault(shape, path))
+        raise ReadError(first_error(extent, path))
     return columns, notes
 
 
-def _from_memory(shape: Shape, wanted: list[int]) -> tuple[dict[int, Floats], list[QualityNote]]:
-    """Read the rows, and refuse those with more cells: pandas leaves out the others."""
-    data = shape.data
-    starts, counts = shape.separators
-    for i in np.flatnonzero(counts >= shape.width):
+def _parse_memory(extent: Extent, wanted: list[int]) -> tuple[dict[int, Floats], list[QualityNote]]:
+    """Read the rows; refuse rows with more cells, which pandas would omit."""
+    data = extent.data
+    starts, counts = extent.separators
+    for i in np.flatnonzero(counts >= extent.width):
         line = str(data[starts[i] : starts[i + 1]], "utf-8", errors="replace")
-        if any(cell.strip() for cell in split_line(line, shape.body.separator)[shape.width :]):
+        if any(cell.strip() for cell in split_line(line, extent.body.separator)[extent.width :]):
             message = "a line has more cells than the first one"
             raise ValueError(message)
     try:
-        return _numbers(_table(shape, io.BytesIO(data), 0, wanted)), []
+        return _to_arrays(_read_csv(extent, io.BytesIO(data), 0, wanted)), []
     except (ValueError, OverflowError):
-        words, notes = _missing_words(shape)
-        if not words:
+        missing, notes = _missing_words(extent)
+        if not missing:
             raise
-        return _numbers(_table(shape, io.BytesIO(data), 0, wanted, words)), notes
+        return _to_arrays(_read_csv(extent, io.BytesIO(data), 0, wanted, missing)), notes
 
 
-def _missing_words(shape: Shape) -> tuple[list[str], list[QualityNote]]:
-    """Find the words for missing values in the columns, as they are written there."""
-    body = shape.body
-    texts = _table(shape, io.BytesIO(shape.data), 0, list(body.columns), None)
-    found, notes = list[str](), []
+def _missing_words(extent: Extent) -> tuple[list[str], list[QualityNote]]:
+    """Return the words for missing values in the columns, as written."""
+    body = extent.body
+    texts = _read_csv(extent, io.BytesIO(extent.data), 0, list(body.columns), None)
+    all_missing, notes = list[str](), []
     for column in body.columns:
-        counts = texts[column].value_counts()
-        words = {str(word): int(counts[word]) for word in counts.index if is_missing(str(word))}
-        if words:
-            first = body.first_line + int(np.flatnonzero(texts[column].isin(list(words)))[0])
-            found += words
-            notes.append(words_note(body.names[column], words, f"line {first}"))
-    return found, notes
+        cell_counts = texts[column].value_counts()
+        missing = {
+            str(word): int(cell_counts[word]) for word in cell_counts.index if is_missing(str(word))
+        }
+        if missing:
+            first = body.first_line + int(np.flatnonzero(texts[column].isin(list(missing)))[0])
+            all_missing += missing
+            notes.append(words_note(body.names[column], missing, f"line {first}"))
+    return all_missing, notes
 
 
-def _numbers(table: pd.DataFrame) -> dict[int, Floats]:
+def _to_arrays(table: pd.DataFrame) -> dict[int, Floats]:
     return {int(column): table[column].to_numpy() for column in table.columns}
 
 
-def _table(
-    shape: Shape,
+def _read_csv(
+    extent: Extent,
     source: Path | io.BytesIO,
     skip: int,
     wanted: list[int] | None,
-    words: Sequence[str] | None = (),
+    missing: Sequence[str] | None = (),
 ) -> pd.DataFrame:
-    """Read cells as numbers, with these words for missing values; as text if they are None."""
+    """Read cells as numbers, with these words for missing values; as text if None."""
     import pandas as pd
 
     return pd.read_csv(
         source,
         skiprows=skip,
-        sep=r"\s+" if shape.body.separator == " " else shape.body.separator,
-        decimal=shape.decimal,
+        sep=r"\s+" if extent.body.separator == " " else extent.body.separator,
+        decimal=extent.decimal,
         header=None,
-        names=list(range(shape.width)),
+        names=list(range(extent.width)),
         usecols=wanted,
-        dtype=str if words is None else np.float64,
-        na_values=["", *(words or ()), *(_NAN_WORDS if shape.body.as_exported else ())],
+        dtype=str if missing is None else np.float64,
+        na_values=["", *(missing or ()), *(_NAN_WORDS if extent.body.as_exported else ())],
         keep_default_na=False,
         skip_blank_lines=False,
-        skipinitialspace=not shape.body.as_exported,
+        skipinitialspace=not extent.body.as_exported,
         encoding_errors="replace",
     )
 
 
-def _can_read_straight(shape: Shape) -> bool:
-    """Check whether pandas may read the file itself, which it does on several cores.
+def _can_read_file(extent: Extent) -> bool:
+    """Return whether pandas can read the file directly, with several threads.
 
-    Not if some column holds words, the last line was left out, or quotes above the samples could
-    keep pandas from counting lines as we do. Small files gain nothing.
+    Not if a column contains words, the last line was omitted, or quotes above the samples could
+    change how pandas counts lines. Small files are not faster.
     """
-    body = shape.body
-    is_whole = not body.data[shape.end :].strip()
-    known = len(body.columns) == len(body.names) or body.some_only
-    worth = shape.end - body.start > _WORTH
+    # Pandas reads smaller files faster from memory.
+    min_bytes = 4_000_000
+    body = extent.body
+    is_whole = not body.data[extent.end :].strip()
+    known = len(body.columns) == len(body.names) or body.others_numeric
+    worth = extent.end - body.start > min_bytes
     if not (body.as_in_file and is_whole and known and worth):
         return False
     return not any(line.count(b'"') % 2 for line in body.data[: body.start].split(b"\n"))
 
 
 def filled_rows(columns: Mapping[int, Floats]) -> int:
-    """Number of rows up to the last one that holds anything."""
+    """Return the number of rows up to the last filled one."""
     rows = max((len(values) for values in columns.values()), default=0)
     while rows and all(np.isnan(values[rows - 1]) for values in columns.values()):
         rows -= 1
@@ -236,107 +237,108 @@ def filled_rows(columns: Mapping[int, Floats]) -> int:
 
 
 def _decimal_sign(body: Body, data: bytes) -> str:
-    """Decimal sign of the first cells that have one; a point if none has."""
+    """Return the decimal sign of the first cells with one; a point if there are none."""
     lines = data.decode("latin-1").split("\n")
     for line in lines[:-1] or lines:
-        for cell in chosen_cells(split_line(line, body.separator), body.columns):
-            for sign in SIGNS:
-                if sign in cell and PLAIN[sign].fullmatch(cell):
+        for cell in cells_of_columns(split_line(line, body.separator), body.columns):
+            for sign in DECIMAL_SIGNS:
+                if sign in cell and NUMERAL[sign].fullmatch(cell):
                     return sign
     return "."
 
 
-def _short_lines(shape: Shape, rows: int) -> list[QualityNote]:
-    """Lines with fewer cells than names; those behind the last filled row do not count."""
-    data = shape.data
-    starts, counts = shape.separators
-    short = [int(i) for i in np.flatnonzero(counts[:rows] < len(shape.body.names) - 1)]
+def _short_lines(extent: Extent, rows: int) -> list[QualityNote]:
+    """Return a note on lines with fewer cells than names, up to the last filled row."""
+    data = extent.data
+    starts, counts = extent.separators
+    short = [int(i) for i in np.flatnonzero(counts[:rows] < len(extent.body.names) - 1)]
     short = [i for i in short if bytes(data[starts[i] : starts[i + 1]]).strip()]
     if not short:
         return []
     message = (
-        f"{len(short)} lines have too few cells, first line {shape.body.first_line + short[0]}:"
+        f"{len(short)} lines have too few cells, first line {extent.body.first_line + short[0]}:"
     )
-    message += " what they lack counts as blank"
+    message += " missing cells count as blank"
     return [QualityNote("lines_short", Severity.WARNING, "file", message)]
 
 
-def first_fault(shape: Shape, path: Path) -> str:
-    """Word the error for the first cell that is no number, or line with too many cells.
+def first_error(extent: Extent, path: Path) -> str:
+    """Return the message on the first cell that is not a number, or line with too many cells.
 
     Parameters
     ----------
-    shape : the rows
+    extent : the rows
     path : named in the message
 
     Returns
     -------
     The message.
     """
-    body = shape.body
-    for number, row in enumerate(shape.rows(), start=body.first_line):
+    body = extent.body
+    for number, row in enumerate(extent.rows(), start=body.first_line):
         if any(cell.strip() for cell in row[len(body.names) :]):
-            return _too_many(row, body, number, path)
+            return _extra_cells_error(row, body, number, path)
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
-            if cell and not _is_finite(cell, shape):
-                return _bad_cell(shape, cell, column, number, path)
+            if cell and not _is_finite(cell, extent):
+                return _bad_cell_error(extent, cell, column, number, path)
     place = f"from line {body.first_line} on"
-    return error_text(path, place, expected="rows of numbers", found="others", remedy=AGAIN)
+    return error_text(path, place, expected="rows of numbers", found="others", remedy=EXPORT_AGAIN)
 
 
-def _too_many(row: Sequence[str], body: Body, line: int, path: Path) -> str:
-    """Word the error for a line with more cells than names: decimal commas may have cut it."""
-    found, remedy = f"{len(row)}", AGAIN
+def _extra_cells_error(row: Sequence[str], body: Body, line: int, path: Path) -> str:
+    """Return the message on a line with more cells than names, perhaps due to decimal commas."""
+    max_length = 40
+    found, remedy = f"{len(row)}", EXPORT_AGAIN
     if body.separator == "," and all(cell.strip("+-").isdigit() for cell in row if cell):
-        found += f" in '{','.join(row)[:_SHOWN]}'"
-        remedy = _COMMAS
+        found += f" in '{','.join(row)[:max_length]}'"
+        remedy = _COMMA_REMEDY
     expected = f"{len(body.names)} cells as in the header"
     return error_text(path, f"line {line}", expected=expected, found=found, remedy=remedy)
 
 
-def jump_fault(shape: Shape, column: int, rows: tuple[int, int], path: Path) -> str | None:
-    """Word the error for a column of whole numbers that jumps a thousandfold and back.
+def jump_error(extent: Extent, column: int, rows: tuple[int, int], path: Path) -> str | None:
+    """Return the message on a column of whole numbers that jumps by a thousand and back.
 
     Parameters
     ----------
-    shape : the rows
+    extent : the rows
     column : its number
-    rows : numbers of those before and behind a jump, counted from 0
+    rows : numbers of those before and after a jump, counted from 0
     path : named in the message
 
     Returns
     -------
-    The message; None if the numbers are written with a decimal sign or an exponent after all.
+    The message; None if the numbers have a decimal sign or an exponent.
     """
-    before, after = (row[column].strip() for i, row in enumerate(shape.rows()) if i in rows)
+    before, after = (row[column].strip() for i, row in enumerate(extent.rows()) if i in rows)
     if not all(re.fullmatch(r"[+-]?\d+", cell) for cell in (before, after)):
         return None
-    place = f"line {shape.body.first_line + rows[1]}, column '{shape.body.names[column]}'"
-    return lost_signs(path, place, before, after)
+    place = f"line {extent.body.first_line + rows[1]}, column '{extent.body.names[column]}'"
+    return lost_decimals_text(path, place, before, after)
 
 
-def _is_finite(cell: str, shape: Shape) -> bool:
-    if PLAIN[shape.decimal].fullmatch(cell) is None:
-        is_infinite = cell.strip("+-").casefold() in INFINITE
-        return is_missing(cell) or (shape.body.as_exported and is_infinite)
-    return bool(np.isfinite(float(cell.replace(shape.decimal, "."))))
+def _is_finite(cell: str, extent: Extent) -> bool:
+    if NUMERAL[extent.decimal].fullmatch(cell) is None:
+        is_infinite = cell.strip("+-").casefold() in INFINITE_WORDS
+        return is_missing(cell) or (extent.body.as_exported and is_infinite)
+    return bool(np.isfinite(float(cell.replace(extent.decimal, "."))))
 
 
-def _bad_cell(shape: Shape, cell: str, column: int, line: int, path: Path) -> str:
-    expected, found, remedy = describe_cell(cell, shape.decimal)
-    grouped = _regrouped(shape, column)
+def _bad_cell_error(extent: Extent, cell: str, column: int, line: int, path: Path) -> str:
+    expected, found, remedy = describe_cell(cell, extent.decimal)
+    grouped = _find_grouped_cell(extent, column)
     if grouped is not None and not re.search("[^-+0-9.,]", cell):
         found = quoted([cell])
         found += f" (and '{grouped[1]}' in line {grouped[0]})" if grouped[1] != cell else ""
-        remedy = LOST
-    place = f"line {line}, column '{shape.body.names[column]}'"
+        remedy = LOST_DECIMALS
+    place = f"line {line}, column '{extent.body.names[column]}'"
     return error_text(path, place, expected=expected, found=found, remedy=remedy)
 
 
-def _regrouped(shape: Shape, column: int) -> tuple[int, str] | None:
-    """Line and text of the first cell of a column with two signs between thousands."""
-    for number, row in enumerate(shape.rows(), start=shape.body.first_line):
+def _find_grouped_cell(extent: Extent, column: int) -> tuple[int, str] | None:
+    """Return line and text of the first cell of a column with two thousands separators."""
+    for number, row in enumerate(extent.rows(), start=extent.body.first_line):
         cell = row[column].strip() if column < len(row) else ""
         if is_grouped(cell):
             return number, cell

@@ -1,4 +1,4 @@
-"""Raw files: opened where a library's error becomes a ReadError, and text decoded to lines."""
+"""Raw files: library errors as ReadError, and decoding of text."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from xml.parsers.expat import ExpatError
 
 from labpipe.errors import ReadError, error_text
 
-BROKEN: tuple[type[Exception], ...] = (
+DAMAGE_ERRORS: tuple[type[Exception], ...] = (
     OSError,  # h5py and the operating system
     EOFError,
     ValueError,  # also pandas' ParserError and every UnicodeError
     LookupError,
-    TypeError,  # scipy meets a tag that its tables do not know
-    AttributeError,  # a file that is not of the shape its header promises
+    TypeError,  # scipy, for an unknown tag
+    AttributeError,  # a file whose structure differs from its header
     ArithmeticError,
     AssertionError,
-    MemoryError,  # a damaged length asks for more than there is
+    MemoryError,  # a damaged length
     RuntimeError,  # h5py; NotImplementedError and RecursionError too
     ExpatError,  # damaged XML inside an MF4
     SyntaxError,  # as ElementTree calls damaged XML inside a workbook
@@ -33,13 +33,13 @@ BROKEN: tuple[type[Exception], ...] = (
     zipfile.BadZipFile,
     csv.Error,
 )
-"""What the format libraries were seen to raise, or say they raise, for damaged files."""
+"""Errors that the format libraries raise for damaged files."""
 
-_LOOK = "Check the name and the folder."
-_CUT = "Export the recording again; the file may have been cut off while copying."
-HEAD = 65536
-"""Bytes in which the header of an export is looked for."""
-_MARKS = (
+_CHECK_NAME = "Check the name and the folder."
+_EXPORT_AGAIN = "Export the recording again; the file may have been cut off while copying."
+HEAD_BYTES = 65536
+"""Bytes in which the header of an export is searched."""
+_BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),
@@ -47,40 +47,46 @@ _MARKS = (
 
 
 def unreadable(file: object, place: str, expected: str, found: str, remedy: str) -> ReadError:
-    """Make the error for what cannot be read; parameters as of `labpipe.errors.error_text`."""
+    """Return a ReadError; parameters as for `labpipe.errors.error_text`."""
     return ReadError(error_text(file, place, expected=expected, found=found, remedy=remedy))
 
 
 @contextmanager
 def reading(
-    path: Path, what: str, *, also: tuple[type[BaseException], ...] = (), remedy: str = _CUT
+    path: Path,
+    what: str,
+    *,
+    also: tuple[type[BaseException], ...] = (),
+    remedy: str = _EXPORT_AGAIN,
 ) -> Iterator[None]:
-    """Turn what a format library raises for a broken file into a ReadError that names the file.
+    """Turn errors of a format library into a ReadError that names the file.
 
     Parameters
     ----------
     path : the export
-    what : what was expected, such as ``a whole MAT v5 file``
-    also : errors that only one library knows
-    remedy : what the person at the bench can do
+    what : the expected content, such as ``a whole MAT v5 file``
+    also : further errors, of one library
+    remedy : what the operator can do
 
     Raises
     ------
     ReadError
-        In the place of every error of `BROKEN` and `also`.
+        Instead of every error of `DAMAGE_ERRORS` and `also`.
     """
     try:
         yield
     except FileNotFoundError as error:
-        message = error_text(path, "", expected="a file", found="none of that name", remedy=_LOOK)
+        message = error_text(
+            path, "", expected="a file", found="none of that name", remedy=_CHECK_NAME
+        )
         raise ReadError(message, code="missing_export") from error
     except PermissionError as error:
         found = "one that may not be read"
         raise unreadable(path, "", "a file", found, "Check its permissions.") from error
-    except (*BROKEN, *also) as error:
+    except (*DAMAGE_ERRORS, *also) as error:
         if isinstance(error, OSError) and error.filename is not None:
             found = f"one that cannot be opened ({error.strerror})"
-            raise unreadable(path, "", "a file", found, _LOOK) from error
+            raise unreadable(path, "", "a file", found, _CHECK_NAME) from error
         found = f"a damaged one ({_first_line(error)})"
         raise unreadable(path, "", what, found, remedy) from error
 
@@ -91,7 +97,7 @@ def read_head(path: Path, size: int = 65536) -> bytes:
     Parameters
     ----------
     path : the export
-    size : how many bytes at the most
+    size : maximum number of bytes
 
     Returns
     -------
@@ -100,11 +106,10 @@ def read_head(path: Path, size: int = 65536) -> bytes:
     Raises
     ------
     ReadError
-        If there is no such file, it is a folder, a pipe or a device, it may not be read, or it is
-        empty.
+        If the file does not exist, is a folder, a pipe or a device, is not readable, or is empty.
     """
     with reading(path, "a readable file"):
-        kind, head = _odd_kind(path), b""
+        kind, head = _special_kind(path), b""
         if not kind:
             with path.open("rb") as stream:
                 head = stream.read(size)
@@ -117,28 +122,28 @@ def read_head(path: Path, size: int = 65536) -> bytes:
     return head
 
 
-def _odd_kind(path: Path) -> str:
-    """What a path is that is no plain file: reading a pipe would wait for ever."""
+def _special_kind(path: Path) -> str:
+    """Return the kind of a path that is not a plain file: reading a pipe would block."""
     if path.is_dir():
         return "a folder"
     return "a pipe or a device" if path.exists() and not path.is_file() else ""
 
 
 def _first_line(error: BaseException) -> str:
-    said = str(error).strip().splitlines()
-    return said[0][:160] if said else type(error).__name__
+    lines = str(error).strip().splitlines()
+    return lines[0][:160] if lines else type(error).__name__
 
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    r"""The bytes of a text export, in an encoding whose signs below 128 are ASCII.
+    r"""The bytes of a text export, in an encoding compatible with ASCII.
 
     Parameters
     ----------
-    data : without byte order mark, line ends made ``\n`` where they were ``\r`` alone
-    encoding : of `data` where the file says it, empty where it does not
-    written_in : encoding of the file where the file says it, for people
-    as_in_file : whether these are the bytes of the file but for a byte order mark of UTF-8
+    data : without byte order mark, line ends ``\r`` replaced by ``\n``
+    encoding : encoding of `data` if the file states it, else empty
+    written_in : encoding of the file if it states it, for messages
+    as_in_file : whether these are the bytes of the file, apart from a byte order mark of UTF-8
     """
 
     data: bytes
@@ -166,12 +171,12 @@ def read_content(path: Path) -> Content:
 
 
 def read_beginning(path: Path) -> Content:
-    """Read the head of a text export, enough to recognise it."""
-    return as_content(read_head(path, HEAD))
+    """Read the head of a text export for recognition."""
+    return as_content(read_head(path, HEAD_BYTES))
 
 
 def as_content(data: bytes) -> Content:
-    """Undo what would keep the bytes from being cut at line ends and separators.
+    """Normalise encoding and line ends, so that the bytes can be split into cells.
 
     Parameters
     ----------
@@ -179,18 +184,18 @@ def as_content(data: bytes) -> Content:
 
     Returns
     -------
-    The content; UTF-16, with a byte order mark or without, is turned into UTF-8.
+    The content; UTF-16, with or without a byte order mark, is converted to UTF-8.
     """
-    mark, encoding = next(((m, e) for m, e in _MARKS if data.startswith(m)), (b"", ""))
-    plain = data[len(mark) :]
-    encoding = encoding or _utf16(plain[:HEAD])
-    same = not encoding.startswith("utf-16")
+    mark, encoding = next(((m, e) for m, e in _BYTE_ORDER_MARKS if data.startswith(m)), (b"", ""))
+    rest = data[len(mark) :]
+    encoding = encoding or _utf16(rest[:HEAD_BYTES])
+    is_unchanged = not encoding.startswith("utf-16")
     if encoding.startswith("utf-16"):
-        even = plain[: len(plain) // 2 * 2]
-        plain = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
-    if b"\n" not in plain[:HEAD] and b"\r" in plain[:HEAD]:
-        plain, same = plain.replace(b"\r", b"\n"), False
-    return Content(plain, "utf-8" if encoding else "", encoding, same)
+        even = rest[: len(rest) // 2 * 2]
+        rest = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
+    if b"\n" not in rest[:HEAD_BYTES] and b"\r" in rest[:HEAD_BYTES]:
+        rest, is_unchanged = rest.replace(b"\r", b"\n"), False
+    return Content(rest, "utf-8" if encoding else "", encoding, is_unchanged)
 
 
 def _utf16(head: bytes) -> str:
@@ -206,22 +211,22 @@ def _utf16(head: bytes) -> str:
 
 
 def is_blank(data: bytes) -> bool:
-    """Check whether there is nothing but white space."""
-    return not data[:HEAD].strip() and not data.strip()
+    """Return whether there is nothing but white space."""
+    return not data[:HEAD_BYTES].strip() and not data.strip()
 
 
 def is_binary(content: Content) -> bool:
-    """Check whether the head cannot be text."""
-    return b"\0" in content.data[:HEAD]
+    """Return whether the head cannot be text."""
+    return b"\0" in content.data[:HEAD_BYTES]
 
 
 def lines_of(text: str) -> list[str]:
-    """Give the lines of a text without their ends."""
+    """Return the lines of a text without line ends."""
     return [line.rstrip("\r") for line in text.split("\n")]
 
 
 def line_start(data: bytes, lines: int) -> int:
-    """Find where the line with this number, counted from 0, begins."""
+    """Return the offset of the line with this number, counted from 0."""
     at = 0
     for _ in range(lines):
         end = data.find(b"\n", at)
@@ -236,9 +241,9 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
 
     Parameters
     ----------
-    data : the part, which may end in the middle of a sign
-    content : it belongs to
-    encodings : tried in order; ``detect`` leaves it open
+    data : the part, which may end within a character
+    content : the whole export
+    encodings : tried in order; ``detect`` detects the encoding
     path : named in errors
 
     Returns
@@ -253,7 +258,7 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
     if content.encoding:
         return data.decode(content.encoding, errors="replace")
     for encoding in encodings:
-        text = _detected(data) if encoding == "detect" else _strictly(data, encoding)
+        text = _decode_detected(data) if encoding == "detect" else _decode_strict(data, encoding)
         if text is not None:
             return text
     expected = f"text in {' or '.join(encodings)}"
@@ -261,15 +266,15 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
     raise unreadable(path, "", expected, "other bytes", remedy)
 
 
-def _strictly(data: bytes, encoding: str) -> str | None:
-    """Decode without a guess; a sign that the end cuts in two is left out."""
+def _decode_strict(data: bytes, encoding: str) -> str | None:
+    """Decode strictly; a character cut at the end is omitted."""
     try:
         return codecs.getincrementaldecoder(encoding)().decode(data, final=False)
     except UnicodeDecodeError:
         return None
 
 
-def _detected(data: bytes) -> str | None:
+def _decode_detected(data: bytes) -> str | None:
     from charset_normalizer import from_bytes
 
     best = from_bytes(data).best()

@@ -1,4 +1,4 @@
-"""Cells of the tables that people keep in a spreadsheet: text, each with its place for messages.
+"""Cells of tables kept in a spreadsheet: text, each with its place for messages.
 
 Writes these files: a person, with a spreadsheet program (xlsx) or a text editor (csv separated by
 comma, semicolon or tab, UTF-8).
@@ -25,22 +25,22 @@ import numpy as np
 from labpipe.errors import ReadError, error_text
 from labpipe.readers.number_rows import filled_rows, words_note
 from labpipe.readers.raw_files import reading, unreadable
-from labpipe.readers.table_body import closing_note
+from labpipe.readers.table_body import summary_note
 from labpipe.readers.text_cells import (
-    PLAIN,
+    NUMERAL,
     describe_cell,
-    is_closing,
     is_missing,
-    lost_signs,
+    is_summary_row,
+    lost_decimals_text,
     thousandfold_jump,
 )
-from labpipe.readers.workbooks import column_letters, is_workbook, opened_workbook
+from labpipe.readers.workbooks import column_letters, is_workbook, open_workbook
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 
 _XLSX = "an xlsx workbook"
-_MOST = 1_000_000
-"""Cells of a table that people keep, filled or not."""
+_MAX_CELLS = 1_000_000
+"""Cells of a table, filled or not."""
 _SEPARATORS = ",;\t"
 _NUMBER_STARTS = re.compile(r"[-+]?\.?\d")
 _NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)  # as some programs write
@@ -52,9 +52,9 @@ class Cell:
 
     Parameters
     ----------
-    text : as shown, without blanks around it; dates as 2026-03-04
+    text : the text without surrounding blanks; dates as 2026-03-04
     place : such as ``cell C4``, or ``line 4, column 3`` in a csv
-    unread : why it looks blank though it is not, such as ``the error #DIV/0!``; empty otherwise
+    unread : why its value cannot be read, such as ``the error #DIV/0!``; empty otherwise
     """
 
     text: str
@@ -71,8 +71,8 @@ class Table:
 
     Parameters
     ----------
-    heading : the cells of the first row that is not blank
-    rows : those below it, blank ones left out, each as long as the heading
+    heading : the cells of the first non-blank row
+    rows : the non-blank rows below, each as long as the heading
     """
 
     heading: Row
@@ -80,23 +80,23 @@ class Table:
 
 
 def read_campaign_sheet(path: Path) -> Table:
-    """Read the table of a campaign: one row per test; what its columns mean is not known here.
+    """Read the table of a campaign: one row per test.
 
     Parameters
     ----------
-    path : an xlsx workbook, of which the first sheet is read, or a csv
+    path : an xlsx workbook (its first sheet is read), or a csv
 
     Raises
     ------
     ReadError
-        If the file is neither, is damaged, holds no row below a heading, or has cells beyond it.
+        If the file is neither, is damaged, has no row below a heading, or has cells beyond it.
     """
     cells = workbook_cells(path) if is_workbook(path) else csv_cells(path)
     return as_table(cells, path, rows_of="one row per test")
 
 
 def sheets_of(path: Path) -> dict[str, bool]:
-    """Names of the sheets of a workbook, and whether the spreadsheet program shows them.
+    """Return the names of the sheets of a workbook, and whether they are visible.
 
     Raises
     ------
@@ -105,34 +105,34 @@ def sheets_of(path: Path) -> dict[str, bool]:
     """
     from python_calamine import SheetVisibleEnum
 
-    with opened_workbook(path, _XLSX, most=_MOST) as book:
+    with open_workbook(path, _XLSX, max_cells=_MAX_CELLS) as book:
         return {
-            each.name: each.visible == SheetVisibleEnum.Visible for each in book.sheets_metadata
+            sheet.name: sheet.visible == SheetVisibleEnum.Visible for sheet in book.sheets_metadata
         }
 
 
 def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
-    """All cells of one sheet of a workbook; a last row repeats those that cannot be read.
+    """Return all cells of a sheet; an additional last row has those that cannot be read.
 
     Parameters
     ----------
     path : the workbook
     sheet : its name; the first one if empty
-    where : it is, put before the places of its cells
+    where : prefix of the places of its cells
 
     Raises
     ------
     ReadError
         If the workbook is damaged.
     """
-    with opened_workbook(path, _XLSX, most=_MOST) as book:
+    with open_workbook(path, _XLSX, max_cells=_MAX_CELLS) as book:
         page = book.get_sheet_by_name(sheet) if sheet else book.get_sheet_by_index(0)
         rows = page.to_python(skip_empty_area=False)
         before = f"{where}, " if where else ""
-        unread = _unread(path, page.name, before)
+        unread = _unread_cells(path, page.name, before)
     shown = [
         [
-            Cell(_shown(value), f"{before}cell {column_letters(column)}{line}")
+            Cell(_cell_text(value), f"{before}cell {column_letters(column)}{line}")
             for column, value in enumerate(row, start=1)
         ]
         for line, row in enumerate(rows, start=1)
@@ -140,19 +140,19 @@ def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Ce
     return [*shown, unread] if unread else shown
 
 
-def _unread(path: Path, name: str, before: str) -> list[Cell]:
-    """Cells that calamine gives as blank: errors, and formulas that were never worked out."""
+def _unread_cells(path: Path, name: str, before: str) -> list[Cell]:
+    """Return cells that calamine reads as blank: errors, and formulas without values."""
     from openpyxl import load_workbook
 
-    if not _has_formulas(path):  # most sheets: spares reading them twice more
+    if not _has_formulas(path):  # most sheets: avoids reading them twice more
         return []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of styles and extensions, which are not read here
+        warnings.simplefilter("ignore")  # about styles and extensions, which are not read
         books = [load_workbook(path, read_only=True, data_only=only) for only in (False, True)]
         pages = [book[name] for book in books]
         for page in pages:
-            page.reset_dimensions()  # what a file says of its size may be wrong
-        found = [
+            page.reset_dimensions()  # the stated size may be wrong
+        cells = [
             Cell("", f"{before}cell {column_letters(column)}{line}", unread=why)
             for line, rows in enumerate(zip(*(page.iter_rows() for page in pages), strict=True), 1)
             for column, (formula, value) in enumerate(zip(*rows, strict=True), 1)
@@ -160,7 +160,7 @@ def _unread(path: Path, name: str, before: str) -> list[Cell]:
         ]
         for book in books:
             book.close()
-    return found
+    return cells
 
 
 def _has_formulas(path: Path) -> bool:
@@ -171,22 +171,22 @@ def _has_formulas(path: Path) -> bool:
 
 
 def _why_unread(formula: Any, value: Any) -> str:
-    """Say why a cell cannot be read, from its formula and its stored value; empty if it can."""
+    """Return why a cell cannot be read, by its formula and stored value; empty if it can."""
     if value.data_type == "e" and value.value is not None:
         return f"the error {value.value}"
-    # a formula that gives an empty text is stored as text ("str"): that is a blank on purpose
+    # A formula that returns an empty text is stored as text ("str"): an intended blank.
     if formula.data_type == "f" and value.value is None and value.data_type != "str":
         return "a formula without a stored value"
     return ""
 
 
 def csv_cells(path: Path) -> list[list[Cell]]:
-    """All cells of a csv, separated by what its first line has most of, or names as ``sep=;``.
+    """Return all cells of a csv; the separator is the most frequent one of line 1, or ``sep=;``.
 
     Raises
     ------
     ReadError
-        If it is no UTF-8 text.
+        If it is not UTF-8 text.
     """
     with reading(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
         with path.open(encoding="utf-8-sig", newline="") as stream:
@@ -195,13 +195,13 @@ def csv_cells(path: Path) -> list[list[Cell]]:
         separator = max(_SEPARATORS, key=first.count)
         if named := _NAMED_SEPARATOR.fullmatch(first.rstrip("\r\n")):
             separator = named[1]
-            text = text.replace(first, "\n", 1)  # blank, so that lines are still counted right
+            text = text.replace(first, "\n", 1)  # blank, so that line numbers stay right
         reader = csv.reader(_lines(text), delimiter=separator, strict=True)
         return [_csv_row(row, reader.line_num) for row in reader]
 
 
 def _lines(text: str) -> io.StringIO:
-    """Lines split as csv splits them; str.splitlines also splits at U+0085 and U+2028."""
+    """Split lines as csv does; str.splitlines also splits at U+0085 and U+2028."""
     return io.StringIO(text, newline="")
 
 
@@ -212,28 +212,28 @@ def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = 
     ----------
     cells : of the whole sheet
     path : named in errors
-    rows_of : what a row stands for, such as ``one row per test``
+    rows_of : meaning of a row, such as ``one row per test``
     place : of the table in the file, for messages; empty for the whole file
 
     Raises
     ------
     ReadError
-        If there is no row below a heading, a cell beyond it, or a cell that cannot be read: all
-        of these in one message.
+        If there is no row below a heading, a cell beyond it, or cells that cannot be read, which
+        are all in one message.
     """
     unread = [cell for row in cells for cell in row if cell.unread]
     if unread:
-        raise ReadError("\n".join(_unread_words(cell, path) for cell in unread))
+        raise ReadError("\n".join(_unread_error(cell, path) for cell in unread))
     filled = [row for row in cells if any(cell.text for cell in row)]
     if len(filled) < 2:
         expected, remedy = f"a heading and {rows_of}", "Fill in the table."
         found = f"{len(filled)} rows"
         raise unreadable(path, place, expected, found, remedy)
     heading = _without_tail(filled[0])
-    return Table(heading, tuple(_fitted(row, len(heading), path) for row in filled[1:]))
+    return Table(heading, tuple(_fit_row(row, len(heading), path) for row in filled[1:]))
 
 
-def _unread_words(cell: Cell, path: Path) -> str:
+def _unread_error(cell: Cell, path: Path) -> str:
     remedy = "Open the workbook in the spreadsheet program and save it."
     if cell.unread.startswith("the error"):
         remedy = "Correct the cell."
@@ -248,8 +248,8 @@ def _csv_row(row: Iterable[str], line: int) -> list[Cell]:
     ]
 
 
-def _shown(value: object) -> str:
-    """Write the value of a cell as a person sees it: 1 for 1.0."""
+def _cell_text(value: object) -> str:
+    """Return the value of a cell as displayed: 1 for 1.0."""
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return str(value).strip()
@@ -260,8 +260,8 @@ def _without_tail(row: list[Cell]) -> Row:
     return tuple(row[: filled[-1] + 1])
 
 
-def _fitted(row: list[Cell], width: int, path: Path) -> Row:
-    """Bring a row to the length of the heading."""
+def _fit_row(row: list[Cell], width: int, path: Path) -> Row:
+    """Return a row with the length of the heading."""
     for cell in row[width:]:
         if cell.text:
             expected, found = "a cell below a heading", f"'{cell.text}'"
@@ -273,7 +273,7 @@ def _fitted(row: list[Cell], width: int, path: Path) -> Row:
 
 
 def as_text(cell: object) -> str:
-    """A cell as one would write it."""
+    """Return the value of a cell as text."""
     if isinstance(cell, float):
         return f"{cell:.15g}"
     if isinstance(cell, date | time):
@@ -284,64 +284,64 @@ def as_text(cell: object) -> str:
 def sheet_columns(
     rows: Sequence[Sequence[object]], first: int, names: Mapping[int, str], where: tuple[Path, str]
 ) -> tuple[dict[int, Floats], list[QualityNote]]:
-    """Read columns of numbers of a sheet; a blank cell is NaN, as is a word for a missing value.
+    """Read columns of numbers of a sheet; blank cells and words for missing values are NaN.
 
     Parameters
     ----------
-    rows : cells of the whole sheet, as `labpipe.readers.workbooks.open_sheets` gives them
-    first : number of the first row of numbers, counted from 0
-    names : of the columns wanted, by their number
+    rows : cells of the whole sheet, from `labpipe.readers.workbooks.open_sheets`
+    first : index of the first row of numbers
+    names : names of the wanted columns, by their index
     where : file and sheet, for messages
 
     Returns
     -------
-    columns : by their number, up to the last row in which one of them is filled
+    columns : by their index, up to the last row in which one of them is filled
     notes : ``summary_rows_left_out`` and ``missing_words``, as in
         `labpipe.readers.number_rows.read_columns`
 
     Raises
     ------
     ReadError
-        If a cell is no number or too large a one, or a column lost its decimal signs.
+        If a cell is not a number or is too large, or a column lost its decimal signs.
     """
-    last, notes = _closing(rows, first, list(names), where[1])
+    last, notes = _find_summary(rows, first, list(names), where[1])
     body, width = rows[first:last], max(names, default=-1) + 1
-    if min(map(len, body), default=width) < width:  # what a row lacks is blank
+    if min(map(len, body), default=width) < width:  # missing cells are blank
         body = [[*row, *[""] * (width - len(row))] for row in body]
     columns = {}
     for at, name in names.items():
         cells = list(map(itemgetter(at), body))
-        columns[at], words = _column(cells, name, first, where)
-        notes += words
+        columns[at], column_notes = _column(cells, name, first, where)
+        notes += column_notes
     filled = filled_rows(columns)
     return {at: values[:filled] for at, values in columns.items()}, notes
 
 
-def _closing(
+def _find_summary(
     rows: Sequence[Sequence[object]], first: int, columns: Sequence[int], sheet: str
 ) -> tuple[int, list[QualityNote]]:
-    """Number of the row behind the last sample; rows below it begin with words."""
+    """Return the index of the row after the last sample; rows below are text."""
     last, firsts = len(rows), list[str]()
     for at in range(len(rows) - 1, first, -1):
         cells = [as_text(rows[at][column]) for column in columns if column < len(rows[at])]
         if not any(cells):
             continue
-        if not is_closing(cells):
+        if not is_summary_row(cells):
             break
         firsts.insert(0, next(filter(None, cells)))
         last = at
-    return last, [closing_note(firsts, f"{sheet}, row {last + 1}")] if firsts else []
+    return last, [summary_note(firsts, f"{sheet}, row {last + 1}")] if firsts else []
 
 
 def _column(
     cells: Sequence[object], name: str, first: int, where: tuple[Path, str]
 ) -> tuple[Floats, list[QualityNote]]:
     path, sheet = where
-    words = Counter[str]()
+    missing = Counter[str]()
     if {float, int}.issuperset(map(type, cells)):
         values = np.fromiter(cells, dtype=np.float64, count=len(cells))
     else:
-        words.update(cell for cell in cells if isinstance(cell, str) and is_missing(cell))
+        missing.update(cell for cell in cells if isinstance(cell, str) and is_missing(cell))
         numbers = (
             _number(cell, f"{sheet}, row {first + 1 + i}, column '{name}'", path)
             for i, cell in enumerate(cells)
@@ -350,11 +350,11 @@ def _column(
     rows = thousandfold_jump(values)
     if rows is not None:
         jump = f"{sheet}, row {first + 1 + rows[1]}, column '{name}'"
-        raise ReadError(lost_signs(path, jump, *(as_text(cells[row]) for row in rows)))
-    if not words:
+        raise ReadError(lost_decimals_text(path, jump, *(as_text(cells[row]) for row in rows)))
+    if not missing:
         return values, []
-    row = first + 1 + next(i for i, cell in enumerate(cells) if cell in words)
-    return values, [words_note(name, words, f"{sheet}, row {row}")]
+    row = first + 1 + next(i for i, cell in enumerate(cells) if cell in missing)
+    return values, [words_note(name, missing, f"{sheet}, row {row}")]
 
 
 def _number(cell: object, place: str, path: Path) -> float:
@@ -365,6 +365,6 @@ def _number(cell: object, place: str, path: Path) -> float:
     text = as_text(cell)
     if not text or is_missing(text):
         return float("nan")
-    if PLAIN["."].fullmatch(text) and isfinite(float(text)):
+    if NUMERAL["."].fullmatch(text) and isfinite(float(text)):
         return float(text)
     raise unreadable(path, place, *describe_cell(text, "."))

@@ -1,4 +1,4 @@
-"""The rows of samples in a text export: where they begin and end."""
+"""The rows of samples in a text export: their beginning and end."""
 
 from __future__ import annotations
 
@@ -10,13 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.readers.text_cells import is_closing, is_missing, is_number, quoted, split_line
+from labpipe.readers.text_cells import is_missing, is_number, is_summary_row, quoted, split_line
 from labpipe.records.arrays import Ints
 from labpipe.records.quality import QualityNote, Severity
-
-_COMPARED = 200
-"""Lines above the last one in which a number as short as its last one is looked for."""
-_WORDS_SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,18 +21,18 @@ class Body:
 
     Parameters
     ----------
-    data : bytes of the export, below 128 as in ASCII
+    data : bytes of the export, compatible with ASCII
     names : of the columns, for messages
-    columns : numbers of the columns that hold numbers, ascending
+    columns : indices of the columns of numbers, ascending
     first_line : line number of the first row
-    start : where in `data` the first row begins
-    as_in_file : whether the file holds just these bytes (but for a byte order mark)
-    some_only : whether the other columns hold numbers too, but are not asked for
+    start : offset of the first row in `data`
+    as_in_file : whether these are the bytes of the file, apart from a byte order mark
+    others_numeric : whether the other columns also contain numbers, but are not wanted
     separator : between cells, a blank for any number of blanks
     decimal : decimal sign, or ``auto``
-    stated_rows : number of rows that the header promises, None if it does not
-    as_exported : whether it is as a program writes it that records, not saved from a spreadsheet:
-        NAN and Infinity are numbers, columns may hold any code, no number lacks its last zeros
+    stated_rows : number of rows stated in the header, or None
+    as_exported : whether a recording program wrote it, rather than a spreadsheet: NAN and Infinity
+        are numbers, columns may contain any code, trailing zeros are written
     """
 
     data: bytes
@@ -47,19 +43,19 @@ class Body:
     decimal: str = "auto"
     start: int = 0
     as_in_file: bool = False
-    some_only: bool = False
+    others_numeric: bool = False
     stated_rows: int | None = None
     as_exported: bool = False
 
 
 @dataclass(frozen=True)
-class Shape:
-    """A body whose extent is known.
+class Extent:
+    """A body with known end, decimal sign and width.
 
     Parameters
     ----------
     body : the rows
-    end : where in the data of the body the last whole row ends
+    end : offset of the end of the last complete row in the data of the body
     decimal : decimal sign
     width : number of cells of a row, at least as many as names
     """
@@ -71,22 +67,22 @@ class Shape:
 
     @property
     def data(self) -> memoryview:
-        """The bytes of the whole rows, not copied."""
+        """Return the bytes of the complete rows, not copied."""
         return memoryview(self.body.data)[self.body.start : self.end]
 
     def rows(self) -> Iterator[list[str]]:
-        """Give the cells of each row."""
+        """Yield the cells of each row."""
         lines = str(self.data, "utf-8", errors="replace").split("\n")
         return (split_line(line, self.body.separator) for line in lines)
 
     @cached_property
     def separators(self) -> tuple[Ints, Ints]:
-        """Where lines start, and how many separators they have.
+        """Return the offsets of lines and their numbers of separators.
 
         Returns
         -------
-        starts : where each line starts, and the last one ends, shape (lines + 1,)
-        counts : how many separators each line has, shape (lines,)
+        starts : start of each line, and end of the last one, shape (lines + 1,)
+        counts : separators in each line, shape (lines,)
         """
         data = self.data
         letters = np.frombuffer(data, dtype=np.uint8)
@@ -99,13 +95,13 @@ class Shape:
         return starts, np.diff(before, prepend=0)
 
 
-def chosen_cells(row: Sequence[str], columns: Sequence[int]) -> Iterator[str]:
-    """Give the cells of some columns, as far as the row has them."""
+def cells_of_columns(row: Sequence[str], columns: Sequence[int]) -> Iterator[str]:
+    """Yield the cells of some columns, as far as the row has them."""
     return (row[column].strip() for column in columns if column < len(row))
 
 
-def without_closing(body: Body) -> tuple[Body, list[QualityNote]]:
-    """Leave out the rows at the end that begin with words: statistics and remarks.
+def without_summary(body: Body) -> tuple[Body, list[QualityNote]]:
+    """Omit rows of text at the end: statistics and remarks.
 
     Parameters
     ----------
@@ -113,31 +109,31 @@ def without_closing(body: Body) -> tuple[Body, list[QualityNote]]:
 
     Returns
     -------
-    body : without them; as it was where no row begins otherwise
+    body : without them; unchanged if all rows are text
     notes : ``summary_rows_left_out``
     """
     data, at, cut = body.data, len(body.data), len(body.data)
-    holding = range(len(body.names)) if body.some_only else body.columns
+    holding = range(len(body.names)) if body.others_numeric else body.columns
     firsts: list[str] = []
     while at > body.start:
         begin = max(data.rfind(b"\n", body.start, at - 1) + 1, body.start)
         row = split_line(data[begin:at].decode("utf-8", errors="replace"), body.separator)
         if any(cell.strip() for cell in row):
-            cells = list(chosen_cells(row, holding))
-            if not is_closing(cells):
+            cells = list(cells_of_columns(row, holding))
+            if not is_summary_row(cells):
                 break
             firsts.insert(0, next(filter(None, cells)))
             cut = begin
         at = begin
-    if not firsts or at <= body.start:  # nothing but words: said where numbers are looked for
+    if not firsts or at <= body.start:  # all rows are text: reported when numbers are parsed
         return body, []
     line = body.first_line + data.count(b"\n", body.start, cut)
-    note = closing_note(firsts, f"line {line}")
+    note = summary_note(firsts, f"line {line}")
     return replace(body, data=data[:cut], as_in_file=False), [note]
 
 
-def closing_note(firsts: Sequence[str], place: str) -> QualityNote:
-    """Note the rows below the samples that begin with words.
+def summary_note(firsts: Sequence[str], place: str) -> QualityNote:
+    """Return a note on rows of text below the samples.
 
     Parameters
     ----------
@@ -145,23 +141,23 @@ def closing_note(firsts: Sequence[str], place: str) -> QualityNote:
     place : of the first row
     """
     message = f"{len(firsts)} rows from {place} on begin with words and were left out:"
-    message += f" {words_shown(firsts)}"
+    message += f" {quote_words(firsts)}"
     return QualityNote("summary_rows_left_out", Severity.INFO, "file", message)
 
 
-def words_shown(words: Sequence[str]) -> str:
-    """List words in a message, the first few of many."""
-    more = f" and {len(words) - _WORDS_SHOWN} more" if len(words) > _WORDS_SHOWN else ""
-    return ", ".join(quoted([word.strip()]) for word in words[:_WORDS_SHOWN]) + more
+def quote_words(texts: Sequence[str]) -> str:
+    """Quote texts in a message, at most three."""
+    more = f" and {len(texts) - 3} more" if len(texts) > 3 else ""
+    return ", ".join(quoted([text.strip()]) for text in texts[:3]) + more
 
 
 def whole_lines(body: Body) -> tuple[int, list[QualityNote]]:
-    """Find where the last whole line ends: one that stops in the middle is left out.
+    """Find the end of the last complete line; an incomplete last line is omitted.
 
-    A last line without line end is whole if it has all its cells, and its last number has as many
-    decimals, or as many digits in all, as the one above it, and as long an exponent. Where zeros at
-    the end of numbers are not written, it is whole if some line above has a last number with no
-    more of all three. None is whole where the header promises more rows.
+    A last line without line end is complete if it has all its cells, and its last number has as
+    many decimals, or as many digits, as the one above, and as long an exponent. If trailing zeros
+    are not written, it is complete if some line above has a last number with no more of all three.
+    It is incomplete if the header states more rows.
 
     Parameters
     ----------
@@ -169,7 +165,7 @@ def whole_lines(body: Body) -> tuple[int, list[QualityNote]]:
 
     Returns
     -------
-    end : where in the data of the body
+    end : offset in the data of the body
     notes : ``truncated`` if a line was left out
     """
     data, start = body.data, body.start
@@ -187,9 +183,11 @@ def whole_lines(body: Body) -> tuple[int, list[QualityNote]]:
 
 
 def _last_numbers(body: Body, end: int) -> list[str]:
-    """The last cells of the lines above the last one, the nearest first."""
-    lines = body.data[body.start : end].rsplit(b"\n", _COMPARED + 1)
-    near = lines[max(len(lines) - 1 - _COMPARED, 0) : -1]
+    """Return the last cells of the lines above the last one, nearest first."""
+    # Lines above the last one that are compared with it.
+    max_lines = 200
+    lines = body.data[body.start : end].rsplit(b"\n", max_lines + 1)
+    near = lines[max(len(lines) - 1 - max_lines, 0) : -1]
     rows = (split_line(line.decode("latin-1"), body.separator) for line in reversed(near))
     return [row[-1].strip() for row in rows if row]
 
@@ -197,16 +195,16 @@ def _last_numbers(body: Body, end: int) -> list[str]:
 def _is_whole(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
     if len(last) < len(body.names) or not any(cell.strip() for cell in last):
         return False
-    if len(last) > len(body.names) or not above:  # it ends behind its last separator
+    if len(last) > len(body.names) or not above:  # it ends after its last separator
         return True
-    cells = [cell for cell in chosen_cells(last, body.columns) if cell]
+    cells = [cell for cell in cells_of_columns(last, body.columns) if cell]
     if not all(is_number(cell) or is_missing(cell) for cell in cells):
         return False
     cut = last[-1].strip()
     if is_missing(cut):
         return cut in above
-    decimals, digits, exponent = _lengths(cut)
-    its_decimals, its_digits, its_exponent = _lengths(above[0])
+    decimals, digits, exponent = _number_lengths(cut)
+    its_decimals, its_digits, its_exponent = _number_lengths(above[0])
     by_digits = digits >= its_digits and not body.as_exported
     is_as_long = exponent >= its_exponent and (decimals >= its_decimals or by_digits)
     if is_as_long or body.as_exported:
@@ -215,11 +213,11 @@ def _is_whole(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
 
 
 def _is_as_short(cell: str, cut: str) -> bool:
-    return all(a <= b for a, b in zip(_lengths(cell), _lengths(cut), strict=True))
+    return all(a <= b for a, b in zip(_number_lengths(cell), _number_lengths(cut), strict=True))
 
 
-def _lengths(cell: str) -> tuple[int, int, int]:
-    """Number of decimals, of digits but for zeros in front, and of digits of the exponent."""
+def _number_lengths(cell: str) -> tuple[int, int, int]:
+    """Return the numbers of decimals, of digits without leading zeros, and of exponent digits."""
     number, _, exponent = cell.casefold().partition("e")
     parts = re.split(r"[.,]", number)
     decimals = len(parts[-1]) if len(parts) > 1 else 0

@@ -1,4 +1,4 @@
-"""Time axes of exports: holes, jitter, odd starts; what a careful person would want to know."""
+"""Quality of time axes: holes, jitter, starts other than zero."""
 
 from __future__ import annotations
 
@@ -10,23 +10,21 @@ from labpipe.records.arrays import Floats, median
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock
 
-LONG_STEP = 1.5
-"""A step above this many medians is a hole, or jitter."""
+_LONG_STEP_FACTOR = 1.5
+"""Steps above this multiple of the median are holes, or jitter."""
 
-JITTER = 0.05
-"""Regular steps further than this from their median (relative) are called jitter."""
+_MIN_JITTER = 0.05
+"""Relative deviation of regular steps from their median that is reported as jitter."""
 
-ROUND = 0.002
-"""A mean step this close (relative) to a round one was meant to be that one."""
+_MAX_NOMINAL_DEVIATION = 0.002
+"""Relative deviation up to which the mean step has a round nominal value."""
 
-VARIABLE = "time_variable"
-"""Note on a time axis whose long steps need not be losses."""
+TIME_VARIABLE = "time_variable"
+"""Code of the note on a time axis whose long steps may be intended."""
 
-_SOME, _MANY = 10, 0.05
-"""Long steps, and their share of all, beyond which they are how the program samples."""
 
 SAMPLED_ON_EVENT = frozenset({"OnChange"})
-"""Rasters that write a sample when something changes: long steps mean nothing there."""
+"""Rasters that write a sample on each change: long steps are normal there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,28 +52,27 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
 
     Returns
     -------
-    The holes in order of time; none if the axis holds fewer than three samples or a NaN.
+    The holes in order of time; none if the axis has fewer than three samples or a NaN.
 
     Notes
     -----
-    A hole is a step above 1.5 medians that no neighbouring step makes up for: a sample that came
-    late is followed by a short step (``rec1_253.mat``: 1.51 ms, then 0.49 ms at 1 kHz), and
-    nothing was lost there.
+    A hole is a step above 1.5 medians that no neighbouring step compensates: after a late sample
+    follows a short step (``rec1_253.mat``: 1.51 ms, then 0.49 ms at 1 kHz), and no sample is lost.
     """
     steps = np.diff(time)
-    if len(steps) < 2 or _is_even(steps):
+    if len(steps) < 2 or _are_even(steps):
         return ()
     return _holes(time, steps, median(steps))
 
 
 def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]:
-    """Say what is odd about a time axis.
+    """Return notes on a time axis.
 
     Parameters
     ----------
-    clock : the time axis as the export holds it
-    is_variable : whether the program that wrote it samples at a rate that varies, or leaves out
-        what says nothing new: a long step is no loss then
+    clock : the time axis as exported
+    is_variable : whether the program samples at a variable rate, or omits unchanged samples: long
+        steps are no losses then
 
     Returns
     -------
@@ -90,7 +87,7 @@ def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]
     broken = _broken_axis(clock.time, steps, where)
     if broken:
         return broken
-    notes = _repeats(steps, clock.time, where)
+    notes = _repeat_note(steps, clock.time, where)
     if clock.name not in SAMPLED_ON_EVENT:
         notes += _step_notes(clock.time, steps, where, is_variable=is_variable)
     if clock.time[0] != 0.0:
@@ -99,27 +96,27 @@ def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]
     return notes
 
 
-def _is_even(steps: Floats) -> bool:
-    """Check whether all steps are so alike that neither holes nor jitter can be among them.
+def _are_even(steps: Floats) -> bool:
+    """Return whether the steps are so even that there are neither holes nor jitter.
 
-    This spares the median of millions of steps on the axes of most recordings.
+    This avoids the median of millions of steps in most recordings.
     """
     shortest, longest = float(steps.min()), float(steps.max())
-    return shortest > 0.0 and longest - shortest <= JITTER * shortest
+    return shortest > 0.0 and longest - shortest <= _MIN_JITTER * shortest
 
 
 def _holes(time: Floats, steps: Floats, median: float) -> tuple[Hole, ...]:
     if not median > 0.0:
         return ()
-    long = np.flatnonzero(steps > LONG_STEP * median)
-    lost = long[_with_shorter_neighbour(steps, long) > (1.0 + LONG_STEP) * median]
+    long = np.flatnonzero(steps > _LONG_STEP_FACTOR * median)
+    lost = long[_with_shorter_neighbour(steps, long) > (1.0 + _LONG_STEP_FACTOR) * median]
     return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in lost)
 
 
 def _with_shorter_neighbour(
     steps: Floats, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]
 ) -> Floats:
-    """Each chosen step plus the shorter of the steps beside it."""
+    """Return each chosen step plus the shorter one of its neighbours."""
     padded = np.concatenate(([np.inf], steps, [np.inf]))
     together: Floats = steps[chosen] + np.minimum(padded[chosen], padded[chosen + 2])
     return together
@@ -130,7 +127,7 @@ def _broken_axis(time: Floats, steps: Floats, where: str) -> list[QualityNote]:
         return []
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
-        message = f"{len(bad)} time stamps are no numbers, the first at sample {bad[0] + 1}"
+        message = f"{len(bad)} time stamps are not numbers, the first at sample {bad[0] + 1}"
         return [QualityNote("time_not_finite", Severity.ERROR, where, message)]
     back = np.flatnonzero(steps < 0.0)
     if len(back):
@@ -143,7 +140,7 @@ def _broken_axis(time: Floats, steps: Floats, where: str) -> list[QualityNote]:
     return []
 
 
-def _repeats(steps: Floats, time: Floats, where: str) -> list[QualityNote]:
+def _repeat_note(steps: Floats, time: Floats, where: str) -> list[QualityNote]:
     if not len(steps) or steps.min() > 0.0:
         return []
     same = np.flatnonzero(steps == 0.0)
@@ -154,36 +151,35 @@ def _repeats(steps: Floats, time: Floats, where: str) -> list[QualityNote]:
 
 
 def _step_notes(time: Floats, steps: Floats, where: str, *, is_variable: bool) -> list[QualityNote]:
+    # Above this count and share of all steps, long steps are normal for the program.
+    min_long_steps, min_long_share = 10, 0.05
     if len(steps) < 2:
         return []
-    if _is_even(steps):
+    if _are_even(steps):
         return _nominal_note(float(steps.mean()), len(steps), where)
-    usual = median(steps)
-    if not usual > 0.0:
+    typical = median(steps)
+    if not typical > 0.0:
         return []
-    holes = _holes(time, steps, usual)
-    if is_variable and steps.max() > LONG_STEP * steps.min():
-        return [_varying(steps, usual, where, "the program samples at a rate that varies")]
-    if len(holes) > max(_SOME, _MANY * len(steps)):
-        why = (
-            f"{len(holes)} of {len(steps)} are longer than usual: the rate varies, or samples were"
-        )
-        why += " lost"
-        return [_varying(steps, usual, where, why, Severity.WARNING)]
+    holes = _holes(time, steps, typical)
+    if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
+        return [_variable_note(steps, typical, where, "the program samples at a variable rate")]
+    if len(holes) > max(min_long_steps, min_long_share * len(steps)):
+        why = f"{len(holes)} of {len(steps)} are long: the rate varies, or samples were lost"
+        return [_variable_note(steps, typical, where, why, Severity.WARNING)]
     regular = np.delete(steps, [hole.after for hole in holes])
     return [
-        *_hole_note(holes, usual, where),
-        *_jitter_note(regular, usual, where),
+        *_hole_note(holes, typical, where),
+        *_jitter_note(regular, typical, where),
         *_nominal_note(float(regular.mean()), len(steps), where),
     ]
 
 
-def _varying(
-    steps: Floats, usual: float, where: str, why: str, severity: Severity = Severity.INFO
+def _variable_note(
+    steps: Floats, typical: float, where: str, why: str, severity: Severity = Severity.INFO
 ) -> QualityNote:
     ends = f"{_duration(float(steps.min()))} to {_duration(float(steps.max()))}"
-    message = f"steps from {ends} around {_duration(usual)}; {why}"
-    return QualityNote(VARIABLE, severity, where, message)
+    message = f"steps from {ends} around {_duration(typical)}; {why}"
+    return QualityNote(TIME_VARIABLE, severity, where, message)
 
 
 def _hole_note(holes: tuple[Hole, ...], median: float, where: str) -> list[QualityNote]:
@@ -205,7 +201,7 @@ def _duration(seconds: float) -> str:
 
 def _jitter_note(regular: Floats, median: float, where: str) -> list[QualityNote]:
     shortest, longest = float(regular.min()), float(regular.max())
-    if max(longest - median, median - shortest) <= JITTER * median:
+    if max(longest - median, median - shortest) <= _MIN_JITTER * median:
         return []
     message = (
         f"steps from {_duration(shortest)} to {_duration(longest)}"
@@ -215,11 +211,11 @@ def _jitter_note(regular: Floats, median: float, where: str) -> list[QualityNote
 
 
 def _nominal_note(step: float, count: int, where: str) -> list[QualityNote]:
-    """Compare the mean step with the round step, or step of a round rate, that was meant."""
+    """Compare the mean step with the nearest round step, or step of a round rate."""
     round_steps = (float(f"{step:.1e}"), 1.0 / float(f"{1.0 / step:.1e}"))
     nominal = min(round_steps, key=lambda round_step: abs(step - round_step))
     drift = (step - nominal) * count
-    if abs(drift) <= 0.5 * nominal or abs(step - nominal) > ROUND * nominal:
+    if abs(drift) <= 0.5 * nominal or abs(step - nominal) > _MAX_NOMINAL_DEVIATION * nominal:
         return []
     message = (
         f"mean step {1e3 * step:.6g} ms where {1e3 * nominal:.3g} ms is nominal:"

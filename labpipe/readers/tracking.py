@@ -1,4 +1,4 @@
-"""Where a tracked object is missing, stands still, or goes on under another name."""
+"""Quality of marker tracks: gaps, frozen poses and label switches."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks
 
-FROZEN = 10
-"""Unchanged steps in a row from which on a pose counts as frozen, not as standing still."""
+_MIN_FROZEN_STEPS = 10
+"""Successive unchanged steps from which a pose counts as frozen, not as at rest."""
 
 
 _UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
@@ -20,7 +20,7 @@ _UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A stretch of samples: `first` to `last`, both counted from 0 and both in it."""
+    """A stretch of samples from `first` to `last`, inclusive, counted from 0."""
 
     first: int
     last: int
@@ -61,7 +61,7 @@ def blank(positions: Floats) -> Flags:
 
     Returns
     -------
-    Shape (frames,).
+    Extent (frames,).
     """
     return np.asarray(np.isnan(positions).any(axis=1))
 
@@ -75,26 +75,26 @@ def unchanged(positions: Floats) -> Flags:
 
     Returns
     -------
-    Shape (frames - 1,).
+    Extent (frames - 1,).
     """
     return np.asarray((np.diff(positions, axis=0) == 0.0).all(axis=1))
 
 
 def longest(stretches: list[Run]) -> int:
-    """Length of the longest stretch, 0 if there is none."""
+    """Return the length of the longest stretch, 0 if there is none."""
     return max((run.length for run in stretches), default=0)
 
 
 def is_unlabelled(name: str) -> bool:
-    """Check whether a marker has no label of its own.
+    """Return whether a marker has no label.
 
-    Such are called ``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (row 1.1).
+    Such markers are ``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (1.1).
     """
     return _UNLABELLED.fullmatch(name) is not None
 
 
 def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
-    """Say what is odd about marker tracks.
+    """Return notes on marker tracks.
 
     Parameters
     ----------
@@ -146,26 +146,28 @@ def _frozen_notes(objects: dict[str, Floats]) -> list[QualityNote]:
     for name, track in objects.items():
         still = unchanged(track)
         stretches = runs(still)
-        if longest(stretches) < FROZEN:
+        if longest(stretches) < _MIN_FROZEN_STEPS:
             continue
         message = f"position unchanged to the last digit in {int(still.sum())} of"
         message += f" {len(still)} steps, up to {longest(stretches)} in a row:"
-        message += " lost and kept at its last pose?"
+        message += " lost, with its last pose repeated?"
         notes.append(QualityNote("frozen_pose", Severity.WARNING, name, message))
     return notes
 
 
 def _switch_notes(markers: dict[str, Floats]) -> list[QualityNote]:
-    """Find labelled markers that are blank in just the frames where an unlabelled one is seen."""
-    spare = {name: ~blank(track) for name, track in markers.items() if is_unlabelled(name)}
+    """Find labelled markers missing in exactly the frames where an unlabelled one is seen."""
+    unlabelled = {name: ~blank(track) for name, track in markers.items() if is_unlabelled(name)}
     notes = []
     for name, track in markers.items():
         missing = blank(track)
-        others = [other for other, seen in spare.items() if np.array_equal(seen, missing)]
+        others = [other for other, seen in unlabelled.items() if np.array_equal(seen, missing)]
         if is_unlabelled(name) or not others or not missing.any():
             continue
         where = ", ".join(f"{run.first}-{run.last}" for run in runs(missing)[:3])
-        message = f"missing in rows {where}, just where {', '.join(others)} is seen: label switch?"
+        message = (
+            f"missing in rows {where}, exactly where {', '.join(others)} is seen: label switch?"
+        )
         notes.append(QualityNote("label_switch", Severity.WARNING, name, message))
     return notes
 
@@ -174,5 +176,5 @@ def _unlabelled_note(names: tuple[str, ...]) -> list[QualityNote]:
     count = sum(is_unlabelled(name) for name in names)
     if not count:
         return []
-    message = f"{count} of {len(names)} markers have no label of their own"
+    message = f"{count} of {len(names)} markers have no label"
     return [QualityNote("unlabelled_markers", Severity.INFO, "markers", message)]

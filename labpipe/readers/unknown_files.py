@@ -1,4 +1,4 @@
-"""What a file that no reader takes appears to be, and what to do with it."""
+"""Description of files of unknown formats, and what to do with them."""
 
 from __future__ import annotations
 
@@ -10,50 +10,49 @@ from labpipe.readers.raw_files import as_content, lines_of, read_head
 from labpipe.readers.text_cells import is_number, is_sample, split_line
 from labpipe.readers.workbooks import is_locked
 
-_ANOTHER = "Export the recording in one of these formats."
-_UNPACK = "Unpack it, and name the export in it."
-_CARD = (
+_EXPORT_KNOWN = "Export the recording in one of these formats."
+_UNPACK_REMEDY = "Unpack it, and name the export in it."
+_CARD_REMEDY = (
     "If a testing machine's program wrote it, a card of a dozen lines makes labpipe read it: see"
     " docs/how-to/new-dialect.md."
 )
 _KNOWN_BY = "A table is known by its names and units: time, and force or travel."
 _BY_FIRST_BYTES = (
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file that is no ControlDesk export", _ANOTHER),
-    (b"PK\x03\x04", "a workbook without a table of time and force or travel", _CARD),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file that is no ControlDesk export", _EXPORT_KNOWN),
+    (b"PK\x03\x04", "a workbook without a table of time and force or travel", _CARD_REMEDY),
     (
         b"\xd0\xcf\x11\xe0",
         "an old workbook (xls) without a table of time and force",
-        _CARD,
+        _CARD_REMEDY,
     ),
-    (b"MDF     ", "an MDF file of a version other than 4", _ANOTHER),
+    (b"MDF     ", "an MDF file of a version other than 4", _EXPORT_KNOWN),
     (b"TDSm", "a TDMS file (LabVIEW)", "Export it as text or as a workbook, with names and units."),
-    (b"LabVIEW Measurement", "an LVM file (LabVIEW)", _CARD),
-    (b"NO_OF_FRAMES", "a TSV file of Qualisys (motion capture)", _ANOTHER),
+    (b"LabVIEW Measurement", "an LVM file (LabVIEW)", _CARD_REMEDY),
+    (b"NO_OF_FRAMES", "a TSV file of Qualisys (motion capture)", _EXPORT_KNOWN),
     (b"PathFileType", "a TRC file (motion capture)", "Export the take as csv."),
-    (b"\x1f\x8b", "a packed file (gzip)", _UNPACK),
-    (b"7z\xbc\xaf\x27\x1c", "a packed file (7z)", _UNPACK),
-    (b"Rar!", "a packed file (rar)", _UNPACK),
-    (b"%PDF", "a PDF document", _ANOTHER),
-    (b"\x89PNG", "a picture", _ANOTHER),
-    (b"\xff\xd8\xff", "a picture", _ANOTHER),
+    (b"\x1f\x8b", "a packed file (gzip)", _UNPACK_REMEDY),
+    (b"7z\xbc\xaf\x27\x1c", "a packed file (7z)", _UNPACK_REMEDY),
+    (b"Rar!", "a packed file (rar)", _UNPACK_REMEDY),
+    (b"%PDF", "a PDF document", _EXPORT_KNOWN),
+    (b"\x89PNG", "a picture", _EXPORT_KNOWN),
+    (b"\xff\xd8\xff", "a picture", _EXPORT_KNOWN),
     (b"\x93NUMPY", "an array of numpy", "Save it as csv with names and units."),
     (b"PAR1", "a Parquet file", "Save it as csv with names and units."),
-    (b"<?xml", "XML", _ANOTHER),
-    (b"{", "JSON", _ANOTHER),
+    (b"<?xml", "XML", _EXPORT_KNOWN),
+    (b"{", "JSON", _EXPORT_KNOWN),
 )
-_PARTED = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
-_SHOWN, _COLUMNS = 40, 4
-_ROWS = 2
-"""Rows of numbers, one below the other, that make a table."""
+_SEPARATOR_NAMES = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
+_MIN_ROWS = 2
+"""Successive rows of numbers that make a table."""
 
 
 class UnknownFile(NamedTuple):
-    """A file that no reader takes.
+    """A file of an unknown format.
 
     Parameters
     ----------
-    what : it appears to be, such as ``a C3D file (motion capture)``
-    remedy : what to do about it
+    what : its kind, such as ``a C3D file (motion capture)``
+    remedy : what to do
     """
 
     what: str
@@ -61,7 +60,7 @@ class UnknownFile(NamedTuple):
 
 
 def describe_unknown(path: Path) -> UnknownFile:
-    """Say in words what a file that no reader takes appears to be.
+    """Describe a file of an unknown format.
 
     Parameters
     ----------
@@ -70,7 +69,7 @@ def describe_unknown(path: Path) -> UnknownFile:
     head = read_head(path)
     if len(head) >= 512 and head[1] == 0x50 and 0 < head[0] < 64:
         return UnknownFile(
-            "a C3D file (motion capture), which is recognised but not read", _ANOTHER
+            "a C3D file (motion capture), which is recognised but not read", _EXPORT_KNOWN
         )
     if is_locked(path):
         return UnknownFile("a workbook with a password", "Save a copy of it without a password.")
@@ -79,36 +78,38 @@ def describe_unknown(path: Path) -> UnknownFile:
             return UnknownFile(what, remedy)
     content = as_content(head)
     if b"\0" in content.data:
-        return UnknownFile("binary data of an unknown kind", _ANOTHER)
+        return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)
     lines = lines_of(content.data.decode("utf-8", errors="replace"))
     return _table(lines) or _text(lines)
 
 
 def _text(lines: Sequence[str]) -> UnknownFile:
     first = next((line.strip() for line in lines if line.strip()), "")
-    what = f"text that begins with '{first[:_SHOWN]}'" if first else "nothing but blanks"
-    return UnknownFile(what, _ANOTHER)
+    what = f"text that begins with '{first[:40]}'" if first else "nothing but blanks"
+    return UnknownFile(what, _EXPORT_KNOWN)
 
 
 def _table(lines: Sequence[str]) -> UnknownFile | None:
-    """Describe a table of numbers in a text; None where there is none."""
-    for separator, parted in _PARTED.items():
+    """Describe a table of numbers in a text; None if there is none."""
+    for separator, marks in _SEPARATOR_NAMES.items():
         rows = [[cell.strip() for cell in split_line(line, separator)] for line in lines]
-        first = next((i for i in range(len(rows)) if _are_samples(rows[i : i + _ROWS])), None)
+        first = next((i for i in range(len(rows)) if _are_samples(rows[i : i + _MIN_ROWS])), None)
         if first is not None:
             above = next((row for row in reversed(rows[:first]) if any(row)), [])
-            what = f"a table of {len(rows[first])} columns separated by {parted}, {_called(above)}"
-            return UnknownFile(what, f"{_KNOWN_BY} {_CARD}")
+            what = (
+                f"a table of {len(rows[first])} columns separated by {marks}, {_names_text(above)}"
+            )
+            return UnknownFile(what, f"{_KNOWN_BY} {_CARD_REMEDY}")
     return None
 
 
 def _are_samples(rows: Sequence[Sequence[str]]) -> bool:
-    filled = len(rows) == _ROWS and all(sum(map(bool, row)) > 1 for row in rows)
+    filled = len(rows) == _MIN_ROWS and all(sum(map(bool, row)) > 1 for row in rows)
     return filled and all(map(is_sample, rows))
 
 
-def _called(names: Sequence[str]) -> str:
+def _names_text(names: Sequence[str]) -> str:
     if not any(names) or any(is_number(name) for name in names):
         return "without names"
-    shown = ", ".join(f"'{name[:_SHOWN]}'" for name in names[:_COLUMNS])
-    return f"called {shown}" + (" ..." if len(names) > _COLUMNS else "")
+    shown = ", ".join(f"'{name[:40]}'" for name in names[:4])
+    return f"called {shown}" + (" ..." if len(names) > 4 else "")

@@ -1,7 +1,7 @@
-"""Cells of whole workbooks (xlsx, xls): how far they reach, and parsed in a thread or a child.
+"""Cells of workbooks (xlsx, xls): their extent, and parsing in a thread or a child process.
 
-The libraries make a table of every sheet, from its first cell to its last one: one stray cell in
-the last corner of a sheet asks for hundreds of gigabytes, and the process is ended.
+The libraries allocate a table for each sheet, from its first cell to its last one: one stray cell
+in the last corner of a sheet needs hundreds of gigabytes, and the process is killed.
 """
 
 from __future__ import annotations
@@ -35,55 +35,54 @@ try:
     import resource
     resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
 except (ImportError, OSError, ValueError):
-    pass  # no such limit here: a process that asks for too much is ended all the same
+    pass  # no such limit on this system
 from labpipe.readers.workbooks import cells_of
 pickle.dump(cells_of(sys.argv[1]), sys.stdout.buffer, protocol=5)
 """
 _REFUSED = "labpipe.errors.ReadError: "
-_MEMORY, _PATIENCE = 4 << 30, 120.0
-"""Bytes and seconds that a child may take; the largest sheet of an old workbook takes 1 GB."""
+_CHILD_BYTES = 4 << 30
+"""Memory limit of a child process; the largest sheet of an old workbook needs 1 GB."""
+_CHILD_SECONDS = 120.0
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
-MOST: Final = 10_000_000
-"""Cells that may be laid out in any case: some 400 MB."""
-SPARSE: Final = 20
-"""Beyond that, as many cells are laid out as this many times those that are filled."""
-_BEYOND = 4 * MOST
-_LARGE = 2_000_000
-"""Bytes, once unpacked: at about 100 MB a second."""
-_CHUNK = 1 << 20
-_HEAD = 4096
+MAX_CELLS: Final = 10_000_000
+"""Cells allowed for any workbook: some 400 MB."""
+MAX_SPARSITY: Final = 20
+"""Beyond that, allowed cells per filled cell."""
+_LARGE_BYTES = 2_000_000
+"""Uncompressed size; checking takes a second per 100 MB."""
+_CHUNK_BYTES = 1 << 20
 _CELL = re.compile(rb'<c(?: r="([A-Z]{1,3})(\d{1,7})"|[^a-zA-Z])')
-"""A cell as nearly every program writes it, or in another way."""
-_PREFIXED = (b":c ", b":c>", b":c/", b":c\t", b":c\n", b":c\r")
+"""A cell as most programs write it, or in another way."""
+_PREFIXED_CELLS = (b":c ", b":c>", b":c/", b":c\t", b":c\n", b":c\r")
 _PLACE = re.compile(r"([A-Za-z]+)(\d+)")
-_TEXTS = ("str", "inlineStr")
-"""Kinds of cells that are text, even with nothing in them."""
+_TEXT_KINDS = ("str", "inlineStr")
+"""Types of cells that are text, even if empty."""
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
-_LOCKED = "EncryptedPackage".encode("utf-16-le")
-"""Name of the part that holds a workbook with a password, in an old binary document."""
-_OTHERS = {
+_PASSWORD_PART = "EncryptedPackage".encode("utf-16-le")
+"""Name of the part of an encrypted workbook, in an old binary document."""
+_OTHER_FORMATS = {
     "content.xml": "an OpenDocument spreadsheet (ods)",
     "xl/workbook.bin": "a binary workbook (xlsb)",
 }
 
 
 def is_workbook(path: Path) -> bool:
-    """Check whether a file is a zip archive or an old binary document, by its first bytes."""
+    """Return whether a file is a zip archive or an old binary document, by its first bytes."""
     return read_head(path, 8).startswith((_XLSX, _XLS))
 
 
 def is_locked(path: Path) -> bool:
-    """Check whether a file is a workbook with a password, in the format of today."""
-    return read_head(path, 8).startswith(_XLS) and _LOCKED in path.read_bytes()
+    """Return whether a file is an xlsx workbook with a password."""
+    return read_head(path, 8).startswith(_XLS) and _PASSWORD_PART in path.read_bytes()
 
 
-def _locked(path: Path) -> ReadError:
+def _password_error(path: Path) -> ReadError:
     remedy = "Open it in the spreadsheet program and save a copy without a password."
     return unreadable(path, "", "a workbook that opens", "one with a password", remedy)
 
 
 def begin_sheets(path: Path) -> None:
-    """Begin to parse a file, if it is a workbook, while its caller does something else.
+    """Start parsing a file in the background, if it is a workbook.
 
     Parameters
     ----------
@@ -92,10 +91,10 @@ def begin_sheets(path: Path) -> None:
     Raises
     ------
     ReadError
-        If the file is empty or may not be read. All else that is wrong with it, `open_sheets` says.
+        If the file is empty or not readable. `open_sheets` reports all other faults.
     """
     if path.is_file() and is_workbook(path):
-        _opening(path)
+        _start_parsing(path)
 
 
 def open_sheets(path: Path) -> Sheets:
@@ -112,22 +111,22 @@ def open_sheets(path: Path) -> Sheets:
     Raises
     ------
     ReadError
-        If it is no whole workbook.
+        If it is not a complete workbook.
 
     Notes
     -----
-    Recognising and reading ask for the same workbook one after the other; what was read last is
-    kept until `forget_sheets`, as parsing it is nearly all of the work.
+    Recognition and reading need the same workbook; the last one is cached until `forget_sheets`,
+    as parsing takes most of the time.
     """
-    return _opening(path).result()
+    return _start_parsing(path).result()
 
 
 def forget_sheets() -> None:
-    """Let go of the workbook that was read last."""
+    """Clear the cached workbook."""
     _parsing.cache_clear()
 
 
-def _opening(path: Path) -> Future[Sheets]:
+def _start_parsing(path: Path) -> Future[Sheets]:
     about = path.stat()
     return _parsing(path, about.st_mtime_ns, about.st_size)
 
@@ -141,14 +140,16 @@ def _parsing(path: Path, mtime: int, size: int) -> Future[Sheets]:  # noqa: ARG0
 
 
 @contextmanager
-def opened_workbook(path: Path, what: str, *, most: int = MOST) -> Iterator[CalamineWorkbook]:
-    """Open an xlsx workbook whose cells lie together.
+def open_workbook(
+    path: Path, what: str, *, max_cells: int = MAX_CELLS
+) -> Iterator[CalamineWorkbook]:
+    """Open an xlsx workbook after checking its extent.
 
     Parameters
     ----------
     path : the workbook
-    what : what was expected, for messages
-    most : cells that may be laid out in any case
+    what : the expected content, for messages
+    max_cells : cells allowed for any workbook
 
     Yields
     ------
@@ -157,15 +158,15 @@ def opened_workbook(path: Path, what: str, *, most: int = MOST) -> Iterator[Cala
     Raises
     ------
     ReadError
-        If it is damaged or of another format, or its cells are too far apart; also for what goes
-        wrong while it is open.
+        If it is damaged or of another format, or its cells are too far apart; also for errors while
+        it is open.
     """
     from python_calamine import CalamineError, CalamineWorkbook
 
     with reading(path, what, also=(CalamineError,)):
         if is_locked(path):
-            raise _locked(path)
-        check_extent(path, most=most)
+            raise _password_error(path)
+        check_extent(path, max_cells=max_cells)
         with CalamineWorkbook.from_path(path) as book:
             yield book
 
@@ -173,13 +174,13 @@ def opened_workbook(path: Path, what: str, *, most: int = MOST) -> Iterator[Cala
 def _sheets(path: Path) -> Sheets:
     from python_calamine import CalamineError
 
-    with reading(path, "a whole workbook", also=(CalamineError, _ChildError)), _all_is_kept():
+    with reading(path, "a whole workbook", also=(CalamineError, _ChildError)), _without_collector():
         if not read_head(path, 8).startswith(_XLSX):
-            return _in_a_child(path)
+            return _read_in_child(path)
         if not is_large(path):
             check_extent(path)
         try:
-            return _in_a_child(path) if is_large(path) else cells_of(path)
+            return _read_in_child(path) if is_large(path) else cells_of(path)
         except CalamineError:
             pass
         except _ChildError as error:
@@ -190,7 +191,7 @@ def _sheets(path: Path) -> Sheets:
 
 
 def cells_of(path: Path) -> Sheets:
-    """Read the cells of all sheets, whatever becomes of this process; see `open_sheets`."""
+    """Read the cells of all sheets in this process; see `open_sheets`."""
     from python_calamine import CalamineWorkbook
 
     sheets: dict[str, Sequence[Sequence[object]]] = {}
@@ -204,51 +205,53 @@ def cells_of(path: Path) -> Sheets:
 
 
 class _ChildError(Exception):
-    """A process that read a workbook did not end well; a refusal, if its library said why."""
+    """The child process that reads a workbook failed; a refusal if its library gave a reason."""
 
     def __init__(self, message: str, *, is_refusal: bool = False) -> None:
         super().__init__(message)
         self.is_refusal = is_refusal
 
 
-def _in_a_child(path: Path) -> Sheets:
-    """Read a workbook in a process of its own.
+def _read_in_child(path: Path) -> Sheets:
+    """Read a workbook in a child process.
 
-    A wrong place or length in it asks for more memory than there is, and that ends a process.
+    A wrong place or length in it can exhaust the memory, which kills the process.
     """
     import os
     import pickle
     import subprocess
     import sys
 
-    command = [sys.executable, "-c", _CHILD, str(path), str(_MEMORY)]
-    known = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", _CHILD, str(path), str(_CHILD_BYTES)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     try:
         child = subprocess.run(
-            command, capture_output=True, timeout=_PATIENCE, check=False, env=known
+            command, capture_output=True, timeout=_CHILD_SECONDS, check=False, env=environment
         )
     except subprocess.TimeoutExpired as error:
-        message = f"not read within {_PATIENCE:.0f} s"
+        message = f"not read within {_CHILD_SECONDS:.0f} s"
         raise _ChildError(message) from error
     if child.returncode:
-        said = child.stderr.decode(errors="replace").strip().splitlines() or ["no reason"]
-        message = said[-1 if child.returncode == 1 else 0]  # its error, or its last words
+        lines = child.stderr.decode(errors="replace").strip().splitlines() or ["no reason"]
+        message = lines[
+            -1 if child.returncode == 1 else 0
+        ]  # its error, or the message of the crash
         if message.startswith("python_calamine.PasswordError"):
-            raise _locked(path)
+            raise _password_error(path)
         if message.startswith(_REFUSED):
             raise ReadError(message.removeprefix(_REFUSED))
         raise _ChildError(message, is_refusal=message.startswith("python_calamine."))
     try:
         sheets: Sheets = pickle.loads(child.stdout)
     except pickle.UnpicklingError as error:
-        message = "its cells could not be passed on"
+        message = "its cells could not be transferred"
         raise _ChildError(message) from error
     return sheets
 
 
 @contextmanager
-def _all_is_kept() -> Iterator[None]:
-    """Keep the collector from looking for garbage among cells again and again: there is none."""
+def _without_collector() -> Iterator[None]:
+    """Pause garbage collection, which would scan all cells repeatedly."""
     was_at_work = gc.isenabled()
     gc.disable()
     try:
@@ -259,11 +262,11 @@ def _all_is_kept() -> Iterator[None]:
 
 
 def _by_openpyxl(path: Path) -> Sheets:
-    """Read a workbook that calamine refuses with the slower but more patient library."""
+    """Read a workbook that calamine refuses with the slower but more tolerant library."""
     import openpyxl
 
     with path.open("rb") as stream, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what it leaves out, which is not read here
+        warnings.simplefilter("ignore")  # about omitted parts, which are not read here
         book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
         return {
             sheet.title: [
@@ -279,8 +282,8 @@ def _plain(cell: object) -> object:
 
 
 @dataclass(slots=True)
-class _Reach:
-    """How far the cells of a sheet reach, how many there are, and which is the last one."""
+class _SheetExtent:
+    """Extent, number and last place of the cells of a sheet."""
 
     rows: int = 0
     columns: int = 0
@@ -289,11 +292,11 @@ class _Reach:
 
     @property
     def size(self) -> int:
-        """Cells of the table."""
+        """Return the number of cells of the table."""
         return self.rows * self.columns
 
     def add(self, column: int, row: int) -> None:
-        """Take in one cell, its place counted from 1."""
+        """Add one cell, its place counted from 1."""
         if column * row >= self.columns * self.rows:
             self.last = f"{column_letters(column)}{row}"
         self.rows, self.columns = max(self.rows, row), max(self.columns, column)
@@ -301,67 +304,67 @@ class _Reach:
 
 
 def is_large(path: Path) -> bool:
-    """Whether a workbook is so large that `check_extent` takes long; needs a whole archive."""
+    """Return whether a workbook is so large that `check_extent` is slow."""
     with zipfile.ZipFile(path) as parts:
-        return sum(part.file_size for part in parts.infolist()) > _LARGE
+        return sum(part.file_size for part in parts.infolist()) > _LARGE_BYTES
 
 
-def check_extent(path: Path, *, most: int = MOST) -> None:
-    """Refuse a workbook whose cells are so far apart that its tables would fill the memory.
+def check_extent(path: Path, *, max_cells: int = MAX_CELLS) -> None:
+    """Refuse a workbook whose cells are so far apart that its tables exhaust the memory.
 
     Parameters
     ----------
     path : a zip archive
-    most : cells that may be laid out in any case
+    max_cells : cells allowed for any workbook
 
     Raises
     ------
     ReadError
-        If the cells reach too far for their number, with the sheet and its last cell; or if the
-        archive is a spreadsheet of another format than xlsx.
+        If the extent is too large for the number of cells, with the sheet and its last cell; or if
+        the archive is a spreadsheet of another format than xlsx.
 
     Notes
     -----
-    Cells without content, which only carry a style, do not count. What is wrong with the archive
-    otherwise is raised as the libraries raise it.
+    Cells with only a style do not count. Other faults of the archive raise the errors of the
+    libraries.
     """
     with zipfile.ZipFile(path) as parts:
         _refuse_others(parts, path)
         sheets = [name for name in parts.namelist() if _is_sheet(parts, name)]
-        if _is_small([_quick_reach(parts, name) for name in sheets], most):
+        if _is_compact([_quick_extent(parts, name) for name in sheets], max_cells):
             return
-        reach = {name: _exact_reach(parts, name) for name in sheets}
-        if not _is_small(list(reach.values()), most):
-            worst = max(reach, key=lambda name: reach[name].size)
-            raise _too_far(path, _title(parts, worst), reach[worst])
+        extent = {name: _exact_extent(parts, name) for name in sheets}
+        if not _is_compact(list(extent.values()), max_cells):
+            worst = max(extent, key=lambda name: extent[name].size)
+            raise _sparse_error(path, _title(parts, worst), extent[worst])
 
 
 def check_size(path: Path, sheet: str, rows: int, columns: int) -> None:
-    """Refuse a sheet that is larger than any that can be worked with, before it is laid out.
+    """Refuse a sheet that is too large, before it is allocated.
 
     Parameters
     ----------
     path, sheet : as for `check_table`
-    rows, columns : as the library counts them
+    rows, columns : counted by the library
 
     Raises
     ------
     ReadError
         As `check_extent`.
     """
-    if rows * columns > _BEYOND:
+    if rows * columns > 4 * MAX_CELLS:
         last = f"{column_letters(columns)}{rows}"
-        raise _too_far(path, sheet, _Reach(rows, columns, last=last), filled="few")
+        raise _sparse_error(path, sheet, _SheetExtent(rows, columns, last=last), filled="few")
 
 
 def check_table(path: Path, sheet: str, rows: Sequence[Sequence[object]]) -> None:
-    """Refuse a sheet that was laid out and is all but empty: to look through it takes minutes.
+    """Refuse a sheet that is nearly empty: searching it would take minutes.
 
     Parameters
     ----------
     path : of the workbook, for messages
     sheet : its name
-    rows : of cells, all of one length; a blank one is an empty text
+    rows : cells, all rows of equal length; a blank one is an empty text
 
     Raises
     ------
@@ -369,23 +372,23 @@ def check_table(path: Path, sheet: str, rows: Sequence[Sequence[object]]) -> Non
         As `check_extent`.
     """
     size = len(rows) * len(rows[0]) if rows else 0
-    if size <= MOST:
+    if size <= MAX_CELLS:
         return
     filled = sum(cell != "" for row in rows for cell in row)
-    if size > SPARSE * filled:
+    if size > MAX_SPARSITY * filled:
         columns = len(rows[0])
-        reach = _Reach(len(rows), columns, filled, f"{column_letters(columns)}{len(rows)}")
-        raise _too_far(path, sheet, reach)
+        extent = _SheetExtent(len(rows), columns, filled, f"{column_letters(columns)}{len(rows)}")
+        raise _sparse_error(path, sheet, extent)
 
 
-def _is_small(reaches: list[_Reach], most: int) -> bool:
-    filled = sum(reach.cells for reach in reaches)
-    return sum(reach.size for reach in reaches) <= max(most, SPARSE * filled)
+def _is_compact(extents: list[_SheetExtent], max_cells: int) -> bool:
+    filled = sum(extent.cells for extent in extents)
+    return sum(extent.size for extent in extents) <= max(max_cells, MAX_SPARSITY * filled)
 
 
 def _refuse_others(parts: zipfile.ZipFile, path: Path) -> None:
     names = parts.namelist()
-    found = next((what for name, what in _OTHERS.items() if name in names), None)
+    found = next((kind for name, kind in _OTHER_FORMATS.items() if name in names), None)
     remedy = "Save it as xlsx in the spreadsheet program."
     if found is None and not any(name.startswith("xl/") for name in names):
         found, remedy = "a zip archive of something else", "Unpack it, and name the export in it."
@@ -395,37 +398,37 @@ def _refuse_others(parts: zipfile.ZipFile, path: Path) -> None:
 
 def _is_sheet(parts: zipfile.ZipFile, name: str) -> bool:
     with parts.open(name) as part:
-        head = part.read(_HEAD)
+        head = part.read(4096)
     return b"worksheet" in head or head.startswith(_UTF16)
 
 
 def _chunks(parts: zipfile.ZipFile, name: str) -> Iterator[bytes]:
     with parts.open(name) as part:
-        while chunk := part.read(_CHUNK):
+        while chunk := part.read(_CHUNK_BYTES):
             yield chunk
 
 
-def _quick_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
-    """Reach of all cells, also of blank ones: by words, which is faster than by parsing."""
-    reach, rest = _Reach(), b""
+def _quick_extent(parts: zipfile.ZipFile, name: str) -> _SheetExtent:
+    """Return the extent of all cells, blank ones included, by a fast text search."""
+    extent, rest = _SheetExtent(), b""
     for chunk in _chunks(parts, name):
         data = rest + chunk
-        cut = data.rfind(b"<") if len(data) < 2 * _CHUNK else len(data)
-        found = _CELL.findall(data, 0, cut)
+        cut = data.rfind(b"<") if len(data) < 2 * _CHUNK_BYTES else len(data)
+        places = _CELL.findall(data, 0, cut)
         rest = data[cut:]
-        is_prefixed = any(words in data for words in _PREFIXED)
-        if is_prefixed or (b"", b"") in found or data.startswith(_UTF16):
-            return _exact_reach(parts, name)
-        columns, rows = ({finding[i] for finding in found} for i in (0, 1))
-        reach.columns = max(reach.columns, *(_number(column.decode()) for column in columns), 0)
-        reach.rows = max(reach.rows, *map(int, rows), 0)
-        reach.cells += len(found)
-    return reach
+        is_prefixed = any(mark in data for mark in _PREFIXED_CELLS)
+        if is_prefixed or (b"", b"") in places or data.startswith(_UTF16):
+            return _exact_extent(parts, name)
+        columns, rows = ({place[i] for place in places} for i in (0, 1))
+        extent.columns = max(extent.columns, *(_number(column.decode()) for column in columns), 0)
+        extent.rows = max(extent.rows, *map(int, rows), 0)
+        extent.cells += len(places)
+    return extent
 
 
-def _exact_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
-    """Reach of the cells that hold anything, were it blank text: the libraries lay these out."""
-    reach, at = _Reach(), [0, 0]
+def _exact_extent(parts: zipfile.ZipFile, name: str) -> _SheetExtent:
+    """Return the extent of the filled cells, blank text included, as the libraries count it."""
+    extent, at = _SheetExtent(), [0, 0]
     is_filled, kind = False, ""
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
@@ -436,7 +439,7 @@ def _exact_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
         elif kind == "c":
             match = _PLACE.fullmatch(place)
             at[:] = [_number(match[1].upper()), int(match[2])] if match else [at[0] + 1, at[1]]
-            is_filled = attributes.get("t") in _TEXTS
+            is_filled = attributes.get("t") in _TEXT_KINDS
 
     def inside(text: str) -> None:
         nonlocal is_filled
@@ -444,7 +447,7 @@ def _exact_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
 
     def end(tag: str) -> None:
         if tag.rpartition(":")[2] == "c" and is_filled:
-            reach.add(at[0], max(at[1], 1))
+            extent.add(at[0], max(at[1], 1))
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = begin, end
@@ -452,11 +455,11 @@ def _exact_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
     for chunk in _chunks(parts, name):
         parser.Parse(chunk, False)
     parser.Parse(b"", True)
-    return reach
+    return extent
 
 
 def _number(letters: str) -> int:
-    """Number of a column, counted from 1: 28 for AB."""
+    """Return the number of a column, counted from 1: 28 for AB."""
     number = 0
     for letter in letters:
         number = 26 * number + ord(letter) - ord("A") + 1
@@ -464,7 +467,7 @@ def _number(letters: str) -> int:
 
 
 def column_letters(number: int) -> str:
-    """Letters of a column counted from 1: AB for 28."""
+    """Return the letters of a column counted from 1: AB for 28."""
     letters = ""
     while number:
         number, letter = divmod(number - 1, 26)
@@ -473,7 +476,7 @@ def column_letters(number: int) -> str:
 
 
 def _title(parts: zipfile.ZipFile, name: str) -> str:
-    """What a person calls a sheet; the name of its part where the archive does not say."""
+    """Return the name of a sheet; the name of its part if the archive has none."""
     try:
         links = ElementTree.fromstring(parts.read("xl/_rels/workbook.xml.rels"))
         book = ElementTree.fromstring(parts.read("xl/workbook.xml"))
@@ -488,12 +491,12 @@ def _title(parts: zipfile.ZipFile, name: str) -> str:
     return name
 
 
-def _too_far(path: Path, sheet: str, reach: _Reach, filled: str = "") -> ReadError:
+def _sparse_error(path: Path, sheet: str, extent: _SheetExtent, filled: str = "") -> ReadError:
     return unreadable(
         path,
-        f"sheet '{sheet}', cell {reach.last}",
-        "cells that lie together",
-        f"a sheet of {reach.rows} rows and {reach.columns} columns with"
-        f" {filled or reach.cells} filled cells",
+        f"sheet '{sheet}', cell {extent.last}",
+        "cells close together",
+        f"a sheet of {extent.rows} rows and {extent.columns} columns with"
+        f" {filled or extent.cells} filled cells",
         "Delete the rows and columns behind the table, and save the workbook.",
     )

@@ -19,7 +19,7 @@ from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
 from labpipe.readers.load_frame import read
 from labpipe.readers.load_frame.cards import lab_cards, shipped_cards
-from labpipe.readers.load_frame.recognition import chosen_card, recognised
+from labpipe.readers.load_frame.recognition import choose_card, recognise_card
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 from tests.builders import load_frames as frames
@@ -267,7 +267,7 @@ def test_an_example_is_recognised_by_its_own_card(examples: dict[str, Path], dia
     """Two cards of one rank would be an error, so the one found is the only one."""
     names = [reader.name for reader in READERS.values() if reader.recognise(examples[dialect])]
     assert names == ["load-frame"]
-    card = recognised(examples[dialect])
+    card = recognise_card(examples[dialect])
     assert card is not None
     assert card.name == dialect
     recording = read_export(examples[dialect])
@@ -357,7 +357,7 @@ def test_a_lab_adds_a_dialect_without_python(bench: Path) -> None:
     assert [channel.name for channel in recording.channels] == ["pull", "way"]
     np.testing.assert_allclose(recording.clocks[0].time, [0.1, 0.2, 0.3])
     np.testing.assert_allclose(recording.channels[0].values, [1.5, 2.5, 3.5])
-    assert chosen_card(bench / "pull.txt", None).name == "bench"
+    assert choose_card(bench / "pull.txt", None).name == "bench"
 
 
 def test_a_lab_cannot_shadow_a_card_silently(bench: Path) -> None:

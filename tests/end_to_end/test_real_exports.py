@@ -195,7 +195,7 @@ def test_testxpert_leaves_samples_out_and_loses_none(
     assert stream["holes"] == []
     assert stream["step_max"] == pytest.approx(longest, abs=0.011)
     assert stream["step_median"] == pytest.approx(usual)
-    assert "the program samples at a rate that varies" in notes(found)["time_variable"]
+    assert "the program samples at a variable rate" in notes(found)["time_variable"]
 
 
 DECAR = "decar_180_position_calibration_1.23.csv"

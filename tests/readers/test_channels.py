@@ -131,7 +131,7 @@ REDUCED = np.concatenate([np.arange(100) * 0.01, 1.0 + np.arange(20) * 0.25])
 def test_a_rate_that_varies_loses_nothing_where_the_program_varies_it() -> None:
     assert codes(REDUCED, is_variable=True) == {
         "time_variable": (
-            "steps from 10 ms to 250 ms around 10 ms; the program samples at a rate that varies"
+            "steps from 10 ms to 250 ms around 10 ms; the program samples at a variable rate"
         )
     }
     assert codes(np.arange(100) * 0.01, is_variable=True) == {}
@@ -141,8 +141,8 @@ def test_so_many_long_steps_that_they_need_not_be_losses() -> None:
     (note,) = clock_notes(Clock("time", REDUCED))
     assert note.severity is Severity.WARNING
     assert note.message == (
-        "steps from 10 ms to 250 ms around 10 ms; 19 of 119 are longer than usual: the rate varies,"
-        " or samples were lost"
+        "steps from 10 ms to 250 ms around 10 ms; 19 of 119 are long: the rate varies, or samples"
+        " were lost"
     )
 
 
@@ -166,7 +166,7 @@ NOTED: list[tuple[Floats, dict[str, str]]] = [
     ),
     (
         np.array([0.0, 1.0, np.nan]),
-        {"time_not_finite": "1 time stamps are no numbers, the first at sample 3"},
+        {"time_not_finite": "1 time stamps are not numbers, the first at sample 3"},
     ),
 ]
 

@@ -337,7 +337,7 @@ def test_numbers_that_are_none() -> None:
     recording = load(trace("A/B", values))
     np.testing.assert_array_equal(recording.channels[0].values, [1, np.nan, np.nan, 4, np.nan])
     assert notes(recording)["not_finite"] == (
-        "3 of 5 samples are no numbers (2 of them infinite), the first at sample 2"
+        "3 of 5 samples are not numbers (2 of them infinite), the first at sample 2"
     )
     assert np.isinf(values).sum() == 2  # the export's own array is left alone
 
@@ -354,7 +354,7 @@ def test_a_channel_of_another_length_than_its_axis() -> None:
 def test_notes_on_names_units_and_start() -> None:
     found = notes(load(trace("A\\n/In1", FIVE), trace("B/In1", FIVE), start=-3.5))
     assert found["names_not_unique"] == (
-        "of 2 channels 2 are called 'In1': tell them apart by path"
+        "of 2 channels 2 are called 'In1': distinguish them by path"
     )
     assert found["line_break_in_path"].endswith("backslash-n: 'A\\n/In1'")
     assert found["units_not_stated"] == "the export states no units; the protocol must"
@@ -461,10 +461,10 @@ CONTENT = written({"a": np.arange(100.0), "s": {"b": np.arange(3.0), "c": "text"
 @pytest.mark.parametrize(
     ("at", "new", "message"),
     [
-        (128, (14).to_bytes(4, "little") + (10**6).to_bytes(4, "little"), "1000000 bytes stands"),
-        (len(CONTENT) - 4, None, "stands where"),
-        (132 + 4, (99).to_bytes(4, "little"), "type 99 stands where numbers are due"),
-        (160, (7).to_bytes(4, "little"), "100 numbers stand where 700 are promised"),
+        (128, (14).to_bytes(4, "little") + (10**6).to_bytes(4, "little"), "1000000 bytes with"),
+        (len(CONTENT) - 4, None, "bytes with"),
+        (132 + 4, (99).to_bytes(4, "little"), "type 99 instead of numbers"),
+        (160, (7).to_bytes(4, "little"), "100 numbers instead of 700"),
     ],
 )
 def test_damage_is_told(at: int, new: bytes | None, message: str) -> None:
@@ -477,5 +477,5 @@ def test_an_absurd_number_of_structs_is_refused_at_once() -> None:
     content = written({"s": {"b": 1.0}})
     at = content.index(np.array([1, 1], dtype="<i4").tobytes(), 128)
     many = np.array([1, 2**30], dtype="<i4").tobytes()
-    with pytest.raises(ValueError, match="1073741824 parts are promised in"):
+    with pytest.raises(ValueError, match="1073741824 parts in"):
         parse_mat5(content[:at] + many + content[at + 8 :])

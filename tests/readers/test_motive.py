@@ -245,7 +245,7 @@ NOTED: dict[str, tuple[list[Column], Layout, str]] = {
     ),
     "names_not_unique": (
         *([*TRACKED, *marker("Tip", TRACK + 1.0, id_="2")], LAYOUT),
-        "names that several objects share carry their id: Tip",
+        "objects with the same name have their id added: Tip",
     ),
     "columns_left_out": (
         *([*TRACKED, *marker("Hip", TRACK, kind="Bone Marker")], LAYOUT),
@@ -511,7 +511,7 @@ def test_a_frozen_body() -> None:
     tracks = MarkerTracks(tracks.time, tracks.frames, 50.0, ("tip",), tracks.positions, (body,))
     assert track_codes(tracks) == {
         "frozen_pose Clamp": "position unchanged to the last digit in 19 of 39 steps,"
-        " up to 19 in a row: lost and kept at its last pose?"
+        " up to 19 in a row: lost, with its last pose repeated?"
     }
 
 
@@ -522,7 +522,7 @@ def test_a_label_switch() -> None:
     passing[5:] = np.nan
     notes = track_codes(take(tip=labelled, Unlabeled_7=spare, Unlabeled_8=passing))
     assert notes["label_switch tip"] == (
-        "missing in rows 0-11, just where Unlabeled 7 is seen: label switch?"
+        "missing in rows 0-11, exactly where Unlabeled 7 is seen: label switch?"
     )
-    assert notes["unlabelled_markers markers"] == "2 of 3 markers have no label of their own"
+    assert notes["unlabelled_markers markers"] == "2 of 3 markers have no label"
     assert sum(key.startswith("label_switch") for key in notes) == 1

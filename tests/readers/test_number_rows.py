@@ -14,7 +14,7 @@ from labpipe.readers.number_rows import read_columns
 from labpipe.readers.table_body import Body, whole_lines
 from labpipe.readers.text_cells import (
     describe_cell,
-    is_closing,
+    is_summary_row,
     name_and_unit,
     thousandfold_jump,
 )
@@ -64,7 +64,7 @@ def test_short_lines() -> None:
     (note,) = read_columns(body("1,2\n3\n4,5\n"), FILE)[1]
     assert (note.code, note.message) == (
         "lines_short",
-        "1 lines have too few cells, first line 4: what they lack counts as blank",
+        "1 lines have too few cells, first line 4: missing cells count as blank",
     )
     assert codes("1 2\n3\n4 5\n", " ") == ["lines_short"]
 
@@ -177,7 +177,7 @@ def test_a_large_file_is_read_straight(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("Time,Load\ns,N\n" + text, encoding="utf-8")
     data = file.read_bytes()
-    large = Body(data, NAMES, (0,), 3, ",", start=14, as_in_file=True, some_only=True)
+    large = Body(data, NAMES, (0,), 3, ",", start=14, as_in_file=True, others_numeric=True)
     columns, _ = read_columns(large, file)
     np.testing.assert_array_equal(columns[0], [*(np.arange(300_000) + 0.25), 1.0])
     with pytest.raises(ReadError, match=r"line 300003, column 'Load': .* found 'O'"):
@@ -247,12 +247,12 @@ def test_a_unit_in_the_cell_of_the_name(cell: str, parted: tuple[str, str] | Non
 @pytest.mark.parametrize(
     ("cell", "decimal", "found", "remedy"),
     [
-        ("1,020.5", ".", "thousands", "no sign between thousands"),
-        ("1.020,5", ",", "thousands", "no sign between thousands"),
-        ("1 020,5", ",", "thousands", "no sign between thousands"),
-        ("1'020", ".", "thousands", "no sign between thousands"),
+        ("1,020.5", ".", "thousands", "no thousands separator"),
+        ("1.020,5", ",", "thousands", "no thousands separator"),
+        ("1 020,5", ",", "thousands", "no thousands separator"),
+        ("1'020", ".", "thousands", "no thousands separator"),
         ("-12,5", ".", "a decimal comma", "one decimal sign"),
-        ("1,020", ".", "a decimal comma or a sign between thousands", "one decimal sign"),
+        ("1,020", ".", "a decimal comma or a thousands separator", "one decimal sign"),
         ("1.020.500", ",", "1.020.500", "spreadsheet"),
         ("10:00:00.250", ".", "time stamp", "seconds since the start"),
         ("00:01.5", ".", "time stamp", "seconds since the start"),
@@ -292,7 +292,7 @@ def test_why_a_cell_is_no_number(cell: str, decimal: str, found: str, remedy: st
     ],
 )
 def test_rows_that_close_a_table(row: list[str], expected: bool) -> None:
-    assert is_closing(row) is expected
+    assert is_summary_row(row) is expected
 
 
 def lost(curve: Floats, decimals: list[int]) -> Floats:
@@ -350,12 +350,12 @@ def test_an_overflow_of_a_counter_is_none(seed: int, top: int) -> None:
     assert thousandfold_jump(counts) is None
 
 
-NONE, LOST = np.nan, 1110797.0
+NONE, LOST_DECIMALS = np.nan, 1110797.0
 JUMPS: list[tuple[list[float], tuple[int, int] | None]] = [
-    ([999, 1063, LOST, 1162], (1, 2)),
-    ([935, NONE, 1063, NONE, LOST, 1162], (2, 4)),
-    ([LOST, 1115, 1120334], (0, 1)),
-    ([0.5, 801, 1063, 1.11, LOST, 1162], (2, 4)),
+    ([999, 1063, LOST_DECIMALS, 1162], (1, 2)),
+    ([935, NONE, 1063, NONE, LOST_DECIMALS, 1162], (2, 4)),
+    ([LOST_DECIMALS, 1115, 1120334], (0, 1)),
+    ([0.5, 801, 1063, 1.11, LOST_DECIMALS, 1162], (2, 4)),
     (list(range(1, 5000)), None),
     ([0.0] * 50, None),
     ([1, 1000] * 20, None),
@@ -365,7 +365,7 @@ JUMPS: list[tuple[list[float], tuple[int, int] | None]] = [
     ([200, 200123, 400123, 900], None),
     ([5, 5123], None),
     ([NONE] * 20, None),
-    ([1063] * 30 + [LOST] * 30 + [1162], None),
+    ([1063] * 30 + [LOST_DECIMALS] * 30 + [1162], None),
 ]
 """Lost signs; and counters, codes, bits, steps that stay, numbers too few or too far apart."""
 

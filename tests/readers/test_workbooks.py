@@ -102,7 +102,7 @@ def test_openpyxl_steps_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.fixture
 def large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A workbook that counts as large."""
-    monkeypatch.setattr("labpipe.readers.workbooks._LARGE", 0)
+    monkeypatch.setattr("labpipe.readers.workbooks._LARGE_BYTES", 0)
     return workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", [*ROWS, (1, 2, "")])})
 
 
@@ -117,7 +117,7 @@ def test_a_large_workbook_is_read_in_a_process_of_its_own(
 
 def test_a_stray_cell_in_a_large_workbook_ends_that_process_alone(large: Path) -> None:
     changed(large, stray())
-    with pytest.raises(ReadError, match=r"sheet 'v', cell XFD1048576: expected cells that lie"):
+    with pytest.raises(ReadError, match=r"sheet 'v', cell XFD1048576: expected cells close"):
         open_sheets(large)
 
 
@@ -129,7 +129,7 @@ ENDS = {
     "import os, sys; print('out of memory\\nat', file=sys.stderr); os.abort()": "out of memory",
     "raise MemoryError": "MemoryError",
     "import time; time.sleep(60)": "not read within 0 s",
-    "print('no pickle')": "its cells could not be passed on",
+    "print('no pickle')": "its cells could not be transferred",
 }
 
 
@@ -141,7 +141,7 @@ def test_an_old_workbook_that_ends_the_process_that_reads_it(
     path.write_bytes(OLD)
     monkeypatch.setattr("labpipe.readers.workbooks._CHILD", script)
     if "sleep" in script:
-        monkeypatch.setattr("labpipe.readers.workbooks._PATIENCE", 0.3)
+        monkeypatch.setattr("labpipe.readers.workbooks._CHILD_SECONDS", 0.3)
     with pytest.raises(ReadError, match=rf"a whole workbook, found a damaged one \({ENDS[script]}"):
         open_sheets(path)
 
@@ -154,7 +154,7 @@ def test_an_old_workbook_that_ends_the_process_that_reads_it(
         (b"\xff\xff\xff\xff", r"a\.xls: expected a whole workbook, found a damaged one"),
         (
             b"\xff\xff\xff\x00",
-            r"a\.xls, sheet 'cotton-4', cell IV65536: expected cells that lie to",
+            r"a\.xls, sheet 'cotton-4', cell IV65536: expected cells close to",
         ),
     ],
     ids=["137 GB of cells", "the last cell that there is"],
@@ -186,7 +186,7 @@ def test_a_stray_cell_is_named(book: Path, place: str) -> None:
     with pytest.raises(ReadError) as refused:
         check_extent(changed(book, stray(place)))
     assert re.fullmatch(
-        rf"{re.escape(str(book))}, sheet 'Values 1', cell {place}: expected cells that lie"
+        rf"{re.escape(str(book))}, sheet 'Values 1', cell {place}: expected cells close"
         r" together, found a sheet of \d+ rows and \d+ columns with 22 filled cells\. Delete the"
         r" rows and columns behind the table, and save the workbook\.",
         str(refused.value),
@@ -240,14 +240,14 @@ OTHERWISE: dict[str, Change] = {
 
 @pytest.mark.parametrize("change", OTHERWISE.values(), ids=OTHERWISE)
 def test_a_stray_cell_written_otherwise(book: Path, change: Change) -> None:
-    with pytest.raises(ReadError, match=r"sheet 'Values 1', cell \w+: expected cells that lie"):
+    with pytest.raises(ReadError, match=r"sheet 'Values 1', cell \w+: expected cells close"):
         check_extent(changed(book, change))
 
 
 MOTIVE: list[list[object]] = [["Format Version", "1.23"], ["", 1.0]]
 
 
-PLAIN: list[list[object]] = [["deflection / mm", "force / N"], [1.0, 2.0]]
+NUMERAL: list[list[object]] = [["deflection / mm", "force / N"], [1.0, 2.0]]
 
 
 def read_a_curve(path: Path) -> object:
@@ -265,9 +265,9 @@ WHO_OPENS: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("opens", WHO_OPENS.values(), ids=WHO_OPENS)
 def test_whoever_opens_a_workbook_is_safe(tmp_path: Path, opens: Callable[[Path], object]) -> None:
-    table = MOTIVE if opens is WHO_OPENS["motive"] else PLAIN
+    table = MOTIVE if opens is WHO_OPENS["motive"] else NUMERAL
     path = changed(workbook(tmp_path / "a.xlsx", {"Take": table}), stray())
-    with pytest.raises(ReadError, match=r"sheet 'Take', cell XFD1048576: expected cells that lie"):
+    with pytest.raises(ReadError, match=r"sheet 'Take', cell XFD1048576: expected cells close"):
         opens(path)
     forget_sheets()
 
@@ -275,7 +275,7 @@ def test_whoever_opens_a_workbook_is_safe(tmp_path: Path, opens: Callable[[Path]
 def test_a_table_that_is_all_but_empty(tmp_path: Path) -> None:
     blank: list[object] = [""] * 5000
     rows = [["a", *blank[1:]], *[blank] * 2500]
-    with pytest.raises(ReadError, match=r"sheet 'v', cell GJH2501: expected cells that lie togeth"):
+    with pytest.raises(ReadError, match=r"sheet 'v', cell GJH2501: expected cells close together"):
         check_table(tmp_path / "a.xls", "v", rows)
     check_table(tmp_path / "a.xls", "v", [[1.0] * 5000] * 2500)
     check_table(tmp_path / "a.xls", "v", rows[:1000])

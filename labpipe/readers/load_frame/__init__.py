@@ -1,20 +1,20 @@
-"""Reader of load-frame exports: one reader, a dialect (a card of data) per vendor's program.
+"""Reader of load-frame exports: one reader, and a card of data per vendor's program.
 
 **Writes this file**: the programs of the cards in ``dialects``: MTS TestSuite and 793, Instron
 Bluehill and 8800, ZwickRoell testXpert, Lloyd Nexygen, Shimadzu Trapezium, Walter+Bai Dion, HBM
 catman, Deben Microtest, TA Instruments DMA Q800, TestResources; a lab adds its own.
 
-**Recording**: the channels of one test; with several specimens, each on a clock of its own.
+**Recording**: the channels of one test; with several specimens, each on its own clock.
 
-**Units**: `unit_in_file` as the export writes it, values in that unit; time in seconds.
+**Units**: `unit_in_file` as in the export, values in that unit; time in seconds.
 
 **Missing data**: blank cells and the codes of the card become NaN, noted per channel.
 
-**Clock and frame**: the column of time as written, in seconds; row numbers where there is none.
+**Clock and frame**: the time column as written, in seconds; row numbers if there is none.
 
-**File structure**: as the card says; see docs/how-to/new-dialect.md.
+**File structure**: as in the card; see docs/how-to/new-dialect.md.
 
-**Known versions**: as the cards say.
+**Known versions**: as in the cards.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from labpipe.readers.load_frame.frame_recording import (
     without_last_row,
 )
 from labpipe.readers.load_frame.frame_workbook import read_sheets
-from labpipe.readers.load_frame.recognition import Named, chosen_card, recognised
+from labpipe.readers.load_frame.recognition import CardNames, choose_card, recognise_card
 from labpipe.readers.load_frame.text_layouts import Place, read_tables
 from labpipe.readers.raw_files import read_content
 from labpipe.readers.workbooks import forget_sheets, open_sheets
@@ -46,15 +46,15 @@ __all__ = ["read", "recognise"]
 
 
 def recognise(path: Path) -> bool:
-    """Check whether a file is a load-frame export that some card fits, by its content."""
-    return recognised(path) is not None
+    """Return whether the content of a file fits a card of a load frame."""
+    return recognise_card(path) is not None
 
 
 def read(
     path: Path,
     *,
     channels: Sequence[ReportOptions] | None = None,
-    dialect: Named = None,
+    dialect: CardNames = None,
     part: str | None = None,
 ) -> Recording:
     """Read a load-frame export.
@@ -63,29 +63,29 @@ def read(
     ----------
     path : the export
     channels : names or paths wanted, None for all
-    dialect : name of the card, or cards, that it must fit; None for any
-    part : specimen or sheet wanted of an export that holds several, None for all
+    dialect : name of the card, or cards, that must fit; None for any
+    part : wanted specimen or sheet of an export with several, None for all
 
     Returns
     -------
-    The recording. A file with nothing but a byte order mark gives one without clocks and
+    The recording. A file with only a byte order mark gives a recording without clocks and
     channels, and the note ``no_samples``.
 
     Raises
     ------
     ReadError
-        If no card fits or another one than asked for, names, units or numbers are not where the
-        card says, a cell is no number, or a wanted channel or part does not exist.
+        If no allowed card fits, names, units or numbers are not where the card states, a cell is
+        not a number, or a wanted channel or part does not exist.
     """
-    card = chosen_card(path, dialect)
-    export = _tables(path, card, channels if part is None else None)
+    card = choose_card(path, dialect)
+    export = _read_export(path, card, channels if part is None else None)
     tables = (without_codes(without_last_row(table, card), card) for table in export.tables)
     kept = choose_part(list(tables), part, path)
-    notes = (*export.notes, *_counted(export, kept, card), *_generic(card))
+    notes = (*export.notes, *_count_notes(export, kept, card), *_generic_note(card))
     return assemble(replace(export, tables=kept, notes=notes), card, path, channels)
 
 
-def _tables(path: Path, card: Card, channels: Sequence[ReportOptions] | None) -> Export:
+def _read_export(path: Path, card: Card, channels: Sequence[ReportOptions] | None) -> Export:
     if card.kind == "text":
         return read_tables(read_content(path), Place(path, card, channels))
     try:
@@ -94,8 +94,8 @@ def _tables(path: Path, card: Card, channels: Sequence[ReportOptions] | None) ->
         forget_sheets()
 
 
-def _counted(export: Export, tables: Sequence[Table], card: Card) -> list[QualityNote]:
-    """Compare the numbers of samples and of columns that the export states with those there are."""
+def _count_notes(export: Export, tables: Sequence[Table], card: Card) -> list[QualityNote]:
+    """Compare the stated numbers of samples and of columns with the actual ones."""
     if len(export.tables) != 1 or not tables:
         return []
     rows = max((len(values) for values in tables[0].columns.values()), default=0)
@@ -112,8 +112,8 @@ def _counted(export: Export, tables: Sequence[Table], card: Card) -> list[Qualit
     return notes
 
 
-def _generic(card: Card) -> list[QualityNote]:
+def _generic_note(card: Card) -> list[QualityNote]:
     if not card.fallback:
         return []
-    message = "no vendor's card fits: names and units were found by their words, look at them"
+    message = "no vendor's card fits: names and units were detected by their text, check them"
     return [QualityNote("dialect_generic", Severity.INFO, "file", message)]

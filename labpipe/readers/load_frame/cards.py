@@ -1,4 +1,4 @@
-"""Cards: what labpipe, or a lab, knows of a vendor's export, as data."""
+"""Cards: descriptions of vendors' export formats, as data."""
 
 from __future__ import annotations
 
@@ -24,49 +24,47 @@ LAYOUTS: Final = ("one", "side by side", "blocks", "specimen above")
 BRACKETS: Final = ("", "()", "[]")
 DECIMALS: Final = (".", ",", "auto")
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_SHOW = 60
-_HUGE = 10**300
 _FIX = "Correct the card."
 _Check = Callable[[object, str, object], object]
 LAB_FOLDER = "dialects"
-"""Where a lab keeps its own cards, in the working folder beside ``protocols``."""
+"""Folder of a lab's own cards, in the working folder beside ``protocols``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """A dialect: how the export of one program is recognised and read.
+    """A dialect: rules to recognise and read the export of one program.
 
     Parameters
     ----------
-    name : as protocols write it; the name of the card's file
-    about : one sentence for people
-    program : what wrote the export, empty in a card of last resort
+    name : as in protocols; the name of the card's file
+    about : one-sentence description
+    program : program that wrote the export, empty in a fallback card
     kind : ``text`` or ``workbook`` (xlsx, xls)
     recognise : patterns that must all be found in the head of the text, or of one sheet whose
         cells are separated by tabs
-    fallback : whether it is only tried when no other card recognises the export
-    blank : whether a file with nothing but a byte order mark is an export without samples
-    version, model : patterns whose group is the version, or belongs behind the program's name
-    encodings : tried in order where no byte order mark says it; ``detect`` leaves it open
+    fallback : whether it is tried only if no other card recognises the export
+    blank : whether a file with only a byte order mark is an export without samples
+    version, model : patterns whose group is the version, or follows the program's name
+    encodings : tried in order without a byte order mark; ``detect`` detects the encoding
     separators : between cells, the first one that fits; ``blanks`` for any number of blanks
     decimal : decimal sign, or ``auto``
-    decimal_pattern : pattern whose group is the decimal sign; rules out `decimal`
-    names : where the names of the columns stand; see docs/how-to/new-dialect.md
+    decimal_pattern : pattern whose group is the decimal sign; replaces `decimal`
+    names : location of the names of the columns; see docs/how-to/new-dialect.md
     brackets : around units
-    name_starts : pattern at which a name begins, where blanks part names that hold blanks
-    header_words : first cells of the row of names, where no row of units tells it
-    listed : pattern of the line of one column, its group being the name with the unit
+    name_starts : pattern at which a name begins, if blanks separate names that contain blanks
+    header_words : first cells of the row of names, if there is no row of units
+    listed : pattern of the line of one column, whose group is the name with the unit
     start : pattern of the line after which the samples begin
-    units : unit of the names whose unit the export does not say
-    time : patterns of the name of the time column, most wanted first
-    time_unit : unit of time where the export does not say it
-    variable_rate : whether the program samples at a rate that varies: a long step is no loss
-    words : names of columns that hold words
-    missing : numbers that stand for a missing value
-    last_zeros : columns that are zero in a last row that is no sample
-    last_code : columns and what they hold in such a row
+    units : units by name, where the export does not state them
+    time : patterns of the name of the time column, preferred first
+    time_unit : unit of time if the export does not state it
+    variable_rate : whether the program samples at a variable rate: long steps are no losses
+    words : names of columns of text
+    missing : numbers for a missing value
+    last_zeros : columns that are zero in a last row that is not a sample
+    last_code : columns and their values in such a row
     stated_rows, stated_columns : keys of the preamble that state the numbers of samples and columns
-    layout : how specimens and blocks share the export
+    layout : arrangement of specimens and blocks
     source : file of the card, for messages
     """
 
@@ -119,33 +117,33 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
     Raises
     ------
     ReadError
-        If the text is no TOML, keys are unknown, missing or of the wrong kind (all are
-        reported at once), or keys contradict.
+        If the text is not TOML, keys are unknown, missing or of the wrong type (all are
+        reported at once), or keys contradict each other.
     """
     if not _NAME.fullmatch(name):
         expected = "a name of small letters, digits and hyphens"
-        raise _fault(source, "", expected, f"'{name}'", "Rename the file of the card.")
+        raise _error(source, "", expected, f"'{name}'", "Rename the file of the card.")
     try:
         keys = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers without end
-        remedy = "Look at the line it names."
-        raise _fault(
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and huge numbers
+        remedy = "Correct the line named there."
+        raise _error(
             source, "", "a card in TOML", f"text that is none ({error})", remedy
         ) from error
     return _card(keys, name, source)
 
 
 def _card(keys: Mapping[str, object], name: str, source: object) -> Card:
-    values, messages = _checked(keys, source)
+    values, messages = _check_keys(keys, source)
     if messages:
         raise ReadError("\n".join(messages))
     card = Card(name=name, source=str(source), **values)
-    _refuse_contradictions(card, source)
+    _check_combinations(card, source)
     return card
 
 
-def _checked(keys: Mapping[str, object], source: object) -> tuple[dict[str, Any], list[str]]:
-    """The values of the keys, and what is wrong with them."""
+def _check_keys(keys: Mapping[str, object], source: object) -> tuple[dict[str, Any], list[str]]:
+    """Return the values of the keys, and messages on wrong ones."""
     values: dict[str, Any] = {}
     messages = []
     for key, value in keys.items():
@@ -157,17 +155,17 @@ def _checked(keys: Mapping[str, object], source: object) -> tuple[dict[str, Any]
         must = needed.default is MISSING and needed.default_factory is MISSING
         if must and needed.name not in keys and needed.name != "name":
             messages.append(
-                str(_fault(source, needed.name, "this key", "none", "Add it to the card."))
+                str(_error(source, needed.name, "this key", "none", "Add it to the card."))
             )
     return values, messages
 
 
 def _unknown(value: object, key: str, source: object) -> object:  # noqa: ARG001
     close = ", ".join(nearest(key, list(_CHECKS), most=3))
-    raise _fault(source, key, "a key of a card", "none", f"Nearest: {close}.")
+    raise _error(source, key, "a key of a card", "none", f"Nearest: {close}.")
 
 
-def _refuse_contradictions(card: Card, source: object) -> None:
+def _check_combinations(card: Card, source: object) -> None:
     needs = {
         "alone": ("header_words", bool(card.header_words)),
         "listed": ("listed", card.listed is not None and card.start is not None),
@@ -177,44 +175,44 @@ def _refuse_contradictions(card: Card, source: object) -> None:
     if not has:
         also = " (and `start`)" if key == "listed" else ""
         expected = f"this key{also}, as names = '{card.names}'"
-        raise _fault(source, key, expected, "none", "Add it to the card.")
+        raise _error(source, key, expected, "none", "Add it to the card.")
     if not card.recognise and not card.blank:
-        remedy = "Give words that stand in every export of the program."
-        raise _fault(source, "recognise", "a pattern at least", "none", remedy)
+        remedy = "Give text that every export of the program contains."
+        raise _error(source, "recognise", "at least one pattern", "none", remedy)
 
 
-def _fault(source: object, key: str, expected: str, found: str, remedy: str) -> ReadError:
+def _error(source: object, key: str, expected: str, found: str, remedy: str) -> ReadError:
     place = f"key {key}" if key else ""
     return unreadable(source, place, expected, found, remedy)
 
 
 def _shown(value: object) -> str:
-    return repr(value)[:_SHOW]
+    return repr(value)[:60]
 
 
 def _text(value: object, key: str, source: object) -> str:
     if isinstance(value, str) and value.strip():
         return value
-    raise _fault(source, key, "text", _shown(value), _FIX)
+    raise _error(source, key, "text", _shown(value), _FIX)
 
 
 def _flag(value: object, key: str, source: object) -> bool:
     if isinstance(value, bool):
         return value
-    raise _fault(source, key, "true or false", _shown(value), _FIX)
+    raise _error(source, key, "true or false", _shown(value), _FIX)
 
 
 def _number(value: object, key: str, source: object) -> float:
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE:
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 10**300:
         return float(value)
-    raise _fault(source, key, "a number", _shown(value), _FIX)
+    raise _error(source, key, "a number", _shown(value), _FIX)
 
 
 def _pattern(value: object, key: str, source: object) -> Pattern:
     try:
         return re.compile(_text(value, key, source), re.MULTILINE)
     except (re.error, OverflowError, RecursionError) as error:
-        raise _fault(source, key, "a pattern", f"{_shown(value)} ({error})", _FIX) from error
+        raise _error(source, key, "a pattern", f"{_shown(value)} ({error})", _FIX) from error
 
 
 def _group(value: object, key: str, source: object) -> Pattern:
@@ -222,7 +220,7 @@ def _group(value: object, key: str, source: object) -> Pattern:
     if pattern.groups == 1:
         return pattern
     found = f"{pattern.groups} in {_shown(value)}"
-    raise _fault(source, key, "a pattern with one group in round brackets", found, _FIX)
+    raise _error(source, key, "a pattern with one group in round brackets", found, _FIX)
 
 
 def _name_pattern(value: object, key: str, source: object) -> Pattern:
@@ -234,83 +232,83 @@ def _encoding(value: object, key: str, source: object) -> str:
     try:
         codecs.lookup("ascii" if name == "detect" else name)
     except LookupError as error:
-        raise _fault(source, key, "the name of an encoding", _shown(value), _FIX) from error
+        raise _error(source, key, "the name of an encoding", _shown(value), _FIX) from error
     return name
 
 
 def _separator(value: object, key: str, source: object) -> str:
     if value == "blanks" or (isinstance(value, str) and len(value) == 1 and value.isascii()):
         return " " if value == "blanks" else value
-    raise _fault(source, key, 'one sign, or "blanks"', _shown(value), _FIX)
+    raise _error(source, key, 'one sign, or "blanks"', _shown(value), _FIX)
 
 
-def _one_of(words: tuple[str, ...]) -> _Check:
+def _one_of(choices: tuple[str, ...]) -> _Check:
     def check(value: object, key: str, source: object) -> object:
-        if value in words:
+        if value in choices:
             return value
-        expected = f"one of {', '.join(map(repr, words))}"
-        close = nearest(str(value), list(words), most=1)[0]
-        raise _fault(source, key, expected, _shown(value), f"Nearest: '{close}'.")
+        expected = f"one of {', '.join(map(repr, choices))}"
+        close = nearest(str(value), list(choices), most=1)[0]
+        raise _error(source, key, expected, _shown(value), f"Nearest: '{close}'.")
 
     return check
 
 
-def _several(check: _Check) -> _Check:
-    def each(value: object, key: str, source: object) -> object:
+def _list_of(check: _Check) -> _Check:
+    def check_items(value: object, key: str, source: object) -> object:
         if not isinstance(value, list):
-            raise _fault(source, key, "a list in square brackets", _shown(value), _FIX)
+            raise _error(source, key, "a list in square brackets", _shown(value), _FIX)
         return tuple(check(item, key, source) for item in value)
 
-    return each
+    return check_items
 
 
-def _by_name(check: _Check) -> _Check:
-    def each(value: object, key: str, source: object) -> object:
+def _table_of(check: _Check) -> _Check:
+    def check_items(value: object, key: str, source: object) -> object:
         if not isinstance(value, dict):
-            raise _fault(source, key, "a table of names", _shown(value), _FIX)
+            raise _error(source, key, "a table of names", _shown(value), _FIX)
         checked = {str(name): check(item, f"{key}.{name}", source) for name, item in value.items()}
         return MappingProxyType(checked)
 
-    return each
+    return check_items
 
 
 _CHECKS: Final[dict[str, _Check]] = {
     "program": _text,
     "about": _text,
     "kind": _one_of(KINDS),
-    "recognise": _several(_pattern),
+    "recognise": _list_of(_pattern),
     "fallback": _flag,
     "blank": _flag,
     "version": _group,
     "model": _group,
-    "encodings": _several(_encoding),
-    "separators": _several(_separator),
+    "encodings": _list_of(_encoding),
+    "separators": _list_of(_separator),
     "decimal": _one_of(DECIMALS),
     "decimal_pattern": _group,
     "names": _one_of(NAMES),
     "brackets": _one_of(BRACKETS),
     "name_starts": _pattern,
-    "header_words": _several(_text),
+    "header_words": _list_of(_text),
     "listed": _group,
     "start": _pattern,
-    "units": _by_name(_text),
-    "time": _several(_name_pattern),
+    "units": _table_of(_text),
+    "time": _list_of(_name_pattern),
     "time_unit": _text,
     "variable_rate": _flag,
-    "words": _several(_text),
-    "missing": _several(_number),
-    "last_zeros": _several(_text),
-    "last_code": _by_name(_number),
+    "words": _list_of(_text),
+    "missing": _list_of(_number),
+    "last_zeros": _list_of(_text),
+    "last_code": _table_of(_number),
     "stated_rows": _text,
     "stated_columns": _text,
     "layout": _one_of(LAYOUTS),
 }
-"""Every key of a card, and what it must be."""
+"""Check of each key of a card."""
 
 
 @cache
 def shipped_cards(kind: str | None = None) -> Mapping[str, Card]:
-    """Load the cards that come with labpipe, by name.
+    """Load the cards of labpipe, by name.
 
     Parameters
     ----------
@@ -324,7 +322,7 @@ def shipped_cards(kind: str | None = None) -> Mapping[str, Card]:
 
 
 def shipped_names() -> tuple[str, ...]:
-    """Names of the cards that come with labpipe, in order."""
+    """Return the names of the cards of labpipe, in order."""
     return tuple(_shipped_keys())
 
 
@@ -341,12 +339,12 @@ def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
 
     Parameters
     ----------
-    folder : where they lie; ``dialects`` in the working folder if None
+    folder : their folder; ``dialects`` in the working folder if None
 
     Raises
     ------
     ReadError
-        If a card is wrong, or has the name of one that comes with labpipe.
+        If a card is wrong, or has the name of a card of labpipe.
     """
     return {file.stem: _lab_card(file) for file in lab_card_files(folder)}
 
@@ -358,8 +356,8 @@ def lab_card_files(folder: Path | None = None) -> list[Path]:
     ----------
     folder : as for `lab_cards`
     """
-    own = Path(LAB_FOLDER) if folder is None else folder
-    return sorted(own.glob("*.toml")) if own.is_dir() else []
+    cards_folder = Path(LAB_FOLDER) if folder is None else folder
+    return sorted(cards_folder.glob("*.toml")) if cards_folder.is_dir() else []
 
 
 def _lab_card(file: Path) -> Card:

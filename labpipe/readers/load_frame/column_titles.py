@@ -1,4 +1,4 @@
-"""Where the samples of an export begin, and what the columns above them are called."""
+"""Header of an export: first row of samples, names and units of the columns."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ from labpipe.readers.text_cells import (
     without_brackets,
 )
 
-MOST_LINES = 400
-"""The header is looked for in this many lines; the longest real one has 56."""
+MAX_HEADER_LINES = 400
+"""Lines searched for the header; the longest real one has 56."""
 
-_AGAIN = "Export the test again with names and units, or name another dialect."
-_CARD = "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
+_EXPORT_AGAIN = "Export the test again with names and units, or name another dialect."
+_CARD_REMEDY = (
+    "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
+)
 Rows = Sequence[Sequence[str]]
 Fault = Callable[[int, str, str], ReadError]
-"""Of the number of a row, what was expected there and what was found."""
+"""Error of a row: its index, expected and found."""
 
 
 def find_header(lines: Sequence[str], card: Card, path: object, first_line: int = 1) -> Header:
@@ -37,35 +39,37 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
     Parameters
     ----------
     lines : its head, without line ends
-    card : how the header is found
+    card : rules for the header
     path : named in errors
     first_line : line number of the first of the lines
 
     Returns
     -------
-    The header; the separator is the first one of the card with which numbers are found.
+    The header; the separator is the first one of the card that gives numbers.
 
     Raises
     ------
     ReadError
-        If there is no row of names, no row of units where there must be one, or no numbers.
+        If there is no row of names, no required row of units, or no numbers.
     """
-    head = lines[:MOST_LINES]
+    head = lines[:MAX_HEADER_LINES]
     if card.names == "listed":
-        return _listed(head, card, path)
+        return _listed_titles(head, card, path)
     for separator in card.separators:
         rows = _rows_of(head, separator, card)
-        if _first(rows, card) is not None:
+        if _first_sample_row(rows, card) is not None:
             return header_of_rows(rows, card, path, first_line, separator=separator)
     place = f"lines {first_line} to {first_line + len(head) - 1}"
-    raise unreadable(path, place, "a row of names and rows of numbers below it", "none", _AGAIN)
+    raise unreadable(
+        path, place, "a row of names and rows of numbers below it", "none", _EXPORT_AGAIN
+    )
 
 
 def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
-    """Cells of the lines up to the first one with samples."""
+    """Return the cells of the lines up to the first one with samples."""
     rows: list[list[str]] = []
     for line in lines:
-        is_plain = separator not in line and '"' not in line  # quick for hundreds of lines
+        is_plain = separator not in line and '"' not in line  # fast for hundreds of lines
         rows.append([line] if is_plain else split_line(line, separator))
         if card.names != "alone" and len(rows[-1]) > 1 and is_sample(rows[-1]):
             break
@@ -85,13 +89,15 @@ def header_of_rows(
 
     Parameters
     ----------
-    place : word for a row in messages: ``line``, or a sheet and ``row``
-    separator : that the rows were cut at
+    place : name of a row in messages: ``line``, or a sheet and ``row``
+    separator : separator of the cells
     """
-    first = _first(rows, card)
+    first = _first_sample_row(rows, card)
     if first is None:
         where = f"{place} {first_line}"
-        raise unreadable(path, where, "a row of names and rows of numbers below it", "none", _AGAIN)
+        raise unreadable(
+            path, where, "a row of names and rows of numbers below it", "none", _EXPORT_AGAIN
+        )
 
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
 
@@ -102,16 +108,16 @@ def header_of_rows(
 
         return fault
 
-    # A blank row between title, names, units and numbers says nothing.
+    # Blank rows between title, names, units and numbers are ignored.
     rows = [*(rows[i] for i in filled), *rows[first:]]
     if separator == " ":
-        rows = put_names_together(rows, len(filled), card, fault_with(_CARD))
-    header = find_titles(rows, len(filled), card, fault_with(_AGAIN))
+        rows = join_names(rows, len(filled), card, fault_with(_CARD_REMEDY))
+    header = parse_titles(rows, len(filled), card, fault_with(_EXPORT_AGAIN))
     return replace(header, separator=separator, first=first)
 
 
-def _first(rows: Rows, card: Card) -> int | None:
-    """Row with the first samples, None if there is none."""
+def _first_sample_row(rows: Rows, card: Card) -> int | None:
+    """Return the index of the first row of samples; None if there is none."""
     if card.names == "alone":
         for i, row in enumerate(rows):
             if tuple(cell.strip() for cell in row[: len(card.header_words)]) == card.header_words:
@@ -120,20 +126,20 @@ def _first(rows: Rows, card: Card) -> int | None:
     return next((i for i, row in enumerate(rows) if len(row) > 1 and is_sample(row)), None)
 
 
-def _listed(lines: Sequence[str], card: Card, path: object) -> Header:
-    """Names in lines of their own, samples after a line that says so."""
+def _listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
+    """Read names on separate lines, with the samples after a start line."""
     if card.listed is None or card.start is None:  # a card without them is refused earlier
-        raise unreadable(path, "", "a card with `listed` and `start`", card.name, _AGAIN)
+        raise unreadable(path, "", "a card with `listed` and `start`", card.name, _EXPORT_AGAIN)
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
         found = f"none in {len(lines)} lines"
         raise unreadable(
-            path, "", f"a line '{card.start.pattern}' before the numbers", found, _AGAIN
+            path, "", f"a line '{card.start.pattern}' before the numbers", found, _EXPORT_AGAIN
         )
     named = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
     if not named:
         expected = f"names in lines '{card.listed.pattern}'"
-        raise unreadable(path, f"lines 1 to {start}", expected, "none", _AGAIN)
+        raise unreadable(path, f"lines 1 to {start}", expected, "none", _EXPORT_AGAIN)
     above = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in named), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
@@ -141,16 +147,16 @@ def _listed(lines: Sequence[str], card: Card, path: object) -> Header:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What stands above the samples.
+    """The rows above the samples.
 
     Parameters
     ----------
-    names : of the columns, as in the file but for blanks around them
-    units : of the columns, without brackets; empty where none is stated
-    first : number of the first row of samples, counted from 0
+    names : of the columns, without surrounding blanks
+    units : of the columns, without brackets; empty if not stated
+    first : index of the first row of samples
     above : the rows above the names
     separator : between cells
-    specimens : the row above the names where it holds specimens, else empty
+    specimens : the row above the names if it contains specimens, else empty
     """
 
     names: tuple[str, ...]
@@ -161,41 +167,41 @@ class Header:
     specimens: tuple[str, ...] = ()
 
 
-def find_titles(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
-    """Find names and units where the card says they stand.
+def parse_titles(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
+    """Read names and units at the location stated in the card.
 
     Parameters
     ----------
     rows : cells of the first rows of the export
-    first : number of the first row of samples, counted from 0
-    card : how the header is found
-    fault : words the error
+    first : index of the first row of samples
+    card : rules for the header
+    fault : creates the error
 
     Raises
     ------
     ReadError
-        If there is no row of names, or no units where there must be some.
+        If there is no row of names, or required units are missing.
     """
     if card.names == "alone":
-        return _alone(rows, first, card)
+        return _names_alone(rows, first, card)
     if card.names == "any":
-        return _anyhow(rows, first, fault)
+        return _any_titles(rows, first, fault)
     if card.names == "with units":
-        return _with_units(rows, first, card.brackets, fault)
-    return _above_units(rows, first, card, fault)
+        return _titles_with_units(rows, first, card.brackets, fault)
+    return _titles_above_units(rows, first, card, fault)
 
 
-def put_names_together(rows: Rows, first: int, card: Card, fault: Fault) -> Rows:
-    """Put names together that blanks part and that hold blanks, by how names begin.
+def join_names(rows: Rows, first: int, card: Card, fault: Fault) -> Rows:
+    """Join the parts of names that contain blanks, by the pattern of their beginnings.
 
     Parameters
     ----------
-    rows, first, card, fault : as in `find_titles`
+    rows, first, card, fault : as in `parse_titles`
 
     Raises
     ------
     ReadError
-        If there are more or fewer names than columns: one that the card does not know.
+        If the number of names differs from that of columns.
     """
     at = first - 2
     if card.name_starts is None or at < 0:
@@ -207,12 +213,12 @@ def put_names_together(rows: Rows, first: int, card: Card, fault: Fault) -> Rows
     width = len(rows[first])
     if len(names) != width:
         found = f"{len(names)} in {quoted([text])}" if text else "none"
-        raise fault(at, f"{width} names, as there are columns", found)
+        raise fault(at, f"{width} names, one per column", found)
     return [*rows[:at], names, *rows[at + 1 :]]
 
 
 def _stripped(row: Sequence[str]) -> tuple[str, ...]:
-    """Cells without blanks around them, and without blank cells at the end."""
+    """Return cells without surrounding blanks, and without blank cells at the end."""
     cells = [cell.strip() for cell in row]
     while cells and not cells[-1]:
         cells.pop()
@@ -223,13 +229,13 @@ def _padded(cells: tuple[str, ...], width: int) -> tuple[str, ...]:
     return cells + ("",) * (width - len(cells))
 
 
-def _alone(rows: Rows, first: int, card: Card) -> Header:
+def _names_alone(rows: Rows, first: int, card: Card) -> Header:
     names = _stripped(rows[first - 1])
     units = tuple(card.units.get(name, "") for name in names)
     return Header(names, units, first, rows[: first - 1])
 
 
-def _with_units(rows: Rows, first: int, brackets: str, fault: Fault) -> Header:
+def _titles_with_units(rows: Rows, first: int, brackets: str, fault: Fault) -> Header:
     cells = _stripped(rows[first - 1]) if first else ()
     pairs = [name_and_unit(cell, brackets) for cell in cells]
     if not any(pairs):
@@ -240,7 +246,7 @@ def _with_units(rows: Rows, first: int, brackets: str, fault: Fault) -> Header:
     return Header(tuple(names), tuple(units), first, rows[: first - 1])
 
 
-def _above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
+def _titles_above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
     units = _stripped(rows[first - 1]) if first else ()
     kind = f"a row of units{f' in {card.brackets}' if card.brackets else ''} above the numbers"
     names = _stripped(rows[first - 2]) if first > 1 else ()
@@ -261,13 +267,13 @@ def _above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
 
 
 def _without_names(units: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
-    """Units without those that repeat the name above, as programs write for a counter."""
+    """Return units without those that repeat the name above, as for a counter."""
     above = _padded(names, max(len(names), len(units)))
     return tuple("" if unit == name else unit for unit, name in zip(units, above, strict=False))
 
 
 def _lacks_names(names: tuple[str, ...], units: tuple[str, ...]) -> bool:
-    """Check whether some unit has no name, or one word stands in the place of all names."""
+    """Return whether a unit has no name, or all names are equal."""
     beside = zip(_padded(names, len(units)), units, strict=False)
     unnamed = any(unit and not name for name, unit in beside)
     same = len(names) > 1 and len(set(names)) == 1
@@ -275,14 +281,14 @@ def _lacks_names(names: tuple[str, ...], units: tuple[str, ...]) -> bool:
 
 
 def _specimens(rows: Rows, names: int, card: Card) -> tuple[tuple[str, ...], Rows]:
-    """The row of specimens above the names, where the card says there is one, and what is above."""
+    """Return the row of specimens above the names, if the card has one, and the rows above."""
     if card.layout not in {"side by side", "specimen above"} or names < 1:
         return (), rows[:names]
     return tuple(cell.strip() for cell in rows[names - 1]), rows[: names - 1]
 
 
-def _anyhow(rows: Rows, first: int, fault: Fault) -> Header:
-    """Names with units in their cells, or above units, or without any."""
+def _any_titles(rows: Rows, first: int, fault: Fault) -> Header:
+    """Read names with units in their cells, above units, or without units."""
     cells = _stripped(rows[first - 1]) if first else ()
     if not any(cells) or any(is_number(cell) for cell in cells):
         raise fault(first - 1, "a row of names above the numbers", quoted(cells))
@@ -299,6 +305,6 @@ def _anyhow(rows: Rows, first: int, fault: Fault) -> Header:
 
 
 def _is_name_with_unit(cell: str) -> bool:
-    """Check whether a cell holds a name and behind it a unit in brackets."""
+    """Return whether a cell is a name followed by a unit in brackets."""
     pairs = (name_and_unit(cell, brackets) for brackets in ("()", "[]"))
     return any(pair is not None and pair[0] for pair in pairs)

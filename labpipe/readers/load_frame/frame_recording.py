@@ -1,4 +1,4 @@
-"""From the tables of one export, sheet or specimen to a recording."""
+"""Conversion of the tables of an export to a recording."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from labpipe.readers.channels import (
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.load_frame.column_titles import Header, Rows
 from labpipe.readers.raw_files import unreadable
-from labpipe.readers.text_cells import is_like
+from labpipe.readers.text_cells import has_dimension_of
 from labpipe.readers.time_axes import clock_notes
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.units import si_factor
 
-_SAY_UNIT = (
-    "Write it in a row below the names, or in brackets as in 'Time (s)', or say it in a card of"
+_STATE_UNIT = (
+    "Write it in a row below the names, or in brackets as in 'Time (s)', or state it in a card of"
     " your own (time_unit); see docs/how-to/new-dialect.md."
 )
-FEW = 10
-"""Fewer samples than this are no test that was carried through."""
-_OF_TIME = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
-_SEPARATOR = re.compile(r"sep=.?")
+MIN_SAMPLES = 10
+"""Fewer samples are not a complete test."""
+_TIME_WORDS = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
+_SEPARATOR_CELL = re.compile(r"sep=.?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,14 +48,14 @@ class _Part:
 def assemble(
     export: Export, card: Card, path: object, channels: Sequence[ReportOptions] | None = None
 ) -> Recording:
-    """Make a recording of the tables of an export.
+    """Convert the tables of an export to a recording.
 
     Parameters
     ----------
-    export : its tables, already without rows that are no samples
-    card : that it was read by
+    export : its tables, without rows that are not samples
+    card : its card
     path : named in errors
-    channels : names or paths asked for, None for all
+    channels : wanted names or paths, None for all
 
     Returns
     -------
@@ -64,19 +64,19 @@ def assemble(
     Raises
     ------
     ReadError
-        If a channel does not exist, or the unit of time is missing or is none of time.
+        If a channel does not exist, or the unit of time is missing or wrong.
     """
     several = len(export.tables) > 1
     parts = [_part(table, card, path, several=several) for table in export.tables]
-    made = [channel for part in parts for channel in part.channels]
-    chosen = made if channels is None else _chosen(made, channels, path)
+    all_channels = [channel for part in parts for channel in part.channels]
+    chosen = all_channels if channels is None else _chosen(all_channels, channels, path)
     clocks = {channel.clock for channel in chosen} if channels is not None else None
     kept = [part for part in parts if clocks is None or part.clock.name in clocks]
     notes = [note for part in kept for note in part.notes]
     return Recording(
         reader="load-frame",
-        program=" ".join((card.program, _said(card.model, export.head))).strip(),
-        program_version=_said(card.version, export.head),
+        program=" ".join((card.program, _match_group(card.model, export.head))).strip(),
+        program_version=_match_group(card.version, export.head),
         clocks=tuple(part.clock for part in kept),
         channels=tuple(chosen),
         metadata=_metadata(export, card, kept),
@@ -84,7 +84,7 @@ def assemble(
     )
 
 
-def _said(pattern: object, head: str) -> str:
+def _match_group(pattern: object, head: str) -> str:
     import re
 
     match = pattern.search(head) if isinstance(pattern, re.Pattern) else None
@@ -96,10 +96,12 @@ def _metadata(export: Export, card: Card, parts: Sequence[_Part]) -> dict[str, o
     return {"dialect": card.name, **export.about, "clocks": times}
 
 
-def _chosen(made: list[Channel], wanted: Sequence[ReportOptions], path: object) -> list[Channel]:
-    if not made:
+def _chosen(
+    all_channels: list[Channel], wanted: Sequence[ReportOptions], path: object
+) -> list[Channel]:
+    if not all_channels:
         return []
-    return [made[i] for i in sorted(set(find_in_parts(wanted, made, path)))]
+    return [all_channels[i] for i in sorted(set(find_in_parts(wanted, all_channels, path)))]
 
 
 def _part(table: Table, card: Card, path: object, *, several: bool) -> _Part:
@@ -158,14 +160,14 @@ def _seconds(unit: str, name: str, path: object) -> float:
             f"column '{name}'",
             "a unit of time such as s",
             f"'{unit}'" if unit else "none",
-            "Look at the row of units." if unit else _SAY_UNIT,
+            "Correct the row of units." if unit else _STATE_UNIT,
         ) from error
 
 
 def _few_note(rows: int, name: str) -> list[QualityNote]:
-    if rows >= FEW or not rows:
+    if rows >= MIN_SAMPLES or not rows:
         return []
-    message = f"only {rows} samples: the test was not carried through, or not exported whole"
+    message = f"only {rows} samples: the test was not completed, or not exported completely"
     return [QualityNote("few_samples", Severity.WARNING, f"clock {name}", message)]
 
 
@@ -189,11 +191,11 @@ class Table:
 
     Parameters
     ----------
-    part : specimen or sheet, empty where the export holds one
+    part : specimen or sheet, empty if the export has only one
     names, units : of the columns
-    columns : by number of the column, all of shape (rows,); columns not asked for are absent
+    columns : by index of the column, all of shape (rows,); only wanted ones
     also : another name of the part, such as that of the sheet
-    notes : what reading them brought up
+    notes : quality notes
     """
 
     part: str
@@ -211,7 +213,7 @@ class Export:
     Parameters
     ----------
     tables : in the order of the file
-    about : what the export says of itself
+    about : its properties
     notes : on the export as a whole
     head : its beginning as text, for the patterns of the card
     """
@@ -228,14 +230,14 @@ def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int |
     Parameters
     ----------
     names, units : of the columns
-    card : has patterns of the name, most wanted first
+    card : has patterns of the name, preferred first
 
     Returns
     -------
-    Its number: the first pattern that is the whole name of a column, or of what is left of one
-    without the number of a channel or an underscore before it (``_Time``); else the one column in
-    a unit of time whose name speaks of time. None where there is no such column, or several;
-    columns of words are none.
+    Its index: the column whose whole name matches the first pattern, with or without the prefix of
+    a channel number or an underscore (``_Time``); else the only column in a unit of time whose name
+    contains a word for time. None if there is no such column, or several. Columns of text are
+    ignored.
     """
     names = ["" if name in card.words else name for name in names]
     for called in (names, [plain_name(name) for name in names]):
@@ -246,41 +248,41 @@ def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int |
     timed = [
         i
         for i, (name, unit) in enumerate(zip(names, units, strict=False))
-        if _OF_TIME.search(name) and is_like(unit, "s")
+        if _TIME_WORDS.search(name) and has_dimension_of(unit, "s")
     ]
     return timed[0] if len(timed) == 1 else None
 
 
 def word_columns(names: Sequence[str], card: Card) -> list[int]:
-    """Find the columns that hold words by the card."""
+    """Return the columns of text according to the card."""
     return [i for i, name in enumerate(names) if name in card.words]
 
 
 def wanted_columns(
     header: Header, card: Card, channels: Sequence[ReportOptions] | None, path: object
 ) -> list[int]:
-    """Choose the columns to read: those asked for, and time.
+    """Choose the columns to read: the wanted ones and time.
 
     Parameters
     ----------
     header : names and units of all columns
-    card : says which one is time and which hold words
-    channels : asked for, None for all; a name may carry its specimen before a slash
+    card : determines the time column and the columns of text
+    channels : wanted ones, None for all; a name may have its specimen before a slash
     path : named in errors
 
     Returns
     -------
-    Numbers of the columns, ascending.
+    Indices of the columns, ascending.
 
     Raises
     ------
     ReadError
-        If a channel that is asked for does not exist.
+        If a wanted channel does not exist.
     """
     names = header.names
     time = time_column(names, header.units, card)
-    words = word_columns(names, card)
-    numbers = [i for i in range(len(names)) if i not in words]
+    text_columns = word_columns(names, card)
+    numbers = [i for i in range(len(names)) if i not in text_columns]
     if channels is None:
         return numbers
     paths = unique_names(names)
@@ -292,7 +294,7 @@ def wanted_columns(
 
 
 def preamble(rows: Rows) -> dict[str, object]:
-    """Keys and values of the rows above the names.
+    """Return keys and values of the rows above the names.
 
     Parameters
     ----------
@@ -300,18 +302,18 @@ def preamble(rows: Rows) -> dict[str, object]:
 
     Returns
     -------
-    Values by key, a list where a key stands several times; rows without a key under ``lines``. A
-    line ``sep=;``, by which a spreadsheet learns the separator, says nothing and is left out.
+    Values by key, a list if a key occurs several times; rows without a key under ``lines``. A line
+    ``sep=;``, which states the separator to a spreadsheet, is omitted.
     """
-    found: dict[str, list[str]] = {}
+    entries: dict[str, list[str]] = {}
     for row in rows:
         cells = [cell.strip() for cell in row if cell.strip()]
-        if cells and not _SEPARATOR.fullmatch(cells[0]):
+        if cells and not _SEPARATOR_CELL.fullmatch(cells[0]):
             key, value = _pair(cells)
-            found.setdefault(key, []).append(value)
+            entries.setdefault(key, []).append(value)
     return {
         key: values[0] if len(values) == 1 and key != "lines" else values
-        for key, values in found.items()
+        for key, values in entries.items()
     }
 
 
@@ -325,7 +327,7 @@ def _pair(cells: Sequence[str]) -> tuple[str, str]:
 
 
 def without_last_row(table: Table, card: Card) -> Table:
-    """Leave out a last row of zeros that the card says is no sample."""
+    """Omit a last row of zeros that is not a sample according to the card."""
     by_name = {table.names[i]: values for i, values in table.columns.items()}
     rows = max((len(values) for values in table.columns.values()), default=0)
     if not card.last_zeros or not rows:
@@ -333,25 +335,25 @@ def without_last_row(table: Table, card: Card) -> Table:
     expected = {**dict.fromkeys(card.last_zeros, 0.0), **card.last_code}
     if any(name not in by_name or by_name[name][-1] != value for name, value in expected.items()):
         return table
-    said = ", ".join(f"{name} {value:g}" for name, value in expected.items())
-    message = f"the last row ({rows}) is a mark and no sample ({said}): left out"
+    values_text = ", ".join(f"{name} {value:g}" for name, value in expected.items())
+    message = f"the last row ({rows}) is a mark, not a sample ({values_text}): left out"
     note = QualityNote("last_row_left_out", Severity.INFO, "file", message)
     columns = {i: values[:-1] for i, values in table.columns.items()}
-    return _replaced(table, columns, note)
+    return _with_columns(table, columns, note)
 
 
 def without_codes(table: Table, card: Card) -> Table:
-    """Make the numbers that stand for missing values NaN."""
+    """Replace the codes of missing values by NaN."""
     if not card.missing:
         return table
     columns: dict[int, Floats] = {}
     for i, values in table.columns.items():
         gone = np.isin(values, card.missing)
         columns[i] = np.where(gone, np.nan, values) if gone.any() else values
-    return _replaced(table, columns)
+    return _with_columns(table, columns)
 
 
-def _replaced(table: Table, columns: Mapping[int, Floats], *notes: QualityNote) -> Table:
+def _with_columns(table: Table, columns: Mapping[int, Floats], *notes: QualityNote) -> Table:
     return Table(table.part, table.names, table.units, columns, table.also, (*table.notes, *notes))
 
 
@@ -361,7 +363,7 @@ def choose_part(tables: Sequence[Table], part: str | None, path: object) -> tupl
     Parameters
     ----------
     tables : all of them
-    part : specimen or sheet wanted, None for all
+    part : wanted specimen or sheet, None for all
     path : named in errors
 
     Raises

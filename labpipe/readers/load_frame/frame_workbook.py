@@ -1,4 +1,4 @@
-"""Workbooks (xlsx, xls) as tables: one sheet for each specimen."""
+"""Tables of workbooks (xlsx, xls): one sheet per specimen."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labpipe.readers.channels import unique_names
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.load_frame.column_titles import Header, header_of_rows
 from labpipe.readers.load_frame.frame_recording import (
-    FEW,
+    MIN_SAMPLES,
     Export,
     Table,
     preamble,
@@ -24,32 +24,30 @@ from labpipe.readers.workbooks import Sheets
 from labpipe.records.quality import QualityNote, Severity
 
 _HEAD_ROWS = 60
-_KEPT_ROWS = 50
-"""A sheet that holds no samples is kept as metadata if it is no longer than this."""
 
 
 def sheet_head(rows: Sequence[Sequence[object]]) -> str:
-    """Give the first rows of a sheet as text, cells separated by tabs."""
+    """Return the first rows of a sheet as text, cells separated by tabs."""
     return "\n".join("\t".join(as_text(cell) for cell in row) for row in rows[:_HEAD_ROWS])
 
 
 def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
-    """Read all sheets of a workbook that hold samples.
+    """Read all sheets of a workbook with samples.
 
     Parameters
     ----------
     sheets : from `open_sheets`
-    card : how names and units are found
+    card : rules for names and units
     path : named in errors
 
     Returns
     -------
-    One table for each of them; the others, if short, as metadata.
+    One table per sheet with samples; the first rows of the others as metadata.
 
     Raises
     ------
     ReadError
-        If no sheet has names, units and numbers where the card says.
+        If no sheet has names, units and numbers where the card states.
     """
     tables: dict[str, Table] = {}
     faults: dict[str, ReadError] = {}
@@ -70,11 +68,11 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
     metadata = about | ({"sheets": others} if others else {})
     head = "\n".join(sheet_head(rows) for rows in sheets.values())
     kept = tuple(table for name, table in tables.items() if name not in results)
-    return Export(kept, metadata, tuple(_left_out(left_out)), head)
+    return Export(kept, metadata, tuple(_left_out_notes(left_out)), head)
 
 
 def _without_samples(tables: Mapping[str, Table], card: Card) -> set[str]:
-    """Find sheets of results beside sheets of samples: other columns, and no time or few rows."""
+    """Find sheets of results among sheets of samples: other columns, and no time or few rows."""
     rows = {
         name: max(map(len, table.columns.values()), default=0) for name, table in tables.items()
     }
@@ -88,7 +86,7 @@ def _without_samples(tables: Mapping[str, Table], card: Card) -> set[str]:
         name
         for name, table in tables.items()
         if table.names != longest.names
-        and (rows[name] < FEW or (needs_time and not has_time[name]))
+        and (rows[name] < MIN_SAMPLES or (needs_time and not has_time[name]))
     }
 
 
@@ -98,7 +96,7 @@ def _header(rows: Sequence[Sequence[object]], sheet: str, card: Card, path: Path
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
     if time_column(header.names, header.units, card) is not None:
-        return replace(header, specimens=())  # somebody edited the row; the sheet has a name, too
+        return replace(header, specimens=())  # the row was edited; the sheet has a name as well
     raise unreadable(
         path,
         f"sheet '{sheet}', row {max(header.first - 2, 1)}",
@@ -109,7 +107,7 @@ def _header(rows: Sequence[Sequence[object]], sheet: str, card: Card, path: Path
 
 
 def _no_table(faults: Mapping[str, ReadError], path: Path) -> ReadError:
-    """The fault of the sheet with the most to read in its message, or that there is no sheet."""
+    """Return the most specific fault of a sheet, or that no sheet has samples."""
     for fault in faults.values():
         if "numbers below it" not in str(fault):
             return fault
@@ -122,24 +120,24 @@ def _no_table(faults: Mapping[str, ReadError], path: Path) -> ReadError:
     )
 
 
-def _left_out(sheets: Sequence[str]) -> list[QualityNote]:
+def _left_out_notes(sheets: Sequence[str]) -> list[QualityNote]:
     if not sheets:
         return []
     named = ", ".join(f"'{name}'" for name in sheets)
-    message = f"{len(sheets)} sheets hold no samples and were left out: {named}"
+    message = f"{len(sheets)} sheets without samples were omitted: {named}"
     return [QualityNote("sheets_left_out", Severity.INFO, "file", message)]
 
 
 def _rows_as_text(rows: Sequence[Sequence[object]]) -> list[list[str]]:
-    texts = [[as_text(cell) for cell in row] for row in rows[:_KEPT_ROWS]]
+    texts = [[as_text(cell) for cell in row] for row in rows[:50]]
     return [row for row in texts if any(row)]
 
 
 def _table(
     rows: Sequence[Sequence[object]], header: Header, sheet: str, card: Card, path: Path
 ) -> Table:
-    words = word_columns(header.names, card)
-    wanted = [i for i in range(len(header.names)) if i not in words]
+    text_columns = word_columns(header.names, card)
+    wanted = [i for i in range(len(header.names)) if i not in text_columns]
     place = f"sheet '{sheet}'"
     names = unique_names(header.names)
     called = {i: names[i] for i in wanted}

@@ -1,4 +1,4 @@
-"""Which card an export fits: by its content, never by its suffix."""
+"""Recognition of the card of an export, by its content, never by its suffix."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labpipe.readers.load_frame.column_titles import Header, find_header, header
 from labpipe.readers.load_frame.frame_recording import time_column
 from labpipe.readers.load_frame.frame_workbook import sheet_head
 from labpipe.readers.raw_files import (
-    HEAD,
+    HEAD_BYTES,
     Content,
     decode,
     is_binary,
@@ -23,17 +23,14 @@ from labpipe.readers.raw_files import (
 from labpipe.readers.sheet_cells import as_text
 from labpipe.readers.workbooks import is_workbook, open_sheets
 
-_LOOKED_AT = 16384
-"""Signs in which the patterns of a card are looked for; the longest real header has 3300."""
+_SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\n")
+"""A first line that states the separator to a spreadsheet."""
 
-_SEPARATOR = re.compile(r"\A\"?sep=.\"?\n")
-"""A first line by which a spreadsheet learns the separator."""
-
-Named = str | Sequence[str] | None
+CardNames = str | Sequence[str] | None
 
 
-def recognised(path: Path) -> Card | None:
-    """Find the card of an export; a lab's own cards come first, cards of last resort last.
+def recognise_card(path: Path) -> Card | None:
+    """Find the card of an export; a lab's own cards have priority, fallbacks come last.
 
     Parameters
     ----------
@@ -41,7 +38,7 @@ def recognised(path: Path) -> Card | None:
 
     Returns
     -------
-    The card, None if none fits.
+    The card; None if none fits.
 
     Raises
     ------
@@ -49,11 +46,11 @@ def recognised(path: Path) -> Card | None:
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
     heads = _Heads(path)
-    own, ours = lab_cards(), shipped_cards("workbook" if heads.is_workbook else "text")
+    lab, shipped = lab_cards(), shipped_cards("workbook" if heads.is_workbook else "text")
     ranks = (
-        list(own.values()),
-        [card for card in ours.values() if not card.fallback],
-        [card for card in ours.values() if card.fallback],
+        list(lab.values()),
+        [card for card in shipped.values() if not card.fallback],
+        [card for card in shipped.values() if card.fallback],
     )
     for cards in ranks:
         fitting = [card for card in cards if heads.fit(card)]
@@ -64,35 +61,35 @@ def recognised(path: Path) -> Card | None:
     return None
 
 
-def chosen_card(path: Path, dialect: Named) -> Card:
-    """Find the card to read an export by.
+def choose_card(path: Path, dialect: CardNames) -> Card:
+    """Choose the card for reading an export.
 
     Parameters
     ----------
     path : the export
-    dialect : card or cards that it must fit, None for any
+    dialect : card or cards that must fit, None for any
 
     Returns
     -------
-    The card. An export that no vendor's card recognises is read by the one that was asked for:
-    what reads it then checks its structure.
+    The card. An export that no vendor's card recognises is read with the requested one; its
+    structure is checked on reading.
 
     Raises
     ------
     ReadError
-        If there is no such card, or the export fits another one, or none.
+        If there is no such card, or the export fits another one or none.
     """
-    own = lab_cards()
-    known = [*shipped_names(), *own]
+    lab = lab_cards()
+    known = [*shipped_names(), *lab]
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
     _refuse_unknown(allowed, known, path)
-    found = recognised(path)
-    if found is not None and (not allowed or found.name in allowed):
-        return found
-    if len(allowed) == 1 and (found is None or found.fallback):
-        return own.get(allowed[0]) or shipped_cards()[allowed[0]]
+    card = recognise_card(path)
+    if card is not None and (not allowed or card.name in allowed):
+        return card
+    if len(allowed) == 1 and (card is None or card.fallback):
+        return lab.get(allowed[0]) or shipped_cards()[allowed[0]]
     expected = f"an export of the dialect {' or '.join(allowed or known)}"
-    what = "one that no card recognises" if found is None else f"one of the dialect {found.name}"
+    what = "one that no card recognises" if card is None else f"one of the dialect {card.name}"
     remedy = "Name the right file, or change `dialect` in the protocol."
     raise unreadable(path, "", expected, what, remedy)
 
@@ -106,7 +103,7 @@ def _refuse_unknown(allowed: Sequence[str], known: Sequence[str], path: Path) ->
                 f"dialect '{name}'",
                 f"one of the {len(known)} cards",
                 "no such card",
-                f"Nearest: {close}. A lab's own cards lie in the folder dialects.",
+                f"Nearest: {close}. A lab's own cards are in the folder dialects.",
             )
 
 
@@ -121,7 +118,7 @@ def _ambiguous(names: Sequence[str], path: Path) -> str:
 
 
 class _Heads:
-    """The head of a file as each card would read it."""
+    """The head of a file, decoded for each card."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -130,7 +127,7 @@ class _Heads:
         self.decoded: dict[tuple[str, ...], str] = {}
 
     def fit(self, card: Card) -> bool:
-        """Check whether the head fits a card."""
+        """Return whether the head fits a card."""
         if (card.kind == "workbook") is not self.is_workbook:
             return False
         if self.is_workbook:
@@ -140,26 +137,28 @@ class _Heads:
         if is_binary(self.content) or not card.recognise:
             return False
         text = self._text(card)
-        return _found(card, text) and (not card.fallback or self._reads(card, text))
+        return _matches(card, text) and (not card.fallback or self._finds_header(card, text))
 
     def _text(self, card: Card) -> str:
+        # Characters searched for the patterns of a card; the longest real header has 3300.
+        head_length = 16384
         if card.encodings not in self.decoded:
             try:
-                data = self.content.data[:HEAD]
+                data = self.content.data[:HEAD_BYTES]
                 text = decode(data, self.content, card.encodings, self.path)
             except ReadError:
                 text = ""
-            text = _SEPARATOR.sub("", text.replace("\r\n", "\n"))
-            self.decoded[card.encodings] = text[:_LOOKED_AT]
+            text = _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))
+            self.decoded[card.encodings] = text[:head_length]
         return self.decoded[card.encodings]
 
-    def _reads(self, card: Card, text: str) -> bool:
-        """Check whether a card of last resort finds names: words somewhere do not do."""
+    def _finds_header(self, card: Card, text: str) -> bool:
+        """Return whether a fallback card finds names and units, not only matching text."""
         try:
             header = find_header(text.split("\n"), card, self.path)
         except ReadError:
             return False
-        return _are_of_a_test(header, card)
+        return _is_test_header(header, card)
 
     def _fit_sheets(self, card: Card) -> bool:
         try:
@@ -167,7 +166,8 @@ class _Heads:
         except ReadError:
             return False
         return any(
-            _found(card, sheet_head(rows)) and (not card.fallback or self._reads_sheet(card, rows))
+            _matches(card, sheet_head(rows))
+            and (not card.fallback or self._reads_sheet(card, rows))
             for rows in sheets.values()
         )
 
@@ -177,17 +177,17 @@ class _Heads:
             header = header_of_rows(text, card, self.path)
         except ReadError:
             return False
-        return _are_of_a_test(header, card)
+        return _is_test_header(header, card)
 
 
-def _are_of_a_test(header: Header, card: Card) -> bool:
-    """Check whether there is time, and a unit beside that of time or a name of force or travel."""
+def _is_test_header(header: Header, card: Card) -> bool:
+    """Return whether there is time, and another unit or a name of force or travel."""
     time = time_column(header.names, header.units, card)
     if time is None:
         return False
     has_units = any(unit for i, unit in enumerate(header.units) if i != time)
-    return has_units or _found(card, "\t".join(header.names))
+    return has_units or _matches(card, "\t".join(header.names))
 
 
-def _found(card: Card, text: str) -> bool:
+def _matches(card: Card, text: str) -> bool:
     return bool(card.recognise) and all(pattern.search(text) for pattern in card.recognise)

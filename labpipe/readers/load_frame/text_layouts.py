@@ -1,4 +1,4 @@
-"""Text exports as tables: one, specimens side by side, or blocks one below the other."""
+"""Tables of text exports: a single one, specimens side by side, or successive blocks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from labpipe.readers.load_frame.frame_recording import (
 )
 from labpipe.readers.number_rows import read_columns
 from labpipe.readers.raw_files import (
-    HEAD,
+    HEAD_BYTES,
     Content,
     decode,
     is_blank,
@@ -47,16 +47,16 @@ def read_tables(content: Content, place: Place) -> Export:
 
     Returns
     -------
-    The tables; none if there is nothing but a byte order mark.
+    The tables; none if there is only a byte order mark.
 
     Raises
     ------
     ReadError
-        If names, units or numbers are not where the card says.
+        If names, units or numbers are not where the card states.
     """
-    head = decode(content.data[:HEAD], content, place.card.encodings, place.path)
+    head = decode(content.data[:HEAD_BYTES], content, place.card.encodings, place.path)
     if is_blank(content.data):
-        message = "a byte order mark and nothing else: a step of the test that took no samples"
+        message = "only a byte order mark: a step of the test without samples"
         return Export((), notes=(no_samples(message),), head=head)
     if place.card.layout == "blocks":
         text = decode(content.data, content, place.card.encodings, place.path)
@@ -68,14 +68,14 @@ def read_tables(content: Content, place: Place) -> Export:
 def _read_one(content: Content, header: Header, head: str, place: Place) -> Export:
     card = place.card
     groups = _groups(header) if card.layout == "side by side" else [range(len(header.names))]
-    asked = place.channels if len(groups) == 1 else None
-    columns_read = wanted_columns(header, card, asked, place.path)
+    wanted = place.channels if len(groups) == 1 else None
+    columns_read = wanted_columns(header, card, wanted, place.path)
     start = line_start(content.data, header.first)
     body = Body(
         data=content.data,
         start=start,
         as_in_file=content.as_in_file,
-        some_only=not word_columns(header.names, card),
+        others_numeric=not word_columns(header.names, card),
         names=unique_names(header.names),
         columns=columns_read,
         first_line=header.first + 1,
@@ -86,23 +86,25 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
     several = len(groups) > 1
     tables = []
     for group, part in zip(groups, _parts(header, groups), strict=True):
-        own = {i - group[0]: columns[i] for i in group if i in columns and _is_column(header, i)}
+        part_columns = {
+            i - group[0]: columns[i] for i in group if i in columns and _is_column(header, i)
+        }
         if several:
-            own = _without_padding(own)
+            part_columns = _without_padding(part_columns)
         names = tuple(header.names[i] for i in group)
         units = tuple(header.units[i] for i in group)
-        tables.append(Table(part, names, units, own))
-    about = preamble(header.above) | _words(content.data, start, header, card)
+        tables.append(Table(part, names, units, part_columns))
+    about = preamble(header.above) | _word_values(content.data, start, header, card)
     return Export(tuple(tables), about, tuple(notes), head)
 
 
 def _is_column(header: Header, i: int) -> bool:
-    """Check that a column is not the blank one between two specimens."""
+    """Return whether a column is not the blank one between two specimens."""
     return bool(header.names[i] or header.units[i])
 
 
 def _groups(header: Header) -> list[range]:
-    """Columns of each specimen: a new one begins where the row of specimens is filled."""
+    """Return the columns of each specimen, which begins where the row of specimens is filled."""
     width = len(header.names)
     starts = [i for i, cell in enumerate(header.specimens[:width]) if cell]
     first = header.names[0]
@@ -123,35 +125,35 @@ def _parts(header: Header, groups: Sequence[range]) -> list[str]:
 
 
 def _without_padding(columns: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
-    """Columns up to the last row that is filled in one of them."""
+    """Return columns up to the last row that is filled in one of them."""
     filled = np.logical_or.reduce([~np.isnan(values) for values in columns.values()])
     rows = int(np.flatnonzero(filled)[-1]) + 1 if filled.any() else 0
     return {i: values[:rows] for i, values in columns.items()}
 
 
-def _words(data: bytes, start: int, header: Header, card: Card) -> dict[str, object]:
-    """What the columns of words hold, each text once."""
+def _word_values(data: bytes, start: int, header: Header, card: Card) -> dict[str, object]:
+    """Return the distinct texts in columns of text."""
     columns = word_columns(header.names, card)
     if not columns:
         return {}
-    found: dict[str, dict[str, None]] = {header.names[column]: {} for column in columns}
+    texts_by_name: dict[str, dict[str, None]] = {header.names[column]: {} for column in columns}
     for line in lines_of(data[start:].decode("utf-8", errors="replace")):
         cells = split_line(line, header.separator)
         for column in columns:
             if column < len(cells):
-                found[header.names[column]].setdefault(cells[column].strip())
-    return {name: list(texts)[:20] for name, texts in found.items()}
+                texts_by_name[header.names[column]].setdefault(cells[column].strip())
+    return {name: list(texts)[:20] for name, texts in texts_by_name.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a text export is read from.
+    """File, card and wanted channels of a text export.
 
     Parameters
     ----------
     path : of the file, for messages
-    card : how it is read
-    channels : asked for, None for all
+    card : its card
+    channels : wanted ones, None for all
     """
 
     path: Path
@@ -160,12 +162,12 @@ class Place:
 
 
 def no_samples(message: str) -> QualityNote:
-    """Note that an export is whole and holds no sample."""
+    """Return a note on a complete export without samples."""
     return QualityNote("no_samples", Severity.WARNING, "file", message)
 
 
 def decimal_of(head: str, place: Place) -> str:
-    """Find the decimal sign: that of the card, or as the export states it.
+    """Return the decimal sign: that of the card, or the one stated in the export.
 
     Parameters
     ----------
@@ -179,7 +181,7 @@ def decimal_of(head: str, place: Place) -> str:
     Raises
     ------
     ReadError
-        If the export should state it and does not.
+        If the export should state it but does not.
     """
     pattern = place.card.decimal_pattern
     if pattern is None:
@@ -206,15 +208,15 @@ def read_blocks(text: str, place: Place) -> Export:
 
     Returns
     -------
-    Blocks of samples with the same columns as one table; what the others say as metadata, with
-    the summaries. No table, and the note ``no_samples``, if there are summaries only.
+    Blocks of samples with the same columns as one table; the other blocks and the summaries as
+    metadata. No table, and the note ``no_samples``, if there are only summaries.
 
     Raises
     ------
     ReadError
-        If no block holds names, units and numbers.
+        If no block contains names, units and numbers.
     """
-    decimal = decimal_of(text[:HEAD], place)
+    decimal = decimal_of(text[:HEAD_BYTES], place)
     samples: list[Table] = []
     lines: list[int] = []
     notes: list[QualityNote] = []
@@ -224,23 +226,23 @@ def read_blocks(text: str, place: Place) -> Export:
         if header is None:
             about += [split_line(line, "\t") for line in lines_of(block)]
             continue
-        blanks = header.separator == " "  # words of one key, not cells
+        blanks = header.separator == " "  # parts of one key, not cells
         about += [[" ".join(row)] for row in header.above] if blanks else header.above
-        table, found = _table_of_block(block, header, first_line, decimal, place)
+        table, block_notes = _table_of_block(block, header, first_line, decimal, place)
         samples.append(table)
         lines.append(first_line + header.first)
-        notes += found
-    _refuse_none(samples, text, place)
+        notes += block_notes
+    _require_samples(samples, text, place)
     samples, lines, summaries, left_out = _without_summaries(samples, lines, place.card)
     if not samples:
         left_out.append(no_samples("all rows are a summary: the test took no samples"))
     joined, together = _joined(samples, lines)
     metadata = preamble(about) | ({"summaries": summaries} if summaries else {})
-    return Export(tuple(joined), metadata, (*notes, *left_out, *together), text[:HEAD])
+    return Export(tuple(joined), metadata, (*notes, *left_out, *together), text[:HEAD_BYTES])
 
 
 def _blocks(text: str) -> Iterator[tuple[int, str]]:
-    """Blocks with the number of their first line."""
+    """Yield blocks with the number of their first line."""
     at = 0
     for gap in _BLANK_LINE.finditer(text):
         yield text.count("\n", 0, at) + 1, text[at : gap.start() + 1]
@@ -250,8 +252,8 @@ def _blocks(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _header_of_block(block: str, first_line: int, place: Place) -> Header | None:
-    """Header of a block with samples, None for any other."""
-    head = lines_of(block[:HEAD])
+    """Return the header of a block with samples, None for other blocks."""
+    head = lines_of(block[:HEAD_BYTES])
     for separator in place.card.separators:
         rows = [[cell for cell in split_line(line, separator) if cell] for line in head]
         if any(len(row) > 1 and is_sample(row) for row in rows):
@@ -275,7 +277,7 @@ def _table_of_block(
     return Table("", header.names, header.units, columns), notes
 
 
-def _refuse_none(samples: Sequence[Table], text: str, place: Place) -> None:
+def _require_samples(samples: Sequence[Table], text: str, place: Place) -> None:
     if samples:
         return
     lines = text.count("\n") + 1
@@ -291,13 +293,13 @@ def _refuse_none(samples: Sequence[Table], text: str, place: Place) -> None:
 def _without_summaries(
     tables: list[Table], lines: list[int], card: Card
 ) -> tuple[list[Table], list[int], list[dict[str, list[float]]], list[QualityNote]]:
-    """Leave out blocks that hold extremes: without time beside those with time, or alone."""
+    """Omit blocks of extremes: blocks without time if others have time, or pairs of rows."""
     are_summaries = _are_summaries(tables, card)
     summaries, notes = [], []
     for table, line, is_summary in zip(tables, lines, are_summaries, strict=True):
         if is_summary:
             rows = max(len(values) for values in table.columns.values())
-            message = f"{rows} rows from line {line} on have no time: a summary, not samples"
+            message = f"{rows} rows from line {line} have no time: a summary, not samples"
             notes.append(QualityNote("summary_rows_left_out", Severity.INFO, "file", message))
             summaries.append({table.names[i]: v.tolist() for i, v in table.columns.items()})
     kept = [i for i, is_summary in enumerate(are_summaries) if not is_summary]
@@ -305,9 +307,9 @@ def _without_summaries(
 
 
 def _are_summaries(tables: Sequence[Table], card: Card) -> list[bool]:
-    """Find the blocks that are summaries; where none has time, those of extremes.
+    """Return which blocks are summaries; if none has time, those of extremes.
 
-    Extremes are two rows, of which the first is nowhere the smaller one.
+    Extremes are two rows, of which the first one is never the smaller one.
     """
     timed = [time_column(table.names, table.units, card) is not None for table in tables]
     if any(timed):
@@ -319,7 +321,7 @@ def _are_summaries(tables: Sequence[Table], card: Card) -> list[bool]:
 
 
 def _joined(tables: list[Table], lines: list[int]) -> tuple[list[Table], list[QualityNote]]:
-    """Join blocks with the same columns; blocks with others become parts of their own."""
+    """Join blocks with the same columns; other blocks become separate parts."""
     groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
     for i, table in enumerate(tables):
         groups.setdefault((table.names, table.units), []).append(i)

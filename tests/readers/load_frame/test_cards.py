@@ -16,7 +16,7 @@ from labpipe.readers.load_frame.cards import (
     lab_cards,
     parse_card,
 )
-from labpipe.readers.load_frame.recognition import chosen_card, recognised
+from labpipe.readers.load_frame.recognition import choose_card, recognise_card
 from tests.approved import Approve
 from tests.readers.load_frame.exports import bluehill, mts, written
 
@@ -140,12 +140,12 @@ def test_the_wrong_dialect(tmp_path: Path) -> None:
     )
     with pytest.raises(ReadError, match=expected):
         read_export(file, "load-frame", dialect=["bluehill"])
-    assert chosen_card(file, ["bluehill", "mts-testsuite"]).name == "mts-testsuite"
+    assert choose_card(file, ["bluehill", "mts-testsuite"]).name == "mts-testsuite"
     expected = (
         r"dialect 'bluhill': expected one of the 15 cards, found no such card\. Nearest: blueh"
     )
     with pytest.raises(ReadError, match=expected):
-        chosen_card(file, "bluhill")
+        choose_card(file, "bluhill")
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_units_of_channels_may_be_left_to_the_protocol(tmp_path: Path, text: str
 @pytest.mark.parametrize("text", ["Time,Room\n0,1\n", "Time,Room\n1,2\nthe force of habit\n"])
 def test_a_table_of_something_else_fits_none(tmp_path: Path, text: str) -> None:
     """Without units the names must speak of force or displacement; words elsewhere do not do."""
-    assert recognised(written(tmp_path / "a.txt", text)) is None
+    assert recognise_card(written(tmp_path / "a.txt", text)) is None
 
 
 SUITE = "Percorso: {}\nProva: x\nCiclo: 1\nData: {}\n\n\nTime\tLoad\nsec\tN\n0\t1\n1\t2\n"
@@ -189,7 +189,7 @@ SUITE = "Percorso: {}\nProva: x\nCiclo: 1\nData: {}\n\n\nTime\tLoad\nsec\tN\n0\t
     ],
 )
 def test_paths_and_dates_of_testsuite(tmp_path: Path, path: str, date: str, is_suite: bool) -> None:
-    card = recognised(written(tmp_path / "a.txt", SUITE.format(path, date)))
+    card = recognise_card(written(tmp_path / "a.txt", SUITE.format(path, date)))
     assert (card is not None and card.name == "mts-testsuite") == is_suite
 
 
@@ -207,4 +207,4 @@ def test_own_cards_come_first_and_must_not_both_fit(
     with pytest.raises(
         ReadError, match=r"one card recognises, found one that fits other and own\. Na"
     ):
-        recognised(file)
+        recognise_card(file)

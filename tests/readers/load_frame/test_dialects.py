@@ -407,7 +407,7 @@ UNITS = ["Time (s)", "Extension (mm)", "Load (N)"]
 WHOLE: list[list[object]] = [
     [0.1 * i, cell, 1.5] for i, cell in enumerate([935, 999, 1063, 1110797, 1162])
 ]
-"""Whole numbers that jump a thousandfold and back, as zeros at their ends are not written."""
+"""Whole numbers that jump by a thousand and back, as trailing zeros are not written."""
 BAD: dict[str, bytes] = {
     "regrouped thousands": frames.bluehill(preamble=2, rows=REGROUPED),
     "regrouped far down": far_down(),

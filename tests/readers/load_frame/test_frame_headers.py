@@ -98,7 +98,7 @@ def test_names_that_hold_blanks(names: tuple[str, ...]) -> None:
 )
 def test_names_that_cannot_be_told_apart(names: str, found: str) -> None:
     expected = (
-        rf"a\.dat, line 4: expected 4 names, as there are columns, found {found}.*'\. Say in a card"
+        rf"a\.dat, line 4: expected 4 names, one per column, found {found}.*'\. Say in a card"
         r" of your own how names begin \(name_starts\); see docs/how-to/new-dialect\.md\."
     )
     with pytest.raises(ReadError, match=expected):
@@ -149,5 +149,9 @@ def test_notes_on_channels() -> None:
         ("missing_values", "F [2]", "1 of 12 values are missing, the first in row 4"),
         ("constant_channel", "channels", "1 of 3 channels never change: 'still'"),
         ("units_not_stated", "channels", "no unit is stated for 1 of 3 channels: 'F [2]'"),
-        ("names_not_unique", "channels", "of 3 channels 2 are called 'F': tell them apart by path"),
+        (
+            "names_not_unique",
+            "channels",
+            "of 3 channels 2 are called 'F': distinguish them by path",
+        ),
     ]
