@@ -156,13 +156,13 @@ def result_label(name: str) -> str:
 
     Examples
     --------
-    >>> in_words("peak_force.2")
+    >>> result_label("peak_force.2")
     'Peak force, cycle 2'
-    >>> in_words("stiffness_first_per_peak_force")
+    >>> result_label("stiffness_first_per_peak_force")
     'Stiffness, first region, per peak force'
-    >>> in_words("bending_stiffness_at_3")
+    >>> result_label("bending_stiffness_at_3")
     'Bending stiffness at 3 1/m'
-    >>> in_words("slip_drop.1")
+    >>> result_label("slip_drop.1")
     'Force lost in slip 1'
     """
     stem, _, part = name.partition(".")
@@ -191,7 +191,7 @@ def replace_names(sentence: str) -> str:
 
     Examples
     --------
-    >>> with_names_in_words("no modulus, as stiffness_second failed")
+    >>> replace_names("no modulus, as stiffness_second failed")
     'no modulus, as stiffness, second region failed'
     """
 

@@ -92,11 +92,11 @@ def number_format(value: float, place: int) -> str:
 
     Examples
     --------
-    >>> number_form(52.284, -1)
+    >>> number_format(52.284, -1)
     '0.0'
-    >>> number_form(3.1e-5, -6)
+    >>> number_format(3.1e-5, -6)
     '0.000000'
-    >>> number_form(3.1e-7, -8)
+    >>> number_format(3.1e-7, -8)
     '0.0E+00'
     """
     plain_below, last_plain_place = 1e7, -6  # beyond these, with a power of ten
