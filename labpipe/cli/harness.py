@@ -92,7 +92,7 @@ def harness_table(found: FollowedHarness) -> str:
     -------
     Its status, its numbers, its allowed bend radius, doubts, and where the files are.
     """
-    line, steps = found.laid.line, found.harness.steps
+    line, steps = found.prepared.line, found.harness.steps
     became = found.status if found.status is Status.FAILED else statuses_of(found.results)
     head = (
         f"{found.file.stem}: {became}; {1e3 * line.length:.6g} mm of {found.material.name}, "
@@ -129,7 +129,7 @@ def _limit(found: FollowedHarness) -> Iterator[str]:
     verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
     verdict += " (doubtful)" if found.is_bend_doubtful else ""
     where = f"step {bend.step}, {1e3 * bend.place:.4g} mm from the start"
-    words = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.words}): {verdict}"
+    words = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.source}): {verdict}"
     yield (
         words if bend.radius >= limit.radius else f"{words}, {1e3 * bend.radius:.4g} mm at {where}"
     )
@@ -142,6 +142,6 @@ def _sweep(found: FollowedHarness) -> Iterator[str]:
         if finding.status == "failed":
             yield f"  {1e3 * finding.length:>12.5g} mm        -  {finding.reasons[0].message}"
             continue
-        radius, way = 1e3 * finding.bend.radius, 1e3 * finding.way.radius
+        radius, way = 1e3 * finding.bend.radius, 1e3 * finding.bend_on_path.radius
         doubt = f"  doubtful: {finding.reasons[0].code}" if finding.reasons else ""
         yield f"  {1e3 * finding.length:>12.5g} mm{radius:>19.4g} mm{way:>14.4g} mm{doubt}"

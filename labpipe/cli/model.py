@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.cli.terminal import from_here, reading
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.studies.stress_tables import stated_words
+from labpipe.studies.stress_tables import describe_stress_tables
 from labpipe.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.wire.cantilever_curve import force_at
 
@@ -56,8 +56,8 @@ def model_table(modelled: ModelledWires) -> str:
     if modelled.refused:
         names = _named(tuple(modelled.refused), 0)
         lines.append(f"  not modelled: {names} (reasons below)")
-    if modelled.gone:
-        names = _named(modelled.gone, 0)
+    if modelled.removed:
+        names = _named(modelled.removed, 0)
         lines.append(f"  no longer in the sheet, files taken away: {names}")
     lines.append(f"results: {from_here(modelled.folder)}")
     return "\n".join(lines)
@@ -109,7 +109,7 @@ def _stated(modelled: ModelledWires) -> list[str]:
     wires: dict[str, list[str]] = {}
     for table in modelled.tables:
         if curves := modelled.curves.get(table.name):
-            wires.setdefault(stated_words(curves), []).append(table.name)
+            wires.setdefault(describe_stress_tables(curves), []).append(table.name)
     count = len(modelled.tables)
     return [f"  info: {words}  [{_named(names, count)}]" for words, names in wires.items()]
 

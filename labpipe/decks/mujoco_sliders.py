@@ -140,8 +140,8 @@ def mujoco_plane_deck(
         chain_law.slip_curvatures,
     )
     lines = (
-        f"{len(chain_law.stiffnesses)} sliders at each of {nodes} nodes, in one plane: within "
-        f"{100.0 * chain_law.error:.2g} % of the moment.",
+        f"{len(chain_law.stiffnesses)} sliders at each of {nodes} nodes, in one plane: error up "
+        f"to {100.0 * chain_law.error:.2g} % of the moment.",
     )
     return _deck(table, chain, hinges, lines, pulls="y")
 

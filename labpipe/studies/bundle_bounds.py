@@ -32,11 +32,17 @@ from labpipe.report.bundle_figures import FIGURE, save_bundle_figure
 from labpipe.report.bundle_loop_figure import FIGURE as LOOP_FIGURE
 from labpipe.report.bundle_loop_figure import save_loop_figure
 from labpipe.store.replace import locked, replacing_together, storing
-from labpipe.studies.bundle_loops import friction_as_json, loop_of, processed_test
+from labpipe.studies.bundle_loops import bundle_loop, friction_as_json, processed_test
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.bundle_friction import fit_friction
 from labpipe.wire.bundle_model import bundle_model, share_of_bounds
-from labpipe.wire.bundle_packing import WANTED_FRACTION, bore_for, choose_bore, fits, packing_fraction
+from labpipe.wire.bundle_packing import (
+    WANTED_FRACTION,
+    bore_for,
+    choose_bore,
+    fits,
+    packing_fraction,
+)
 from labpipe.wire.wire_table import wire_table
 
 STIFFNESS = "bending_stiffness"
@@ -83,8 +89,8 @@ def _bundles(group: Group) -> list[Bundle]:
 
 def _bundle_of(sample: Sample) -> Bundle | None:
     """What bounds rest on: the wires and where they lie, whatever holds them together."""
-    own = sample.specimen.bundle
-    return None if own is None else Bundle(own.wires, own.arrangement, own.positions)
+    bundle = sample.specimen.bundle
+    return None if bundle is None else Bundle(bundle.wires, bundle.arrangement, bundle.positions)
 
 
 def _bounds(bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]) -> dict[Bundle, _Bounds]:
@@ -157,8 +163,12 @@ def _between(place: BundlePlace, bounds: _Bounds) -> BundlePlace:
     if not model.high > model.low:
         return _without(place, "one_bound", "no share: the two bounds are the same")
     share = partial(share_of_bounds, low=model.low, high=model.high)
-    own = place.interval
-    ends = None if own is None else Interval(share(own.lower), share(own.upper), own.level)
+    interval = place.interval
+    ends = (
+        None
+        if interval is None
+        else Interval(share(interval.lower), share(interval.upper), interval.level)
+    )
     return replace(place, share=share(place.value), share_interval=ends)
 
 
@@ -282,17 +292,17 @@ def model_bundle(
 
 
 def _of_test(test: TestResult, what: str, arrangement: str | None) -> tuple[str, Bundle]:
-    found = test.specimen.bundle
-    if found is None:
+    bundle = test.specimen.bundle
+    if bundle is None:
         raise UsageError(_no_bundle(what))
-    return test.test, replace(found, arrangement=arrangement or found.arrangement)
+    return test.test, replace(bundle, arrangement=arrangement or bundle.arrangement)
 
 
 def _with_friction(
     modelled: ModelledBundle, test: TestResult, tables: Sequence[WireTable]
 ) -> ModelledBundle:
     try:
-        return replace(modelled, friction=fit_friction(modelled.model, tables, loop_of(test)))
+        return replace(modelled, friction=fit_friction(modelled.model, tables, bundle_loop(test)))
     except ValueError as error:
         return replace(modelled, no_friction=str(error))
 

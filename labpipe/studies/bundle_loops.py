@@ -16,11 +16,6 @@ from labpipe.records.result import TestResult
 from labpipe.store.read import read_outcome
 from labpipe.units import GRAVITY
 
-_PER_BRANCH = 30
-"""Points of a branch that friction is fitted to."""
-_FIRST_POINT = 1e-3
-"""Of the length: smaller deflections are those of the zero."""
-
 
 def processed_test(what: str) -> TestResult | None:
     """Read the processed test that is meant, if one is.
@@ -40,7 +35,7 @@ def processed_test(what: str) -> TestResult | None:
     return read_outcome(path) if path.suffix == ".h5" else None
 
 
-def loop_of(test: TestResult) -> BundleLoop:
+def bundle_loop(test: TestResult) -> BundleLoop:
     """Take the cycles of a processed test for those of a cantilever.
 
     Parameters
@@ -57,6 +52,8 @@ def loop_of(test: TestResult) -> BundleLoop:
     ValueError
         If the test has no curve, neither length nor span, or no kink.
     """
+    # of the length; smaller deflections are within the error of the zero.
+    min_deflection_share = 1e-3
     curve, dimensions = test.curve, test.specimen.dimensions
     values = {result.name: result.value for result in test.results}
     kink = values.get("kink_displacement"), values.get("kink_force")
@@ -71,7 +68,7 @@ def loop_of(test: TestResult) -> BundleLoop:
         raise ValueError(message)
     length = dimensions.get("length", dimensions.get("span", 0.0) / 2.0)
     share = 1.0 if "length" in dimensions else 0.5  # two halves carry the force between supports
-    rows, branch = _thinned(curve, _FIRST_POINT * length)
+    rows, branch = _thin_branches(curve, min_deflection_share * length)
     slide = values.get("plateau_displacement")
     return BundleLoop(
         length=length,
@@ -90,13 +87,15 @@ def _self_weight(test: TestResult) -> float:
     return GRAVITY * (specimen.mass_per_length or 0.0)
 
 
-def _thinned(curve: Curve, least: float) -> tuple[Ints, Ints]:
+def _thin_branches(curve: Curve, least: float) -> tuple[Ints, Ints]:
     """Rows of some points of each branch, and the number of its branch."""
+    # of the curve that the friction is fitted to.
+    points_per_branch = 30
     rows, branches = [], []
     for number, branch in enumerate(curve.branches):
         inside = np.arange(branch.start, branch.stop)
         inside = inside[(curve.displacement[inside] > least) & np.isfinite(curve.force[inside])]
-        every = np.linspace(0.0, len(inside) - 1.0, min(_PER_BRANCH, len(inside)))
+        every = np.linspace(0.0, len(inside) - 1.0, min(points_per_branch, len(inside)))
         rows.append(inside[np.round(every).astype(np.int64)])
         branches.append(np.full(len(every), number, dtype=np.int64))
     return np.concatenate(rows), np.concatenate(branches)

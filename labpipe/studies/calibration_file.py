@@ -62,23 +62,26 @@ def read_calibrated(path: Path) -> CalibratedFile:
     )
 
 
-def _calibrated(said: dict[str, Any]) -> CalibratedFile:
-    solutions = tuple(_solution(sentence) for sentence in said["solutions"])
+def _calibrated(content: dict[str, Any]) -> CalibratedFile:
+    solutions = tuple(_solution(sentence) for sentence in content["solutions"])
     if not solutions:
         message = "no solution"
         raise ValueError(message)
     return CalibratedFile(
-        str(said["wire"]), solutions, float(said["widening"]), _float(said["tested_curvature"])
+        str(content["wire"]),
+        solutions,
+        float(content["widening"]),
+        _float(content["tested_curvature"]),
     )
 
 
-def _solution(said: dict[str, Any]) -> Solution:
-    mixture = said["mixture"]
+def _solution(entry: dict[str, Any]) -> Solution:
+    mixture = entry["mixture"]
     return Solution(
-        values=np.array([_float(said[name]) for name in PARAMETERS]),
-        rise=float(said["rise"]),
-        rmse=float(said["rmse"]),
-        covariance=_array(said["covariance"]),
+        values=np.array([_float(entry[name]) for name in PARAMETERS]),
+        rise=float(entry["rise"]),
+        rmse=float(entry["rmse"]),
+        covariance=_array(entry["covariance"]),
         mixture=ScatterMixture(
             chance=_array(mixture["chance"]),
             scatter=_array(mixture["scatter"]),
@@ -86,7 +89,7 @@ def _solution(said: dict[str, Any]) -> Solution:
             covariance=_array(mixture["covariance"]),
             freedom=np.inf if mixture["freedom"] is None else float(mixture["freedom"]),
         ),
-        limit=float(said["limit"]),
+        limit=float(entry["limit"]),
     )
 
 

@@ -41,20 +41,20 @@ from labpipe.studies.first_loadings import (
     FirstLoading,
     read_first_loadings,
     weight_note,
-    with_weight,
+    with_self_weight,
 )
 from labpipe.studies.stress_tables import StatedCurve
 from labpipe.studies.validation import (
     bent_shapes,
     built_wire,
     compare,
+    default_sheet,
+    drop_copies,
     insulation_notes,
+    mark_doubtful_parts,
     misfit_notes,
-    require_known,
-    usual_sheet,
+    require_wires,
     wire_to_calibrate,
-    with_doubtful_parts,
-    without_copies,
 )
 from labpipe.studies.wire_specs import read_wires
 from labpipe.wire.calibration.calibrate_wire import Settings, Wire, calibrate
@@ -63,14 +63,14 @@ from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import wire_table
 
 
-def comparison_json(each: ExternalCurveComparison) -> dict[str, object]:
+def comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
     """Lay out a comparison in lists and plain SI numbers; None where there is no number.
 
     Parameters
     ----------
-    each : an external curve with what it was compared with
+    comparison : an external curve with what it was compared with
     """
-    curve = each.curve
+    curve = comparison.curve
     return {
         "name": curve.name,
         "file": curve.file,
@@ -80,20 +80,20 @@ def comparison_json(each: ExternalCurveComparison) -> dict[str, object]:
         "load": "normal" if curve.is_normal else "as tested",
         "deflection": curve.deflection.tolist(),
         "force": curve.force.tolist(),
-        "tests": None if each.tests is None else _match(each.tests),
-        "model": _match(each.model),
-        "quality": [asdict(note) for note in each.notes],
+        "tests": None if comparison.tests is None else _match(comparison.tests),
+        "model": _match(comparison.model),
+        "quality": [asdict(note) for note in comparison.notes],
     }
 
 
-def _match(found: CurveMatch) -> dict[str, object]:
-    errors = found.errors
+def _match(match: CurveMatch) -> dict[str, object]:
+    errors = match.errors
     return {
         "n": 0 if errors is None else errors.n,
-        "left_out": found.left_out,
+        "left_out": match.left_out,
         **_errors(errors),
-        "force": _numbers(found.reference),
-        "reason": found.words,
+        "force": _numbers(match.reference),
+        "reason": match.words,
     }
 
 
@@ -160,18 +160,18 @@ def calibration_json(
     }
 
 
-def _parameter(each: CalibratedParameter) -> dict[str, object]:
-    interval, conflict = each.interval, each.conflict
+def _parameter(parameter: CalibratedParameter) -> dict[str, object]:
+    interval, conflict = parameter.interval, parameter.conflict
     return {
-        "name": each.name,
-        "value": _number(each.value),
-        "unit": each.unit,
-        "lower": None if interval is None or each.is_open_below else _number(interval.lower),
-        "upper": None if interval is None or each.is_open_above else _number(interval.upper),
+        "name": parameter.name,
+        "value": _number(parameter.value),
+        "unit": parameter.unit,
+        "lower": None if interval is None or parameter.is_open_below else _number(interval.lower),
+        "upper": None if interval is None or parameter.is_open_above else _number(interval.upper),
         "level": None if interval is None else interval.level,
-        "intervals": _intervals(each),
-        "verdict": str(each.verdict),
-        "words": each.words,
+        "intervals": _intervals(parameter),
+        "verdict": str(parameter.verdict),
+        "words": parameter.words,
         "profiles": [
             {
                 "value": _numbers(profile.value),
@@ -179,7 +179,7 @@ def _parameter(each: CalibratedParameter) -> dict[str, object]:
                 "threshold_below": _number(profile.threshold_below),
                 "threshold_above": _number(profile.threshold_above),
             }
-            for profile in each.profiles
+            for profile in parameter.profiles
         ],
         "prior": None
         if conflict is None
@@ -192,71 +192,71 @@ def _parameter(each: CalibratedParameter) -> dict[str, object]:
             "contradicts": conflict.contradicts,
             "message": conflict.message,
         },
-        "source": each.source,
+        "source": parameter.source,
     }
 
 
-def _intervals(each: CalibratedParameter) -> list[list[float | None]]:
+def _intervals(parameter: CalibratedParameter) -> list[list[float | None]]:
     """Parts of the interval; None for an end that is open."""
-    ends = [[_number(part.lower), _number(part.upper)] for part in each.intervals]
-    if ends and each.is_open_below:
+    ends = [[_number(part.lower), _number(part.upper)] for part in parameter.intervals]
+    if ends and parameter.is_open_below:
         ends[0][0] = None
-    if ends and each.is_open_above:
+    if ends and parameter.is_open_above:
         ends[-1][1] = None
     return ends
 
 
-def _solution(each: Solution) -> dict[str, object]:
+def _solution(solution: Solution) -> dict[str, object]:
     return {
-        **dict(zip(PARAMETERS, _numbers(each.values), strict=True)),
-        "rise": each.rise,
-        "likelihood": each.likelihood,
-        "in_95_percent_set": each.is_allowed,
-        "rmse": each.rmse,
-        "limit": each.limit,
-        "covariance": each.covariance.tolist(),
+        **dict(zip(PARAMETERS, _numbers(solution.values), strict=True)),
+        "rise": solution.rise,
+        "likelihood": solution.likelihood,
+        "in_95_percent_set": solution.is_allowed,
+        "rmse": solution.rmse,
+        "limit": solution.limit,
+        "covariance": solution.covariance.tolist(),
         "mixture": {
-            "chance": each.mixture.chance.tolist(),
-            "scatter": each.mixture.scatter.tolist(),
-            "shift": each.mixture.shift.tolist(),
-            "covariance": each.mixture.covariance.tolist(),
-            "freedom": _number(each.mixture.freedom),
+            "chance": solution.mixture.chance.tolist(),
+            "scatter": solution.mixture.scatter.tolist(),
+            "shift": solution.mixture.shift.tolist(),
+            "covariance": solution.mixture.covariance.tolist(),
+            "freedom": _number(solution.mixture.freedom),
         },
     }
 
 
-def _separability(each: Separability) -> dict[str, object]:
+def _separability(separability: Separability) -> dict[str, object]:
     return {
-        "names": list(each.names),
-        "singular_values": _numbers(each.singular_values),
-        "combinations": [_numbers(row) for row in each.combinations],
-        "identified": dict(each.are_identified),
-        "words": each.words,
+        "names": list(separability.names),
+        "singular_values": _numbers(separability.singular_values),
+        "combinations": [_numbers(row) for row in separability.combinations],
+        "identified": dict(separability.are_identified),
+        "words": separability.words,
     }
 
 
-def _curve(each: CurveAgreement) -> dict[str, object]:
+def _curve(curve: CurveAgreement) -> dict[str, object]:
     names = ("sample_factor", "sse", "rmse", "rmse_share", "runs_p")
     return {
-        "test": each.test,
-        "sample": each.sample,
-        "length": each.length,
-        **{name: _number(getattr(each, name)) for name in names},
-        "lag_one": _number(each.lag_one_correlation),
+        "test": curve.test,
+        "sample": curve.sample,
+        "length": curve.length,
+        **{name: _number(getattr(curve, name)) for name in names},
+        "lag_one": _number(curve.lag_one_correlation),
     }
 
 
-def _group(each: ValidationGroup) -> dict[str, object]:
-    errors, prediction = each.errors, each.prediction
+def _group(group: ValidationGroup) -> dict[str, object]:
+    errors, prediction = group.errors, group.prediction
     return {
-        "wire": each.wire,
-        "length": each.length,
-        "calibrating": each.is_calibrated,
-        "tests": list(each.samples),
+        "wire": group.wire,
+        "length": group.length,
+        "calibrating": group.is_calibrated,
+        "tests": list(group.samples),
         "n": None if errors is None else errors.n,
         "sse": None if errors is None else _number(errors.sse),
         **_errors(errors),
-        "reasons": [] if each.reason is None else [asdict(each.reason)],
+        "reasons": [] if group.reason is None else [asdict(group.reason)],
         "prediction": None
         if prediction is None
         else {
@@ -336,49 +336,55 @@ def calibrate_tests(
         If a file is wrong, no test can be used, two have one name, tests of several wires leave
         open which to calibrate, or the calibration fails; earlier results are then as they were.
     """
-    asked = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
-    wires = usual_sheet() if wires is None else wires
+    settings = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
+    wires = default_sheet() if wires is None else wires
     sheet = read_wires(wires)
     specs = {spec.name: spec for spec in sheet.specs}
-    curves = read_external_curves(asked, plan, specs, wires)
+    curves = read_external_curves(settings, plan, specs, wires)
     files = find_results(targets)
-    loadings, left_out = read_first_loadings(files, points=asked.points, up_to=asked.up_to, say=say)
+    loadings, left_out = read_first_loadings(
+        files, points=settings.points, up_to=settings.up_to, say=say
+    )
     if not loadings:
         raise ProcessingError("\n".join(left_out.values()))
     refuse_repeated([(loading.curve.test, loading.file) for loading in loadings], "name")
-    loadings, copies = without_copies(loadings)
-    name = wire_to_calibrate(loadings, asked, plan)
-    require_known(loadings, specs, wires)
+    loadings, copies = drop_copies(loadings)
+    name = wire_to_calibrate(loadings, settings, plan)
+    require_wires(loadings, specs, wires)
     tested = {loading.curve.wire for loading in loadings}
     asked_for = sorted(tested | {curve.wire for curve in curves})
     built = {wire: built_wire(specs[wire], wires) for wire in asked_for}
-    said = [loading for loading in loadings if loading.curve.wire == name]
-    weight = weight_note(said, built[name].self_weight)
-    loadings = [with_weight(loading, built[loading.curve.wire].self_weight) for loading in loadings]
-    own = [loading for loading in loadings if loading.curve.wire == name]
+    unweighted = [loading for loading in loadings if loading.curve.wire == name]
+    weight = weight_note(unweighted, built[name].self_weight)
+    loadings = [
+        with_self_weight(loading, built[loading.curve.wire].self_weight) for loading in loadings
+    ]
+    calibrating = [loading for loading in loadings if loading.curve.wire == name]
     say("calibration")
     tables = [curve.table for curve in sheet.curves[name].values()]
-    calibration = _calibration(built[name], own, asked, tables)
-    measured = [each.curve for each in own]
+    calibration = _calibration(built[name], calibrating, settings, tables)
+    measured = [loading.curve for loading in calibrating]
     reach = tested_curvature(built[name], calibration.solutions[0].values, measured)
-    told = (weight, *insulation_notes(calibration, built, specs, loadings))
+    notes = (weight, *insulation_notes(calibration, built, specs, loadings))
     groups = compare(calibration, built, loadings)
-    told = (*told, *misfit_notes(groups))
-    calibration = replace(calibration, notes=(*calibration.notes, *filter(None, told)))
-    groups = with_doubtful_parts(groups, calibration, built, specs, loadings)
+    notes = (*notes, *misfit_notes(groups))
+    calibration = replace(calibration, notes=(*calibration.notes, *filter(None, notes)))
+    groups = mark_doubtful_parts(groups, calibration, built, specs, loadings)
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
         calibration=calibration,
         groups=groups,
         left_out=left_out | copies,
         files=(),
-        comparisons=compare_external_curves(curves, calibration, built, groups, own + loadings),
+        comparisons=compare_external_curves(
+            curves, calibration, built, groups, calibrating + loadings
+        ),
         tested_curvature=reach,
         stress_tables=sheet.curves[name],
     )
     if figures:
         wire = built_wire(calibrated_spec(specs[name], calibration), wires)
-        done = replace(done, shapes=_shapes(own[0], wire))
+        done = replace(done, shapes=_shapes(calibrating[0], wire))
     calibrated = [calibrated_spec(specs[test], calibration) for test in sorted(tested)]
     return replace(done, files=_write(done, calibrated, say, figures=figures, png=png))
 
@@ -401,27 +407,27 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
 
 
 def _calibration(
-    wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan, tables: Sequence[str]
+    wire: Wire, loadings: Sequence[FirstLoading], plan: CalibrationPlan, tables: Sequence[str]
 ) -> Calibration:
     settings = Settings(
-        choices=_choices(asked),
-        gain=max(first_loading.gain for first_loading in own),
-        scatter=asked.scatter,
+        choices=_choices(plan),
+        gain=max(first_loading.gain for first_loading in loadings),
+        scatter=plan.scatter,
     )
-    found = calibrate(wire, [first_loading.curve for first_loading in own], settings)
-    if isinstance(found, CalibrationFailure):
+    outcome = calibrate(wire, [first_loading.curve for first_loading in loadings], settings)
+    if isinstance(outcome, CalibrationFailure):
         message = (
-            f"the calibration of {own[0].curve.wire} failed ({found.code}): {found.message}. "
+            f"the calibration of {loadings[0].curve.wire} failed ({outcome.code}): {outcome.message}. "
             f"{_REMEDY}"
         )
-        if tables and found.code == "model_cannot_follow":
+        if tables and outcome.code == "model_cannot_follow":
             message += (
                 f" If a stress table ends too early ({', '.join(tables)}), give it the points that "
                 f"are missing, or the plan a smaller up_to."
             )
         raise ProcessingError(message)
-    notes = (*found.notes, *(note for first_loading in own for note in first_loading.notes))
-    return replace(found, notes=notes)
+    notes = (*outcome.notes, *(note for first_loading in loadings for note in first_loading.notes))
+    return replace(outcome, notes=notes)
 
 
 def _shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:
@@ -432,21 +438,21 @@ def _shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...
     return {curve.test: shapes} if shapes else {}
 
 
-def _choices(asked: CalibrationPlan) -> dict[str, ParameterChoice]:
+def _choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
     """What the plan says of parameters; one that it does not name is free if it acts."""
-    said = {
-        name: getattr(asked.parameters, name)
+    settings = {
+        name: getattr(plan.parameters, name)
         for name in PARAMETERS
-        if name in asked.parameters.model_fields_set
+        if name in plan.parameters.model_fields_set
     }
     return {
         name: ParameterChoice(
-            value=plan.value,
-            is_fixed=plan.enters == "fixed",
-            factor=plan.factor,
-            source=plan.because,
+            value=setting.value,
+            is_fixed=setting.enters == "fixed",
+            factor=setting.factor,
+            source=setting.because,
         )
-        for name, plan in said.items()
+        for name, setting in settings.items()
     }
 
 
@@ -460,17 +466,17 @@ def _write(
 ) -> tuple[Path, ...]:
     """Write the files of a calibration together."""
     folder = done.folder
-    shown = CalibrationReport(done.calibration, done.groups, done.shapes, done.comparisons)
-    owned = pngs_of(calibration_drawings(shown), FIGURES_FOLDER) if figures else []
+    report = CalibrationReport(done.calibration, done.groups, done.shapes, done.comparisons)
+    owned = pngs_of(calibration_drawings(report), FIGURES_FOLDER) if figures else []
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("tables and decks")
         model, workbook = stage / MODEL_FILE, stage / WORKBOOK_FILE
         model.write_text(json.dumps(as_json(done), allow_nan=False), encoding="utf-8")
-        save_calibration_workbook(shown, workbook)
+        save_calibration_workbook(report, workbook)
         written = [model, workbook]
         written += write_decks([wire_table(spec) for spec in calibrated], stage)
         if figures:
-            written += save_calibration_figures(shown, stage / FIGURES_FOLDER, say=say, png=png)
+            written += save_calibration_figures(report, stage / FIGURES_FOLDER, say=say, png=png)
         return tuple(folder / path.relative_to(stage) for path in written)
 
 
@@ -481,7 +487,9 @@ def as_json(done: Calibrated) -> dict[str, object]:
     ----------
     done : the calibration
     """
-    found = calibration_json(*(done.calibration, done.groups, done.left_out), done.tested_curvature)
+    content = calibration_json(
+        *(done.calibration, done.groups, done.left_out), done.tested_curvature
+    )
     stated = {column: curve.as_json() for column, curve in done.stress_tables.items()}
     compared = [comparison_json(comparison) for comparison in done.comparisons]
-    return found | {"comparisons": compared, "stress_tables": stated}
+    return content | {"comparisons": compared, "stress_tables": stated}

@@ -23,24 +23,19 @@ from labpipe.records.wire_calibration import (
 from labpipe.report.calibration_summary import ValidationGroup
 from labpipe.studies.first_loadings import FirstLoading
 from labpipe.wire.calibration.calibrate_wire import Wire
-from labpipe.wire.calibration.measured_curves import DEEPEST, match
+from labpipe.wire.calibration.measured_curves import DEEPEST, compare_curves
 from labpipe.wire.calibration.prediction import predict
 from labpipe.wire.cantilever import StringRig
 
-_GRID = 200
-"""Deflections of the model."""
-_SAME_LENGTH = 1e-6
-"""m, that two lengths may differ by and still be one."""
-
 
 def read_external_curves(
-    asked: CalibrationPlan, plan: Path | None, specs: Mapping[str, WireSpec], wires: Path
+    settings: CalibrationPlan, plan: Path | None, specs: Mapping[str, WireSpec], wires: Path
 ) -> tuple[ExternalCurve, ...]:
     """Read all curves that a plan names.
 
     Parameters
     ----------
-    asked : the plan
+    settings : the plan
     plan : its file, whose folder the curves are in
     specs : wires of the sheet, by name
     wires : the sheet, for messages
@@ -53,7 +48,7 @@ def read_external_curves(
     """
     folder = Path() if plan is None else plan.parent
     external_curves, faults = [], []
-    for comparison in asked.comparisons:
+    for comparison in settings.comparisons:
         if comparison.wire not in specs:
             message = error_text(
                 plan or "plan",
@@ -72,20 +67,27 @@ def read_external_curves(
     return tuple(external_curves)
 
 
-def _read(each: Comparison, folder: Path) -> ExternalCurve:
-    path = folder / each.file
+def _read(comparison: Comparison, folder: Path) -> ExternalCurve:
+    path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
         expected, found = "a file inside the folder of the plan", "a link out of it"
         raise ReadError(error_text(path, "", expected=expected, found=found, remedy=COPY_IT))
-    across, up = each.deflection, each.force
+    across, up = comparison.deflection, comparison.force
     deflection, force = read_curve(
         path,
         CurveColumn("deflection", "m", across.column, across.unit, across.sign),
         CurveColumn("force", "N", up.column, up.unit, up.sign),
     )
-    is_normal = each.load == "normal"
+    is_normal = comparison.load == "normal"
     return ExternalCurve(
-        each.name, each.file, each.wire, each.length, deflection, force, is_normal, each.because
+        comparison.name,
+        comparison.file,
+        comparison.wire,
+        comparison.length,
+        deflection,
+        force,
+        is_normal,
+        comparison.because,
     )
 
 
@@ -119,18 +121,19 @@ def compare_external_curves(
 
 
 def _is_of(curve: ExternalCurve, wire: str, length: float) -> bool:
-    return curve.wire == wire and abs(curve.length - length) < _SAME_LENGTH
+    max_length_difference = 1e-6  # m
+    return curve.wire == wire and abs(curve.length - length) < max_length_difference
 
 
 def _string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
     """String of the tests of that wire and length, else that of the first test, over the tip."""
-    own = [
+    same_specimen = [
         loading.curve
         for loading in loadings
         if _is_of(curve, loading.curve.wire, loading.curve.length)
     ]
-    if own:
-        return own[0].rig
+    if same_specimen:
+        return same_specimen[0].rig
     rig = loadings[0].curve.rig
     return None if rig is None else replace(rig, anchor_x=curve.length)
 
@@ -147,7 +150,7 @@ def _compared(
     rig = None if curve.is_normal else string
     if group is not None:
         band = group.band
-        tests = match(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
+        tests = compare_curves(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
     try:
         prediction = _prediction(curve, calibration, wire, group, rig)
     except ValueError as error:
@@ -157,7 +160,7 @@ def _compared(
         model = CurveMatch(nothing, None, len(nothing), reason)
     else:
         ends = (prediction.lower_mean, prediction.upper_mean)
-        model = match(curve, prediction.deflection, prediction.force, ends, "the model")
+        model = compare_curves(curve, prediction.deflection, prediction.force, ends, "the model")
     notes = list(_notes(curve, tests, model))
     if rig is not string:
         notes += _load_notes(curve, group, prediction)
@@ -172,10 +175,11 @@ def _prediction(
     rig: StringRig | None,
 ) -> Prediction:
     """The model as far as curve and tests go, and a first loading is followed."""
+    grid_points = 200
     tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
     goal = max(tested, float(curve.deflection[-1]))
     deepest = min(goal, DEEPEST * curve.length)
-    return predict(calibration, wire, curve.length, np.linspace(0.0, deepest, _GRID), rig=rig)
+    return predict(calibration, wire, curve.length, np.linspace(0.0, deepest, grid_points), rig=rig)
 
 
 def _load_notes(
@@ -188,7 +192,8 @@ def _load_notes(
     ends = (curve.deflection, pulled.deflection, prediction.deflection)
     at = min(float(end[-1]) for end in ends)
     one, other = (
-        float(np.interp(at, each.deflection, each.force)) for each in (pulled, prediction)
+        float(np.interp(at, curve_of_model.deflection, curve_of_model.force))
+        for curve_of_model in (pulled, prediction)
     )
     message = (
         f"its load stays normal to the axis, the tests' does not: at {1e3 * at:.4g} mm the model's "
@@ -205,11 +210,11 @@ def _notes(
             f"no test of {curve.wire} at {1e3 * curve.length:.4g} mm: compared with the model alone"
         )
         yield QualityNote("external_curve_untested", Severity.INFO, curve.name, message)
-    for found in (tests, model):
-        if found is None or not found.words:
+    for agreement in (tests, model):
+        if agreement is None or not agreement.words:
             continue
-        if found.errors is None:
-            words = found.words
-            yield QualityNote("external_curve_not_compared", Severity.WARNING, curve.name, words)
+        if agreement.errors is None:
+            message = agreement.words
+            yield QualityNote("external_curve_not_compared", Severity.WARNING, curve.name, message)
         else:
-            yield QualityNote("external_curve_cut", Severity.INFO, curve.name, found.words)
+            yield QualityNote("external_curve_cut", Severity.INFO, curve.name, agreement.words)

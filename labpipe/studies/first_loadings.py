@@ -39,10 +39,6 @@ _ALIKE, _OWN = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
 """Causes that stretch deflections in proportion: of all tests of a rig, and of each its own."""
 
 
-_SAME_MASS = 4.0 / 3.0
-"""Ratio of two masses of one wire, beyond which one of them is a slip."""
-
-
 def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
     """Standard error of the zero of the force, N.
 
@@ -108,8 +104,10 @@ def scale_errors(result: TestResult) -> tuple[float, float]:
     if not peak.budget:
         return peak.interval.standard_error / size, 0.0
     changes = {contribution.cause: contribution.change / size for contribution in peak.budget}
-    common, own = (hypot(*(changes.get(cause, 0.0) for cause in some)) for some in (_ALIKE, _OWN))
-    return common, own
+    common, test_error = (
+        hypot(*(changes.get(cause, 0.0) for cause in causes)) for causes in (_ALIKE, _OWN)
+    )
+    return common, test_error
 
 
 def zero_error(time: Floats, values: Floats, over: float | None) -> float:
@@ -129,30 +127,26 @@ def zero_error(time: Floats, values: Floats, over: float | None) -> float:
     -----
     Long-run variance of the whole rest (`long_run_variance`) over the number of values in the part.
     """
-    known = values[~np.isnan(values)]
-    variance = long_run_variance(known, parameters=1)
+    valid = values[~np.isnan(values)]
+    variance = long_run_variance(valid, parameters=1)
     if np.isnan(variance):
         return 0.0
     lasts = float(time[-1] - time[0])
     share = 1.0 if over is None else min(over / lasts, 1.0)
-    return float(np.sqrt(variance / (share * len(known))))
+    return float(np.sqrt(variance / (share * len(valid))))
 
 
 def _speed(curve: Curve, first: Branch) -> float:
     """Mean speed of the deflection over the branch, m/s."""
     part = slice(first.start, first.stop)
-    known = np.flatnonzero(np.isfinite(curve.displacement[part]))
-    if len(known) < 2:
+    valid = np.flatnonzero(np.isfinite(curve.displacement[part]))
+    if len(valid) < 2:
         return 0.0
-    begin, end = known[0] + first.start, known[-1] + first.start
+    begin, end = valid[0] + first.start, valid[-1] + first.start
     moved = curve.displacement[end] - curve.displacement[begin]
     return float(moved / (curve.time[end] - curve.time[begin]))
 
 
-_FEWEST = 20
-"""Points of a curve with which something can be said."""
-_TERMS = 7
-"""Of the polynomial that the slope of a first loading is read from, for the noise alone."""
 _SECOND_DIFFERENCE = np.sqrt(6.0)
 """Standard deviation of a second difference of white noise, over that of the noise."""
 
@@ -199,7 +193,7 @@ def read_first_loadings(
     -------
     The curves, and by file why a test was left out.
     """
-    found: list[FirstLoading] = []
+    loadings: list[FirstLoading] = []
     left_out: dict[str, str] = {}
     for file in files:
         say(file.parent.name)
@@ -207,11 +201,11 @@ def read_first_loadings(
             result = read_stages(file)
             protocol = parse_protocol(result.protocol_yaml, str(file))
             loading = first_loading(result, protocol, points=points, up_to=up_to)
-            found.append(replace(loading, file=file))
+            loadings.append(replace(loading, file=file))
         except LabpipeError as error:
-            said = str(error)
-            left_out[str(file)] = said if str(file) in said else f"{file}: {said}"
-    return found, left_out
+            message = str(error)
+            left_out[str(file)] = message if str(file) in message else f"{file}: {message}"
+    return loadings, left_out
 
 
 def first_loading(
@@ -243,6 +237,7 @@ def first_loading(
     the deflection times the slope of the curve. What all points are off by together is apart from
     it: `force_zero_error`, `place_error`, `scale_errors`.
     """
+    min_points = 20
     _require_cantilever(protocol)
     _require_zeros(result)
     curve, branch = _first_branch(result)
@@ -257,15 +252,15 @@ def first_loading(
     force = block_means(curve.force[part], points)
     usable = np.isfinite(deflection) & np.isfinite(force)
     taken = usable & (deflection > 0.0) & (deflection <= limit)
-    if taken.sum() < _FEWEST:
+    if taken.sum() < min_points:
         message = (
             f"{int(taken.sum())} points of the first loading lie between 0 and "
-            f"{1e3 * limit:.3g} mm: {_FEWEST} at least are needed; ask for more points, or for "
+            f"{1e3 * limit:.3g} mm: {min_points} at least are needed; ask for more points, or for "
             "deeper ones"
         )
         raise NotUsableError(message)
     sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
-    common, own = scale_errors(result)
+    common_scale_error, test_scale_error = scale_errors(result)
     measured = MeasuredCurve(
         wire=result.specimen.type,
         test=result.test,
@@ -277,8 +272,8 @@ def first_loading(
         rig=_rig(protocol, length),
         zero_error=force_zero_error(protocol, curve, branch),
         place_error=place_error(result, protocol, curve, branch),
-        scale_error=common,
-        own_scale_error=own,
+        scale_error=common_scale_error,
+        own_scale_error=test_scale_error,
         self_weight=_self_weight(protocol),
     )
     notes = (*_doubts(result), *rest_notes, *_cut(result.test, deflection[usable], limit))
@@ -301,9 +296,10 @@ def _noise(deflection: Floats, force: Floats) -> Floats:
     The slope is that of a polynomial in the root of the deflection: strands that still stick make
     the first points several times as steep as the next, and what they say of friction as doubtful.
     """
+    polynomial_degree = 7
     first = float(np.ptp(deflection)) / len(deflection)
     root = np.sqrt(np.maximum(deflection, 0.5 * first))
-    slope = Polynomial.fit(root, force, _TERMS).deriv()(root) / (2.0 * root)
+    slope = Polynomial.fit(root, force, polynomial_degree).deriv()(root) / (2.0 * root)
     return np.hypot(noise_of(force), slope * noise_of(deflection))
 
 
@@ -321,10 +317,10 @@ def _rest_notes(
     if string is None or string.at_rest == "taut":
         return ()
     weight, length = GRAVITY * string.counterweight, protocol.specimen.length
-    own = held_at_rest(_self_weight(protocol), length or 0.0)
-    if weight + own == 0.0:
+    sag_weight = held_at_rest(_self_weight(protocol), length or 0.0)
+    if weight + sag_weight == 0.0:
         return ()
-    rest = at_rest(result.aligned, result.shape, curve, branch, weight, own=own)
+    rest = at_rest(result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight)
     if rest.why_not_straight:
         message = f"{rest.why_not_straight}. {_HELD}"
         raise NotUsableError(message)
@@ -336,7 +332,7 @@ def _self_weight(protocol: Protocol) -> float:
     return GRAVITY * (protocol.specimen.mass_per_length or 0.0)
 
 
-def with_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
+def with_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
     """Give a test the weight of its wire where its own sheet does not say one.
 
     Parameters
@@ -348,13 +344,15 @@ def with_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
     -------
     The same with a note ``mass_contradicts`` where both are said and differ by more than a third.
     """
-    said, curve = loading.curve.self_weight, loading.curve
-    if said == 0.0:
+    # between two statements of one mass; beyond it one of them is a slip.
+    max_mass_ratio = 4.0 / 3.0
+    stated_weight, curve = loading.curve.self_weight, loading.curve
+    if stated_weight == 0.0:
         return replace(loading, curve=replace(curve, self_weight=self_weight))
-    if 1.0 / _SAME_MASS <= said / self_weight <= _SAME_MASS:
+    if 1.0 / max_mass_ratio <= stated_weight / self_weight <= max_mass_ratio:
         return loading
     message = (
-        f"its sheet says {1e3 * said / GRAVITY:.4g} g/m (specimen.mass_per_length), the sheet of "
+        f"its sheet says {1e3 * stated_weight / GRAVITY:.4g} g/m (specimen.mass_per_length), the sheet of "
         f"wires {1e3 * self_weight / GRAVITY:.4g} g/m for {curve.wire}: that of the test is taken"
     )
     note = QualityNote("mass_contradicts", Severity.WARNING, curve.test, message)
@@ -430,8 +428,8 @@ def _require_zeros(result: TestResult) -> None:
     """
     lost = [note for note in result.quality if note.code in _NO_ZERO]
     if lost:
-        said = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in lost)
-        message = f"its zero is lost, and with it the begin of the first loading: {said}"
+        reasons = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in lost)
+        message = f"its zero is lost, and with it the begin of the first loading: {reasons}"
         raise NotUsableError(message)
 
 

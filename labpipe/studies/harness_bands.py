@@ -20,26 +20,23 @@ from labpipe.rod.input_distributions import InputDistribution
 from labpipe.rod.path import RodPath
 from labpipe.rod.response import Band, Fields, Response, band_of, respond, sizes
 from labpipe.studies.harness_line import Inputs, PreparedLine
-from labpipe.studies.harness_numbers import numbers_of, size_of
+from labpipe.studies.harness_numbers import numbers_of, reference_size
 from labpipe.studies.harness_responses import (
-    ON_THE_WAY,
-    PLACES,
+    POSITIONS,
     RADIUS,
+    RADIUS_ON_PATH,
+    evaluate_number,
     fields_of,
-    measured,
-    names_of,
+    number_names,
 )
 from labpipe.studies.harness_section import Material
 
 Followed = tuple[RodPath, PreparedLine]
 FollowLine = Callable[[int, Inputs], Followed]
 """Lay a line and follow it: number of the belief, and inputs."""
-MOST_OFF = 0.5
+MAX_CAUSE_ERROR = 0.5
 """Of the way from the middle of a band to its end, by which causes together may differ from their
 sum, root mean square of all draws that are solved."""
-_LEVEL = 0.95
-_RANKS = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
-"""Of the sizes of all draws, of those that are solved: the larger, the more causes have to say."""
 _ROUNDING = 1e-6
 """Of a number, or of what a line gives its unit: less is what the solver leaves."""
 _SHAPE = "shape"
@@ -76,37 +73,41 @@ def harness_bands(
     -------
     None where nothing is believed, or the line cannot be followed at the best inputs.
     """
-    solves = [_Solve(follow_line, number) for number in range(len(material.beliefs))]
+    solves = [_Solver(follow_line, number) for number in range(len(material.distributions))]
     if not solves:
         return None
     limit = material.limit
     line = bands_of(
-        [solve.path for solve in solves], material.beliefs, at=steps, tested_curvature=limit
+        [solve.path for solve in solves], material.distributions, at=steps, tested_curvature=limit
     )
     if line is None:
         return None
-    pairs = zip(solves, material.beliefs, strict=True)
-    found = [_Drawn(solve, respond(solve.fields, belief)) for solve, belief in pairs]
-    bands = {name: _band(found, name) for name in found[0].value}
+    pairs = zip(solves, material.distributions, strict=True)
+    draws = [_DrawnNumbers(solve, respond(solve.fields, belief)) for solve, belief in pairs]
+    bands = {name: _band(draws, name) for name in draws[0].value}
     intervals = {name: _interval(name, band) for name, band in bands.items() if name != _SHAPE}
-    return HarnessBands(line, intervals, _doubt(found, bands))
+    return HarnessBands(line, intervals, _doubt(draws, bands))
 
 
-def _band(found: Sequence[_Drawn], name: str) -> Band:
-    by = {finding.response: finding for finding in found}
-    return band_of(list(by), lambda each: (by[each].value[name], by[each].drawn[name]))
+def _band(draws: Sequence[_DrawnNumbers], name: str) -> Band:
+    by_response = {draw.response: draw for draw in draws}
+    return band_of(
+        list(by_response),
+        lambda response: (by_response[response].value[name], by_response[response].drawn[name]),
+    )
 
 
 def _interval(name: str, band: Band) -> Interval:
     """Interval of a number; of a radius, from that of its curvature."""
+    level = 0.95
     lower, upper = float(band.lower), float(band.upper)
-    if name in (RADIUS, ON_THE_WAY):
+    if name in (RADIUS, RADIUS_ON_PATH):
         ends = [1.0 / end if end > 0.0 else math.inf for end in (upper, lower)]
-        return Interval(ends[0], ends[1], _LEVEL)
-    return Interval(lower, upper, _LEVEL)
+        return Interval(ends[0], ends[1], level)
+    return Interval(lower, upper, level)
 
 
-class _Solve:
+class _Solver:
     """Follows a line for inputs of one belief, each once."""
 
     def __init__(self, follow_line: FollowLine, number: int) -> None:
@@ -131,39 +132,39 @@ class _Solve:
 
     def fields(self, inputs: Inputs) -> Fields | None:
         """What all numbers are made of; None of a line that cannot be followed."""
-        path, laid = self.both(inputs)
-        return None if path.status == "failed" else fields_of(path, laid)
+        path, prepared = self.both(inputs)
+        return None if path.status == "failed" else fields_of(path, prepared)
 
 
-class _Drawn:
+class _DrawnNumbers:
     """Numbers at the best inputs of a belief, and in its draws; radii as curvatures.
 
     The shape counts as one more: where each node is, shape (n + 1, 3).
     """
 
-    def __init__(self, solve: _Solve, response: Response | None) -> None:
+    def __init__(self, solve: _Solver, response: Response | None) -> None:
         assert response is not None, "the line was followed at the best inputs before"
         self.solve, self.response = solve, response
-        self.names = names_of(response.value)
+        self.names = number_names(response.value)
         self.value = self.numbers(response.value.__getitem__)
         self.drawn = self.numbers(response.drawn)
 
     def numbers(self, field: Callable[[str], Floats]) -> dict[str, Floats]:
         """All numbers of fields, and the shape."""
-        path, laid = self.solve.first
+        path, prepared = self.solve.first
         steps = len(path.states) - 1
-        found = {name: measured(name, field, laid, steps) for name in self.names}
-        return found | {_SHAPE: field(PLACES)}
+        numbers = {name: evaluate_number(name, field, prepared, steps) for name in self.names}
+        return numbers | {_SHAPE: field(POSITIONS)}
 
-    def whole(self) -> Iterator[tuple[int, dict[str, Floats] | None]]:
+    def solved_draws(self) -> Iterator[tuple[int, dict[str, Floats] | None]]:
         """Draws that are solved with all their causes at once; None of one without equilibrium."""
         belief = self.response.belief
-        for row in whole_draws(belief):
+        for row in check_draws(belief):
             fields = self.solve.fields(belief.inputs(belief.amounts[row]))
             yield row, None if fields is None else self.numbers(fields.__getitem__)
 
 
-def whole_draws(belief: InputDistribution) -> tuple[int, ...]:
+def check_draws(belief: InputDistribution) -> tuple[int, ...]:
     """Rows of draws that stand for all: of some sizes, in whatever direction they lie.
 
     None where there is but one cause: then nothing is added.
@@ -172,51 +173,53 @@ def whole_draws(belief: InputDistribution) -> tuple[int, ...]:
     ----------
     belief : that is drawn from
     """
+    # by size of the draw: large draws show best whether causes add up.
+    rank_shares = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
     amounts = belief.amounts
     if amounts.shape[1] < 2:
         return ()
     order = np.argsort(sizes(amounts / np.std(amounts, axis=0)), kind="stable")
-    return tuple(int(order[int(rank * len(order))]) for rank in _RANKS)
+    return tuple(int(order[int(rank * len(order))]) for rank in rank_shares)
 
 
-def _doubt(found: Sequence[_Drawn], bands: Mapping[str, Band]) -> Reason | None:
+def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason | None:
     """Why bands are doubtful: the causes do not add up. None where they do."""
-    path, laid = found[0].solve.first
-    scales = _scales(path, laid)
+    path, prepared = draws[0].solve.first
+    scales = _scales(path, prepared)
     squares: dict[str, list[float]] = {}
     count = lost = 0
-    for finding in found:
-        for row, numbers in finding.whole():
+    for draw in draws:
+        for row, numbers in draw.solved_draws():
             count += 1
             lost += numbers is None
             for name, number in (numbers or {}).items():
-                times = _off(number, finding.drawn[name], row, bands[name], scales[name])
+                times = _relative_error(number, draw.drawn[name], row, bands[name], scales[name])
                 squares.setdefault(name, []).append(times**2)
     off = {name: math.sqrt(sum(square) / len(square)) for name, square in squares.items()}
-    most = max(off, key=lambda each: off[each], default=_SHAPE)
-    if not lost and off.get(most, 0.0) <= MOST_OFF:
+    most = max(off, key=lambda name: off[name], default=_SHAPE)
+    if not lost and off.get(most, 0.0) <= MAX_CAUSE_ERROR:
         return None
-    said = [f"{lost} have no equilibrium"] if lost else []
-    if off.get(most, 0.0) > MOST_OFF:
-        said.append(
+    faults = [f"{lost} have no equilibrium"] if lost else []
+    if off.get(most, 0.0) > MAX_CAUSE_ERROR:
+        faults.append(
             f"{most} is off by {off[most]:.2g} times the way from the middle of its band to the "
-            f"end, root mean square (allowed is {MOST_OFF:g})"
+            f"end, root mean square (allowed is {MAX_CAUSE_ERROR:g})"
         )
     message = (
         f"the causes of the bands do not add up: of {count} draws that were solved whole, "
-        f"{' and '.join(said)}; bands may be too narrow, or beside the truth"
+        f"{' and '.join(faults)}; bands may be too narrow, or beside the truth"
     )
     return Reason("causes_do_not_add", message)
 
 
-def _scales(path: RodPath, laid: PreparedLine) -> dict[str, float]:
+def _scales(path: RodPath, prepared: PreparedLine) -> dict[str, float]:
     """Of each number and the shape, how little of it is rounding."""
-    units = {number.name: number.unit for number in numbers_of(path, laid)} | {_SHAPE: "m"}
-    units |= dict.fromkeys((RADIUS, ON_THE_WAY), "1/m")
-    return {name: _ROUNDING * size_of(unit, laid.line) for name, unit in units.items()}
+    units = {number.name: number.unit for number in numbers_of(path, prepared)} | {_SHAPE: "m"}
+    units |= dict.fromkeys((RADIUS, RADIUS_ON_PATH), "1/m")
+    return {name: _ROUNDING * reference_size(unit, prepared.line) for name, unit in units.items()}
 
 
-def _off(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
+def _relative_error(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
     """How far a draw is off, of the way from the middle of its band to the end on its side.
 
     Of the shape, the largest of both along the line.

@@ -50,11 +50,6 @@ FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
 """Added to the curvature at rest, 1/m: towards the spool's side, and across it."""
 Inputs = Mapping[str, float]
 
-_SHARE_OF_STEPS = 5
-"""One in so many: steps in which the weight of a line comes on that begins taut."""
-_THERE = 1e-9  # m
-_UPWARD = 0.9  # share of a direction along z from which on x is taken for upward
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedLine:
@@ -72,7 +67,7 @@ class PreparedLine:
     nodes: Mapping[str, int]
 
 
-def laid(
+def prepare_line(
     harness: HarnessFile, section: Section, inputs: Inputs, *, length: float | None = None
 ) -> PreparedLine:
     """Lay a line as a harness says.
@@ -130,11 +125,11 @@ def _stations(harness: HarnessFile, length: float) -> Floats:
 
 
 def _line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
-    begin, direction = (np.array(each) for each in start_of(harness))
+    begin, direction = (np.array(vector) for vector in start_of(harness))
     spool = harness.line.spool
     if spool is None:
         positions = begin + stations[:, None] * direction
-        return line_along(positions, section, up=_upward(direction))
+        return line_along(positions, section, up=_up_direction(direction))
     towards = _towards(spool, direction)
     middles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
     steps = np.cos(middles)[:, None] * direction + np.sin(middles)[:, None] * towards
@@ -154,8 +149,10 @@ def _towards(spool: Spool, direction: Floats) -> Floats:
     return np.asarray(unit(across))
 
 
-def _upward(direction: Floats) -> Vector3:
-    return (1.0, 0.0, 0.0) if abs(direction[2]) > _UPWARD else (0.0, 0.0, 1.0)
+def _up_direction(direction: Floats) -> Vector3:
+    # of a unit vector; beyond it z is too near to the direction of the line.
+    max_z_share = 0.9
+    return (1.0, 0.0, 0.0) if abs(direction[2]) > max_z_share else (0.0, 0.0, 1.0)
 
 
 def _as_tuple(vector: Floats) -> Vector3:
@@ -170,16 +167,16 @@ def _boundaries(
     for boundary in harness.boundaries:
         match boundary:
             case Clip() | Pin() | Grip():
-                yield _held(boundary, line, nodes[boundary.name], steps)
+                yield _held_boundary(boundary, line, nodes[boundary.name], steps)
             case Ring():
-                path = _brought(
-                    _nearest(line, boundary), boundary.position, boundary.by or steps, steps
+                path = _straight_path(
+                    _nearest_point(line, boundary), boundary.position, boundary.by or steps, steps
                 )
                 yield rod.Ring(path, np.array(boundary.direction), name=boundary.name)
             case String():
                 node = nodes[boundary.name]
                 first = first_anchor(boundary, _as_tuple(line.positions[node]))
-                path = _brought(np.array(first), boundary.anchor, boundary.by or steps, steps)
+                path = _straight_path(np.array(first), boundary.anchor, boundary.by or steps, steps)
                 yield rod.String(node, path, boundary.length, name=boundary.name)
             case Load():
                 force = _ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
@@ -188,37 +185,40 @@ def _boundaries(
                 table = np.array(boundary.point), np.array(boundary.normal)
                 yield rod.Plane(*table, boundary.friction, name=boundary.name)
     if any(harness.gravity) and line.section.mass_per_length > 0.0:
-        yield rod.Gravity(_weight(harness), name="weight")
+        yield rod.Gravity(_gravity_path(harness), name="weight")
 
 
-def _nearest(line: Line, ring: Ring) -> Floats:
+def _nearest_point(line: Line, ring: Ring) -> Floats:
     """Where a ring is at the start: on the line, at the place that is nearest to its own."""
     goal = np.array(ring.position)
     near = int(np.argmin(np.linalg.norm(line.positions - goal, axis=1)))
     return point_at(line.positions, nearest_place(line.positions, goal, float(near)))
 
 
-def _brought(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
+def _straight_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
     """From where something is at the start straight to its goal, shape (steps + 1, 3) or (3,).
 
     What is there already stays to the last bit: a path that trembles would have corners.
     """
-    way = np.array(goal) - begin
-    if np.linalg.norm(way) < _THERE:
+    min_distance = 1e-9  # m
+    displacement = np.array(goal) - begin
+    if np.linalg.norm(displacement) < min_distance:
         return np.array(goal)
-    return np.asarray(begin + _ramp(by, steps)[:, None] * way)
+    return np.asarray(begin + _ramp(by, steps)[:, None] * displacement)
 
 
-def _weight(harness: HarnessFile) -> Floats:
+def _gravity_path(harness: HarnessFile) -> Floats:
     """Acceleration step by step; it grows where the line begins taut between two places.
 
     A taut line that keeps its length has no tension that its weight could give it.
     """
-    whole = np.array(harness.gravity)
+    # the weight grows over this part of the steps.
+    steps_over_ramp = 5
+    full = np.array(harness.gravity)
     if sum(isinstance(boundary, HELD) for boundary in harness.boundaries) < 2:
-        return whole
-    share = _ramp(max(1, harness.steps // _SHARE_OF_STEPS), harness.steps)
-    return np.asarray(share[:, None] * whole)
+        return full
+    share = _ramp(max(1, harness.steps // steps_over_ramp), harness.steps)
+    return np.asarray(share[:, None] * full)
 
 
 def _ramp(by: int, steps: int) -> Floats:
@@ -226,7 +226,7 @@ def _ramp(by: int, steps: int) -> Floats:
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
-def _held(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
+def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Held:
     legs = legs_of(boundary, line.positions[node].tolist(), steps)
     at, rows = [leg.step for leg in legs], np.arange(steps + 1)
     corners = np.array([leg.position for leg in legs])
@@ -246,9 +246,9 @@ def _frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
         span = step - len(frames) + 1
         here = matrices(frames[-1])[:, 2]
         there = here if point.direction is None else np.array(point.direction)
-        whole = rotation_vectors(shortest_turns(here, there))
+        full = rotation_vectors(shortest_turns(here, there))
         shares = np.arange(1, span + 1) / span
-        moved = from_rotation_vectors(shares[:, None] * whole)
+        moved = from_rotation_vectors(shares[:, None] * full)
         frames += list(multiply(moved, np.tile(frames[-1], (span, 1))))
         turns[step] = turns[step - span] if point.turn is None else point.turn
     frames += [frames[-1]] * (steps + 1 - len(frames))

@@ -19,36 +19,38 @@ from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
 from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_responses import (
-    BACK,
+    ENERGY_LOST,
     FORCE,
     HOLDS,
-    KEPT,
-    LOST,
-    LOWEST,
+    LOWEST_POINT,
     MOMENT,
-    ON_THE_WAY,
     RADIUS,
-    along_of,
-    bent_of,
+    RADIUS_ON_PATH,
+    RESIDUAL,
+    SPRINGBACK,
+    curvature_vectors,
+    evaluate_number,
     fields_of,
     heights_of,
-    measured,
+    largest_of_sides,
 )
 from labpipe.studies.harness_section import Material
-from labpipe.studies.residual_curvature import kept_curvature, unbent, unloading_reason
+from labpipe.studies.residual_curvature import (
+    largest_unbending,
+    residual_curvature,
+    unloading_reason,
+)
 
-DIAMETERS = 5.0
+DEFAULT_BEND_DIAMETERS = 5.0
 """Outer diameters that the allowed bend radius is assumed to be where it is not stated."""
-MOST_IN_JUMPS = 0.1
+MAX_JUMP_SHARE = 0.1
 """Of the energy that is lost, above which what remembers the way is doubtful."""
-MOST_UNBENT = 0.1
+MAX_UNBENDING = 0.1
 """Of its sharpest bend, by which a line may have gone back before forces hang on how it unloads."""
 _LET_GO = "what the line would keep, let go (Masing)"
-MOST_TURN, FAR_TOO_MUCH = float(np.radians(30.0)), float(np.radians(90.0))
+MAX_TURN_PER_ELEMENT, EXCESSIVE_TURN = float(np.radians(30.0)), float(np.radians(90.0))
 """Of one element. The smallest bend radius of a heavy line is then off by 0.3 %, of a chain that is
 lifted by 1 %; with 90 degrees by up to 7 %, forces by 1 %, the shape by 0.3 % of the length."""
-_STRAIGHT = 1e-6
-"""1/m: a line that is bent by less has no bend radius worth a number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +60,12 @@ class BendLimit:
     Parameters
     ----------
     radius : m
-    words : where it comes from
+    source : where it comes from
     is_assumed : whether nobody said it
     """
 
     radius: float
-    words: str
+    source: str
     is_assumed: bool
 
 
@@ -93,8 +95,10 @@ def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
     """
     if harness.allowed_bend_radius is not None:
         return BendLimit(harness.allowed_bend_radius, "stated in the file", is_assumed=False)
-    words = f"assumed: {DIAMETERS:g} times the outer diameter of {_mm(material.diameter)}"
-    return BendLimit(DIAMETERS * material.diameter, words, is_assumed=True)
+    source = (
+        f"assumed: {DEFAULT_BEND_DIAMETERS:g} times the outer diameter of {_mm(material.diameter)}"
+    )
+    return BendLimit(DEFAULT_BEND_DIAMETERS * material.diameter, source, is_assumed=True)
 
 
 def curvature_of(state: RodState, line: Line) -> Floats:
@@ -109,7 +113,7 @@ def curvature_of(state: RodState, line: Line) -> Floats:
     -----
     The larger one where a clip parts both sides of a node.
     """
-    return along_of(bent_of(state, line))
+    return largest_of_sides(curvature_vectors(state, line))
 
 
 def turns_of(state: RodState, line: Line) -> Floats:
@@ -125,7 +129,9 @@ def radius_of(curvature: Floats) -> Floats:
     ----------
     curvature : 1/m, any shape
     """
-    is_bent = curvature > _STRAIGHT
+    # 1/m; below it the line counts as straight.
+    min_curvature = 1e-6
+    is_bent = curvature > min_curvature
     return np.asarray(np.where(is_bent, 1.0 / np.where(is_bent, curvature, 1.0), np.inf))
 
 
@@ -153,17 +159,19 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     line : that was followed
     material : with the curvature and the stretch up to which its law is backed
     """
-    reasons = [Reason(reason.code, _in_places(reason.sentence, line)) for reason in path.reasons]
+    reasons = [
+        Reason(reason.code, _nodes_to_places(reason.sentence, line)) for reason in path.reasons
+    ]
     if not path.states:
         return tuple(reasons)
     bent = np.array([state.bendings for state in path.states])
     row, node = divmod(int(np.argmax(bent)), bent.shape[1])
-    known = {finding.code for finding in reasons}
-    if bent[row, node] > material.limit and "beyond_law" not in known:
+    codes = {reason.code for reason in reasons}
+    if bent[row, node] > material.limit and "beyond_law" not in codes:
         message = (
             f"step {row}, {_mm(line.stations[node])} from the start: the line is bent to "
             f"{bent[row, node]:.4g} 1/m, its law is backed up to {material.limit:.4g} 1/m by "
-            f"{material.limit_words}"
+            f"{material.limit_source}"
         )
         reasons.append(Reason("beyond_backed", message))
     stretches = np.abs([state.stretches for state in path.states])
@@ -178,7 +186,7 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     return tuple(reasons)
 
 
-def _in_places(sentence: str, line: Line) -> str:
+def _nodes_to_places(sentence: str, line: Line) -> str:
     """A sentence of the rod, which counts nodes, in places along the line."""
 
     def place(node: str) -> str:
@@ -213,13 +221,13 @@ class Doubt:
     names: tuple[str, ...]
 
 
-def jump_doubt(path: RodPath, laid: PreparedLine) -> Doubt | None:
+def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
     """Why numbers that remember the way are doubtful, if they are: much was lost in jumps.
 
     Parameters
     ----------
     path : as followed
-    laid : that was followed
+    prepared : that was followed
 
     Notes
     -----
@@ -229,7 +237,7 @@ def jump_doubt(path: RodPath, laid: PreparedLine) -> Doubt | None:
     energy is lost on its way, 2 % where it is 17 %, and 6 % where it is 33 %.
     """
     share = float(path.lost_in_jumps[-1] / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
-    if share <= MOST_IN_JUMPS:
+    if share <= MAX_JUMP_SHARE:
         return None
     fell = np.diff(path.lost_in_jumps, prepend=0.0)
     at = ", ".join(map(str, np.flatnonzero(fell > 0.1 * np.max(fell))))
@@ -238,7 +246,9 @@ def jump_doubt(path: RodPath, laid: PreparedLine) -> Doubt | None:
         "energy was lost on its way down; what remembers it depends on how it came down and swung "
         "out, which is not known"
     )
-    return Doubt(Reason("jumped", message), (LOST, KEPT, MOMENT, *_of_let_go(laid)))
+    return Doubt(
+        Reason("jumped", message), (ENERGY_LOST, RESIDUAL, MOMENT, *_names_after_release(prepared))
+    )
 
 
 def element_doubt(path: RodPath, line: Line) -> Doubt | None:
@@ -252,51 +262,53 @@ def element_doubt(path: RodPath, line: Line) -> Doubt | None:
     turns = np.array([turns_of(state, line) for state in path.states])
     row, node = divmod(int(np.argmax(turns)), turns.shape[1])
     turn, count = float(turns[row, node]), len(line.lengths)
-    if turn <= MOST_TURN:
+    if turn <= MAX_TURN_PER_ELEMENT:
         return None
     message = (
         f"step {row}, {_mm(line.stations[node])} from the start: the line turns by "
         f"{np.degrees(turn):.0f} deg over one of its {count} elements, and its bend is not "
-        f"followed within 1 %: take {math.ceil(count * turn / MOST_TURN)} elements or more"
+        f"followed within 1 %: take {math.ceil(count * turn / MAX_TURN_PER_ELEMENT)} elements or more"
     )
     has_memory = len(line.section.law.stiffnesses) > 0
-    names: tuple[str, ...] = (ON_THE_WAY, KEPT, LOST) if has_memory else (ON_THE_WAY,)
-    if turn > FAR_TOO_MUCH:
-        names = ("", ON_THE_WAY)
-    elif turns[-1].max() > MOST_TURN:
+    names: tuple[str, ...] = (
+        (RADIUS_ON_PATH, RESIDUAL, ENERGY_LOST) if has_memory else (RADIUS_ON_PATH,)
+    )
+    if turn > EXCESSIVE_TURN:
+        names = ("", RADIUS_ON_PATH)
+    elif turns[-1].max() > MAX_TURN_PER_ELEMENT:
         names = (RADIUS, MOMENT, *names)
     return Doubt(Reason("coarse_elements", message), names)
 
 
-def unloading_doubt(path: RodPath, laid: PreparedLine) -> Doubt | None:
+def unloading_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
     """Why numbers that hang on the way back are doubtful, if they are.
 
     Parameters
     ----------
     path : as followed
-    laid : that was followed
+    prepared : that was followed
 
     Notes
     -----
     Shape, where the line was let go; forces and moments, where it was unbent and is held by more
     than one thing, so that they hang on its law. See `unloading_reason`.
     """
-    reason = unloading_reason(path, laid.line)
+    reason = unloading_reason(path, prepared.line)
     if reason is None:
         return None
-    names = [LOST, KEPT, *_of_let_go(laid)]
-    left = [e for e in laid.boundaries if isinstance(e, HOLDS) and not _lets_go(e)]
-    if len(left) > 1 and unbent(path) > MOST_UNBENT:
+    names = [ENERGY_LOST, RESIDUAL, *_names_after_release(prepared)]
+    left = [e for e in prepared.boundaries if isinstance(e, HOLDS) and not _is_released(e)]
+    if len(left) > 1 and largest_unbending(path) > MAX_UNBENDING:
         names += [FORCE, MOMENT]
     return Doubt(reason, tuple(names))
 
 
-def _of_let_go(laid: PreparedLine) -> tuple[str, ...]:
+def _names_after_release(prepared: PreparedLine) -> tuple[str, ...]:
     """Names of what is its shape where a line was let go."""
-    return (BACK, RADIUS, LOWEST) if any(map(_lets_go, laid.boundaries)) else ()
+    return (SPRINGBACK, RADIUS, LOWEST_POINT) if any(map(_is_released, prepared.boundaries)) else ()
 
 
-def _lets_go(boundary: rod.Boundary) -> bool:
+def _is_released(boundary: rod.Boundary) -> bool:
     return isinstance(boundary, rod.Held) and boundary.release is not None
 
 
@@ -320,10 +332,10 @@ class Number:
     @property
     def is_signed(self) -> bool:
         """Whether it may be below zero: a coordinate, not a size."""
-        return self.name == LOWEST
+        return self.name == LOWEST_POINT
 
 
-def size_of(unit: str, line: Line) -> float:
+def reference_size(unit: str, line: Line) -> float:
     """What a line bent over its own length has of a unit; far less is nothing.
 
     Parameters
@@ -338,21 +350,25 @@ def size_of(unit: str, line: Line) -> float:
     ]
 
 
-def numbers_of(path: RodPath, laid: PreparedLine) -> tuple[Number, ...]:
+def numbers_of(path: RodPath, prepared: PreparedLine) -> tuple[Number, ...]:
     """The numbers of a harness at its last step, and of the whole way.
 
     Parameters
     ----------
     path : as followed, to the last step
-    laid : that was followed
+    prepared : that was followed
     """
-    fields, steps = fields_of(path, laid), len(path.states) - 1
+    fields, steps = fields_of(path, prepared), len(path.states) - 1
 
     def value(name: str) -> float:
-        return float(measured(name, fields.__getitem__, laid, steps))
+        return float(evaluate_number(name, fields.__getitem__, prepared, steps))
 
-    bends = _bends(path, laid, value(LOWEST))
-    return (*bends, *_forces(path, laid, value), *_kept(path, laid, value))
+    bends = _bend_numbers(path, prepared, value(LOWEST_POINT))
+    return (
+        *bends,
+        *_force_numbers(path, prepared, value),
+        *_release_numbers(path, prepared, value),
+    )
 
 
 def results_of(
@@ -371,63 +387,74 @@ def results_of(
     doubts : why some of them are
     """
     return tuple(
-        _result(number, (*reasons, *_own(number, doubts)), intervals.get(number.name))
+        _result(number, (*reasons, *_reasons_for(number, doubts)), intervals.get(number.name))
         for number in numbers
     )
 
 
-def _own(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
+def _reasons_for(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
     """Why this number is doubtful, of the doubts that touch some."""
     for doubt in doubts:
-        is_meant = number.name != ON_THE_WAY or ON_THE_WAY in doubt.names
+        is_meant = number.name != RADIUS_ON_PATH or RADIUS_ON_PATH in doubt.names
         if number.name.startswith(doubt.names) and is_meant:
             yield doubt.reason
 
 
 def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | None) -> Result:
     if not np.isfinite(number.value):
-        return Result(number.name, None, number.unit, None, Status.FAILED, (_STRAIGHT_REASON,))
+        return Result(number.name, None, number.unit, None, Status.FAILED, (_STRAIGHT,))
     status = Status.DOUBTFUL if reasons else Status.OK
     return Result(
         *(number.name, number.value, number.unit, interval, status, reasons), remark=number.remark
     )
 
 
-_STRAIGHT_REASON = Reason("straight", "the line is straight: it has no bend radius")
+_STRAIGHT = Reason("straight", "the line is straight: it has no bend radius")
 
 
-def _bends(path: RodPath, laid: PreparedLine, lowest: float) -> Iterator[Number]:
-    last, line = len(path.states) - 1, laid.line
-    end, way = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
+def _bend_numbers(path: RodPath, prepared: PreparedLine, lowest: float) -> Iterator[Number]:
+    last, line = len(path.states) - 1, prepared.line
+    end, overall = sharpest(path, line, [last]), sharpest(path, line, range(last + 1))
     yield Number(RADIUS, end.radius, "m", f"{_mm(end.place)} from the start")
-    where = f"step {way.step}, {_mm(way.place)} from the start"
-    yield Number(ON_THE_WAY, way.radius, "m", where)
-    node = int(np.argmin(heights_of(path.last.positions, laid)))
-    yield Number(LOWEST, lowest, "m", f"{_mm(line.stations[node])} from the start")
+    where = f"step {overall.step}, {_mm(overall.place)} from the start"
+    yield Number(RADIUS_ON_PATH, overall.radius, "m", where)
+    node = int(np.argmin(heights_of(path.last.positions, prepared)))
+    yield Number(LOWEST_POINT, lowest, "m", f"{_mm(line.stations[node])} from the start")
 
 
-def _forces(path: RodPath, laid: PreparedLine, value: Callable[[str], float]) -> Iterator[Number]:
+def _force_numbers(
+    path: RodPath, prepared: PreparedLine, value: Callable[[str], float]
+) -> Iterator[Number]:
     sizes = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
-    for number, boundary in enumerate(laid.boundaries):
+    for number, boundary in enumerate(prepared.boundaries):
         if not isinstance(boundary, HOLDS):
             continue
         most = int(np.argmax(sizes[:, number]))
-        way = f"largest on the way: {sizes[most, number]:.4g} N at step {most}"
-        yield Number(f"{FORCE}{boundary.name}", value(f"{FORCE}{boundary.name}"), "N", way)
+        remark = f"largest on the way: {sizes[most, number]:.4g} N at step {most}"
+        yield Number(f"{FORCE}{boundary.name}", value(f"{FORCE}{boundary.name}"), "N", remark)
         if isinstance(boundary, rod.Held) and boundary.frame is not None:
             yield Number(f"{MOMENT}{boundary.name}", value(f"{MOMENT}{boundary.name}"), "N*m", "")
 
 
-def _kept(path: RodPath, laid: PreparedLine, value: Callable[[str], float]) -> Iterator[Number]:
-    for boundary in laid.boundaries:
+def _release_numbers(
+    path: RodPath, prepared: PreparedLine, value: Callable[[str], float]
+) -> Iterator[Number]:
+    for boundary in prepared.boundaries:
         if isinstance(boundary, rod.Held) and boundary.release is not None:
-            way = f"of its place, from step {boundary.release - 1}, the last in which it was held"
-            yield Number(f"{BACK}{boundary.name}", value(f"{BACK}{boundary.name}"), "m", way)
-    kept = kept_curvature(path.last, laid.line.section.law)
-    node = int(np.argmax(kept))
-    where = f"{_mm(laid.line.stations[node])} from the start; {_LET_GO}"
-    yield Number(KEPT, value(KEPT), "1/m", where if kept[node] else "")
-    yield Number(LOST, value(LOST), "J", "in bending, since the start")
+            remark = (
+                f"of its place, from step {boundary.release - 1}, the last in which it was held"
+            )
+            yield Number(
+                f"{SPRINGBACK}{boundary.name}",
+                value(f"{SPRINGBACK}{boundary.name}"),
+                "m",
+                remark,
+            )
+    residual = residual_curvature(path.last, prepared.line.section.law)
+    node = int(np.argmax(residual))
+    where = f"{_mm(prepared.line.stations[node])} from the start; {_LET_GO}"
+    yield Number(RESIDUAL, value(RESIDUAL), "1/m", where if residual[node] else "")
+    yield Number(ENERGY_LOST, value(ENERGY_LOST), "J", "in bending, since the start")
 
 
 def _mm(length: float) -> str:

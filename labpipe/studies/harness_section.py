@@ -43,10 +43,7 @@ from labpipe.wire.wire_table import wire_table
 FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
 """Inputs: logarithms of what moments, torsional stiffness and mass are multiplied by."""
 DEFAULT_SHEET = "wires.xlsx"
-_MOST_BYTES = 1 << 26
-_STRAIGHT_LINE = "the straight line of its insulation"
-_SMALL_STRETCH = 1e-3
-"""Strain: the axial stiffness of a wire is that of copper that does not yield."""
+_INSULATION_LIMIT = "the straight line of its insulation"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,21 +56,21 @@ class Material:
     sections : for named inputs, such as ``law_factor``; 0 for one that is left out. One for each
         solution of a calibration, the best first: a law keeps the slips that were chosen for it
     limit : 1/m, up to which the law is backed
-    limit_words : by what
+    limit_source : by what
     stretch_limit : strain along the line, up to which its axial stiffness is backed
     files : that it was read from
     notes : what a careful person would want to know
-    beliefs : what is known of the inputs, one for each solution of a calibration; empty where
+    distributions : what is known of the inputs, one for each solution of a calibration; empty where
         nothing says how well the law is known
     """
 
     name: str
     sections: tuple[Callable[[Mapping[str, float]], Section], ...]
     limit: float
-    limit_words: str
+    limit_source: str
     files: tuple[InputFile, ...] = ()
     notes: tuple[QualityNote, ...] = ()
-    beliefs: tuple[InputDistribution, ...] = ()
+    distributions: tuple[InputDistribution, ...] = ()
     stretch_limit: float = np.inf
 
     @property
@@ -84,7 +81,7 @@ class Material:
     @property
     def best(self) -> Mapping[str, float]:
         """The best inputs."""
-        return self.beliefs[0].inputs() if self.beliefs else {}
+        return self.distributions[0].inputs() if self.distributions else {}
 
 
 def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
@@ -103,29 +100,31 @@ def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> 
     """
     block = harness.line.section
     if block.wire is not None:
-        found = _of_wire(block, file, wires)
+        material = _wire_material(block, file, wires)
     elif block.sliders is not None:
-        found = _of_deck(block, file_beside(block.sliders, file))
+        material = _deck_material(block, file_beside(block.sliders, file))
     else:
-        found = _of_stiffness(block)
-    return replace(found, beliefs=_with_stated(found.beliefs, harness))
+        material = _stiffness_material(block)
+    return replace(material, distributions=_add_stated(material.distributions, harness))
 
 
-def _with_stated(
-    beliefs: tuple[InputDistribution, ...], harness: HarnessFile
+def _add_stated(
+    distributions: tuple[InputDistribution, ...], harness: HarnessFile
 ) -> tuple[InputDistribution, ...]:
     """Beliefs of a calibration with what the file states beside them."""
     stated = {LAW_FACTOR: harness.line.section.stiffness_uncertainty or 0.0}
     if harness.line.spool is not None:
         stated |= dict.fromkeys(FREE_CURVATURES, harness.line.spool.spread)
-    own = [
+    stated_distributions = [
         known(name, deviation, cause=_CAUSES[name])
         for name, deviation in stated.items()
         if deviation > 0.0
     ]
-    if not own:
-        return beliefs
-    return tuple(joined([belief, *own]) for belief in beliefs) or (joined(own),)
+    if not stated_distributions:
+        return distributions
+    if not distributions:
+        return (joined(stated_distributions),)
+    return tuple(joined([calibrated, *stated_distributions]) for calibrated in distributions)
 
 
 _CAUSES = {LAW_FACTOR: "stiffness as stated"} | dict.fromkeys(FREE_CURVATURES, "curl of the spool")
@@ -170,7 +169,8 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
     raise UsageError(message)
 
 
-def _of_wire(block: SectionBlock, file: Path, wires: Path | None) -> Material:
+def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
+    max_elastic_strain = 1e-3  # copper yields beyond it
     sheet = wires or file_beside(block.sheet or DEFAULT_SHEET, file)
     spec = wire_of(str(block.wire), sheet, where=f"{file}, line.section.wire")
     files = [input_file("wires", sheet)]
@@ -179,7 +179,7 @@ def _of_wire(block: SectionBlock, file: Path, wires: Path | None) -> Material:
         path = file_beside(block.calibration, file)
         calibrated = read_calibrated(path)
         files.append(input_file("calibration", path))
-    specs = _solved(spec, calibrated)
+    specs = _solution_specs(spec, calibrated)
     try:
         table, families = wire_table(specs[0]), [family_of(spec) for spec in specs]
     except ValueError as error:
@@ -192,23 +192,23 @@ def _of_wire(block: SectionBlock, file: Path, wires: Path | None) -> Material:
         raise ProcessingError(message) from error
     limits = {
         "its table": float(table.curvature[-1]),
-        _STRAIGHT_LINE: table.doubtful_curvature,
+        _INSULATION_LIMIT: table.doubtful_curvature,
     }
     if calibrated is not None and np.isfinite(calibrated.tested_curvature):
         limits["the tests of its calibration"] = calibrated.tested_curvature
-    words = min(limits, key=lambda limit: limits[limit])
+    source = min(limits, key=lambda limit: limits[limit])
     return Material(
         _name(spec, calibrated),
-        tuple(partial(_of_family, family, spec.wire_diameter) for family in families),
-        *(limits[words], words),
+        tuple(partial(_family_section, family, spec.wire_diameter) for family in families),
+        *(limits[source], source),
         files=tuple(files),
         notes=table.notes,
-        beliefs=() if calibrated is None else _beliefs(calibrated),
-        stretch_limit=_SMALL_STRETCH,
+        distributions=() if calibrated is None else _beliefs(calibrated),
+        stretch_limit=max_elastic_strain,
     )
 
 
-def _solved(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:
+def _solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:
     """The wire with the numbers of each solution that a calibration allows; alone without one."""
     if calibrated is None:
         return [spec]
@@ -219,11 +219,11 @@ def _solved(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]
     ]
 
 
-def _of_family(family: LawFamily, diameter: float, inputs: Mapping[str, float]) -> Section:
-    made = family.at(inputs)
+def _family_section(family: LawFamily, diameter: float, inputs: Mapping[str, float]) -> Section:
+    member = family.at(inputs)
     return Section(
-        *(made.law, made.torsional_stiffness, made.axial_stiffness, made.coupling),
-        mass_per_length=made.mass_per_length,
+        *(member.law, member.torsional_stiffness, member.axial_stiffness, member.coupling),
+        mass_per_length=member.mass_per_length,
         diameter=diameter,
     )
 
@@ -239,7 +239,7 @@ def _name(spec: WireSpec, calibrated: CalibratedFile | None) -> str:
     return f"{spec.name} (calibrated as {calibrated.wire})"
 
 
-def _changed(section: Section, inputs: Mapping[str, float]) -> Section:
+def _scaled_section(section: Section, inputs: Mapping[str, float]) -> Section:
     """A section with moments, torsion and mass multiplied as the inputs say."""
     bending, torsion, mass = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
     law = section.law
@@ -251,7 +251,7 @@ def _changed(section: Section, inputs: Mapping[str, float]) -> Section:
     )
 
 
-def _of_stiffness(block: SectionBlock) -> Material:
+def _stiffness_material(block: SectionBlock) -> Material:
     stiffness, limit = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
     section = Section(
         linear_moment_law(stiffness, limit),
@@ -261,54 +261,57 @@ def _of_stiffness(block: SectionBlock) -> Material:
         diameter=block.diameter or 0.0,
     )
     name = f"stiffness {1e6 * stiffness:.6g} N mm^2"
-    words = "'largest_curvature' of the file"
-    return Material(name, (partial(_changed, section),), limit, words)
+    source = "'largest_curvature' of the file"
+    return Material(name, (partial(_scaled_section, section),), limit, source)
 
 
-def _of_deck(block: SectionBlock, path: Path) -> Material:
-    said = _read_deck(path)
+def _deck_material(block: SectionBlock, path: Path) -> Material:
+    deck = _read_deck(path)
     try:
-        first, last = map(float, said["range"]["curvature"])
-        doubtful = float(said.get("doubtful_beyond") or np.inf)
+        first, last = map(float, deck["range"]["curvature"])
+        doubtful = float(deck.get("doubtful_beyond") or np.inf)
         law = SliderLaw(
-            float(said["stiffness"]),
-            np.array(said["stiffnesses"], dtype=np.float64),
-            np.array(said["slip_curvatures"], dtype=np.float64),
+            float(deck["stiffness"]),
+            np.array(deck["stiffnesses"], dtype=np.float64),
+            np.array(deck["slip_curvatures"], dtype=np.float64),
             first,
             last,
-            float(said.get("error", 0.0)),
+            float(deck.get("error", 0.0)),
         )
         section = Section(
             law,
-            float(said["torsional_stiffness"]),
+            float(deck["torsional_stiffness"]),
             block.axial_stiffness or np.inf,
-            mass_per_length=float(said.get("mass_per_length") or 0.0),
+            mass_per_length=float(deck.get("mass_per_length") or 0.0),
             diameter=block.diameter or 0.0,
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         found = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
-        raise _no_deck(path, "the law of a wire with its range", found) from error
-    limits = {"the range of the deck": law.last, _STRAIGHT_LINE: doubtful}
-    words = min(limits, key=lambda limit: limits[limit])
+        raise _deck_error(path, "the law of a wire with its range", found) from error
+    limits = {"the range of the deck": law.last, _INSULATION_LIMIT: doubtful}
+    source = min(limits, key=lambda limit: limits[limit])
     return Material(
-        *(str(said.get("wire", path.stem)), (partial(_changed, section),)),
-        *(limits[words], words),
+        *(str(deck.get("wire", path.stem)), (partial(_scaled_section, section),)),
+        *(limits[source], source),
         files=(input_file("sliders", path),),
     )
 
 
 def _read_deck(path: Path) -> dict[str, Any]:
+    max_bytes = 1 << 26
     try:
-        said = json.loads(path.read_bytes()) if path.stat().st_size < _MOST_BYTES else None
+        deck = json.loads(path.read_bytes()) if path.stat().st_size < max_bytes else None
     except (OSError, ValueError, RecursionError) as error:
-        raise _no_deck(path, "a deck that labpipe wrote", f"a damaged one ({error})") from error
-    if not isinstance(said, dict):
-        raise _no_deck(path, "a deck that labpipe wrote", "something else")
-    if "reason" in said:
-        raise _no_deck(path, "the law of a wire as sliders", f"why there is none: {said['reason']}")
-    return said
+        raise _deck_error(path, "a deck that labpipe wrote", f"a damaged one ({error})") from error
+    if not isinstance(deck, dict):
+        raise _deck_error(path, "a deck that labpipe wrote", "something else")
+    if "reason" in deck:
+        raise _deck_error(
+            path, "the law of a wire as sliders", f"why there is none: {deck['reason']}"
+        )
+    return deck
 
 
-def _no_deck(path: Path, expected: str, found: str) -> ReadError:
+def _deck_error(path: Path, expected: str, found: str) -> ReadError:
     remedy = "`labpipe model` writes <wire>.sliders.json."
     return ReadError(error_text(path, "", expected=expected, found=found, remedy=remedy))

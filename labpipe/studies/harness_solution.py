@@ -23,7 +23,7 @@ from labpipe.studies.harness_convergence import (
     few_elements_doubt,
     walk_with_other_steps,
 )
-from labpipe.studies.harness_line import Inputs, PreparedLine, laid
+from labpipe.studies.harness_line import Inputs, PreparedLine, prepare_line
 from labpipe.studies.harness_numbers import (
     Bend,
     BendLimit,
@@ -37,7 +37,7 @@ from labpipe.studies.harness_numbers import (
     sharpest,
     unloading_doubt,
 )
-from labpipe.studies.harness_responses import LOWEST, ON_THE_WAY, RADIUS
+from labpipe.studies.harness_responses import LOWEST_POINT, RADIUS, RADIUS_ON_PATH
 from labpipe.studies.harness_section import Material
 
 FAILED = "failed"
@@ -51,14 +51,14 @@ class SweepRun:
     ----------
     length : m
     path : as followed
-    laid : that was followed
+    prepared : that was followed
     reasons : why its bend is doubtful, or was not found
     bands : of the last step; None without
     """
 
     length: float
     path: RodPath
-    laid: PreparedLine
+    prepared: PreparedLine
     reasons: tuple[Reason, ...] = ()
     bands: HarnessBands | None = None
 
@@ -73,14 +73,14 @@ class SweepRun:
         return self._sharpest([len(self.path.states) - 1])
 
     @property
-    def way(self) -> Bend:
+    def bend_on_path(self) -> Bend:
         """The sharpest bend on the way; NaN for a line that could not be followed to its end."""
         return self._sharpest(range(len(self.path.states)))
 
     def _sharpest(self, steps: Sequence[int]) -> Bend:
         if self.path.status == FAILED:
             return Bend(math.nan, -1, math.nan)
-        return sharpest(self.path, self.laid.line, steps)
+        return sharpest(self.path, self.prepared.line, steps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +92,7 @@ class FollowedHarness:
     file : its YAML
     harness : as read
     material : of its line
-    laid : line and boundaries that were followed
+    prepared : line and boundaries that were followed
     path : as followed
     status : ``failed`` where the line cannot be followed to the last step; nothing is written then
         but the reason
@@ -108,7 +108,7 @@ class FollowedHarness:
     file: Path
     harness: HarnessFile
     material: Material
-    laid: PreparedLine
+    prepared: PreparedLine
     path: RodPath
     status: Status
     reasons: tuple[Reason, ...]
@@ -127,13 +127,13 @@ class FollowedHarness:
     @property
     def sharpest(self) -> Bend:
         """The sharpest bend on the whole way."""
-        return sharpest(self.path, self.laid.line, range(len(self.path.states)))
+        return sharpest(self.path, self.prepared.line, range(len(self.path.states)))
 
     @property
     def is_bend_doubtful(self) -> bool:
         """Whether the sharpest bend on the whole way is."""
-        way = [result for result in self.results if result.name == ON_THE_WAY]
-        return any(each.status is Status.DOUBTFUL for each in way)
+        numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
+        return any(result.status is Status.DOUBTFUL for result in numbers)
 
 
 def shown_steps(harness: HarnessFile) -> tuple[int, ...]:
@@ -146,7 +146,7 @@ def shown_steps(harness: HarnessFile) -> tuple[int, ...]:
     return tuple(sorted({*harness.show, harness.steps}))
 
 
-def followed(
+def solve_harness(
     harness: HarnessFile,
     file: Path,
     material: Material,
@@ -172,74 +172,80 @@ def followed(
         If the line cannot be laid as its boundaries say.
     """
     steps = shown_steps(harness) if length is None else (harness.steps,)
-    path, ready, bands = _with_bands(harness, file, material, steps, length, on_step=on_step)
-    reasons = _all_reasons(path, ready, material, bands)
+    path, prepared, bands = _follow_with_bands(
+        harness, file, material, steps, length, on_step=on_step
+    )
+    reasons = _all_reasons(path, prepared, material, bands)
     is_whole = path.status != FAILED
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
-    results = _results(harness, material, (path, ready, bands), length) if is_whole else ()
+    results = (
+        _results_with_doubts(harness, material, (path, prepared, bands), length) if is_whole else ()
+    )
     limit = bend_limit(harness, material)
     return FollowedHarness(
-        *(file, harness, material, ready, path, status, reasons, results, limit, folder),
+        *(file, harness, material, prepared, path, status, reasons, results, limit, folder),
         bands=bands,
     )
 
 
-def _halved(harness: HarnessFile, material: Material, length: float | None) -> PreparedLine:
+def _with_half_elements(
+    harness: HarnessFile, material: Material, length: float | None
+) -> PreparedLine:
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
     harness = harness.model_copy(update={"line": line})
-    return laid(harness, material.sections[0](material.best), material.best, length=length)
+    return prepare_line(harness, material.sections[0](material.best), material.best, length=length)
 
 
-def _results(
+def _results_with_doubts(
     harness: HarnessFile,
     material: Material,
-    found: tuple[RodPath, PreparedLine, HarnessBands | None],
+    solution: tuple[RodPath, PreparedLine, HarnessBands | None],
     length: float | None = None,
 ) -> tuple[Result, ...]:
     """Numbers of a line that was followed to its end, each with all its doubts."""
-    path, ready, bands = found
+    path, prepared, bands = solution
     intervals = {} if bands is None else bands.intervals
-    doubts = _doubts(path, ready, _halved(harness, material, length), intervals)
-    reasons = _all_reasons(path, ready, material, bands)
-    return results_of(numbers_of(path, ready), reasons, intervals, doubts)
+    doubts = _doubts(path, prepared, _with_half_elements(harness, material, length), intervals)
+    reasons = _all_reasons(path, prepared, material, bands)
+    return results_of(numbers_of(path, prepared), reasons, intervals, doubts)
 
 
 def _doubts(
-    path: RodPath, ready: PreparedLine, half: PreparedLine, intervals: Mapping[str, Interval]
+    path: RodPath, prepared: PreparedLine, half: PreparedLine, intervals: Mapping[str, Interval]
 ) -> list[Doubt]:
     """Why some numbers of a line that was followed to its end are doubtful."""
-    found = [
-        element_doubt(path, ready.line),
-        few_elements_doubt(path, ready, half, intervals),
-        jump_doubt(path, ready),
-        unloading_doubt(path, ready),
+    doubts = [
+        element_doubt(path, prepared.line),
+        few_elements_doubt(path, prepared, half, intervals),
+        jump_doubt(path, prepared),
+        unloading_doubt(path, prepared),
     ]
-    if depends_on_history(ready):
-        other = walk_with_other_steps(ready, len(path.states) - 1)
-        found.append(coarse_doubt(path, ready, other, intervals))
-    return [finding for finding in found if finding is not None]
+    if depends_on_history(prepared):
+        other = walk_with_other_steps(prepared, len(path.states) - 1)
+        doubts.append(coarse_doubt(path, prepared, other, intervals))
+    return [doubt for doubt in doubts if doubt is not None]
 
 
 def _all_reasons(
-    path: RodPath, ready: PreparedLine, material: Material, bands: HarnessBands | None
+    path: RodPath, prepared: PreparedLine, material: Material, bands: HarnessBands | None
 ) -> tuple[Reason, ...]:
     """Why all numbers are doubtful, or why there are none; what the bands say included."""
-    reasons = reasons_of(path, ready.line, material)
+    reasons = reasons_of(path, prepared.line, material)
     if bands is None:
         return reasons
-    known = {reason.code for reason in reasons} | _SAID_ALREADY
+    codes = {reason.code for reason in reasons} | _COVERED_CODES
     notes = [Reason(note.code, note.message) for note in bands.line.notes]
     notes += [] if bands.doubt is None else [bands.doubt]
-    return reasons + tuple(note for note in notes if note.code not in known)
+    return reasons + tuple(note for note in notes if note.code not in codes)
 
 
-_SAID_ALREADY = {"beyond_tested"}
+_COVERED_CODES = {"beyond_tested"}
 """Codes of notes of bands that `reasons_of` has a word for."""
-_OF_SWEEP = (RADIUS, ON_THE_WAY, LOWEST)
+_SWEEP_NUMBERS = (RADIUS, RADIUS_ON_PATH, LOWEST_POINT)
 """Numbers that a sweep lists for each length."""
 
 
-def swept(
+def solve_sweep_length(
     stated: FollowedHarness, length: float, on_step: Callable[[], object] = lambda: None
 ) -> SweepRun:
     """Follow a harness with another length of its line.
@@ -253,24 +259,24 @@ def swept(
     Raises
     ------
     ProcessingError
-        As `followed`.
+        As `solve_harness`.
     """
     other = stated
     if length != stated.harness.line.length:
         inputs = stated.harness, stated.file, stated.material, stated.folder
-        other = followed(*inputs, on_step, length=length)
+        other = solve_harness(*inputs, on_step, length=length)
     reasons = other.reasons
     if other.status is not Status.FAILED:
         listed = [
             result.reasons
             for result in other.results
-            if result.name in _OF_SWEEP and result.value is not None
+            if result.name in _SWEEP_NUMBERS and result.value is not None
         ]
         reasons = tuple(dict.fromkeys(reason for result in listed for reason in result))
-    return SweepRun(length, other.path, other.laid, reasons, other.bands)
+    return SweepRun(length, other.path, other.prepared, reasons, other.bands)
 
 
-def _with_bands(
+def _follow_with_bands(
     harness: HarnessFile,
     file: Path,
     material: Material,
@@ -280,19 +286,19 @@ def _with_bands(
     on_step: Callable[[], object],
 ) -> tuple[RodPath, PreparedLine, HarnessBands | None]:
     """Follow a line at its best inputs, and beside them where something is believed of them."""
-    known: list[Followed] = []
+    solutions: list[Followed] = []
 
     def follow_line(number: int, inputs: Inputs) -> Followed:
-        ready = laid(harness, material.sections[number](inputs), inputs, length=length)
+        prepared = prepare_line(harness, material.sections[number](inputs), inputs, length=length)
         with np.errstate(over="ignore", invalid="ignore"):  # it then fails, and says so
-            path = follow(ready.line, ready.boundaries, steps=harness.steps, on_step=on_step)
-        found = path, ready
-        known.append(found)
+            path = follow(prepared.line, prepared.boundaries, steps=harness.steps, on_step=on_step)
+        found = path, prepared
+        solutions.append(found)
         return found
 
     try:
         bands = harness_bands(follow_line, material, steps)
-        path, ready = known[0] if known else follow_line(0, material.best)
+        path, prepared = solutions[0] if solutions else follow_line(0, material.best)
     except ValueError as error:
         message = error_text(
             *(file, "line"),
@@ -301,4 +307,4 @@ def _with_bands(
             remedy="Check the line and what holds it.",
         )
         raise ProcessingError(message) from error
-    return path, ready, bands
+    return path, prepared, bands

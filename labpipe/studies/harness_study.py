@@ -28,7 +28,13 @@ from labpipe.store.summaries import SUMMARY_FILE, result_entry
 from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
 from labpipe.studies.harness_responses import RADIUS, heights_of
 from labpipe.studies.harness_section import input_file, material_of
-from labpipe.studies.harness_solution import FAILED, FollowedHarness, SweepRun, followed, swept
+from labpipe.studies.harness_solution import (
+    FAILED,
+    FollowedHarness,
+    SweepRun,
+    solve_harness,
+    solve_sweep_length,
+)
 from labpipe.studies.harness_tables import Bands, forces_csv, shape_csv, shape_vtk
 
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
@@ -92,7 +98,7 @@ def follow_harness(
     others = [length for length in lengths if length != harness.line.length]
     watcher.begin(len(others) + 1, harness.steps + 1)
     watcher.line("as stated")
-    follow_harness = followed(harness, file, material, folder, watcher.step)
+    follow_harness = solve_harness(harness, file, material, folder, watcher.step)
     if follow_harness.status is Status.FAILED:
         _write_failure(follow_harness)
         return follow_harness
@@ -100,38 +106,38 @@ def follow_harness(
     for length in lengths:
         if length in others:
             watcher.line(f"length {1e3 * length:.6g} mm")
-        sweep.append(swept(follow_harness, length, watcher.step))
+        sweep.append(solve_sweep_length(follow_harness, length, watcher.step))
     return _write(replace(follow_harness, sweep=tuple(sweep)), figures=figures, png=png)
 
 
-def _write_failure(found: FollowedHarness) -> None:
+def _write_failure(solution: FollowedHarness) -> None:
     """Say why beside earlier results, which stay."""
-    first, states = found.reasons[0], found.path.states
-    reached = states[-1].positions if states else found.laid.line.positions
-    said = {
-        **_head(found),
+    first, states = solution.reasons[0], solution.path.states
+    reached = states[-1].positions if states else solution.prepared.line.positions
+    content = {
+        **_json_head(solution),
         "code": first.code,
         "reason": first.message,
-        "reasons": [asdict(reason) for reason in found.reasons],
+        "reasons": [asdict(reason) for reason in solution.reasons],
         "reached": {"step": len(states) - 1, "positions": reached.tolist()},
     }
-    text = json.dumps(said, indent=1, ensure_ascii=False)
-    with locked(found.folder), replacing(found.folder / FAILURE_FILE) as temporary:
+    text = json.dumps(content, indent=1, ensure_ascii=False)
+    with locked(solution.folder), replacing(solution.folder / FAILURE_FILE) as temporary:
         temporary.write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
-def _write(found: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarness:
-    folder, path, ready = found.folder, found.path, found.laid
-    title = f"{found.file.stem}, {found.material.name}, labpipe {__version__}"
+def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarness:
+    folder, rod_path, prepared = solution.folder, solution.path, solution.prepared
+    title = f"{solution.file.stem}, {solution.material.name}, labpipe {__version__}"
     texts = {
-        SHAPE_FILE: shape_csv(path, ready.line, found.steps, _shape_bands(found)),
-        FORCES_FILE: forces_csv(path, ready, _force_bands(found)),
-        VTK_FILE: shape_vtk(path, ready.line, found.steps, title),
-        DECK_FILE: line_deck(ready.line, ready.boundaries, title=title),
-        SUMMARY_FILE: json.dumps(as_json(found), indent=1, ensure_ascii=False) + "\n",
+        SHAPE_FILE: shape_csv(rod_path, prepared.line, solution.steps, _shape_bands(solution)),
+        FORCES_FILE: forces_csv(rod_path, prepared, _force_bands(solution)),
+        VTK_FILE: shape_vtk(rod_path, prepared.line, solution.steps, title),
+        DECK_FILE: line_deck(prepared.line, prepared.boundaries, title=title),
+        SUMMARY_FILE: json.dumps(as_json(solution), indent=1, ensure_ascii=False) + "\n",
     }
-    if found.sweep:
-        texts[SWEEP_FILE] = _sweep_csv(found.sweep)
+    if solution.sweep:
+        texts[SWEEP_FILE] = _sweep_csv(solution.sweep)
     names = (FIGURE, SWEEP_FIGURE) if figures else ()
     owned = [SWEEP_FILE, FAILURE_FILE, *(f"{FIGURES_FOLDER}/{name}.png" for name in names)]
     owned += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.svg"] if figures else []
@@ -141,32 +147,36 @@ def _write(found: FollowedHarness, *, figures: bool, png: bool) -> FollowedHarne
                 (stage / name).write_text(text, encoding="utf-8", newline="\n")
         written = [stage / name for name in texts]
         if figures:
-            drawn = drawn_harness(found)
+            drawn = drawn_harness(solution)
             into = stage / FIGURES_FOLDER
-            written += save_harness_figure(drawn, drawn_sweep(found), into, png=png)
-        files = tuple(folder / each.relative_to(stage) for each in written)
-    return replace(found, files=files)
+            written += save_harness_figure(drawn, drawn_sweep(solution), into, png=png)
+        files = tuple(folder / path.relative_to(stage) for path in written)
+    return replace(solution, files=files)
 
 
-def _states(found: FollowedHarness) -> Mapping[int, StateBands]:
+def _bands_by_step(solution: FollowedHarness) -> Mapping[int, StateBands]:
     """Bands by step; none where there are none."""
-    return {} if found.bands is None else {state.step: state for state in found.bands.line.states}
+    return (
+        {}
+        if solution.bands is None
+        else {state.step: state for state in solution.bands.line.states}
+    )
 
 
-def _shape_bands(found: FollowedHarness) -> Bands:
+def _shape_bands(solution: FollowedHarness) -> Bands:
     return {
         step: (
             np.column_stack([state.positions.lower, state.curvature.lower]),
             np.column_stack([state.positions.upper, state.curvature.upper]),
         )
-        for step, state in _states(found).items()
+        for step, state in _bands_by_step(solution).items()
     }
 
 
-def _force_bands(found: FollowedHarness) -> Bands:
+def _force_bands(solution: FollowedHarness) -> Bands:
     return {
         step: (state.reaction_forces.lower, state.reaction_forces.upper)
-        for step, state in _states(found).items()
+        for step, state in _bands_by_step(solution).items()
     }
 
 
@@ -178,48 +188,56 @@ def _sweep_csv(sweep: Sequence[SweepRun]) -> str:
         reason = run.reasons[0] if run.reasons else None
         numbers = [""] * 7
         if run.path.status != FAILED:
-            lowest = float(heights_of(run.path.last.positions, run.laid).min())
-            bend, way = run.bend, run.way
-            low, high = _ends(run).values()
-            values = (bend.radius, low, high, bend.place, way.radius, way.step, lowest)
+            lowest = float(heights_of(run.path.last.positions, run.prepared).min())
+            bend, bend_on_path = run.bend, run.bend_on_path
+            low, high = _band_ends(run).values()
+            values = (
+                bend.radius,
+                low,
+                high,
+                bend.place,
+                bend_on_path.radius,
+                bend_on_path.step,
+                lowest,
+            )
             numbers = ["" if value is None else f"{value:.9g}" for value in values]
         why = ["", ""] if reason is None else [reason.code, f'"{reason.message}"']
         lines.append(",".join([f"{run.length:.9g}", *numbers, run.status, *why]))
     return "\n".join(lines) + "\n"
 
 
-def _head(found: FollowedHarness) -> dict[str, object]:
-    files = _files(found)
+def _json_head(solution: FollowedHarness) -> dict[str, object]:
+    files = _files(solution)
     fingerprints = "".join([__version__, *(file.sha256 for file in files)])
     return {
         "schema": SCHEMA,
-        "harness": found.file.stem,
-        "about": found.harness.about,
+        "harness": solution.file.stem,
+        "about": solution.harness.about,
         "labpipe": __version__,
         "run": hashlib.sha256(fingerprints.encode()).hexdigest(),
         "inputs": [{"role": file.role, "file": file.file, "sha256": file.sha256} for file in files],
-        "status": str(found.status),
+        "status": str(solution.status),
     }
 
 
-def _files(found: FollowedHarness) -> tuple[InputFile, ...]:
-    return (input_file("harness", found.file), *found.material.files)
+def _files(solution: FollowedHarness) -> tuple[InputFile, ...]:
+    return (input_file("harness", solution.file), *solution.material.files)
 
 
-def as_json(found: FollowedHarness) -> dict[str, object]:
+def as_json(solution: FollowedHarness) -> dict[str, object]:
     """What ``summary.json`` holds: plain SI numbers; None for one that is not available.
 
     Parameters
     ----------
-    found : a harness that was followed
+    solution : a harness that was followed
     """
-    section, line = found.laid.line.section, found.laid.line
-    bend, limit = found.sharpest, found.limit
+    section, line = solution.prepared.line.section, solution.prepared.line
+    bend, limit = solution.sharpest, solution.limit
     return {
-        **_head(found),
-        "reasons": [asdict(reason) for reason in found.reasons],
+        **_json_head(solution),
+        "reasons": [asdict(reason) for reason in solution.reasons],
         "line": {
-            "of": found.material.name,
+            "of": solution.material.name,
             "length": line.length,
             "elements": len(line.lengths),
             "diameter": section.diameter,
@@ -227,51 +245,51 @@ def as_json(found: FollowedHarness) -> dict[str, object]:
             "first_bending_stiffness": section.law.first_stiffness,
             "sliders": len(section.law.stiffnesses),
             "torsional_stiffness": section.torsional_stiffness,
-            "axial_stiffness": _finite(section.axial_stiffness),
-            "backed_curvature": found.material.limit,
-            "backed_by": found.material.limit_words,
+            "axial_stiffness": _finite_or_none(section.axial_stiffness),
+            "backed_curvature": solution.material.limit,
+            "backed_by": solution.material.limit_source,
         },
         "bend_radius": {
             "allowed": limit.radius,
-            "allowed_from": limit.words,
+            "allowed_from": limit.source,
             "assumed": limit.is_assumed,
-            "smallest": _finite(bend.radius),
+            "smallest": _finite_or_none(bend.radius),
             "step": bend.step,
             "place": bend.place,
             "kept": bend.radius >= limit.radius,
-            "doubtful": found.is_bend_doubtful,
+            "doubtful": solution.is_bend_doubtful,
         },
-        "results": [result_entry(result) for result in found.results],
+        "results": [result_entry(result) for result in solution.results],
         "sweep": [
             {
                 "length": run.length,
                 "status": run.status,
-                "smallest_bend_radius": _finite(run.bend.radius),
-                **_ends(run),
-                "smallest_bend_radius_on_the_way": _finite(run.way.radius),
+                "smallest_bend_radius": _finite_or_none(run.bend.radius),
+                **_band_ends(run),
+                "smallest_bend_radius_on_the_way": _finite_or_none(run.bend_on_path.radius),
             }
-            for run in found.sweep
+            for run in solution.sweep
         ],
-        "bands": _bands_json(found),
-        "quality": [_note(note) for note in found.material.notes],
+        "bands": _bands_json(solution),
+        "quality": [_note_json(note) for note in solution.material.notes],
         "units": dict(_UNITS),
     }
 
 
-def _ends(swept: SweepRun) -> dict[str, float | None]:
+def _band_ends(run: SweepRun) -> dict[str, float | None]:
     """Ends of the band of the smallest bend radius; None without one."""
-    if swept.bands is None:
+    if run.bands is None:
         return {"lower": None, "upper": None}
-    found = swept.bands.intervals[RADIUS]
-    return {"lower": _finite(found.lower), "upper": _finite(found.upper)}
+    interval = run.bands.intervals[RADIUS]
+    return {"lower": _finite_or_none(interval.lower), "upper": _finite_or_none(interval.upper)}
 
 
-def _bands_json(found: FollowedHarness) -> dict[str, object]:
+def _bands_json(solution: FollowedHarness) -> dict[str, object]:
     """What the bands are, and what each cause has in them; or why there are none."""
-    if found.bands is None:
-        words = "nothing says how well the law is known: name a calibration, or an uncertainty"
-        return {"kind": None, "reason": words}
-    shares = found.bands.line.states[-1].shares
+    if solution.bands is None:
+        reason = "nothing says how well the law is known: name a calibration, or an uncertainty"
+        return {"kind": None, "reason": reason}
+    shares = solution.bands.line.states[-1].shares
     return {
         "kind": "pointwise 95 %",
         "shares": {name: dict(share) for name, share in shares.items()},
@@ -290,9 +308,9 @@ _UNITS: Mapping[str, str] = {
 }
 
 
-def _finite(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _note(note: QualityNote) -> dict[str, str]:
+def _note_json(note: QualityNote) -> dict[str, str]:
     return {"code": note.code, "severity": str(note.severity), "message": note.message}

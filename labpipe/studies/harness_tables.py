@@ -14,7 +14,7 @@ from labpipe.rod.path import RodPath, RodState
 from labpipe.rod.rotations import matrices
 from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import curvature_of, radius_of
-from labpipe.studies.residual_curvature import kept_curvature
+from labpipe.studies.residual_curvature import residual_curvature
 
 BANDED = ("x [m]", "y [m]", "z [m]", "curvature [1/m]")
 """Columns of the shape that have bands where there are any."""
@@ -48,7 +48,7 @@ def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
         **places,
         "curvature [1/m]": curvature,
         "bend_radius [m]": radius_of(curvature),
-        "kept_curvature [1/m]": kept_curvature(state, line.section.law),
+        "kept_curvature [1/m]": residual_curvature(state, line.section.law),
         "tension [N]": _at_nodes(tension),
         "bending_moment [N*m]": bending.max(axis=1),
         "torque [N*m]": np.where(np.abs(torque[:, 0]) > np.abs(torque[:, 1]), *torque.T),
@@ -80,7 +80,7 @@ def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> 
     for step in steps:
         columns = [*shape_columns(path.states[step], line).values()]
         if bands:
-            columns += _ends(bands.get(step), len(line.stations))
+            columns += _band_ends(bands.get(step), len(line.stations))
         rows = zip(*(column.tolist() for column in columns), strict=True)
         lines += [",".join([str(step), str(n), *map(_cell, row)]) for n, row in enumerate(rows)]
     return "\n".join(lines) + "\n"
@@ -89,7 +89,7 @@ def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> 
 _ENDS = ("lower", "upper")
 
 
-def _ends(band: tuple[Floats, Floats] | None, nodes: int) -> list[Floats]:
+def _band_ends(band: tuple[Floats, Floats] | None, nodes: int) -> list[Floats]:
     """Columns of a band, lower and upper in turn; NaN without one."""
     if band is None:
         return [np.full(nodes, np.nan)] * (2 * len(BANDED))
@@ -101,13 +101,13 @@ def _cell(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.9g}"
 
 
-def forces_csv(path: RodPath, laid: PreparedLine, bands: Bands) -> str:
+def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
     """Write what each boundary does to the line in every step.
 
     Parameters
     ----------
     path : as followed
-    laid : that was followed
+    prepared : that was followed
     bands : by step, lower and upper ends of the forces, shape (boundaries, 3) each; other steps
         have empty cells
 
@@ -116,26 +116,28 @@ def forces_csv(path: RodPath, laid: PreparedLine, bands: Bands) -> str:
     The weight is no boundary here: in each step it is what all the others carry.
     """
     names = [
-        f"{each}{axis} [{unit}]" for each, unit in (("f", "N"), ("m", "N*m")) for axis in _AXES
+        f"{boundary}{axis} [{unit}]"
+        for boundary, unit in (("f", "N"), ("m", "N*m"))
+        for axis in _AXES
     ]
     ends = [f"f{axis}_{end} [N]" for axis in _AXES for end in _ENDS] if bands else []
     head = ["step", "boundary", "kind", "force [N]", "moment [N*m]", *names, *ends]
     lines = [",".join(head)]
     holding = [
         (number, boundary)
-        for number, boundary in enumerate(laid.boundaries)
+        for number, boundary in enumerate(prepared.boundaries)
         if not isinstance(boundary, rod.Gravity)
     ]
     for step, state in enumerate(path.states):
-        for number, each in holding:
+        for number, boundary in holding:
             force, moment = state.reaction_forces[number], state.reaction_moments[number]
             sizes = [float(np.linalg.norm(force)), float(np.linalg.norm(moment))]
             cells = [*sizes, *force.tolist(), *moment.tolist()]
             if bands:
                 low, high = bands.get(step, (np.full((number + 1, 3), np.nan),) * 2)
                 cells += [float(end[number, axis]) for axis in range(3) for end in (low, high)]
-            words = [str(step), _quoted(each.name), type(each).__name__.lower()]
-            lines.append(",".join([*words, *map(_cell, cells)]))
+            labels = [str(step), _quoted(boundary.name), type(boundary).__name__.lower()]
+            lines.append(",".join([*labels, *map(_cell, cells)]))
     return "\n".join(lines) + "\n"
 
 

@@ -10,11 +10,10 @@ from labpipe.records.quality import Reason
 from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
 
-MOST_APART = 1.1
+MAX_RESIDUAL_RATIO = 1.1
 """At most kept over kept by the rule, above which what hangs on the way back is doubtful."""
-_LEAST = 1e-3
+_MIN_CURVATURE = 1e-3
 """1/m: who keeps less is straight."""
-_MOST_STEPS, _SETTLED = 1000, 1e-9
 
 
 def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
@@ -32,21 +31,25 @@ def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
     w_j of the step before (Weiszfeld's iteration, which descends on a convex energy). It begins at
     the curvature that is reached if no slider slides. A law without sliders keeps nothing.
     """
-    kept = np.zeros((*rests.shape[:-2], 2))
+    max_iterations, relative_tolerance = 1000, 1e-9
+    curvature = np.zeros((*rests.shape[:-2], 2))
     if not len(law.stiffnesses):
-        return kept
+        return curvature
     weights = np.broadcast_to(law.stiffnesses, rests.shape[:-1])
-    for _ in range(_MOST_STEPS):
-        whole = law.stiffness + weights.sum(axis=-1)
-        last, kept = kept, np.einsum("...j,...jx->...x", weights, rests) / whole[..., None]
-        if np.max(np.abs(kept - last)) <= _SETTLED * np.max(np.abs(kept)):
+    for _ in range(max_iterations):
+        total = law.stiffness + weights.sum(axis=-1)
+        previous, curvature = (
+            curvature,
+            np.einsum("...j,...jx->...x", weights, rests) / total[..., None],
+        )
+        if np.max(np.abs(curvature - previous)) <= relative_tolerance * np.max(np.abs(curvature)):
             break
-        bent = np.linalg.norm(kept[..., None, :] - rests, axis=-1)
+        bent = np.linalg.norm(curvature[..., None, :] - rests, axis=-1)
         weights = law.stiffnesses * law.slip_curvatures / np.maximum(bent, law.slip_curvatures)
-    return kept
+    return curvature
 
 
-def kept_curvature(state: RodState, law: SliderLaw) -> Floats:
+def residual_curvature(state: RodState, law: SliderLaw) -> Floats:
     """Curvature that the line would keep if nothing held it any more, 1/m, shape (n + 1,).
 
     Parameters
@@ -62,7 +65,7 @@ def kept_curvature(state: RodState, law: SliderLaw) -> Floats:
     return np.asarray(np.linalg.norm(curvature_after_release(law, state.rests), axis=2).max(axis=1))
 
 
-def largest_kept_curvature(path: RodPath, law: SliderLaw) -> Floats:
+def max_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
     """Curvature that it would keep if nothing slid on the way back, 1/m, shape (n + 1,).
 
     Parameters
@@ -83,7 +86,7 @@ def largest_kept_curvature(path: RodPath, law: SliderLaw) -> Floats:
     return np.asarray(np.max(sizes, axis=0) / law.first_stiffness)
 
 
-def unbent(path: RodPath) -> float:
+def largest_unbending(path: RodPath) -> float:
     """How far a node went back from where it was bent most, as a share of the line's sharpest bend.
 
     Parameters
@@ -92,7 +95,7 @@ def unbent(path: RodPath) -> float:
     """
     bent = np.array([state.bendings for state in path.states])
     most = bent.max(axis=0)
-    return float(np.max(most - bent[-1]) / max(float(most.max()), _LEAST))
+    return float(np.max(most - bent[-1]) / max(float(most.max()), _MIN_CURVATURE))
 
 
 def unloading_reason(path: RodPath, line: Line) -> Reason | None:
@@ -109,15 +112,15 @@ def unloading_reason(path: RodPath, line: Line) -> Reason | None:
     copper alone springs back two to four times as far as standards of annealed wire allow.
     """
     law = line.section.law
-    most = largest_kept_curvature(path, law)
-    node = int(np.argmax(most))
-    kept = float(kept_curvature(path.last, law)[node])
-    if most[node] <= max(_LEAST, MOST_APART * kept):
+    largest = max_residual_curvature(path, law)
+    node = int(np.argmax(largest))
+    residual = float(residual_curvature(path.last, law)[node])
+    if largest[node] <= max(_MIN_CURVATURE, MAX_RESIDUAL_RATIO * residual):
         return None
     message = (
         "how the wire unloads is taken from its first loading (Masing's rule), by which copper "
         f"springs back too far: {1e3 * line.stations[node]:.4g} mm from the start it keeps "
-        f"{kept:.3g} 1/m by the rule, and if nothing slid on its way back it would be "
-        f"{most[node]:.3g} 1/m"
+        f"{residual:.3g} 1/m by the rule, and if nothing slid on its way back it would be "
+        f"{largest[node]:.3g} 1/m"
     )
     return Reason("unloading_assumed", message)

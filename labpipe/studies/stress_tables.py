@@ -25,13 +25,9 @@ from labpipe.wire.materials import RambergOsgood
 
 PROOF_STRAIN = 0.002
 """Plastic strain at the proof stress."""
-_POINTS = 60
-_DENSE = 4000  # points that they are chosen from
-_ELASTIC = 1e-4  # share of plastic strain at the first of them
-_FREEZING = 273.15
 _MEGA = 1e6
 _CONDITION = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
-Placed: TypeAlias = tuple[str, Fault]
+PlacedFault: TypeAlias = tuple[str, Fault]
 """A fault and the place of its cell."""
 _B = TypeVar("_B", bound=Block)
 
@@ -77,46 +73,55 @@ class StatedCurve:
     conditions: Conditions
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Say where the curve comes from, in one line."""
         strains, _ = self.curve
-        said, asked = self.numbers, self.conditions
-        made = f"{len(strains)} point{'s' * (len(strains) > 1)}"
-        if said is not None:
-            made = (
-                f"Ramberg-Osgood, modulus {said.modulus_mpa:.6g} MPa, proof stress "
-                f"{said.proof_stress_mpa:.6g} MPa, exponent {said.exponent:.6g}"
+        numbers, conditions = self.numbers, self.conditions
+        form = f"{len(strains)} point{'s' * (len(strains) > 1)}"
+        if numbers is not None:
+            form = (
+                f"Ramberg-Osgood, modulus {numbers.modulus_mpa:.6g} MPa, proof stress "
+                f"{numbers.proof_stress_mpa:.6g} MPa, exponent {numbers.exponent:.6g}"
             )
         at = [
-            *([] if asked.strain_rate_per_s is None else [f"{asked.strain_rate_per_s:.6g} 1/s"]),
-            *([] if asked.temperature_c is None else [f"{asked.temperature_c:.6g} \u00b0C"]),
+            *(
+                []
+                if conditions.strain_rate_per_s is None
+                else [f"{conditions.strain_rate_per_s:.6g} 1/s"]
+            ),
+            *(
+                []
+                if conditions.temperature_c is None
+                else [f"{conditions.temperature_c:.6g} \u00b0C"]
+            ),
         ]
         measured = f", at {' and '.join(at)}" if at else ", rate and temperature not stated"
-        return f"'{self.table}': {made}, to a strain of {strains[-1]:.4g}{measured}"
+        return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
 
     def as_json(self) -> dict[str, object]:
         """What the table states, in SI units; None for what it does not state."""
-        said, celsius = self.numbers, self.conditions.temperature_c
+        zero_celsius = 273.15  # K
+        numbers, celsius = self.numbers, self.conditions.temperature_c
         return {
             "table": self.table,
             "strain": list(self.curve[0]),
             "stress": list(self.curve[1]),
-            "modulus": None if said is None else said.modulus_mpa * _MEGA,
-            "proof_stress": None if said is None else said.proof_stress_mpa * _MEGA,
-            "exponent": None if said is None else said.exponent,
+            "modulus": None if numbers is None else numbers.modulus_mpa * _MEGA,
+            "proof_stress": None if numbers is None else numbers.proof_stress_mpa * _MEGA,
+            "exponent": None if numbers is None else numbers.exponent,
             "strain_rate": self.conditions.strain_rate_per_s,
-            "temperature": None if celsius is None else celsius + _FREEZING,
+            "temperature": None if celsius is None else celsius + zero_celsius,
         }
 
 
-def stated_words(curves: Mapping[str, StatedCurve]) -> str:
+def describe_stress_tables(curves: Mapping[str, StatedCurve]) -> str:
     """Say what the stress tables of a wire are, in one line.
 
     Parameters
     ----------
     curves : by the column of the wire sheet that names them
     """
-    return "; ".join(f"{column} {curve.words}" for column, curve in curves.items())
+    return "; ".join(f"{column} {curve.description}" for column, curve in curves.items())
 
 
 def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
@@ -138,15 +143,22 @@ def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
     NACA TN 902, 1943, with the offset of Hill, NACA TN 927, 1944; EN 1999-1-1, annex E). It is the
     curve of `wire.materials.RambergOsgood` with K = Rp0.2 / 0.002^(1 / n), whose exponent is 1 / n.
     """
+    table_points = 60
+    # the points of the table are chosen from these.
+    dense_points = 4000
+    # of the strain, at the first point beyond zero.
+    first_plastic_share = 1e-4
     modulus, proof = numbers.modulus_mpa * _MEGA, numbers.proof_stress_mpa * _MEGA
     power, last = numbers.exponent, numbers.largest_strain
-    known = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
-    end = float(known.stress(np.array([last]))[0])
-    yields = proof * (_ELASTIC * proof / (PROOF_STRAIN * modulus)) ** (1.0 / (power - 1.0))
-    stress = np.concatenate([[0.0], np.geomspace(min(yields, end / 2.0), end, _DENSE)])
-    strain = known.strain(stress)
+    law = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
+    end = float(law.stress(np.array([last]))[0])
+    yields = proof * (first_plastic_share * proof / (PROOF_STRAIN * modulus)) ** (
+        1.0 / (power - 1.0)
+    )
+    stress = np.concatenate([[0.0], np.geomspace(min(yields, end / 2.0), end, dense_points)])
+    strain = law.strain(stress)
     strain[-1] = last
-    chosen = thin(strain, stress, most=_POINTS + 1)
+    chosen = thin(strain, stress, most=table_points + 1)
     return tuple(chosen.curvature[1:].tolist()), tuple(chosen.moment[1:].tolist())
 
 
@@ -167,7 +179,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     table, file = _table(column, name, path)
     names = [column_name(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
-    refuse(file, _heading_faults(table.heading, names))
+    raise_faults(file, _heading_faults(table.heading, names))
     conditions = _conditions(rows, file)
     if set(names) & set(_PROOF):
         numbers = _numbers(rows, column, file)
@@ -177,11 +189,11 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         number, fault = found
         before = points[number - 1].strain if number else 0.0
         wrong = "strain" if points[number].strain <= before else "stress_mpa"
-        refuse(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
+        raise_faults(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
     return StatedCurve(name.text, curve_of(points), None, conditions)
 
 
-def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[Placed]:
+def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
     """Find columns that are missing, come twice, deny each other, or say a condition otherwise."""
     numbers, points = ([name for name in names if name in kind] for kind in (_PROOF, _POINT))
     needed = _PROOF if numbers else _POINT
@@ -196,8 +208,8 @@ def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[P
     for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
         if name in (*needed, *_CONDITIONS) and name in names[:number]:
             yield cell.place, Fault((), "each column once", f"{name!r} again", "Remove one.")
-        if name not in _CONDITIONS and (meant := _CONDITION.match(name)):
-            column = _CONDITIONS[1] if meant["temperature"] else _CONDITIONS[0]
+        if name not in _CONDITIONS and (condition := _CONDITION.match(name)):
+            column = _CONDITIONS[1] if condition["temperature"] else _CONDITIONS[0]
             remedy = "Give it in the unit of that column."
             yield cell.place, Fault((), f"a column {column!r}", repr(cell.text), remedy)
 
@@ -212,7 +224,7 @@ def _conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
             if cell.text != first.text:
                 expected = f"{first.text!r} as in {first.place}: one for the whole table"
                 fault = Fault((), expected, repr(cell.text), "Make a table of each.")
-                refuse(file, [(f"{cell.place} ({column})", fault)])
+                raise_faults(file, [(f"{cell.place} ({column})", fault)])
     [conditions] = _blocks(Conditions, [stated], file)
     return conditions
 
@@ -222,10 +234,10 @@ def _numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> Pro
     if len(rows) > 1:
         expected, found = "one row of numbers", f"{len(rows)}"
         place = next(iter(rows[1].values())).place
-        refuse(file, [(place, Fault((), expected, found, "Make a table of each."))])
-    own = [{key: row[key] for key in _PROOF} for row in rows]
-    [numbers] = _blocks(ProofStress, own, file)
-    refuse(file, placed(_number_faults(numbers, column), rows[0]))
+        raise_faults(file, [(place, Fault((), expected, found, "Make a table of each."))])
+    cells = [{key: row[key] for key in _PROOF} for row in rows]
+    [numbers] = _blocks(ProofStress, cells, file)
+    raise_faults(file, place_faults(_number_faults(numbers, column), rows[0]))
     return numbers
 
 
@@ -245,11 +257,17 @@ def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
 
 def _blocks(kind: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
     """Read what a kind of row says; other columns are left out."""
-    own = [{key: cell for key, cell in row.items() if key in kind.model_fields} for row in rows]
-    read = [parse_row(kind, texts(row)) for row in own]
-    wrong = ((row, each) for row, each in zip(own, read, strict=True) if isinstance(each, list))
-    refuse(file, chain.from_iterable(placed(each, row) for row, each in wrong))
-    return [each for each in read if not isinstance(each, list)]
+    rows_of_kind = [
+        {key: cell for key, cell in row.items() if key in kind.model_fields} for row in rows
+    ]
+    outcomes = [parse_row(kind, texts(row)) for row in rows_of_kind]
+    wrong = (
+        (row, outcome)
+        for row, outcome in zip(rows_of_kind, outcomes, strict=True)
+        if isinstance(outcome, list)
+    )
+    raise_faults(file, chain.from_iterable(place_faults(outcome, row) for row, outcome in wrong))
+    return [outcome for outcome in outcomes if not isinstance(outcome, list)]
 
 
 def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
@@ -259,18 +277,18 @@ def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
         if Path(name.text).name != name.text:
             expected = "the name of a csv in the folder of the wire sheet"
             remedy = "Put the table beside the sheet and give its name."
-            refuse(path, [(place, Fault((), expected, repr(name.text), remedy))])
+            raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
         beside = path.with_name(name.text)
         return as_table(csv_cells(beside), beside, rows_of=rows_of), beside
-    known = list(sheets_of(path))
-    same = [each for each in known if each.casefold() == name.text.casefold()]
-    if not same:
-        expected = f"the name of a sheet ({', '.join(map(repr, nearest(name.text, known)))})"
+    sheets = list(sheets_of(path))
+    matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
+    if not matches:
+        expected = f"the name of a sheet ({', '.join(map(repr, nearest(name.text, sheets)))})"
         remedy = "Add the sheet or correct its name."
-        refuse(path, [(place, Fault((), expected, repr(name.text), remedy))])
-    sheet = name.text if name.text in same else same[0]
-    where = f"sheet '{sheet}'"
-    cells = workbook_cells(path, sheet, where)
+        raise_faults(path, [(place, Fault((), expected, repr(name.text), remedy))])
+    chosen = name.text if name.text in matches else matches[0]
+    where = f"sheet '{chosen}'"
+    cells = workbook_cells(path, chosen, where)
     return as_table(cells, path, rows_of=rows_of, place=where), path
 
 
@@ -279,7 +297,7 @@ def texts(row: Mapping[str, Cell]) -> dict[str, str]:
     return {name: cell.text for name, cell in row.items()}
 
 
-def placed(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[Placed]:
+def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[PlacedFault]:
     """Put each fault at the cell that it comes from; at the first one if its column is not there.
 
     Parameters
@@ -293,7 +311,7 @@ def placed(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[Placed]
         yield f"{row.get(column, cell).place} ({column})", fault
 
 
-def worded(path: Path, faults: Iterable[Placed]) -> list[str]:
+def fault_messages(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
     """Word faults of a file, one message each."""
     return [
         error_text(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
@@ -301,7 +319,7 @@ def worded(path: Path, faults: Iterable[Placed]) -> list[str]:
     ]
 
 
-def refuse(path: Path, faults: Iterable[Placed]) -> None:
+def raise_faults(path: Path, faults: Iterable[PlacedFault]) -> None:
     """Refuse a file that has faults.
 
     Raises
@@ -309,5 +327,5 @@ def refuse(path: Path, faults: Iterable[Placed]) -> None:
     ReadError
         With a line for each fault, if there is one.
     """
-    if messages := worded(path, faults):
+    if messages := fault_messages(path, faults):
         raise ReadError("\n".join(messages))

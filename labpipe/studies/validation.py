@@ -23,7 +23,7 @@ from labpipe.studies.first_loadings import FirstLoading, insulation_note
 from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
-from labpipe.wire.calibration.law_components import loading_curve, take_apart
+from labpipe.wire.calibration.law_components import loading_curve, split_wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
 from labpipe.wire.calibration.prediction import predict
 from labpipe.wire.cantilever import (
@@ -38,9 +38,6 @@ from labpipe.wire.wire_table import build, mass_per_length, straight_range
 
 STEPS = 6
 """Deflections that are shown."""
-_CLOSE = 1e-6  # m, between the tip of the model and that of the sample
-_MOST_TRIES = 8
-_POINTS = 60
 
 
 def bent_shapes(
@@ -71,14 +68,14 @@ def bent_shapes(
         return ()
     lift = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
     rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
-    parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
-    known, _ = parts.reach(parts.given)
+    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
+    largest_curvature, _ = parts.reach(parts.given)
     bent_shapes = []
     for wanted in deepest * np.arange(1, STEPS + 1) / STEPS:
         reached = np.flatnonzero(rise >= wanted)
         if len(reached):
             frame = int(reached[0])
-            model = _model_shape(wire, length, rig, float(rise[frame]), known)
+            model = _model_shape(wire, length, rig, float(rise[frame]), largest_curvature)
             bent_shapes.append(
                 BentShape(float(rise[frame]), _markers(shape, frame), _fit(shape, frame), model)
             )
@@ -91,19 +88,24 @@ def _markers(shape: Shape, frame: int) -> Floats:
 
 
 def _fit(shape: Shape, frame: int) -> Floats:
-    powers = np.vander(np.linspace(0.0, 1.0, _POINTS), shape.coefficients.shape[2], increasing=True)
+    points_on_axis = 60
+    powers = np.vander(
+        np.linspace(0.0, 1.0, points_on_axis), shape.coefficients.shape[2], increasing=True
+    )
     return np.asarray(powers @ shape.coefficients[frame, :2].T, dtype=np.float64)
 
 
 def _model_shape(
-    wire: Wire, length: float, rig: StringRig | None, deflection: float, known: float
+    wire: Wire, length: float, rig: StringRig | None, deflection: float, largest_curvature: float
 ) -> Floats:
     """Axis of the model with its tip at a deflection, from rest."""
+    tip_tolerance = 1e-6  # m
+    max_iterations = 8
     share = min(deflection / length, 0.9)
     law = play_law(
         wire.section,
         wire.contacts,
-        largest_curvature=min(known, 8.0 * share / (1.0 - share**2) / length),
+        largest_curvature=min(largest_curvature, 8.0 * share / (1.0 - share**2) / length),
         orientation=wire.orientation,
     )
     weight = wire.self_weight
@@ -112,20 +114,20 @@ def _model_shape(
         return np.column_stack([bent.x, bent.y])
     travel, level = deflection, straight(law, self_weight=weight)
     rest = bend_to_travel(law, level, length, rig, 0.0).state
-    for _ in range(_MOST_TRIES):  # the string leans, so that the tip follows the clamp not quite
+    for _ in range(max_iterations):  # the string leans, so that the tip follows the clamp not quite
         bent = bend_to_travel(law, rest, length, rig, travel)
         missing = deflection - float(bent.y[-1])
-        if abs(missing) < _CLOSE:
+        if abs(missing) < tip_tolerance:
             break
         travel += missing
     return np.column_stack([bent.x, bent.y])
 
 
-USUAL_SHEETS = ("wires.xlsx", "wires.csv")
+DEFAULT_SHEETS = ("wires.xlsx", "wires.csv")
 """What is looked for where no sheet is named."""
 
 
-def usual_sheet() -> Path:
+def default_sheet() -> Path:
     """The sheet of the working folder.
 
     Raises
@@ -133,13 +135,13 @@ def usual_sheet() -> Path:
     UsageError
         If there is none.
     """
-    for name in USUAL_SHEETS:
+    for name in DEFAULT_SHEETS:
         if Path(name).is_file():
             return Path(name)
     message = error_text(
         "--wire",
         "",
-        expected=f"a wire sheet, or {' or '.join(USUAL_SHEETS)} in the working folder",
+        expected=f"a wire sheet, or {' or '.join(DEFAULT_SHEETS)} in the working folder",
         found="neither",
         remedy="Name the sheet that has the dimensions of the tested wires.",
     )
@@ -147,14 +149,14 @@ def usual_sheet() -> Path:
 
 
 def wire_to_calibrate(
-    loadings: Sequence[FirstLoading], asked: CalibrationPlan, plan: Path | None
+    loadings: Sequence[FirstLoading], settings: CalibrationPlan, plan: Path | None
 ) -> str:
     """The wire of the plan, or the only one there is.
 
     Parameters
     ----------
     loadings : of all tests
-    asked : the plan
+    settings : the plan
     plan : its file, for messages
 
     Raises
@@ -163,11 +165,11 @@ def wire_to_calibrate(
         If the plan's wire has no tests, or it names none and there are several.
     """
     tested = sorted({loading.curve.wire for loading in loadings})
-    if asked.wire is None and len(tested) == 1:
+    if settings.wire is None and len(tested) == 1:
         return tested[0]
-    if asked.wire in tested:
-        return str(asked.wire)
-    if asked.wire is None:
+    if settings.wire in tested:
+        return str(settings.wire)
+    if settings.wire is None:
         found = f"tests of {len(tested)} wires: {', '.join(tested)}"
         remedy = "Name the one to calibrate, in the plan ('wire: A2'); the others are predicted."
         message = error_text(
@@ -175,14 +177,18 @@ def wire_to_calibrate(
         )
     else:
         remedy = "Name a specimen type of the tests, or give its tests, too."
-        found = f"usable tests of {', '.join(nearest(asked.wire, tested))} alone"
+        found = f"usable tests of {', '.join(nearest(settings.wire, tested))} alone"
         message = error_text(
-            plan or "plan", "wire", expected=f"tests of '{asked.wire}'", found=found, remedy=remedy
+            plan or "plan",
+            "wire",
+            expected=f"tests of '{settings.wire}'",
+            found=found,
+            remedy=remedy,
         )
     raise UsageError(message)
 
 
-def without_copies(
+def drop_copies(
     loadings: Sequence[FirstLoading],
 ) -> tuple[list[FirstLoading], dict[str, str]]:
     """Take each first loading once: a copy of a test would count as one more.
@@ -198,21 +204,21 @@ def without_copies(
     first: dict[tuple[bytes, bytes], FirstLoading] = {}
     left_out: dict[str, str] = {}
     for loading in loadings:
-        kept = first.setdefault(
+        original = first.setdefault(
             (loading.curve.deflection.tobytes(), loading.curve.force.tobytes()), loading
         )
-        if kept is not loading:
+        if original is not loading:
             left_out[str(loading.file)] = error_text(
                 loading.file,
                 "",
                 expected="each test once",
-                found=f"the same first loading as in {kept.file}",
+                found=f"the same first loading as in {original.file}",
                 remedy="Leave the copy away.",
             )
     return list(first.values()), left_out
 
 
-def require_known(
+def require_wires(
     loadings: Sequence[FirstLoading], specs: Mapping[str, WireSpec], wires: Path
 ) -> None:
     """Refuse tests of wires that the sheet does not have.
@@ -254,7 +260,7 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
         If its strands do not fit.
     """
     try:
-        made = build(spec)
+        wire = build(spec)
     except ValueError as error:
         message = error_text(
             wires,
@@ -264,16 +270,12 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
             remedy="Check its row against the wire.",
         )
         raise ProcessingError(message) from error
-    weight = GRAVITY * mass_per_length(spec, made.section)
-    return Wire(made.section, made.contacts, spec.orientation, weight)
+    weight = GRAVITY * mass_per_length(spec, wire.section)
+    return Wire(wire.section, wire.contacts, spec.orientation, weight)
 
 
 _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
 """Deflections of a prediction, over the deepest: closer where the curve begins, and is bent."""
-_BLOCKS = 50
-_FOLLOWED = 0.8  # share of the points in a 95 % band
-"""Means of each curve, at least, that the mean curve is made of: of single points its band would
-show how they scatter by their noise, and not how the samples do."""
 
 
 def compare(
@@ -348,6 +350,8 @@ def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
     A note for each group of which less than `_FOLLOWED` of the points lie inside: of campaigns with
     the right wire hardly any had less than 95 %.
     """
+    # of the points, in the 95 % band.
+    min_share_inside = 0.8
     return tuple(
         QualityNote(
             "model_misses_tests",
@@ -359,11 +363,13 @@ def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
             f"(strands, diameters, lay, wall) and the tests' length and string",
         )
         for group in groups
-        if group.is_calibrated and group.errors is not None and group.errors.inside < _FOLLOWED
+        if group.is_calibrated
+        and group.errors is not None
+        and group.errors.inside < min_share_inside
     )
 
 
-def with_doubtful_parts(
+def mark_doubtful_parts(
     groups: Sequence[ValidationGroup],
     calibration: Calibration,
     wires: Mapping[str, Wire],
@@ -398,12 +404,12 @@ def _straight_up_to(
     """Deflection, m, at which the clamp, where a wire is bent most, reaches the curvature."""
     if group.prediction is None:
         return np.inf
-    wire, values = wires[group.wire], calibration.solutions[0].values
-    parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
-    known = np.where(np.isnan(values), parts.given, values)
+    wire, calibrated = wires[group.wire], calibration.solutions[0].values
+    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
+    values = np.where(np.isnan(calibrated), parts.given, calibrated)
     deepest = float(group.prediction.deflection[-1])
     bent = loading_curve(
-        *(parts, known, group.length, curve.rig, deepest), self_weight=curve.self_weight
+        *(parts, values, group.length, curve.rig, deepest), self_weight=curve.self_weight
     )
     limit = straight_range(specs[group.wire])
     return float(np.interp(limit, bent.clamp_curvature, bent.deflection, right=np.inf))
@@ -419,8 +425,10 @@ def _compared(
     prediction, errors, reason = None, None, None
     try:
         deflection = deepest * _GRID
-        own = replace(wire, self_weight=first.self_weight)
-        prediction = predict(calibration, own, first.length, deflection, rig=first.rig, noise=noise)
+        weighted = replace(wire, self_weight=first.self_weight)
+        prediction = predict(
+            calibration, weighted, first.length, deflection, rig=first.rig, noise=noise
+        )
     except ValueError as error:
         reason = Reason("no_prediction", str(error))
     else:
@@ -443,6 +451,8 @@ def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Ban
     A block mean of a curve that is bent lies beside it, near the start by 8 % of the force. So the
     model is taken off first and put back last; where there is none, the curve is taken as it is.
     """
+    # means of blocks: a band of single points would show their noise, not how samples differ.
+    blocks_per_curve = 50
 
     def shape(deflection: Floats) -> Floats:
         if prediction is None:
@@ -450,7 +460,10 @@ def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Ban
         return np.interp(deflection, prediction.deflection, prediction.force)
 
     means = [
-        (block_means(c.deflection, _BLOCKS), block_means(c.force - shape(c.deflection), _BLOCKS))
+        (
+            block_means(c.deflection, blocks_per_curve),
+            block_means(c.force - shape(c.deflection), blocks_per_curve),
+        )
         for c in curves
     ]
     common = common_curves(means, [curve.test for curve in curves])

@@ -19,10 +19,10 @@ from labpipe.decks import deck_paths, deck_texts, write_texts
 from labpipe.errors import ProcessingError, UsageError, error_text
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.saving import pngs_of
-from labpipe.report.wire_figures import own_figures, save_wire_figures, wire_drawings
+from labpipe.report.wire_figures import figure_names, save_wire_figures, wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
-from labpipe.studies.stress_tables import StatedCurve, stated_words
+from labpipe.studies.stress_tables import StatedCurve, describe_stress_tables
 from labpipe.studies.wire_specs import read_wires
 from labpipe.wire.wire_table import wire_table
 
@@ -31,10 +31,8 @@ MODEL_FILE = "model.json"
 FIGURES_FOLDER = "figures"
 SCHEMA = 1
 
-_WORTH_SHARING = 24
+_MIN_PARALLEL_WIRES = 24
 """Wires beyond which a second process starts sooner than one alone is done."""
-_KEPT = 30_000_000  # bytes
-_CHUNK = 4  # wires handed out at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +45,7 @@ class ModelledWires:
     tables : of the wires that could be modelled, in the order of the sheet
     refused : name -> why, of those that could not
     files : all that were written, the workbook first
-    gone : wires of an earlier run that the sheet has no more; their files were taken away
+    removed : wires of an earlier run that the sheet has no more; their files were taken away
     curves : wire -> column of the sheet -> the stress table that it names there
     """
 
@@ -56,7 +54,7 @@ class ModelledWires:
     tables: tuple[WireTable, ...]
     refused: Mapping[str, str]
     files: tuple[Path, ...]
-    gone: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
     curves: Mapping[str, Mapping[str, StatedCurve]] = field(default_factory=dict)
 
 
@@ -90,23 +88,23 @@ def model_wires(
         cannot be written; earlier results are then as they were.
     """
     folder = Path("processed") / sheet.stem if out is None else out
-    _spare(sheet, folder)
+    _refuse_overwriting(sheet, folder)
     read = read_wires(sheet)
     specs = read.specs
-    with _helpers(len(specs), sheet) as pool:
-        made, refused = make_tables(specs, sheet, say, pool)
-        if not made:
+    with _worker_pool(len(specs), sheet) as pool:
+        modelled_wires, refused = make_tables(specs, sheet, say, pool)
+        if not modelled_wires:
             raise ProcessingError("\n".join(refused.values()))
-        tables = tuple(wire.table for wire in made)
-        gone = _gone(folder, [spec.name for spec in specs])
-        modelled = ModelledWires(sheet, folder, tables, refused, (), gone, read.curves)
-        owned = _files_of((*refused, *gone))
+        tables = tuple(wire.table for wire in modelled_wires)
+        removed = _removed_wires(folder, [spec.name for spec in specs])
+        modelled = ModelledWires(sheet, folder, tables, refused, (), removed, read.curves)
+        owned = _wire_files((*refused, *removed))
         if figures:
             owned += pngs_of(wire_drawings(tables), FIGURES_FOLDER)
         with locked(folder), replacing_together(folder, owned=owned) as stage:
             say("tables and decks")
             with storing(folder):
-                written = _write(modelled, [wire.decks for wire in made], stage, pool)
+                written = _write(modelled, [wire.decks for wire in modelled_wires], stage, pool)
             if figures:
                 written += save_wire_figures(tables, stage / FIGURES_FOLDER, say=say, png=png)
             files = tuple(folder / path.relative_to(stage) for path in written)
@@ -114,7 +112,7 @@ def model_wires(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MadeWire:
+class ModelledWire:
     """A wire that could be modelled.
 
     Parameters
@@ -132,7 +130,7 @@ def make_tables(
     sheet: Path,
     say: Callable[[str], None] = lambda _: None,
     pool: Executor | None = None,
-) -> tuple[tuple[MadeWire, ...], dict[str, str]]:
+) -> tuple[tuple[ModelledWire, ...], dict[str, str]]:
     """Model wires and word their decks.
 
     Parameters
@@ -146,13 +144,16 @@ def make_tables(
     -------
     The wires in the order of the sheet, and by name why a wire could not be modelled.
     """
-    made: list[MadeWire] = []
+    wires_per_task = 4
+    modelled_wires: list[ModelledWire] = []
     refused: dict[str, str] = {}
-    outcomes = pool.map(_outcome, specs, chunksize=_CHUNK) if pool else map(_outcome, specs)
+    outcomes = (
+        pool.map(_model_wire, specs, chunksize=wires_per_task) if pool else map(_model_wire, specs)
+    )
     for spec, outcome in zip(specs, outcomes, strict=True):
         say(spec.name)
-        if isinstance(outcome, MadeWire):
-            made.append(outcome)
+        if isinstance(outcome, ModelledWire):
+            modelled_wires.append(outcome)
         else:
             refused[spec.name] = error_text(
                 sheet,
@@ -161,16 +162,16 @@ def make_tables(
                 found=f"this: {outcome}",
                 remedy="Check its row against the wire.",
             )
-    return tuple(made), refused
+    return tuple(modelled_wires), refused
 
 
 @contextmanager
-def _helpers(count: int, sheet: Path) -> Iterator[Executor | None]:
+def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
     """Two processes for many wires, none for a few; what ends them from outside is reported."""
-    if count <= _WORTH_SHARING:
+    if count <= _MIN_PARALLEL_WIRES:
         yield None
         return
-    pool = ProcessPoolExecutor(2, initializer=_begin_helping)
+    pool = ProcessPoolExecutor(2, initializer=_init_worker)
     try:
         yield pool
     except BrokenProcessPool as error:
@@ -186,23 +187,24 @@ def _helpers(count: int, sheet: Path) -> Iterator[Executor | None]:
         pool.shutdown(cancel_futures=True)
 
 
-def _begin_helping() -> None:
+def _init_worker() -> None:
     """Let the process that was started by a person answer to the keyboard, and end this one.
 
     A wire leaves nothing behind that refers to itself, so that the collector has nothing to find.
     Blocks of memory as large as one that was freed are kept by the C library for the next wire; it
     gives them back to the system otherwise, twenty times in each wire.
     """
+    block_bytes = 30_000_000
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
-    bytearray(_KEPT)
+    bytearray(block_bytes)
 
 
-def _outcome(spec: WireSpec) -> MadeWire | str:
+def _model_wire(spec: WireSpec) -> ModelledWire | str:
     """A wire with its decks, or why it is not available."""
     try:
         table = wire_table(spec)
-        return MadeWire(table, deck_texts(table))
+        return ModelledWire(table, deck_texts(table))
     except ValueError as error:
         return str(error)
 
@@ -212,7 +214,7 @@ def _write(
 ) -> list[Path]:
     """Write workbook, model and decks; the workbook in another process while the rest is."""
     workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
-    stated = {name: stated_words(own) for name, own in modelled.curves.items()}
+    stated = {name: describe_stress_tables(curves) for name, curves in modelled.curves.items()}
     save = partial(
         save_wire_workbook, modelled.tables, workbook, refused=modelled.refused, stated=stated
     )
@@ -227,7 +229,7 @@ def _write(
     return [workbook, model, *written]
 
 
-def _spare(sheet: Path, folder: Path) -> None:
+def _refuse_overwriting(sheet: Path, folder: Path) -> None:
     """Refuse to write over the sheet itself."""
     for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
@@ -241,7 +243,7 @@ def _spare(sheet: Path, folder: Path) -> None:
             raise UsageError(message)
 
 
-def _gone(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+def _removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
     """Wires of the model that stands in a folder and are not among some names."""
     try:
         earlier = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
@@ -250,12 +252,12 @@ def _gone(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
         return ()  # no model, or not one of labpipe's: nothing that this command wrote
 
 
-def _files_of(names: Iterable[str]) -> list[str]:
+def _wire_files(names: Iterable[str]) -> list[str]:
     """Files of wires below the folder; of one that is refused now they would speak otherwise."""
     files: list[str] = []
     for name in names:
         files += [path.as_posix() for path in deck_paths(name, Path())]
-        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in own_figures(name)]
+        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in figure_names(name)]
         files += [f"{stem}{ending}" for stem in stems for ending in (".svg", ".png")]
     return files
 

@@ -23,13 +23,13 @@ from labpipe.readers.sheet_cells import Cell, as_table, csv_cells, sheets_of, wo
 from labpipe.readers.workbooks import is_workbook
 from labpipe.records.wire import WireSpec
 from labpipe.studies.stress_tables import (
-    Placed,
+    PlacedFault,
     StatedCurve,
-    placed,
+    fault_messages,
+    place_faults,
+    raise_faults,
     read_stress_table,
-    refuse,
     texts,
-    worded,
 )
 
 WIRES_SHEET = "wires"
@@ -74,13 +74,13 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
 def read_wires(path: Path) -> WireSheet:
     """Read the wires of a sheet as `read_wire_sheet` does, and what their stress tables state."""
     cells, where = _cells(path)
-    refuse(path, _first_row_faults(cells))
+    raise_faults(path, _first_row_faults(cells))
     table = as_table(cells, path, rows_of="one row per wire", place=where)
     wrong = heading_faults([cell.text for cell in table.heading])
-    refuse(path, ((table.heading[number].place, fault) for number, fault in wrong))
+    raise_faults(path, ((table.heading[number].place, fault) for number, fault in wrong))
     names = [column_name(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
-    messages = worded(path, _repeated([row["wire"] for row in rows]))
+    messages = fault_messages(path, _repeated([row["wire"] for row in rows]))
     curves: dict[tuple[str, str], StatedCurve] = {}
     specs = [_spec(row, path, curves, messages) for row in rows]
     if messages:
@@ -99,21 +99,21 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
     if not sheets:
         found, remedy = "a workbook without sheets", "Name the wire sheet."
         raise ReadError(error_text(path, "", expected="a wire sheet", found=found, remedy=remedy))
-    shown = [name for name, is_shown in sheets.items() if is_shown]
+    visible = [name for name, is_shown in sheets.items() if is_shown]
     usual = [name for name in sheets if name.casefold() == WIRES_SHEET]
-    name = [*usual, *shown, *sheets][0]
+    name = [*usual, *visible, *sheets][0]
     where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
     return workbook_cells(path, name, where), where
 
 
-def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[Placed]:
+def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
     """Find a title or a comment above the heading, and a row of units below it."""
     filled = [row for row in cells if any(cell.text for cell in row)]
-    known = [sum(column_name(cell.text) in WireRow.model_fields for cell in row) for row in filled]
-    heading = next((number for number, count in enumerate(known) if count > 1), None)
+    counts = [sum(column_name(cell.text) in WireRow.model_fields for cell in row) for row in filled]
+    heading = next((number for number, count in enumerate(counts) if count > 1), None)
     if heading is None:
         return
-    if known[0] == 0:
+    if counts[0] == 0:
         title = next(cell for cell in filled[0] if cell.text)
         expected = "the heading in the first row that is not blank"
         remedy = f"Remove the lines above the heading at {filled[heading][0].place}."
@@ -126,7 +126,7 @@ def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[Placed]:
         yield units[0].place, Fault((), "a wire", found, remedy)
 
 
-def _repeated(names: Sequence[Cell]) -> Iterator[Placed]:
+def _repeated(names: Sequence[Cell]) -> Iterator[PlacedFault]:
     """Find names that come again, or that files and labels take for the same."""
     seen: dict[str, Cell] = {}
     for cell in names:
@@ -151,7 +151,7 @@ def _spec(
     """One wire; none where anything is wrong, which is added to the messages."""
     before = len(messages)
     read = parse_row(WireRow, texts(row))
-    messages += worded(path, placed(read, row)) if isinstance(read, list) else []
+    messages += fault_messages(path, place_faults(read, row)) if isinstance(read, list) else []
     for column in FIRST_SLOPES:
         table = row.get(column)
         if table is not None and table.text and (column, table.text) not in curves:
@@ -175,7 +175,7 @@ def _named(
     row: Mapping[str, Cell], curves: Mapping[tuple[str, str], StatedCurve]
 ) -> dict[str, StatedCurve]:
     """The stress tables that a row names, by column."""
-    found = {
+    curves_by_column = {
         column: curves.get((column, row[column].text)) for column in FIRST_SLOPES if column in row
     }
-    return {column: curve for column, curve in found.items() if curve is not None}
+    return {column: curve for column, curve in curves_by_column.items() if curve is not None}

@@ -11,7 +11,7 @@ from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
-from labpipe.studies.harness_line import PreparedLine, laid
+from labpipe.studies.harness_line import PreparedLine, prepare_line
 from labpipe.studies.harness_section import Material, material_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -94,7 +94,7 @@ class Followed(NamedTuple):
 
     harness: HarnessFile
     material: Material
-    ready: PreparedLine
+    prepared: PreparedLine
     path: RodPath
 
 
@@ -110,6 +110,6 @@ def followed(text: str) -> Followed:
         file = written(Path(folder), text)
         harness = load_harness(file)
         material = material_of(harness, file)
-    ready = laid(harness, material.sections[0](material.best), material.best)
-    path = follow(ready.line, ready.boundaries, steps=harness.steps)
-    return Followed(harness, material, ready, path)
+    prepared = prepare_line(harness, material.sections[0](material.best), material.best)
+    path = follow(prepared.line, prepared.boundaries, steps=harness.steps)
+    return Followed(harness, material, prepared, path)

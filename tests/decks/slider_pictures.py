@@ -73,10 +73,10 @@ def _losses(axes: Axes, curvature: Floats, moment: Floats) -> None:
     for number in (4, 12):
         law = fit_sliders(curvature, moment, number, first=_FIRST, last=_LAST)
         forms.append((f"{number} sliders", slider_moment(law, bent)))
-    for (name, found), colour in zip(
+    for (name, moment), colour in zip(
         forms, ("#b34700", "#cc79a7", "#009e73", "black"), strict=True
     ):
-        axes.plot(bent, 100.0 * (found / wanted - 1.0), label=name, color=colour)
+        axes.plot(bent, 100.0 * (moment / wanted - 1.0), label=name, color=colour)
     axes.set(xscale="log", xlabel="Curvature (1/m)", ylabel="Error of the moment (%)")
     axes.set_yscale("symlog", linthresh=1.0)
     axes.set_yticks([-100, -10, -1, 0, 1, 10, 100], ["-100", "-10", "-1", "0", "1", "10", "100"])

@@ -196,21 +196,23 @@ def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 60
     return np.array([data.body(f"node_{node}").xpos for node in nodes])
 
 
-def along_rod(found: PreparedLine, steps: int, places: int) -> Floats:
+def along_rod(prepared: PreparedLine, steps: int, places: int) -> Floats:
     """The same places of the rod: bodies begin at (i - 1/2) / 30 of the length."""
-    path = follow(found.line, found.boundaries, steps=steps)
+    path = follow(prepared.line, prepared.boundaries, steps=steps)
     nodes = np.round(np.linspace(1, 30, places)).astype(int)
-    at = (nodes - 0.5) / 30.0 * found.line.length
-    return np.column_stack([np.interp(at, found.line.stations, x) for x in path.last.positions.T])
+    at = (nodes - 0.5) / 30.0 * prepared.line.length
+    return np.column_stack(
+        [np.interp(at, prepared.line.stations, x) for x in path.last.positions.T]
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("section", [STIFFNESS, "{wire: A2}"])
 def test_mujoco_has_the_shape_of_the_rod(tmp_path: Path, section: str) -> None:
     """An arch in its plane: within 1.5 % of the length."""
-    found = ready(tmp_path, arch(section).replace("elements: 16", "elements: 30"))
-    deck = line_deck(found.line, found.boundaries, title="arch")
-    assert moved(deck, 8, 7) == pytest.approx(along_rod(found, 8, 7), abs=3e-3)
+    prepared = ready(tmp_path, arch(section).replace("elements: 16", "elements: 30"))
+    deck = line_deck(prepared.line, prepared.boundaries, title="arch")
+    assert moved(deck, 8, 7) == pytest.approx(along_rod(prepared, 8, 7), abs=3e-3)
 
 
 @pytest.mark.slow
@@ -232,24 +234,26 @@ def test_what_is_let_go_springs_back_in_mujoco_too(tmp_path: Path, weight: str, 
     down = f"position: [60 mm, 0 mm, 45 mm]}}, {{step: 14, position: [{place}]}}]"
     text = pushed().replace("elements: 12", "elements: 30").replace("steps: 10", "steps: 16")
     text = text.replace("release: 9", "release: 15")
-    found = ready(tmp_path, text.replace("position: [60 mm, 0 mm, 45 mm]}]", down))
+    prepared = ready(tmp_path, text.replace("position: [60 mm, 0 mm, 45 mm]}]", down))
     if weight == "none":
-        found = replace(found, boundaries=found.boundaries[:-1])
-    deck = line_deck(found.line, found.boundaries, title="pushed")
-    assert moved(deck, 16, 7) == pytest.approx(along_rod(found, 16, 7), abs=2e-4)
+        prepared = replace(prepared, boundaries=prepared.boundaries[:-1])
+    deck = line_deck(prepared.line, prepared.boundaries, title="pushed")
+    assert moved(deck, 16, 7) == pytest.approx(along_rod(prepared, 16, 7), abs=2e-4)
 
 
 def test_the_model_begins_as_the_line_lies(tmp_path: Path) -> None:
     """A curled line, by the places of the bodies before anything moves."""
     mujoco = pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
     curl = "  spool: {curvature: 5 1/m, towards: [0, 1, 0]}\n"
-    found = ready(tmp_path, arch(line=curl).replace("elements: 16", "elements: 30"))
-    model = mujoco.MjModel.from_xml_string(line_deck(found.line, found.boundaries, title="curl"))
+    prepared = ready(tmp_path, arch(line=curl).replace("elements: 16", "elements: 30"))
+    model = mujoco.MjModel.from_xml_string(
+        line_deck(prepared.line, prepared.boundaries, title="curl")
+    )
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     last = data.body("node_30")
     end = last.xpos + last.xmat.reshape(3, 3)[:, 0] * 0.5 * 0.2 / 30
-    assert end == pytest.approx(found.line.positions[-1], abs=2e-3)
+    assert end == pytest.approx(prepared.line.positions[-1], abs=2e-3)
 
 
 def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
@@ -282,9 +286,9 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
 
 
 def test_a_line_that_may_fall_is_free_in_space(tmp_path: Path) -> None:
-    found = ready(tmp_path, arch())
-    held = [boundary for boundary in found.boundaries if isinstance(boundary, rod.Held)]
-    loose = line_deck(found.line, held[1:], title="loose")
-    fixed = line_deck(found.line, held, title="fixed")
+    prepared = ready(tmp_path, arch())
+    held = [boundary for boundary in prepared.boundaries if isinstance(boundary, rod.Held)]
+    loose = line_deck(prepared.line, held[1:], title="loose")
+    fixed = line_deck(prepared.line, held, title="fixed")
     assert loose.count("<freejoint />") == 1
     assert "freejoint" not in fixed

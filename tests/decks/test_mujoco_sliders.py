@@ -93,20 +93,22 @@ def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     half = 0.5 * loads[-1]
     path = np.array([loads[-1], half, 0.0, half, loads[-1], half, 0.0])
     places = tips(write(example(name), length=LENGTH), path, towards)
-    found = places @ along
+    deflection = places @ along
     table = example(name)
     law = concave_law(table.curvature[1:], table.moment[1:])
-    turn = found[4]
+    turn = deflection[4]
     ways = [np.linspace(1e-4, turn, 40), np.linspace(turn, left, 80)[1:]]
     ways += [np.linspace(left, turn, 80)[1:], np.linspace(turn, left, 80)[1:]]
     model = end_load_path(law, LENGTH, np.concatenate(ways))
     down, up, again = (model.load[-237:][79 * n : 79 * (n + 1)] for n in range(3))
-    assert found[4] == pytest.approx(found[0], rel=0.005)
-    assert found[6] == pytest.approx(found[2], rel=0.005)
+    assert deflection[4] == pytest.approx(deflection[0], rel=0.005)
+    assert deflection[6] == pytest.approx(deflection[2], rel=0.005)
     for place, load, way in ((1, down, ways[1]), (3, up, ways[2]), (5, again, ways[3])):
         rising = np.argsort(load)
-        assert found[place] == pytest.approx(np.interp(half, load[rising], way[rising]), rel=0.015)
-    assert found[3] < found[1] - 0.2 * left  # a loop, and no line
+        assert deflection[place] == pytest.approx(
+            np.interp(half, load[rising], way[rising]), rel=0.015
+        )
+    assert deflection[3] < deflection[1] - 0.2 * left  # a loop, and no line
     assert np.max(np.abs(places @ [0.0, -np.sin(towards), np.cos(towards)])) < 0.2e-3
 
 
@@ -136,15 +138,15 @@ def test_directions_that_are_not_turned_bend_sideways() -> None:
         deck = deck.replace(row, first[number % 4].replace("@", str(1 + number // 4)))
     loads, _ = wanted("C4")
     towards = TOWARDS[1]
-    found = tips(deck, loads[-2:], towards)
-    assert np.max(np.abs(found @ [0.0, -np.sin(towards), np.cos(towards)])) > 0.5e-3
+    positions = tips(deck, loads[-2:], towards)
+    assert np.max(np.abs(positions @ [0.0, -np.sin(towards), np.cos(towards)])) > 0.5e-3
 
 
 def _checked(deck: str) -> list[float]:
     """Load, deflection, and that without yielding, of the check at the head of a deck."""
-    said = re.search(r"Check: pull_y = (\S+) N.* y = (\S+) m, within .* stops at (\S+) m", deck)
-    assert said is not None
-    return [float(number) for number in said.groups()]
+    match = re.search(r"Check: pull_y = (\S+) N.* y = (\S+) m, within .* stops at (\S+) m", deck)
+    assert match is not None
+    return [float(number) for number in match.groups()]
 
 
 @pytest.mark.parametrize(

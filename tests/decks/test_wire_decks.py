@@ -442,9 +442,9 @@ def test_area_and_second_moment_are_those_of_the_section() -> None:
     strands = 7 * np.pi / 4.0 * 0.32e-3**2
     assert deck_facts.solid_area(table) == pytest.approx(strands + tube)
     # six strands around one: 7 pi d^4 / 64 + 6 A d^2 / 2
-    own = 7 * np.pi / 64.0 * 0.32e-3**4 + 3.0 * np.pi / 4.0 * 0.32e-3**4
+    strands = 7 * np.pi / 64.0 * 0.32e-3**4 + 3.0 * np.pi / 4.0 * 0.32e-3**4
     ring = np.pi / 4.0 * (0.8e-3**4 - 0.5e-3**4)
-    assert deck_facts.second_moment(table) == pytest.approx(own + ring)
+    assert deck_facts.second_moment(table) == pytest.approx(strands + ring)
 
 
 HARD = ['say "A2"', "0.35", "a/b\\c", "..", "Käbel 0,35 mm²", "x" * 300, "two\nlines", "*M1", "--"]
@@ -484,11 +484,11 @@ def test_numbers_in_both_jsons() -> None:
     card = loss_card(table.curvature, table.moment)
     turn = turn_loss(table.curvature, table.moment)
     for ending in ("json", "sliders.json"):
-        found = json.loads(DECKS[ending](table))["loss_card"]
-        assert found["constant"]["error"] == card.constant
-        assert found["sliders"]["12"] == dict(card.sliders)[12]
-        assert found["directions"]["16"] == dict(card.directions)[16] < found["directions"]["4"]
-        assert found["way_back"] == asdict(turn)
+        content = json.loads(DECKS[ending](table))["loss_card"]
+        assert content["constant"]["error"] == card.constant
+        assert content["sliders"]["12"] == dict(card.sliders)[12]
+        assert content["directions"]["16"] == dict(card.directions)[16] < content["directions"]["4"]
+        assert content["way_back"] == asdict(turn)
 
 
 def test_a_law_that_sliders_cannot_have() -> None:
@@ -529,8 +529,8 @@ def test_the_json_table() -> None:
         assert content[name] == getattr(table, name)
     assert content["diameter"] == pytest.approx(table.spec.wire_diameter)
     assert content["length"] == table.spec.length
-    words = {"schema", "labpipe", "wire", "range", "law", "torsion", "units", "doubtful_beyond"}
-    assert set(content["units"]) == set(content) - words - {"loss_card"}
+    facts = {"schema", "labpipe", "wire", "range", "law", "torsion", "units", "doubtful_beyond"}
+    assert set(content["units"]) == set(content) - facts - {"loss_card"}
 
 
 def test_rows_of_the_csv_make_the_law() -> None:
@@ -550,16 +550,16 @@ def test_rows_of_the_csv_make_the_law() -> None:
 
 def test_numbers_of_the_json() -> None:
     table = wire_table("A2")
-    found, law = json.loads(sliders_json(table)), sliders_of(table)
-    assert found["stiffnesses"] == law.stiffnesses.tolist()
-    assert found["slip_curvatures"] == law.slip_curvatures.tolist()
-    assert found["error"] == law.error < 0.003
-    assert found["doubtful_beyond"] == table.doubtful_curvature == pytest.approx(37.5)
-    assert found["mass_per_length"] == table.mass_per_length
-    assert found["loss_card"]["sliders"]["12"] == law.error
-    dahl, bent = found["dahl"], table.curvature[1:]
+    content, law = json.loads(sliders_json(table)), sliders_of(table)
+    assert content["stiffnesses"] == law.stiffnesses.tolist()
+    assert content["slip_curvatures"] == law.slip_curvatures.tolist()
+    assert content["error"] == law.error < 0.003
+    assert content["doubtful_beyond"] == table.doubtful_curvature == pytest.approx(37.5)
+    assert content["mass_per_length"] == table.mass_per_length
+    assert content["loss_card"]["sliders"]["12"] == law.error
+    dahl, bent = content["dahl"], table.curvature[1:]
     moment = dahl["stiffness"] * bent + dahl["moment"] * -np.expm1(-bent / dahl["decay"])
     off = np.max(np.abs(moment / table.moment[1:] - 1.0))
-    assert off == pytest.approx(found["loss_card"]["dahl"], rel=0.05)
-    assert found["scalar_sliders"]["directions"] == 4
-    assert set(found["units"]) >= {"stiffness", "slip_curvatures", "slip_moments", "decay"}
+    assert off == pytest.approx(content["loss_card"]["dahl"], rel=0.05)
+    assert content["scalar_sliders"]["directions"] == 4
+    assert set(content["units"]) >= {"stiffness", "slip_curvatures", "slip_moments", "decay"}

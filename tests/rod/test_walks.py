@@ -21,7 +21,7 @@ from labpipe.rod.rotations import (
 from labpipe.rod.stability import StabilityCheck
 from labpipe.rod.statics import RodSettings, follow
 from labpipe.rod.supports import Grip, supports_of
-from labpipe.studies.residual_curvature import kept_curvature
+from labpipe.studies.residual_curvature import residual_curvature
 from tests.approved import Approve
 from tests.builders.rods import (
     LENGTH,
@@ -215,7 +215,7 @@ def test_each_cell_of_what_falls_springs_back_by_what_it_carries(most_turn: floa
     settings = RodSettings(most_turn=most_turn)
     path = follow(line, [clamp(line), grip], steps=41, settings=settings)
     held, free = path.states[40:]
-    kept = kept_curvature(held, line.section.law)
+    kept = residual_curvature(held, line.section.law)
     assert np.max(held.bendings) > 8.0
     left = np.linalg.norm(free.curvatures[:, :, :2], axis=2).max(axis=1)
     np.testing.assert_allclose(left, kept, atol=1e-6)

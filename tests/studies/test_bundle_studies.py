@@ -14,7 +14,7 @@ from labpipe.records.quality import Reason, worded
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.store.write import write_result
 from labpipe.studies.bundle_bounds import Conduit, as_json, find_places, model_bundle
-from labpipe.studies.bundle_loops import loop_of, processed_test
+from labpipe.studies.bundle_loops import bundle_loop, processed_test
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.units import GRAVITY
 from labpipe.wire.bundle_model import bundle_model
@@ -92,8 +92,8 @@ def sheet(folder: Path, block: str) -> Path:
 def test_words_to_numbers_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     modelled = model_bundle("4 B1 + 3 B2", wires=EXAMPLES, arrangement="asymmetric")
-    asked = bundle(("B1", 4), ("B2", 3), arrangement="asymmetric")
-    plain = bundle_model(asked, example_wires())
+    stated = bundle(("B1", 4), ("B2", 3), arrangement="asymmetric")
+    plain = bundle_model(stated, example_wires())
     assert (modelled.name, modelled.conduits) == ("4 B1 3 B2 asymmetric", ())
     assert modelled.model.high == plain.high
     assert modelled.wanted_bore == pytest.approx(1e-3 * np.sqrt((4 * 1.1**2 + 3 * 1.25**2) / 0.7))
@@ -128,13 +128,13 @@ def test_a_test_sheet(tmp_path: Path) -> None:
     block = "wires: {B1: 4, B2: 3}, arrangement: asymmetric, conduit: tube, conduit_bore: 6 mm"
     path = sheet(tmp_path, f"  bundle: {{{block}}}\n")
     other: dict[str, object] = {"arrangement": "symmetric", "bores": (5e-3,)}
-    for what, asked, arrangement, bore in (
+    for what, options, arrangement, bore in (
         (path, {}, "asymmetric", 6e-3),
         (tmp_path, {}, "asymmetric", 6e-3),
         (path, other, "symmetric", 5e-3),
     ):
         out = tmp_path / "out"
-        modelled = model_bundle(str(what), wires=EXAMPLES, out=out, figures=False, **asked)  # type: ignore[arg-type]
+        modelled = model_bundle(str(what), wires=EXAMPLES, out=out, figures=False, **options)  # type: ignore[arg-type]
         assert modelled.name == "TWB-1"
         assert modelled.model.layout.arrangement == arrangement
         assert modelled.model.bundle.conduit_bore == bore
@@ -181,10 +181,10 @@ def written(result: TestResult, folder: Path) -> str:
 def test_the_second_cycle_is_predicted_from_the_first(tmp_path: Path) -> None:
     """Against cycles of the virtual lab's law, in which other things give way than in this one."""
     what = written(bent_bundle(), tmp_path / "TWB-1")
-    made = model_bundle(what, wires=EXAMPLES, out=tmp_path / "out")
-    fit = made.friction
+    modelled = model_bundle(what, wires=EXAMPLES, out=tmp_path / "out")
+    fit = modelled.friction
     assert fit is not None
-    assert (made.name, made.no_friction) == ("TWB-1", "")
+    assert (modelled.name, modelled.no_friction) == ("TWB-1", "")
     assert fit.is_held_out.tolist() == (fit.loop.branch > 1).tolist()
     assert fit.error_held_out < 0.08
     assert fit.predicted_loss == pytest.approx(fit.loss, rel=0.35)
@@ -203,13 +203,13 @@ def test_a_span_is_two_cantilevers() -> None:
     whole = bent_bundle()
     assert whole.curve is not None
     half = replace(whole, specimen=replace(whole.specimen, dimensions={"span": 2.0 * LENGTH}))
-    one, other = loop_of(whole), loop_of(half)
+    one, other = bundle_loop(whole), bundle_loop(half)
     assert other.length == one.length == LENGTH
     assert other.force == pytest.approx(0.5 * one.force)
     assert other.kink == (one.kink[0], 0.5 * one.kink[1])
     force = whole.curve.force.copy()
     force[10] = np.nan
-    gap = loop_of(replace(whole, curve=replace(whole.curve, force=force)))
+    gap = bundle_loop(replace(whole, curve=replace(whole.curve, force=force)))
     assert np.all(np.isfinite(gap.force))
     assert gap.deflection.min() > 1e-3 * LENGTH
 
@@ -222,13 +222,13 @@ def test_bounds_without_a_loop(tmp_path: Path) -> None:
         ("kink", replace(whole, results=()), no_kink),
     ):
         what = written(result, tmp_path / name)
-        made = model_bundle(what, wires=EXAMPLES, out=tmp_path / "out", figures=False)
-        assert (made.friction, made.no_friction) == (None, reason)
+        modelled = model_bundle(what, wires=EXAMPLES, out=tmp_path / "out", figures=False)
+        assert (modelled.friction, modelled.no_friction) == (None, reason)
         content = json.loads((tmp_path / "out" / "bundle.json").read_text())
         assert content["no_friction"] == reason
     bare = replace(whole, specimen=replace(whole.specimen, dimensions={}))
     with pytest.raises(ValueError, match=r"^the test sheet has neither length nor span$"):
-        loop_of(bare)
+        bundle_loop(bare)
 
 
 def test_a_cantilever_weighs_what_its_sheet_says() -> None:
@@ -236,12 +236,12 @@ def test_a_cantilever_weighs_what_its_sheet_says() -> None:
     whole = bent_bundle()
     protocol = parse_protocol(whole.protocol_yaml, "p.yaml")
     specimen = protocol.specimen.model_copy(update={"mass_per_length": 0.0758})
-    said = dump_protocol(protocol.model_copy(update={"specimen": specimen}))
-    heavy = replace(whole, protocol_yaml=said)
-    assert loop_of(whole).self_weight == 0.0
-    assert loop_of(heavy).self_weight == pytest.approx(0.0758 * GRAVITY)
+    text = dump_protocol(protocol.model_copy(update={"specimen": specimen}))
+    heavy = replace(whole, protocol_yaml=text)
+    assert bundle_loop(whole).self_weight == 0.0
+    assert bundle_loop(heavy).self_weight == pytest.approx(0.0758 * GRAVITY)
     span = replace(heavy, specimen=replace(whole.specimen, dimensions={"span": 0.15}))
-    assert loop_of(span).self_weight == 0.0
+    assert bundle_loop(span).self_weight == 0.0
 
 
 def test_what_is_no_processed_test(tmp_path: Path) -> None:

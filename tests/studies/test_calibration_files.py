@@ -35,32 +35,36 @@ from tests.builders.wire_tables import spec_of
 
 
 @pytest.fixture(scope="module")
-def made() -> Calibration:
-    found = calibrate(wire_of("A3"), measured("A3", (0.12,), seed=1), Settings(gain=0.005))
-    assert isinstance(found, Calibration)
-    return found
+def calibration_a3() -> Calibration:
+    outcome = calibrate(wire_of("A3"), measured("A3", (0.12,), seed=1), Settings(gain=0.005))
+    assert isinstance(outcome, Calibration)
+    return outcome
 
 
 @pytest.fixture
-def file(made: Calibration, tmp_path: Path) -> Path:
-    done = Calibrated(Path("out"), made, (), {}, (), tested_curvature=21.5)
+def file(calibration_a3: Calibration, tmp_path: Path) -> Path:
+    done = Calibrated(Path("out"), calibration_a3, (), {}, (), tested_curvature=21.5)
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(as_json(done), allow_nan=False), encoding="utf-8")
     return path
 
 
-def test_what_was_written_is_read(made: Calibration, file: Path) -> None:
-    found = read_calibrated(file)
-    assert (found.wire, found.widening, found.tested_curvature) == ("A3", made.widening, 21.5)
-    assert len(found.solutions) == len(made.solutions)
-    for read, had in zip(found.solutions, made.solutions, strict=True):
+def test_what_was_written_is_read(calibration_a3: Calibration, file: Path) -> None:
+    stored = read_calibrated(file)
+    assert (stored.wire, stored.widening, stored.tested_curvature) == (
+        "A3",
+        calibration_a3.widening,
+        21.5,
+    )
+    assert len(stored.solutions) == len(calibration_a3.solutions)
+    for read, had in zip(stored.solutions, calibration_a3.solutions, strict=True):
         assert np.array_equal(read.values, had.values)
         assert np.array_equal(read.covariance, had.covariance)
         assert (read.rise, read.limit, read.is_allowed) == (had.rise, had.limit, had.is_allowed)
         for name in ("chance", "scatter", "shift", "covariance"):
             assert np.array_equal(getattr(read.mixture, name), getattr(had.mixture, name))
         assert read.mixture.freedom == had.mixture.freedom
-    assert found.values() == dict(zip(PARAMETERS, made.solutions[0].values, strict=True))
+    assert stored.values() == dict(zip(PARAMETERS, calibration_a3.solutions[0].values, strict=True))
 
 
 def test_another_file_is_refused(tmp_path: Path) -> None:
@@ -85,9 +89,9 @@ TWO_VALLEYS = measured("A3", (0.12,), seed=1)
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
-    found = calibrate(wire_of("A2"), CURVES, Settings())
-    assert isinstance(found, Calibration)
-    return found
+    outcome = calibrate(wire_of("A2"), CURVES, Settings())
+    assert isinstance(outcome, Calibration)
+    return outcome
 
 
 LOADINGS = [FirstLoading(curve, 0.0, ()) for curve in CURVES]
@@ -101,19 +105,21 @@ def groups_of(calibration: Calibration) -> tuple[ValidationGroup, ...]:
 
 def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> None:
     spec = spec_of("A2", "A2")
-    made = calibrated_spec(spec, calibration)
-    friction = made.radial_force * (made.friction_strand + made.friction_insulation)
+    calibrated = calibrated_spec(spec, calibration)
+    friction = calibrated.radial_force * (
+        calibrated.friction_strand + calibrated.friction_insulation
+    )
     assert friction == pytest.approx(calibration.parameter("radial_friction").value)
-    assert made.insulation_modulus == calibration.parameter("insulation_modulus").value
-    assert made.copper_k == spec.copper_k * calibration.parameter("copper_scale").value
-    assert made.name == spec.name
+    assert calibrated.insulation_modulus == calibration.parameter("insulation_modulus").value
+    assert calibrated.copper_k == spec.copper_k * calibration.parameter("copper_scale").value
+    assert calibrated.name == spec.name
 
 
-def test_json_is_plain_and_whole(made: Calibration, calibration: Calibration) -> None:
-    two = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
+def test_json_is_plain_and_whole(calibration_a3: Calibration, calibration: Calibration) -> None:
+    two = json.loads(json.dumps(as_json(Calibrated(Path("out"), calibration_a3, (), {}, ()))))
     assert len(two["solutions"]) == 2
     assert all(solution["in_95_percent_set"] for solution in two["solutions"])
-    assert two["widening"] == made.widening > 1.0
+    assert two["widening"] == calibration_a3.widening > 1.0
     copper = two["parameters"][2]
     assert len(copper["intervals"]) == len(copper["profiles"]) == 2
     ends = copper["intervals"][0][0], copper["intervals"][1][1]
@@ -133,9 +139,9 @@ def test_json_names_priors_and_what_was_held() -> None:
     prior = ParameterChoice(1e9, factor=4.0, source="data sheet")
     held = ParameterChoice(0.0465, is_fixed=True, source="a calibration of A2")
     choices = {"insulation_modulus": prior, "radial_friction": held}
-    made = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(choices, gain=0.005))
-    assert isinstance(made, Calibration)
-    content = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, (), {}, ()))))
+    outcome = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(choices, gain=0.005))
+    assert isinstance(outcome, Calibration)
+    content = json.loads(json.dumps(as_json(Calibrated(Path("out"), outcome, (), {}, ()))))
     friction, modulus, _ = content["parameters"]
     assert (friction["source"], friction["intervals"]) == ("a calibration of A2", [])
     assert modulus["prior"]["value"] == pytest.approx(1e9)
@@ -251,11 +257,16 @@ def read(plan: Path) -> tuple[ExternalCurve, ...]:
 def test_curves_are_read_beside_the_plan(tmp_path: Path) -> None:
     curve = "deflection / m,force / N\n0,0\n0.01,0.02\n0.02,0.04\n"
     (tmp_path / "fe.csv").write_text(curve, encoding="utf-8")
-    (found,) = read(plan_of(tmp_path))
-    assert (found.name, found.file, found.wire, found.is_normal) == ("fe", "fe.csv", "A2", True)
-    assert found.length == pytest.approx(0.085)
-    assert found.deflection.tolist() == [0.0, 0.01, 0.02]
-    assert found.force.tolist() == [0.0, 0.02, 0.04]
+    (external,) = read(plan_of(tmp_path))
+    assert (external.name, external.file, external.wire, external.is_normal) == (
+        "fe",
+        "fe.csv",
+        "A2",
+        True,
+    )
+    assert external.length == pytest.approx(0.085)
+    assert external.deflection.tolist() == [0.0, 0.01, 0.02]
+    assert external.force.tolist() == [0.0, 0.02, 0.04]
 
 
 def test_all_that_is_wrong_is_told_at_once(tmp_path: Path, approved: Approve) -> None:

@@ -11,11 +11,11 @@ from labpipe.rod.boundaries import Gravity, Held, Plane
 from labpipe.rod.path import Reason, RodPath
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_convergence import (
-    ALLOWED,
+    MAX_CHANGE,
     coarse_doubt,
+    coarse_steps,
     depends_on_history,
     few_elements_doubt,
-    kept_rows,
     walk_with_other_steps,
 )
 from labpipe.studies.harness_line import PreparedLine
@@ -27,17 +27,17 @@ CORNERS = LENGTH * np.array(
 )
 
 
-def led(way: Floats, *, elements: int = 12) -> PreparedLine:
+def led(path: Floats, *, elements: int = 12) -> PreparedLine:
     """A line with sliders whose end is led along a way."""
     line = straight_line(LENGTH, elements, sliding_section())
-    return PreparedLine(line, (replace(clamp(line), name="foot"), Held(-1, way, name="end")), {})
+    return PreparedLine(line, (replace(clamp(line), name="foot"), Held(-1, path, name="end")), {})
 
 
 def led_round(steps: int, *, elements: int = 12) -> PreparedLine:
     """Its end is led round a space polygon, in steps for each side."""
     at = np.linspace(0.0, 5.0, 5 * steps + 1)
-    way = np.column_stack([np.interp(at, range(6), axis) for axis in CORNERS.T])
-    return led(way, elements=elements)
+    path = np.column_stack([np.interp(at, range(6), axis) for axis in CORNERS.T])
+    return led(path, elements=elements)
 
 
 def bent_over(steps: int) -> PreparedLine:
@@ -50,61 +50,61 @@ def arched(elements: int) -> PreparedLine:
     """A line without memory between two clamps, one brought nearer and lifted."""
     line = straight_line(LENGTH, elements, linear_section(mass=0.02))
     share = np.linspace(0.2, 1.0, 9)[:, None]
-    way = line.positions[-1] + share * LENGTH * np.array([-0.35, 0.1, 0.2])
+    path = line.positions[-1] + share * LENGTH * np.array([-0.35, 0.1, 0.2])
     near = replace(clamp(line), name="near")
-    end = Held(-1, way, line.frames[-1:], name="far")
+    end = Held(-1, path, line.frames[-1:], name="far")
     return PreparedLine(line, (near, end, Gravity(name="weight")), {})
 
 
-def followed(ready: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]:
-    path = follow(ready.line, ready.boundaries, steps=steps)
-    return path, {number.name: number.value for number in numbers_of(path, ready)}
+def walk(prepared: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]:
+    path = follow(prepared.line, prepared.boundaries, steps=steps)
+    return path, {number.name: number.value for number in numbers_of(path, prepared)}
 
 
-def doubt_of(ready: PreparedLine, steps: int, **intervals: Interval) -> Doubt | None:
-    path, _ = followed(ready, steps)
-    return coarse_doubt(path, ready, walk_with_other_steps(ready, steps), intervals)
+def doubt_of(prepared: PreparedLine, steps: int, **intervals: Interval) -> Doubt | None:
+    path, _ = walk(prepared, steps)
+    return coarse_doubt(path, prepared, walk_with_other_steps(prepared, steps), intervals)
 
 
-def names_of(doubt: Doubt | None) -> set[str]:
+def number_names(doubt: Doubt | None) -> set[str]:
     return set() if doubt is None else set(doubt.names)
 
 
 @pytest.mark.slow
 def test_it_speaks_of_all_numbers_that_are_off() -> None:
-    _, truth = followed(led_round(32), 160)
+    _, truth = walk(led_round(32), 160)
     for steps in (1, 2, 4, 16):
-        ready = led_round(steps)
-        _, numbers = followed(ready, 5 * steps)
+        prepared = led_round(steps)
+        _, numbers = walk(prepared, 5 * steps)
         names = ("force.foot", "moment.foot", "energy_lost", "kept_curvature")
-        off = {name: abs(numbers[name] / truth[name] - 1.0) / ALLOWED for name in names}
-        named = names_of(doubt_of(ready, 5 * steps))
+        off = {name: abs(numbers[name] / truth[name] - 1.0) / MAX_CHANGE for name in names}
+        named = number_names(doubt_of(prepared, 5 * steps))
         assert {name for name, share in off.items() if share > 1.2} <= named, (steps, off)
 
 
 @pytest.mark.slow
 def test_it_is_silent_where_few_steps_do() -> None:
     """Eight steps are enough on a straight way."""
-    _, truth = followed(bent_over(64), 64)
-    for name, value in followed(bent_over(8), 8)[1].items():
-        assert value == pytest.approx(truth[name], rel=ALLOWED, abs=1e-6)
+    _, truth = walk(bent_over(64), 64)
+    for name, value in walk(bent_over(8), 8)[1].items():
+        assert value == pytest.approx(truth[name], rel=MAX_CHANGE, abs=1e-6)
     assert doubt_of(bent_over(8), 8) is None
 
 
 @pytest.mark.slow
 def test_it_says_where_and_how_many_steps_should_do() -> None:
-    ready = led_round(2)
-    doubt = doubt_of(ready, 10)
+    prepared = led_round(2)
+    doubt = doubt_of(prepared, 10)
     assert doubt is not None
     assert doubt.reason.code == "too_coarse"
     assert doubt.reason.message.startswith("half as many steps change it by more than 2 % (or ")
     assert ", most at step 10, 0 mm from the start: 10 steps are too few; " in doubt.reason.message
     wide = dict.fromkeys(doubt.names, Interval(-1e6, 1e6, 0.95))
-    assert doubt_of(ready, 10, **wide) is None
-    path, numbers = followed(ready, 10)
-    other = walk_with_other_steps(ready, 10)
+    assert doubt_of(prepared, 10, **wide) is None
+    path, numbers = walk(prepared, 10)
+    other = walk_with_other_steps(prepared, 10)
     torn = replace(other.path, status="failed", reasons=(Reason("torn", "step 2: torn", 2),))
-    doubt = coarse_doubt(path, ready, replace(other, path=torn), {})
+    doubt = coarse_doubt(path, prepared, replace(other, path=torn), {})
     assert doubt is not None
     assert set(doubt.names) == set(numbers)
     assert "the line cannot be followed (torn)" in doubt.reason.message
@@ -114,60 +114,64 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
 @pytest.mark.slow
 def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
     """Those of 160 elements are the truth: where one is off by more than 2 % that is said."""
-    _, truth = followed(arched(160), 8)
+    _, truth = walk(arched(160), 8)
     for elements in (6, 10, 40):
-        ready = arched(elements)
-        path, _ = followed(ready, 8)
-        doubt = few_elements_doubt(path, ready, arched(elements // 2), {})
+        prepared = arched(elements)
+        path, _ = walk(prepared, 8)
+        doubt = few_elements_doubt(path, prepared, arched(elements // 2), {})
         off = {
             number.name
-            for number in numbers_of(path, ready)
+            for number in numbers_of(path, prepared)
             if not number.is_signed
-            and abs(number.value - truth[number.name]) > ALLOWED * truth[number.name]
+            and abs(number.value - truth[number.name]) > MAX_CHANGE * truth[number.name]
         }
-        assert off <= names_of(doubt)
+        assert off <= number_names(doubt)
         assert (doubt is None) is (elements == 40)
         if doubt is not None and elements == 10:
             assert doubt.reason.code == "coarse_elements"
             wanted = int(doubt.reason.message.split("too few; ")[1].split()[0])
-            path, _ = followed(arched(wanted), 8)
+            path, _ = walk(arched(wanted), 8)
             assert few_elements_doubt(path, arched(wanted), arched(wanted // 2), {}) is None
 
 
-def way_of(ready: PreparedLine) -> Held:
-    end = ready.boundaries[1]
+def way_of(prepared: PreparedLine) -> Held:
+    end = prepared.boundaries[1]
     assert isinstance(end, Held)
     return end
 
 
 def test_a_walk_of_corners_alone_is_halved() -> None:
-    ready = led_round(1, elements=3)
-    other = walk_with_other_steps(ready, 5)
-    assert other.words == "twice as many"
+    prepared = led_round(1, elements=3)
+    other = walk_with_other_steps(prepared, 5)
+    assert other.steps_text == "twice as many"
     np.testing.assert_allclose(other.times, np.arange(11) / 2.0)
-    way, finer = way_of(ready).position, way_of(other.laid).position
-    np.testing.assert_allclose(finer[::2], way)
-    np.testing.assert_allclose(finer[1::2], 0.5 * (way[1:] + way[:-1]))
+    path, finer = way_of(prepared).position, way_of(other.prepared).position
+    np.testing.assert_allclose(finer[::2], path)
+    np.testing.assert_allclose(finer[1::2], 0.5 * (path[1:] + path[:-1]))
 
 
 def test_corners_and_releases_are_kept() -> None:
-    ready = led_round(4)
-    assert kept_rows(ready.boundaries, 20).tolist() == list(range(0, 21, 2))
+    prepared = led_round(4)
+    assert coarse_steps(prepared.boundaries, 20).tolist() == list(range(0, 21, 2))
     uneven = led_round(3)
-    assert kept_rows(uneven.boundaries, 15).tolist() == [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15]
+    assert coarse_steps(uneven.boundaries, 15).tolist() == [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15]
     grip = Held(-1, np.zeros(3), release=8)
-    assert kept_rows([grip], 12).tolist() == [0, 2, 4, 6, 7, 8, 10, 12]
-    frames = np.tile(ready.line.frames[:1], (13, 1))
-    assert kept_rows([Held(-1, np.zeros(3), frames)], 12).tolist() == list(range(0, 13, 2))
+    assert coarse_steps([grip], 12).tolist() == [0, 2, 4, 6, 7, 8, 10, 12]
+    frames = np.tile(prepared.line.frames[:1], (13, 1))
+    assert coarse_steps([Held(-1, np.zeros(3), frames)], 12).tolist() == list(range(0, 13, 2))
 
 
 def test_a_release_stays_where_it_was() -> None:
-    way = np.array([LENGTH, 0.0, 0.0]) + np.linspace(0.0, 1.0, 10)[:, None] * [-0.03, 0.1, 0.0]
-    ready = led(np.concatenate([way, way[-1:]]), elements=3)
-    grip = replace(way_of(ready), release=10)
-    other = walk_with_other_steps(replace(ready, boundaries=(ready.boundaries[0], grip)), 10)
+    path = np.array([LENGTH, 0.0, 0.0]) + np.linspace(0.0, 1.0, 10)[:, None] * [
+        -0.03,
+        0.1,
+        0.0,
+    ]
+    prepared = led(np.concatenate([path, path[-1:]]), elements=3)
+    grip = replace(way_of(prepared), release=10)
+    other = walk_with_other_steps(replace(prepared, boundaries=(prepared.boundaries[0], grip)), 10)
     assert other.times.tolist() == [0, 2, 4, 6, 8, 9, 10]
-    assert way_of(other.laid).release == 6
+    assert way_of(other.prepared).release == 6
 
 
 def test_sliders_and_friction_remember() -> None:

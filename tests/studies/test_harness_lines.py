@@ -24,19 +24,27 @@ from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Section
 from labpipe.rod.rotations import matrices
 from labpipe.rod.statics import follow
-from labpipe.studies.harness_line import PreparedLine, laid
+from labpipe.studies.harness_line import PreparedLine, prepare_line
 from labpipe.studies.harness_section import Material, material_of
 from labpipe.studies.residual_curvature import (
     curvature_after_release,
-    kept_curvature,
-    largest_kept_curvature,
-    unbent,
+    largest_unbending,
+    max_residual_curvature,
+    residual_curvature,
     unloading_reason,
 )
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.wire_table import wire_table
 from tests.approved import Approve
-from tests.builders.harness_files import SHEET, SLACK, STIFFNESS, arch, followed, pushed, written
+from tests.builders.harness_files import (
+    SHEET,
+    SLACK,
+    STIFFNESS,
+    arch,
+    pushed,
+    followed,
+    written,
+)
 
 SECTION = Section(linear_moment_law(1e-4, 100.0), 1e-4, mass_per_length=0.01, diameter=2e-3)
 
@@ -45,8 +53,8 @@ def harness(tmp_path: Path, text: str) -> HarnessFile:
     return load_harness(written(tmp_path, text))
 
 
-def ready(tmp_path: Path, text: str, **inputs: float) -> PreparedLine:
-    return laid(harness(tmp_path, text), SECTION, inputs)
+def line_of(tmp_path: Path, text: str, **inputs: float) -> PreparedLine:
+    return prepare_line(harness(tmp_path, text), SECTION, inputs)
 
 
 def held(line: PreparedLine, name: str) -> rod.Held:
@@ -56,20 +64,20 @@ def held(line: PreparedLine, name: str) -> rod.Held:
 
 
 def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
-    found = ready(tmp_path, arch(steps=4))
-    right = held(found, "right")
-    assert found.nodes == {"left": 0, "right": 16}
+    prepared = line_of(tmp_path, arch(steps=4))
+    right = held(prepared, "right")
+    assert prepared.nodes == {"left": 0, "right": 16}
     share = np.linspace(0.0, 1.0, 5)[:, None]
     wanted = (1.0 - share) * [0.2, 0.0, 0.0] + share * [0.18, 0.0, 0.03]
     assert right.position == pytest.approx(wanted, abs=1e-15)
     assert right.frame is not None
     assert matrices(right.frame)[:, :, 2] == pytest.approx(np.tile([1.0, 0, 0], (5, 1)), abs=1e-12)
-    assert held(found, "left").position == pytest.approx(np.zeros((5, 3)))
+    assert held(prepared, "left").position == pytest.approx(np.zeros((5, 3)))
 
 
 def test_every_named_place_is_a_node(tmp_path: Path) -> None:
     load = "  - {kind: load, name: weight, at: 77 mm, force: [0 N, 0 N, -1 N], by: 4}\nsteps:"
-    prepared = ready(tmp_path, arch().replace("steps:", load))
+    prepared = line_of(tmp_path, arch().replace("steps:", load))
     node, line = prepared.nodes["weight"], prepared.line
     assert line.stations[node] == pytest.approx(0.077, abs=1e-12)
     assert line.stations[-1] == pytest.approx(0.2, abs=1e-12)
@@ -81,13 +89,13 @@ def test_every_named_place_is_a_node(tmp_path: Path) -> None:
 
 def test_a_grip_turns_and_twists_as_its_path_says(tmp_path: Path) -> None:
     """Direction from x to z over two steps, then 540 degrees about itself over four more."""
-    free = ready(tmp_path, pushed())
+    free = line_of(tmp_path, pushed())
     assert held(free, "gripper").frame is None, "by its position it may turn"
     assert held(free, "gripper").position[5] == pytest.approx([0.0695, 0.0, 0.0275])
     text = pushed().replace("    holds: position\n", "")
-    way = text[text.index("path: [") : text.index("]}]") + 3]
+    path = text[text.index("path: [") : text.index("]}]") + 3]
     turns = "path: [{step: 2, direction: [0, 0, 1]}, {step: 6, turn: 540 deg}]"
-    grip = held(ready(tmp_path, text.replace(way, turns)), "gripper")
+    grip = held(line_of(tmp_path, text.replace(path, turns)), "gripper")
     assert grip.release == 9
     assert grip.frame is not None
     axes = matrices(grip.frame)
@@ -100,7 +108,7 @@ def test_a_grip_turns_and_twists_as_its_path_says(tmp_path: Path) -> None:
 
 def test_weight_grows_only_where_the_line_begins_taut(tmp_path: Path) -> None:
     def weights(text: str) -> list[Floats]:
-        boundaries = ready(tmp_path, text).boundaries
+        boundaries = line_of(tmp_path, text).boundaries
         return [edge.vector for edge in boundaries if isinstance(edge, rod.Gravity)]
 
     (taut,) = weights(arch(steps=10))
@@ -112,26 +120,26 @@ def test_weight_grows_only_where_the_line_begins_taut(tmp_path: Path) -> None:
 
 def test_a_spool_leaves_an_arc_that_is_at_rest(tmp_path: Path) -> None:
     curl = "  spool: {curvature: 5 1/m, towards: [0, 1, -1]}\n"
-    line = ready(tmp_path, arch(line=curl)).line
+    line = line_of(tmp_path, arch(line=curl)).line
     angle = 5.0 * 0.2
     chord = np.sin(angle) / 5.0, (1.0 - np.cos(angle)) / 5.0
     end = np.array([chord[0], chord[1] * np.sqrt(0.5), -chord[1] * np.sqrt(0.5)])
     assert line.positions[-1] == pytest.approx(end, rel=1e-3)
     assert np.linalg.norm(line.natural[:, :2], axis=1) == pytest.approx(np.full(15, 5.0))
     assert line.natural[:, 2] == pytest.approx(np.zeros(15), abs=1e-9)
-    more = ready(tmp_path, arch(line=curl), free_curvature_1=1.0).line
+    more = line_of(tmp_path, arch(line=curl), free_curvature_1=1.0).line
     assert np.linalg.norm(more.natural[:, :2], axis=1) == pytest.approx(np.full(15, 6.0)), (
         "the first free curvature is to the side of the spool"
     )
     with pytest.raises(ValueError, match="allowed is a side of the line, not its direction"):
-        ready(tmp_path, arch(line=curl.replace("[0, 1, -1]", "[2, 0, 0]")))
+        line_of(tmp_path, arch(line=curl.replace("[0, 1, -1]", "[2, 0, 0]")))
 
 
 def test_inputs_change_length_and_rest(tmp_path: Path) -> None:
-    found = ready(tmp_path, arch(), length_factor=np.log(1.01))
-    assert found.line.length == pytest.approx(0.202)
-    assert held(found, "right").position[-1] == pytest.approx([0.18, 0.0, 0.03])
-    other = laid(harness(tmp_path, arch()), SECTION, {}, length=0.25)
+    prepared = line_of(tmp_path, arch(), length_factor=np.log(1.01))
+    assert prepared.line.length == pytest.approx(0.202)
+    assert held(prepared, "right").position[-1] == pytest.approx([0.18, 0.0, 0.03])
+    other = prepare_line(harness(tmp_path, arch()), SECTION, {}, length=0.25)
     assert other.line.length == pytest.approx(0.25)
 
 
@@ -145,7 +153,7 @@ def test_rings_strings_and_planes(tmp_path: Path) -> None:
         "  - {kind: string, name: long, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], length: 95 mm}\n"
         "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:"
     )
-    boundaries = ready(tmp_path, arch().replace("steps:", more)).boundaries
+    boundaries = line_of(tmp_path, arch().replace("steps:", more)).boundaries
     *_, guide, eye, tie, long, table, weight = boundaries
     assert isinstance(guide, rod.Ring)
     assert isinstance(eye, rod.Ring)
@@ -168,8 +176,8 @@ def test_a_line_comes_to_a_ring_between_its_clips(tmp_path: Path) -> None:
         "steps:",
         "  - {kind: ring, name: eye, position: [80 mm, 12 mm, 0 mm], direction: [1, 0, 0]}\nsteps:",
     )
-    found = ready(tmp_path, text)
-    path = follow(found.line, found.boundaries, steps=4)
+    prepared = line_of(tmp_path, text)
+    path = follow(prepared.line, prepared.boundaries, steps=4)
     assert path.status == "ok"
     apart = np.linalg.norm(path.last.positions - [0.08, 0.012, 0.0], axis=1)
     assert np.min(apart) < 0.2 / 16 / 2
@@ -192,8 +200,8 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert section.torsional_stiffness == pytest.approx(table.torsional_stiffness)
     assert wire.diameter == pytest.approx(1.6e-3)
     assert wire.limit == pytest.approx(table.doubtful_curvature)
-    assert wire.limit_words == "the straight line of its insulation"
-    assert (wire.beliefs, wire.best) == ((), {})
+    assert wire.limit_source == "the straight line of its insulation"
+    assert (wire.distributions, wire.best) == ((), {})
     assert [file.role for file in wire.files] == ["wires"]
     other = tmp_path / "other.csv"
     other.write_text(
@@ -203,16 +211,16 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert material(tmp_path, "{wire: X}", wires=other).name == "X"
     (tmp_path / "A2.sliders.json").write_text(sliders_json(table), encoding="utf-8")
     deck = material(tmp_path, "{sliders: A2.sliders.json, diameter: 1.6 mm}")
-    own = deck.sections[0]({})
-    assert own.law.stiffnesses == pytest.approx(section.law.stiffnesses, rel=1e-6)
-    assert own.mass_per_length == pytest.approx(section.mass_per_length)
-    assert (deck.name, deck.limit_words) == ("A2", wire.limit_words)
+    of_deck = deck.sections[0]({})
+    assert of_deck.law.stiffnesses == pytest.approx(section.law.stiffnesses, rel=1e-6)
+    assert of_deck.mass_per_length == pytest.approx(section.mass_per_length)
+    assert (deck.name, deck.limit_source) == ("A2", wire.limit_source)
     assert deck.limit == pytest.approx(wire.limit)
     stiffer = deck.sections[0]({"law_factor": np.log(2.0), "mass_factor": np.log(3.0)})
-    assert stiffer.law.stiffnesses == pytest.approx(2.0 * own.law.stiffnesses)
-    assert stiffer.law.stiffness == pytest.approx(2.0 * own.law.stiffness)
-    assert stiffer.mass_per_length == pytest.approx(3.0 * own.mass_per_length)
-    assert stiffer.torsional_stiffness == own.torsional_stiffness
+    assert stiffer.law.stiffnesses == pytest.approx(2.0 * of_deck.law.stiffnesses)
+    assert stiffer.law.stiffness == pytest.approx(2.0 * of_deck.law.stiffness)
+    assert stiffer.mass_per_length == pytest.approx(3.0 * of_deck.mass_per_length)
+    assert stiffer.torsional_stiffness == of_deck.torsional_stiffness
 
 
 def test_what_the_file_states_is_believed(tmp_path: Path) -> None:
@@ -221,8 +229,8 @@ def test_what_the_file_states_is_believed(tmp_path: Path) -> None:
     stated = material(tmp_path, section, line=curl)
     assert stated.sections[0]({}).law.stiffness == pytest.approx(150e-6)
     assert np.isinf(stated.sections[0]({}).axial_stiffness)
-    assert (stated.limit, stated.limit_words) == (80.0, "'largest_curvature' of the file")
-    (belief,) = stated.beliefs
+    assert (stated.limit, stated.limit_source) == (80.0, "'largest_curvature' of the file")
+    (belief,) = stated.distributions
     assert belief.names == ("law_factor", "free_curvature_1", "free_curvature_2")
     assert np.diag(belief.steps) == pytest.approx([0.1, 0.4, 0.4])
     assert dict.fromkeys(belief.causes) == {"stiffness as stated": None, "curl of the spool": None}
@@ -252,17 +260,17 @@ ONE = SliderLaw(2.0, np.array([6.0]), np.array([1.0]), 0.0, 10.0)
 SOME = SliderLaw(0.5, np.array([9.0, 3.0, 1.0]), np.array([0.5, 2.0, 5.0]), 0.0, 20.0)
 
 
-def bent(law: SliderLaw, way: list[tuple[float, float]]) -> Floats:
+def bent(law: SliderLaw, path: list[tuple[float, float]]) -> Floats:
     """Where the sliders of one station rest after some curvatures."""
     rests = unbent_rests(law, 1, is_vector=True)
-    for curvature in way:
+    for curvature in path:
         rests = slide_vector(law, np.array([curvature]), rests).rests
     return rests
 
 
 def test_one_slider() -> None:
     """It slides back by twice what it slid at, or as far as the spring pulls it."""
-    for law, to, kept in (
+    for law, to, residual in (
         (ONE, 0.9, 0.0),  # nothing slid
         (ONE, 1.5, 1.5 - (2.0 * 1.5 + 6.0) / 8.0),  # 0.375: back without sliding
         (ONE, 2.5, 2.5 - (2.0 * 2.5 + 6.0) / 8.0),  # 1.125: back by 1.375
@@ -270,7 +278,7 @@ def test_one_slider() -> None:
         (replace(ONE, stiffness=0.0), 3.0, 2.0),  # without a spring back by 1
     ):
         released = curvature_after_release(law, bent(law, [(to, 0.0)]))[0]
-        assert released == pytest.approx([kept, 0.0], abs=1e-8)
+        assert released == pytest.approx([residual, 0.0], abs=1e-8)
     spring = SliderLaw(1.0, np.zeros(0), np.zeros(0), 0.0, 1.0)
     assert not curvature_after_release(spring, np.zeros((4, 0, 2))).any()
 
@@ -291,7 +299,7 @@ def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
 
 
 def test_many_stations_of_a_real_law_are_let_go() -> None:
-    law = followed(SLACK).ready.line.section.law
+    law = followed(SLACK).prepared.line.section.law
     rng = np.random.default_rng(5)
     rests, now = unbent_rests(law, 100, is_vector=True), np.zeros((100, 2))
     for _ in range(6):
@@ -306,22 +314,24 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
 
     A tenth of its bend by the rule, nearly all of it if nothing slid back.
     """
-    _, _, ready, path = followed(SLACK)
-    law = ready.line.section.law
-    reason = unloading_reason(path, ready.line)
+    _, _, prepared, path = followed(SLACK)
+    law = prepared.line.section.law
+    reason = unloading_reason(path, prepared.line)
     assert reason is not None
     assert "85 mm from the start it keeps 1.49 1/m by the rule" in reason.message
-    kept, most = kept_curvature(path.last, law), largest_kept_curvature(path, law)
+    residual, largest = residual_curvature(path.last, law), max_residual_curvature(path, law)
     bends = np.array([state.bendings for state in path.states])
-    node = int(np.argmax(most))
-    assert kept[node] == pytest.approx(1.49, abs=0.01)
-    assert kept[node] < most[node] < bends[:, node].max()
+    node = int(np.argmax(largest))
+    assert residual[node] == pytest.approx(1.49, abs=0.01)
+    assert residual[node] < largest[node] < bends[:, node].max()
     # by hand: from the sharpest bend, back by the moment there over the first stiffness
     sharp = path.states[int(np.argmax(bends[:, node]))]
     curvature = sharp.curvatures[node, 0, :2]
     moment = law.stiffness * curvature + law.stiffnesses @ (curvature - sharp.rests[node, 0])
     back = np.linalg.norm(curvature - moment / law.first_stiffness)
-    assert most[node] == pytest.approx(float(back), rel=1e-9)
-    assert unbent(path) == pytest.approx((bends.max(axis=0) - bends[-1]).max() / bends.max())
-    assert 0.7 < unbent(path) < 0.8
-    assert unbent(replace(path, states=41 * path.states[-1:])) == 0.0
+    assert largest[node] == pytest.approx(float(back), rel=1e-9)
+    assert largest_unbending(path) == pytest.approx(
+        (bends.max(axis=0) - bends[-1]).max() / bends.max()
+    )
+    assert 0.7 < largest_unbending(path) < 0.8
+    assert largest_unbending(replace(path, states=41 * path.states[-1:])) == 0.0

@@ -32,12 +32,18 @@ from labpipe.studies.harness_numbers import (
     sharpest,
     unloading_doubt,
 )
-from labpipe.studies.harness_responses import ON_THE_WAY, RADIUS, fields_of, measured, names_of
+from labpipe.studies.harness_responses import (
+    RADIUS,
+    RADIUS_ON_PATH,
+    evaluate_number,
+    fields_of,
+    number_names,
+)
 from labpipe.studies.harness_solution import FollowedHarness
 from labpipe.studies.harness_study import follow_harness
 from labpipe.studies.harness_tables import forces_csv, shape_columns, shape_csv, shape_vtk
-from labpipe.studies.residual_curvature import kept_curvature
-from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
+from labpipe.studies.residual_curvature import residual_curvature
+from tests.builders.harness_files import SLACK, STIFFNESS, arch, pushed, followed, written
 
 ALONE = pushed(STIFFNESS).partition("  - kind: grip")[0] + "steps: 2\n"
 """A cantilever under its own weight."""
@@ -48,13 +54,13 @@ MEMORY = {"energy_lost", "kept_curvature"}
 SHAPE = {"smallest_bend_radius", "lowest_point"}
 
 
-def by_name(path: RodPath, ready: PreparedLine) -> dict[str, Number]:
-    return {number.name: number for number in numbers_of(path, ready)}
+def by_name(path: RodPath, prepared: PreparedLine) -> dict[str, Number]:
+    return {number.name: number for number in numbers_of(path, prepared)}
 
 
-def doubtful_of(path: RodPath, ready: PreparedLine, doubt: Doubt | None) -> set[str]:
+def doubtful_of(path: RodPath, prepared: PreparedLine, doubt: Doubt | None) -> set[str]:
     doubts = () if doubt is None else (doubt,)
-    results = results_of(numbers_of(path, ready), (), {}, doubts)
+    results = results_of(numbers_of(path, prepared), (), {}, doubts)
     return {result.name for result in results if result.status is Status.DOUBTFUL}
 
 
@@ -63,8 +69,8 @@ def test_a_heavy_cantilever() -> None:
 
     The lowest point is along gravity: the same cantilever, pulled to the side, and without weight.
     """
-    _, _, ready, path = followed(ALONE)
-    numbers = by_name(path, ready)
+    _, _, prepared, path = followed(ALONE)
+    numbers = by_name(path, prepared)
     weight = 0.007 * 9.80665
     moment = weight * 0.1**2 / 2.0
     assert numbers["force.bench"].value == pytest.approx(weight * 0.1, rel=1e-6)
@@ -76,13 +82,13 @@ def test_a_heavy_cantilever() -> None:
     assert numbers["lowest_point"].remark == "100 mm from the start"
     assert numbers["kept_curvature"].value == 0.0
     assert not any(name.startswith("springback") for name in numbers)
-    assert unloading_doubt(path, ready) is None, "a spring"
-    _, _, ready, path = followed(ALONE + "gravity: [0 m/s^2, 9.80665 m/s^2, 0 m/s^2]\n")
-    assert by_name(path, ready)["lowest_point"].value == pytest.approx(down, rel=1e-9)
+    assert unloading_doubt(path, prepared) is None, "a spring"
+    _, _, prepared, path = followed(ALONE + "gravity: [0 m/s^2, 9.80665 m/s^2, 0 m/s^2]\n")
+    assert by_name(path, prepared)["lowest_point"].value == pytest.approx(down, rel=1e-9)
     assert path.last.positions[-1, 1] == pytest.approx(-down, rel=1e-9)
-    _, _, ready, path = followed(ALONE + WEIGHTLESS)
-    assert by_name(path, ready)["lowest_point"].value == pytest.approx(0.0, abs=1e-12)
-    radius, *_ = results_of(numbers_of(path, ready), (), {})
+    _, _, prepared, path = followed(ALONE + WEIGHTLESS)
+    assert by_name(path, prepared)["lowest_point"].value == pytest.approx(0.0, abs=1e-12)
+    radius, *_ = results_of(numbers_of(path, prepared), (), {})
     assert (radius.name, radius.value, radius.codes) == (
         "smallest_bend_radius",
         None,
@@ -92,14 +98,16 @@ def test_a_heavy_cantilever() -> None:
 
 
 def test_reasons_say_places_and_not_nodes() -> None:
-    _, material, ready, path = followed(ALONE)
+    _, material, prepared, path = followed(ALONE)
     sentences = [
         "between nodes 0 and 6 the line is 0.05 m long",
         "it gives way most at node 12",
         "the line slid out of r with its node 0",
     ]
     reasons = tuple(RodReason("taut", sentence, 1, 6) for sentence in sentences)
-    messages = [r.message for r in reasons_of(replace(path, reasons=reasons), ready.line, material)]
+    messages = [
+        r.message for r in reasons_of(replace(path, reasons=reasons), prepared.line, material)
+    ]
     assert messages == [
         "between 0 mm and 50 mm from the start the line is 0.05 m long",
         "it gives way most at 100 mm from the start",
@@ -115,41 +123,41 @@ def test_elements_that_turn_far_are_too_long(stiffness: float, elements: int, to
     text = ALONE.replace("bending_stiffness: 150", f"bending_stiffness: {stiffness}")
 
     def at(count: int) -> tuple[PreparedLine, RodPath, float]:
-        _, _, ready, path = followed(text.replace("elements: 12", f"elements: {count}"))
-        return ready, path, by_name(path, ready)["smallest_bend_radius"].value
+        _, _, prepared, path = followed(text.replace("elements: 12", f"elements: {count}"))
+        return prepared, path, by_name(path, prepared)["smallest_bend_radius"].value
 
-    ready, path, radius = at(elements)
-    doubt = element_doubt(path, ready.line)
+    prepared, path, radius = at(elements)
+    doubt = element_doubt(path, prepared.line)
     assert (doubt is not None) is bool(touched)
     if doubt:
         assert doubt.reason.code == "coarse_elements"
-        assert doubtful_of(path, ready, doubt) >= {"smallest_bend_radius", "moment.bench"}
-        assert ("lowest_point" in doubtful_of(path, ready, doubt)) is (touched == "all")
+        assert doubtful_of(path, prepared, doubt) >= {"smallest_bend_radius", "moment.bench"}
+        assert ("lowest_point" in doubtful_of(path, prepared, doubt)) is (touched == "all")
     while doubt is not None:
         elements = int(doubt.reason.message.split(": take ")[1].split()[0]) + 1
-        ready, path, radius = at(elements)
-        doubt = element_doubt(path, ready.line)
+        prepared, path, radius = at(elements)
+        doubt = element_doubt(path, prepared.line)
     assert elements < 60
     assert radius == pytest.approx(at(100)[2], rel=0.01)
 
 
 def test_what_was_lost_in_a_jump_is_doubtful() -> None:
     """1 of 4 J in a jump in step 2: what remembers is doubtful, and shape where it was let go."""
-    _, _, ready, path = followed(ALONE)
+    _, _, prepared, path = followed(ALONE)
     lost, fallen = np.array([1.0, 3.0, 4.0]), np.array([0.0, 0.0, 1.0])
     jumped = replace(path, snapped=(0, 2), lost=lost, lost_in_jumps=fallen)
-    doubt = jump_doubt(jumped, ready)
+    doubt = jump_doubt(jumped, prepared)
     assert doubt is not None
     assert doubt.reason.code == "jumped"
     assert doubt.reason.message.startswith("step 2: the line jumped")
     assert "25 % of the energy" in doubt.reason.message
-    assert doubtful_of(jumped, ready, doubt) == MEMORY | {"moment.bench"}
-    assert jump_doubt(replace(jumped, lost_in_jumps=0.2 * fallen), ready) is None, "a twentieth"
+    assert doubtful_of(jumped, prepared, doubt) == MEMORY | {"moment.bench"}
+    assert jump_doubt(replace(jumped, lost_in_jumps=0.2 * fallen), prepared) is None, "a twentieth"
     without_memory = replace(jumped, lost=0.0 * lost, lost_in_jumps=0.0 * lost)
-    assert jump_doubt(without_memory, ready) is None
-    _, _, ready, path = followed(pushed())
+    assert jump_doubt(without_memory, prepared) is None
+    _, _, prepared, path = followed(pushed())
     shape = SHAPE | {"springback.gripper", "moment.bench"}
-    assert doubtful_of(path, ready, jump_doubt(path, ready)) == MEMORY | shape
+    assert doubtful_of(path, prepared, jump_doubt(path, prepared)) == MEMORY | shape
 
 
 @pytest.mark.slow
@@ -157,10 +165,10 @@ def test_a_line_that_buckles_loses_no_more_in_coarse_steps() -> None:
     """The example of slack: the end is pressed towards the start, so that it buckles at once."""
     rows = []
     for steps in (10, 40, 160):
-        _, _, ready, path = followed(SLACK.replace("steps: 40", f"steps: {steps}"))
+        _, _, prepared, path = followed(SLACK.replace("steps: 40", f"steps: {steps}"))
         assert path.status == "ok"
-        assert jump_doubt(path, ready) is None
-        numbers = by_name(path, ready)
+        assert jump_doubt(path, prepared) is None
+        numbers = by_name(path, prepared)
         names = ("energy_lost", "moment.left", "moment.right", "kept_curvature")
         rows.append([numbers[name].value for name in names])
     assert rows[0] == pytest.approx(rows[2], rel=0.02)
@@ -173,41 +181,43 @@ def test_how_a_wire_unloads_is_an_assumption() -> None:
     So do forces of one that is held and was unbent: in the example of slack the wire is bent
     elsewhere and more sharply on the way.
     """
-    _, _, ready, path = followed(pushed())
-    doubt = unloading_doubt(path, ready)
+    _, _, prepared, path = followed(pushed())
+    doubt = unloading_doubt(path, prepared)
     assert doubt is not None
     assert doubt.reason.code == "unloading_assumed"
-    assert doubtful_of(path, ready, doubt) == MEMORY | SHAPE | {"springback.gripper"}
-    _, _, ready, path = followed(SLACK)
+    assert doubtful_of(path, prepared, doubt) == MEMORY | SHAPE | {"springback.gripper"}
+    _, _, prepared, path = followed(SLACK)
     held = {f"{what}.{side}" for what in ("force", "moment") for side in ("left", "right")}
-    assert doubtful_of(path, ready, unloading_doubt(path, ready)) == MEMORY | held
+    assert doubtful_of(path, prepared, unloading_doubt(path, prepared)) == MEMORY | held
     first = replace(path, states=path.states[:1] + 40 * path.states[1:2])
-    assert doubtful_of(path, ready, unloading_doubt(first, ready)) == MEMORY, "not unbent yet"
+    assert doubtful_of(path, prepared, unloading_doubt(first, prepared)) == MEMORY, "not unbent yet"
 
 
 def test_what_a_gripper_leaves() -> None:
-    _, _, ready, path = followed(pushed())
-    numbers = by_name(path, ready)
-    node = ready.nodes["gripper"]
+    _, _, prepared, path = followed(pushed())
+    numbers = by_name(path, prepared)
+    node = prepared.nodes["gripper"]
     moved = np.linalg.norm(path.states[-1].positions[node] - path.states[8].positions[node])
     assert numbers["springback.gripper"].value == pytest.approx(moved)
     assert "from step 8, the last in which it was held" in numbers["springback.gripper"].remark
     assert numbers["force.gripper"].value == pytest.approx(0.0, abs=1e-9)
     assert numbers["energy_lost"].value > 0.0
-    way, end = (numbers[f"smallest_bend_radius{word}"].value for word in ("_on_the_way", ""))
-    assert way < 0.5 * end
+    bend_on_path, end = (
+        numbers[f"smallest_bend_radius{word}"].value for word in ("_on_the_way", "")
+    )
+    assert bend_on_path < 0.5 * end
     assert numbers["smallest_bend_radius_on_the_way"].remark.startswith("step ")
     assert "moment.gripper" not in numbers, "it may turn in the gripper"
 
 
 def test_numbers_are_those_of_the_line() -> None:
-    _, _, ready, path = followed(pushed())
-    fields = fields_of(path, ready)
-    numbers = {number.name: number.value for number in numbers_of(path, ready)}
-    assert set(names_of(fields)) == set(numbers)
+    _, _, prepared, path = followed(pushed())
+    fields = fields_of(path, prepared)
+    numbers = {number.name: number.value for number in numbers_of(path, prepared)}
+    assert set(number_names(fields)) == set(numbers)
     for name, value in numbers.items():
-        response = float(measured(name, fields.__getitem__, ready, len(path.states) - 1))
-        assert (1.0 / response if name in (RADIUS, ON_THE_WAY) else response) == pytest.approx(
+        response = float(evaluate_number(name, fields.__getitem__, prepared, len(path.states) - 1))
+        assert (1.0 / response if name in (RADIUS, RADIUS_ON_PATH) else response) == pytest.approx(
             value
         )
 
@@ -218,12 +228,12 @@ def test_a_bend_that_is_let_go_is_kept_by_masings_rule() -> None:
 
     On its way down it may bend behind the gripper, too, and remember that.
     """
-    _, _, ready, path = followed(pushed() + WEIGHTLESS)
-    law, held = ready.line.section.law, path.states[8]
-    predicted = kept_curvature(held, law)
-    bent = curvature_of(held, ready.line)
+    _, _, prepared, path = followed(pushed() + WEIGHTLESS)
+    law, held = prepared.line.section.law, path.states[8]
+    predicted = residual_curvature(held, law)
+    bent = curvature_of(held, prepared.line)
     was_bent = bent > 1.0
-    left = curvature_of(path.last, ready.line)
+    left = curvature_of(path.last, prepared.line)
     assert left[was_bent] == pytest.approx(predicted[was_bent], abs=0.02 * predicted.max())
     node = int(np.argmax(bent))
     first = np.geomspace(1e-4, 1.0, 20_000) * bent[node]
@@ -236,9 +246,9 @@ def test_curvature_at_rest_counts_in_the_radius() -> None:
     """A curled line that nothing bends is as round as its spool."""
     curl = "line: {length: 100 mm, elements: 12, spool: {curvature: 8 1/m}, section: "
     text = ALONE.replace("line: {length: 100 mm, elements: 12, section: ", curl)
-    _, _, ready, path = followed(text + WEIGHTLESS)
-    assert curvature_of(path.last, ready.line)[1:-1] == pytest.approx(np.full(11, 8.0), rel=1e-6)
-    assert sharpest(path, ready.line, [2]).radius == pytest.approx(1.0 / 8.0, rel=1e-6)
+    _, _, prepared, path = followed(text + WEIGHTLESS)
+    assert curvature_of(path.last, prepared.line)[1:-1] == pytest.approx(np.full(11, 8.0), rel=1e-6)
+    assert sharpest(path, prepared.line, [2]).radius == pytest.approx(1.0 / 8.0, rel=1e-6)
 
 
 def test_intervals_and_doubts_go_to_the_results() -> None:
@@ -250,17 +260,17 @@ def test_intervals_and_doubts_go_to_the_results() -> None:
 
 
 def test_beyond_what_backs_the_law() -> None:
-    _, material, ready, path = followed(NAMED)
-    assert reasons_of(path, ready.line, material) == ()
+    _, material, prepared, path = followed(NAMED)
+    assert reasons_of(path, prepared.line, material) == ()
     most = max(float(state.bendings.max()) for state in path.states)
     half = replace(material, limit=0.5 * most)
-    (reason,) = reasons_of(path, ready.line, half)
+    (reason,) = reasons_of(path, prepared.line, half)
     assert reason.code == "beyond_backed"
-    words = f"the line is bent to {most:.4g} 1/m, its law is backed up to {most / 2:.4g} 1/m by "
-    assert words in reason.message
+    message = f"the line is bent to {most:.4g} 1/m, its law is backed up to {most / 2:.4g} 1/m by "
+    assert message in reason.message
     assert reason.message.startswith("step ")
     beyond = replace(path, reasons=(RodReason("beyond_law", "step 3: too far", 3),))
-    assert [reason.code for reason in reasons_of(beyond, ready.line, half)] == ["beyond_law"]
+    assert [reason.code for reason in reasons_of(beyond, prepared.line, half)] == ["beyond_law"]
 
 
 def test_a_wire_that_is_pulled_beyond_its_copper() -> None:
@@ -268,17 +278,17 @@ def test_a_wire_that_is_pulled_beyond_its_copper() -> None:
     load = "  - {kind: load, name: pull, at: end, force: [100 N, 0 N, 0 N]}\nsteps: 2"
     text = ALONE.replace("steps: 2", load).replace(STIFFNESS, "{wire: A2}")
     for pull, codes in (("100 N, ", ["beyond_stretch"]), ("20 N, ", [])):
-        _, material, ready, path = followed(text.replace("100 N, ", pull))
-        assert [reason.code for reason in reasons_of(path, ready.line, material)] == codes
+        _, material, prepared, path = followed(text.replace("100 N, ", pull))
+        assert [reason.code for reason in reasons_of(path, prepared.line, material)] == codes
 
 
 def test_the_allowed_radius_is_stated_or_assumed() -> None:
     harness, material, _, _ = followed(NAMED)
     assumed = bend_limit(harness, material)
     assert assumed.radius == pytest.approx(0.01)
-    assert assumed.words == "assumed: 5 times the outer diameter of 2 mm"
+    assert assumed.source == "assumed: 5 times the outer diameter of 2 mm"
     stated = bend_limit(harness.model_copy(update={"allowed_bend_radius": 0.025}), material)
-    assert (stated.radius, stated.words) == (0.025, "stated in the file")
+    assert (stated.radius, stated.source) == (0.025, "stated in the file")
     assert (assumed.is_assumed, stated.is_assumed) == (True, False)
 
 
@@ -291,9 +301,9 @@ def column(table: list[dict[str, str]], name: str) -> Floats:
 
 
 def test_the_shape_has_a_row_for_each_node() -> None:
-    _, _, ready, path = followed(NAMED)
+    _, _, prepared, path = followed(NAMED)
     band = np.full((17, 4), 1.0), np.full((17, 4), 2.0)
-    table = rows(shape_csv(path, ready.line, STEPS, {8: band}))
+    table = rows(shape_csv(path, prepared.line, STEPS, {8: band}))
     assert [int(row["step"]) for row in table] == [4] * 17 + [8] * 17
     last = table[17:]
     places = np.column_stack([column(last, f"{axis} [m]") for axis in "xyz"])
@@ -308,9 +318,9 @@ def test_the_shape_has_a_row_for_each_node() -> None:
 
 def test_moments_and_tension_are_those_of_the_forces() -> None:
     """EI times the curvature is the bending moment; the pull of the clip is that in the line."""
-    _, _, ready, path = followed(NAMED)
-    columns = shape_columns(path.last, ready.line)
-    stiffness = ready.line.section.law.stiffness
+    _, _, prepared, path = followed(NAMED)
+    columns = shape_columns(path.last, prepared.line)
+    stiffness = prepared.line.section.law.stiffness
     moment, curvature = columns["bending_moment [N*m]"], columns["curvature [1/m]"]
     assert moment[1:-1] == pytest.approx(stiffness * curvature[1:-1], rel=0.01)
     pull = -path.last.reaction_forces[0]
@@ -319,9 +329,9 @@ def test_moments_and_tension_are_those_of_the_forces() -> None:
 
 
 def test_forces_of_every_step_in_balance() -> None:
-    _, _, ready, path = followed(NAMED)
+    _, _, prepared, path = followed(NAMED)
     bands: Mapping[int, tuple[Floats, Floats]] = {8: (np.full((3, 3), -9.0), np.full((3, 3), 9.0))}
-    table = rows(forces_csv(path, ready, bands))
+    table = rows(forces_csv(path, prepared, bands))
     assert len(table) == 9 * 2
     last = table[-2:]
     assert [row["boundary"] for row in last] == ['le"ft, one', "right"]
@@ -333,8 +343,8 @@ def test_forces_of_every_step_in_balance() -> None:
 
 
 def test_the_vtk_is_a_line_for_each_step() -> None:
-    _, _, ready, path = followed(NAMED)
-    lines = shape_vtk(path, ready.line, STEPS, "a line, 2 µm").splitlines()
+    _, _, prepared, path = followed(NAMED)
+    lines = shape_vtk(path, prepared.line, STEPS, "a line, 2 µm").splitlines()
     head = ["# vtk DataFile Version 3.0", "a line, 2 ?m", "ASCII", "DATASET POLYDATA"]
     assert lines[:5] == [*head, "POINTS 34 double"]
     points = np.array([list(map(float, line.split())) for line in lines[5:39]])
@@ -344,7 +354,7 @@ def test_the_vtk_is_a_line_for_each_step() -> None:
     scalars = ["CELL_DATA 2", "SCALARS step double 1", "LOOKUP_TABLE default", "4", "8"]
     assert lines[42:48] == [*scalars, "POINT_DATA 34"]
     at = lines.index("SCALARS curvature double 1") + 2
-    curvature = shape_columns(path.last, ready.line)["curvature [1/m]"]
+    curvature = shape_columns(path.last, prepared.line)["curvature [1/m]"]
     assert list(map(float, lines[at + 17 : at + 34])) == pytest.approx(curvature.tolist(), rel=1e-8)
     assert not any(word in line for line in lines[48:] for word in ("inf", "nan"))
 
@@ -365,7 +375,7 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     drawn = drawn_harness(result)
     marks = {mark.name: mark for mark in drawn.marks}
     assert list(marks) == ["bench", "gripper", "thread", "weight"]
-    node = result.laid.nodes["gripper"]
+    node = result.prepared.nodes["gripper"]
     assert marks["gripper"].position == pytest.approx(result.path.last.positions[node])
     assert (marks["gripper"].holds, marks["bench"].holds) == (False, True)
     assert marks["gripper"].way[-1] == pytest.approx([0.06, 0.0, 0.045])

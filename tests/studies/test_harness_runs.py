@@ -19,9 +19,9 @@ from labpipe.records.result import Status
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_bands import HarnessBands, harness_bands
 from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
-from labpipe.studies.harness_line import Inputs, laid
+from labpipe.studies.harness_line import Inputs, prepare_line
 from labpipe.studies.harness_section import material_of
-from labpipe.studies.harness_solution import FollowedHarness, followed, swept
+from labpipe.studies.harness_solution import FollowedHarness, solve_harness, solve_sweep_length
 from labpipe.studies.harness_study import as_json, follow_harness
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 
@@ -70,7 +70,9 @@ def test_all_files_are_written_and_say_the_same(tmp_path: Path) -> None:
     assert summary["line"]["of"] == "A2"
     assert summary["bend_radius"]["assumed"]
     assert summary["bend_radius"]["kept"]
-    assert len((out / "shape.csv").read_text().splitlines()) == 1 + 2 * len(done.laid.line.stations)
+    assert len((out / "shape.csv").read_text().splitlines()) == 1 + 2 * len(
+        done.prepared.line.stations
+    )
     assert ET.fromstring((out / "line.mujoco.xml").read_text(encoding="utf-8")).tag == "mujoco"
     follow_harness(file, out=again, png=True)
     assert contents(again) == contents(out)
@@ -159,7 +161,7 @@ def run(folder: Path, text: str, limit: float | None = None) -> FollowedHarness:
     harness = load_harness(file)
     material = material_of(harness, file)
     material = material if limit is None else replace(material, limit=limit)
-    return followed(harness, file, material, folder / "out")
+    return solve_harness(harness, file, material, folder / "out")
 
 
 @pytest.mark.slow
@@ -171,14 +173,14 @@ def test_a_line_within_its_law_is_ok(tmp_path: Path) -> None:
     assert result.results[0].value is not None
     assert result.sharpest.radius <= result.results[0].value
     assert not (tmp_path / "out").exists(), "nothing is written here"
-    longer = swept(result, 0.25)
-    assert longer.laid.line.length == pytest.approx(0.25)
+    longer = solve_sweep_length(result, 0.25)
+    assert longer.prepared.line.length == pytest.approx(0.25)
     assert (longer.length, longer.bands) == (0.25, None)
-    assert longer.way.radius <= longer.bend.radius
+    assert longer.bend_on_path.radius <= longer.bend.radius
     assert longer.bend.step == 8
     failed = replace(longer, path=replace(longer.path, status="failed"))
     assert math.isnan(failed.bend.radius)
-    assert math.isnan(failed.way.radius)
+    assert math.isnan(failed.bend_on_path.radius)
 
 
 @pytest.mark.slow
@@ -195,7 +197,7 @@ def test_one_beyond_its_law_is_doubtful_with_all_its_numbers(tmp_path: Path) -> 
         assert numbers == {Status.DOUBTFUL}
     coarse = arch().replace("elements: 16", "elements: 6").replace("180 mm, 0 mm", "90 mm, 30 mm")
     result = run(tmp_path, coarse)
-    radius, length = result.results[0], swept(result, result.laid.line.length)
+    radius, length = result.results[0], solve_sweep_length(result, result.prepared.line.length)
     assert radius.status is Status.DOUBTFUL
     assert length.status == "doubtful", "a length of a sweep has all doubts of its numbers"
     codes = {reason.code for reason in length.reasons}
@@ -255,8 +257,8 @@ def bands(
     def follow_line(number: int, inputs: Inputs):  # type: ignore[no-untyped-def]
         nonlocal count
         count += 1
-        ready = laid(harness, material.sections[number](inputs), inputs)
-        return follow(ready.line, ready.boundaries, steps=harness.steps), ready
+        prepared = prepare_line(harness, material.sections[number](inputs), inputs)
+        return follow(prepared.line, prepared.boundaries, steps=harness.steps), prepared
 
     return harness_bands(follow_line, material, (4, 8)), count
 
@@ -271,8 +273,8 @@ def test_without_weight_forces_go_with_the_stiffness_and_shapes_do_not(tmp_path:
     assert result is not None
     names = {"smallest_bend_radius", "smallest_bend_radius_on_the_way", "lowest_point"}
     assert set(result.intervals) >= names | {"force.left", "moment.right", "kept_curvature"}
-    way = result.intervals["smallest_bend_radius_on_the_way"]
-    assert 0.0 < way.lower <= way.upper
+    bend_on_path = result.intervals["smallest_bend_radius_on_the_way"]
+    assert 0.0 < bend_on_path.lower <= bend_on_path.upper
     assert count == 3, "at its best and to both sides, each once"
     assert [state.step for state in result.line.states] == [4, 8]
     radius = result.intervals["smallest_bend_radius"]
@@ -328,12 +330,12 @@ def test_causes_that_do_not_add_up_are_said(tmp_path: Path) -> None:
     assert count == 5 + 6, "six draws are solved whole"
     assert result.doubt is not None
     assert result.doubt.code == "causes_do_not_add"
-    last, way = (
+    last, bend_on_path = (
         result.intervals[name]
         for name in ("smallest_bend_radius", "smallest_bend_radius_on_the_way")
     )
-    assert way.lower <= last.lower
-    assert way.upper <= last.upper
+    assert bend_on_path.lower <= last.lower
+    assert bend_on_path.upper <= last.upper
 
 
 def test_nothing_believed_no_bands(tmp_path: Path) -> None:

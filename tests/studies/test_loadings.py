@@ -21,7 +21,7 @@ from labpipe.studies.first_loadings import (
     read_first_loadings,
     scale_errors,
     weight_note,
-    with_weight,
+    with_self_weight,
     zero_error,
 )
 from labpipe.units import GRAVITY
@@ -34,7 +34,7 @@ NOISE = 1e-3
 
 
 def record_of(**changes: object) -> TestResult:
-    made = TestResult(
+    result = TestResult(
         test="T1",
         specimen=Specimen("A2", "A2-s1", "3", {"length": LENGTH}),
         protocol="wire-cantilever",
@@ -49,7 +49,7 @@ def record_of(**changes: object) -> TestResult:
         results=(Result("peak_force.1", 0.2, "N"),),
         quality=(),
     )
-    return replace(made, **changes)  # type: ignore[arg-type]
+    return replace(result, **changes)  # type: ignore[arg-type]
 
 
 def result_of(**changes: object) -> TestResult:
@@ -160,9 +160,9 @@ def test_tests_that_cannot_be_used(protocol: Protocol, repository: Path, approve
         (pulled, result_of(), None),
     ]
     messages = []
-    for asked, result, up_to in cases:
+    for protocol, result, up_to in cases:
         with pytest.raises(NotUsableError) as refused:
-            taken(asked, result, up_to)
+            taken(protocol, result, up_to)
         messages.append(str(refused.value))
     approved(messages)
 
@@ -185,8 +185,8 @@ def test_a_wire_that_hung_under_its_counterweight(protocol: Protocol) -> None:
 
 @pytest.mark.parametrize("code", ["zero_not_at_rest", "begins_under_load"])
 def test_a_test_without_a_zero_is_left_out(protocol: Protocol, code: str) -> None:
-    said = "zeroed from 0.00 s to 2.00 s of the motion's clock, but the clamp moves from 1.00 s"
-    lost = result_of(quality=(QualityNote(code, Severity.WARNING, "force", said),))
+    message = "zeroed from 0.00 s to 2.00 s of the motion's clock, but the clamp moves from 1.00 s"
+    lost = result_of(quality=(QualityNote(code, Severity.WARNING, "force", message),))
     with pytest.raises(NotUsableError, match=rf"its zero is lost.*force: zeroed.*\({code}\)"):
         taken(protocol, lost)
     other = result_of(quality=(QualityNote("gap", Severity.WARNING, "force", "a gap"),))
@@ -213,11 +213,11 @@ def test_the_mass_of_the_test_or_of_the_sheet_of_wires(
 ) -> None:
     """The test's own is taken; more than a third off, or none, is told."""
     light, sheet = taken(protocol), 6.85e-3 * GRAVITY
-    contradicted = with_weight(weighing(9.5, light), sheet)
+    contradicted = with_self_weight(weighing(9.5, light), sheet)
     assert contradicted.curve.self_weight == pytest.approx(9.5e-3 * GRAVITY)
     alike = weighing(9.0, light)
-    assert with_weight(alike, sheet) is alike
-    assert with_weight(light, sheet).curve.self_weight == sheet
+    assert with_self_weight(alike, sheet) is alike
+    assert with_self_weight(light, sheet).curve.self_weight == sheet
     assert weight_note([alike], sheet) is None
     notes = [
         contradicted.notes[-1],
@@ -288,8 +288,8 @@ def test_zero_of_white_noise_is_that_of_the_mean_over_the_part() -> None:
     assert zero_error(time, values, 2.0) == pytest.approx(NOISE_ERRORS / np.sqrt(200), rel=0.25)
     assert zero_error(time, values, 1e3) == zero_error(time, values, None)
     values[::2] = np.nan
-    some = np.sqrt(np.nanvar(values[:400]) / 200)
-    assert zero_error(time[:400], values[:400], None) == pytest.approx(some, rel=0.4)
+    expected = np.sqrt(np.nanvar(values[:400]) / 200)
+    assert zero_error(time[:400], values[:400], None) == pytest.approx(expected, rel=0.4)
 
 
 def test_without_a_rest_nothing_is_known_of_a_zero(protocol: Protocol) -> None:
@@ -300,11 +300,11 @@ def test_without_a_rest_nothing_is_known_of_a_zero(protocol: Protocol) -> None:
 
 
 def test_the_protocol_says_over_which_stretch_zeros_are_taken(protocol: Protocol) -> None:
-    found = force_zero_error(protocol, curve(), FIRST)
-    assert found == pytest.approx(NOISE_ERRORS / np.sqrt(2.0 * RATE), rel=0.3)
+    error = force_zero_error(protocol, curve(), FIRST)
+    assert error == pytest.approx(NOISE_ERRORS / np.sqrt(2.0 * RATE), rel=0.3)
     without = protocol.model_copy(update={"steps": (), "curve": None})
     over_all = force_zero_error(without, curve(), FIRST)
-    assert over_all == pytest.approx(found * np.sqrt(2.0 / (REST / RATE)), rel=0.01)
+    assert over_all == pytest.approx(error * np.sqrt(2.0 / (REST / RATE)), rel=0.01)
 
 
 def test_a_clock_that_is_off_moves_the_deflection(protocol: Protocol) -> None:
@@ -327,8 +327,8 @@ def test_the_scale_is_what_the_budget_of_the_peak_says_of_it() -> None:
         "pull offset": 6e-6,
         "centre offset": -8e-6,
     }
-    known = replace(PEAK_ERRORS, budget=tuple(Contribution(*row) for row in rows.items()))
-    assert scale_errors(result(results=(known,))) == pytest.approx((1e-4, 2e-4))
+    peak = replace(PEAK_ERRORS, budget=tuple(Contribution(*row) for row in rows.items()))
+    assert scale_errors(result(results=(peak,))) == pytest.approx((1e-4, 2e-4))
 
 
 def test_without_a_budget_all_of_the_interval_counts() -> None:

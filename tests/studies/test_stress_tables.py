@@ -55,9 +55,9 @@ def test_straight_lines_are_on_the_formula(row: str) -> None:
     assert len(strains) <= 60
     assert strains[-1] == numbers.largest_strain
     assert stresses[-1] == pytest.approx(1e6 * stress_of(numbers, strains[-1]), rel=1e-9)
-    some = np.geomspace(1e-4, 1.0, 200) * strains[-1]
-    lines = np.interp(some, (0.0, *strains), (0.0, *stresses))
-    exact = 1e6 * np.array([stress_of(numbers, strain) for strain in some])
+    grid = np.geomspace(1e-4, 1.0, 200) * strains[-1]
+    lines = np.interp(grid, (0.0, *strains), (0.0, *stresses))
+    exact = 1e6 * np.array([stress_of(numbers, strain) for strain in grid])
     assert np.all(lines <= exact * (1.0 + 1e-9))
     assert lines == pytest.approx(exact, rel=1e-3)
     assert stresses[0] / strains[0] <= 1e6 * numbers.modulus_mpa
@@ -80,20 +80,20 @@ def test_the_law_of_a_wire_is_that_of_a_dense_table_and_of_the_formula() -> None
     stress = np.linspace(0.0, stress_of(PVC, 0.08), 3001)[1:]
     strain = [strain_of(PVC, point) for point in stress]
     dense = wire_table(replace(spec, insulation_table=(tuple(strain), tuple(1e6 * stress))))
-    made = wire_table(replace(spec, insulation_table=ramberg_osgood_curve(PVC)))
-    assert made.curvature[-1] == pytest.approx(100.0)
-    shared = made.curvature[made.curvature < dense.curvature[-1] * (1.0 - 1e-9)]
+    thinned = wire_table(replace(spec, insulation_table=ramberg_osgood_curve(PVC)))
+    assert thinned.curvature[-1] == pytest.approx(100.0)
+    shared = thinned.curvature[thinned.curvature < dense.curvature[-1] * (1.0 - 1e-9)]
     for law in ("moment", "insulation"):
         other = np.interp(shared, dense.curvature, getattr(dense, law))
-        assert getattr(made, law)[: len(shared)] == pytest.approx(other, rel=1e-3)
+        assert getattr(thinned, law)[: len(shared)] == pytest.approx(other, rel=1e-3)
     tip_force, same = (
-        np.interp(0.05, table.tip_deflection, table.tip_force) for table in (made, dense)
+        np.interp(0.05, table.tip_deflection, table.tip_force) for table in (thinned, dense)
     )
     assert tip_force == pytest.approx(same, rel=1e-3)
     outer, bore = 0.8e-3, 0.5e-3
     for curvature in (5.0, 25.0, 90.0):
         by_hand = _bar(PVC, outer, curvature) - _bar(PVC, bore, curvature)
-        insulation = float(np.interp(curvature, made.curvature, made.insulation))
+        insulation = float(np.interp(curvature, thinned.curvature, thinned.insulation))
         assert insulation == pytest.approx(by_hand, rel=2e-3)
 
 
@@ -195,10 +195,14 @@ def test_rate_and_temperature_of_points_stand_in_any_row(tmp_path: Path) -> None
     heading = "strain,stress_mpa,from,temperature_c,strain_rate_per_s"
     sheet = read_wires(write_sheet(tmp_path, heading, "0.01,10,us,23,", "0.1,20,us,,1e-3"))
     curve = sheet.curves["A2"]["insulation_table"]
-    assert curve.words == ("'pvc.csv': 2 points, to a strain of 0.1, at 0.001 1/s and 23 \u00b0C")
+    assert curve.description == (
+        "'pvc.csv': 2 points, to a strain of 0.1, at 0.001 1/s and 23 \u00b0C"
+    )
     silent = read_wires(write_sheet(tmp_path, "strain,stress_mpa", "0.01,10"))
     [stated] = silent.curves["A2"].values()
-    assert stated.words.endswith("1 point, to a strain of 0.01, rate and temperature not stated")
+    assert stated.description.endswith(
+        "1 point, to a strain of 0.01, rate and temperature not stated"
+    )
     assert stated.as_json()["temperature"] is None
 
 
@@ -211,18 +215,18 @@ def test_the_model_carries_what_a_sheet_of_a_workbook_states(
     table: list[list[object]] = [list(heading), [900, 11, 4, 0.08, 0.001, 23]]
     workbook(tmp_path / "wires.xlsx", {"wires": wires, "PVC": table})
     assert main(["model", "wires.xlsx", "--no-figures"]) == 0
-    words = (
+    text = (
         "insulation_table 'pvc': Ramberg-Osgood, modulus 900 MPa, proof stress 11 MPa, exponent 4,"
         " to a strain of 0.08, at 0.001 1/s and 23 \u00b0C"
     )
-    assert f"  info: {words}  [A2]\n" in capsys.readouterr().out
+    assert f"  info: {text}  [A2]\n" in capsys.readouterr().out
     model = json.loads(Path("processed/wires/model.json").read_text())
     stated = model["wires"]["A2"]["stress_tables"]["insulation_table"]
     assert (stated["modulus"], stated["proof_stress"]) == (900e6, 11e6)
     assert (stated["strain_rate"], stated["temperature"]) == (0.001, pytest.approx(296.15))
     assert stated["strain"][-1] == 0.08
     heads, row = load_workbook("processed/wires/wires.xlsx")["wires"].iter_rows(values_only=True)
-    assert dict(zip(heads, row, strict=True))["stress tables"] == words
+    assert dict(zip(heads, row, strict=True))["stress tables"] == text
 
 
 def test_every_column_is_documented_with_its_range(repository: Path) -> None:

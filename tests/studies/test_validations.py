@@ -18,13 +18,13 @@ from labpipe.studies.first_loadings import FirstLoading
 from labpipe.studies.validation import (
     built_wire,
     compare,
+    default_sheet,
+    drop_copies,
     insulation_notes,
+    mark_doubtful_parts,
     misfit_notes,
-    require_known,
-    usual_sheet,
+    require_wires,
     wire_to_calibrate,
-    with_doubtful_parts,
-    without_copies,
 )
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
@@ -40,9 +40,9 @@ CURVES = measured("A2")
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
-    found = calibrate(wire_of("A2"), CURVES, Settings())
-    assert isinstance(found, Calibration)
-    return found
+    outcome = calibrate(wire_of("A2"), CURVES, Settings())
+    assert isinstance(outcome, Calibration)
+    return outcome
 
 
 @cache
@@ -68,13 +68,13 @@ def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGro
         assert group.errors.rmse_share < 0.05
         assert group.errors.inside > 0.9
         assert group.band.n == 3
-    own = groups[0]
-    assert own.errors is not None
-    assert own.prediction is not None
-    deflection, force = own.prediction.deflection, own.prediction.force
+    group = groups[0]
+    assert group.errors is not None
+    assert group.prediction is not None
+    deflection, force = group.prediction.deflection, group.prediction.force
     off = [curve.force - np.interp(curve.deflection, deflection, force) for curve in CURVES]
-    assert own.errors.n == sum(map(len, off))
-    assert own.errors.sse == pytest.approx(sum(float(part @ part) for part in off))
+    assert group.errors.n == sum(map(len, off))
+    assert group.errors.sse == pytest.approx(sum(float(part @ part) for part in off))
 
 
 @pytest.mark.slow
@@ -83,10 +83,10 @@ def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration)
     (right,) = compare(calibration, WIRES, loadings("A2"))
     assert not misfit_notes([right])
     waves = [replace(c, force=c.force + 0.01 * np.sin(c.deflection / 0.008)) for c in CURVES]
-    found = calibrate(wire_of("A2"), waves, Settings())
-    assert isinstance(found, Calibration)
+    outcome = calibrate(wire_of("A2"), waves, Settings())
+    assert isinstance(outcome, Calibration)
     tests = [FirstLoading(curve, 0.0, ()) for curve in waves]
-    (wrong,) = compare(found, WIRES, tests)
+    (wrong,) = compare(outcome, WIRES, tests)
     [note] = misfit_notes([wrong])
     assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
     assert note.message.startswith("70 % of the points of the calibrating tests lie in the 95 %")
@@ -111,12 +111,12 @@ def test_predictions_beyond_the_line_of_the_insulation_are_said(calibration: Cal
     """The tests bend both wires to nearly 30 1/m: 1 % of strain at 12.5 and at 14.3 1/m."""
     both = loadings("A1", "A2")
     assert not insulation_notes(calibration, WIRES, KNOWN, both)
-    predicted, own = insulation_notes(calibration, WIRES, WEAK, both)
-    assert {predicted.code, own.code} == {"insulation_doubtful"}
-    assert (predicted.where, own.where) == ("A1", "A2")
+    predicted, calibrating = insulation_notes(calibration, WIRES, WEAK, both)
+    assert {predicted.code, calibrating.code} == {"insulation_doubtful"}
+    assert (predicted.where, calibrating.where) == ("A1", "A2")
     assert "from 14.3 1/m on" in predicted.message
     assert "what the calibration of A2 predicts is doubtful" in predicted.message
-    assert "parameters make up for an insulation that gives way" in own.message
+    assert "parameters make up for an insulation that gives way" in calibrating.message
 
 
 def test_from_where_on_a_prediction_is_doubtful(
@@ -124,9 +124,9 @@ def test_from_where_on_a_prediction_is_doubtful(
 ) -> None:
     """A wire that is bent to there and no farther has just the curvature of the limit."""
     both = loadings("A1", "A2")
-    sure = with_doubtful_parts(groups, calibration, WIRES, KNOWN, both)
+    sure = mark_doubtful_parts(groups, calibration, WIRES, KNOWN, both)
     assert [group.doubtful_deflection for group in sure] == [np.inf, np.inf]
-    for group in with_doubtful_parts(groups, calibration, WIRES, WEAK, both):
+    for group in mark_doubtful_parts(groups, calibration, WIRES, WEAK, both):
         assert group.prediction is not None
         assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
         curve = next(side.curve for side in both if side.curve.wire == group.wire)
@@ -154,10 +154,12 @@ def test_the_mean_lies_among_its_samples_where_they_are_bent(calibration: Calibr
     curve = exact_curve("A2", 0.085)
     deflection = np.linspace(1.5e-4, 0.05, 272)
     exact = [
-        replace(each, deflection=deflection, force=factor * curve(deflection), noise=1e-4)
-        for each, factor in zip(CURVES, (0.98, 1.0, 1.02), strict=True)
+        replace(
+            curve_of_sample, deflection=deflection, force=factor * curve(deflection), noise=1e-4
+        )
+        for curve_of_sample, factor in zip(CURVES, (0.98, 1.0, 1.02), strict=True)
     ]
-    tests = [FirstLoading(each, 0.0, ()) for each in exact]
+    tests = [FirstLoading(curve_of_sample, 0.0, ()) for curve_of_sample in exact]
     (group,) = compare(calibration, WIRES, tests)
     share = group.band.mean / curve(group.band.displacement)
     assert np.all((share > 0.98) & (share < 1.02))
@@ -166,16 +168,16 @@ def test_the_mean_lies_among_its_samples_where_they_are_bent(calibration: Calibr
 SHEET_PATH = Path("wires.xlsx")
 
 
-def asked(wire: str | None = None) -> CalibrationPlan:
+def plan_of(wire: str | None = None) -> CalibrationPlan:
     return CalibrationPlan(version=1, wire=wire)
 
 
 def test_the_sheet_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=r"expected a wire sheet, or wires.xlsx or wires.csv in"):
-        usual_sheet()
+        default_sheet()
     (tmp_path / "wires.csv").touch()
-    assert usual_sheet() == Path("wires.csv")
+    assert default_sheet() == Path("wires.csv")
 
 
 def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
@@ -183,15 +185,15 @@ def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
     spec, curve = spec_of("A2", "A2"), CURVES[0]
     a2 = [FirstLoading(curve, 0.0, ())]
     both = [*a2, FirstLoading(replace(curve, wire="A1", test="A1-1"), 0.0, ())]
-    assert wire_to_calibrate(a2, asked(), None) == "A2"
-    assert wire_to_calibrate(both, asked("A1"), None) == "A1"
-    require_known(a2, {"A2": spec}, SHEET_PATH)
+    assert wire_to_calibrate(a2, plan_of(), None) == "A2"
+    assert wire_to_calibrate(both, plan_of("A1"), None) == "A1"
+    require_wires(a2, {"A2": spec}, SHEET_PATH)
     assert len(built_wire(spec, SHEET_PATH).section.layers) == 2
     thin = replace(spec, wire_diameter=0.5 * spec.wire_diameter)
     calls: list[Callable[[], object]] = [
-        lambda: wire_to_calibrate(both, asked(), None),
-        lambda: wire_to_calibrate(a2, asked("A3"), None),
-        lambda: require_known(both, {"A2": spec}, SHEET_PATH),
+        lambda: wire_to_calibrate(both, plan_of(), None),
+        lambda: wire_to_calibrate(a2, plan_of("A3"), None),
+        lambda: require_wires(both, {"A2": spec}, SHEET_PATH),
         lambda: built_wire(thin, SHEET_PATH),
     ]
     messages = []
@@ -203,10 +205,13 @@ def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
 
 
 def test_a_copy_of_a_test_does_not_count() -> None:
-    own, other = (FirstLoading(curve, 0.0, ()) for curve in CURVES[:2])
-    one, two = replace(own, file=Path("x/T1/result.h5")), replace(own, file=Path("y/T1/result.h5"))
-    kept, left_out = without_copies([one, other, two])
-    assert kept == [one, other]
+    first, other = (FirstLoading(curve, 0.0, ()) for curve in CURVES[:2])
+    one, two = (
+        replace(first, file=Path("x/T1/result.h5")),
+        replace(first, file=Path("y/T1/result.h5")),
+    )
+    originals, left_out = drop_copies([one, other, two])
+    assert originals == [one, other]
     assert left_out == {
         str(two.file): f"{two.file}: expected each test once, found the same first loading as in "
         f"{one.file}. Leave the copy away."

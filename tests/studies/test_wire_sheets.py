@@ -47,21 +47,21 @@ def test_what_cannot_be_modelled_is_told_by_two_processes_as_by_one(
     soft = replace(GOOD, name="B", place="line 3")
     specs = [replace(GOOD, name="C"), tight, soft, GOOD, replace(GOOD, name="D")]
     names: list[str] = []
-    made, refused = make_tables(specs, SHEET, names.append)
+    modelled, refused = make_tables(specs, SHEET, names.append)
     assert names == ["C", "X1", "B", "A2", "D"]
-    assert [wire.table.name for wire in made] == ["C", "A2", "D"]
-    assert made[1].decks == deck_texts(made[1].table)
+    assert [wire.table.name for wire in modelled] == ["C", "A2", "D"]
+    assert modelled[1].decks == deck_texts(modelled[1].table)
     approved(refused.values())
     with ProcessPoolExecutor(2) as pool:
         shared, refused_too = make_tables(specs, SHEET, pool=pool)
     assert refused_too == refused
-    assert [wire.decks for wire in shared] == [wire.decks for wire in made]
+    assert [wire.decks for wire in shared] == [wire.decks for wire in modelled]
 
 
 @pytest.fixture
 def many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A sheet that is taken for worth two processes, beside results of it."""
-    monkeypatch.setattr(modelling, "_WORTH_SHARING", 1)
+    monkeypatch.setattr(modelling, "_MIN_PARALLEL_WIRES", 1)
     sheet = write_csv(tmp_path, HEADING, "W0,1.4,7,0.26,12,0.3", "W1,1.4,7,0.26,12,0.3")
     (tmp_path / "out" / "decks").mkdir(parents=True)
     (tmp_path / "out" / "decks" / "W0.csv").write_text("earlier", encoding="utf-8")
