@@ -150,7 +150,9 @@ def _compared(
     rig = None if curve.is_normal else string
     if group is not None:
         band = group.band
-        tests = compare_curves(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
+        tests = compare_curves(
+            curve, band.displacement, band.mean, (band.lower, band.upper), "the tests"
+        )
     try:
         prediction = _prediction(curve, calibration, wire, group, rig)
     except ValueError as error:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.calibration.fit import Wire
-from labpipe.wire.calibration.law_components import loading_curve, take_apart
+from labpipe.wire.calibration.law_components import loading_curve, split_wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
 
 
@@ -29,7 +29,7 @@ def tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]
     if not curves:
         message = "curves: allowed is at least one"
         raise ValueError(message)
-    parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
+    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
     parameters = np.where(np.isnan(values), parts.given, values)
     curvatures = []
     for curve in curves:

@@ -15,7 +15,7 @@ from labpipe.records.wire_calibration import (
     Prediction,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.wire.calibration.measured_curves import match
+from labpipe.wire.calibration.measured_curves import compare_curves
 
 GRID = np.linspace(0.0, 0.05, 51)
 FORCE = 2.0 * GRID
@@ -44,10 +44,12 @@ def external_comparison(
     )
     band, model = third_group().band, third_model()
     ends = (model.lower_mean, model.upper_mean)
-    tests = match(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
+    tests = compare_curves(
+        curve, band.displacement, band.mean, (band.lower, band.upper), "the tests"
+    )
     note = QualityNote("external_curve_cut", Severity.INFO, name, tests.words)
     return ExternalCurveComparison(
-        curve, tests, match(curve, GRID, model.force, ends, "the model"), model, (note,)
+        curve, tests, compare_curves(curve, GRID, model.force, ends, "the model"), model, (note,)
     )
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.law.sliders import SliderLaw
 from labpipe.virtual_lab.specimens import ElasticModel
-from labpipe.wire.calibration.law_components import loading_table, take_apart
+from labpipe.wire.calibration.law_components import loading_table, split_wire
 from labpipe.wire.heavy_loading import heavy_states
 from tests.coverage import lab_bending, line_judgement, study
 from tests.coverage.drawn_lines import KINDS as LINES
@@ -275,7 +275,7 @@ def test_the_truth_is_solved_where_it_is_asked() -> None:
     """C5 slips in the first tenths of a millimetre: between other points it is 94 uN off."""
     at = tuple(np.linspace(0.0, DEEPEST, POINTS)[:8].tolist())
     wire, rig = wire_of("C5"), rig_of(0.12)
-    parts = take_apart(wire.section, wire.contacts)
+    parts = split_wire(wire.section, wire.contacts)
     values = np.array([TRUTH.friction, TRUTH.modulus, TRUTH.copper])
     table = loading_table(parts, values, 40.0)
     asked = np.array(at[1:])

@@ -67,7 +67,7 @@ def test_truth_is_found_and_another_wire_predicted(
     assert (second["wire"], second["calibrating"]) == ("B1", False)
     assert second["rmse_share"] < 0.08
     assert second["inside_band"] > 0.9
-    assert "cannot be told apart" in done.out
+    assert "cannot be distinguished" in done.out
     assert "predicted" in done.out
     assert (out / "calibration.xlsx").is_file()
 
@@ -293,7 +293,7 @@ def test_two_tests_of_one_name_and_half_of_a_third(
     half.write_bytes((again / "result.h5").read_bytes()[:1000])
     done = calibrate(again)
     assert (done.status, done.err) == (0, "")
-    assert "one sample: how samples scatter is not known" in done.out
+    assert "one sample: the scatter of samples is unknown" in done.out
 
 
 @pytest.mark.parametrize(("value", "side"), [("3000 MPa", "below"), ("300 MPa", "above")])

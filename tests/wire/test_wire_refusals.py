@@ -217,7 +217,10 @@ def test_refusals(subject: str, approved: Approve) -> None:
     [
         (lambda: bent(0.085, 0.09, "tip"), r"deflection=0\.09: no equilibrium beyond 0\.08"),
         (lambda: packed(layers_of("A2"), tube(1.4e-3)), "the packed layout does not fit: strands"),
-        (lambda: friction([0, 0, 1, 1], (1e-3, 0.02), is_short=True), "beyond the laws of its wires"),
+        (
+            lambda: friction([0, 0, 1, 1], (1e-3, 0.02), is_short=True),
+            "beyond the laws of its wires",
+        ),
     ],
 )
 def test_refusals_with_numbers_of_a_search(call: Callable[[], object], message: str) -> None:

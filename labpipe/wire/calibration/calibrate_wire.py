@@ -1,10 +1,9 @@
 """Calibration of the wire model by first loadings of cantilevers (PHYSICS 6, source 3.4).
 
-Of one wire, several samples and lengths determine phi = F_rad (mu_s + mu_p), the modulus of the
-insulation and the strength of the copper, as far as they do: intervals come from the profile
-likelihood with t quantiles, and what the tests do not say is said in words. The objective is that
-of `parameter_search`, the law that of `wire_parts`, the loading curve the exact one of
-`first_loading`.
+Several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of the
+insulation and the strength of the copper. Intervals come from the profile likelihood with t
+quantiles; notes state what the tests do not determine. The objective is that of `parameter_search`,
+the law that of `law_components`, the loading curve the exact one of `first_loading`.
 """
 
 from __future__ import annotations
@@ -38,14 +37,14 @@ from labpipe.wire.calibration.fit import (
     CalibrationFit,
     Settings,
     Wire,
+    describe_parameter,
     find,
     friction_jacobian,
-    is_elsewhere,
+    has_other_value,
     separability,
     two_solutions,
     verdict_of,
     weigh_prior,
-    words_of,
 )
 from labpipe.wire.calibration.local_minima import LocalMinimum
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, agreement, whiten
@@ -63,9 +62,9 @@ def calibrate(
 
     Parameters
     ----------
-    wire : as its sheet has it
+    wire : nominal, from its sheet
     curves : first loadings, all of one wire
-    settings : which parameters are free, fixed or have a prior, and what is known of the load cell
+    settings : which parameters are free, fixed or have a prior; gain of the load cell
 
     Returns
     -------
@@ -78,46 +77,45 @@ def calibrate(
     ValueError
         If a choice has an unknown name, or a number is out of its range.
     """
-    found = find(wire, curves, settings or Settings())
-    return found if isinstance(found, CalibrationFailure) else tell(found)
+    result = find(wire, curves, settings or Settings())
+    return result if isinstance(result, CalibrationFailure) else make_calibration(result)
 
 
 METHOD = (
     "generalised least squares on the force over logarithms of the parameters; levels of noise, "
     "samples and load cell; scatter of samples by restricted likelihood; profile likelihood from "
-    "every least of the objective, with quantiles of t averaged over what that scatter may be"
+    "every local minimum of the objective, with quantiles of t averaged over the possible scatter"
 )
 _UNLIKELY_RISE = 1.727
-"""Rise of the objective, over that at 95 %, up to which another solution is said, and up to which
-what is called identified has its value: 99 %."""
+"""Rise of the objective at 99 %, over that at 95 %: up to it other solutions are reported."""
 
 
-def tell(found: CalibrationFit) -> Calibration:
+def make_calibration(calibration_fit: CalibrationFit) -> Calibration:
     """Make the record of a calibration.
 
     Parameters
     ----------
     found : the fit and all that it rests on
     """
-    problem = found.problem
-    solutions = tuple(_solution(found, valley) for valley in found.valleys)
+    problem = calibration_fit.problem
+    solutions = tuple(_solution(calibration_fit, valley) for valley in calibration_fit.valleys)
     solutions = tuple(
         solution for solution in solutions if solution.rise <= _UNLIKELY_RISE * solution.limit
     )
-    parameters = tuple(_parameter(found, solutions, number) for number in range(P))
-    compared = tuple(_agreements(found))
+    parameters = tuple(_parameter(calibration_fit, solutions, number) for number in range(P))
+    compared = tuple(_agreements(calibration_fit))
     sse = sum(curve.sse for curve in compared)
     rmse = float(np.sqrt(sse / problem.n_points))
-    levels = _noise_levels(found)
+    levels = _noise_levels(calibration_fit)
     return Calibration(
         wire=problem.curves[0].wire,
         parameters=parameters,
         solutions=solutions,
-        widening=found.widening,
-        correlations=_correlations(found.spread.covariance[:P, :P], found.free),
+        widening=calibration_fit.widening,
+        correlations=_correlations(calibration_fit.spread.covariance[:P, :P], calibration_fit.free),
         levels=levels,
-        separability=_separability(found),
-        friction_separability=_friction_separability(found),
+        separability=_separability(calibration_fit),
+        friction_separability=_friction_separability(calibration_fit),
         curves=compared,
         n_points=problem.n_points,
         n_samples=problem.n_samples,
@@ -125,51 +123,55 @@ def tell(found: CalibrationFit) -> Calibration:
         rmse=rmse,
         rmse_share=rmse / max(curve.peak for curve in problem.curves),
         method=METHOD,
-        notes=tuple(_notes(found, parameters, solutions, compared)),
+        notes=tuple(_notes(calibration_fit, parameters, solutions, compared)),
     )
 
 
-def _solution(found: CalibrationFit, valley: LocalMinimum) -> Solution:
-    left = [
+def _solution(calibration_fit: CalibrationFit, valley: LocalMinimum) -> Solution:
+    residuals = [
         curve.force - model.force
-        for curve, model in zip(found.problem.curves, valley.fit.models, strict=True)
+        for curve, model in zip(calibration_fit.problem.curves, valley.fit.models, strict=True)
     ]
-    acts = np.array(found.problem.parts.has)
+    acts = np.array(calibration_fit.problem.parts.has)
     return Solution(
         values=np.where(acts, np.exp(valley.fit.point.logs), np.nan),
         rise=valley.rise,
-        rmse=float(np.sqrt(np.mean(np.concatenate(left) ** 2))),
+        rmse=float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))),
         covariance=valley.spread.covariance,
         mixture=valley.mixture,
-        limit=limit_of(found, valley),
+        limit=limit_of(calibration_fit, valley),
     )
 
 
 def _parameter(
-    found: CalibrationFit, solutions: tuple[Solution, ...], number: int
+    calibration_fit: CalibrationFit, solutions: tuple[Solution, ...], number: int
 ) -> CalibratedParameter:
-    """One parameter, with profile, verdict and the weighing of its prior."""
+    """Return one parameter, with profile, verdict and comparison with its prior."""
     name = PARAMETERS[number]
-    value = float(np.exp(found.fit.point.logs[number]))
-    if not found.free[number]:
-        return _held(found, number, value)
-    error = float(np.sqrt(found.spread.covariance[number, number]))
-    traced = traces(found, number)
-    parts = union(traced)
-    conflict = _conflict(found, number) if _has_prior(found, number) else None
+    value = float(np.exp(calibration_fit.fit.point.logs[number]))
+    if not calibration_fit.free[number]:
+        return _fixed_parameter(calibration_fit, number, value)
+    error = float(np.sqrt(calibration_fit.spread.covariance[number, number]))
+    profiles_ = traces(calibration_fit, number)
+    intervals = union(profiles_)
+    conflict = (
+        _prior_conflict(calibration_fit, number) if _has_prior(calibration_fit, number) else None
+    )
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
         value=value,
-        intervals=tuple(Interval(float(np.exp(low)), float(np.exp(high))) for low, high in parts),
+        intervals=tuple(
+            Interval(float(np.exp(low)), float(np.exp(high))) for low, high in intervals
+        ),
         log_error=error,
-        freedom=found.spread.freedom(np.eye(P + 1)[number]),
-        is_open_below=any(each.is_open_below for each in traced),
-        is_open_above=any(each.is_open_above for each in traced),
-        at_bound=_bound(found, number),
+        freedom=calibration_fit.spread.freedom(np.eye(P + 1)[number]),
+        is_open_below=any(trace.is_open_below for trace in profiles_),
+        is_open_above=any(trace.is_open_above for trace in profiles_),
+        at_bound=_reached_bound(calibration_fit, number),
         verdict=Identifiability.WELL,
         words="",
-        profiles=tuple(map(_profile, traced)),
+        profiles=tuple(map(_profile, profiles_)),
         conflict=conflict,
     )
     others = tuple(
@@ -177,30 +179,31 @@ def _parameter(
         for solution in solutions
         if not solution.is_allowed
     )
-    ends = _widest(found, number, parameter)
-    parameter = replace(parameter, verdict=_verdict(found, number, parameter, others, ends))
-    return replace(parameter, words=words_of(parameter, others, ends))
+    ends = _interval_at_99(calibration_fit, number, parameter)
+    parameter = replace(
+        parameter, verdict=_judge_parameter(calibration_fit, number, parameter, others, ends)
+    )
+    return replace(parameter, words=describe_parameter(parameter, others, ends))
 
 
-def _widest(
-    found: CalibrationFit, number: int, parameter: CalibratedParameter
+def _interval_at_99(
+    calibration_fit: CalibrationFit, number: int, parameter: CalibratedParameter
 ) -> tuple[float, float]:
-    """Ends of what the tests allow at 99 %, along the line of the leasts, or at all.
+    """Return the ends of what the tests allow at 99 %, including the line of minima.
 
-    Noise that happens to end an interval early, so that it just spans too little for a weak
-    verdict, would be called knowledge: what is identified must be so at 99 %, too.
+    An identified parameter must be so at 99 %, too: noise may happen to shorten an interval.
     """
     min_span = 1.5  # with a narrower interval the one at 99 % spans less than `WELL`, too
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    ends = [low, high, *np.exp(reach(found, number, _UNLIKELY_RISE)).tolist()]
+    ends = [low, high, *np.exp(reach(calibration_fit, number, _UNLIKELY_RISE)).tolist()]
     if min_span < high / low < WELL:
-        for traced in traces(found, number, unlikely=_UNLIKELY_RISE):
-            ends += np.exp([traced.lower, traced.upper]).tolist()
+        for trace in traces(calibration_fit, number, unlikely=_UNLIKELY_RISE):
+            ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)
 
 
-def _verdict(
-    found: CalibrationFit,
+def _judge_parameter(
+    calibration_fit: CalibrationFit,
     number: int,
     parameter: CalibratedParameter,
     others: Sequence[tuple[float, float]],
@@ -209,7 +212,7 @@ def _verdict(
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     wide = [*ends, *(value for value, _ in others)]
     conflict = parameter.conflict
-    prior = np.inf if conflict is None else float(found.problem.precision[number]) ** -0.5
+    prior = np.inf if conflict is None else float(calibration_fit.problem.precision[number]) ** -0.5
     return verdict_of(
         high / low,
         span_with_others=max(wide) / min(wide),
@@ -218,15 +221,17 @@ def _verdict(
         log_error=parameter.log_error,
         prior_error=prior,
         contradicts=conflict is not None and conflict.contradicts,
-        is_apart=len(parameter.intervals) > 1 or is_elsewhere(parameter, others),
+        is_apart=len(parameter.intervals) > 1 or has_other_value(parameter, others),
     )
 
 
-def _held(found: CalibrationFit, number: int, value: float) -> CalibratedParameter:
-    """A parameter that was not fitted; NaN where the wire has no such thing."""
+def _fixed_parameter(
+    calibration_fit: CalibrationFit, number: int, value: float
+) -> CalibratedParameter:
+    """Return a parameter that was not fitted; NaN where it does not act on the wire."""
     name = PARAMETERS[number]
-    acts = found.problem.parts.has[number]
-    held = CalibratedParameter(
+    acts = calibration_fit.problem.parts.has[number]
+    parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
         value=value if acts else np.nan,
@@ -238,55 +243,66 @@ def _held(found: CalibrationFit, number: int, value: float) -> CalibratedParamet
         at_bound="",
         verdict=Identifiability.FIXED,
         words="",
-        source=found.settings.choices[name].source if name in found.settings.choices else "",
+        source=calibration_fit.settings.choices[name].source
+        if name in calibration_fit.settings.choices
+        else "",
     )
     return replace(
-        held, words=words_of(held) if acts else f"{NAMES[name]} does not act on this wire"
+        parameter,
+        words=describe_parameter(parameter) if acts else f"{NAMES[name]} does not act on this wire",
     )
 
 
-def _has_prior(found: CalibrationFit, number: int) -> bool:
-    return bool(found.problem.precision[number] > 0.0)
+def _has_prior(calibration_fit: CalibrationFit, number: int) -> bool:
+    return bool(calibration_fit.problem.precision[number] > 0.0)
 
 
-def _bound(found: CalibrationFit, number: int) -> str:
-    """The bound that the search ran into; none where it only ran out on a plain."""
+def _reached_bound(calibration_fit: CalibrationFit, number: int) -> str:
+    """Return the bound that the search presses on; none on a flat objective."""
     min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
-    at, problem = found.fit.point.logs[number], found.problem
-    pull = float(pull_of(problem, found.levels, found.fit)[number])
+    at, problem = calibration_fit.fit.point.logs[number], calibration_fit.problem
+    pull = float(pull_of(problem, calibration_fit.levels, calibration_fit.fit)[number])
     if at <= problem.lower[number] and pull < -min_bound_slope:
         return "lower"
     return "upper" if at >= problem.upper[number] and pull > min_bound_slope else ""
 
 
-def _profile(traced: Trace) -> Profile:
-    return Profile(
-        np.exp(traced.logs), traced.deviance, traced.threshold_below, traced.threshold_above
-    )
+def _profile(trace: Trace) -> Profile:
+    return Profile(np.exp(trace.logs), trace.deviance, trace.threshold_below, trace.threshold_above)
 
 
-def _conflict(found: CalibrationFit, number: int) -> PriorConflict:
-    """Fit again without one prior: what the objective loses is the square of the conflict."""
+def _prior_conflict(calibration_fit: CalibrationFit, number: int) -> PriorConflict:
+    """Fit without one prior; the loss of the objective is the square of the conflict."""
     name = PARAMETERS[number]
-    precision = found.problem.precision.copy()
+    precision = calibration_fit.problem.precision.copy()
     precision[number] = 0.0
-    alone = replace(found.problem, precision=precision)
-    fits = [search(alone, found.levels, valley.fit.point, found.free) for valley in found.valleys]
+    alone = replace(calibration_fit.problem, precision=precision)
+    fits = [
+        search(alone, calibration_fit.levels, valley.fit.point, calibration_fit.free)
+        for valley in calibration_fit.valleys
+    ]
     fit = min(fits, key=lambda fit: fit.objective)
     spread = uncertainty(
-        alone, fit, found.free, found.levels, is_scatter_known=found.is_scatter_known
+        alone,
+        fit,
+        calibration_fit.free,
+        calibration_fit.levels,
+        is_scatter_known=calibration_fit.is_scatter_known,
     )
-    own, prior = float(spread.covariance[number, number]), 1.0 / found.problem.precision[number]
-    freedom = spread.freedom(np.eye(P + 1)[number]) * ((own + prior) / own) ** 2
+    variance, prior_variance = (
+        float(spread.covariance[number, number]),
+        1.0 / calibration_fit.problem.precision[number],
+    )
+    freedom = spread.freedom(np.eye(P + 1)[number]) * ((variance + prior_variance) / variance) ** 2
     numbers = PriorConflict(
-        centre=float(np.exp(found.problem.centre[number])),
-        factor=float(found.settings.choices[name].factor or np.nan),
+        centre=float(np.exp(calibration_fit.problem.centre[number])),
+        factor=float(calibration_fit.settings.choices[name].factor or np.nan),
         alone=float(np.exp(fit.point.logs[number])),
-        size=float(np.sqrt(max(found.fit.objective - fit.objective, 0.0))),
+        size=float(np.sqrt(max(calibration_fit.fit.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         contradicts=False,
         message="",
-        source=found.settings.choices[name].source,
+        source=calibration_fit.settings.choices[name].source,
     )
     return weigh_prior(name, numbers)
 
@@ -299,60 +315,65 @@ def _correlations(covariance: Floats, free: Flags) -> Floats:
     return out
 
 
-def _agreements(found: CalibrationFit) -> Iterator[CurveAgreement]:
-    point = found.fit.point
+def _agreements(calibration_fit: CalibrationFit) -> Iterator[CurveAgreement]:
+    point = calibration_fit.fit.point
     for curve, model, sample in zip(
-        found.problem.curves, found.fit.models, found.problem.sample, strict=True
+        calibration_fit.problem.curves,
+        calibration_fit.fit.models,
+        calibration_fit.problem.sample,
+        strict=True,
     ):
         yield agreement(curve, model.force, float(np.exp(point.gain + point.offsets[sample])))
 
 
-def _noise_levels(found: CalibrationFit) -> NoiseLevels:
-    spread, levels = found.spread.level_covariance, found.levels
-    scatter_freedom = np.inf if found.is_scatter_known else 0.0
+def _noise_levels(calibration_fit: CalibrationFit) -> NoiseLevels:
+    spread, levels = calibration_fit.spread.level_covariance, calibration_fit.levels
+    scatter_freedom = np.inf if calibration_fit.is_scatter_known else 0.0
     if spread[1, 1] > 0.0:
         scatter_freedom = 2.0 / float(spread[1, 1])
     return NoiseLevels(
         noise_factor=float(np.sqrt(levels.noise)),
         correlation=levels.correlation,
         scatter=levels.scatter,
-        gain=found.problem.gain,
+        gain=calibration_fit.problem.gain,
         scatter_freedom=scatter_freedom,
         noise_freedom=2.0 / float(spread[0, 0]),
     )
 
 
-def _separability(found: CalibrationFit) -> Separability:
-    """Of the parameters that act on the wire, by noise alone, as if samples did not scatter."""
-    acting = [number for number in range(P) if found.problem.parts.has[number]]
+def _separability(calibration_fit: CalibrationFit) -> Separability:
+    """Return the separability of the acting parameters, by noise without scatter of samples."""
+    acting = [number for number in range(P) if calibration_fit.problem.parts.has[number]]
     columns = []
-    for curve, model in zip(found.problem.curves, found.fit.models, strict=True):
+    for curve, model in zip(
+        calibration_fit.problem.curves, calibration_fit.fit.models, strict=True
+    ):
         scaled = model.change[acting].T / np.asarray(curve.noise)[:, None]
-        columns.append(whiten(scaled, found.levels.correlation))
-    jacobian = np.concatenate(columns) / np.sqrt(found.levels.noise)
+        columns.append(whiten(scaled, calibration_fit.levels.correlation))
+    jacobian = np.concatenate(columns) / np.sqrt(calibration_fit.levels.noise)
     return separability(
         tuple(PARAMETERS[number] for number in acting), jacobian, "the parameters that act"
     )
 
 
-def _friction_separability(found: CalibrationFit) -> Separability | None:
-    """Of mu_s, mu_p and F_rad."""
-    if not found.problem.parts.has[0]:
+def _friction_separability(calibration_fit: CalibrationFit) -> Separability | None:
+    """Return the separability of mu_s, mu_p and F_rad."""
+    if not calibration_fit.problem.parts.has[0]:
         return None
     jacobian = friction_jacobian(
-        found.wire.section,
-        found.wire.contacts,
-        np.exp(found.fit.point.logs),
-        found.problem.curves,
-        orientation=found.wire.orientation,
-        correlation=found.levels.correlation,
+        calibration_fit.wire.section,
+        calibration_fit.wire.contacts,
+        np.exp(calibration_fit.fit.point.logs),
+        calibration_fit.problem.curves,
+        orientation=calibration_fit.wire.orientation,
+        correlation=calibration_fit.levels.correlation,
     )
-    jacobian /= np.sqrt(found.levels.noise)
+    jacobian /= np.sqrt(calibration_fit.levels.noise)
     return separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
 
 
 def _notes(
-    found: CalibrationFit,
+    calibration_fit: CalibrationFit,
     parameters: tuple[CalibratedParameter, ...],
     solutions: tuple[Solution, ...],
     compared: tuple[CurveAgreement, ...],
@@ -360,41 +381,41 @@ def _notes(
     for parameter in parameters:
         yield from _parameter_notes(parameter)
     if len(solutions) > 1:
-        where = found.problem.curves[0].wire
+        where = calibration_fit.problem.curves[0].wire
         message = two_solutions(solutions)
         yield QualityNote("two_solutions", Severity.WARNING, where, message)
-    yield from _level_notes(found, compared)
+    yield from _level_notes(calibration_fit, compared)
 
 
 def _level_notes(
-    found: CalibrationFit, compared: tuple[CurveAgreement, ...]
+    calibration_fit: CalibrationFit, compared: tuple[CurveAgreement, ...]
 ) -> Iterator[QualityNote]:
     noise_ratio_range = (0.8, 1.25)  # estimated noise over stated noise
     max_correlation = 0.3  # of neighbouring residuals, without a note
-    levels, where = found.levels, found.problem.curves[0].wire
-    if found.problem.n_samples == 1 and not found.is_scatter_known:
+    levels, where = calibration_fit.levels, calibration_fit.problem.curves[0].wire
+    if calibration_fit.problem.n_samples == 1 and not calibration_fit.is_scatter_known:
         message = (
-            "one sample: how samples scatter is not known, so the intervals speak of this sample, "
-            "not of the wire"
+            "one sample: the scatter of samples is unknown, so the intervals apply to this sample, "
+            "not to the wire"
         )
         yield QualityNote("one_sample", Severity.WARNING, where, message)
     factor = float(np.sqrt(levels.noise))
     if not noise_ratio_range[0] <= factor <= noise_ratio_range[1]:
         message = (
             f"the residuals scatter {factor:.3g} times as much as the stated noise; the intervals "
-            f"go by the residuals"
+            f"use the residuals"
         )
         yield QualityNote("noise_misstated", Severity.WARNING, where, message)
     if levels.correlation > max_correlation:
-        worst = max(compared, key=lambda curve: curve.lag_one_correlation)
+        worst_curve = max(compared, key=lambda curve: curve.lag_one_correlation)
         message = (
-            f"neighbouring residuals are alike (correlation {levels.correlation:.2f}, most in "
-            f"{worst.test} with {worst.lag_one_correlation:.2f}): slow noise, or a model without "
-            f"the shape of the curves; the intervals count correlated points for less"
+            f"neighbouring residuals are correlated ({levels.correlation:.2f}, most in "
+            f"{worst_curve.test} with {worst_curve.lag_one_correlation:.2f}): slow noise, or a "
+            f"model that misses the shape of the curves; the intervals weight the points less"
         )
         yield QualityNote("residuals_correlated", Severity.WARNING, where, message)
-    if not found.fit.settled:
-        message = f"the search did not come to rest within {found.fit.steps} steps"
+    if not calibration_fit.fit.settled:
+        message = f"the search did not converge within {calibration_fit.fit.steps} steps"
         yield QualityNote("search_unsettled", Severity.WARNING, where, message)
 
 

@@ -1,4 +1,4 @@
-"""The fit of a calibration: what is searched, what is found, what the tests can tell apart."""
+"""The fit of a calibration: problem, solutions, identifiability and its description."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from labpipe.records.wire_calibration import (
     Separability,
     Solution,
 )
-from labpipe.wire.calibration.law_components import WireParts, model_forces, take_apart
-from labpipe.wire.calibration.local_minima import Line, LocalMinimum, local_minimum_of, settle
+from labpipe.wire.calibration.law_components import WireParts, model_forces, split_wire
+from labpipe.wire.calibration.local_minima import Line, LocalMinimum, find_minima, local_minimum_of
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, usable, whiten
 from labpipe.wire.calibration.parameter_search import Fit, Levels, Problem
 from labpipe.wire.calibration.variances import Uncertainty, quantile
@@ -34,7 +34,7 @@ from labpipe.wire.friction import Contacts
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wire:
-    """A wire as its sheet has it.
+    """A wire as in its sheet.
 
     Parameters
     ----------
@@ -52,11 +52,11 @@ class Wire:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settings:
-    """What is asked of a calibration.
+    """Settings of a calibration.
 
     Parameters
     ----------
-    choices : by name of the parameter; one that is not named is free if it acts on the wire
+    choices : by name of the parameter; others are free if they act on the wire
     gain : standard uncertainty of the load cell's gain, as a ratio, common to all curves
     scatter : standard deviation of the samples' factors on the force, as a ratio, where it is
         known; else None: it is estimated from the samples
@@ -73,12 +73,12 @@ class CalibrationFit:
 
     Parameters
     ----------
-    wire, settings : what was asked for
+    wire, settings : input
     problem, free : what was fitted
     levels : of noise and samples
-    valleys : every least of the objective, the lowest first
+    valleys : local minima of the objective, the lowest first
     line : on which they lie
-    widening : of quantiles, since the family of curves is bent (`bent_family`)
+    widening : of quantiles, for the nonlinear family of curves (`nonlinearity`)
     """
 
     wire: Wire
@@ -92,22 +92,22 @@ class CalibrationFit:
 
     @property
     def fit(self) -> Fit:
-        """The least of the objective."""
+        """Return the fit at the minimum of the objective."""
         return self.valleys[0].fit
 
     @property
     def spread(self) -> Uncertainty:
-        """Covariance there, and what degrees of freedom need."""
+        """Return the covariance at the minimum, with its degrees of freedom."""
         return self.valleys[0].spread
 
     @property
     def mixture(self) -> ScatterMixture:
-        """Covariance there, for each scatter that the tests allow."""
+        """Return the covariance at the minimum for each possible scatter."""
         return self.valleys[0].mixture
 
     @property
     def is_scatter_known(self) -> bool:
-        """Whether the scatter of the samples was given."""
+        """Return whether the scatter of the samples is given."""
         return self.settings.scatter is not None
 
 
@@ -118,7 +118,7 @@ def find(
 
     Parameters
     ----------
-    wire, settings : what is fitted
+    wire, settings : input
     curves : first loadings
 
     Raises
@@ -126,25 +126,25 @@ def find(
     ValueError
         If a choice has an unknown name, or a number is out of its range.
     """
-    known = usable(tuple(curves))
-    if isinstance(known, CalibrationFailure):
-        return known
-    parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
-    posed = pose(parts, known, settings.choices, settings.gain)
-    if isinstance(posed, CalibrationFailure):
-        return posed
-    problem, logs, free = posed
+    usable_curves = usable(tuple(curves))
+    if isinstance(usable_curves, CalibrationFailure):
+        return usable_curves
+    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
+    setup = pose(parts, usable_curves, settings.choices, settings.gain)
+    if isinstance(setup, CalibrationFailure):
+        return setup
+    problem, logs, free = setup
     try:
-        settled = settle(problem, logs, free, scatter=settings.scatter)
+        minima = find_minima(problem, logs, free, scatter=settings.scatter)
     except ValueError as error:
         return CalibrationFailure("model_cannot_follow", str(error))
-    fits, levels = settled.fits, settled.levels
+    fits, levels = minima.fits, minima.levels
     valleys = tuple(
         local_minimum_of(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
         for fit in fits
     )
     return CalibrationFit(
-        wire, settings, problem, free, levels, valleys, settled.line, widening=settled.widening
+        wire, settings, problem, free, levels, valleys, minima.line, widening=minima.widening
     )
 
 
@@ -153,13 +153,13 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     INSULATION_MODULUS: (1e5, 1e11),
     COPPER_SCALE: (0.05, 20.0),
 }
-"""Of the search, where nothing else is said: N, Pa, 1."""
+"""Default bounds of the search: N, Pa, 1."""
 _DEFAULT_STARTS: Mapping[str, float] = {
     RADIAL_FRICTION: 0.05,
     INSULATION_MODULUS: 1e9,
     COPPER_SCALE: 1.0,
 }
-"""Where the wire itself says nothing, or zero."""
+"""Starts where the wire has no value, or zero."""
 
 
 def pose(
@@ -168,7 +168,7 @@ def pose(
     choices: Mapping[str, ParameterChoice],
     gain: float,
 ) -> tuple[Problem, Floats, Flags] | CalibrationFailure:
-    """Make the problem of a calibration.
+    """Set up the problem of a calibration.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def pose(
     ValueError
         If a choice has an unknown name or a number out of its range.
     """
-    _require_sound(choices, gain)
+    _check_choices(choices, gain)
     logs, centre, precision, lower, upper = np.zeros((5, len(PARAMETERS)))
     free = np.zeros(len(PARAMETERS), dtype=np.bool_)
     for number, name in enumerate(PARAMETERS):
@@ -196,7 +196,7 @@ def pose(
             return _without_effect(name)
         if not acts:
             continue
-        value = _value(name, choice, float(parts.given[number]))
+        value = _start_value(name, choice, float(parts.given[number]))
         low, high = choice.lower or BOUNDS[name][0], choice.upper or BOUNDS[name][1]
         if choice.is_fixed:
             low = high = value
@@ -212,18 +212,18 @@ def pose(
     if problem.n_points <= needed:
         message = (
             f"{problem.n_points} points for {int(free.sum())} parameters and {problem.n_samples} "
-            f"samples; at least {needed + 1} are needed: take more points, or hold a parameter"
+            f"samples: expected at least {needed + 1}; use more points, or fix a parameter"
         )
         return CalibrationFailure("too_few_points", message)
     return problem, logs, free
 
 
 def log_error_of(factor: float) -> float:
-    """Standard deviation, in logarithms, of a prior that is within a factor at 95 %."""
+    """Return the standard deviation, in logarithms, of a prior within a factor at 95 %."""
     return float(np.log(factor)) / quantile(np.inf)
 
 
-def _require_sound(choices: Mapping[str, ParameterChoice], gain: float) -> None:
+def _check_choices(choices: Mapping[str, ParameterChoice], gain: float) -> None:
     unknown = sorted(set(choices) - set(PARAMETERS))
     if unknown:
         message = f"{unknown[0]!r}: allowed are {', '.join(PARAMETERS)}"
@@ -242,14 +242,14 @@ def _require_sound(choices: Mapping[str, ParameterChoice], gain: float) -> None:
             raise ValueError(message)
 
 
-def _value(name: str, choice: ParameterChoice, given: float) -> float:
+def _start_value(name: str, choice: ParameterChoice, nominal: float) -> float:
     if choice.value is not None:
         return choice.value
-    return given if given > 0.0 else _DEFAULT_STARTS[name]
+    return nominal if nominal > 0.0 else _DEFAULT_STARTS[name]
 
 
 def _without_effect(name: str) -> CalibrationFailure:
-    message = f"{name} does not act on this wire: there is nothing in the tests to fit it by"
+    message = f"{name} does not act on this wire: the tests cannot determine it"
     return CalibrationFailure("parameter_without_effect", message)
 
 
@@ -279,8 +279,9 @@ _LABELS: Mapping[str, str] = {
 }
 
 WELL = 2.0
+"""Span of an interval, upper over lower, below which a parameter is well identified."""
 HOPELESS = 100.0
-"""Spans of an interval, upper over lower: well identified below, not identified above."""
+"""Span of an interval, upper over lower, above which a parameter is not identified."""
 
 
 def verdict_of(
@@ -294,7 +295,7 @@ def verdict_of(
     is_apart: bool = False,
     span_with_others: float = 1.0,
 ) -> Identifiability:
-    """Judge an interval.
+    """Return the verdict on an interval.
 
     Parameters
     ----------
@@ -304,9 +305,9 @@ def verdict_of(
     log_error : standard error of the logarithm
     prior_error : that of its prior; infinite without one
     contradicts : whether prior and tests contradict each other
-    is_apart : whether it falls into parts, or another solution lies outside of it
-    span_with_others : the same with what is not in the 95 % set, but not far from it: other
-        solutions, and the line on which insulation and copper trade places
+    is_apart : whether it has several parts, or another solution lies outside of it
+    span_with_others : span that includes solutions just outside of the 95 % set, and the line on
+        which insulation and copper trade off
     """
     prior_share = 0.9  # error over that of the prior
     if at_bound:
@@ -323,7 +324,7 @@ def verdict_of(
 
 
 def in_display_unit(name: str, *values: float) -> str:
-    """Write values of a parameter with four digits, without powers of ten, the unit at the end.
+    """Format values of a parameter with four digits, without exponents, and the unit.
 
     Parameters
     ----------
@@ -341,146 +342,152 @@ def in_display_unit(name: str, *values: float) -> str:
     return f"{written} {unit}".rstrip()
 
 
-def is_elsewhere(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
-    """Whether another solution, by its value and likelihood, lies outside of all intervals."""
+def has_other_value(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
+    """Return whether another solution lies outside of all intervals."""
     return any(
         not any(part.lower <= value <= part.upper for part in parameter.intervals)
         for value, _ in others
     )
 
 
-def words_of(
+def describe_parameter(
     parameter: CalibratedParameter,
     others: Sequence[tuple[float, float]] = (),
     ends: tuple[float, float] | None = None,
 ) -> str:
-    """Say what is known of a parameter in a sentence.
+    """Describe what is known of a parameter in a sentence.
 
     Parameters
     ----------
     parameter : without words
-    others : value and likelihood, over that of the best, of solutions that are outside of the 95 %
-        set, but not by much
-    ends : of what the tests allow at 99 %, where that is looked at
+    others : value and likelihood, over that of the best, of solutions just outside of the 95 % set
+    ends : of what the tests allow at 99 %
     """
     key, interval = parameter.name, parameter.interval
     name, value = NAMES[key], in_display_unit(key, parameter.value)
     if interval is None:
-        return f"{name} was held at {value}{_from(parameter.source)}"
+        return f"{name} was held at {value}{_source_text(parameter.source)}"
     low, high = (in_display_unit(key, value) for value in (interval.lower, interval.upper))
     if parameter.at_bound:
         side, other = ("below", high) if parameter.at_bound == "lower" else ("above", low)
         return (
             f"{name} is doubtful: it ended at the {parameter.at_bound} bound of its search, "
-            f"{value}; the tests ask for a value {side} it, or do not determine it; inside the "
-            f"bounds it reaches to {other} (95 %)"
+            f"{value}; the tests suggest a value {side} it, or do not determine it; inside the "
+            f"bounds it extends to {other} (95 %)"
         )
-    place = _place_of(parameter)
+    place = _range_text(parameter)
     if parameter.verdict is Identifiability.AGAINST_PRIOR:
-        return f"{name} is doubtful, for prior and tests contradict each other: it {place} (95 %)"
-    said = (
+        return (
+            f"{name} is doubtful because prior and tests contradict each other: it {place} (95 %)"
+        )
+    verdict = (
         "has two solutions" if parameter.verdict is Identifiability.TWO else parameter.verdict.value
     )
-    is_said = said if parameter.verdict is Identifiability.TWO else f"is {said}"
-    return (
-        f"{name} {is_said}: it {place} (95 %){_near(parameter, others)}{_at_last(parameter, ends)}"
-    )
+    statement = verdict if parameter.verdict is Identifiability.TWO else f"is {verdict}"
+    ending = f"{_other_values(parameter, others)}{_text_at_99(parameter, ends)}"
+    return f"{name} {statement}: it {place} (95 %){ending}"
 
 
-def _at_last(parameter: CalibratedParameter, ends: tuple[float, float] | None) -> str:
-    """What the tests allow at 99 %, if that is why a short interval is not called identified."""
+def _text_at_99(parameter: CalibratedParameter, ends: tuple[float, float] | None) -> str:
+    """State what the tests allow at 99 %, if that makes a short interval weakly identified."""
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     if ends is None or parameter.verdict is not Identifiability.WEAKLY or high >= WELL * low:
         return ""
     return f", and at 99 % between {in_display_unit(parameter.name, *ends)}"
 
 
-def _near(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> str:
-    """Where other solutions have a value, if that is what makes two of them."""
-    if parameter.verdict is not Identifiability.TWO or not is_elsewhere(parameter, others):
+def _other_values(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> str:
+    """State the values of other solutions, if these make the verdict `TWO`."""
+    if parameter.verdict is not Identifiability.TWO or not has_other_value(parameter, others):
         return ""
-    said = (
-        f"near {in_display_unit(parameter.name, value)}, by a solution that is {chance:.2g} times "
-        "as likely"
+    solution_texts = (
+        f"near {in_display_unit(parameter.name, value)}, by a solution {chance:.2g} times as likely"
         for value, chance in others
     )
-    return f", or {', or '.join(said)}"
+    return f", or {', or '.join(solution_texts)}"
 
 
-def _from(source: str) -> str:
+def _source_text(source: str) -> str:
     return f" ({source.strip().rstrip('.')})" if source.strip() else ""
 
 
-def _place_of(parameter: CalibratedParameter) -> str:
-    """Where a parameter lies, part by part."""
+def _range_text(parameter: CalibratedParameter) -> str:
+    """State the parts of a parameter's interval."""
     key, parts = parameter.name, parameter.intervals
     is_open = parameter.is_open_below, parameter.is_open_above
     if all(is_open) and len(parts) == 1:
         ends = in_display_unit(key, parts[0].lower, parts[0].upper)
         return f"may lie anywhere between the bounds, {ends}"
-    said = [f"between {in_display_unit(key, part.lower, part.upper)}" for part in parts]
+    ranges = [f"between {in_display_unit(key, part.lower, part.upper)}" for part in parts]
     if is_open[0]:
-        said[0] = f"below {in_display_unit(key, parts[0].upper)}"
+        ranges[0] = f"below {in_display_unit(key, parts[0].upper)}"
     if is_open[1]:
-        said[-1] = f"above {in_display_unit(key, parts[-1].lower)}"
+        ranges[-1] = f"above {in_display_unit(key, parts[-1].lower)}"
     sides = [side for side, here in zip(("below", "above"), is_open, strict=True) if here]
     ending = f"; the tests do not bound it from {' or from '.join(sides)}" if sides else ""
-    return f"lies {' or '.join(said)}{ending}"
+    return f"lies {' or '.join(ranges)}{ending}"
 
 
 def two_solutions(solutions: Sequence[Solution]) -> str:
-    """Say which solutions fit the tests alike, with their numbers.
+    """Describe the solutions that fit the tests, with their values.
 
     Parameters
     ----------
     solutions : two or more, the best first
     """
-    said = []
+    solution_texts = []
     for number, solution in enumerate(solutions):
         acting = zip(PARAMETERS, solution.values.tolist(), strict=True)
         values = (f"{NAMES[name]} {in_display_unit(name, v)}" for name, v in acting if v > 0.0)
         chance = f", {solution.likelihood:.2g} times as likely as (1)" if number else ""
         outside = "" if solution.is_allowed else ", outside of the 95 % set"
         rmse = f"{1e3 * solution.rmse:.3g} mN"
-        said.append(f"({number + 1}) {', '.join(values)}: RMSE {rmse}{chance}{outside}")
+        solution_texts.append(f"({number + 1}) {', '.join(values)}: RMSE {rmse}{chance}{outside}")
     count = "two" if len(solutions) == 2 else str(len(solutions))
     return (
-        f"{count} solutions fit the tests: {'; '.join(said)}. Values are of (1), intervals and "
-        "bands of all in the 95 % set. A prior on the strength of the copper, or tests of another "
-        "length, can tell them apart"
+        f"{count} solutions fit the tests: {'; '.join(solution_texts)}. Values are of (1), "
+        "intervals and bands of all in the 95 % set. A prior on the strength of the copper, or "
+        "tests of another length, can distinguish them"
     )
 
 
 def separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separability:
-    """Singular values of whitened derivatives by logarithms, and what they say.
+    """Return the singular values of whitened derivatives by logarithms, and the known parameters.
 
     Parameters
     ----------
     names : of the columns
     jacobian : shape (points, n), over the noise
-    what : of the numbers, for the words
+    what : name of the parameters, for the text
     """
     min_singular_value = 1.0  # below it, a combination is unknown by a factor of e
     max_unknown_weight = 0.05  # squared weight of a parameter in the unknown directions
     _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
-    lost = values < min_singular_value
-    weights = np.sum(rows[lost] ** 2, axis=0)
-    known = {
+    is_unknown = values < min_singular_value
+    weights = np.sum(rows[is_unknown] ** 2, axis=0)
+    is_known = {
         name: bool(weight < max_unknown_weight) for name, weight in zip(names, weights, strict=True)
     }
-    listed = ", ".join(f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values)
-    ending = f"singular values of {what}: {listed}; below 1 is unknown to within a factor of e"
-    unknown = [_LABELS.get(name, name) for name in names if not known[name]]
-    left = len(names) - int(lost.sum())
-    share = f"{left} of {len(names)} combinations {'is' if left == 1 else 'are'} known ({ending})"
+    values_text = ", ".join(
+        f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values
+    )
+    ending = (
+        f"singular values of {what}: {values_text}; below 1, a combination is unknown by a "
+        f"factor of e"
+    )
+    unknown = [_LABELS.get(name, name) for name in names if not is_known[name]]
+    n_known = len(names) - int(is_unknown.sum())
+    share = (
+        f"{n_known} of {len(names)} combinations {'is' if n_known == 1 else 'are'} known ({ending})"
+    )
     if not unknown:
-        words = f"{what} can be told apart: {share}"
+        text = f"{what} can be distinguished: {share}"
     elif len(unknown) == 1:
-        words = f"{unknown[0]} is not identified: {share}"
+        text = f"{unknown[0]} is not identified: {share}"
     else:
         together = f"{', '.join(unknown[:-1])} and {unknown[-1]}"
-        words = f"{together} are not identified, they cannot be told apart: {share}"
-    return Separability(names, values, rows, known, words)
+        text = f"{together} are not identified, they cannot be distinguished: {share}"
+    return Separability(names, values, rows, is_known, text)
 
 
 def friction_jacobian(
@@ -492,7 +499,7 @@ def friction_jacobian(
     orientation: float,
     correlation: float,
 ) -> Floats:
-    """Whitened derivatives of all forces by the logarithms of mu_s, mu_p and F_rad.
+    """Return whitened derivatives of all forces by the logarithms of mu_s, mu_p and F_rad.
 
     Parameters
     ----------
@@ -511,29 +518,31 @@ def friction_jacobian(
     force = values[0] / total
     columns = []
     for number, part in enumerate((contacts.inner[-1], contacts.outer[-1], total)):
-        # Steps that change phi alike: forces have corners where strands begin to slip, and columns
+        # Equal changes of phi: forces have corners where strands begin to slip, and columns
         # of numbers that act through phi alone stay proportional only if they cross the same ones.
         step = difference_step * total / max(part, 2.0 * difference_step * total)
         forces = []
         for sign in (1.0, -1.0):
-            grown = np.ones(3)
-            grown[number] += sign * step
-            changed = _scaled(contacts, grown[0], grown[1])
-            parts = take_apart(section, changed, orientation=orientation)
-            phi = force * grown[2] * (changed.inner[-1] + changed.outer[-1])
-            forces.append(_whitened(parts, np.array([phi, *values[1:]]), curves, correlation))
+            factors = np.ones(3)
+            factors[number] += sign * step
+            changed = _scale_friction(contacts, factors[0], factors[1])
+            parts = split_wire(section, changed, orientation=orientation)
+            phi = force * factors[2] * (changed.inner[-1] + changed.outer[-1])
+            forces.append(
+                _whitened_forces(parts, np.array([phi, *values[1:]]), curves, correlation)
+            )
         columns.append((forces[0] - forces[1]) / (2.0 * step))
     return np.column_stack(columns)
 
 
-def _scaled(contacts: Contacts, strand: float, insulation: float) -> Contacts:
-    """Contacts with friction between strands, and with the insulation, times factors."""
+def _scale_friction(contacts: Contacts, strand: float, insulation: float) -> Contacts:
+    """Scale the friction between strands and with the insulation."""
     inner = tuple(strand * value for value in contacts.inner)
     outer = (*(strand * value for value in contacts.outer[:-1]), insulation * contacts.outer[-1])
     return replace(contacts, inner=inner, outer=outer, radial_force=1.0)
 
 
-def _whitened(
+def _whitened_forces(
     parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...], correlation: float
 ) -> Floats:
     models = model_forces(parts, values, curves)
@@ -545,22 +554,22 @@ def _whitened(
 
 
 def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
-    """Say how far a prior lies from what the tests say by themselves.
+    """Compare a prior with what the tests alone determine.
 
     Parameters
     ----------
     name : of the parameter
-    conflict : the numbers; whether they contradict and the message are filled in
+    conflict : the numbers; `contradicts` and `message` are filled in
     """
     limit = quantile(conflict.freedom)
     contradicts = conflict.size > limit
     relation = "contradicts" if contradicts else "agrees with"
     side = "above" if conflict.alone > conflict.centre else "below"
-    others = "; the other values are drawn along with it" if contradicts else ""
+    others = " (the other values are affected, too)" if contradicts else ""
     message = (
         f"the prior of {NAMES[name]}, {in_display_unit(name, conflict.centre)} within a factor of "
-        f"{conflict.factor:.4g}{_from(conflict.source)}, {relation} the tests, which by themselves "
-        f"say {in_display_unit(name, conflict.alone)}: {conflict.size:.2f} standard errors of both "
-        f"together {side} the prior, {limit:.2f} would be a contradiction at 95 %{others}"
+        f"{conflict.factor:.4g}{_source_text(conflict.source)}, {relation} the "
+        f"tests, which alone give {in_display_unit(name, conflict.alone)}: {conflict.size:.2f} "
+        f"combined standard errors {side} the prior; the limit at 95 % is {limit:.2f}{others}"
     )
     return replace(conflict, contradicts=contradicts, message=message)

@@ -1,4 +1,4 @@
-"""The law of a wire as a sum of parts that scale, and the forces that follow from it.
+"""The law of a wire as a sum of scalable parts, and the forces that follow from it.
 
 First loading without tension in the wire is additive in the strain energy per length W(kappa),
 
@@ -6,12 +6,12 @@ First loading without tension in the wire is additive in the strain energy per l
 
 exactly: friction is homogeneous in curvature and radial force F; a Ramberg-Osgood curve of
 strength c K is that of K with strain and stress stretched by l = c^(1 / (1 - n)), n its exponent.
-So w_f and w_c are tabulated once, and a new set of parameters costs a look-up. The complementary
-energy at constant moment changes by minus what W changes by at constant curvature.
+So w_f and w_c are tabulated once, and a new set of parameters costs a look-up. The change of the
+complementary energy at constant moment is minus that of W at constant curvature.
 
 Friction acts through phi = F (mu_s + mu_p) of the outermost ring. For a wire of one ring the law
-depends on the three numbers only through phi, but for mu_s sin(alpha), which bends the friction
-angle by less than 0.1 %. For more rings their given ratios stay, and F scales.
+depends on the three numbers only through phi, apart from mu_s sin(alpha), which changes the
+friction angle by less than 0.1 %. For more rings their ratios are kept, and F scales.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from labpipe.wire.materials import RambergOsgood
 from labpipe.wire.strand_bending import elastic_share, helix_factor, tube_moment
 
 _TABLE_STRAINS = (1e-9, 100.0, 32)
-"""Rim strains that the copper's table spans, and its knots per decade: soft copper at a small
-strain is hard copper at a large one."""
+"""Range of rim strains of the copper's table, and its knots per decade. Scaling the strength shifts
+the strains."""
 _POINTS = 44  # of a loading curve
 _MIN_KNOT_SPACING = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionPart:
-    """Moment of the axial forces for a radial force of 1 N: straight lines between knots.
+    """Moment of the axial forces for a radial force of 1 N: piecewise linear.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class CopperPart:
     table: CubicSpline
 
     def stretch(self, scale: float) -> float:
-        """How much further a curvature is at a copper scale."""
+        """Return the factor on curvatures at a copper scale."""
         return float(scale ** (1.0 / (1.0 - self.exponent))) if self.exponent > 0.0 else 1.0
 
 
@@ -88,12 +88,12 @@ class WireParts:
 
     Parameters
     ----------
-    friction : None where nothing rubs: no ring, or no friction coefficient
+    friction : None without rings or friction coefficients
     copper : one part for each exponent
     inertia : m^4, of the insulation: E_ins times it is its stiffness
-    tube : shares of moment and energy of that of a straight line, against the logarithm of the
-        curvature; None for a straight line
-    given : shape (3,), the values of `PARAMETERS` that the wire came with; NaN where it has none
+    tube : shares of the linear moment and energy, against the logarithm of the curvature; None for
+        a linear insulation
+    given : shape (3,), nominal values of `PARAMETERS`; NaN where the wire has none
     """
 
     friction: FrictionPart | None
@@ -104,12 +104,12 @@ class WireParts:
 
     @property
     def has(self) -> tuple[bool, bool, bool]:
-        """Whether each of `PARAMETERS` acts on the wire."""
+        """Return whether each of `PARAMETERS` acts on the wire."""
         yields = any(part.exponent > 0.0 for part in self.copper)
         return self.friction is not None, self.inertia > 0.0, yields
 
     def reach(self, values: Floats) -> tuple[float, str]:
-        """Largest curvature that all parts are known up to, 1/m, and the sentence on it.
+        """Return the largest curvature up to which all parts are known, 1/m, and its description.
 
         Parameters
         ----------
@@ -127,8 +127,8 @@ class WireParts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Bent:
-    """Moment, its slope and energy at curvatures, with the energy's derivatives by logarithms."""
+class _PartSums:
+    """Moment, slope and energy at curvatures, and the energy's derivatives by logarithms."""
 
     moment: Floats
     slope: Floats
@@ -136,23 +136,23 @@ class _Bent:
     change: Floats
 
 
-def take_apart(section: CrossSection, contacts: Contacts, *, orientation: float = 0.0) -> WireParts:
+def split_wire(section: CrossSection, contacts: Contacts, *, orientation: float = 0.0) -> WireParts:
     """Tabulate the parts of a wire.
 
     Parameters
     ----------
     section : strands in place with their materials, and the insulation
-    contacts : friction coefficients, whose ratios stay, and the radial force that phi starts from
+    contacts : friction coefficients, whose ratios are kept, and the nominal radial force
     orientation : rad, of the section against the neutral axis
     """
     friction = _friction(section, contacts, orientation)
     tube = section.insulation
     phi = contacts.radial_force * friction.coefficients if friction else np.nan
     copper = tuple(_copper(section, exponent) for exponent in sorted(_exponents(section)))
-    yields = any(part.exponent > 0.0 for part in copper)
-    given = np.array([phi, tube.modulus if tube else np.nan, 1.0 if yields else np.nan])
+    has_plastic = any(part.exponent > 0.0 for part in copper)
+    nominal = np.array([phi, tube.modulus if tube else np.nan, 1.0 if has_plastic else np.nan])
     inertia = tube.bending_stiffness / tube.modulus if tube else 0.0
-    return WireParts(friction, copper, inertia, _tube(tube), given)
+    return WireParts(friction, copper, inertia, _tube(tube), nominal)
 
 
 def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> FrictionPart | None:
@@ -172,15 +172,15 @@ def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> 
     moment = np.concatenate([[0.0], law.stick + law.slip])
     slopes = np.diff(moment) / np.diff(curvature)
     bends = np.abs(np.diff(slopes)) > corner_tolerance * slopes[0]
-    kept = np.concatenate([[True], bends, [False]])
-    curvature, moment = curvature[kept], moment[kept]
+    is_corner = np.concatenate([[True], bends, [False]])
+    curvature, moment = curvature[is_corner], moment[is_corner]
     steps = 0.5 * (moment[1:] + moment[:-1]) * np.diff(curvature)
     energy = np.concatenate([[0.0], np.cumsum(steps)])
     return FrictionPart(curvature, moment, energy, contacts.inner[-1] + contacts.outer[-1])
 
 
 def _tube(tube: Insulation | None) -> CubicSpline | None:
-    """Shares of an insulation with a stress table; its modulus scales all of its stresses."""
+    """Tabulate an insulation with a stress table; its modulus scales all stresses."""
     if tube is None or tube.curve is None:
         return None
     last = tube.curve.largest_strain
@@ -193,8 +193,10 @@ def _tube(tube: Insulation | None) -> CubicSpline | None:
     return CubicSpline(level, table / tube.bending_stiffness)
 
 
-def _wall(parts: WireParts, modulus: float, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-    """Moment of the insulation, its slope and energy at a modulus."""
+def _insulation_moment(
+    parts: WireParts, modulus: float, curvature: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return moment, slope and energy of the insulation at a modulus."""
     stiffness = modulus * parts.inertia
     energy = 0.5 * stiffness * curvature**2
     if parts.tube is None:
@@ -236,12 +238,12 @@ def _copper(section: CrossSection, exponent: float) -> CopperPart:
 
 
 def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingLaw:
-    """Law of first loading at given parameters, with its derivatives by their logarithms.
+    """Return the law of first loading at given parameters, with derivatives by their logarithms.
 
     Parameters
     ----------
     parts : the wire
-    values : shape (3,), of `PARAMETERS`; what the wire has not is not looked at
+    values : shape (3,), of `PARAMETERS`; those that do not act are ignored
     largest_curvature : 1/m, at the clamp
 
     Raises
@@ -271,12 +273,12 @@ def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> L
 
 
 def loading_table(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingTable:
-    """The same law as curvature over moment, for a wire that has weight.
+    """Return the same law as curvature over moment, for a wire with weight.
 
     Parameters
     ----------
     parts, values : as for `loading_law`
-    largest_curvature : 1/m, up to which the table goes
+    largest_curvature : 1/m, end of the table
 
     Raises
     ------
@@ -300,33 +302,33 @@ def loading_table(parts: WireParts, values: Floats, largest_curvature: float) ->
 
 def _require_known(parts: WireParts, values: Floats, curvature: float) -> None:
     rounding_share = 1e-9
-    reach, known = parts.reach(values)
+    reach, statement = parts.reach(values)
     if curvature > reach * (1.0 + rounding_share):
-        message = f"curvature={curvature:.6g} 1/m: {known}"
+        message = f"curvature={curvature:.6g} 1/m: {statement}"
         raise ValueError(message)
 
 
 def _moment_change(parts: WireParts, values: Floats, curvature: Floats) -> Floats:
-    """Derivatives of the moment at constant curvature by logarithms, shape (3, n), N m.
+    """Return the derivatives of the moment at constant curvature by logarithms, shape (3, n), N m.
 
     Friction and copper scale: F f(kappa / F) becomes F f - kappa f' per logarithm of F.
     """
     change = np.zeros((len(PARAMETERS), len(curvature)))
     if parts.friction is not None:
         force = values[0] / parts.friction.coefficients
-        moment, slope, _ = _rub(parts.friction, force, curvature)
+        moment, slope, _ = _friction_moment(parts.friction, force, curvature)
         change[0] = moment - curvature * slope
     if parts.inertia > 0.0:
-        change[1] = _wall(parts, values[1], curvature)[0]
+        change[1] = _insulation_moment(parts, values[1], curvature)[0]
     for copper in parts.copper:
         if copper.exponent > 0.0:
-            moment, slope, _ = _yield(copper, values[2], curvature)
+            moment, slope, _ = _copper_moment(copper, values[2], curvature)
             change[2] += (moment - curvature * slope) / (1.0 - copper.exponent)
     return change
 
 
 def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, Ints]:
-    """Panels between the corners of friction and between even points; the points are wanted."""
+    """Return panel edges, corners of friction and even points, and the indices of the points."""
     log_range = 8.0  # logarithm of the last over the first curvature
     spacing_power = 1.5  # knots are denser towards the last
     even = largest * np.exp(-log_range * np.linspace(1.0, 0.0, _POINTS) ** spacing_power)
@@ -344,29 +346,31 @@ def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, In
     return edges, np.searchsorted(edges, even)
 
 
-def _bend(parts: WireParts, values: Floats, curvature: Floats) -> _Bent:
-    """All parts together; the parameters' parts of the change each by itself."""
+def _bend(parts: WireParts, values: Floats, curvature: Floats) -> _PartSums:
+    """Sum all parts, with the change by each parameter."""
     moment, slope, energy = np.zeros((3, len(curvature)))
     change = np.zeros((len(PARAMETERS), len(curvature)))
     if parts.friction is not None:
-        part = _rub(parts.friction, values[0] / parts.friction.coefficients, curvature)
+        part = _friction_moment(parts.friction, values[0] / parts.friction.coefficients, curvature)
         moment, slope, energy = part[0], part[1], part[2]
         change[0] = 2.0 * energy - curvature * moment
     if parts.inertia > 0.0:
-        part = _wall(parts, values[1], curvature)
+        part = _insulation_moment(parts, values[1], curvature)
         moment, slope, energy = moment + part[0], slope + part[1], energy + part[2]
         change[1] = part[2]
     for copper in parts.copper:
-        part = _yield(copper, values[2], curvature)
+        part = _copper_moment(copper, values[2], curvature)
         moment, slope, energy = moment + part[0], slope + part[1], energy + part[2]
         if copper.exponent > 0.0:
-            own = 2.0 * part[2] - curvature * part[0]
-            change[2] += own / (1.0 - copper.exponent)
-    return _Bent(moment, slope, energy, change)
+            copper_change = 2.0 * part[2] - curvature * part[0]
+            change[2] += copper_change / (1.0 - copper.exponent)
+    return _PartSums(moment, slope, energy, change)
 
 
-def _rub(part: FrictionPart, force: float, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-    """Moment of friction, its slope and energy at a radial force, N."""
+def _friction_moment(
+    part: FrictionPart, force: float, curvature: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return moment, slope and energy of friction at a radial force, N."""
     stretched = curvature / force
     panel = np.searchsorted(part.curvature, stretched, side="right") - 1
     slopes = np.append(np.diff(part.moment) / np.diff(part.curvature), 0.0)
@@ -377,8 +381,10 @@ def _rub(part: FrictionPart, force: float, curvature: Floats) -> tuple[Floats, F
     return force * moment, slope, force**2 * energy
 
 
-def _yield(part: CopperPart, scale: float, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-    """Own moment of strands, its slope and energy at a copper scale."""
+def _copper_moment(
+    part: CopperPart, scale: float, curvature: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return moment, slope and energy of the strands' own bending at a copper scale."""
     stretch = part.stretch(scale)
     level = np.log(np.maximum(curvature / stretch, part.first))
     secant, energy = part.table(level).T
@@ -410,7 +416,7 @@ def loading_curve(
     *,
     self_weight: float = 0.0,
 ) -> LoadingCurve:
-    """Loading curve that reaches a deflection.
+    """Compute a loading curve that reaches a deflection.
 
     Parameters
     ----------
@@ -423,13 +429,13 @@ def loading_curve(
     Raises
     ------
     ValueError
-        If a material's curve ends before the wire is bent so far.
+        If a material's curve ends before.
     """
     curvature_margin = 1.5
     widening = 1.5
     end_factor = 2.0
     share = min(deflection / length, 0.9)
-    reach, known = parts.reach(values)
+    reach, statement = parts.reach(values)
     largest = min(reach, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
     if self_weight > 0.0:
         end = min(reach, end_factor * largest)
@@ -439,9 +445,9 @@ def loading_curve(
     curve = load_cantilever(loading_law(parts, values, largest), length, rig)
     while curve.deflection[-1] < deflection and curve.clamp_curvature[-1] >= largest:
         if largest >= reach:
-            left = deflection - curve.deflection[-1]
+            missing = deflection - curve.deflection[-1]
             rise = np.gradient(curve.clamp_curvature, curve.deflection)[-1]
-            message = f"curvature={reach + rise * left:.6g} 1/m: {known}"
+            message = f"curvature={reach + rise * missing:.6g} 1/m: {statement}"
             raise ValueError(message)
         largest = min(reach, widening * largest)
         curve = load_cantilever(loading_law(parts, values, largest), length, rig)
@@ -451,32 +457,32 @@ def loading_curve(
 def model_forces(
     parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...]
 ) -> list[ModelForce]:
-    """Force of the model at every point of the curves, without the samples' own factors.
+    """Compute the force of the model at every point of the curves, without the samples' factors.
 
     Raises
     ------
     ValueError
         If a curve goes beyond first loading.
     """
-    found: list[ModelForce | None] = [None] * len(curves)
-    order = sorted(range(len(curves)), key=lambda i: _place(curves[i]))
-    for _, members in groupby(order, key=lambda i: _place(curves[i])):
+    forces: list[ModelForce | None] = [None] * len(curves)
+    order = sorted(range(len(curves)), key=lambda i: _setup_key(curves[i]))
+    for _, members in groupby(order, key=lambda i: _setup_key(curves[i])):
         numbers = list(members)
-        every = np.concatenate([curves[i].deflection for i in numbers])
+        deflections = np.concatenate([curves[i].deflection for i in numbers])
         first = curves[numbers[0]]
-        deepest = float(np.max(np.abs(every)))
+        deepest = float(np.max(np.abs(deflections)))
         weight = first.self_weight
         curve = loading_curve(parts, values, first.length, first.rig, deepest, self_weight=weight)
-        force, change = force_at(curve, every)
+        force, change = force_at(curve, deflections)
         ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
-        rise = np.interp(np.abs(every), curve.deflection, curve.stiffness)
+        rise = np.interp(np.abs(deflections), curve.deflection, curve.stiffness)
         parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
         for number, *part in zip(numbers, *parts_of, strict=True):
-            found[number] = ModelForce(*part)
-    return [force for force in found if force is not None]
+            forces[number] = ModelForce(*part)
+    return [force for force in forces if force is not None]
 
 
-def _place(curve: MeasuredCurve) -> tuple[float, ...]:
+def _setup_key(curve: MeasuredCurve) -> tuple[float, ...]:
     rig, place = curve.rig, (curve.length, curve.self_weight)
     if rig is None:
         return place
@@ -484,7 +490,7 @@ def _place(curve: MeasuredCurve) -> tuple[float, ...]:
 
 
 def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: float) -> Floats:
-    """Whitened products of derivatives, model and residual with each other, shape (5, 5).
+    """Return the whitened Gram matrix of derivatives, model and residual, shape (5, 5).
 
     Parameters
     ----------
@@ -496,8 +502,8 @@ def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: fl
     -----
     Errors N that the points share make the covariance R + N N', R being that of the noise. With
     whitened columns W, N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury), as if each error
-    were fitted with its own standard deviation for a prior. They are in units of the stated noise:
-    where residuals show more noise, the shared errors count for as much more.
+    were fitted with its standard deviation as prior. They are in units of the stated noise: where
+    residuals show more noise, the shared errors grow alike.
     """
     columns = np.empty((len(curve.force), COLUMNS))
     columns[:, _J] = factor * model.change.T
@@ -509,7 +515,7 @@ def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: fl
 def whitened_products(
     curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
 ) -> Floats:
-    """Products of columns of forces with each other in units of the stated noise: see `gram`.
+    """Return the Gram matrix of columns of forces in units of the stated noise, see `gram`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Measured loading curves made ready, and how well others agree with them."""
+"""Measured loading curves, and their agreement with others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labpipe.records.wire_calibration import (
 from labpipe.wire.cantilever import StringRig
 
 DEEPEST = 0.65
-"""Largest deflection over length: beyond, a first loading may end (see `wire.first_loading`)."""
+"""Largest deflection over length; beyond, first loading may end (see `wire.first_loading`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,17 +30,16 @@ class MeasuredCurve:
     wire : name of the wire
     test, sample : names; tests of one sample share its factor
     length : free length, m
-    deflection : shape (n,), m, of the tip from its place at rest
+    deflection : shape (n,), m, of the tip from rest
     force : shape (n,), N, of the load cell, zeroed at rest. Points where either is NaN are left out
-    noise : standard deviation of the force, N, one number or shape (n,); noise of the deflection
-        is to be in it, as the slope of the curve times that noise
-    rig : the string and what hangs on it; None for an end load normal to the undeformed axis
+    noise : standard deviation of the force, N, one number or shape (n,); including
+        the noise of the deflection times the slope of the curve
+    rig : string and counterweight; None for an end load normal to the undeformed axis
     zero_error : N, standard error of the zero of the force
-    place_error : m, standard error of what all deflections are off by: their zero, and a clock
-        that runs late or early
-    scale_error : standard error of the deflection's scale, as a ratio; all curves of a calibration
-        are off alike
-    own_scale_error : the same of this curve alone
+    place_error : m, standard error of the offset of all deflections, by their zero and by the clock
+    scale_error : standard error of the deflection's scale, as a ratio, common to all curves of a
+        calibration
+    own_scale_error : that of this curve alone
     self_weight : N/m, of the wire, which lies level at rest
     """
 
@@ -66,14 +65,14 @@ class MeasuredCurve:
 
     @property
     def peak(self) -> float:
-        """The largest force, N."""
+        """Return the largest force, N."""
         return float(np.nanmax(np.abs(self.force)))
 
     @property
     def read_error(self) -> float:
-        """Standard deviation, N, of what one point is off by, rms over the curve, about.
+        """Estimate the standard deviation of a point, N, rms over the curve.
 
-        The slope that makes a force of what a deflection is off by is that from rest to the peak.
+        Errors of the deflection are converted with the slope from rest to the peak.
         """
         slope = self.peak / float(np.nanmax(np.abs(self.deflection)))
         shared = shared_errors(self, np.full(len(self.force), slope))
@@ -81,7 +80,7 @@ class MeasuredCurve:
 
 
 def shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
-    """What one standard deviation of each error that all points share makes of the force.
+    """Return the force error by one standard deviation of each error that all points share.
 
     Parameters
     ----------
@@ -98,7 +97,7 @@ def shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
 
 
 def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
-    """Leave out points without a number, and curves without points; refuse what cannot be fitted.
+    """Leave out NaN points and empty curves; refuse curves that cannot be fitted.
 
     Returns
     -------
@@ -107,49 +106,50 @@ def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | Cal
 
     Notes
     -----
-    Of n curves that are all off by the same e, the mean is off by e. As n independent errors of
-    n^(1/2) e it is, too; only what curves differ by then counts for less than it might.
+    A common error e of n curves shifts their mean by e, as do n independent errors of n^(1/2) e;
+    only the differences between curves then count for less than they could.
     """
-    known = tuple(_known(curve) for curve in curves)
-    known = tuple(curve for curve in known if len(curve.force))
-    each = np.sqrt(len(known))
-    known = tuple(replace(curve, scale_error=each * curve.scale_error) for curve in known)
-    if not known:
+    usable_curves = tuple(_finite_points(curve) for curve in curves)
+    usable_curves = tuple(curve for curve in usable_curves if len(curve.force))
+    root_n = np.sqrt(len(usable_curves))
+    usable_curves = tuple(
+        replace(curve, scale_error=root_n * curve.scale_error) for curve in usable_curves
+    )
+    if not usable_curves:
         message = f"none of {len(curves)} curves has a point with deflection and force"
         return CalibrationFailure("no_sample_usable", message)
-    wires = sorted({curve.wire for curve in known})
+    wires = sorted({curve.wire for curve in usable_curves})
     if len(wires) > 1:
-        message = f"curves of {len(wires)} wires: {', '.join(wires)}; one wire is calibrated"
+        message = f"curves of {len(wires)} wires: {', '.join(wires)}; expected one"
         return CalibrationFailure("wires_mixed", message)
-    for curve in known:
+    for curve in usable_curves:
         if not np.all(np.asarray(curve.noise) > 0.0):
-            message = (
-                f"{curve.test}: a noise of {1e3 * np.min(curve.noise):.4g} mN; it must be positive"
-            )
+            noise = 1e3 * np.min(curve.noise)
+            message = f"{curve.test}: expected a positive noise, found {noise:.4g} mN"
             return CalibrationFailure("noise_not_positive", message)
         deepest = float(np.max(np.abs(curve.deflection)))
         if deepest > DEEPEST * curve.length:
             message = (
-                f"{curve.test}: a deflection of {1e3 * deepest:.4g} mm on "
-                f"{1e3 * curve.length:.4g} mm; the first loading is followed to {DEEPEST:g} of the "
+                f"{curve.test}: a deflection of {1e3 * deepest:.4g} mm for "
+                f"{1e3 * curve.length:.4g} mm; first loading is modelled up to {DEEPEST:g} of the "
                 "length"
             )
             return CalibrationFailure("deflection_too_large", message)
-    return known
+    return usable_curves
 
 
-def _known(curve: MeasuredCurve) -> MeasuredCurve:
-    known = np.isfinite(curve.deflection) & np.isfinite(curve.force)
+def _finite_points(curve: MeasuredCurve) -> MeasuredCurve:
+    is_finite = np.isfinite(curve.deflection) & np.isfinite(curve.force)
     return replace(
         curve,
-        deflection=curve.deflection[known],
-        force=curve.force[known],
-        noise=np.asarray(curve.noise)[known],
+        deflection=curve.deflection[is_finite],
+        force=curve.force[is_finite],
+        noise=np.asarray(curve.noise)[is_finite],
     )
 
 
 def whiten(values: Floats, correlation: float) -> Floats:
-    """Take out of neighbours what they share, for first-order autoregressive noise of variance 1.
+    """Whiten first-order autoregressive noise of variance 1.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def whiten(values: Floats, correlation: float) -> Floats:
 
     Returns
     -------
-    Same shape, uncorrelated where the noise is such.
+    Same shape, uncorrelated for such noise.
     """
     if correlation == 0.0:
         return values
@@ -171,7 +171,7 @@ def whiten(values: Floats, correlation: float) -> Floats:
 def curve_errors(
     force: Floats, model: Floats, lower: Floats | None = None, upper: Floats | None = None
 ) -> CurveErrors:
-    """SSE, RMSE and RMSE over the largest force; points without a number are left out.
+    """Compute SSE, RMSE and RMSE over the largest force, without NaN points.
 
     Parameters
     ----------
@@ -187,21 +187,25 @@ def curve_errors(
     -----
     Eqs. (3.28) and (3.29) of the source. SSE grows with the number of points.
     """
-    known = np.isfinite(force) & np.isfinite(model)
-    if not known.any():
+    is_finite = np.isfinite(force) & np.isfinite(model)
+    if not is_finite.any():
         message = "no point has both a measured and a modelled force"
         raise ValueError(message)
-    left = force[known] - model[known]
-    sse = float(left @ left)
-    rmse = float(np.sqrt(sse / len(left)))
+    residuals = force[is_finite] - model[is_finite]
+    sse = float(residuals @ residuals)
+    rmse = float(np.sqrt(sse / len(residuals)))
     inside = np.nan
     if lower is not None and upper is not None:
-        inside = float(np.mean((lower[known] <= force[known]) & (force[known] <= upper[known])))
-    return CurveErrors(len(left), sse, rmse, rmse / float(np.max(np.abs(force[known]))), inside)
+        inside = float(
+            np.mean((lower[is_finite] <= force[is_finite]) & (force[is_finite] <= upper[is_finite]))
+        )
+    return CurveErrors(
+        len(residuals), sse, rmse, rmse / float(np.max(np.abs(force[is_finite]))), inside
+    )
 
 
 def agreement(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreement:
-    """One curve against the model.
+    """Compare one curve with the model.
 
     Parameters
     ----------
@@ -210,7 +214,7 @@ def agreement(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreem
     factor : of the sample, load cell included
     """
     errors = curve_errors(curve.force, model)
-    left = (curve.force - factor * model) / np.asarray(curve.noise)
+    residuals = (curve.force - factor * model) / np.asarray(curve.noise)
     return CurveAgreement(
         test=curve.test,
         sample=curve.sample,
@@ -222,19 +226,19 @@ def agreement(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreem
         sse=errors.sse,
         rmse=errors.rmse,
         rmse_share=errors.rmse_share,
-        lag_one_correlation=lag_one_correlation(left),
-        runs_p=runs_p(left),
+        lag_one_correlation=lag_one_correlation(residuals),
+        runs_p=runs_p(residuals),
     )
 
 
 def lag_one_correlation(residuals: Floats) -> float:
-    """Correlation of neighbours about zero; 0 for residuals that are all zero."""
+    """Return the correlation of neighbours about zero; 0 for residuals that are all zero."""
     power = float(residuals @ residuals)
     return float(residuals[1:] @ residuals[:-1]) / power if power > 0.0 else 0.0
 
 
 def runs_p(residuals: Floats) -> float:
-    """Two-sided p-value of Wald and Wolfowitz's runs test of the residuals' signs.
+    """Return the two-sided p-value of Wald and Wolfowitz's runs test of the residuals' signs.
 
     Notes
     -----
@@ -254,75 +258,77 @@ def runs_p(residuals: Floats) -> float:
 
 
 MIN_COMPARED_POINTS = 3
-"""Points with which two curves are compared."""
+"""Least number of points to compare two curves."""
 
 
-def match(
+def compare_curves(
     curve: ExternalCurve,
     deflection: Floats,
     force: Floats,
     band: tuple[Floats, Floats] | None,
     of: str,
 ) -> CurveMatch:
-    """Hold a external curve against another one.
+    """Compare an external curve with another one.
 
     Parameters
     ----------
     curve : from elsewhere
     deflection, force : shape (m,), m and N, of the other curve, deflections rising
     band : lower and upper end of its 95 % band, shape (m,), N; None or NaN for no band
-    of : what the other curve is, for the words: ``the tests``, ``the model``
+    of : name of the other curve in messages: ``the tests``, ``the model``
 
     Returns
     -------
     Errors at those points of the external curve that lie within the deflections of the other, which
-    is interpolated linearly there; each point weighs the same. None for fewer than 3 points.
+    is interpolated linearly; all points have the same weight. None for fewer than 3 points.
 
     Notes
     -----
     RMSE is Eq. (3.29) of the source; it is divided by the largest force of the other curve at the
     points compared.
     """
-    shared = _shared(curve, deflection)
-    words = _words(curve, shared, deflection, of)
-    left_out = int(np.sum(~shared))
-    nothing = np.full(len(shared), np.nan)
-    if shared.sum() < MIN_COMPARED_POINTS:
-        return CurveMatch(nothing, None, len(shared), words)
-    lower, upper = (nothing, nothing) if band is None else (_at(curve, deflection, b) for b in band)
-    reference = np.where(shared, _at(curve, deflection, force), np.nan)
+    is_shared = _is_shared(curve, deflection)
+    text = _left_out_text(curve, is_shared, deflection, of)
+    left_out = int(np.sum(~is_shared))
+    missing = np.full(len(is_shared), np.nan)
+    if is_shared.sum() < MIN_COMPARED_POINTS:
+        return CurveMatch(missing, None, len(is_shared), text)
+    lower, upper = (
+        (missing, missing) if band is None else (_interpolate(curve, deflection, b) for b in band)
+    )
+    reference = np.where(is_shared, _interpolate(curve, deflection, force), np.nan)
     errors = curve_errors(curve.force, reference, lower, upper)
-    if not np.isfinite(lower[shared]).all():
+    if not np.isfinite(lower[is_shared]).all():
         errors = replace(errors, inside=np.nan)
     share = errors.rmse / float(np.nanmax(np.abs(reference)))
-    return CurveMatch(reference, replace(errors, rmse_share=share), left_out, words)
+    return CurveMatch(reference, replace(errors, rmse_share=share), left_out, text)
 
 
-def _shared(curve: ExternalCurve, deflection: Floats) -> Flags:
+def _is_shared(curve: ExternalCurve, deflection: Floats) -> Flags:
     if not len(deflection):
         return np.zeros(len(curve.deflection), dtype=np.bool_)
     shared: Flags = (deflection[0] <= curve.deflection) & (curve.deflection <= deflection[-1])
     return shared
 
 
-def _at(curve: ExternalCurve, deflection: Floats, values: Floats) -> Floats:
-    found: Floats = np.interp(curve.deflection, deflection, values)
-    return found
+def _interpolate(curve: ExternalCurve, deflection: Floats, values: Floats) -> Floats:
+    values_at: Floats = np.interp(curve.deflection, deflection, values)
+    return values_at
 
 
-def _words(curve: ExternalCurve, shared: Flags, deflection: Floats, of: str) -> str:
-    """Which points were left out."""
-    total, kept = len(shared), int(shared.sum())
+def _left_out_text(curve: ExternalCurve, shared: Flags, deflection: Floats, of: str) -> str:
+    """Describe the points that were left out."""
+    n_points, n_shared = len(shared), int(shared.sum())
     if not len(deflection):
         return f"no point was compared: there is no curve of {of}"
     low, high = 1e3 * deflection[0], 1e3 * deflection[-1]
     span = f"{low:.3g} to {high:.4g} mm, the range of {of}"
-    if kept == total:
+    if n_shared == n_points:
         return ""
-    if kept < MIN_COMPARED_POINTS:
+    if n_shared < MIN_COMPARED_POINTS:
         first, last = 1e3 * curve.deflection[0], 1e3 * curve.deflection[-1]
         return (
-            f"{kept} of {total} points, from {first:.4g} to {last:.4g} mm, lie within {span}; "
-            f"{MIN_COMPARED_POINTS} at least are needed"
+            f"{n_shared} of {n_points} points, from {first:.4g} to {last:.4g} mm, lie within "
+            f"{span}: expected at least {MIN_COMPARED_POINTS}"
         )
-    return f"{total - kept} of {total} points left out, outside of {span}"
+    return f"{n_points - n_shared} of {n_points} points left out, outside of {span}"

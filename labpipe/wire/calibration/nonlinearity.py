@@ -1,11 +1,11 @@
-"""How much wider intervals must be because the family of curves is bent.
+"""Widening of intervals for a nonlinear family of curves.
 
 A profile ends where the objective has risen by q^2, with q = 1.96 if the curves of the model lie on
 a straight line in the space of the data, seen from the truth. Where insulation and copper trade
-places they lie on a line that bends, back to where it came from if there are two valleys, and among
-so many directions noise finds one that fits too well. By Hotelling's tube (Am. J. Math. 61 (1939)
-440; Knowles and Siegmund, Int. Stat. Rev. 57 (1989) 205), the chance that the objective rises by
-more than q^2 from its least to the truth is
+off, they lie on a curved line, which returns if there are two valleys, and among its many
+directions noise finds one that fits too well. By Hotelling's tube (Am. J. Math. 61 (1939) 440;
+Knowles and Siegmund, Int. Stat. Rev. 57 (1989) 205), the probability that the objective rises by
+more than q^2 from its minimum to the truth is
 
     2 (1 - Phi(q)) + angle / (2 pi) exp(-q^2 / 2),
 
@@ -28,13 +28,13 @@ _FALSE_ALARM_RATE = 0.05
 
 
 def widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> float:
-    """Quantile of a bent family of curves over that of a straight one, at least 1.
+    """Return the quantile of a curved family over that of a straight one, at least 1.
 
     Parameters
     ----------
     problem, levels : what was fitted
     line : fits along the family, in order, the base among them
-    base : the fit from where it is looked at
+    base : the fit from which angles are measured
     """
     start = next(number for number, fit in enumerate(line) if fit is base)
     products = _differences(problem, levels, line, base)
@@ -43,7 +43,7 @@ def widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> fl
 
 
 def tube_quantile(angle: float) -> float:
-    """Root of the rise of the objective that is passed by chance in 5 % of all cases.
+    """Return the root of the rise of the objective that is exceeded by chance in 5 % of all cases.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ def tube_quantile(angle: float) -> float:
 
 
 def swept(products: Floats, stretch: range) -> float:
-    """Angle, rad, that the direction to one point after the other sweeps.
+    """Return the angle, rad, swept by the direction to one point after the other.
 
     Parameters
     ----------
-    products : shape (points, points), of the differences from where it is seen
-    stretch : points from there on, up to the first that is too far
+    products : shape (points, points), of the differences from the base
+    stretch : points in order, up to the first that is too far
     """
     max_distance = 6.0  # standard deviations of noise: no curve fits better by chance beyond
     distance = np.sqrt(np.maximum(np.diag(products), 0.0))
@@ -83,7 +83,7 @@ def swept(products: Floats, stretch: range) -> float:
 
 
 def _differences(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> Floats:
-    """Products of the differences of all fits of a line from one, in units of the noise."""
+    """Return the Gram matrix of differences of all fits from one, in units of the noise."""
     total = np.zeros((len(line), len(line)))
     for number, curve in enumerate(problem.curves):
         sample = problem.sample[number]
@@ -100,7 +100,7 @@ def _differences(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -
 
 
 def _weighed(problem: Problem, levels: Levels, fit: Fit, base: Fit) -> Floats:
-    """Differences of what the objective weighs besides the data, over its standard deviations."""
+    """Return the differences of priors, gain and offsets, over their standard deviations."""
     here, there = base.point, fit.point
     rests = [np.sqrt(problem.precision) * (there.logs - here.logs)]
     if problem.gain > 0.0:

@@ -5,7 +5,7 @@
 
 over the logarithms of the parameters p, the load cell's gain g and the samples' factors b_s; W
 whitens, v is the noise's variance over the stated one. The factors multiply, so that a large
-scatter does not draw the model to small forces, as a covariance made from measured forces does
+scatter does not bias the model to small forces, as a covariance made from measured forces does
 (Peelle's puzzle). Given the levels this is the Laplace form of the marginal likelihood.
 """
 
@@ -28,14 +28,13 @@ from labpipe.wire.calibration.measured_curves import MeasuredCurve
 
 P = len(PARAMETERS)
 _MAX_STEPS = 60
-_OBJECTIVE_TOLERANCE = (
-    1e-5  # of the objective, predicted by a full step; intervals look at changes of 1
-)
+_OBJECTIVE_TOLERANCE = 1e-5
+"""Change of the objective predicted by a full step; intervals depend on changes of 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What is fitted to what.
+    """Input of a search.
 
     Parameters
     ----------
@@ -58,12 +57,12 @@ class Problem:
 
     @property
     def n_samples(self) -> int:
-        """Samples."""
+        """Return the number of samples."""
         return int(self.sample.max()) + 1
 
     @property
     def n_points(self) -> int:
-        """Points of all curves."""
+        """Return the number of points of all curves."""
         return sum(len(curve.force) for curve in self.curves)
 
 
@@ -78,7 +77,7 @@ class Levels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """Where the search stands.
+    """Unknowns of the search.
 
     Parameters
     ----------
@@ -94,16 +93,16 @@ class Point:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Where the search ended.
+    """Result of a search.
 
     Parameters
     ----------
-    point : the least found
-    objective : there
+    point : the minimum
+    objective : at the minimum
     grams : shape (samples, 5, 5), whitened products, not over the noise's variance
     models : forces of the curves
     steps : taken
-    settled : whether a further step would not have mattered
+    settled : whether the search converged
     """
 
     point: Point
@@ -123,55 +122,53 @@ def search(
     enough: float = _OBJECTIVE_TOLERANCE,
     lowest: float = np.inf,
 ) -> Fit:
-    """Go from a start to the least of the objective.
+    """Search the minimum of the objective from a start.
 
     Parameters
     ----------
     problem, levels : what is fitted
     start : first guess; parameters that are not free stay there
     free : shape (3,)
-    enough : of the objective, below which a further step would not matter
-    lowest : objective of a better fit: the higher above it, the rougher is enough
+    enough : tolerance of the objective
+    lowest : objective of a better fit: the tolerance grows with the rise above it
 
     Raises
     ------
     ValueError
-        If the start is beyond what the model can do.
+        If the model cannot follow at the start.
     """
     idle_gain = 1e-3  # of the objective
     max_idle_steps = 3  # in a row, which end a search along a flat valley
     rise_share = 1e-3  # of the distance above another fit
     jitter = 1e-2  # gain below which a failed step is due to the tabulated curves
     damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
-    here = _look(problem, levels, start)
+    fit = _evaluate(problem, levels, start)
     damping, steps, idle = damping_range[0], 0, 0
-    while steps < _most(here, lowest) and damping <= damping_range[2] and idle < max_idle_steps:
-        step, pull = _step_inside(problem, levels, here, free, damping)
-        if float(step @ pull) <= max(enough, rise_share * (here.objective - lowest)):
-            return replace(here, steps=steps, settled=True)
+    while steps < _max_steps(fit, lowest) and damping <= damping_range[2] and idle < max_idle_steps:
+        step, pull = _step_inside(problem, levels, fit, free, damping)
+        if float(step @ pull) <= max(enough, rise_share * (fit.objective - lowest)):
+            return replace(fit, steps=steps, settled=True)
         steps += 1
-        ahead = _ahead(problem, levels, here, step, float(step @ pull))
-        if ahead is not None and ahead.objective <= here.objective:
-            slow = max(
-                idle_gain, (here.objective - lowest) / _MAX_STEPS
-            )  # would not come down to it
-            idle = idle + 1 if here.objective - ahead.objective <= slow else 0
-            here, damping = ahead, max(damping / damping_range[1] ** 2, damping_range[0])
+        next_fit = _take_step(problem, levels, fit, step, float(step @ pull))
+        if next_fit is not None and next_fit.objective <= fit.objective:
+            slow = max(idle_gain, (fit.objective - lowest) / _MAX_STEPS)
+            idle = idle + 1 if fit.objective - next_fit.objective <= slow else 0
+            fit, damping = next_fit, max(damping / damping_range[1] ** 2, damping_range[0])
         elif float(step @ pull) <= jitter:
-            return replace(here, steps=steps, settled=True)
+            return replace(fit, steps=steps, settled=True)
         else:
             damping *= damping_range[1]
-    return replace(here, steps=steps, settled=steps < _MAX_STEPS)
+    return replace(fit, steps=steps, settled=steps < _MAX_STEPS)
 
 
-def _most(here: Fit, lowest: float) -> int:
-    """Steps that a search may take: few, as long as it is far above a better fit."""
+def _max_steps(here: Fit, lowest: float) -> int:
+    """Return the number of steps allowed: few while far above a better fit."""
     max_far_steps = 8
     far_rise = 200.0  # above another fit: no quantile of so few samples is as large
     return max_far_steps if here.objective - lowest > far_rise else _MAX_STEPS
 
 
-def _look(problem: Problem, levels: Levels, point: Point) -> Fit:
+def _evaluate(problem: Problem, levels: Levels, point: Point) -> Fit:
     models = model_forces(problem.parts, np.exp(point.logs), problem.curves)
     grams = products(problem, levels.correlation, point, models)
     data = float(grams[:, -1, -1].sum()) / levels.noise
@@ -185,7 +182,7 @@ def _look(problem: Problem, levels: Levels, point: Point) -> Fit:
 def products(
     problem: Problem, correlation: float, point: Point, models: list[ModelForce]
 ) -> Floats:
-    """Whitened products of each sample, shape (samples, 5, 5)."""
+    """Return the Gram matrix of each sample, shape (samples, 5, 5)."""
     grams = np.zeros((problem.n_samples, COLUMNS, COLUMNS))
     for curve, model, sample in zip(problem.curves, models, problem.sample, strict=True):
         factor = float(np.exp(point.gain + point.offsets[sample]))
@@ -193,27 +190,31 @@ def products(
     return grams
 
 
-def _ahead(problem: Problem, levels: Levels, here: Fit, step: Floats, gain: float) -> Fit | None:
-    """Look where a step leads, or on the way there, if a parabola has its least well before.
+def _take_step(
+    problem: Problem, levels: Levels, here: Fit, step: Floats, gain: float
+) -> Fit | None:
+    """Evaluate a step, or part of it if a parabola has its minimum well before.
 
-    In a narrow bent valley whole steps go to and fro between its sides.
+    In a narrow curved valley whole steps oscillate between its sides.
     """
     whole_share = 0.75  # of a step, from which the whole step is taken
     shortest_share = 0.1
-    whole = _try(problem, levels, _move(problem, here.point, step))
+    whole = _evaluate_or_none(problem, levels, _move(problem, here.point, step))
     if whole is None:
         return None
     share = gain / max(whole.objective - here.objective + 2.0 * gain, gain)
     if share > whole_share:
         return whole
-    part = _try(problem, levels, _move(problem, here.point, max(share, shortest_share) * step))
+    part = _evaluate_or_none(
+        problem, levels, _move(problem, here.point, max(share, shortest_share) * step)
+    )
     return part if part is not None and part.objective < whole.objective else whole
 
 
-def _try(problem: Problem, levels: Levels, point: Point) -> Fit | None:
-    """Look at a point; None where the model cannot go, so that the step is shortened."""
+def _evaluate_or_none(problem: Problem, levels: Levels, point: Point) -> Fit | None:
+    """Evaluate a point; None where the model cannot follow, so that the step is shortened."""
     try:
-        return _look(problem, levels, point)
+        return _evaluate(problem, levels, point)
     except ValueError:
         return None
 
@@ -223,44 +224,44 @@ def _move(problem: Problem, point: Point, step: Floats) -> Point:
     return Point(logs, point.gain + float(step[P]), point.offsets + step[P + 1 :])
 
 
-def _normal(
+def _normal_equations(
     problem: Problem, levels: Levels, fit: Fit, free: Flags
 ) -> tuple[Floats, Floats, Flags]:
-    """Matrix and right side of the normal equations, and which unknowns may move."""
+    """Return matrix and right side of the normal equations, and which unknowns may move."""
     total = fit.grams.sum(axis=0) / levels.noise
-    own = fit.grams / levels.noise
+    sample_grams = fit.grams / levels.noise
     size = P + 1 + problem.n_samples
     matrix, pull = np.zeros((size, size)), np.empty(size)
     matrix[: P + 1, : P + 1] = total[: P + 1, : P + 1]
-    matrix[P + 1 :, : P + 1] = own[:, P, : P + 1]
-    matrix[: P + 1, P + 1 :] = own[:, P, : P + 1].T
-    matrix[range(P + 1, size), range(P + 1, size)] = own[:, P, P]
-    pull[: P + 1], pull[P + 1 :] = total[-1, : P + 1], own[:, P, -1]
+    matrix[P + 1 :, : P + 1] = sample_grams[:, P, : P + 1]
+    matrix[: P + 1, P + 1 :] = sample_grams[:, P, : P + 1].T
+    matrix[range(P + 1, size), range(P + 1, size)] = sample_grams[:, P, P]
+    pull[: P + 1], pull[P + 1 :] = total[-1, : P + 1], sample_grams[:, P, -1]
     point = fit.point
-    tight = np.zeros(size)
-    tight[:P] = problem.precision
-    tight[P] = _precision(problem.gain)
-    tight[P + 1 :] = _precision(levels.scatter)
-    away = np.concatenate([point.logs - problem.centre, [point.gain], point.offsets])
-    moves = np.isfinite(tight)
-    tight = np.where(moves, tight, 0.0)
-    matrix[range(size), range(size)] += tight
-    pull -= tight * away
-    moves[:P] = free
-    moves[:P] &= ~((point.logs <= problem.lower) & (pull[:P] < 0.0))
-    moves[:P] &= ~((point.logs >= problem.upper) & (pull[:P] > 0.0))
-    return matrix, pull, moves
+    precision = np.zeros(size)
+    precision[:P] = problem.precision
+    precision[P] = _precision(problem.gain)
+    precision[P + 1 :] = _precision(levels.scatter)
+    deviation = np.concatenate([point.logs - problem.centre, [point.gain], point.offsets])
+    is_free = np.isfinite(precision)
+    precision = np.where(is_free, precision, 0.0)
+    matrix[range(size), range(size)] += precision
+    pull -= precision * deviation
+    is_free[:P] = free
+    is_free[:P] &= ~((point.logs <= problem.lower) & (pull[:P] < 0.0))
+    is_free[:P] &= ~((point.logs >= problem.upper) & (pull[:P] > 0.0))
+    return matrix, pull, is_free
 
 
 def normal_matrix(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> tuple[Floats, Flags]:
-    """Half the curvature of the objective by parameters, gain and samples, and which may move."""
-    matrix, _, moves = _normal(problem, levels, fit, free)
+    """Return half the Hessian by parameters, gain and samples, and which of them may move."""
+    matrix, _, moves = _normal_equations(problem, levels, fit, free)
     return matrix, moves
 
 
 def pull_of(problem: Problem, levels: Levels, fit: Fit) -> Floats:
-    """Minus half the slope of the objective by the logarithms of the parameters, shape (3,)."""
-    _, pull, _ = _normal(problem, levels, fit, np.zeros(P, dtype=np.bool_))
+    """Return minus half the gradient by the logarithms of the parameters, shape (3,)."""
+    _, pull, _ = _normal_equations(problem, levels, fit, np.zeros(P, dtype=np.bool_))
     return pull[:P]
 
 
@@ -271,11 +272,11 @@ def _precision(deviation: float) -> float:
 def _step_inside(
     problem: Problem, levels: Levels, fit: Fit, free: Flags, damping: float
 ) -> tuple[Floats, Floats]:
-    """Step within the bounds, and the pull: what would go beyond goes to its bound, others along.
+    """Return a step within the bounds, and the pull; parameters that cross a bound stop there.
 
-    A step that is only clipped need not lead downhill.
+    The others are solved again, because a clipped step need not lead downhill.
     """
-    matrix, pull, moves = _normal(problem, levels, fit, free)
+    matrix, pull, moves = _normal_equations(problem, levels, fit, free)
     fixed = np.zeros(len(pull))
     while True:  # each round fixes at least one of the parameters
         step = fixed + _step(matrix, pull - matrix @ fixed, moves, damping)

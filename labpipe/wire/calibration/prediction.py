@@ -1,4 +1,4 @@
-"""What a calibration predicts of another wire, or another length."""
+"""Prediction of a calibration for another wire or length."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction, Solution
 from labpipe.wire.calibration.fit import Wire
-from labpipe.wire.calibration.law_components import loading_curve, take_apart
+from labpipe.wire.calibration.law_components import loading_curve, split_wire
 from labpipe.wire.calibration.scatter_mixture import quantiles
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import force_at
@@ -36,22 +36,22 @@ def predict(
     ----------
     calibration : of this wire or another
     wire : its geometry, materials, friction coefficients and weight; phi, the modulus of the
-        insulation and the copper scale are those of the calibration, where it has them
+        insulation and the copper scale are those of the calibration, if any
     length : m
     deflection : shape (n,), m
     rig : the string; None for an end load normal to the axis
     noise : standard deviation of a measured force, N
     n_samples : of which the measured curve is the mean
-    other_gain : standard uncertainty of the gain of another load cell; None where the forces are
-        read from the one of the calibration, whose gain then is what the calibration found
+    other_gain : standard uncertainty of the gain of another load cell; None for the load cell
+        of the calibration, whose estimated gain then applies
 
     Returns
     -------
-    The curve of the best solution, and bands of all: uncertainty of the parameters (linear in
-    their logarithms), gain, and, for the band of a measured curve, scatter of samples and noise.
-    Where there are several solutions a band reaches from the lowest to the highest of theirs, each
-    as much narrower as its likelihood is smaller. What the two wires do not share
-    (dimensions, lots of copper and insulation) is not in it.
+    The curve of the best solution, and bands of all: uncertainty of the parameters (linear in their
+    logarithms), gain, and, for the band of a measured curve, scatter of samples and noise. With
+    several solutions a band extends from the lowest to the highest of theirs, each narrower by its
+    likelihood. Differences between the two wires (dimensions, lots of copper and insulation) are
+    not included.
 
     Raises
     ------
@@ -60,10 +60,10 @@ def predict(
 
     Notes
     -----
-    Point by point; quantiles of t averaged over what the scatter of samples may be. What is known
-    (noise, another gain) is added as 1.96 s in quadrature.
+    Point by point; quantiles of t averaged over the possible scatter of samples. Known errors
+    (noise, another gain) are added as 1.96 s in quadrature.
     """
-    parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
+    parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
     deepest = float(np.nanmax(np.abs(deflection)))
     gain = _NORMAL * (other_gain or 0.0)
     read = _NORMAL * noise / np.sqrt(n_samples)
@@ -87,9 +87,9 @@ def predict(
 def _reach(
     solution: Solution, slopes: Floats, one_more: Floats, wide: float
 ) -> tuple[Floats, Floats]:
-    """How far a band reaches down and up, shape (2, n), N: of the mean sample, and of one more.
+    """Return the width of a band down and up, shape (2, n), N: of the mean sample, and of one more.
 
-    What is known of the parameters is `wide` times as wide as in the linear model.
+    The part of the parameters is `wide` times as wide as in the linear model.
     """
     mean = np.abs(quantiles(solution.mixture, slopes))
     one = np.abs(quantiles(solution.mixture, slopes, one_more))
@@ -100,17 +100,17 @@ def _reach(
 
 def _notes(calibration: Calibration) -> Iterator[QualityNote]:
     if calibration.levels.scatter_freedom == 0.0:
-        message = "the scatter of samples is not known from one sample: the bands leave it out"
+        message = "the scatter of samples is unknown from one sample: the bands exclude it"
         yield QualityNote("one_sample", Severity.WARNING, calibration.wire, message)
     allowed = sum(solution.is_allowed for solution in calibration.solutions)
     if allowed > 1:
         message = (
-            f"{allowed} solutions fit the tests: the bands reach over all of "
+            f"{allowed} solutions fit the tests: the bands cover all of "
             "them, the curve is that of the best"
         )
         yield QualityNote("two_solutions", Severity.WARNING, calibration.wire, message)
     for name in PARAMETERS:
         parameter = calibration.parameter(name)
         if parameter.is_open_below or parameter.is_open_above:
-            message = f"{parameter.words}; the bands take its error for that of a normal one"
+            message = f"{parameter.words}; the bands treat its error as normal"
             yield QualityNote("not_identified", Severity.WARNING, name, message)

@@ -1,11 +1,11 @@
-"""Intervals averaged over what the scatter of a few samples may be.
+"""Intervals averaged over the possible scatter of a few samples.
 
-Two or three samples say little of how samples scatter, and how much a parameter leans on their
-mean rather than on the shape of the curves depends on it. So the scatter is not taken for known:
-in the linear model at the least of the objective every scatter has its restricted likelihood, its
-estimate of the parameters and its covariance, and a parameter's distribution is the mixture of
-Student's t over them (as in `uncertainty.linear_fits`). Where the interval
-leans on the samples' mean alone this is Student's t with one degree of freedom less than samples.
+Two or three samples hardly determine the scatter of samples, which decides how much a parameter
+depends on their mean rather than on the shape of the curves. So the scatter is not treated as
+known: in the linear model at the minimum of the objective every scatter has its restricted
+likelihood, its estimate of the parameters and its covariance, and a parameter's distribution is the
+mixture of Student's t over them (as in `uncertainty.linear_fits`). Where the interval depends on
+the mean of n samples alone this is Student's t with n - 1 degrees of freedom.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from labpipe.wire.calibration.parameter_search import Fit, Levels, P, Problem
 from labpipe.wire.calibration.variances import LinearModel, linear_model
 
 TAIL = 0.025
-"""Outside the interval, on each side."""
+"""Probability outside the interval, on each side."""
 
 
 def quantiles(
     mixture: ScatterMixture, directions: Floats, one_more: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """2.5 and 97.5 % quantiles of linear combinations, counted from the fit.
+    """Return 2.5 and 97.5 % quantiles of linear combinations, relative to the fit.
 
     Parameters
     ----------
-    mixture : what is known
+    mixture : of the fit
     directions : shape (n, 4), of the logarithms of parameters and gain
-    one_more : shape (n,), what the factor of one more sample is multiplied by; 0 for none
+    one_more : shape (n,), derivative by the factor of one more sample; 0 for none
 
     Returns
     -------
@@ -39,13 +39,13 @@ def quantiles(
 
     Notes
     -----
-    By halving: the distribution is a sum of Student's t, each with its own place and width.
+    By bisection: the distribution is a sum of Student's t, each with its own location and width.
     """
     halvings = 40
     centre = directions @ mixture.shift.T
     variance = np.einsum("ni,sij,nj->ns", directions, mixture.covariance, directions)
-    own = np.broadcast_to(one_more, len(directions))[:, None] * mixture.scatter
-    error = np.sqrt(np.maximum(variance, 0.0) + own**2)
+    sample_error = np.broadcast_to(one_more, len(directions))[:, None] * mixture.scatter
+    error = np.sqrt(np.maximum(variance, 0.0) + sample_error**2)
     error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
     reach = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
     least, most = (centre - reach).min(axis=1), (centre + reach).max(axis=1)
@@ -64,7 +64,7 @@ def quantiles(
 def mix(
     problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
 ) -> ScatterMixture:
-    """Weigh every scatter by its restricted likelihood.
+    """Weight every scatter by its restricted likelihood.
 
     Parameters
     ----------
@@ -73,47 +73,47 @@ def mix(
 
     Notes
     -----
-    The prior is even in the logarithm of the scatter, from three tenths of what noise makes of one
-    sample's factor: below, scatter changes nothing.
+    The prior is uniform in the logarithm of the scatter, from three tenths of the scatter of one
+    sample's factor by noise; below, scatter has no effect.
     """
     min_probability = 1e-6  # of a scatter
     linear = linear_model(problem, fit, free)
     freedom = float(linear.n - len(linear.columns))
     ratios = (
-        _ratios(linear, levels)
+        _variance_ratios(linear, levels)
         if not is_scatter_known
         else np.array([levels.scatter**2 / levels.noise])
     )
-    found = [linear.estimate(float(ratio)) for ratio in ratios]
-    heights = np.array([height for _, height in found])
+    estimates = [linear.estimate(float(ratio)) for ratio in ratios]
+    heights = np.array([height for _, height in estimates])
     chance = np.exp(-0.5 * (heights - heights.min()))
     solved = [
         _solve(problem, fit, free, linear.shrunk(float(ratio)).sum(axis=0) / noise)
-        for (noise, _), ratio in zip(found, ratios, strict=True)
+        for (noise, _), ratio in zip(estimates, ratios, strict=True)
     ]
     likely = chance / chance.sum()
-    kept = likely > min_probability
+    is_likely = likely > min_probability
     return ScatterMixture(
-        likely[kept] / likely[kept].sum(),
-        np.sqrt(ratios * [noise for noise, _ in found])[kept],
-        np.array([shift for shift, _ in solved])[kept],
-        np.array([covariance for _, covariance in solved])[kept],
+        likely[is_likely] / likely[is_likely].sum(),
+        np.sqrt(ratios * [noise for noise, _ in estimates])[is_likely],
+        np.array([shift for shift, _ in solved])[is_likely],
+        np.array([covariance for _, covariance in solved])[is_likely],
         freedom,
     )
 
 
-def _ratios(linear: LinearModel, levels: Levels) -> Floats:
-    """Scatter over noise, as variances."""
+def _variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
+    """Return the grid of scatter over noise, as variances."""
     least_noise_share = 0.3  # of the scatter that noise makes of the factor of one sample
     max_scatter_factor = 1000.0  # times the estimated scatter
     n_scatters = 64
-    own = float(np.median(linear.grams[:, P, P])) ** -0.5
-    most = max(levels.scatter / np.sqrt(levels.noise), own) * max_scatter_factor
-    return np.geomspace(least_noise_share * own, most, n_scatters) ** 2
+    least_scatter = float(np.median(linear.grams[:, P, P])) ** -0.5
+    most = max(levels.scatter / np.sqrt(levels.noise), least_scatter) * max_scatter_factor
+    return np.geomspace(least_noise_share * least_scatter, most, n_scatters) ** 2
 
 
 def _solve(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floats, Floats]:
-    """Shift from the fit and covariance from whitened products, with priors and gain."""
+    """Return shift from the fit and covariance from whitened products, with priors and gain."""
     moves = np.append(free, problem.gain > 0.0)
     tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
     away = np.append(fit.point.logs - problem.centre, fit.point.gain)

@@ -1,10 +1,10 @@
-"""How much noise and samples scatter, how well that is known; parameters and scatter together.
+"""Variances of noise and samples with their uncertainty, and the covariance of the parameters.
 
-At the least of the objective the model is linear in parameters and factors, and every sum over
+At the minimum of the objective the model is linear in parameters and factors, and every sum over
 points is in the samples' Gram matrices. Scatter of samples and noise are estimated by restricted
 maximum likelihood (Patterson and Thompson, Biometrika 58 (1971) 545) with the mean factor left
-free, so that it is the spread of the samples among each other, whatever the load cell's gain or a
-prior. The degrees of freedom of a parameter's variance, which is made of both, are Satterthwaite's
+free, so that it is the spread between samples, independent of the load cell's gain and of
+priors. The degrees of freedom of a parameter's variance, which is made of both, are Satterthwaite's
 (Biometrics Bull. 2 (1946) 110): 2 C^2 / var(C), as in Kenward and Roger (Biometrics 53 (1997) 983).
 """
 
@@ -26,7 +26,7 @@ _MATRIX_RIDGE = 1e-12
 
 
 def quantile(freedom: float) -> float:
-    """Two-sided 95 % quantile of t; the normal one for endless degrees of freedom."""
+    """Return the two-sided 95 % quantile of t; the normal one for infinite degrees of freedom."""
     min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
@@ -47,7 +47,7 @@ class Uncertainty:
     level_covariance: Floats
 
     def freedom(self, direction: Floats) -> float:
-        """Degrees of freedom of the variance of a linear combination, shape (4,)."""
+        """Return the degrees of freedom of the variance of a linear combination, shape (4,)."""
         variance = float(direction @ self.covariance @ direction)
         slopes = self.by_level @ direction @ direction
         spread = float(slopes @ self.level_covariance @ slopes)
@@ -57,9 +57,9 @@ class Uncertainty:
 def correlation_of(
     curves: tuple[MeasuredCurve, ...], models: list[ModelForce], factors: Floats
 ) -> float:
-    """Correlation of neighbouring residuals over all curves, at least 0.
+    """Estimate the correlation of neighbouring residuals over all curves, at least 0.
 
-    What an error that all points of a curve share most likely made of them is taken out first.
+    Errors shared by all points of a curve are estimated and removed first.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ def correlation_of(
     above = below = 0.0
     for curve, model, factor in zip(curves, models, factors, strict=True):
         noise = np.asarray(curve.noise)
-        left = (curve.force - factor * model.force) / noise
+        residuals = (curve.force - factor * model.force) / noise
         shared = shared_errors(curve, model.slope) / noise
         held = np.eye(len(shared)) + shared @ shared.T
-        left -= np.linalg.solve(held, shared @ left) @ shared
-        above += float(left[1:] @ left[:-1])
-        below += float(left @ left)
+        residuals -= np.linalg.solve(held, shared @ residuals) @ shared
+        above += float(residuals[1:] @ residuals[:-1])
+        below += float(residuals @ residuals)
     return float(np.clip(above / below, 0.0, max_correlation)) if below > 0.0 else 0.0
 
 
@@ -87,7 +87,7 @@ class LinearModel:
     ----------
     grams : shape (samples, 5, 5), of derivatives, model and residual, the residual with the
         sample's own offset in it
-    columns : what is estimated: free parameters and the mean factor
+    columns : unknowns: free parameters and the mean factor
     n : points
     """
 
@@ -96,21 +96,24 @@ class LinearModel:
     n: int
 
     def shrunk(self, ratio: float) -> Floats:
-        """Products under a scatter of `ratio` times the noise, both as variances."""
-        own = self.grams[:, P, :]
-        kept = ratio / (1.0 + ratio * self.grams[:, P, P])
-        return np.asarray(self.grams - kept[:, None, None] * own[:, :, None] * own[:, None, :])
+        """Return the products for a scatter of `ratio` times the noise, both as variances."""
+        sample_products = self.grams[:, P, :]
+        weights = ratio / (1.0 + ratio * self.grams[:, P, P])
+        return np.asarray(
+            self.grams
+            - weights[:, None, None] * sample_products[:, :, None] * sample_products[:, None, :]
+        )
 
     def estimate(self, ratio: float) -> tuple[float, float]:
-        """Noise variance at a ratio, and minus twice the restricted likelihood there."""
+        """Return the noise variance at a ratio, and minus twice the log restricted likelihood."""
         total = self.shrunk(ratio).sum(axis=0)
         inner = total[np.ix_(self.columns, self.columns)]
         scale = np.sqrt(np.diag(inner))
         unit = inner / np.outer(scale, scale) + _MATRIX_RIDGE * np.eye(len(scale))
         pull = total[self.columns, -1] / scale
-        left = float(total[-1, -1] - pull @ np.linalg.solve(unit, pull))
+        residual = float(total[-1, -1] - pull @ np.linalg.solve(unit, pull))
         freedom = self.n - len(self.columns)
-        noise = max(left, 1e-300) / freedom
+        noise = max(residual, 1e-300) / freedom
         logs = np.log1p(ratio * self.grams[:, P, P]).sum()
         logs += np.linalg.slogdet(unit)[1] + 2.0 * np.log(scale).sum()
         return noise, float(freedom * np.log(noise) + logs)
@@ -119,13 +122,13 @@ class LinearModel:
 def estimate_levels(
     problem: Problem, fit: Fit, free: Flags, correlation: float, scatter: float | None
 ) -> Levels:
-    """Noise and scatter at the least of the objective.
+    """Estimate noise and scatter at the minimum of the objective.
 
     Parameters
     ----------
     problem, fit, free : what was fitted
     correlation : of neighbours, with which the fit's products are whitened
-    scatter : where it is given; else it is estimated, and 0 for one sample
+    scatter : if given; else it is estimated, and 0 for one sample
     """
     log_ratios = (-6.0, 14.0, 41)  # of scatter^2 times information over noise: first, last, number
     linear = linear_model(problem, fit, free)
@@ -141,19 +144,19 @@ def estimate_levels(
     heights = [linear.estimate(float(np.exp(at)) / information)[1] for at in grid]
     best = int(np.argmin(heights))
     around = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = minimize_scalar(
+    optimum = minimize_scalar(
         lambda at: linear.estimate(float(np.exp(at)) / information)[1],
         bounds=around,
         method="bounded",
         options={"xatol": 1e-3},
     )
-    ratio = float(np.exp(found.x)) / information
+    ratio = float(np.exp(optimum.x)) / information
     noise = linear.estimate(ratio)[0]
     return Levels(noise, correlation, float(np.sqrt(ratio * noise)))
 
 
 def linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
-    """Make the linear model of a fit: each sample's offset is put back into what scatters."""
+    """Return the linear model of a fit, with each sample's offset added back to its residual."""
     grams = fit.grams.copy()
     shift = fit.point.offsets[:, None] * fit.grams[:, P, :]
     grams[:, :, -1] += shift
@@ -166,7 +169,7 @@ def linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
 def uncertainty(
     problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
 ) -> Uncertainty:
-    """Covariance of what was fitted, with what Satterthwaite's degrees of freedom need.
+    """Return the covariance of the fit, with what Satterthwaite's degrees of freedom need.
 
     Parameters
     ----------
@@ -183,8 +186,8 @@ def uncertainty(
     by_noise = covariance(noise * up, samples) - covariance(noise * down, samples)
     by_samples = covariance(noise, samples * up) - covariance(noise, samples * down)
     by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
-    known = is_scatter_known or levels.scatter == 0.0
-    spread = _level_covariance(linear, noise, samples, is_scatter_known=known)
+    is_known = is_scatter_known or levels.scatter == 0.0
+    spread = _level_covariance(linear, noise, samples, is_scatter_known=is_known)
     return Uncertainty(covariance(noise, samples), by_level, spread)
 
 
@@ -208,20 +211,20 @@ def _covariance(
 def _level_covariance(
     linear: LinearModel, noise: float, samples: float, *, is_scatter_known: bool
 ) -> Floats:
-    """Of the logarithms of the two variances, from the expected restricted information."""
+    """Return the covariance of the log variances from the expected restricted information."""
     freedom = linear.n - len(linear.columns)
     if is_scatter_known:
         return np.diag([2.0 / freedom, 0.0])
-    here = _between(linear, noise, samples)
+    here = _projected(linear, noise, samples)
     up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
     slope = (
-        np.trace(_between(linear, noise * up, samples * up))
-        - np.trace(_between(linear, noise * down, samples * down))
+        np.trace(_projected(linear, noise * up, samples * up))
+        - np.trace(_projected(linear, noise * down, samples * down))
     ) / (2.0 * _LOG_VARIANCE_STEP)
     # P scales as the inverse of both variances: trace(Z'PZ) falls by itself, in part by each.
     alone = (
-        np.trace(_between(linear, noise, samples * up))
-        - np.trace(_between(linear, noise, samples * down))
+        np.trace(_projected(linear, noise, samples * up))
+        - np.trace(_projected(linear, noise, samples * down))
     ) / (2.0 * _LOG_VARIANCE_STEP)
     both = float(np.sum(here**2)) * samples**2
     cross = -float(slope - alone) * samples
@@ -230,8 +233,8 @@ def _level_covariance(
     return np.asarray(np.linalg.inv(information))
 
 
-def _between(linear: LinearModel, noise: float, samples: float) -> Floats:
-    """Z' P Z, shape (samples, samples), with P the projector of the restricted likelihood."""
+def _projected(linear: LinearModel, noise: float, samples: float) -> Floats:
+    """Return Z' P Z, shape (samples, samples); P projects for the restricted likelihood."""
     shrunk = linear.shrunk(samples / noise) / noise
     total = shrunk.sum(axis=0)
     inner = total[np.ix_(linear.columns, linear.columns)]

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.calibration.law_components import loading_curve, take_apart
+from labpipe.wire.calibration.law_components import loading_curve, split_wire
 from labpipe.wire.first_loading import force_at
 from tests.coverage.wire_campaigns import rig_of, wire_of
 from tests.judges.foreign.planar_rod import PlanarRod, Stops, stops_through
@@ -117,7 +117,7 @@ def test_the_loading_is_that_of_the_package(*, has_weight: bool, close: float) -
     made = loading("A3", 0.12, TRUE, has_weight=has_weight)
     wire = wire_of("A3")
     weight = wire.self_weight if has_weight else 0.0
-    parts = take_apart(wire.section, wire.contacts)
+    parts = split_wire(wire.section, wire.contacts)
     curve = loading_curve(parts, VALUES, 0.12, rig_of(0.12), 0.052, self_weight=weight)
     theirs, _ = force_at(curve, made.deflection)
     off = (made.force - theirs) / made.force[-1]

@@ -28,7 +28,7 @@ from labpipe.wire.calibration.fit import (
     log_error_of,
     pose,
 )
-from labpipe.wire.calibration.law_components import take_apart
+from labpipe.wire.calibration.law_components import split_wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.wire.cross_section import Layer, concentric
 from labpipe.wire.friction import Contacts, insulated
@@ -114,7 +114,7 @@ def test_noise_that_was_misstated(usual: Calibration) -> None:
     assert one.upper == pytest.approx(two.upper, rel=0.02)
 
 
-PARTS = take_apart(WIRE.section, WIRE.contacts)
+PARTS = split_wire(WIRE.section, WIRE.contacts)
 
 CURVES = measured(n=20)
 
@@ -138,7 +138,7 @@ def test_residuals_and_searches_that_are_doubted(monkeypatch: pytest.MonkeyPatch
     slow = calibrated(curves, Settings({"copper_scale": FIXED}, gain=0.005))
     assert "residuals_correlated" in codes(slow)
     assert slow.levels.correlation == pytest.approx(0.9, abs=0.06)
-    monkeypatch.setattr("labpipe.wire.calibration.parameter_search._MOST_STEPS", 1)
+    monkeypatch.setattr("labpipe.wire.calibration.parameter_search._MAX_STEPS", 1)
     choices = {"copper_scale": FIXED, "insulation_modulus": ParameterChoice(3e9)}
     assert "search_unsettled" in codes(calibrated(THREE[:1], Settings(choices, scatter=0.03)))
 
@@ -152,13 +152,13 @@ def test_a_model_that_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "deflection=0.05 m: the curve ends at 0.0379" in failure.message
 
 
-STRAND = take_apart(concentric((Layer(1, 0.5e-3),)), Contacts((), ()))
+STRAND = split_wire(concentric((Layer(1, 0.5e-3),)), Contacts((), ()))
 
 
 def test_starts() -> None:
     """At the wire's own numbers; without radial force at a usual one; what does not act is held."""
     smooth = insulated(1, strand=0.2, insulation=0.1, radial_force=0.0)
-    unpressed = take_apart(section_of("A2"), smooth)
+    unpressed = split_wire(section_of("A2"), smooth)
     for parts, starts, free in (
         (PARTS, TRUTH, [True, True, True]),
         (unpressed, [0.05, *TRUTH[1:]], [True, True, True]),

@@ -12,12 +12,12 @@ from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import CalibratedParameter, Identifiability, PriorConflict
 from labpipe.wire.calibration.fit import (
     FRICTION_NAMES,
+    describe_parameter,
     friction_jacobian,
     in_display_unit,
     separability,
     verdict_of,
     weigh_prior,
-    words_of,
 )
 from tests.approved import Approve
 from tests.builders.loading_tests import TRUTH, measured, wire_of
@@ -111,8 +111,8 @@ def test_words(approved: Approve) -> None:
         {"at_bound": "upper", "value": 1.1e9},
         {"verdict": Identifiability.AGAINST_PRIOR},
     ]
-    lines = [words_of(replace(KNOWN, **change)) for change in changes]
-    lines.append(words_of(replace(KNOWN, verdict=Identifiability.TWO), [(4e8, 0.08)]))
+    lines = [describe_parameter(replace(KNOWN, **change)) for change in changes]
+    lines.append(describe_parameter(replace(KNOWN, verdict=Identifiability.TWO), [(4e8, 0.08)]))
     names = ("a", "b", "radial_force")
     for matrix in (np.diag([10.0, 4.0, 2.0]), np.diag([9.0, 4.0, 0.0]), np.ones((3, 3))):
         lines.append(separability(names, matrix, "three").words.partition(" (singular")[0])

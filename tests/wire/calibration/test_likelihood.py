@@ -19,8 +19,8 @@ from labpipe.records.wire_calibration import (
 )
 from labpipe.wire.calibration.calibrate_wire import calibrate
 from labpipe.wire.calibration.fit import CalibrationFit, Settings, find, pose
-from labpipe.wire.calibration.law_components import take_apart
-from labpipe.wire.calibration.local_minima import settle
+from labpipe.wire.calibration.law_components import split_wire
+from labpipe.wire.calibration.local_minima import find_minima
 from labpipe.wire.calibration.nonlinearity import tube_quantile
 from labpipe.wire.calibration.parameter_search import (
     Fit,
@@ -44,7 +44,7 @@ ALL = np.ones(3, dtype=np.bool_)
 LEVELS = Levels(1.0, 0.0, 0.03)
 
 PROBLEM = Problem(
-    take_apart(WIRE.section, WIRE.contacts),
+    split_wire(WIRE.section, WIRE.contacts),
     CURVES,
     np.arange(3),
     np.zeros(3),
@@ -90,7 +90,7 @@ def test_the_same_answer_from_any_start() -> None:
     """Twenty starts, two decades wide in each parameter."""
     problem = problem_of()
     starts = np.random.default_rng(7).uniform(-np.log(10.0), np.log(10.0), (20, 3))
-    settled = (settle(problem, np.log(TRUTH) + start, ALL, scatter=None) for start in starts)
+    settled = (find_minima(problem, np.log(TRUTH) + start, ALL, scatter=None) for start in starts)
     fits = [outcome.fits[0] for outcome in settled]
     # Far below the standard errors, which are about 0.2, 0.02 and 0.05.
     logs = np.array([fit.point.logs for fit in fits])
@@ -101,7 +101,7 @@ def test_the_same_answer_from_any_start() -> None:
 
 def test_levels_are_found() -> None:
     problem = problem_of(n=1200, correlation=0.6)
-    settled = settle(problem, np.log(TRUTH), ALL, scatter=None)
+    settled = find_minima(problem, np.log(TRUTH), ALL, scatter=None)
     fit, levels = settled.fits[0], settled.levels
     # Standard errors: sqrt((1 - 0.6^2) / 3600) = 0.013 and sqrt(2 / 3600) = 0.024.
     assert levels.correlation == pytest.approx(0.6, abs=0.05)
@@ -161,7 +161,7 @@ def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(
         "labpipe.wire.calibration.local_minima.find_local_minima", lower_by_rounding
     )
-    fits = settle(problem_of(), np.log(TRUTH), ALL, scatter=None).fits
+    fits = find_minima(problem_of(), np.log(TRUTH), ALL, scatter=None).fits
     assert len(fits) == 1
 
 

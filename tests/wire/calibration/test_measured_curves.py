@@ -20,9 +20,9 @@ from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.wire.calibration.measured_curves import (
     MeasuredCurve,
     agreement,
+    compare_curves,
     curve_errors,
     lag_one_correlation,
-    match,
     runs_p,
     shared_errors,
     usable,
@@ -165,7 +165,9 @@ def test_external_curves(
     at: list[float], off: Floats, band: tuple[Floats, Floats] | None, n: int, inside: float
 ) -> None:
     deflection = np.array(at)
-    matched = match(external(deflection, 2.0 * deflection + off), OTHER, LINE, band, "the tests")
+    matched = compare_curves(
+        external(deflection, 2.0 * deflection + off), OTHER, LINE, band, "the tests"
+    )
     assert (matched.errors is None) == (n == 0)
     assert matched.left_out == len(at) - n
     if matched.errors is not None:
@@ -182,8 +184,8 @@ def test_external_curves(
 
 def test_words_of_what_is_not_compared(approved: Approve) -> None:
     rows = [np.array([0.0, 0.01, 0.02, 0.03, 0.09]), np.array([0.04, 0.05, 0.06])]
-    lines = [match(external(at, at), OTHER, LINE, BAND, "the tests").words for at in rows]
-    empty = match(external(OTHER, LINE), NOTHING, NOTHING, (NOTHING, NOTHING), "the tests")
+    lines = [compare_curves(external(at, at), OTHER, LINE, BAND, "the tests").words for at in rows]
+    empty = compare_curves(external(OTHER, LINE), NOTHING, NOTHING, (NOTHING, NOTHING), "the tests")
     assert empty.errors is None
     approved([*lines, empty.words])
 

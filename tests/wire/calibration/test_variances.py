@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.wire.calibration.law_components import ModelForce, take_apart
+from labpipe.wire.calibration.law_components import ModelForce, split_wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.wire.calibration.parameter_search import Fit, Point, Problem
 from labpipe.wire.calibration.variances import (
@@ -21,7 +21,7 @@ from tests.builders.loading_tests import TRUTH, memory_noise, wire_of
 
 WIRE = wire_of("A2")
 
-PARTS = take_apart(WIRE.section, WIRE.contacts)
+PARTS = split_wire(WIRE.section, WIRE.contacts)
 
 NONE = np.zeros(3, dtype=np.bool_)
 

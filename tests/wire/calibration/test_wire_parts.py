@@ -17,7 +17,7 @@ from labpipe.wire.calibration.law_components import (
     loading_law,
     loading_table,
     model_forces,
-    take_apart,
+    split_wire,
 )
 from labpipe.wire.calibration.measured_curves import shared_errors
 from labpipe.wire.cross_section import CrossSection, Layer, compressed, concentric
@@ -36,14 +36,14 @@ from tests.builders.stranded_wires import tube
 
 WIRE = wire_of("A2")
 
-PARTS = take_apart(WIRE.section, WIRE.contacts)
+PARTS = split_wire(WIRE.section, WIRE.contacts)
 
 LARGEST = 60.0
 
 
 def parts_of(name: str) -> WireParts:
     wire = wire_of(name)
-    return take_apart(wire.section, wire.contacts)
+    return split_wire(wire.section, wire.contacts)
 
 
 @pytest.mark.parametrize("name", ["A2", "C4"])
@@ -83,7 +83,7 @@ SOFT = StressTable((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
 
 def test_an_insulation_with_a_stress_table_scales_by_its_modulus() -> None:
     """The law of a wire whose insulation is half as stiff throughout, and its derivatives."""
-    parts, values = take_apart(soft_wire(1.0), WIRE.contacts), TRUTH * (1.0, 0.5, 1.0)
+    parts, values = split_wire(soft_wire(1.0), WIRE.contacts), TRUTH * (1.0, 0.5, 1.0)
     law = loading_law(parts, values, LARGEST)
     wanted = moment_curvature(soft_wire(0.5), WIRE.contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(wanted.moment, rel=5e-5)
@@ -126,7 +126,7 @@ def until(strain: float, *, is_soft: bool) -> WireParts:
     else:
         layers = tuple(replace(layer, material=table) for layer in section.layers)
         section = replace(section, layers=layers)
-    return take_apart(section, WIRE.contacts)
+    return split_wire(section, WIRE.contacts)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ SINGLE = concentric((Layer(1, 0.5e-3),), tube(1.2e-3))
 def test_what_a_wire_has(
     section: CrossSection, contacts: Contacts, has: tuple[bool, bool, bool]
 ) -> None:
-    parts = take_apart(section, contacts)
+    parts = split_wire(section, contacts)
     assert parts.has == has
     assert np.isnan(parts.given[0]) == (not has[0])
     if parts.given[0] == 0.0:
