@@ -1,4 +1,4 @@
-"""Bending stiffness of a beam in a test, and what rollers of finite size change in it."""
+"""Bending stiffness of a beam, and its correction for rollers of finite size."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
 
 DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
-"""By support: end load on a cantilever of a length, load in the middle of a span."""
+"""Divisors of L^3: end load on a cantilever, central load on a span."""
 
 
 def beam_factor(length: float, support: str) -> float:
-    """Bending stiffness EI of a straight uniform beam over its stiffness, m^3.
+    """Return the bending stiffness EI of a straight uniform beam over its stiffness, m^3.
 
     Parameters
     ----------
@@ -30,13 +30,13 @@ def beam_factor(length: float, support: str) -> float:
     Raises
     ------
     ValueError
-        For another support, or a length that is not above zero.
+        For another support, or a length not above zero.
 
     Notes
     -----
     Euler-Bernoulli beam, slopes small, no shear (Young and Budynas, Roark's Formulas for Stress and
-    Strain, 7th ed. 2002, table 8.1, cases 1a and 1e). A relative error of the length counts three
-    times.
+    Strain, 7th ed. 2002, table 8.1, cases 1a and 1e). A relative error of the length is
+    tripled.
 
     Examples
     --------
@@ -54,13 +54,13 @@ def beam_factor(length: float, support: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Rollers:
-    """Two supports and what they do.
+    """Two roller supports.
 
     Parameters
     ----------
     span : m, between the centres of the rollers
     radius : m, from the centre of a roller to the axis of the specimen; 0 for knife edges
-    friction : coefficient, of rollers that do not turn; 0 for rollers that do
+    friction : coefficient of fixed rollers; 0 for turning ones
     """
 
     span: float
@@ -69,7 +69,7 @@ class Rollers:
 
 
 def path_of_load(rollers: Rollers) -> tuple[Floats, Floats]:
-    """Deflection and load of an elastic beam of EI = 1 N m^2 on rollers.
+    """Compute deflection and load of an elastic beam of EI = 1 N m^2 on rollers.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def path_of_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    deflection : shape (n,), m, how far the load has moved towards the supports; from 0 on
+    deflection : shape (n,), m, movement of the load towards the supports, from 0
     load : shape (n,), N, for EI = 1 N m^2
 
     Notes
@@ -92,10 +92,10 @@ def path_of_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
     Its integral over the horizontal must be span / 2 - radius sin a, which gives N; the load is
     2 N (cos a + mu sin a), the deflection the rise over that half plus radius (1 - cos a). Gauss
-    quadrature in sqrt(p). Friction acts at the axis here; that it acts at the surface of a specimen
-    of depth h is left out, an effect of the other sign and of the order mu h / span at small
-    deflections. The correction of ASTM D790 (sec. 12, large span-to-depth ratios) is of the stress
-    in the outer fibre, not of the stiffness: another thing.
+    quadrature in sqrt(p). Friction acts at the axis here, not at the surface of a specimen of
+    depth h, which would have an effect of the other sign, of the order of mu h / span at small
+    deflections. The correction of ASTM D790 (sec. 12, large span-to-depth ratios) is for the stress
+    in the outer fibre, not for the stiffness.
     """
     n_nodes = 48
     n_slopes = 600
@@ -119,17 +119,17 @@ def path_of_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
 
 def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Failure:
-    """Slope of the load over a stretch of deflection, as a multiple of 48 EI / span^3.
+    """Return the slope of the load over a range of deflection, as a multiple of 48 EI / span^3.
 
     Parameters
     ----------
     rollers : the supports
-    low, high : m, ends of the stretch; the slope is that of a least-squares line over it
+    low, high : m, ends of the range of the least-squares line
 
     Returns
     -------
-    The ratio; a failure ``beyond_elastica`` where the beam would slip through before, or is less
-    than half as stiff as at first.
+    The ratio; a failure ``beyond_elastica`` if the beam would slip through, or is less than half as
+    stiff as at first.
 
     Examples
     --------
@@ -157,6 +157,6 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Fai
         return Failure(
             "beyond_elastica",
             f"from {1e3 * low:.4g} mm to {1e3 * high:.4g} mm the load on an elastic beam rises "
-            f"{ratio:.2g} times as fast as at first, {min_ratio} is the least that is corrected",
+            f"{ratio:.2g} times as fast as at first, at least {min_ratio} is needed",
         )
     return ratio

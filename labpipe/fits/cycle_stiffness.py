@@ -1,4 +1,4 @@
-"""Stiffnesses of the branches of a cycle, time as instrument: behind the take-up, after a turn."""
+"""Stiffnesses of the branches of a cycle, with time as instrument: after take-up, after a turn."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labpipe.fits.common_path import finite_samples
 from labpipe.fits.least_squares import polynomial_weights, zero_of_line
 from labpipe.fits.slack import TakeUp, take_up
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, part_of, ratio, samples_of
@@ -13,9 +14,9 @@ from labpipe.records.curve import Branch
 from labpipe.records.estimates import Failure
 from labpipe.signal.filters import moving_average
 
-_LEAST = 8
-_BEGIN, _BEGUN = 0.02, 0.1
-"""Share of a window that is its begin; up to which the machine is taken for as fast."""
+_MIN_WINDOW_SAMPLES = 8
+_START_SHARE, _STEADY_SHARE = 0.02, 0.1
+"""Share of a window that is its start; share up to which the speed of the machine is constant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,14 +25,14 @@ class WindowSlope:
 
     Parameters
     ----------
-    known : samples of the branch with a force and a displacement, m of them
+    samples : of the branch, with a force and a displacement, m of them
     time : shape (m,), s
-    path, furthest : shape (m,), m, how far the branch has come, without noise as far as possible,
-        and how far it has been so far
+    path, furthest : shape (m,), m, path along the branch, with little noise, and its largest value
+    so far
     low, high : m, ends of the window
     """
 
-    known: Samples
+    samples: Samples
     time: Floats
     path: Floats
     furthest: Floats
@@ -39,17 +40,17 @@ class WindowSlope:
     high: float
 
     def inside(self, later: Floats | float = 0.0, since: Ints | int = 0) -> tuple[slice, Flags]:
-        """Samples within the window, up to where the path is first beyond it.
+        """Return the samples of the window, up to where the path first leaves it.
 
         Parameters
         ----------
-        later : m, shape (...), by how much further along the path the window lies
-        since : shape (...), sample of the branch before which it does not begin
+        later : m, shape (...), shift of the window along the path
+        since : shape (...), first sample of the branch that it may contain
 
         Returns
         -------
-        Stretch of the known samples that holds all windows, and which of it each holds, shape
-        (..., stretch).
+        Range of the samples that contains all windows, and a mask of each window in it, shape (...,
+        range).
         """
         low, high = (np.asarray(end + later) for end in (self.low, self.high))
         start = np.searchsorted(self.furthest, low)
@@ -63,8 +64,8 @@ class WindowSlope:
         return stretch, is_in
 
     def _numbers(self, stretch: slice) -> Ints:
-        """Numbers in the branch of some of the known samples."""
-        samples = part_of(self.known, stretch)
+        """Return numbers in the branch of a range of the samples."""
+        samples = part_of(self.samples, stretch)
         return np.arange(samples.start, samples.stop) if isinstance(samples, slice) else samples
 
     @property
@@ -85,7 +86,7 @@ class WindowSlope:
         later: Floats | float = 0.0,
         since: Ints | int = 0,
     ) -> Floats:
-        """Slope, N/m, shape (...); NaN where the window holds fewer than 8 samples, or no travel.
+        """Return the slope, N/m, shape (...); NaN for fewer than 8 samples, or without travel.
 
         Parameters
         ----------
@@ -93,9 +94,9 @@ class WindowSlope:
         later, since : shape (...), as for `inside`
         """
         stretch, inside = self.inside(later, since)
-        samples, time = part_of(self.known, stretch), self.time[stretch]
+        samples, time = part_of(self.samples, stretch), self.time[stretch]
         count = inside.sum(axis=-1)
-        enough = np.where(count < _LEAST, 0, count)
+        enough = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
         middle = ratio(np.asarray(inside @ time), enough)
         weight = np.where(inside, time - middle[..., np.newaxis], 0.0)
         return ratio(
@@ -106,12 +107,12 @@ class WindowSlope:
 def window_slope(
     time: Floats, displacement: Floats, force: Floats, path: Floats, *, low: float, high: float
 ) -> WindowSlope | Failure:
-    """Decide from which samples of a branch a stiffness is read.
+    """Choose the samples of a branch for a stiffness.
 
     Parameters
     ----------
-    time, displacement, force : shape (n,), s, m, N, of the branch; NaN where not known
-    path : shape (n,), m, how far the branch has come
+    time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
+    path : shape (n,), m, along the branch
     low, high : m, of the path
 
     Returns
@@ -120,23 +121,20 @@ def window_slope(
 
     Notes
     -----
-    The window is cut by the path averaged over 11 samples, and ends where it is first left, so that
-    noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d: time stands in as the
-    instrument, because ordinary least squares of F on a displacement that is itself noisy comes out
-    too small (by the ratio of noise variance to variance; Fuller, Measurement Error Models, 1987,
-    sec. 1.4).
+    The window is cut from the path averaged over 11 samples, and ends where it is first left, so
+    that noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d: time is the
+    instrument, because ordinary least squares of F on a noisy displacement is too small (by the
+    ratio of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4).
     """
-    # Moving average of the path before the window is cut from it.
-    filter_samples = 11
-    travelled = moving_average(path, window=min(filter_samples, len(path) - 1 + len(path) % 2))
+    travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     if not (travelled > high).any():
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
         return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
-    samples = samples_of(np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)))
+    samples = samples_of(finite_samples(displacement, force))
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
-    if fit.n < _LEAST:
-        message = f"{fit.n} samples in the stretch, {_LEAST} are needed"
+    if fit.n < _MIN_WINDOW_SAMPLES:
+        message = f"{fit.n} samples in the stretch, {_MIN_WINDOW_SAMPLES} are needed"
         return Failure("too_few_samples", message)
     if np.ptp(displacement[fit.window]) == 0.0:
         return Failure("no_travel", "the displacement does not change over the stretch")
@@ -145,55 +143,55 @@ def window_slope(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """Value of a signal where a branch begins: a parabola through its beginning.
+    """Value of a signal at the start of a branch, from a parabola.
 
     Parameters
     ----------
     samples : of the signal
-    weights : shape (samples,), of each in the value
+    weights : shape (samples,), of the samples in the value
     """
 
     samples: Samples
     weights: Floats
 
     def of(self, values: Floats) -> Floats:
-        """Value at the turn, shape (...), of a signal of shape (..., n)."""
+        """Return the value at the turn, shape (...), of a signal of shape (..., n)."""
         value: Floats = np.vecdot(values[..., self.samples], self.weights)
         return value
 
 
 def turn_at(time: Floats, values: Floats, *, at: float, first: int, stop: int) -> Turn:
-    """Decide from which samples the value is read at the turn that a branch begins with.
+    """Choose the samples for the value at the turn at the start of a branch.
 
     Parameters
     ----------
-    time, values : shape (n,), s, and any unit; NaN are left out
-    at : s, of the turn: a branch may hold some of the wait before it
+    time, values : shape (n,), s, and any unit; NaN are ignored
+    at : s, of the turn: a branch may contain a part of the wait before it
     first, stop : samples of the branch
 
     Returns
     -------
-    A parabola through the first tenth of the branch behind the turn, 50 samples at most; the
-    branch's first sample where that holds fewer than 8.
+    A parabola through the first tenth of the branch after the turn, at most 50 samples; the first
+    sample of the branch if that has fewer than 8.
     """
     start = max(first, int(np.searchsorted(time, at)))
     begin = np.arange(start, start + min(50, (stop - start) // 10))
     begin = begin[~np.isnan(values[begin])]
-    if len(begin) < _LEAST:
+    if len(begin) < _MIN_WINDOW_SAMPLES:
         return Turn(samples_of(np.array([first])), np.ones(1))
     return Turn(samples_of(begin), polynomial_weights(time[begin] - at, degree=2)[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadingSlope:
-    """Stiffness over a length behind where the force takes up.
+    """Stiffness over a length after the force takes up.
 
     Parameters
     ----------
     take_up : of the branch
-    first : sample from which on the branch counts as taut
+    first : first sample of the branch that counts as taut
     slope : of the branch from that sample
-    ahead : m, from where the force takes up to the middle of the window
+    ahead : m, from the take-up to the middle of the window
     """
 
     take_up: TakeUp
@@ -202,7 +200,7 @@ class LoadingSlope:
     ahead: float
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Stiffness, N/m, shape (...), of a branch of shape (..., n), m, N; NaN for none.
+        """Return the stiffness, N/m, shape (...), of a branch of shape (..., n), m, N, or NaN.
 
         The window begins where the force of each row takes up.
         """
@@ -213,17 +211,17 @@ class LoadingSlope:
 
     @property
     def share_at_rest(self) -> float:
-        """Share of the window's samples that lie in its first fiftieth.
+        """Share of the samples of the window in its first fiftieth.
 
-        It is large where the motion rests there: the force is beyond its noise before it moves.
+        It is large if the motion rests there, with a force above its noise.
         """
         stretch, inside = self.slope.inside()
         path = self.slope.path[stretch][inside]
-        near = path <= path.min() + _BEGIN * (self.slope.high - self.slope.low)
+        near = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
         return float(near.mean())
 
     def of_each(self, displacement: Floats, force: Floats) -> Floats:
-        """Stiffness of branches with noise, which hides where each gets taut.
+        """Return the stiffness of branches with noise, each with its own take-up.
 
         Parameters
         ----------
@@ -231,7 +229,7 @@ class LoadingSlope:
 
         Returns
         -------
-        Shape (rows,), N/m; NaN for none.
+        Shape (rows,), N/m, or NaN.
         """
         taut = displacement[:, self.first :]
         begins, first = self.take_up.of_each(displacement, force)
@@ -249,15 +247,14 @@ def loading_slope(
     like: LoadingSlope | None = None,
     steps: int = 1,
 ) -> LoadingSlope | Failure:
-    """Decide from where the stiffness of a loading branch is read.
+    """Choose the samples for the stiffness of a loading branch.
 
     Parameters
     ----------
-    time, displacement, force : shape (n,), s, m, N, of the branch; NaN where not known
-    over : m, the length behind the take-up
-    like : how it was decided on the branch as measured: given where the curve at hand is without
-        noise
-    steps : that each sampling step has been divided into
+    time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
+    over : m, the length after the take-up
+    like : the choice on the measured branch, for a curve without noise
+    steps : parts that each sampling step has been divided into
 
     Returns
     -------
@@ -265,10 +262,10 @@ def loading_slope(
 
     Notes
     -----
-    A branch counts as taut from the first sample whose force is beyond its noise. Without noise
-    that is when the line through the foot of the force is zero; what the difference makes of the
-    stiffness is part of what noise does to it. Between samples it is not before the machine moves:
-    samples at rest, where the force is further from zero than its noise, pull the line.
+    A branch counts as taut from the first sample whose force is above its noise; without noise,
+    from the zero of the line through the foot of the force. The difference is an effect of noise.
+    Between samples it is not before the machine moves: samples at rest with a force above its noise
+    would shift the line.
     """
     limit = None if like is None else like.take_up.limit
     begin = take_up(displacement, force, limit=limit, steps=steps)
@@ -279,7 +276,7 @@ def loading_slope(
         at = float(zero_of_line(time[begin.foot], force[begin.foot]))
         first = min(int(np.searchsorted(time, at)), first)
     if steps > 1:
-        first = max(first, _moves(time, displacement, start, over))
+        first = max(first, _start_of_motion(time, displacement, start, over))
     taut = slice(first, None)
     path = displacement[taut]
     slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + over)
@@ -288,24 +285,24 @@ def loading_slope(
     return LoadingSlope(begin, first, slope, float(path[slope.window].mean()) - start)
 
 
-def _moves(time: Floats, displacement: Floats, start: float, over: float) -> int:
-    """Sample at which a machine that has moved at one speed since passed a place; 0 if unknown."""
+def _start_of_motion(time: Floats, displacement: Floats, start: float, over: float) -> int:
+    """Return the sample at which a machine of constant speed passed a place; 0 if unknown."""
     ahead = displacement - start
-    part = np.flatnonzero((ahead >= _BEGIN * over) & (ahead <= _BEGUN * over))
+    part = np.flatnonzero((ahead >= _START_SHARE * over) & (ahead <= _STEADY_SHARE * over))
     at = float(zero_of_line(time[part], ahead[part])) if len(part) > 1 else np.nan
     return 0 if np.isnan(at) else int(np.searchsorted(time, at))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnloadingSlope:
-    """Stiffness over a length just after a turn.
+    """Stiffness over a length after a turn.
 
     Parameters
     ----------
     turn : of the curve
     branch : samples of the curve
     slope : of the branch
-    sense : 1 where loading makes the displacement larger, else -1
+    sense : 1 if loading increases the displacement, else -1
     ahead : m, from the displacement at the turn to that in the middle of the window
     """
 
@@ -316,9 +313,9 @@ class UnloadingSlope:
     ahead: float
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Stiffness, N/m, shape (...), of a curve of shape (..., n), m, N; NaN for none.
+        """Return the stiffness, N/m, shape (...), of a curve of shape (..., n), m, N, or NaN.
 
-        The window is as far off the turn of each row.
+        The window has the same distance from the turn of each row.
         """
         d, f = displacement[..., self.branch], force[..., self.branch]
         middle = d[..., self.slope.window].mean(axis=-1)
@@ -329,14 +326,14 @@ class UnloadingSlope:
 def unloading_slope(
     time: Floats, displacement: Floats, force: Floats, part: Branch, *, over: float, sense: float
 ) -> UnloadingSlope | Failure:
-    """Decide from where the stiffness just after a turn is read.
+    """Choose the samples for the stiffness after a turn.
 
     Parameters
     ----------
-    time, displacement, force : shape (n,), s, m, N, of the curve; NaN where not known
+    time, displacement, force : shape (n,), s, m, N, of the curve; NaN where unknown
     part : the branch that begins with the turn
-    over : m, the length behind the turn; its first tenth, where the motion turns, is left out
-    sense : 1 where loading makes the displacement larger, else -1
+    over : m, the length after the turn; its first tenth, where the motion turns, is excluded
+    sense : 1 if loading increases the displacement, else -1
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Failure of a specimen: where the force is lost for good."""
+"""Failure of a specimen: the permanent loss of force."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ from typing import Any
 
 import numpy as np
 
+from labpipe.fits.common_path import finite_samples
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.estimates import Failure
 
 
 @dataclass(frozen=True, slots=True)
 class FailurePoint:
-    """The first sample of the final loss of force: the last one before it.
+    """The last sample before the final loss of force.
 
     Parameters
     ----------
     sample : its number; the specimen broke between it and the next one
-    lost_before : largest share of the peak that was suddenly lost earlier and after which the
-        force never came back to where it had been: the specimen failed in steps; 0 without one
-    slow_below : share of the peak that the force falls below for good, where it is lost slowly;
-        None where it is lost at once
+    lost_before : largest share of the peak that was suddenly and permanently lost earlier, by a
+        specimen that failed in steps; else 0
+    slow_below : for a slow loss, share of the peak that the force finally falls below; None for a
+        sudden loss
     """
 
     sample: int
@@ -31,13 +32,13 @@ class FailurePoint:
 
 @dataclass(frozen=True, slots=True)
 class LossOfForce:
-    """What counts as a break.
+    """Criteria of a break.
 
     Parameters
     ----------
-    force_below : share of the largest force below which the specimen no longer carries
-    loss : share of the largest force that is lost at once
-    within : s; in less than this, or in one step between samples where that is longer
+    force_below : share of the largest force below which the specimen has failed
+    loss : share of the largest force that is lost suddenly
+    within : s, longest duration of that loss, or one sampling step if that is longer
     """
 
     force_below: float
@@ -48,26 +49,25 @@ class LossOfForce:
 def final_loss(
     time: Floats, force: Floats, rule: LossOfForce, goes_back: Flags | None = None
 ) -> int | Failure:
-    """Sample at which the final loss of force begins.
+    """Find the sample at which the final loss of force begins.
 
     Parameters
     ----------
-    time, force : shape (n,), s (or numbers of rows), N; unfiltered; NaN are left out
-    rule : what counts as a loss
-    goes_back : shape (n,), where the displacement goes back, so that a falling force is no loss
+    time, force : shape (n,), s (or numbers of rows), N; unfiltered; NaN are ignored
+    rule : criteria of a loss
+    goes_back : shape (n,), where the displacement goes back, so that a falling force is not a loss
 
     Returns
     -------
-    Number of the sample, or a failure: ``no_break`` where the force is not lost, is lost
-    slowly, or while the displacement goes back; ``no_tension`` where it is nowhere above zero.
+    Number of the sample, or a failure: ``no_break`` if the force is not lost, is lost slowly, or
+    while the displacement goes back; ``no_tension`` if it is never above zero.
 
     Notes
     -----
-    From the last sample with at least `force_below` of the largest force, which the force does not
-    reach again, go back to the first sample of the loss: as long as the force falls by `loss` of
-    its largest value, or more, within `within`. So a smooth fall before the loss, such as the
-    necking of a wire, belongs to the test. A loss within one step of a slow recording is found as
-    well as one that a fast recording has many samples of.
+    From the last sample with at least `force_below` of the largest force, go back as long as the
+    force falls by at least `loss` of its largest value within `within`. A smooth decrease before
+    the loss, such as the necking of a wire, belongs to the test. A loss within one step of a slow
+    recording is found as well as one with many samples.
     """
     finite = np.flatnonzero(~np.isnan(force))
     t, f = time[finite], force[finite]
@@ -94,43 +94,36 @@ def final_loss(
 
 
 def slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | None:
-    """Last sample that carries the share of the peak, where the motion goes on as force is lost.
+    """Find the last sample with the share of the peak, if the motion continues during the loss.
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N, in the sense of loading; NaN are left out
-    rule : what counts as a loss
+    displacement, force : shape (n,), m, N, in the sense of loading; NaN are ignored
+    rule : criteria of a loss
 
     Returns
     -------
-    Number of the sample. None where the force is not below the share at the end, or is lost while
-    the motion stands or goes back, as that of a specimen that relaxes.
+    Number of the sample. None if the force is not below the share at the end, or if the motion
+    stops or goes back during the loss, as for a specimen that relaxes.
     """
-    # Share of the travel that the motion continues by after a slow loss.
-    min_further_travel = 0.01
-    # Share of the steps there that must not go back.
-    min_forward_steps = 0.5
-    finite = np.flatnonzero(~np.isnan(force) & ~np.isnan(displacement))
+    finite = finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
     last = last_above(f, rule.force_below)
     if last >= len(f) - 1:
         return None
-    goes_on = d[-1] - d[last] >= min_further_travel * (d[last] - d[0])
-    return (
-        int(finite[last])
-        if goes_on and (np.diff(d[last:]) >= 0.0).mean() > min_forward_steps
-        else None
-    )
+    # At least 1 % more travel, and at most every second step back.
+    goes_on = d[-1] - d[last] >= 0.01 * (d[last] - d[0])
+    return int(finite[last]) if goes_on and (np.diff(d[last:]) >= 0.0).mean() > 0.5 else None
 
 
 def last_above(force: Floats, share: float) -> Any:
-    """Number of the last sample with at least a share of the largest one, of rows (..., n)."""
+    """Return the last sample with at least a share of the largest one, of rows (..., n)."""
     holds = force >= share * np.max(force, axis=-1, keepdims=True)
     return force.shape[-1] - 1 - np.argmax(holds[..., ::-1], axis=-1)
 
 
 def _reach(time: Floats, sample: int, within: float) -> int:
-    """The first sample later than `within` after one, left out of what follows it at once."""
+    """Return the first sample later than `within` after another."""
     return int(np.searchsorted(time, time[sample] + within, side="right"))
 
 
@@ -151,17 +144,16 @@ def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: flo
 
 
 def lost_earlier(time: Floats, force: Floats, rule: LossOfForce) -> float:
-    """Largest share of the peak that was lost at once before the end, for good.
+    """Return the largest share of the peak that was suddenly and permanently lost before the end.
 
     Parameters
     ----------
-    time, force : shape (n,), s, N; up to the sample at which the final loss begins; NaN are left
-        out
-    rule : what counts as a loss
+    time, force : shape (n,), s, N; up to the start of the final loss; NaN are ignored
+    rule : criteria of a loss
 
     Returns
     -------
-    Share of the largest force; 0 where none of at least `loss` was lost within `within`.
+    Share of the largest force; 0 without a loss by the rule.
     """
     is_finite = ~np.isnan(force) & ~np.isnan(time)
     time, force = time[is_finite], force[is_finite]

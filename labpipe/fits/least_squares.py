@@ -1,4 +1,4 @@
-"""Straight lines and polynomials by least squares, of as many curves as there are at once."""
+"""Least-squares lines and polynomials of many curves at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from labpipe.records.arrays import Flags, Floats, ratio
 
 
 def slope_of_line(x: Floats, y: Floats) -> Floats:
-    """Slope of a straight line by least squares, or of as many as there are rows.
+    """Return the slope of the least-squares line of each row.
 
     Parameters
     ----------
@@ -16,7 +16,7 @@ def slope_of_line(x: Floats, y: Floats) -> Floats:
 
     Returns
     -------
-    Shape (...): sum (x - mean x) y / sum (x - mean x)^2; NaN where `x` does not change.
+    Shape (...): sum (x - mean x) y / sum (x - mean x)^2; NaN if `x` is constant.
 
     Examples
     --------
@@ -28,7 +28,7 @@ def slope_of_line(x: Floats, y: Floats) -> Floats:
 
 
 def zero_of_line(x: Floats, y: Floats) -> Floats:
-    """Where a straight line by least squares that rises is zero, or as many as there are rows.
+    """Return the zero of the rising least-squares line of each row.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def zero_of_line(x: Floats, y: Floats) -> Floats:
 
     Returns
     -------
-    Shape (...), in the unit of `x`; NaN where the line does not rise.
+    Shape (...), in the unit of `x`; NaN if the line does not rise.
 
     Examples
     --------
@@ -51,16 +51,16 @@ def zero_of_line(x: Floats, y: Floats) -> Floats:
 
 
 def line_in(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Straight line by least squares through chosen samples of each row.
+    """Fit the least-squares line through chosen samples of each row.
 
     Parameters
     ----------
     chosen : shape (rows, n)
-    x, y : shape (rows, n) or (n,); NaN where nothing is chosen
+    x, y : shape (rows, n) or (n,); NaN only where not chosen
 
     Returns
     -------
-    Shapes (rows,): mean of `x`, value of the line there, its slope; NaN where there is none.
+    Shapes (rows,): mean of `x`, value of the line there, its slope; NaN without a line.
     """
     count = chosen.sum(axis=1)
     x, y = (np.where(chosen, values, 0.0) for values in (x, y))
@@ -70,17 +70,17 @@ def line_in(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats
 
 
 def polynomial_weights(x: Floats, *, degree: int) -> Floats:
-    """Weights with which values enter the polynomial through them by least squares.
+    """Return the weights of values in their least-squares polynomial.
 
     Parameters
     ----------
-    x : shape (n,), where the values are; near zero, as powers of it are taken
+    x : shape (n,), places of the values; near zero, for its powers
     degree : of the polynomial
 
     Returns
     -------
-    Shape (degree + 1, n): times the values, shape (..., n), they make the coefficient of each
-    power of `x`, the constant first.
+    Shape (degree + 1, n): their products with the values, shape (..., n), are the coefficients, the
+    constant first.
 
     Examples
     --------

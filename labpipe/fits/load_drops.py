@@ -1,4 +1,4 @@
-"""A sudden drop of the load: where it begins and ends, how much is lost, and if it is noise."""
+"""Fit of a sudden drop of the load: start, end, loss, and a test against noise."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from labpipe.records.curve import Interval
 from labpipe.uncertainty.autocorrelation import cubic_basis, smooth_stretches
 from labpipe.uncertainty.linear_fits import fit_linear
 
-MAD = 1.4826
+MAD_FACTOR = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
-MAD_SHARE = 0.37
+MAD_FREEDOM_SHARE = 0.37
 """Degrees of freedom of a median absolute deviation over those of a standard deviation."""
-_SIDE = 8
-"""Samples on each side of a drop at least."""
-_STRETCH = 100
-"""Samples of the stretches that the noise is judged by."""
+_MIN_SIDE_SAMPLES = 8
+_STRETCH_SAMPLES = 100
+"""Samples of the stretches that the noise is estimated from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +30,9 @@ class LoadDrop:
     Parameters
     ----------
     start, stop : last sample before it and first one after
-    middle : of the likeliest drop, in samples; of all alike, where the data do not tell them apart
+    middle : of the most probable drop, in samples; the mean over drops that fit equally well
     drop, drop_interval : N
-    earliest, latest : samples between which it may have been, by drops over whole samples
+    earliest, latest : samples between which it may be, from drops over whole samples
     slope_before, slope_behind : N/m
     slope_error : N/m, standard error of their difference
     """
@@ -52,13 +51,13 @@ class LoadDrop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PullCurve:
-    """A curve that drops are looked for in.
+    """A curve to be searched for drops.
 
     Parameters
     ----------
     d, f : shape (n,), m, N, samples or means of neighbours, without NaN, evenly spaced
-    most : how many of them the longest drop takes
-    blurred : 1 for means, which a drop may lie inside of; 0 for samples
+    most : samples of the longest drop
+    blurred : 1 for means, as a drop may be inside of one; 0 for samples
     """
 
     d: Floats
@@ -67,7 +66,7 @@ class PullCurve:
     blurred: int
 
     def without(self, drops: Sequence[LoadDrop]) -> PullCurve:
-        """The curve with drops added back; a straight line between start and stop of each."""
+        """Return the curve with drops added back, interpolated between start and stop."""
         f = self.f.copy()
         for drop in drops:
             f[drop.stop :] += drop.drop
@@ -83,29 +82,29 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
     Parameters
     ----------
     pull : the curve, other drops added back
-    place : sample that it is looked for around
+    place : sample near the drop
 
     Returns
     -------
-    The drop; None where there is none that noise does not explain.
+    The drop, or None if noise explains it.
 
     Notes
     -----
     A polynomial with a step over a window around the place: 25 samples on each side and degree
-    three; 15 and two, or 10 and one, where that fails. A longer window would have less noise but
-    more of the curve's bends, which a step takes for its own: of a curvature that changes within
-    the window it takes up to 4 % of the deviation (the trade between the two is that of jumps in
-    regressions: Hahn, Todd and van der Klaauw, Econometrica 69 (2001) 201). The force falls evenly
-    from any quarter of a sample on; all beginnings and lengths are tried in first-order
-    autoregressive noise, whose correlation comes from the whole curve. Those whose whitened sum of
-    squares exceeds the least by no more than 3.84 variances may be true: the samples that lie
-    inside any of them have levels of their own, and the loss is the step by generalised least
-    squares, its interval that of `fit_linear` with the rest of the curve beside it.
+    three; 15 and two, or 10 and one, if that fails. A longer window has less noise but more
+    curvature, which biases the step: by up to 4 % of the deviation, for a curvature that changes
+    within the window (the trade-off is that of jumps in regressions: Hahn, Todd and van der Klaauw,
+    Econometrica 69 (2001) 201). The force falls evenly from any quarter of a sample on; all starts
+    and lengths are tried in first-order autoregressive noise, whose correlation comes from the
+    whole curve. Those whose whitened sum of squares exceeds the smallest by at most 3.84 variances
+    are possible: the samples inside any of them have their own levels, and the loss is the step by
+    generalised least squares, with the interval of `fit_linear` and the rest of the curve as
+    further stretches.
 
-    Noise must not explain the drop with a chance of more than 1e-3 in a whole curve, shared by all
-    places and lengths: neither as it is here (F-test of the sums of squares) nor as it is elsewhere
-    (the same step fitted at all other places, by its robust deviation, whose degrees of freedom
-    count how much these places share).
+    The false-alarm rate is 1e-3 for a whole curve, shared by all places and lengths. It is tested
+    with the noise of the window (F-test of the sums of squares) and with that of the rest of the
+    curve (the same step fitted at all other places, by its robust deviation, with degrees of
+    freedom for the overlap of these places).
     """
     # Samples on each side of a slip, and the degree of the polynomial through both that bends less
     # than noise over that length; the longest is tried first.
@@ -124,31 +123,30 @@ def _fit_within(
     max_excess_variances = 3.84
     (side, degree), most = reach, pull.most
     low, high = max(0, place - most - side), min(len(pull.f), place + most + side + 1)
-    if place - low < _SIDE or high - place < _SIDE + 1:
+    if place - low < _MIN_SIDE_SAMPLES or high - place < _MIN_SIDE_SAMPLES + 1:
         return None
     window = _Window(low, high, degree, factor)
-    drops = _possible(window, place, most)
+    drops = _candidate_drops(window, place, most)
     costs, variance, without = _costs(pull, window, drops)
-    # A drop between two samples has the same cost wherever it is between them.
+    # All drops between the same two samples have the same cost.
     best = drops[costs <= costs.min() + 1e-9 * variance].mean(axis=0)
     if best[1] > most:
-        return None  # it would rather take longer than the longest slip
+        return None  # longer than the longest slip
     allowed = drops[costs <= costs.min() + max_excess_variances * variance]
     whole = np.all(drops % 1.0 == 0.0, axis=1)
     around = drops[whole & (costs <= costs[whole].min() + max_excess_variances * variance)]
     explained = without - float(costs.min())
     if explained <= 0.0:
-        return None  # a converter shows nothing but one of its steps
+        return None  # a step of a converter
     if not _is_clear(pull, window, explained / variance if variance > 0.0 else np.inf):
         return None
-    drop = _measured(pull, window, (best, allowed, around))
+    drop = _measure_drop(pull, window, (best, allowed, around))
     return drop if drop is not None and _is_rare(pull, window, drop) else None
 
 
-def _possible(window: _Window, place: int, most: int) -> Floats:
-    """Beginnings and lengths of drops near a place, in samples: a drop begins between samples."""
-    # Starts of drops are tried in steps of this many samples.
-    start_step = 0.25
+def _candidate_drops(window: _Window, place: int, most: int) -> Floats:
+    """Return starts and lengths of possible drops near a place, in samples."""
+    start_step = 0.25  # samples
     first, last = max(window.low + 4, place - most), min(window.high - 5, place + most)
     begins = np.arange(first, last, start_step)
     lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, most + 2.0))
@@ -159,7 +157,7 @@ def _possible(window: _Window, place: int, most: int) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """Samples from `low` to before `high`, polynomial and lag-one correlation for them."""
+    """Samples [low, high), with degree of the polynomial and lag-one correlation."""
 
     low: int
     high: int
@@ -171,37 +169,29 @@ class _Window:
         return max(self.high - self.low - self.degree - 4, 1)
 
 
-def _chance(pull: PullCurve) -> float:
-    """Chance that noise may have to make a drop at one place."""
-    # For a whole curve, shared by all places and lengths.
-    false_alarm_rate = 1e-3
-    return false_alarm_rate / (len(pull.f) * (pull.most + 1))
+def _false_alarm_rate(pull: PullCurve) -> float:
+    """Return the false-alarm rate at one place: 1e-3 for a whole curve."""
+    return 1e-3 / (len(pull.f) * (pull.most + 1))
 
 
 def _is_clear(pull: PullCurve, window: _Window, squared: float) -> bool:
-    """Whether noise as it is here, with what the polynomial misses, does not explain a drop.
-
-    The F-test of the whitened sums of squares.
-    """
+    """Test a drop against the noise of the window: F-test of the whitened sums of squares."""
     t = float(np.sqrt(max(squared, 0.0)))
-    return bool(stdtr(window.freedom, -t) <= _chance(pull))
+    return bool(stdtr(window.freedom, -t) <= _false_alarm_rate(pull))
 
 
 def _is_rare(pull: PullCurve, window: _Window, drop: LoadDrop) -> bool:
-    """Whether noise as it is elsewhere, of whatever correlation, does not explain a drop.
-
-    The same step is fitted at every other place; its robust deviation is the yardstick.
-    """
+    """Test a drop against the same step at all other places, by its robust deviation."""
     kernel = _step_kernel(window, drop)
     here = -float(kernel @ pull.f[window.low : window.high])
     elsewhere = np.convolve(pull.without([drop]).f, kernel[::-1], mode="valid")
-    spread = max(MAD * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
-    freedom = int(MAD_SHARE * len(elsewhere) / _shared(kernel, window.factor))
-    return bool(stdtr(max(freedom, 1), -here / spread) <= _chance(pull))
+    spread = max(MAD_FACTOR * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
+    freedom = int(MAD_FREEDOM_SHARE * len(elsewhere) / _places_per_freedom(kernel, window.factor))
+    return bool(stdtr(max(freedom, 1), -here / spread) <= _false_alarm_rate(pull))
 
 
 def _step_kernel(window: _Window, drop: LoadDrop) -> Floats:
-    """Weights of the samples of a window in its generalised least-squares step."""
+    """Return the weights of the samples of a window in its generalised least-squares step."""
     rows = np.arange(window.low, window.high)
     ramp = np.clip((rows - drop.start) / (drop.stop - drop.start), 0.0, 1.0)
     design = np.column_stack([*_powers(rows.astype(np.float64), window.degree), ramp])
@@ -215,10 +205,10 @@ def _powers(x: Floats, degree: int) -> list[Floats]:
     return [scaled**power for power in range(degree + 1)]
 
 
-def _shared(kernel: Floats, factor: float) -> float:
-    """Neighbouring places that together say as much of a variance as one.
+def _places_per_freedom(kernel: Floats, factor: float) -> float:
+    """Return the adjacent places that count as one degree of freedom of a variance.
 
-    The sum of squared correlations of what a kernel makes of autoregressive noise.
+    The sum of squared correlations of autoregressive noise after the kernel.
     """
     lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
     alike = np.convolve(np.correlate(kernel, kernel, mode="full"), factor**lags, mode="same")
@@ -226,8 +216,8 @@ def _shared(kernel: Floats, factor: float) -> float:
 
 
 def _correlation(f: Floats) -> float:
-    """Lag-one correlation of the noise: median over windows, of residuals about cubics."""
-    width = min(_STRETCH, len(f))
+    """Return the lag-one correlation of the noise: median over windows, about cubics."""
+    width = min(_STRETCH_SAMPLES, len(f))
     basis = cubic_basis(width).T
     starts = range(0, len(f) - width + 1, max(width // 4, 1))
     pieces = np.array([f[start : start + width] for start in starts])
@@ -240,9 +230,9 @@ def _correlation(f: Floats) -> float:
 
 @cache
 def _seen_correlations(width: int) -> tuple[Floats, Floats]:
-    """Lag-one correlations of noise, and what residuals about a cubic show of each.
+    """Return lag-one correlations of noise, and the expected ones of residuals about a cubic.
 
-    Residuals of a fit know less of each other than the noise does: Kendall, Biometrika 41 (1954).
+    Residuals of a fit are less correlated than the noise: Kendall, Biometrika 41 (1954).
     """
     factors = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
     basis = cubic_basis(width).T
@@ -257,10 +247,7 @@ def _seen_correlations(width: int) -> tuple[Floats, Floats]:
 
 
 def _costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, float, float]:
-    """Whitened sum of squares of each drop, the variance of one term, and the sum with no drop.
-
-    The force falls evenly.
-    """
+    """Return whitened sums of squares of linear drops, their variance, and the sum without drop."""
     rows = np.arange(window.low, window.high)
     f, factor = pull.f[rows], window.factor
     ramps = np.clip((rows[:, None] - drops[:, 0]) / drops[:, 1], 0.0, 1.0)
@@ -274,7 +261,7 @@ def _costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, flo
     return squares, float(squares.min()) / window.freedom, without
 
 
-def _measured(
+def _measure_drop(
     pull: PullCurve, window: _Window, drops: tuple[Floats, Floats, Floats]
 ) -> LoadDrop | None:
     (best, allowed, around), blurred = drops, pull.blurred
@@ -289,15 +276,15 @@ def _measured(
     x = d[rows] - 0.5 * (d[start] + d[stop])
     x = x / (float(np.ptp(x)) or 1.0)
     powers = [x**power for power in range(window.degree + 1)]
-    # A sample that may be inside has a level of its own: it would make the loss too small.
+    # A sample that may be inside has its own level, else the loss would be too small.
     inside = np.eye(len(rows))[:, first - window.low : last - window.low]
     design = np.column_stack([after, *powers, inside])
-    drop = fit_linear(design, f, weighted=True, beside=_beside(pull, window)).estimate(0)
+    drop = fit_linear(design, f, weighted=True, beside=_other_stretches(pull, window)).estimate(0)
     if drop.interval is None or drop.interval.upper >= 0.0:
         return None
     around_it = slice(max(first - 1, window.low), last + 1)
     if float(np.diff(pull.f[around_it]).min(initial=0.0)) >= 0.0:
-        return None  # the force rises at every sample: its slope changes, nothing falls
+        return None  # the force rises everywhere: only its slope changes
     both = fit_linear(np.column_stack([np.ones(len(rows)), x, after, x * after, inside]), f)
     before, change = float(both.coefficients[1]), float(both.coefficients[3])
     return LoadDrop(
@@ -314,11 +301,11 @@ def _measured(
     )
 
 
-def _beside(pull: PullCurve, window: _Window) -> list[Floats]:
-    """Stretches of the curve outside a window, which say what the noise is like."""
+def _other_stretches(pull: PullCurve, window: _Window) -> list[Floats]:
+    """Return stretches of the curve outside a window, for its noise."""
     before, behind = pull.f[: window.low], pull.f[window.high :]
     return [
         smooth_stretch
         for part in (before, behind)
-        for smooth_stretch in smooth_stretches(part, width=_STRETCH)
+        for smooth_stretch in smooth_stretches(part, width=_STRETCH_SAMPLES)
     ]

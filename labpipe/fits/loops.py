@@ -1,4 +1,4 @@
-"""A force-displacement loop: stiffness, energy, and which way its loading goes."""
+"""A force-displacement loop: stiffness, energy, and direction of loading."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from labpipe.records.arrays import Flags, Floats, median
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.uncertainty.autocorrelation import long_run_variance
 
-LEAST_OF_LOOP = 3
-"""Samples that enclose an area."""
+MIN_LOOP_SAMPLES = 3
 
 
 def secant_stiffness(
     time: Floats, displacement: Floats, force: Floats, chosen: Flags
 ) -> Estimate | Failure:
-    """Slope of force against displacement over chosen samples.
+    """Return the slope of force against displacement over chosen samples.
 
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N
-    chosen : shape (n,), the stretch; NaN in it are left out
+    chosen : shape (n,); NaN are ignored
 
     Returns
     -------
@@ -28,11 +27,10 @@ def secant_stiffness(
 
     Notes
     -----
-    k = sum (t - mean t) F / sum (t - mean t) d: time stands in as the instrument, because ordinary
-    least squares of F on a displacement that is itself noisy comes out too small (by the ratio
-    of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4). The standard
-    error takes the long-run variance of F - k d after a cubic in time, which is the shape of the
-    curve and not noise.
+    k = sum (t - mean t) F / sum (t - mean t) d: time is the instrument, because ordinary least
+    squares of F on a noisy displacement is too small (by the ratio of noise variance to variance;
+    Fuller, Measurement Error Models, 1987, sec. 1.4). The standard error is from the long-run
+    variance of F - k d less a cubic in time, the shape of the curve.
     """
     chosen = chosen & ~np.isnan(displacement) & ~np.isnan(force)
     count = int(chosen.sum())
@@ -52,7 +50,7 @@ def secant_stiffness(
 
 
 def energy_of(displacement: Floats, force: Floats) -> Floats:
-    """Integral of force over displacement by trapezoids, J, shape (...).
+    """Integrate force over displacement by trapezoids, J, shape (...).
 
     Parameters
     ----------
@@ -72,17 +70,16 @@ def energy_of(displacement: Floats, force: Floats) -> Floats:
 
 
 def sense_of_loading(values: Floats) -> float:
-    """Which way a quantity goes when a specimen is loaded.
+    """Return the sign of a quantity during loading.
 
     Parameters
     ----------
-    values : shape (n,), over the first loading branch; NaN are left out
+    values : shape (n,), over the first loading branch; NaN are ignored
 
     Returns
     -------
-    -1.0 where it goes further down than up from its first value, else 1.0; where it leaves its
-    first value both ways alike, as a force that begins high and is lost does, that of the larger
-    absolute value.
+    -1.0 if it goes further down than up from its first value, else 1.0. If it goes both ways alike,
+    as a force that begins high and is lost, the sign of the larger absolute value.
     """
     finite = values[~np.isnan(values)]
     if not len(finite):

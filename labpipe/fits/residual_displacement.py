@@ -1,4 +1,4 @@
-"""What unloading leaves: the displacement when the force is back at zero."""
+"""Residual displacement: the displacement at zero force after unloading."""
 
 from __future__ import annotations
 
@@ -7,30 +7,29 @@ from typing import TypeAlias
 
 import numpy as np
 
+from labpipe.fits.common_path import finite_samples
 from labpipe.fits.least_squares import line_in, polynomial_weights, slope_of_line, zero_of_line
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_of
 from labpipe.records.estimates import Failure
 from labpipe.uncertainty.autocorrelation import fast_noise, limits_by_noise
 
-_FOOT = 5.0
-"""Limits from which on the foot of the force is taken for straight."""
-_SECOND = 1.0
-"""s before zero over which the displacement is."""
-_LEAST = 8
-_LEAST_IN_FOOT = 4
-_STEPS = 4
-"""Steps to the root of a parabola that begins near it."""
+_FOOT_LIMITS = 5.0
+"""The foot of the force, below this multiple of the limit, is taken as straight."""
+_TIME_BEFORE_ZERO = 1.0
+"""s before zero force, for the line through the displacement."""
+_MIN_SAMPLES = 8
+_MIN_FOOT_SAMPLES = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThroughZero:
-    """The force goes on below zero: parabolas through force and displacement around that.
+    """The force continues below zero: parabolas through force and displacement there.
 
     Parameters
     ----------
     near : samples of the branch
     time : shape (near,), s, from about when the force is zero
-    limit : N, up to which a force passes for zero
+    limit : N, up to which a force counts as zero
     """
 
     near: Samples
@@ -39,15 +38,15 @@ class ThroughZero:
 
     @property
     def n(self) -> int:
-        """Samples that the displacement is read from."""
+        """Number of samples used for the displacement."""
         return len(self.time)
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Displacement at zero force, m, shape (...); `force` and it shape (..., n)."""
+        """Return the displacement at zero force, m, shape (...), from curves (..., n)."""
         weights = polynomial_weights(self.time, degree=2).T
         level, slope, bend = np.moveaxis(force[..., self.near] @ weights, -1, 0)
         at = np.zeros_like(level)
-        for _ in range(_STEPS):
+        for _ in range(4):  # Newton steps, from near the root
             step = ratio(level + at * (slope + at * bend), slope + 2.0 * at * bend)
             at = np.clip(at - step, self.time[0], self.time[-1])
         place, speed, curve = np.moveaxis(displacement[..., self.near] @ weights, -1, 0)
@@ -57,12 +56,12 @@ class ThroughZero:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """The string is slack and the displacement rests: its mean.
+    """The string is slack and the displacement at rest: its mean.
 
     Parameters
     ----------
-    rest, n : samples of the branch, and how many
-    limit : N, up to which a force passes for zero
+    rest, n : samples of the branch, and their number
+    limit : N, up to which a force counts as zero
     """
 
     rest: Samples
@@ -70,7 +69,7 @@ class AtRest:
     limit: float
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Mean displacement, m, shape (...); `displacement` shape (..., n)."""
+        """Return the mean displacement, m, shape (...), from curves (..., n)."""
         del force
         value: Floats = displacement[..., self.rest].mean(axis=-1)
         return value
@@ -78,17 +77,17 @@ class AtRest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowedToZero:
-    """The foot of the force is followed to zero, and the displacement along the second before.
+    """The foot of the force is extrapolated to zero, with the displacement of the last second.
 
     Parameters
     ----------
-    known, foot, near : samples of the branch: all that are not blank, and two stretches
-    time, foot_time, near_time : shape (known,), (foot,), (near,), s, from the end of the foot
+    samples, foot, near : samples of the branch: all without NaN, and two parts
+    time, foot_time, near_time : shape (samples,), (foot,), (near,), s, from the end of the foot
     is_line : whether a line through the foot falls to zero; else zero is at its end
-    limit, least : N, up to which a force passes for zero, and what that would be without noise
+    limit, least : N, up to which a force counts as zero, and that limit without noise
     """
 
-    known: Samples
+    samples: Samples
     foot: Samples
     near: Samples
     time: Floats
@@ -100,11 +99,11 @@ class FollowedToZero:
 
     @property
     def n(self) -> int:
-        """Samples that the displacement is read from."""
+        """Number of samples used for the displacement."""
         return len(self.near_time)
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
-        """Displacement at zero force, m, shape (...); NaN where a line no longer falls.
+        """Return the displacement at zero force, m, shape (...); NaN if a line does not fall.
 
         Parameters
         ----------
@@ -117,7 +116,7 @@ class FollowedToZero:
         return value
 
     def of_each(self, displacement: Floats, force: Floats) -> Floats:
-        """Displacement at zero force of branches with noise, which says where each foot ends.
+        """Return the displacement at zero force of branches with noise, each with its own foot.
 
         Parameters
         ----------
@@ -125,29 +124,31 @@ class FollowedToZero:
 
         Returns
         -------
-        Shape (rows,), m; NaN where the force does not come back to zero.
+        Shape (rows,), m; NaN if the force does not return to zero.
         """
-        d, f, time = displacement[:, self.known], force[:, self.known], self.time
+        d, f, time = displacement[:, self.samples], force[:, self.samples], self.time
         limit = np.full((len(f), 1), self.limit)
         if self.limit > self.least:
             limit = np.maximum(limits_by_noise(self.limit, f), self.least)[:, np.newaxis]
-        begin, end = _last(f > _FOOT * limit), _last(f > limit)
+        begin, end = _last_flagged(f > _FOOT_LIMITS * limit), _last_flagged(f > limit)
         stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
         numbers = np.arange(stretch.start, stretch.stop)
         foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
         middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
-        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _LEAST_IN_FOOT)
+        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_FOOT_SAMPLES)
         at = np.where(falls, middle - ratio(level, slope), time[end])
-        part = slice(*np.searchsorted(time, [at.min() - _SECOND, at.max() + _SECOND]))
-        t, start = time[part], at[:, np.newaxis] - _SECOND
+        part = slice(
+            *np.searchsorted(time, [at.min() - _TIME_BEFORE_ZERO, at.max() + _TIME_BEFORE_ZERO])
+        )
+        t, start = time[part], at[:, np.newaxis] - _TIME_BEFORE_ZERO
         near = (t >= start) & (t <= at[:, np.newaxis])
         middle, level, slope = line_in(near, t, d[:, part])
-        ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _LEAST)
+        ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _MIN_SAMPLES)
         return np.where(ended, level + slope * (at - middle), np.nan)
 
 
 Unloaded: TypeAlias = ThroughZero | AtRest | FollowedToZero
-"""The way in which an unloading ends, and the samples that its number is read from."""
+"""How an unloading ends, with the samples for its residual displacement."""
 
 
 def unloaded(
@@ -158,40 +159,38 @@ def unloaded(
     force_below: float,
     like: Unloaded | None = None,
 ) -> Unloaded | Failure:
-    """Decide from where the displacement is read that is left when the force is back at zero.
+    """Choose the samples for the displacement at zero force after unloading.
 
     Parameters
     ----------
-    time, displacement, force : shape (n,), s, m, N; one unloading branch; NaN are left out
-    force_below : N; a force is taken for zero when it stays within this. A weak specimen needs
-        less: never more than a fiftieth of the largest force, unless its noise (four standard
-        deviations) is more
-    like : how the same branch ends as it was measured: where the curve at hand is without noise,
-        it says what passes for zero, and which way it ends
+    time, displacement, force : shape (n,), s, m, N; one unloading branch; NaN are ignored
+    force_below : N; a force within this counts as zero. For weak specimens at most a fiftieth of
+        the largest force, unless its noise (four standard deviations) is more
+    like : how the measured branch ends, with its limit, for a curve without noise
 
     Returns
     -------
-    The way and its samples, or a failure: ``force_not_zero`` when the branch ends before the force
-    is back at zero, ``too_few_samples``.
+    The end and its samples, or a failure: ``force_not_zero`` if the branch ends before the force is
+    zero, ``too_few_samples``.
 
     Notes
     -----
-    Three ways to end. The force goes on below zero: parabolas through force and displacement, over
-    a tenth of the branch on each side, say when it is zero and where the specimen is then. The
-    string gets slack (the force between five limits and one, followed by a straight line, would
-    have fallen by three limits more, and stays within two) and the displacement rests: the mean
-    over that rest. Else the line is followed to zero, and the displacement along a line through the
-    second before, since it may have a kink there.
+    There are three cases. The force continues below zero: parabolas through force and displacement,
+    over a tenth of the branch on each side, give the time of zero force and the displacement. The
+    string becomes slack (the line through the force between five limits and one would have fallen
+    by three limits more, and the force stays within two) and the displacement rests: its mean.
+    Otherwise the line is extrapolated to zero, and the displacement along a line through the second
+    before, since it may have a kink there.
     """
     # Largest share of the largest force of a branch that counts as zero.
     max_zero_share = 0.02
     # Standard deviations of noise above which a force is not zero.
     noise_deviations = 4.0
-    finite = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    finite = finite_samples(displacement, force)
     branch = _Branch(finite, time[finite], displacement[finite], force[finite])
     f = branch.force
-    if len(f) < 2 * _LEAST:
-        return Failure("too_few_samples", f"{len(f)} samples, {2 * _LEAST} are needed")
+    if len(f) < 2 * _MIN_SAMPLES:
+        return Failure("too_few_samples", f"{len(f)} samples, {2 * _MIN_SAMPLES} are needed")
     least = min(force_below, max_zero_share * float(f.max()))
     limit = max(noise_deviations * float(fast_noise(f)), least) if like is None else like.limit
     above = np.flatnonzero(f > limit)
@@ -200,7 +199,7 @@ def unloaded(
     if above[-1] >= len(f) - 3:
         message = f"the force ends at {f[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
         return Failure("force_not_zero", message)
-    goes_on = bool(np.median(f[-_LEAST:]) < -limit)
+    goes_on = bool(np.median(f[-_MIN_SAMPLES:]) < -limit)
     if goes_on if like is None else isinstance(like, ThroughZero):
         return branch.through_zero(limit)
     return branch.slack_or_followed(limit, least, like)
@@ -208,46 +207,44 @@ def unloaded(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Branch:
-    """An unloading branch without blanks.
+    """An unloading branch without NaN.
 
     Parameters
     ----------
-    known : shape (n,), which samples of the branch
+    numbers : shape (n,), samples of the branch
     time, displacement, force : shape (n,), s, m, N
     """
 
-    known: Ints
+    numbers: Ints
     time: Floats
     displacement: Floats
     force: Floats
 
     def samples(self, chosen: Flags | slice) -> Samples:
-        """Numbers of chosen ones in the branch."""
-        return samples_of(self.known[chosen])
+        """Return the numbers of chosen samples in the branch."""
+        return samples_of(self.numbers[chosen])
 
     def through_zero(self, limit: float) -> ThroughZero | Failure:
-        """Samples around where the force passes through zero."""
-        # The parabola is fitted to this share of the branch on each side of its zero.
-        fit_share = 0.1
+        """Choose the samples around the zero of the force."""
         time = self.time
         middle = time[min(int((self.force > 0.0).sum()), len(time) - 1)]
-        near = np.abs(time - middle) <= fit_share * (time[-1] - time[0])
-        if near.sum() < _LEAST:
-            message = f"{int(near.sum())} samples near zero force, {_LEAST} are needed"
+        near = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
+        if near.sum() < _MIN_SAMPLES:
+            message = f"{int(near.sum())} samples near zero force, {_MIN_SAMPLES} are needed"
             return Failure("too_few_samples", message)
         return ThroughZero(self.samples(near), time[near] - middle, limit)
 
     def slack_or_followed(
         self, limit: float, least: float, like: Unloaded | None
     ) -> Unloaded | Failure:
-        """The foot of the force and what comes behind, where the force stays near zero."""
+        """Choose the samples for a force that stays near zero."""
         last = int(np.flatnonzero(self.force > limit)[-1])
-        far = np.flatnonzero(self.force > _FOOT * limit)
+        far = np.flatnonzero(self.force > _FOOT_LIMITS * limit)
         foot = slice(int(far[-1]) if len(far) else 0, last + 1)
         end = float(self.time[last])
         from_end = self.time - end
         at, slope = np.nan, 0.0
-        if foot.stop - foot.start >= _LEAST_IN_FOOT:
+        if foot.stop - foot.start >= _MIN_FOOT_SAMPLES:
             at = float(_zero_time(from_end[foot], self.force[foot]))
             slope = float(slope_of_line(from_end[foot], self.force[foot]))
         falls = not np.isnan(at)
@@ -257,33 +254,32 @@ class _Branch:
         rests = has_stopped and self._is_slack(rest, limit)
         if rests if like is None else isinstance(like, AtRest) and rest.any():
             return AtRest(self.samples(rest), int(rest.sum()), limit)
-        near = (self.time >= zero - _SECOND) & (self.time <= zero)
-        if near.sum() < _LEAST:
+        near = (self.time >= zero - _TIME_BEFORE_ZERO) & (self.time <= zero)
+        if near.sum() < _MIN_SAMPLES:
             message = f"{int(near.sum())} samples in the 1 s to {zero:.3f} s"
             return Failure("too_few_samples", message)
-        places = samples_of(self.known), self.samples(foot), self.samples(near)
+        places = samples_of(self.numbers), self.samples(foot), self.samples(near)
         times = from_end, from_end[foot], from_end[near]
         return FollowedToZero(*places, *times, falls, limit, least)
 
     def _is_slack(self, rest: Flags, limit: float) -> bool:
-        """Whether the force stays near zero and the displacement moves by no more than noise."""
-        rounding_share = 1e-9
-        if rest.sum() < _LEAST or np.abs(self.force[rest]).max() > 2.0 * limit:
+        """Return whether force and displacement rest within their noise."""
+        if rest.sum() < _MIN_SAMPLES or np.abs(self.force[rest]).max() > 2.0 * limit:
             return False
         at, values = self.time[rest] - self.time[rest].mean(), self.displacement[rest]
         slope = float(slope_of_line(at, values))
         noise = values - values.mean() - slope * at
-        still = 3.0 * float(noise.std()) + rounding_share * float(np.ptp(self.displacement))
+        still = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(self.displacement))
         return abs(slope) * float(np.ptp(at)) <= still
 
 
-def _last(flags: Flags) -> Ints:
-    """Last flagged sample of each row; -1 where none is."""
+def _last_flagged(flags: Flags) -> Ints:
+    """Return the last flagged sample of each row, or -1."""
     count: int = flags.shape[1]
     last: Ints = np.where(flags.any(axis=1), count - 1 - np.argmax(flags[:, ::-1], axis=1), -1)
     return last
 
 
 def _zero_time(time: Floats, force: Floats) -> Floats:
-    """When a falling line is zero, s, shape (...); NaN where it does not fall."""
+    """Return when a falling line is zero, s, shape (...), or NaN."""
     return zero_of_line(time, -force)

@@ -1,33 +1,33 @@
-"""What straight lines are drawn through: the window of a compliance, areas of sections."""
+"""The window of a compliance, and areas of sections."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from labpipe.fits.common_path import finite_samples
 from labpipe.records.arrays import Floats, Samples, samples_of
 from labpipe.records.estimates import Failure
 
-LEAST_OF_LINE = 5
-"""Samples that a line is drawn through."""
+MIN_LINE_SAMPLES = 5
 
 
 def compliance_window(
     displacement: Floats, force: Floats, *, start: float, stop: float
 ) -> Samples | Failure:
-    """Samples between which the force first rises from one value to another.
+    """Find the samples over which the force first rises from one value to another.
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N; the loading branch of a stiff-bar test; NaN in either
-        are left out
+    displacement, force : shape (n,), m, N; the loading branch of a stiff-bar test; NaN
+        are ignored
     start, stop : N, force window; below it grips and joints settle
 
     Returns
     -------
-    The samples, or a failure: ``too_few_samples``, ``no_travel`` when the force stands still,
-    ``not_reached`` when it does not reach `stop`.
+    The samples, or a failure: ``too_few_samples``, ``no_travel`` if the force is constant,
+    ``not_reached`` if it does not reach `stop`.
     """
-    finite = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    finite = finite_samples(displacement, force)
     f = force[finite]
     if len(f) == 0 or float(f.max()) < stop:
         most = float(f.max()) if len(f) else 0.0
@@ -37,8 +37,8 @@ def compliance_window(
     last = int(np.argmax(f >= stop))
     below = np.flatnonzero(f[:last] < start)
     inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
-    if len(inside) < LEAST_OF_LINE:
-        message = f"{len(inside)} samples in the stretch, {LEAST_OF_LINE} are needed"
+    if len(inside) < MIN_LINE_SAMPLES:
+        message = f"{len(inside)} samples in the stretch, {MIN_LINE_SAMPLES} are needed"
         return Failure("too_few_samples", message)
     if np.ptp(force[inside]) == 0.0:
         return Failure("no_travel", "the force does not change over the stretch")
@@ -46,7 +46,7 @@ def compliance_window(
 
 
 def correct_displacement(displacement: Floats, force: Floats, *, compliance: float) -> Floats:
-    """Displacement of the specimen alone: d - C F.
+    """Return the displacement of the specimen alone: d - C F.
 
     Parameters
     ----------
@@ -62,19 +62,19 @@ def correct_displacement(displacement: Floats, force: Floats, *, compliance: flo
 
 
 def rectangle_area(width: float, thickness: float) -> float:
-    """Area of a rectangle, m^2: width x thickness, both in m."""
+    """Return the area of a rectangle, m^2: width x thickness, both in m."""
     return width * thickness
 
 
 def annulus_area(outer_diameter: float, inner_diameter: float) -> float:
-    """Area of a ring, m^2: pi (OD^2 - ID^2) / 4, diameters in m."""
+    """Return the area of a ring, m^2: pi (OD^2 - ID^2) / 4, diameters in m."""
     return 0.25 * float(np.pi) * (outer_diameter**2 - inner_diameter**2)
 
 
 def thin_wall_area(outer_diameter: float, wall: float) -> float:
-    """Area of a tube of stated wall, m^2: pi (OD - t) t, both in m.
+    """Return the area of a tube of stated wall, m^2: pi (OD - t) t, both in m.
 
-    For a corrugated tube, whose outer and inner diameter hold the height of the folds, this is
-    another area than `annulus_area`: a modulus has to say which one it refers to.
+    For a corrugated tube, whose diameters include the height of the folds, this differs from
+    `annulus_area`: a modulus has to state which one it refers to.
     """
     return float(np.pi) * (outer_diameter - wall) * wall

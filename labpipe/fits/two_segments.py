@@ -7,19 +7,18 @@ from typing import TypeVar
 
 import numpy as np
 
-from labpipe.fits.common_path import CommonPath, known_samples
+from labpipe.fits.common_path import CommonPath, finite_samples
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Reason
 
 _Place = TypeVar("_Place", float, Floats)
-_SIDE = 4
-"""Samples on each side of the break at least."""
+_MIN_SIDE_SAMPLES = 4
 
 
-def _in_order(displacement: Floats, finite: Ints) -> Ints | Failure:
-    """Known samples of a stretch in which the displacement grows, sorted by it."""
+def _sort_samples(displacement: Floats, finite: Ints) -> Ints | Failure:
+    """Sort the samples of a stretch of increasing displacement."""
     min_samples = 16
     d = displacement[finite]
     if len(d) < min_samples:
@@ -34,7 +33,7 @@ def _in_order(displacement: Floats, finite: Ints) -> Ints | Failure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scan:
-    """Sums of squares of all two-segment lines through sorted samples, from cumulative sums.
+    """Sums of squares of all two-segment lines through sorted samples, from running sums.
 
     d, y : shape (n,), as measured; x : d centred and scaled; r : residuals of one straight line, so
     that the sums do not cancel; sums : shape (5, n + 1), running sums of 1, x, x^2, r, x r.
@@ -56,12 +55,12 @@ class _Scan:
         return cls(d, y, x, r, sums)
 
     def d_of(self, x: _Place) -> _Place:
-        """Displacement of a place, m."""
+        """Return the displacement of a scaled place, m."""
         first, last = float(self.d[0]), float(self.d[-1])
         return 0.5 * (first + last) + 0.5 * (last - first) * x
 
     def squares_at(self, at: Floats) -> Floats:
-        """Least sum of squares with the break held, shape of `at`."""
+        """Return the smallest sum of squares for given breaks, shape of `at`."""
         _, _, _, sr, sxr = self._above(at)
         _, _, left = self.hinges(at)
         shr = sxr - at * sr
@@ -70,17 +69,17 @@ class _Scan:
         return rest
 
     def _above(self, at: Floats) -> Floats:
-        """Sums over the samples beyond each place, shape (5, ...)."""
+        """Return sums over the samples beyond each place, shape (5, ...)."""
         above: Floats = self.sums[:, -1:] - self.sums[:, np.searchsorted(self.x, at, "right")]
         return above
 
     def hinges(self, at: Floats) -> tuple[Floats, Floats, Floats]:
-        """Of h = max(x - at, 0) at each place the sum, and what its own line takes off and leaves.
+        """Return sums of h = max(x - at, 0) at each place.
 
         Returns
         -------
-        Sum of h; sum of h (x - mean x); sum of squares of h without its straight line, 0 where
-        that is nothing but rounding.
+        Sum of h; sum of h (x - mean x); sum of squares of h less its straight line, 0 within
+        rounding.
         """
         n, sx, sxx, _, _ = self._above(at)
         count, mx, mxx = self.sums[0, -1], *self.spread
@@ -96,25 +95,25 @@ class _Scan:
         return float(sx / count), float(sxx - sx * sx / count)
 
     def crossings(self) -> Floats:
-        """Where the separate lines before and behind each gap between samples meet inside it."""
-        below = self.sums[:, _SIDE : len(self.x) - _SIDE + 1]
+        """Return where separate lines before and after a gap between samples meet inside it."""
+        below = self.sums[:, _MIN_SIDE_SAMPLES : len(self.x) - _MIN_SIDE_SAMPLES + 1]
         first, second = _lines(below), _lines(self.sums[:, -1:] - below)
         with np.errstate(divide="ignore", invalid="ignore"):
             meet = (second[0] - first[0]) / (first[1] - second[1])
-        low = self.x[_SIDE - 1 : len(self.x) - _SIDE]
-        high = self.x[_SIDE : len(self.x) - _SIDE + 1]
+        low = self.x[_MIN_SIDE_SAMPLES - 1 : len(self.x) - _MIN_SIDE_SAMPLES]
+        high = self.x[_MIN_SIDE_SAMPLES : len(self.x) - _MIN_SIDE_SAMPLES + 1]
         crossings: Floats = meet[(meet >= low) & (meet <= high)]
         return crossings
 
     def best(self) -> float:
-        """Break of the global optimum."""
-        inside = self.x[_SIDE - 1 : len(self.x) - _SIDE + 1]
+        """Return the break of the global optimum."""
+        inside = self.x[_MIN_SIDE_SAMPLES - 1 : len(self.x) - _MIN_SIDE_SAMPLES + 1]
         places = np.concatenate([inside, self.crossings()])
         return float(places[int(np.argmin(self.squares_at(places)))])
 
 
 def _lines(sums: Floats) -> tuple[Floats, Floats]:
-    """Level and slope of the least-squares line of each column of sums."""
+    """Return level and slope of the least-squares line of each column of sums."""
     n, sx, sxx, sr, sxr = sums
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (n * sxr - sx * sr) / (n * sxx - sx * sx)
@@ -123,12 +122,12 @@ def _lines(sums: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Two lines that meet, of each of many curves.
+    """Two lines that meet, for each of many curves.
 
     Parameters
     ----------
     break_point : shape (...), m
-    first, second : shape (...), N/m, slopes before and behind it
+    first, second : shape (...), N/m, slopes before and after it
     level : shape (...), N, force at the break
     """
 
@@ -140,14 +139,14 @@ class Segments:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hinges:
-    """The places at which two lines may meet, decided once on one curve.
+    """Places at which two lines may meet, chosen on one curve.
 
     Parameters
     ----------
-    path : of the samples that both quantities are known of, sorted by displacement
-    scan : of the curve that was decided on
+    path : of the samples with both quantities, sorted by displacement
+    scan : of the reference curve
     places : shape (300,), on the scale of the scan
-    moved : on that scale, how far the global optimum of that curve lies behind what the places find
+    moved : on that scale, from the optimum over the places to the global optimum of that curve
     """
 
     path: CommonPath
@@ -157,30 +156,25 @@ class Hinges:
 
     @classmethod
     def of(cls, displacement: Floats, force: Floats) -> Hinges | Failure:
-        """Decide on the places between which a curve may bend.
+        """Choose the places between which a curve may bend.
 
         Parameters
         ----------
         displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time; NaN
-            in either are left out
+            are ignored
 
         Returns
         -------
-        Places with the same distance, the first and the last with eight samples beyond (an eighth
-        of the samples where these are fewer than 64, four at least), or a failure:
-        ``too_few_samples`` (fewer than 16), ``not_increasing`` when the displacement does not grow
-        over the stretch.
+        Equidistant places, the first and the last with eight samples beyond (an eighth of fewer
+        than 64 samples, at least four), or a failure: ``too_few_samples`` (fewer than 16),
+        ``not_increasing`` if the displacement does not increase over the stretch.
         """
-        # Breaks that are tried on each curve.
-        max_places = 300
-        # Samples on each side of the first and the last break, for 64 samples or more.
-        side_samples = 8
-        order = _in_order(displacement, known_samples(displacement, force))
+        order = _sort_samples(displacement, finite_samples(displacement, force))
         if isinstance(order, Failure):
             return order
         scan = _Scan.of(displacement[order], force[order])
-        beside = min(side_samples, max(_SIDE, len(order) // 8)) - 1
-        places = np.linspace(scan.x[beside], scan.x[-1 - beside], max_places)
+        beside = min(8, max(_MIN_SIDE_SAMPLES, len(order) // 8)) - 1
+        places = np.linspace(scan.x[beside], scan.x[-1 - beside], 300)
         hinges = cls(CommonPath.of(displacement, force, order), scan, places)
         return replace(hinges, moved=scan.best() - float(hinges._best(scan.y[None])[0]))
 
@@ -190,32 +184,32 @@ class Hinges:
         return float(self.scan.d[0]), float(self.scan.d[-1])
 
     def fitted(self, force: Floats, displacement: Floats | None = None) -> Segments:
-        """Best two lines that meet, of each of many curves.
+        """Fit two lines that meet to each of many curves.
 
         Parameters
         ----------
-        force : shape (..., n), N, with the samples that were decided on
-        displacement : shape (..., n), m; None for the one that was decided on
+        force : shape (..., n), N, with the samples of the reference curve
+        displacement : shape (..., n), m; None for that of the reference curve
 
         Returns
         -------
-        Numbers of shape (...); NaN for a curve with a NaN among the samples that were decided on.
+        Numbers of shape (...); NaN for a curve with NaN among these samples.
 
         Notes
         -----
-        Of the curve that was decided on it is the global least-squares optimum over all breaks, as
-        a scan of all gaps between samples finds it (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097). On
-        all others 300 places are tried. What a hinge max(x - c, 0) takes off the squares that one
-        straight line leaves is (y'u)^2, u the hinge without its own line, of length 1; the largest
-        is refined by the parabola through it and its neighbours, moved by as much as that misses
-        the optimum of the curve decided on, and the lines are the least-squares ones with the break
-        there. Products with hinges are exact, from sums of y and x y between places.
-        A displacement with noise of its own counts as noise of the force (`CommonPath`).
+        For the reference curve it is the global least-squares optimum over all breaks, from a scan
+        of all gaps between samples (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097). For all others 300
+        places are tried. A hinge max(x - c, 0) reduces the sum of squares about one straight line
+        by (y'u)^2, with u the hinge less its own line, of length 1; the largest is refined by the
+        parabola through it and its neighbours, and shifted by the error of that for the reference
+        curve. The lines are the least-squares ones with this break. Products with hinges are exact,
+        from sums of y and x y between places. Noise of the displacement counts as noise of the
+        force (`CommonPath`).
         """
         y = self.path.force(force, displacement)
         shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
         scan, (mean, spread) = self.scan, self.scan.spread
-        inside = scan.x[_SIDE - 1], scan.x[-_SIDE]
+        inside = scan.x[_MIN_SIDE_SAMPLES - 1], scan.x[-_MIN_SIDE_SAMPLES]
         at = np.clip(self._best(y) + self.moved, *inside)
         sh, cross, left = scan.hinges(at)
         level, along = y.mean(axis=1), y @ (scan.x - mean)
@@ -230,7 +224,7 @@ class Hinges:
 
     @property
     def straight_line(self) -> str:
-        """What one straight line leaves of the curve that was decided on, in words."""
+        """Residual of one straight line for the reference curve, in words."""
         left = float(np.sqrt(self.scan.r @ self.scan.r / (len(self.scan.r) - 2)))
         start, stop = self.ends
         return (
@@ -239,14 +233,14 @@ class Hinges:
         )
 
     def _best(self, y: Floats) -> Floats:
-        """Break by the places and the parabola, shape (R,), of curves (R, k) in that order."""
+        """Return the breaks (R,) from the places and the parabola, of sorted curves (R, k)."""
         x, places, (mean, spread) = self.scan.x, self.places, self.scan.spread
         starts = np.concatenate([[0], np.searchsorted(x, places)])
         is_empty = np.diff(starts, append=len(x)) == 0
         beyond = []
         for values in (y, y * x):
             between = np.add.reduceat(values, starts, axis=1)
-            between[:, is_empty] = 0.0  # of an empty stretch `reduceat` gives its first sample
+            between[:, is_empty] = 0.0  # `reduceat` returns the first sample of an empty stretch
             beyond.append(np.cumsum(between[:, :0:-1], axis=1)[:, ::-1])
         sh, cross, left = self.scan.hinges(places)
         product = beyond[1] - places * beyond[0]
@@ -261,34 +255,29 @@ class Hinges:
 
 
 def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    """Judge whether a curve bends, by replicates of it.
+    """Test whether a curve bends, by its replicates.
 
     Parameters
     ----------
     fit : of the curve itself, shape ()
-    smooth : of the smooth curve that the replicates are drawn around, shape ()
-    drawn : of the replicates, shape (R,); NaN of those without a number
+    smooth : of the smooth curve of the replicates, shape ()
+    drawn : of the replicates, shape (R,); NaN for those without a number
     hinges : of the curve itself
 
     Returns
     -------
-    ``no_bend`` where the slopes differ by no more than four standard errors, or where 2.5 % of the
-    replicates have their break within two places of an end, or the interval of the break has an end
-    there; None where the curve bends.
+    ``no_bend`` if the slopes differ by at most four standard errors, or if 2.5 % of the replicates
+    have their break within two places of an end, or the interval of the break has an end there;
+    None if the curve bends.
 
     Notes
     -----
-    The break was chosen to make the slopes differ most, so that a straight line reaches two
+    The break was chosen for the largest difference of the slopes, so a straight line exceeds two
     standard errors by chance far more often than once in twenty. The standard error is that of the
-    replicates that bend less than the middle one, by their 2.5 % quantile: those whose break moves
-    towards an end have ever steeper slopes beyond it, which tells nothing against a bend. The
-    interval of a break that may be an end of the stretch has no end there.
+    replicates that bend less than the median one, from their 2.5 % quantile: those whose break
+    moves towards an end have steeper slopes beyond it, which is no evidence against a bend.
     """
-    # Standard errors by which the slopes must differ. The break was chosen for the largest
-    # difference, so a straight line exceeds two by chance far more often than once in twenty.
     min_bend_errors = 4.0
-    # Largest share of replicates whose break is at an end: a 95 % interval has one end there.
-    max_end_share = 0.025
     first, second = float(fit.first), float(fit.second)
     bend, bends = second - first, drawn.second - drawn.first
     middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
@@ -303,7 +292,7 @@ def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
     at = drawn.break_point[~np.isnan(drawn.break_point)]
     likely = fit.break_point - (at - smooth.break_point)
     for breaks in (at, likely):
-        if np.mean((breaks <= low) | (breaks >= high)) >= max_end_share:
+        if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
             start, stop = hinges.ends
             ends = f"{start:.6g} to {stop:.6g} m"
             return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
@@ -311,7 +300,7 @@ def why_no_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
 
 
 def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    """Judge whether a curve gets less steep somewhere, by replicates of it.
+    """Test whether the slope of a curve decreases at a kink, by its replicates.
 
     Parameters
     ----------
@@ -319,11 +308,9 @@ def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
 
     Returns
     -------
-    ``no_kink`` where the curve does not bend, or bends upwards; ``kink_at_end`` where the lines
-    meet in the first or the last twentieth of the stretch; None where there is a kink.
+    ``no_kink`` if the curve does not bend, or bends upwards; ``kink_at_end`` if the lines meet in
+    the first or the last twentieth of the stretch; None for a kink.
     """
-    # A kink this close to an end of the stretch is not one of the specimen.
-    end_share = 0.05
     straight = why_no_bend(fit, smooth, drawn, hinges)
     if straight is not None:
         return Failure("no_kink", f"{hinges.straight_line}: {straight.message}")
@@ -332,7 +319,7 @@ def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
         rises = f"the slope rises from {first:.5g} to {second:.5g} N/m"
         return Failure("no_kink", f"{rises} at {1e3 * at:.4g} mm")
     start, stop = hinges.ends
-    margin = end_share * (stop - start)
+    margin = 0.05 * (stop - start)
     if start + margin <= at <= stop - margin:
         return None
     return Failure(
@@ -343,22 +330,20 @@ def why_no_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
 
 
 def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Reason | None:
-    """Judge whether a place is known well enough to be one.
+    """Test whether the interval of a break is short enough.
 
     Parameters
     ----------
     interval : m, of the break
-    hinges : that it was found with
+    hinges : of its fit
 
     Returns
     -------
-    ``wide_break`` where the interval is longer than a quarter of the stretch, else None.
+    ``wide_break`` if the interval is longer than a quarter of the stretch, else None.
     """
-    # Largest interval of a break, as a share of the stretch.
-    max_interval_share = 0.25
     start, stop = hinges.ends
     width = interval.upper - interval.lower
-    if width <= max_interval_share * (stop - start):
+    if width <= 0.25 * (stop - start):
         return None
     return Reason(
         "wide_break",

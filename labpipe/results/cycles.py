@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.fits.failure_point import FailurePoint
 from labpipe.fits.loops import (
-    LEAST_OF_LOOP,
+    MIN_LOOP_SAMPLES,
     energy_of,
     sense_of_loading,
 )
@@ -285,8 +285,8 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
         return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
-    if len(force) < LEAST_OF_LOOP:
-        message = f"{len(force)} samples in the cycle, {LEAST_OF_LOOP} are needed"
+    if len(force) < MIN_LOOP_SAMPLES:
+        message = f"{len(force)} samples in the cycle, {MIN_LOOP_SAMPLES} are needed"
         return Failure("too_few_samples", message)
 
     def numbers(trace: Trace) -> tuple[Floats]:

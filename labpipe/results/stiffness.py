@@ -17,7 +17,7 @@ from labpipe.fits.cycle_stiffness import (
 )
 from labpipe.fits.least_squares import slope_of_line
 from labpipe.fits.straight_lines import (
-    LEAST_OF_LINE,
+    MIN_LINE_SAMPLES,
     annulus_area,
     compliance_window,
     rectangle_area,
@@ -380,8 +380,8 @@ class LineStiffness(Window):
         chosen = self.samples(trace)
         if isinstance(chosen, Failure):
             return chosen
-        if len(chosen) < LEAST_OF_LINE:
-            message = f"{len(chosen)} samples in the stretch, {LEAST_OF_LINE} are needed"
+        if len(chosen) < MIN_LINE_SAMPLES:
+            message = f"{len(chosen)} samples in the stretch, {MIN_LINE_SAMPLES} are needed"
             return Failure("too_few_samples", message)
         if np.ptp(trace.displacement[chosen]) == 0.0:
             return Failure("no_travel", "the displacement does not change over the stretch")

@@ -13,7 +13,7 @@ from labpipe.fits.failure_point import (
     lost_earlier,
     slow_loss,
 )
-from labpipe.fits.grip_slips import _fineness, _stands_alone, add_back, find_slips, samples_before
+from labpipe.fits.grip_slips import _block_size, _is_outlier, add_back, find_slips, samples_before
 from labpipe.fits.load_drops import LoadDrop, PullCurve, fit_load_drop
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
@@ -237,7 +237,7 @@ def test_a_slip_is_at_most_a_fiftieth_of_the_travel_and_a_millimetre_long(
     travel: float, longest: float
 ) -> None:
     d = np.linspace(0.0, travel, 20_001)
-    assert _fineness(d, None) == _fineness(d, longest) != _fineness(d, 1.4 * longest)
+    assert _block_size(d, None) == _block_size(d, longest) != _block_size(d, 1.4 * longest)
 
 
 @pytest.mark.parametrize(("deviations", "stands"), [(4.5, False), (7.5, True)])
@@ -248,7 +248,7 @@ def test_a_sample_six_deviations_of_the_steps_off_stands_alone(
     steps = np.diff(force)
     force[200] = deviations * 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
     force[[198, 199, 201, 202]] = 0.0
-    assert bool(_stands_alone(force)[200]) is stands
+    assert bool(_is_outlier(force)[200]) is stands
 
 
 COUNT, STEP = 400, 1e-4

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fits.common_path import CommonPath, known_samples
+from labpipe.fits.common_path import CommonPath, finite_samples
 from labpipe.fits.loops import energy_of, secant_stiffness, sense_of_loading
 from labpipe.fits.residual_displacement import (
     AtRest,
@@ -103,8 +103,8 @@ def test_where_the_frame_stands_the_slope_is_that_of_the_stretch() -> None:
 def test_some_samples_in_another_order() -> None:
     force, d = 900.0 * D, D.copy()
     force[4] = d[9] = np.nan
-    assert known_samples(d, force).tolist() == np.delete(ALL, [4, 9]).tolist()
-    mixed = np.random.default_rng(0).permutation(known_samples(d, force))
+    assert finite_samples(d, force).tolist() == np.delete(ALL, [4, 9]).tolist()
+    mixed = np.random.default_rng(0).permutation(finite_samples(d, force))
     kinked = np.where(D < 3e-3, 900.0, 300.0) * (D - 3e-3)
     path, plain = CommonPath.of(d, kinked, mixed), CommonPath.of(D, kinked, ALL)
     assert plain.slope[[0, 90, 100, 110, 200]] == pytest.approx([900, 900, 600, 300, 300])

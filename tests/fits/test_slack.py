@@ -105,7 +105,7 @@ def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> N
     found = take_up(path[0], force[0], limit=limit)
     assert isinstance(found, TakeUp)
     places, samples = found.of_each(path, force)
-    limits = limits_by_noise(limit, force[:, found.known])
+    limits = limits_by_noise(limit, force[:, found.samples])
     for d, f, own, place, sample in zip(path, force, limits, places, samples, strict=True):
         alone = take_up(d, f, limit=float(own))
         if isinstance(alone, TakeUp):
