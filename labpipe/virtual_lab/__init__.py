@@ -1,7 +1,7 @@
 """A virtual test lab: synthetic exports of bending and tensile tests, with known truth.
 
-The exports are in the vendors' formats. It is written from physics and from the vendors' file
-layouts alone and shares nothing with the processing that it is there to check.
+The exports are in the vendors' formats. The lab is written from physics and the vendors' file
+layouts alone and shares no code with the processing that it checks.
 """
 
 from labpipe.virtual_lab.bundles import TAPED_TYPES

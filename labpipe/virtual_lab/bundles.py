@@ -7,20 +7,19 @@ axis, and that of their axial forces, which neighbours and tape hold:
                               + g min(kappa, e / R) sum over the outer wires EA_i y_i^2
 
 y_i is the distance of a wire from the neutral axis, EA_i the axial stiffness of its copper, h and g
-the shares of it that take part: wires are held by neighbours and glue that give way, far from
-rigidly. Neighbours hold by friction, up to T_i = h EA_i c kappa_s, c the root of the mean square of
-y and kappa_s the curvature at which a wire at that distance slips (a wire twice as far slips at
-half of it). That is the kink. The tape's glue holds the outer wires until the strain kappa R at the
-bundle's radius R is e; then the tape slides on all of them at once, being one piece. That is the
-plateau: what is left of the tangent is that of the wires. The lever of a bundle that bends far gets
-shorter, which alone lets the force grow by 1 % with every millimetre; but a tape that slides holds
-the bundle together less well: all moments at which something gives way are multiplied by
-1 - q (kappa_max R / e - 1), kappa_max being the largest curvature anywhere so far. Where the glue
-outlasts the test there is none of this.
+the shares of it that act: neighbours and glue hold the wires compliantly. Neighbours hold by
+friction, up to T_i = h EA_i c kappa_s, c the root mean square of y and kappa_s the curvature at
+which a wire at that distance slips (a wire twice as far slips at half of it). That is the kink. The
+tape's glue holds the outer wires until the strain kappa R at the bundle's radius R is e; then the
+tape slides on all of them at once. That is the plateau: the remaining tangent is that of the wires.
+The lever of a strongly bent bundle gets shorter, which alone increases the force by 1 % per
+millimetre; but a sliding tape holds the bundle less well: all slip moments are multiplied by 1 - q
+(kappa_max R / e - 1), with the largest curvature so far, kappa_max. If the glue outlasts the test,
+this does not occur.
 
-Coulomb sliders side by side are plays one after the other, and their loops follow Masing's rule, so
-all of it is one `PlayLaw`. Wires that slid lock: from the second cycle on all moments at which
-something gives way, and the curvatures with them, are `locking` times as large.
+Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule, so
+the bundle is one `PlayLaw`. Wires that have slipped lock: from the second cycle on all slip moments
+and slip curvatures are `locking` times as large.
 """
 
 from __future__ import annotations
@@ -39,15 +38,12 @@ from labpipe.virtual_lab.specimens import WIRES, StrandedWire, scaled_law
 from labpipe.wire.materials import ANNEALED_COPPER
 
 _PACKED, _SYMMETRIC, _ASYMMETRIC = ARRANGEMENTS
-_SHELL = 1e-6  # of the pitch: wires this close in distance from the centre are of one shell
-_DISTINCT = 1e-6  # of a curvature: closer corners are one
-_N_PLAYS = 24
-_LEAST_HELD = 0.5
+_SHELL_TOLERANCE = 1e-6  # of the pitch: distances from the centre within one shell
 
 
 @dataclass(frozen=True, slots=True)
 class BundleModel:
-    """A bundle by what it is made of.
+    """A bundle defined by its parts.
 
     Parameters
     ----------
@@ -57,12 +53,12 @@ class BundleModel:
     friction_share : h, of the axial stiffness that friction holds
     slip_curvature : kappa_s, 1/m
     glue_share : g, of the axial stiffness of the outer wires that the tape's glue holds
-    glue_strain : e, at which the tape slides on the wires; None where it never does
-    slide_loss : q, share of what holds the wires that is lost while the curvature goes from that at
-        which the tape slides to twice as much, and so on; half is left in the end
+    glue_strain : e, at which the tape slides on the wires; None if it never does
+    slide_loss : q, share of the slip moments lost between the curvature at which the tape slides
+        and twice that curvature; at least half remains
     locking : factor on slip from the second cycle on, at least 1
     conduit_stiffness : N m^2, of a conduit around the bundle, elastic
-    tape, taping, conduit : words of `records.bundle.Bundle` for the test sheet
+    tape, taping, conduit : values of `records.bundle.Bundle` for the test sheet
     conduit_bore : m, for the test sheet; None without a conduit
     factor : of this sample on all moments at given curvatures
     """
@@ -89,17 +85,17 @@ class BundleModel:
 
     @property
     def radius(self) -> float:
-        """Radius of the smallest circle around the centre that holds all wires, m."""
+        """Radius of the smallest circle around the centre that contains all wires, m."""
         layout = lay_wires(self)
         return float(np.max(np.hypot(layout.x, layout.y) + 0.5 * layout.diameter))
 
     def law(self, cycle: int = 1, bent: float = 0.0) -> PlayLaw:
-        """Moment against curvature, with its loops.
+        """Return the law of moment against curvature, with hysteresis.
 
         Parameters
         ----------
-        cycle : counted from 1; plays under one law are a history for the next one's
-        bent : 1/m, largest curvature anywhere so far
+        cycle : counted from 1; the plays of one law are the history of the next
+        bent : 1/m, largest curvature so far
 
         Raises
         ------
@@ -111,11 +107,12 @@ class BundleModel:
         return scaled_law(plain, self.factor, grown)
 
     def held(self, bent: float) -> float:
-        """What is left of all moments at which something gives way, at a largest curvature, 1/m."""
+        """Return the remaining share of all slip moments at a largest curvature, 1/m."""
+        min_sticking_share = 0.5
         if self.glue_strain is None:
             return 1.0
         slid = max(0.0, bent * self.radius / self.glue_strain - 1.0)
-        return max(_LEAST_HELD, 1.0 - self.slide_loss * slid)
+        return max(min_sticking_share, 1.0 - self.slide_loss * slid)
 
     @property
     def mass_per_length(self) -> float:
@@ -123,18 +120,18 @@ class BundleModel:
         return sum(number * WIRES[name].mass_per_length for name, number in self.wires)
 
     def scaled(self, factor: float) -> BundleModel:
-        """The same bundle with all moments at a given curvature multiplied by `factor`."""
+        """Return the bundle with all moments at a given curvature multiplied by `factor`."""
         return replace(self, factor=self.factor * factor)
 
     @property
     def stiffnesses(self) -> Mapping[str, float]:
-        """Where the bending stiffness at first loading comes from, N m^2, of this sample.
+        """Contributions to the bending stiffness at first loading, N m^2, of this sample.
 
         ``wires`` each about its own axis; ``friction`` and ``glue`` between them; ``conduit``;
-        ``initial`` all of it; ``rigid`` if the wires were one piece.
+        ``initial`` their sum; ``rigid`` for a plane section.
         """
         wires = sum(number * _wire(name).law().stiffness for name, number in self.wires)
-        rigid, outer = (float(np.sum(each)) for each in _axial(lay_wires(self)))
+        rigid, outer = (float(np.sum(stiffness)) for stiffness in _axial_terms(lay_wires(self)))
         parts = {
             "wires": float(wires),
             "friction": self.friction_share * rigid,
@@ -147,7 +144,7 @@ class BundleModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WirePlaces:
-    """Where the wires of a bundle lie; arrays of shape (wires,), in the order of its kinds.
+    """Positions of the wires of a bundle; arrays of shape (wires,), in the order of its kinds.
 
     Parameters
     ----------
@@ -165,7 +162,7 @@ class WirePlaces:
 
 
 def lay_wires(bundle: BundleModel) -> WirePlaces:
-    """Lay the wires on the densest lattice, about a wire or in between three, in shells.
+    """Lay the wires in shells of the densest lattice, around a wire or between three.
 
     Parameters
     ----------
@@ -174,35 +171,35 @@ def lay_wires(bundle: BundleModel) -> WirePlaces:
     Raises
     ------
     ValueError
-        If the wires are unknown or more than two kinds, or the shells do not come out full.
+        If the wires are unknown or of more than two kinds, or do not fill shells.
     """
     _check(bundle)
     pitch = max(WIRES[name].diameter for name, _ in bundle.wires)
     places, is_outer = _shells(bundle.number)
-    order = _in_order_of_kind(places, bundle)
+    order = _order_by_kind(places, bundle)
     x, y = pitch * places[order].T
     kinds = [name for name, number in bundle.wires for _ in range(number)]
     diameter = np.array([WIRES[name].diameter for name in kinds])
     copper = [WIRES[name].n_strands * 0.25 * np.pi * WIRES[name].strand ** 2 for name in kinds]
     axial = ANNEALED_COPPER.modulus * np.array(copper)
-    neutral = [float(axial @ each / np.sum(axial)) for each in (x, y)]
+    neutral = [float(axial @ coordinate / np.sum(axial)) for coordinate in (x, y)]
     return WirePlaces(x - neutral[0], y - neutral[1], diameter, axial, is_outer[order])
 
 
 def _check(bundle: BundleModel) -> None:
     if any(name not in WIRES for name, _ in bundle.wires) or len(bundle.wires) not in (1, 2):
-        message = f"wires={bundle.wires}: allowed are one or two kinds of {', '.join(WIRES)}"
+        message = f"wires: expected one or two kinds of {', '.join(WIRES)}, found {bundle.wires}"
         raise ValueError(message)
     if bundle.arrangement not in ARRANGEMENTS or bundle.locking < 1.0:
         message = (
-            f"arrangement={bundle.arrangement!r}, locking={bundle.locking!r}: allowed are "
-            f"{', '.join(ARRANGEMENTS)} and numbers >= 1"
+            f"arrangement, locking: expected {', '.join(ARRANGEMENTS)} and a number >= 1, "
+            f"found {bundle.arrangement!r}, {bundle.locking!r}"
         )
         raise ValueError(message)
 
 
 def _shells(number: int) -> tuple[Floats, Flags]:
-    """Places of full shells, in pitches, shape (number, 2), and whether each is on the outside."""
+    """Return the places of full shells, in pitches, shape (number, 2), and which are outside."""
     for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):
         i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
         lattice = np.column_stack([(i + 0.5 * j).ravel(), (0.5 * np.sqrt(3.0) * j).ravel()])
@@ -210,49 +207,48 @@ def _shells(number: int) -> tuple[Floats, Flags]:
         distance = np.hypot(*places.T)
         order = np.lexsort((np.arctan2(places[:, 1], places[:, 0]), np.round(distance, 6)))
         first, last = distance[order[number - 1 : number + 1]]
-        if last - first > _SHELL:
+        if last - first > _SHELL_TOLERANCE:
             inside = places[order[:number]]
             return inside, _neighbours(inside) < 6
-    message = f"{number} wires: allowed are numbers that fill shells, such as 3, 7, 12, 19, 27"
+    message = f"wires: expected a number that fills shells (3, 7, 12, 19, 27), found {number}"
     raise ValueError(message)
 
 
 def _neighbours(places: Floats) -> Ints:
     gaps = np.hypot(*(places[:, None, :] - places[None]).transpose(2, 0, 1))
-    touching: Ints = np.sum(np.abs(gaps - 1.0) < _SHELL, axis=1)
+    touching: Ints = np.sum(np.abs(gaps - 1.0) < _SHELL_TOLERANCE, axis=1)
     return touching
 
 
-def _in_order_of_kind(places: Floats, bundle: BundleModel) -> Ints:
-    """Which place each wire takes, the wires of the first kind first."""
+def _order_by_kind(places: Floats, bundle: BundleModel) -> Ints:
+    """Return the place of each wire, with the wires of the first kind first."""
     first = bundle.wires[0][1]
     around = np.argsort(places[:, 1] + 1e-3 * places[:, 0], kind="stable")
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
         return around
-    # From shell to shell and around, the second kind as evenly as it goes, so that both are
-    # everywhere.
+    # the second kind is spread evenly over the shells
     share = (len(places) - first) / len(places)
     is_second = np.diff(np.floor(share * np.arange(len(places) + 1) + 0.5)) > 0.0
     return np.concatenate([np.flatnonzero(~is_second), np.flatnonzero(is_second)])
 
 
 def _wire(name: str) -> StrandedWire:
-    return replace(WIRES[name], n_plays=_N_PLAYS)
+    return replace(WIRES[name], n_plays=24)
 
 
-def _axial(layout: WirePlaces) -> tuple[Floats, Floats]:
-    """EA y^2 of each wire, and of those that the tape touches, N m^2."""
+def _axial_terms(layout: WirePlaces) -> tuple[Floats, Floats]:
+    """Return EA y^2 of each wire, and of the wires that touch the tape, N m^2."""
     rigid = layout.axial * layout.y**2
     return rigid, rigid * layout.is_outer
 
 
 @lru_cache(maxsize=64)
 def _plain_law(bundle: BundleModel) -> PlayLaw:
-    """The law of the first cycle: a polygon with a corner wherever a wire or a slider has one."""
+    """Return the law of the first cycle: a polygon with the corners of all wires and sliders."""
     limits, stiffnesses = _sliders(bundle)
     wires = [(number, _wire(name).law()) for name, number in bundle.wires]
     last = min(_wire(name).largest_curvature for name, _ in bundle.wires)
-    knots = _distinct([*(corners_of(law)[1] for _, law in wires), limits], last)
+    knots = _merge_corners([*(corners_of(law)[1] for _, law in wires), limits], last)
     moment = bundle.conduit_stiffness * knots
     for number, law in wires:
         moment += number * _moment(law, knots)
@@ -261,10 +257,10 @@ def _plain_law(bundle: BundleModel) -> PlayLaw:
 
 
 def _sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
-    """Curvatures at which the sliders slip, 1/m, and what they add before, N m^2."""
+    """Return the slip curvatures of the sliders, 1/m, and their stiffnesses, N m^2."""
     layout = lay_wires(bundle)
-    rigid, outer = _axial(layout)
-    off_axis = np.abs(layout.y) > _SHELL * np.max(layout.diameter)
+    rigid, outer = _axial_terms(layout)
+    off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
     distance = np.abs(layout.y[off_axis])
     mean = float(np.sqrt(np.mean(distance**2)))
     limits = bundle.slip_curvature * mean / distance
@@ -275,24 +271,23 @@ def _sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
 
 
 def _moment(law: PlayLaw, curvature: Floats) -> Floats:
-    """Moment of first loading, N m; beyond its last corner a law goes on straight."""
+    """Return the moment of first loading, N m, extrapolated linearly beyond the last corner."""
     moment, bent, slopes = corners_of(law)
     beyond = np.maximum(curvature - bent[-1], 0.0) / slopes[-1]
-    found: Floats = np.interp(curvature, bent, moment) + beyond
-    return found
+    moments: Floats = np.interp(curvature, bent, moment) + beyond
+    return moments
 
 
-def _distinct(corners: list[Floats], last: float) -> Floats:
-    """All corners in order up to the last curvature, 1/m, those that coincide once."""
-    found = np.unique(np.append(np.concatenate(corners), last))
-    inside: Floats = found[(found > 0.0) & (found <= last)]
-    distinct: Floats = inside[np.diff(inside, prepend=0.0) > _DISTINCT * inside]
+def _merge_corners(corners: list[Floats], last: float) -> Floats:
+    """Return all distinct corners up to the last curvature, 1/m, sorted."""
+    min_relative_distance = 1e-6
+    curvatures = np.unique(np.append(np.concatenate(corners), last))
+    inside: Floats = curvatures[(curvatures > 0.0) & (curvatures <= last)]
+    distinct: Floats = inside[np.diff(inside, prepend=0.0) > min_relative_distance * inside]
     return distinct
 
 
 _PVC = BundleModel()
-
-
 _PET = replace(_PVC, glue_strain=None, tape="PET")
 
 
@@ -309,4 +304,4 @@ TAPED_TYPES = {
     "TWB-B2-7-PET": replace(_PET, wires=(("B2", 7),)),
     "TWB-B2-19-PET": replace(_PET, wires=(("B2", 19),)),
 }
-"""The taped bundles of the source's Table 4.1; PET tape never slides."""
+"""The taped bundles of the source's Table 4.1; the glue of PET tape never slides."""

@@ -1,12 +1,10 @@
-"""What the motion-capture system sees: the clamp's rigid body and the markers on the specimen.
+"""The motion-capture system: the clamp's rigid body and the markers on the specimen.
 
-Cantilever: marker centres stand off the wire's axis along its local normal, towards the pull. The
-body's orientation is the identity at the beginning, as Motive defines a new body, whatever way the
-rig stands: it does not know where the wire points. Then mishaps happen to the markers: gaps,
-swapped labels, a marker under another name, a frozen one.
+Cantilever: marker centres are offset from the wire's axis along its local normal, towards the pull.
+The body's initial orientation is the identity for any pose of the rig, as Motive defines a new
+body. Then mishaps are applied to the markers: gaps, swapped labels, a renamed marker, a frozen one.
 
-Three-point bending: markers stand in lines along a cylinder that bends and turns; no body, no
-mishaps.
+Three-point bending: markers form lines along a cylinder that bends and twists; no body, no mishaps.
 """
 
 from __future__ import annotations
@@ -35,18 +33,17 @@ BODY_MARKERS = np.array(
 )
 """The clamp's markers relative to its pivot, m, shape (4, 3)."""
 UNLABELLED = "Unlabeled 1234"
-_DECIMALS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class MishapEvent:
-    """One mishap: to which markers (counted from 0 at the clamp) and in which frames.
+    """One mishap: affected markers (counted from 0 at the clamp) and frames.
 
     Parameters
     ----------
     kind : gap, switch, unlabelled or frozen
-    markers : the markers themselves, whatever their labels
-    start, stop : frames, `stop` left out
+    markers : by position, not by label
+    start, stop : frames, `stop` excluded
     """
 
     kind: str
@@ -64,14 +61,14 @@ class Take:
     time : shape (frames,), s
     rate : frames per second
     names : of all measured markers, the body's first
-    positions : shape (frames, markers, 3), m, NaN where not seen
-    bodies : the clamp, where there is one
-    fitted : shape (frames, 4, 3), m, where the fit of the body puts its markers; (frames, 0, 3)
-        without a body
+    positions : shape (frames, markers, 3), m, NaN where not tracked
+    bodies : the clamp, if any
+    fitted : shape (frames, 4, 3), m, fitted places of the body's markers; (frames, 0, 3) without a
+        body
     quality : shape (frames, 4), Motive's figure for each of them, up to 1; (frames, 0) without
     labels : label of each marker along the specimen, in order
     arc_lengths : shape (markers along the specimen,), m
-    log : what went wrong
+    log : mishaps
     """
 
     time: Floats
@@ -91,19 +88,19 @@ class Take:
         return self.bodies[0]
 
     def recording(self) -> Recording:
-        """The take as a reader of an export in metres would give it, to its six decimals."""
+        """Return the take as read from an export in metres with six decimals."""
         tracks = MarkerTracks(
             time=self.time,
             frames=np.arange(len(self.time), dtype=np.float64),
             rate=self.rate,
             names=self.names,
-            positions=self.positions.round(_DECIMALS),
+            positions=self.positions.round(6),
             bodies=tuple(
                 replace(
                     body,
-                    position=body.position.round(_DECIMALS),
-                    rotation=body.rotation.round(_DECIMALS),
-                    error=body.error.round(_DECIMALS),
+                    position=body.position.round(6),
+                    rotation=body.rotation.round(6),
+                    error=body.error.round(6),
                 )
                 for body in self.bodies
             ),
@@ -123,7 +120,7 @@ def film_cantilever(
     ----------
     path : the solved test
     scenario : marker layout, pose and mishaps
-    schedule : when what happens
+    schedule : of the motion and the recordings
     random : source of noise and mishaps
 
     Returns
@@ -169,7 +166,7 @@ def film_conduit(
     ----------
     path : the solved test
     scenario : markers, pose and clocks
-    schedule : when what happens
+    schedule : of the motion and the recordings
     random : source of the noise and of the labels' order
 
     Returns
@@ -197,7 +194,7 @@ def film_conduit(
 
 
 def _in_lab(positions: Floats, pose: Pose) -> Floats:
-    """Positions in the frame of the motion-capture system, m, from those in the specimen's."""
+    """Transform positions from the specimen frame to the motion-capture frame, m."""
     turned: Floats = positions @ pose.rotation().T + np.asarray(pose.origin)
     return turned
 
@@ -212,7 +209,7 @@ def _labels(
 
 
 def _in_order_of_labels(names: tuple[str, ...], seen: Floats) -> tuple[tuple[str, ...], Floats]:
-    """Columns as Motive writes them: bodies first, numbers in order, unlabelled points last."""
+    """Sort columns as Motive does: bodies first, numbers in order, unlabelled points last."""
 
     def rank(column: int) -> tuple[int, int]:
         group, _, number = names[column].partition(":Marker")
@@ -225,7 +222,7 @@ def _in_order_of_labels(names: tuple[str, ...], seen: Floats) -> tuple[tuple[str
 def wire_markers(
     path: MechanicalPath, progress: Floats, arc_lengths: Floats, centre_offset: float
 ) -> Floats:
-    """Marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
+    """Return marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
     x, y, angle = path.points(progress, arc_lengths)
     centres = [x - centre_offset * np.sin(angle), y + centre_offset * np.cos(angle)]
     return np.stack([*centres, np.zeros_like(x)], axis=2)
@@ -234,7 +231,7 @@ def wire_markers(
 def _film_body(
     pivot: Floats, layout: MarkerLayout, random: np.random.Generator
 ) -> tuple[RigidBody, Floats]:
-    """Pose of the clamp with its noise, and its markers where that pose puts them."""
+    """Return the noisy pose of the clamp and its markers in that pose."""
     frames = len(pivot)
     position = pivot + layout.pivot_noise * random.standard_normal((frames, 3))
     turns = layout.turn_noise * random.standard_normal((frames, 3))
@@ -247,7 +244,7 @@ def _film_body(
 
 
 def marker_places(markers: CylinderMarkers) -> tuple[Floats, Floats]:
-    """Arc length from mid-span, m, and angle at rest, rad, of all markers, line by line."""
+    """Return arc length from mid-span, m, and angle at rest, rad, of all markers, line by line."""
     half = markers.n_sections // 2
     sections = markers.spacing * np.arange(-half, half + 1)
     angles = np.repeat(markers.angles, len(sections))
@@ -255,14 +252,14 @@ def marker_places(markers: CylinderMarkers) -> tuple[Floats, Floats]:
 
 
 def twist_at(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
-    """Twist of the sample, rad, right-handed about x, shape (n,)."""
+    """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
     way, _, _ = path.middle(progress)
     turned: Floats = markers.twist * way / path.test.stroke
     return turned
 
 
 def cylinder_markers(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
-    """Marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
+    """Return marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
     sections, angles = marker_places(markers)
     x, y, turn = path.points(progress, sections)
     around = angles - twist_at(path, markers, progress)[:, None]
@@ -281,21 +278,21 @@ def apply_mishaps(
     n_body: int,
     random: np.random.Generator,
 ) -> tuple[tuple[str, ...], Floats, tuple[MishapEvent, ...]]:
-    """Let the mishaps happen to the markers along the wire.
+    """Apply mishaps to the markers along the wire.
 
     Parameters
     ----------
     names : of the markers, the body's first, the wire's from the clamp on after them
     positions : shape (frames, markers, 3), m
-    mishaps : which
-    schedule : gaps fall while the clamp moves
+    mishaps : to apply
+    schedule : gaps occur while the clamp moves
     n_body : number of the body's markers
     random : source of the gaps
 
     Returns
     -------
-    Names and positions with the mishaps, and what happened. Gaps belong to markers, not to labels:
-    a gap during a switch shows under the other label.
+    Names and positions with the mishaps, and their list. Gaps belong to markers, not to labels: a
+    gap during a switch appears under the other label.
     """
     frames, n_wire = len(positions), positions.shape[1] - n_body
     log = _events(mishaps, schedule, n_wire, random)
@@ -321,7 +318,7 @@ def apply_mishaps(
 def _events(
     mishaps: Mishaps, schedule: Schedule, n_wire: int, random: np.random.Generator
 ) -> tuple[MishapEvent, ...]:
-    """Fix frames and markers: first what a marker does, last what its label does."""
+    """Draw frames and markers: mishaps of markers first, of labels last."""
     time = schedule.frame_times
     first, last = np.searchsorted(time, schedule.turning_times[[0, -1]])
     lengths = list(random.integers(2, 16, mishaps.n_gaps))
@@ -347,8 +344,8 @@ def _stretch_events(
         markers[0] >= 0 and markers[-1] < n_wire and 0.0 <= stretch.start < stretch.stop <= 1.0
     ):
         message = (
-            f"{kind}={stretch}: allowed are markers 0 to {n_wire - n_markers} and "
-            f"0 <= start < stop <= 1"
+            f"{kind}: expected markers 0 to {n_wire - n_markers} and 0 <= start < stop <= 1, "
+            f"found {stretch}"
         )
         raise ValueError(message)
     return [MishapEvent(kind, markers, int(stretch.start * frames), int(stretch.stop * frames))]

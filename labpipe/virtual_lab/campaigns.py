@@ -1,6 +1,6 @@
-"""Virtual campaigns as frozen data: which tests, how samples scatter, what goes wrong.
+"""Virtual campaigns as frozen data: tests, scatter of samples, mishaps.
 
-All tests with one load cell share what its gain is off by; each has clocks and a pose of its own.
+All tests with one load cell share its gain error; each has its own clocks and pose.
 """
 
 from __future__ import annotations
@@ -46,22 +46,20 @@ from labpipe.virtual_lab.tensile_scenarios import (
     twist_tube,
 )
 
-_WITHOUT_FRAME = 3
-
 
 class Campaign(Protocol):
-    """Tests that are run together."""
+    """A set of virtual tests."""
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
-        """The tests, each with its own seed.
+        """Yield the tests, each with its own seed.
 
         Parameters
         ----------
-        seed : of what differs between samples, and of what each load cell is off by
+        seed : of the differences between samples and of the gain errors
 
         Yields
         ------
-        Scenario and seed; the same seed gives the same tests, and seeds of tests never meet.
+        Scenario and seed; the same seed gives the same tests, and seeds of tests are unique.
         """
 
 
@@ -79,19 +77,19 @@ def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 
     The folders of the tests.
     """
     return [
-        simulate_test(scenario, folder / scenario.name, own)
+        simulate_test(scenario, folder / scenario.name, test_seed)
         for campaign in campaigns
-        for scenario, own in campaign.scenarios(seed)
+        for scenario, test_seed in campaign.scenarios(seed)
     ]
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenTests:
-    """Some tests of campaigns, the same to the byte as there.
+    """Chosen tests of campaigns, identical to those in the campaigns.
 
     Parameters
     ----------
-    campaigns : that the tests are in
+    campaigns : that contain the tests
     names : of the tests; their order is that of the campaigns
     """
 
@@ -99,7 +97,7 @@ class ChosenTests:
     names: tuple[str, ...]
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
-        """The tests, as `Campaign` says.
+        """Yield the tests; see `Campaign`.
 
         Yields
         ------
@@ -122,7 +120,7 @@ class WireGroup:
 
     Parameters
     ----------
-    wire : as all its samples are, but for their own factor
+    wire : of all samples, without their own factors
     length : m, clamped end to pull point
     """
 
@@ -134,13 +132,13 @@ GROUPS = (
     *(WireGroup(WIRES[name], 0.085) for name in ("A1", "A2", "A3")),
     *(WireGroup(WIRES[name], length) for name in ("B1", "B2") for length in (0.085, 0.1)),
 )
-"""Three wires of 85 mm, and two of both 85 and 100 mm. The source makes the samples of A3 120 mm
-long to spare its load cell; here they are 85 mm, as those of A1 and A2 are."""
+"""Three wires of 85 mm, and two of both 85 and 100 mm. In the source the samples of A3 are 120 mm
+long to protect its load cell; here they are 85 mm, like those of A1 and A2."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireCampaign:
-    """Single wires in the cantilever rig, to calibrate by: one wire may predict the others.
+    """Single wires in the cantilever rig, for calibration.
 
     Parameters
     ----------
@@ -150,7 +148,7 @@ class WireCampaign:
     rate : Hz, of the force recorder
     fps : frames per second of the cameras
     cycles : of each test
-    has_mishaps : whether markers are lost and mistaken
+    has_mishaps : markers are lost or mislabelled
     """
 
     groups: tuple[WireGroup, ...] = GROUPS
@@ -162,7 +160,7 @@ class WireCampaign:
     has_mishaps: bool = True
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
-        """The tests, as `Campaign` says; samples of a wire are numbered on from length to length.
+        """Yield the tests; see `Campaign`. Samples of a wire are numbered over all its lengths.
 
         Yields
         ------
@@ -170,19 +168,19 @@ class WireCampaign:
         """
         random = np.random.default_rng([seed, 41])
         gain_error = WIRE_CELL.gain_uncertainty * float(random.standard_normal())
-        made: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         for group in self.groups:
             for _ in range(self.samples):
                 name = group.wire.name
-                made[name] += 1
+                counts[name] += 1
                 usual = replace(
                     wire_scenario(group.wire, group.length, cycles=self.cycles),
-                    name=f"{name}-{1e3 * group.length:03.0f}-{made[name]}",
-                    sample=made[name],
+                    name=f"{name}-{1e3 * group.length:03.0f}-{counts[name]}",
+                    sample=counts[name],
                 )
                 yield (
                     _cantilever_sample(self, usual, gain_error, random),
-                    1000 * seed + made.total(),
+                    1000 * seed + counts.total(),
                 )
 
 
@@ -199,7 +197,7 @@ class TapedCampaign:
     fps : frames per second of the cameras
     speed : m/s, of the clamp
     cycles : of each test
-    has_mishaps : whether markers are lost and mistaken
+    has_mishaps : markers are lost or mislabelled
     """
 
     types: tuple[str, ...] = tuple(TAPED_TYPES)
@@ -212,7 +210,7 @@ class TapedCampaign:
     has_mishaps: bool = True
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
-        """The tests, as `Campaign` says.
+        """Yield the tests; see `Campaign`.
 
         Yields
         ------
@@ -221,7 +219,7 @@ class TapedCampaign:
         Raises
         ------
         KeyError
-            If a type is none of `TAPED_TYPES`.
+            If a type is not in `TAPED_TYPES`.
         """
         random = np.random.default_rng([seed, 61])
         gain_error = TAPED_CELL.gain_uncertainty * float(random.standard_normal())
@@ -241,7 +239,7 @@ def _cantilever_sample(
     gain_error: float,
     random: np.random.Generator,
 ) -> CantileverScenario:
-    """A sample with a factor, clocks, a pose and mishaps of its own."""
+    """Return a sample with its own factor, clocks, pose and mishaps."""
     factor = float(np.exp(campaign.scatter * random.standard_normal()))
     mechanics = replace(usual.mechanics, wire=usual.mechanics.wire.scaled(factor))
     offset, drift = float(random.uniform(0.3, 2.5)), float(random.uniform(-60e-6, 60e-6))
@@ -259,7 +257,7 @@ def _cantilever_sample(
 class ConduitCampaign:
     """Bundles in a conduit (Table 4.2 of the source) in three-point bending.
 
-    Of every third sample the load frame's export was not kept: crosshead speed and time have to do.
+    Every third sample has no export of the load frame: displacement follows from speed and time.
 
     Parameters
     ----------
@@ -277,7 +275,7 @@ class ConduitCampaign:
     fps: float = 25.0
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[ConduitScenario, int]]:
-        """The tests, as `Campaign` says.
+        """Yield the tests; see `Campaign`.
 
         Yields
         ------
@@ -286,7 +284,7 @@ class ConduitCampaign:
         Raises
         ------
         KeyError
-            If a type is none of `CONDUIT_TYPES`.
+            If a type is not in `CONDUIT_TYPES`.
         """
         random = np.random.default_rng([seed, 67])
         gain_error = CONDUIT_CELL.gain_uncertainty * float(random.standard_normal())
@@ -301,7 +299,7 @@ class ConduitCampaign:
     def _sample(
         self, usual: ConduitScenario, gain_error: float, random: np.random.Generator
     ) -> ConduitScenario:
-        """A sample with a factor, clocks, a twist and a pose of its own."""
+        """Return a sample with its own factor, clocks, twist and pose."""
         factor = float(np.exp(self.scatter * random.standard_normal()))
         clocks = ConduitClocks(
             rate=self.rate,
@@ -318,7 +316,7 @@ class ConduitCampaign:
             load_cell=replace(usual.load_cell, gain_error=gain_error),
             markers=replace(usual.markers, twist=twist),
             pose=Pose(yaw=float(random.uniform(-0.4, 0.4))),
-            has_frame_export=usual.sample % _WITHOUT_FRAME != 0,
+            has_frame_export=usual.sample % 3 != 0,
         )
 
 
@@ -326,20 +324,20 @@ SMALL_HARNESS = (
     TapedCampaign(rate=100.0, fps=12.5, cycles=2),
     ConduitCampaign(rate=200.0, fps=12.5),
 )
-"""Bundles in tape and in conduits, with as few recorded numbers as their evaluation can do with:
-three samples of nineteen types, 57 tests."""
+"""Bundles in tape and in conduits with small recordings: three samples of nineteen types, 57
+tests."""
 
 
 @dataclass(frozen=True, slots=True)
 class TensileCampaign:
-    """Corrugated tubes, twist tubes, tapes and the bar that shows what the frame gives.
+    """Corrugated tubes, twist tubes, tapes and the bar for the compliance of the frame.
 
     Parameters
     ----------
     tubes : kinds of corrugated tube, with the factor on their forces; three samples of each
     small_tubes : kinds whose section is `small_section`, m, which differs from the protocol's
     slips : of single tubes, by name of the test
-    unloaded : name of the tube that the crosshead drives back
+    unloaded : name of the tube that is unloaded
     in_parts : sample of the twist tube that is exported in parts
     tapes : spool's factor on the forces, and displacement of failure, m, of each tape
     """
@@ -365,7 +363,7 @@ class TensileCampaign:
     )
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
-        """The tests, as `Campaign` says; all tests of one frame share the error of its load cell.
+        """Yield the tests; see `Campaign`. All tests of a frame share the error of its load cell.
 
         Yields
         ------
@@ -425,5 +423,5 @@ class TensileCampaign:
 
 
 def _scatter(random: np.random.Generator, relative: float) -> float:
-    """A factor close to 1."""
+    """Draw a factor close to 1."""
     return float(np.exp(relative * random.standard_normal()))

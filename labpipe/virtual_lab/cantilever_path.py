@@ -1,9 +1,8 @@
-"""The quasi-static path of a cantilever test: solved once, then looked up.
+"""Quasi-static path of a cantilever test: solved once, then interpolated.
 
-The path is a function of *progress*, the distance that the clamp has been driven so far, up and
-down added: it never turns back, so one number says where a test stands. Between events (turning
-points, the string going taut or slack) everything is smooth, and cubic splines through the solved
-positions stand for it.
+The path is a function of *progress*, the total distance that the clamp has been driven up and down,
+which increases monotonically. Between events (turning points, the string going taut or slack) the
+path is smooth and is interpolated by cubic splines through the solved positions.
 """
 
 from __future__ import annotations
@@ -29,14 +28,12 @@ from labpipe.wire.cantilever import (
 )
 from labpipe.wire.newton import interpolation_matrix
 
-_SHORTEST = 1e-9
-_REPEATS = 20
-_HELD = 1e-5  # of what holds a bundle: an error of a few hundredths of a millinewton
+_MIN_TRAVEL_STEP = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """A stretch of the path without events; arrays run over its solved positions.
+    """A part of the path without events; arrays over its solved positions.
 
     Parameters
     ----------
@@ -59,7 +56,7 @@ class Segment:
 
     @property
     def is_still(self) -> bool:
-        """Whether the string is slack, so that nothing moves against the clamp."""
+        """Whether the string is slack and the wire moves with the clamp."""
         return len(self.progress) == 2
 
 
@@ -69,10 +66,10 @@ class MechanicalPath:
 
     Parameters
     ----------
-    test : what was solved
+    test : solved test
     rig : the string
-    rest : the shape before the motion
-    segments : in order, each beginning where the one before ends
+    rest : shape before the motion
+    segments : in order and contiguous
     """
 
     test: MechanicalTest
@@ -81,20 +78,20 @@ class MechanicalPath:
     segments: tuple[Segment, ...]
 
     def travel(self, progress: Floats) -> Floats:
-        """Travel of the clamp, m, shape (n,); a triangle wave."""
+        """Return the travel of the clamp, m, shape (n,); a triangle wave."""
         stroke = self.test.stroke
         inside = np.clip(progress, 0.0, 2.0 * stroke * self.test.cycles)
         saw: Floats = stroke - np.abs(inside % (2.0 * stroke) - stroke)
         return saw
 
     def tension(self, progress: Floats) -> Floats:
-        """Tension of the string, N, at nondecreasing progress, shape (n,)."""
+        """Return the tension of the string, N, at nondecreasing progress, shape (n,)."""
         columns = [segment.tension[:, None] for segment in self.segments]
         tension: Floats = self._look_up(progress, columns)[:, 0]
         return tension
 
     def points(self, progress: Floats, arc_lengths: Floats) -> tuple[Floats, Floats, Floats]:
-        """Places on the wire's axis, and the angle of its tangent.
+        """Return places on the wire's axis, and the angle of its tangent.
 
         Parameters
         ----------
@@ -112,7 +109,7 @@ class MechanicalPath:
         return x, y, angle
 
     def deflection(self, progress: Floats) -> Floats:
-        """Deflection of the pull point, m, at nondecreasing progress, shape (n,)."""
+        """Return the deflection of the pull point, m, at nondecreasing progress, shape (n,)."""
         columns = [segment.y[:, -1:] for segment in self.segments]
         deflection: Floats = self._look_up(progress, columns)[:, 0] - self.rest.y[-1]
         return deflection
@@ -125,16 +122,16 @@ class MechanicalPath:
             self.segments, columns, edges[:-1], edges[1:], strict=True
         ):
             if last > first:
-                out[first:last] = _along(segment, values, progress[first:last])
+                out[first:last] = _interpolate(segment, values, progress[first:last])
         return out
 
 
-def _along(segment: Segment, values: Floats, progress: Floats) -> Floats:
+def _interpolate(segment: Segment, values: Floats, progress: Floats) -> Floats:
     if segment.is_still:
         return np.tile(values[0], (len(progress), 1))
     inside = np.clip(progress, segment.progress[0], segment.progress[-1])
-    found: Floats = CubicSpline(segment.progress, values)(inside)
-    return found
+    values_at: Floats = CubicSpline(segment.progress, values)(inside)
+    return values_at
 
 
 @lru_cache(maxsize=32)
@@ -152,15 +149,16 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     Raises
     ------
     ValueError
-        If there is no equilibrium somewhere on it.
+        If an equilibrium does not exist.
     """
     rig, rest = _set_up(test)
     cycles: list[list[Segment]] = []
     state, bent, starts = rest.state, 0.0, []
     for number in range(1, test.cycles + 1):
         starts.append(state)
-        if number > 2 and _same(state, starts[-2]):  # loops of a rate-independent law close
-            cycles.append([_later(segment, 2.0 * test.stroke) for segment in cycles[-1]])
+        # loops of a rate-independent law close
+        if number > 2 and _is_same_state(state, starts[-2]):
+            cycles.append([_shift_segment(segment, 2.0 * test.stroke) for segment in cycles[-1]])
             continue
         segments, state, bent = _Cycle(test, rig, number).walk(state, bent)
         cycles.append(segments)
@@ -168,7 +166,7 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
 
 
 def _set_up(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
-    """Hang the string and find the rest before the motion."""
+    """Attach the string and find the shape at rest before the motion."""
     law, weight = test.wire.law(), test.gravity * test.counterweight
     unbent = straight(law, test.n_stations, self_weight=test.self_weight)
     level = StringRig(test.string_length, weight, test.length, test.string_length)
@@ -196,23 +194,23 @@ class _Cycle:
             for shapes in self._branch(state, goal, bent):
                 segments.append(_segment(shapes, self.number, goal > 0.0, progress))
                 state, progress = shapes[-1].state, float(segments[-1].progress[-1])
-                bent = _most_bent(shapes, bent)
+                bent = _largest_curvature(shapes, bent)
         return segments, state, bent
 
     def _branch(
         self, state: WireState, goal: float, bent: float
     ) -> Iterator[list[CantileverShape]]:
-        """Walk to `goal`, giving the shapes of each stretch between events, ends included."""
+        """Solve up to `goal` and yield the shapes of each segment between events, ends included."""
         law = self._law(bent)
         here = self._shape(law, state, state.travel)
         event = self._taut_travel(law, here)
-        if here.tension <= 0.0:  # slack: nothing bends until the string spans again
+        if here.tension <= 0.0:  # slack: no bending until the string is taut
             stop = min(event, goal) if goal > state.travel else goal
-            if abs(stop - state.travel) > _SHORTEST:
+            if abs(stop - state.travel) > _MIN_TRAVEL_STEP:
                 there = self._shape(law, here.state, stop)
                 yield [here, there]
                 here = there
-        if abs(goal - here.state.travel) > _SHORTEST:
+        if abs(goal - here.state.travel) > _MIN_TRAVEL_STEP:
             yield from self._taut(here, goal, bent)
 
     def _taut(
@@ -226,11 +224,11 @@ class _Cycle:
                 shapes.append(ahead)
                 continue
             event = self._taut_travel(law, shapes[-1])
-            slackened = _without_tension(self._shape(law, shapes[-1].state, event))
-            if abs(event - shapes[-1].state.travel) > _SHORTEST:
+            slackened = _at_zero_tension(self._shape(law, shapes[-1].state, event))
+            if abs(event - shapes[-1].state.travel) > _MIN_TRAVEL_STEP:
                 shapes.append(slackened)
             yield shapes
-            if abs(goal - event) > _SHORTEST:
+            if abs(goal - event) > _MIN_TRAVEL_STEP:
                 yield [slackened, self._shape(law, slackened.state, goal)]
             return
         yield shapes
@@ -238,22 +236,24 @@ class _Cycle:
     def _step(
         self, here: CantileverShape, travel: float, bent: float
     ) -> tuple[MomentLaw, CantileverShape, float]:
-        """Go on to a travel under the law that belongs to the largest curvature reached there."""
+        """Solve at a travel with the law for the largest curvature reached there."""
+        max_iterations = 20
+        force_tolerance = 1e-5
         wire = self.test.wire
-        for _ in range(_REPEATS):
+        for _ in range(max_iterations):
             law = self._law(bent)
             ahead = self._shape(law, here.state, travel)
-            reached = _most_bent([ahead], bent)
+            reached = _largest_curvature([ahead], bent)
             if not isinstance(wire, BundleModel) or reached == bent:
                 break
-            settled = abs(wire.held(reached) - wire.held(bent)) < _HELD
+            settled = abs(wire.held(reached) - wire.held(bent)) < force_tolerance
             bent = reached
             if settled:
                 break
         return law, ahead, bent
 
     def _law(self, bent: float) -> MomentLaw:
-        """The law after some largest curvature: what bundles remember, wires do not."""
+        """Return the law after a largest curvature, on which only bundles depend."""
         wire = self.test.wire
         return wire.law(self.number, bent) if isinstance(wire, BundleModel) else wire.law()
 
@@ -261,28 +261,28 @@ class _Cycle:
         return bend_to_travel(law, state, self.test.length, self.rig, travel)
 
     def _taut_travel(self, law: MomentLaw, shape: CantileverShape) -> float:
-        """Travel at which the string would go taut or slack, from the history of a shape, m."""
+        """Return the travel at which the string goes taut or slack, m."""
         weight = np.array([0.0, -self.rig.weight])
         hanging = bend_under_force(law, shape.state, self.test.length, weight)
         return self.rig.travel_to_taut_string(float(hanging.x[-1]), float(hanging.y[-1]))
 
 
-def _without_tension(shape: CantileverShape) -> CantileverShape:
-    """The shape in which the string goes slack: what tension is left is rounding."""
+def _at_zero_tension(shape: CantileverShape) -> CantileverShape:
+    """Return the shape at which the string goes slack, with exactly zero tension."""
     return replace(shape, tension=0.0, state=replace(shape.state, load=0.0))
 
 
-def _most_bent(shapes: list[CantileverShape], bent: float) -> float:
+def _largest_curvature(shapes: list[CantileverShape], bent: float) -> float:
     return max(bent, *(float(np.max(np.abs(shape.curvature))) for shape in shapes))
 
 
-def _same(one: WireState, other: WireState) -> bool:
-    """Whether two states have the same history to the accuracy of the solver."""
+def _is_same_state(one: WireState, other: WireState) -> bool:
+    """Return whether two states have the same history within the accuracy of the solver."""
     largest = float(np.max(np.abs(other.plays), initial=1e-12))
     return bool(np.max(np.abs(one.plays - other.plays), initial=0.0) <= 1e-9 * largest)
 
 
-def _later(segment: Segment, progress: float) -> Segment:
+def _shift_segment(segment: Segment, progress: float) -> Segment:
     return replace(segment, cycle=segment.cycle + 1, progress=segment.progress + progress)
 
 

@@ -1,10 +1,11 @@
-"""What a virtual cantilever test is: specimen, rig, instruments and mishaps, as frozen settings.
+"""Settings of a virtual cantilever test: specimen, rig, instruments and mishaps.
 
 Everything is SI. The specimen frame used throughout the virtual lab: origin at the clamped end and
 moving with it, x along the undeformed axis, y in the plane of bending towards the pull (up), z
 normal to both. Deflection is the pull point's y minus its y in the initial rest; force is the
-string's tension minus its tension in the initial rest; travel is how far the clamp has been driven
-down. The marker clock is the true time base; force time = offset + (1 + drift) x marker time.
+string's tension minus its tension in the initial rest; travel is the distance that the clamp has
+been driven down. The marker clock is the true time base; force time = offset + (1 + drift) x marker
+time.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ TAPED_LENGTH = 0.1143
 MARKER_SPACING = 0.0127
 
 VirtualWire: TypeAlias = WireModel | StrandedWire | BundleModel
-"""A wire by the numbers of its law, or by what it is made of; or a bundle of wires."""
+"""A wire defined by its law or by its strands, or a bundle of wires."""
 
 
 @dataclass(frozen=True, slots=True)
 class MechanicalTest:
-    """What decides the quasi-static path of a test; equal tests share one solution.
+    """Inputs of the quasi-static path of a test; equal tests share one solution.
 
     Parameters
     ----------
@@ -36,17 +37,17 @@ class MechanicalTest:
     length : m, clamped end to pull point
     string_length : m
     counterweight : kg, at the pull point
-    slack : m, travel of the clamp before the string first pulls, the wire hanging under the
-        counterweight until then; None where the string holds the wire straight from the start and
-        carries the counterweight
+    slack : m, travel of the clamp before the string is taut, with the wire hanging under the
+        counterweight; None if the string holds the wire straight and carries the counterweight
+        from the start
     stroke : m
     cycles : each a loading and an unloading branch
     steps_per_branch : solved positions of the clamp per branch, interpolated between
-    crowding : 1 for even positions; above, they lie closer at the start of each branch, where a
-        wire that begins to slip gives way fastest: travel goes with this power of their number
+    crowding : exponent of the positions in a branch: 1 for even ones, above 1 for closer ones at
+        its start, where the stiffness changes most
     n_stations : along the wire
-    weighs : whether the wire's own weight bends it, too: it lies level
-    gravity : m/s^2, that pulls at wire and counterweight
+    weighs : the weight of the level wire bends it, too
+    gravity : m/s^2, on wire and counterweight
     """
 
     wire: VirtualWire = field(default_factory=WireModel)
@@ -64,12 +65,12 @@ class MechanicalTest:
 
     @property
     def mass_per_length(self) -> float:
-        """Mass per length of the wire that acts, kg/m."""
+        """Acting mass per length of the wire, kg/m."""
         return self.wire.mass_per_length if self.weighs else 0.0
 
     @property
     def self_weight(self) -> float:
-        """Weight of the wire per length that acts, N/m."""
+        """Acting weight per length of the wire, N/m."""
         return self.gravity * self.mass_per_length
 
 
@@ -83,7 +84,7 @@ class Clocks:
     fps : frames per second of the cameras
     offset : s, force time at marker time zero
     drift : dimensionless; force time = offset + (1 + drift) x marker time
-    step_ratio : the recorder's true step over its nominal one; its time axis says so
+    step_ratio : true over nominal step of the recorder, as in its time axis
     """
 
     rate: float = 10_000.0
@@ -99,9 +100,9 @@ class LoadCell:
 
     Parameters
     ----------
-    gain : N/V, nominal: what the calibration sheet says
+    gain : N/V, nominal, as on the calibration sheet
     gain_uncertainty : relative standard uncertainty from which the true gain is drawn
-    gain_error : relative error of the true gain, where tests share it; None to draw it
+    gain_error : relative error of the true gain, shared by tests; None to draw it
     offset : V, output at no load
     noise : N, rms, white
     bits, full_scale : of the converter, +- `full_scale` in V
@@ -117,16 +118,16 @@ class LoadCell:
 
 
 WIRE_CELL = LoadCell(gain=0.05, gain_uncertainty=0.002, noise=0.5e-3)
-"""A cell of 0.5 N for forces of 20 to 250 mN, with a noise of a thousandth of that at any rate. All
-tests of a campaign share what its gain is off by."""
+"""A cell of 0.5 N for forces of 20 to 250 mN, with a noise of 0.5 mN at any rate. All tests of a
+campaign share its gain error."""
 
 TAPED_CELL = LoadCell(gain=0.89, gain_uncertainty=0.002, noise=3e-3)
-"""A cell of 2 lb (8.9 N at 10 V). All tests of a campaign share what its gain is off by."""
+"""A cell of 2 lb (8.9 N at 10 V). All tests of a campaign share its gain error."""
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerLayout:
-    """Where the markers are and how well the cameras see them.
+    """Places of the markers and noise of the cameras.
 
     Parameters
     ----------
@@ -138,7 +139,7 @@ class MarkerLayout:
     noise : m, rms per axis, of a marker
     pivot_noise : m, rms per axis, of the clamp's pivot
     turn_noise : rad, rms per axis, of the clamp's orientation
-    scrambled : whether label numbers follow no order along the wire
+    scrambled : label numbers are in random order along the wire
     """
 
     n_markers: int = 8
@@ -152,18 +153,18 @@ class MarkerLayout:
     scrambled: bool = True
 
     def arc_lengths(self, length: float) -> tuple[float, ...]:
-        """Arc length of each marker from the clamped end, m, evenly spaced."""
+        """Return the arc length of each marker from the clamped end, m, evenly spaced."""
         last = length - self.pull_offset
         return tuple(float(s) for s in np.linspace(self.first, last, self.n_markers))
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """How the rig stands in the frame of the motion-capture system (Y up).
+    """Pose of the rig in the frame of the motion-capture system (Y up).
 
     Parameters
     ----------
-    yaw, pitch, roll : rad, about Y, X and Z: turned by roll first, yaw last
+    yaw, pitch, roll : rad, about Y, X and Z; roll is applied first, yaw last
     origin : m, the clamped end at zero travel
     """
 
@@ -173,7 +174,7 @@ class Pose:
     origin: tuple[float, float, float] = (0.215, 1.031, -0.442)
 
     def rotation(self) -> Floats:
-        """Rotation lab <- specimen, shape (3, 3)."""
+        """Return the rotation from specimen to lab, shape (3, 3)."""
         cos, sin = np.cos, np.sin
         a, b, c = self.yaw, self.pitch, self.roll
         about_y = np.array([[cos(a), 0, sin(a)], [0, 1, 0], [-sin(a), 0, cos(a)]])
@@ -185,7 +186,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Something that happens to one marker for part of a take.
+    """Part of a take in which a mishap affects one marker.
 
     Parameters
     ----------
@@ -200,15 +201,15 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Mishaps:
-    """What goes wrong with the markers of a take; `NO_MISHAPS` for a clean one.
+    """Mishaps of the markers of a take; `NO_MISHAPS` for a clean one.
 
     Parameters
     ----------
-    n_gaps : short gaps, of 2 to 15 frames, at random on random markers while the clamp moves
+    n_gaps : short gaps, of 2 to 15 frames, at random times on random markers while the clamp moves
     long_gap : s, length of one long gap on a random marker; 0 for none
     switch : this marker and the next one swap labels
-    unlabelled : this marker goes on as ``Unlabeled 1234``
-    frozen : this marker's position stands still
+    unlabelled : this marker is renamed ``Unlabeled 1234``
+    frozen : this marker's position is constant
     """
 
     n_gaps: int = 8
@@ -224,12 +225,12 @@ MISHAPS = (
     Mishaps(n_gaps=4, long_gap=0.0, switch=Stretch(1, 0.62, 1.0), unlabelled=None),
     Mishaps(n_gaps=12, long_gap=0.8, switch=None, unlabelled=Stretch(2, 0.3, 0.33)),
 )
-"""What goes wrong in the tests of a campaign, in turn."""
+"""Mishaps in the tests of a campaign, in turn."""
 
 
 @dataclass(frozen=True, slots=True)
 class CantileverScenario:
-    """A whole virtual test, from wire to test sheet.
+    """A complete virtual test, from wire to test sheet.
 
     Parameters
     ----------
@@ -239,7 +240,7 @@ class CantileverScenario:
     mechanics : wire and rig
     speed : m/s, of the clamp
     dwell : s, at every turning point
-    rest : s, at least, on both records before the motion and after it
+    rest : s, at least, in both records before and after the motion
     clocks, load_cell, markers, pose, mishaps : the instruments
     length_unit : of the motion-capture export: m, cm or mm
     """
@@ -262,18 +263,18 @@ class CantileverScenario:
 
 
 WIRE_TEST = MechanicalTest(slack=None, steps_per_branch=80, crowding=2.5, n_stations=32)
-"""The rig of the source for a stranded wire, straight and held by the string. Positions are crowded
-where the strands begin to slip: between them the looked-up force is within 0.06 mN (even ones:
+"""The rig of the source for a stranded wire, straight and held by the string. Positions are closer
+where the strands begin to slip: the interpolated force is within 0.06 mN (with even positions
 5 mN), with half as many stations within 0.02 mN."""
 
 TAPED_TEST = replace(WIRE_TEST, length=TAPED_LENGTH, steps_per_branch=60, crowding=2.0)
-"""The same rig for a taped bundle. Positions are crowded where its wires begin to slip: the
-looked-up force is within 3 mN of that of many more positions, and within 12 mN where the tape
-begins to slide; the noise is 3 mN. Exports and truth are of the same looked-up path."""
+"""The same rig for a taped bundle. Positions are closer where its wires begin to slip: the
+interpolated force is within 3 mN of the converged one, and within 12 mN where the tape begins to
+slide; the noise is 3 mN. Exports and truth use the same interpolated path."""
 
 
 def wire_scenario(wire: StrandedWire, length: float, *, cycles: int = 3) -> CantileverScenario:
-    """One test of a stranded wire, without mishaps.
+    """Return a test of a stranded wire, without mishaps.
 
     Parameters
     ----------
@@ -292,7 +293,7 @@ def wire_scenario(wire: StrandedWire, length: float, *, cycles: int = 3) -> Cant
 
 
 def taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
-    """One test of a taped bundle of the source's Table 4.1, without mishaps.
+    """Return a test of a taped bundle of the source's Table 4.1, without mishaps.
 
     Parameters
     ----------
@@ -301,13 +302,13 @@ def taped_scenario(name: str, *, cycles: int = 3) -> CantileverScenario:
 
     Returns
     -------
-    The scenario: the string straight from the start, carrying the counterweight; markers in the
-    middles of nine stretches of half an inch.
+    The scenario: the string is taut from the start and carries the counterweight; markers are in
+    the middles of nine intervals of half an inch.
 
     Raises
     ------
     KeyError
-        If there is no such type.
+        If the type is unknown.
     """
     bundle = TAPED_TYPES[name]
     half = 0.5 * MARKER_SPACING

@@ -1,9 +1,9 @@
-"""The conduit bundles of the source's Table 4.2 in three-point bending, as frozen settings.
+"""Settings of the conduit bundles of the source's Table 4.2 in three-point bending.
 
-Everything is SI. The specimen frame: x along the bundle to the right as the cameras see it, y up, z
-towards the cameras, origin at mid-span at rest. Displacement is the way of the upper roller, down;
-force is what it presses with. True time begins when the load frame starts; recorder and cameras
-have clocks of their own.
+Everything is SI. The specimen frame: x along the bundle to the right as seen by the cameras, y up,
+z towards the cameras, origin at mid-span at rest. Displacement is that of the upper roller, down;
+force is the force of that roller. True time begins when the load frame starts; recorder and cameras
+have their own clocks.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ CORRUGATED = Conduit("corrugated-tube", 7.4e-3, 10.2e-3, 2e-3)
 TWIST_TUBE = Conduit("twist-tube", 7.0e-3, 8.0e-3, 1e-3)
 
 TAPING_EFFECT = {"none": 1.0, "coarse": 1.01, "half-lap": 1.02}
-"""Factor on all moments, by how the conduit is taped: nothing that matters."""
+"""Factor on all moments by the taping of the conduit, which has almost no effect."""
 
 _INSIDE = BundleModel(friction_share=0.05, glue_share=0.008, tape=NONE, taping=NONE)
-"""Wires in a tube are taped at their ends alone: neighbours and glue hold less of them."""
+"""Wires in a tube are taped only at their ends: neighbours and glue hold less of them."""
 
 
 def conduit_bundle(
     wires: tuple[tuple[str, int], ...], conduit: Conduit, taping: str = "none"
 ) -> BundleModel:
-    """A bundle in its conduit.
+    """Return a bundle in its conduit.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def conduit_bundle(
     Raises
     ------
     KeyError
-        If the taping is none of them.
+        If the taping is unknown.
     """
     bundle = replace(
         _INSIDE,
@@ -82,8 +82,6 @@ def conduit_bundle(
 
 
 _B1, _B2 = (("B1", 19),), (("B2", 19),)
-
-
 _MIXED = (("B1", 10), ("B2", 9))
 
 
@@ -108,7 +106,7 @@ BentModel: TypeAlias = BundleModel | WireModel | ElasticModel
 
 @dataclass(frozen=True, slots=True)
 class ThreePointTest:
-    """What decides the path; equal tests share one solution.
+    """Inputs of the path; equal tests share one solution.
 
     Parameters
     ----------
@@ -116,9 +114,9 @@ class ThreePointTest:
     span : m, between the centres of the lower rollers
     overhang : m, beyond each of them
     roller_radius : m
-    outer_radius : m, of what lies on the rollers
+    outer_radius : m, of the specimen on the rollers
     friction : mu, between it and the lower rollers
-    build_up : u0, m, way over which friction builds up or turns round
+    build_up : u0, m, over which friction builds up or reverses
     stroke : m, of the upper roller, once down and up
     steps_per_branch, crowding : as those of `cantilever_scenarios.MechanicalTest`
     n_stations : of the half, evenly spread
@@ -138,7 +136,7 @@ class ThreePointTest:
 
     @property
     def reach(self) -> float:
-        """From the centre of a roller to the axis of the bundle, m."""
+        """Distance from the centre of a roller to the axis of the bundle, m."""
         return self.roller_radius + self.outer_radius
 
 
@@ -153,7 +151,7 @@ class ConduitClocks:
     frame_rate : Hz, of the load frame's own record
     trigger_lag : s, from the start of the frame to the first sample of the recorder
     recorder_drift : recorder's time = (1 + drift) x (true time - lag)
-    camera_lead : s, that the cameras were running before the frame started
+    camera_lead : s, from the start of the cameras to the start of the frame
     """
 
     rate: float = 500.0
@@ -170,14 +168,14 @@ class CylinderMarkers:
 
     Parameters
     ----------
-    n_sections : odd, one of them at mid-span
+    n_sections : odd, one at mid-span
     spacing : m, along the bundle
     angles : rad, of the lines, from the side of the cameras upwards
     centre_offset : m, axis of the bundle to marker centre
-    twist : rad, by which the sample has turned about its axis at full stroke, right-handed about x;
-        in proportion to the displacement, the same all along, and it stays where the roller leaves
+    twist : rad, rotation of the sample about its axis at full stroke, right-handed about x,
+        proportional to the displacement, uniform, and constant after the roller leaves
     noise : m, rms per axis
-    scrambled : whether label numbers follow no order
+    scrambled : label numbers are in random order
     """
 
     n_sections: int = 11
@@ -191,12 +189,12 @@ class CylinderMarkers:
 
 @dataclass(frozen=True, slots=True)
 class FrameCell:
-    """What the load frame's own program records besides the time.
+    """Noise and tare of the load frame's own record.
 
     Parameters
     ----------
     displacement_noise : m, rms
-    force_noise : N, rms, of its 50 kN cell, which is too coarse to be of use
+    force_noise : N, rms, of its 50 kN cell, which is too coarse for these forces
     force_tare : N
     """
 
@@ -207,18 +205,18 @@ class FrameCell:
 
 @dataclass(frozen=True, slots=True)
 class ConduitScenario:
-    """A whole virtual test of a conduit bundle.
+    """A complete virtual test of a conduit bundle.
 
     Parameters
     ----------
     name : of the test and of its folder
     specimen_type, spool, sample, date : for the test sheet and the exports
     test : bundle and rig; the bundle's own factor is that of its type
-    factor : of this sample on all moments, and so on all forces
+    factor : of this sample on all moments and forces
     speed : m/s, of the crosshead
-    rest : s, before the crosshead moves and after it is back
+    rest : s, before and after the motion of the crosshead
     clocks, load_cell, markers, frame, pose : the instruments
-    has_frame_export : whether the load frame's record was kept
+    has_frame_export : the load frame's record is available
     length_unit : of the motion-capture export
     """
 
@@ -246,16 +244,16 @@ class ConduitScenario:
         Raises
         ------
         TypeError
-            If what is bent is no bundle.
+            If the specimen is not a bundle.
         """
         if not isinstance(self.test.bundle, BundleModel):
-            message = f"bundle={type(self.test.bundle).__name__}: allowed is a BundleModel"
+            message = f"bundle: expected a BundleModel, found {type(self.test.bundle).__name__}"
             raise TypeError(message)
         return self.test.bundle.scaled(self.factor)
 
 
 def conduit_scenario(name: str) -> ConduitScenario:
-    """A test of a case of Table 4.2.
+    """Return a test of a case of Table 4.2.
 
     Parameters
     ----------
@@ -264,7 +262,7 @@ def conduit_scenario(name: str) -> ConduitScenario:
     Raises
     ------
     KeyError
-        If there is no such case.
+        If the case is unknown.
     """
     bundle, conduit = CONDUIT_TYPES[name]
     radius = 0.5 * conduit.outer_diameter

@@ -1,7 +1,7 @@
-"""What a true curve of a bundle contains: kink, plateau, and the stiffness of each cycle.
+"""True numbers of a bundle's curve: kink, plateau, and the stiffness of each cycle.
 
-Curves are free of noise. Everything is found by trying, not by the processing's formulas: the kink
-by trying every break on a fine grid, the plateau by looking at the tangent from the end.
+Curves are free of noise. Numbers are found by search, not by the formulas of the processing: the
+kink over all breaks of a fine grid, the plateau by the tangent from the end.
 """
 
 from __future__ import annotations
@@ -18,17 +18,15 @@ STIFFNESS_RANGE = 5e-3
 PLATEAU_SHARE = 0.10
 _POINTS = 800
 _STEPS = 20_001
-_TANGENT_OVER = 1e-3
-_NEAR = 0.02e-3  # m: close enough to zero for the first tangent
 
 
 @dataclass(frozen=True, slots=True)
 class KinkTruth:
-    """The two joined straight lines that come closest to a curve.
+    """The two joined straight lines closest to a curve.
 
     Parameters
     ----------
-    displacement, force : m, N, where they join
+    displacement, force : m, N, of their intersection
     stiffness_before, stiffness_after : N/m
     """
 
@@ -51,8 +49,8 @@ class LoadingTruth:
     kink : within `KINK_WINDOW`
     end_tangent : N/m, slope of the least-squares line over the last 5 mm
     end_slope : the same as a share of `windowed_stiffness`
-    plateau_displacement, plateau_force : m, N, from where on the tangent over a millimetre stays
-        below `PLATEAU_SHARE` of `windowed_stiffness`; None where `end_slope` is not below it
+    plateau_displacement, plateau_force : m, N, from which the tangent over a millimetre stays below
+        `PLATEAU_SHARE` of `windowed_stiffness`; None if `end_slope` is not below it
     """
 
     tangent_at_zero: float
@@ -66,7 +64,7 @@ class LoadingTruth:
     plateau_force: float | None
 
     def scaled(self, factor: float) -> LoadingTruth:
-        """The same with all forces multiplied by `factor`."""
+        """Return the numbers with all forces multiplied by `factor`."""
         kink = replace(
             self.kink,
             force=factor * self.kink.force,
@@ -87,14 +85,14 @@ class LoadingTruth:
 
 @dataclass(frozen=True, slots=True)
 class TapedTruth:
-    """What is true of a bundle in the cantilever rig.
+    """True numbers of a bundle in the cantilever rig.
 
     Parameters
     ----------
     loading : of the first cycle
     bending_stiffness : N m^2, K L^3 / 3 with the slope K over `KINK_WINDOW`, uncorrected
-    loading_stiffness : N/m, of each cycle, slope over 5 mm from where the force leaves that at rest
-    hardening : loading stiffnesses over that of the first cycle
+    loading_stiffness : N/m, of each cycle, slope over 5 mm from where the force exceeds the rest
+    hardening : loading stiffnesses relative to the first cycle
     """
 
     loading: LoadingTruth
@@ -104,7 +102,7 @@ class TapedTruth:
 
 
 def evaluate_taped(path: MechanicalPath) -> TapedTruth:
-    """Look at a bundle in the cantilever rig.
+    """Return the true numbers of a bundle in the cantilever rig.
 
     Parameters
     ----------
@@ -116,23 +114,23 @@ def evaluate_taped(path: MechanicalPath) -> TapedTruth:
     less that at rest.
     """
     loading = evaluate_loading(*_loading(path, 1))
-    each = tuple(_slope_after_slack(*_loading(path, n)) for n in range(1, path.test.cycles + 1))
+    slopes = tuple(_slope_after_slack(*_loading(path, n)) for n in range(1, path.test.cycles + 1))
     return TapedTruth(
         loading=loading,
         bending_stiffness=loading.windowed_stiffness * path.test.length**3 / 3.0,
-        loading_stiffness=each,
-        hardening=tuple(slope / each[0] for slope in each),
+        loading_stiffness=slopes,
+        hardening=tuple(slope / slopes[0] for slope in slopes),
     )
 
 
 def _loading(path: MechanicalPath, cycle: int) -> tuple[Floats, Floats]:
-    """Deflection and force of one loading, m and N."""
+    """Return deflection and force of one loading, m and N."""
     progress = path.test.stroke * (2.0 * (cycle - 1) + np.linspace(0.0, 1.0, _STEPS))
     return path.deflection(progress), path.tension(progress) - path.rest.tension
 
 
 def _slope_after_slack(displacement: Floats, force: Floats) -> float:
-    """Slope over the first 5 mm from where the force leaves zero upwards, N/m."""
+    """Return the slope over the first 5 mm from where the force exceeds zero, N/m."""
     slack = np.flatnonzero(force <= 0.0)
     begin = 0 if len(slack) == 0 else int(slack[-1])
     pair = slice(begin, begin + 2)
@@ -142,17 +140,18 @@ def _slope_after_slack(displacement: Floats, force: Floats) -> float:
 
 
 def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
-    """Look at a first loading.
+    """Return the true numbers of a first loading.
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N, free of noise, the displacement increasing from zero and
-        dense: points at which something is looked up lie on straight lines in between
+    displacement, force : shape (n,), m, N, free of noise; the displacement increases from zero and
+        is dense enough for linear interpolation
 
     Returns
     -------
     The numbers.
     """
+    zero_distance = 0.02e-3
     windowed = line_slope(displacement, force, *KINK_WINDOW)
     last = float(displacement[-1])
     end = line_slope(displacement, force, last - STIFFNESS_RANGE, last)
@@ -160,7 +159,7 @@ def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
     tangents = _tangents(displacement, force)
     onset = _last_above(*tangents, PLATEAU_SHARE * windowed) if is_level else None
     return LoadingTruth(
-        tangent_at_zero=float(np.interp(_NEAR, displacement, force)) / _NEAR,
+        tangent_at_zero=float(np.interp(zero_distance, displacement, force)) / zero_distance,
         stiffness=line_slope(displacement, force, 0.0, STIFFNESS_RANGE),
         secant_stiffness=float(np.interp(STIFFNESS_RANGE, displacement, force)) / STIFFNESS_RANGE,
         windowed_stiffness=windowed,
@@ -173,20 +172,20 @@ def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
 
 
 def line_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
-    """Slope of the least-squares line between two displacements, N/m, evenly weighted."""
+    """Return the slope of the least-squares line between two displacements, N/m."""
     grid = np.linspace(start, stop, _POINTS)
     return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_roots())[0])
 
 
 def _roots() -> Floats:
-    """Roots of the weights of a grid that stands for all between its ends, by trapezoids."""
+    """Return the roots of the trapezoidal weights of a grid."""
     roots = np.ones(_POINTS)
     roots[[0, -1]] = np.sqrt(0.5)
     return roots
 
 
 def find_kink(displacement: Floats, force: Floats, start: float, stop: float) -> KinkTruth:
-    """Try every break of two joined lines between two displacements, m.
+    """Find the kink as the best break of two joined lines between two displacements, m.
 
     Parameters
     ----------
@@ -195,8 +194,8 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
 
     Returns
     -------
-    The closest by least squares, its break between the best of the grid by the parabola through it
-    and its neighbours.
+    The best by least squares, with the break refined by a parabola through the best of the grid and
+    its neighbours.
     """
     grid = np.linspace(start, stop, _POINTS)
     wanted = np.interp(grid, displacement, force)
@@ -211,22 +210,23 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
 
 
 def _two_lines(grid: Floats, wanted: Floats, at: float) -> tuple[Floats, float]:
-    """Level, slope and change of slope of the closest pair of lines, and its sum of squares."""
+    """Return level, slope and change of slope of the best pair of lines, and the sum of squares."""
     basis, roots = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - at, 0.0)]), _roots()
-    found = np.linalg.lstsq(roots[:, None] * basis, roots * wanted, rcond=None)[0]
-    return found, float(np.sum((roots * (basis @ found - wanted)) ** 2))
+    coefficients = np.linalg.lstsq(roots[:, None] * basis, roots * wanted, rcond=None)[0]
+    return coefficients, float(np.sum((roots * (basis @ coefficients - wanted)) ** 2))
 
 
 def _tangents(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
-    """Tangents as differences over a millimetre, N/m, and the middles of it, m."""
-    half = 0.5 * _TANGENT_OVER
+    """Return the middles of intervals of a millimetre, m, and the tangents over them, N/m."""
+    tangent_step = 1e-3
+    half = 0.5 * tangent_step
     grid = np.linspace(half, displacement[-1] - half, 2001)
     ahead, behind = (np.interp(grid + step, displacement, force) for step in (half, -half))
-    return grid, (ahead - behind) / _TANGENT_OVER
+    return grid, (ahead - behind) / tangent_step
 
 
 def _last_above(grid: Floats, tangent: Floats, limit: float) -> float | None:
-    """Where the tangent falls below a limit for good, m; None where it is above at the end."""
+    """Return where the tangent finally falls below a limit, m; None if it is above at the end."""
     above = np.flatnonzero(tangent >= limit)
     if len(above) == 0 or above[-1] == len(grid) - 1:
         return None

@@ -1,7 +1,7 @@
-"""Run a virtual test of any kind, in memory or onto disk: exports, test sheet, and the truth.
+"""Run a virtual test of any kind, in memory or on disk: exports, test sheet and truth.
 
-``truth.json`` (SI; frames, signs and clocks as `virtual_lab.truth` says) is for checking; the
-processing never reads it.
+``truth.json`` (SI; frames, signs and clocks of `virtual_lab.truth`) is for checking; the processing
+never reads it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,6 @@ from labpipe.virtual_lab.vendor_exports import (
 )
 
 SHEET_FILE, TRUTH_FILE = "test.yaml", "truth.json"
-_DIGITS = 12
 
 S = TypeVar("S", CantileverScenario, ConduitScenario)
 T = TypeVar("T", CantileverTruth, ConduitTruth)
@@ -64,14 +63,14 @@ T = TypeVar("T", CantileverTruth, ConduitTruth)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendingObservation(Generic[S, T]):
-    """One virtual bending test: what the instruments recorded, and what really happened.
+    """One virtual bending test: records of the instruments, and the truth.
 
     Parameters
     ----------
-    scenario, seed : what it was made from
+    scenario, seed : inputs
     force_record, take : of force recorder and cameras
-    truth : what really happened
-    frame_record : of the load frame, in three-point bending; None where it was not kept
+    truth : true values
+    frame_record : of the load frame, in three-point bending, if available
     """
 
     scenario: S
@@ -83,17 +82,17 @@ class BendingObservation(Generic[S, T]):
 
     @property
     def force(self) -> Recording:
-        """The force recording as a reader would give it: volts, no unit known."""
+        """Force recording as read from its export: volts, without unit."""
         return self.force_record.recording()
 
     @property
     def markers(self) -> Recording:
-        """The motion-capture recording as a reader would give it."""
+        """Motion-capture recording as read from its export."""
         return self.take.recording()
 
     @property
     def frame(self) -> Recording | None:
-        """The load frame's recording as a reader would give it, in SI; None without one."""
+        """Recording of the load frame as read from its export, in SI, if available."""
         return None if self.frame_record is None else self.frame_record.recording()
 
 
@@ -105,13 +104,13 @@ ConduitObservation: TypeAlias = BendingObservation[ConduitScenario, ConduitTruth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TensileObservation:
-    """One virtual tensile test: what the load frame recorded, and what really happened.
+    """One virtual tensile test: record of the load frame, and the truth.
 
     Parameters
     ----------
-    scenario, seed : what it was made from
-    record : what the export is written from
-    truth : what really happened
+    scenario, seed : inputs
+    record : source of the export
+    truth : true values
     """
 
     scenario: TensileScenario
@@ -135,18 +134,17 @@ def observe(scenario: Scenario, seed: int) -> AnyObservation:
     Parameters
     ----------
     scenario : the test
-    seed : the same seed gives the same noise, gain and mishaps; mechanics do not depend on it
+    seed : of noise, gain and mishaps; the mechanics do not depend on it
 
     Returns
     -------
-    The observation. Tests that share their mechanics share one solution, so that only the first
-    takes seconds.
+    The observation. Tests with equal mechanics share one solution: only the first takes seconds.
 
     Raises
     ------
     ValueError
-        If the mechanics have no solution, a mishap names no marker, or a tensile test is over
-        before two samples have been taken.
+        If the mechanics have no solution, a mishap names no marker, or a tensile test ends before
+        its second sample.
     """
     match scenario:
         case CantileverScenario():
@@ -186,8 +184,8 @@ def _observe_conduit(scenario: ConduitScenario, seed: int) -> ConduitObservation
 
 
 def _generators(seed: int, number: int) -> list[np.random.Generator]:
-    """One for each instrument."""
-    return [np.random.default_rng(each) for each in np.random.SeedSequence(seed).spawn(number)]
+    """Return an independent generator per instrument."""
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(number)]
 
 
 def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
@@ -196,8 +194,8 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
     Parameters
     ----------
     scenario : the test
-    folder : of this test; made if it is not there; files of the same names are replaced
-    seed : the same seed gives the same files, byte by byte
+    folder : of this test; made if needed; files of the same names are replaced
+    seed : the same seed gives identical files
 
     Returns
     -------
@@ -206,9 +204,9 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
     Raises
     ------
     ValueError
-        If the scenario has no solution or asks for what is not allowed.
+        If the scenario has no solution or is invalid.
     StoreError
-        If the system refuses, such as where a file stands in place of the folder.
+        If the files cannot be written.
     """
     return write_exports(observe(scenario, seed), folder)
 
@@ -225,7 +223,7 @@ def write_exports(observation: AnyObservation, folder: Path) -> Path:
 
 
 def _write_recordings(observation: AnyObservation, folder: Path) -> Mapping[str, tuple[str, ...]]:
-    """Write what the programs export; the names of the files by role."""
+    """Write the exports of the programs and return the names of the files by role."""
     scenario = observation.scenario
     started = datetime.fromisoformat(f"{scenario.date}T10:05:00")
     run = Run(scenario.name, started, observation.seed)
@@ -252,7 +250,7 @@ def _write_frame(observation: TensileObservation, folder: Path, run: Run) -> tup
 
 
 def truth_as_json(observation: AnyObservation) -> dict[str, object]:
-    """Everything true of a virtual test, as ``truth.json`` holds it.
+    """Return the truth of a virtual test as in ``truth.json``.
 
     Parameters
     ----------
@@ -260,21 +258,21 @@ def truth_as_json(observation: AnyObservation) -> dict[str, object]:
 
     Returns
     -------
-    Numbers, lists and text only: the scenario, the fields of the test's truth, and of bending tests
-    the law of the specimen, the true gain and the markers.
+    Numbers, lists and text only: the scenario, the fields of the test's truth, and for bending
+    tests the law of the specimen, the true gain and the markers.
     """
     facts: dict[str, object] = {"synthetic": True, "seed": observation.seed}
     facts["scenario"] = asdict(observation.scenario)
     if not isinstance(observation, TensileObservation):
         facts |= _bending_facts(observation)
-    return facts | {key: _plain(value) for key, value in asdict(observation.truth).items()}
+    return facts | {key: _to_json(value) for key, value in asdict(observation.truth).items()}
 
 
 def _bending_facts(observation: Observation | ConduitObservation) -> dict[str, object]:
     take, scenario = observation.take, observation.scenario
     gain = observation.force_record.true_gain
     markers = [
-        {"label": label, "arc_length": _plain(arc_length)}
+        {"label": label, "arc_length": _to_json(arc_length)}
         for label, arc_length in zip(take.labels, take.arc_lengths, strict=True)
     ]
     if isinstance(scenario, ConduitScenario):
@@ -284,7 +282,7 @@ def _bending_facts(observation: Observation | ConduitObservation) -> dict[str, o
     return {
         "clock": {"offset": scenario.clocks.offset, "drift": scenario.clocks.drift},
         "true_gain": gain,
-        "rotation_specimen_to_lab": _plain(scenario.pose.rotation()),
+        "rotation_specimen_to_lab": _to_json(scenario.pose.rotation()),
         "law": asdict(wire),
         "wire": _wire_facts(wire),
         "bundle": _bundle_facts(scenario.mechanics),
@@ -295,14 +293,14 @@ def _bending_facts(observation: Observation | ConduitObservation) -> dict[str, o
 
 
 def _wire_facts(wire: VirtualWire) -> dict[str, float] | None:
-    """What a calibration looks for, where the wire is one of strands."""
+    """Return the parameters that a calibration determines, for a stranded wire."""
     if not isinstance(wire, StrandedWire):
         return None
     return {**wire.parameters, "sample_factor": wire.factor}
 
 
 def _bundle_facts(test: MechanicalTest) -> dict[str, object] | None:
-    """What is true of a bundle and of its curve, where the wire is one."""
+    """Return the true numbers of a bundle and its curve, for a bundle."""
     if not isinstance(test.wire, BundleModel):
         return None
     truth = asdict(evaluate_taped(solve_path(test)))
@@ -310,19 +308,19 @@ def _bundle_facts(test: MechanicalTest) -> dict[str, object] | None:
 
 
 def _first_loading(law: MomentLaw) -> dict[str, object]:
-    """Corners of the law of first loading, from zero and straight in between, N m and 1/m."""
+    """Return the corners of the law of first loading from zero, N m and 1/m."""
     moment = np.concatenate([[0.0], law.half_widths])
     curvature = respond(law, moment, unbent_plays(law, len(moment))).curvature
     return {"moment": moment.tolist(), "curvature": curvature.tolist()}
 
 
-def _plain(value: object) -> object:
-    """Arrays as lists, to a millionth of a micrometre or of a micronewton."""
+def _to_json(value: object) -> object:
+    """Convert arrays to lists with 12 decimals."""
     match value:
         case np.ndarray() | np.floating():
-            return np.round(value, _DIGITS).tolist()
+            return np.round(value, 12).tolist()
         case dict():
-            return {key: _plain(each) for key, each in value.items()}
+            return {key: _to_json(entry) for key, entry in value.items()}
         case tuple():
-            return [_plain(each) for each in value]
+            return [_to_json(entry) for entry in value]
     return value

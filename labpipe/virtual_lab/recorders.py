@@ -1,4 +1,4 @@
-"""What force recorder and load frame record, and when: volts, motor, trigger, crosshead."""
+"""Records of force recorder and load frame and their schedule: volts, motor, trigger, crosshead."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ FORCE_PATH = "Model Root/Load Cell"
 DIRECTION_PATH, FREQUENCY_PATH = "Model Root/Motor/Direction", "Model Root/Motor/Frequency"
 TRIGGER_PATH = "Model Root/Trigger"
 PORT = "Out1"
-_PULSES_PER_METRE = 8e6  # the source drives its motor with 8000 Hz for 1 mm/s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +28,7 @@ class Schedule:
 
     Parameters
     ----------
-    corners : shape (n,), s, where the motion starts or stops
+    corners : shape (n,), s, at which the motion starts or stops
     progress : shape (n,), m, at those times
     turning_times : shape (2 cycles + 1,), s: start, first top, first return, ... last return; with
         a dwell, the beginning of the dwell
@@ -50,12 +49,12 @@ class Schedule:
     force_times: Floats
 
     def progress_at(self, times: Floats) -> Floats:
-        """Progress, m, at true times, s; before the motion zero, after it all of it."""
+        """Return the progress, m, at true times, s; constant before and after the motion."""
         return np.interp(times, self.corners, self.progress)
 
 
 def plan_cantilever(scenario: CantileverScenario) -> Schedule:
-    """Lay out motion and recordings so that both records rest long enough at both ends.
+    """Plan motion and recordings with enough rest at both ends of both records.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ def plan_cantilever(scenario: CantileverScenario) -> Schedule:
 
 
 def plan_conduit(scenario: ConduitScenario) -> Schedule:
-    """Lay out a three-point test: at rest, down, up at once, at rest.
+    """Plan a three-point test: rest, down, up without dwell, rest.
 
     Parameters
     ----------
@@ -131,7 +130,7 @@ class ForceRecord:
     signals : by path, shape (samples,): volts of the load cell, V; of a cantilever test, 1 while
         the clamp goes down, else 0, and the frequency of the motor's pulses, Hz; of a three-point
         test the trigger that started the recorder, 1 throughout
-    true_gain : N/V, what the load cell really does
+    true_gain : N/V, of the load cell
     """
 
     clock: Floats
@@ -144,7 +143,7 @@ class ForceRecord:
         return self.signals[FORCE_PATH]
 
     def recording(self) -> Recording:
-        """The record as a reader of the export would give it: no unit is known."""
+        """Return the record as read from its export, without unit."""
         channels = tuple(
             Channel(name=PORT, path=f"{path}/{PORT}", values=column, clock="HostService")
             for path, column in self.signals.items()
@@ -165,18 +164,19 @@ def record_cantilever_force(
     ----------
     path : the solved test
     scenario : load cell and motor
-    schedule : when what happens
+    schedule : of the motion and the recordings
     random : source of the true gain and of the noise
 
     Returns
     -------
     The record.
     """
+    pulses_per_metre = 8e6
     progress = schedule.progress_at(schedule.force_times)
     volts, gain = _measure(path.tension(progress), scenario.load_cell, random)
     moving = np.diff(progress, append=progress[-1]) > 0.0
     down = moving & (np.floor_divide(progress, scenario.mechanics.stroke) % 2 == 0)
-    pulses = np.where(moving, round(_PULSES_PER_METRE * scenario.speed, 6), 0.0)
+    pulses = np.where(moving, round(pulses_per_metre * scenario.speed, 6), 0.0)
     signals = {FORCE_PATH: volts, DIRECTION_PATH: down.astype(np.float64), FREQUENCY_PATH: pulses}
     return ForceRecord(schedule.force_clock, signals, gain)
 
@@ -192,7 +192,7 @@ def record_conduit_force(
 
 
 def _measure(force: Floats, cell: LoadCell, random: np.random.Generator) -> tuple[Floats, float]:
-    """Volts of a load cell, quantised and saturated by the converter, and its true gain, N/V."""
+    """Return the volts of a load cell, quantised and saturated, and its true gain, N/V."""
     drawn = cell.gain_uncertainty * random.standard_normal()
     gain = float(cell.gain * (1.0 + (drawn if cell.gain_error is None else cell.gain_error)))
     sensed = force + cell.noise * random.standard_normal(len(force))
@@ -218,7 +218,7 @@ class FrameRecord:
     force: Floats
 
     def recording(self) -> Recording:
-        """The record as a reader of the export would give it, in SI."""
+        """Return the record as read from its export, in SI."""
         travel, force = single(self.displacement), single(self.force)
         channels = (
             Channel("Crosshead", "Crosshead", travel, unit="m", unit_in_file="mm"),
@@ -228,7 +228,7 @@ class FrameRecord:
 
 
 def single(values: Floats) -> Floats:
-    """Values as a controller keeps them, in 32 bits: equal on every processor. No negative zeros.
+    """Round values to 32 bits, as a controller stores them, without negative zeros.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def single(values: Floats) -> Floats:
 def record_crosshead(
     path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, random: np.random.Generator
 ) -> FrameRecord:
-    """Record the way of the crosshead, and a force that is too coarse, in a three-point test.
+    """Record the crosshead and a coarse force in a three-point test.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def record_frame(path: TensilePath, random: np.random.Generator) -> FrameRecord:
     Raises
     ------
     ValueError
-        If the test is over before two samples have been taken.
+        If the test ends before its second sample.
     """
     instruments = path.scenario.instruments
     time = sample_times(instruments, path.end)
@@ -289,48 +289,50 @@ def record_frame(path: TensilePath, random: np.random.Generator) -> FrameRecord:
     displacement += instruments.displacement_noise * random.standard_normal(len(time))
     return FrameRecord(
         time=time,
-        displacement=_resolved(displacement, instruments.displacement_step),
-        force=_resolved(force, instruments.force_step),
+        displacement=_quantise(displacement, instruments.displacement_step),
+        force=_quantise(force, instruments.force_step),
     )
 
 
 def sample_times(instruments: FrameInstruments, end: float) -> Floats:
-    """Times of the samples, s: an even grid, and a last one off it, not after `end`."""
+    """Return the times of the samples, s: an even grid and a last one off it, not after `end`."""
     step = 1.0 / instruments.rate
     last = instruments.last_step * step
     count = int(np.floor((end - last - instruments.first_sample) / step)) + 1
     if count < 2:
-        message = f"rate={instruments.rate}: a test of {end} s would have {count + 1} samples"
+        message = (
+            f"rate={instruments.rate}: expected 3 samples or more, found {count + 1} in {end} s"
+        )
         raise ValueError(message)
     grid = instruments.first_sample + step * np.arange(count)
     return np.append(grid, grid[-1] + last)
 
 
 def slow_noise(instruments: FrameInstruments, time: Floats, random: np.random.Generator) -> Floats:
-    """Correlated noise at given times, N.
+    """Return correlated noise at given times, N.
 
     Parameters
     ----------
     instruments : rms and correlation time
-    time : shape (n,), s, increasing, in uneven steps if need be
+    time : shape (n,), s, increasing, not necessarily even
     random : source of the noise
 
     Returns
     -------
-    shape (n,): a first-order autoregressive noise, whose correlation falls as
-    exp(-lag / correlation time), and which is as strong at the first sample as at any other.
+    shape (n,): stationary first-order autoregressive noise with the correlation
+    exp(-lag / correlation time).
     """
-    kept = np.exp(-np.diff(time, prepend=-np.inf) / instruments.correlation_time)
-    fresh = np.sqrt(1.0 - kept**2) * random.standard_normal(len(time))
+    correlation = np.exp(-np.diff(time, prepend=-np.inf) / instruments.correlation_time)
+    fresh = np.sqrt(1.0 - correlation**2) * random.standard_normal(len(time))
     noise = np.empty(len(time))
     level = 0.0
-    for sample, (share, shock) in enumerate(zip(kept, fresh, strict=True)):
+    for sample, (share, shock) in enumerate(zip(correlation, fresh, strict=True)):
         level = share * level + shock
         noise[sample] = level
     return instruments.slow_noise * noise
 
 
-def _resolved(values: Floats, step: float) -> Floats:
+def _quantise(values: Floats, step: float) -> Floats:
     if step == 0.0:
         return values
     rounded: Floats = step * np.rint(values / step)

@@ -1,6 +1,6 @@
-"""Write what a person at the bench would have filled in: test sheets, and the sheet of the wires.
+"""Write test sheets and the sheet of the wires, as filled in at the bench.
 
-A test sheet knows the nominal gain of the load cell, never the true one, and overrides the shipped
+A test sheet states the nominal gain of the load cell, never the true one, and overrides the shipped
 protocol only where the scenario's rig differs from it.
 """
 
@@ -58,9 +58,9 @@ PROTOCOL_VALUES = {
         "markers.centre_offset": "8.55 mm",
     },
 }
-"""What the shipped protocols of bending tests say, key by key."""
+"""Values of the shipped protocols of bending tests, by key."""
 PROTOCOL_UNCERTAINTY = {"corrugated-tube": 0.0025, "twist-tube": 0.0025, "pet-tape": 0.0025}
-"""Uncertainty of the scale of force that the shipped protocols say, by name; none in the others."""
+"""Uncertainty of the scale of force in the shipped protocols, by name; none in the others."""
 
 _WIRE_COLUMNS = (
     "wire",
@@ -100,7 +100,7 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]] = RECORDE
 
 
 def protocol_of(scenario: Scenario) -> str:
-    """Name of the shipped protocol that a test is processed by."""
+    """Return the name of the shipped protocol of a test."""
     match scenario:
         case TensileScenario():
             return scenario.protocol
@@ -112,7 +112,7 @@ def protocol_of(scenario: Scenario) -> str:
 
 
 def _text(scenario: Scenario, text: str) -> str:
-    """As it stands; of tensile tests as JSON, whose exports have names with commas."""
+    """Write a text, for tensile tests as JSON, as their exports have commas in their names."""
     return json.dumps(text, ensure_ascii=False) if isinstance(scenario, TensileScenario) else text
 
 
@@ -144,12 +144,11 @@ def _specimen(scenario: Scenario) -> Iterator[str]:
 
 
 def bundle_lines(bundle: BundleModel) -> Iterator[str]:
-    """Write the block ``bundle`` of a specimen, indented as it stands in the sheet.
+    """Write the indented block ``bundle`` of a specimen.
 
     Parameters
     ----------
-    bundle : what it is made of. Mixed bundles, whose wires are laid on purpose, have the places of
-        their wires
+    bundle : with two kinds of wires, their places are written, too
     """
     yield "  bundle:"
     wires = {
@@ -185,7 +184,7 @@ def _files(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> Iterator[s
 
 
 def _overrides(scenario: Scenario, protocol: str) -> Iterator[str]:
-    """What differs from the protocol, and why."""
+    """Yield the differences from the protocol with their reasons."""
     match scenario:
         case TensileScenario():
             changes = _tensile_changes(scenario)
@@ -206,12 +205,12 @@ def _rig_changes(values: Mapping[str, str], protocol: str) -> dict[str, tuple[st
 
 
 def _tensile_changes(scenario: TensileScenario) -> dict[str, tuple[str, str]]:
-    """What the protocol cannot know: the certificate of the load cell, another size of tube."""
+    """Return differences from the protocol: certificate of the load cell, another size of tube."""
     changes = {}
     uncertainty = scenario.instruments.gain_uncertainty
     if uncertainty != PROTOCOL_UNCERTAINTY.get(scenario.protocol, 0.0):
-        known = (f"{100.0 * uncertainty:.10g} %", "certificate of the load cell")
-        changes["sources.frame.channels.force.scale_uncertainty"] = known
+        certificate = (f"{100.0 * uncertainty:.10g} %", "certificate of the load cell")
+        changes["sources.frame.channels.force.scale_uncertainty"] = certificate
     for name, size in scenario.section:
         changes[f"specimen.section.{name}"] = (_millimetres(size), "a tube of another size")
     return changes
@@ -248,8 +247,8 @@ def _conduit_values(scenario: ConduitScenario) -> dict[str, str]:
 def write_wire_sheet(folder: Path) -> Path:
     """Write the sheet of the virtual wires that `labpipe model` and `labpipe calibrate` read.
 
-    It says what is known of them without a test: dimensions and materials. Of friction a
-    calibration has to find what the tests were made with.
+    It states what is known without a test: dimensions and materials. Friction is left to a
+    calibration.
 
     Parameters
     ----------
@@ -282,7 +281,7 @@ def _wire_row(wire: StrandedWire) -> tuple[str, ...]:
 
 
 def _in_braces(entries: Mapping[str, object]) -> str:
-    """A mapping in one line of YAML."""
+    """Write a mapping in one line of YAML."""
     return "{" + ", ".join(f"{key}: {value}" for key, value in entries.items()) + "}"
 
 

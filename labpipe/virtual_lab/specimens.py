@@ -1,10 +1,10 @@
-"""What is bent in the virtual rigs: wires by the numbers of their law or by strands, and bars.
+"""Specimens of the virtual rigs: wires defined by their law or by their strands, and bars.
 
-The law of a stranded wire is that of first loading of `wire.bending_law`, as plays
-(`play_law` there): after a turn the strands slide and the copper yields the other way at twice the
-size (Masing). It is the physics that calibrations stand on too. What makes a test of it does not:
-`virtual_lab.cantilever_path` bends the wire station by station with a history, calibrations by the
-first integral. Bundles of wires are in `virtual_lab.bundles`.
+The law of a stranded wire is that of first loading of `wire.bending_law`, as plays (`play_law`
+there): after a reversal strands slip and copper yields in the other direction at twice the size
+(Masing). Calibrations use the same physics, but another solution: `virtual_lab.cantilever_path`
+bends the wire station by station with a history, calibrations use the first integral. Bundles of
+wires are in `virtual_lab.bundles`.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from labpipe.wire.materials import ANNEALED_COPPER
 
 
 def scaled_law(law: PlayLaw, factor: float, later_slip: float = 1.0) -> PlayLaw:
-    """The law with moments `factor` times as large at given curvatures.
+    """Return the law with moments `factor` times as large at given curvatures.
 
     Parameters
     ----------
     law : of the plain specimen
     factor : of a sample
-    later_slip : factor on moment and curvature at which something gives way
+    later_slip : factor on moments and curvatures of slip
     """
     return PlayLaw(
         law.stiffness * factor,
@@ -49,7 +49,7 @@ def scaled_law(law: PlayLaw, factor: float, later_slip: float = 1.0) -> PlayLaw:
 
 @dataclass(frozen=True, slots=True)
 class ElasticModel:
-    """A bar to compare the rig with textbooks.
+    """An elastic bar, to compare the rig with textbooks.
 
     Parameters
     ----------
@@ -61,13 +61,13 @@ class ElasticModel:
     mass_per_length: float = 0.0
 
     def law(self) -> LinearLaw:
-        """Build the law."""
+        """Return the law."""
         return LinearLaw(self.stiffness)
 
 
 @dataclass(frozen=True, slots=True)
 class WireModel:
-    """Moment-curvature law of the wire by its parameters (`law.play_fits.stick_slip_law`).
+    """A wire defined by the parameters of its law (`law.play_fits.stick_slip_law`).
 
     Parameters
     ----------
@@ -91,13 +91,13 @@ class WireModel:
     mass_per_length: float = 0.0
 
     def law(self) -> PlayLaw:
-        """Build the law."""
+        """Return the law."""
         numbers = asdict(self)
         del numbers["mass_per_length"]
         return stick_slip_law(**numbers)
 
     def scaled(self, factor: float) -> WireModel:
-        """The same wire with all moments at a given curvature multiplied by `factor`."""
+        """Return the wire with all moments at a given curvature multiplied by `factor`."""
         return replace(
             self,
             stick_stiffness=self.stick_stiffness * factor,
@@ -120,14 +120,14 @@ class StrandedWire:
     lay_angles : rad, signed, one for each ring
     diameter : m, over the insulation
     wall : m, of the insulation
-    is_compressed : whether the strands are pressed together without gaps; else they are a hexagon
+    is_compressed : the strands are compressed without gaps; else they form a hexagon
     friction_strand, friction_insulation : coefficients mu_s and mu_p
     radial_force : F_rad of the insulation, N per radian of lay and strand of the outermost ring
     insulation_modulus : Pa
     copper_scale : factor on the strength of annealed copper
     factor : of this sample on all moments at given curvatures
-    largest_curvature : 1/m, up to which the law is followed; beyond, it goes on straight
-    n_plays : corners of the law, besides those where strands begin to slip
+    largest_curvature : 1/m, end of the law; it is extrapolated linearly
+    n_plays : corners of the law, besides the onsets of slip
     """
 
     name: str
@@ -147,12 +147,12 @@ class StrandedWire:
     n_plays: int = 60
 
     def section(self) -> CrossSection:
-        """Lay the strands.
+        """Return the section with its strands.
 
         Raises
         ------
         ValueError
-            If they do not fit, or a number is out of its range.
+            If they do not fit, or a number is out of range.
         """
         copper = replace(ANNEALED_COPPER, strength=ANNEALED_COPPER.strength * self.copper_scale)
         layers = lay_up(self.n_strands, self.strand, self.lay_angles, copper)
@@ -160,7 +160,7 @@ class StrandedWire:
         return compressed(layers, tube) if self.is_compressed else hexagonal(layers, tube)
 
     def contacts(self) -> Contacts:
-        """Friction and pressure between the layers."""
+        """Return friction and pressure between the layers."""
         return insulated(
             len(self.lay_angles),
             strand=self.friction_strand,
@@ -169,12 +169,12 @@ class StrandedWire:
         )
 
     def law(self) -> PlayLaw:
-        """Moment against curvature, with its loops.
+        """Return the law of moment against curvature, with hysteresis.
 
         Raises
         ------
         ValueError
-            As `section`, and if the law softens or stiffens.
+            As for `section`, and if the law softens or stiffens.
         """
         law = play_law(
             self.section(),
@@ -185,7 +185,7 @@ class StrandedWire:
         return scaled_law(law, self.factor)
 
     def scaled(self, factor: float) -> StrandedWire:
-        """The same wire with all moments at a given curvature multiplied by `factor`."""
+        """Return the wire with all moments at a given curvature multiplied by `factor`."""
         return replace(self, factor=self.factor * factor)
 
     @property
@@ -195,7 +195,7 @@ class StrandedWire:
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """What a calibration looks for, by the names of `records.calibration`, in SI units."""
+        """Parameters that a calibration determines, by their names in `records.calibration`, SI."""
         coefficients = self.friction_strand + self.friction_insulation
         return {
             RADIAL_FRICTION: self.radial_force * coefficients,
@@ -205,8 +205,6 @@ class StrandedWire:
 
 
 _ONE_RING = (float(np.radians(12.0)),)
-
-
 _TWO_RINGS = (*_ONE_RING, float(np.radians(-15.0)))
 
 
@@ -224,5 +222,5 @@ WIRES = {
         ),
     )
 }
-"""Wires of the source's Table 2.1. Its wall of 0.3 mm leaves no room for the copper of B1 and B2;
-0.2 mm does."""
+"""Wires of the source's Table 2.1. The copper of B1 and B2 does not fit into its wall of
+0.3 mm; here it is 0.2 mm."""

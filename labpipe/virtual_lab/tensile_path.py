@@ -1,6 +1,6 @@
-"""The force of a virtual tensile test at every instant: law of the specimen, slips, failure.
+"""Force of a virtual tensile test as a function of time: law of the specimen, slips, failure.
 
-Nothing here is sampled or noisy. The crosshead starts at time zero.
+The path is continuous and free of noise. The crosshead starts at time zero.
 """
 
 from __future__ import annotations
@@ -12,18 +12,17 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.tensile_scenarios import BilinearLaw, Failure, GripSlip, TensileScenario
 
-_STATES = 200_001
-"""Distances at which the series connection of specimen and machine is tabulated: the table is off
-by less than 1e-7 N for any specimen of the lab."""
+_TABLE_POINTS = 200_001
+"""Points of the table for specimen and machine in series, whose error is below 1e-7 N."""
 
 
 def rounded_ramp(distance: Floats, width: float) -> Floats:
-    """Zero, then a straight line of slope 1 from zero on, the corner rounded over `width`.
+    """Return a ramp: zero, then slope 1, with the corner rounded over `width`.
 
     Parameters
     ----------
     distance : shape (n,), m, from the corner
-    width : m, over which the slope grows in proportion to distance, half of it on either side
+    width : m, over which the slope grows linearly, half of it on either side
 
     Returns
     -------
@@ -37,12 +36,12 @@ def rounded_ramp(distance: Floats, width: float) -> Floats:
 
 
 def specimen_force(law: BilinearLaw, distance: Floats) -> Floats:
-    """Force of the specimen alone, first loading.
+    """Return the force of the specimen alone, first loading.
 
     Parameters
     ----------
     law : of the specimen
-    distance : shape (n,), m, that its ends have moved apart
+    distance : shape (n,), m, relative displacement of its ends
 
     Returns
     -------
@@ -50,8 +49,8 @@ def specimen_force(law: BilinearLaw, distance: Floats) -> Floats:
 
     Notes
     -----
-    F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), r the rounded ramp: outside
-    toe and knee these are the two straight lines exactly.
+    F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), r the rounded ramp; outside
+    toe and knee these are exactly the two straight lines.
     """
     taut = distance - law.foot
     bend = law.stiffness_second - law.stiffness_first
@@ -60,7 +59,7 @@ def specimen_force(law: BilinearLaw, distance: Floats) -> Floats:
 
 
 def loading_force(law: BilinearLaw, compliance: float, displacement: Floats) -> Floats:
-    """Force of specimen and machine in series, first loading, without slips and failure.
+    """Return the force of specimen and machine in series, first loading, no slips, no failure.
 
     Parameters
     ----------
@@ -74,11 +73,11 @@ def loading_force(law: BilinearLaw, compliance: float, displacement: Floats) -> 
 
     Notes
     -----
-    The crosshead goes d = distance + compliance F(distance), which is tabulated and looked up.
+    The crosshead is at d = distance + compliance F(distance), which is tabulated and interpolated.
     """
     if compliance == 0.0:
         return specimen_force(law, displacement)
-    distance = np.linspace(0.0, float(np.max(displacement, initial=0.0)), _STATES)
+    distance = np.linspace(0.0, float(np.max(displacement, initial=0.0)), _TABLE_POINTS)
     force = specimen_force(law, distance)
     return np.interp(displacement, distance + compliance * force, force)
 
@@ -96,18 +95,18 @@ class TensilePath:
 
     @property
     def last_time(self) -> float:
-        """When the failure begins, or full stroke is reached, s."""
+        """Time at which the failure begins or full stroke is reached, s."""
         return self.scenario.last_displacement / self.scenario.frame.speed
 
     @property
     def end(self) -> float:
-        """When the machine has stopped recording, s."""
+        """Time at which the machine stops recording, s."""
         frame = self.scenario.frame
         back = frame.stroke / frame.speed if frame.unloads else 0.0
         return self.last_time + frame.overrun + back
 
     def displacement(self, time: Floats) -> Floats:
-        """Displacement of the crosshead, m, at times, s."""
+        """Return the displacement of the crosshead, m, at times, s."""
         frame = self.scenario.frame
         if self.scenario.failure is not None:
             return frame.speed * np.clip(time, 0.0, self.end)
@@ -117,7 +116,7 @@ class TensilePath:
         return np.maximum(driven - driven_back, 0.0)
 
     def force(self, time: Floats) -> Floats:
-        """Tension in the specimen, N, at times, s."""
+        """Return the tension in the specimen, N, at times, s."""
         scenario = self.scenario
         before = np.minimum(time, self.last_time)
         force = self._loading(before)
@@ -137,29 +136,29 @@ class TensilePath:
         return np.maximum(force, 0.0)
 
     def _unloading(self, displacement: Floats) -> Floats:
-        """Force on the way back by Masing's rule, until the specimen hangs slack again.
+        """Return the force on unloading by Masing's rule, until the specimen is slack again.
 
-        The unloading curve is the taut part of the loading curve, turned over and twice as large:
+        The unloading curve is the taut part of the loading curve, inverted and twice as large:
         F = F_peak - 2 S((d_peak - d) / 2).
         """
         scenario = self.scenario
         law, compliance = scenario.law, scenario.frame.compliance
         peak = float(self._loading(np.array([self.last_time]))[0])
-        relief = np.linspace(0.0, scenario.frame.stroke, _STATES)
+        relief = np.linspace(0.0, scenario.frame.stroke, _TABLE_POINTS)
         taut = BilinearLaw(law.stiffness_first, law.stiffness_second, law.break_point, law.knee)
-        given_back = 2.0 * specimen_force(taut, 0.5 * relief)
-        driven_back = relief + compliance * given_back
-        lost = np.interp(scenario.frame.stroke - displacement, driven_back, given_back)
+        released = 2.0 * specimen_force(taut, 0.5 * relief)
+        driven_back = relief + compliance * released
+        lost = np.interp(scenario.frame.stroke - displacement, driven_back, released)
         return np.maximum(peak - lost, 0.0)
 
 
 def _lost(slip: GripSlip, time: Floats) -> Floats:
-    """Force lost by a slip, N, at times after it began."""
+    """Return the force lost by a slip, N, at times after its beginning."""
     return slip.drop * np.clip(time / slip.duration, 0.0, 1.0)
 
 
 def _share_left(failure: Failure, time: Floats) -> Floats:
-    """Share of the force that is left at times after the failure began."""
+    """Return the remaining share of the force at times after the beginning of the failure."""
     after = np.maximum(time, 0.0)
     intact = 1.0 - np.clip(after / failure.duration, 0.0, 1.0)
     fibres = np.exp(-after / failure.tail)

@@ -1,11 +1,11 @@
-"""What a virtual tensile test is, as frozen settings, and the samples of the source.
+"""Settings of a virtual tensile test, and the samples of the source.
 
-Everything is SI. Displacement is how far the crosshead has been driven from where it stood before
-the test; force is the tension in the specimen. The specimen is slack at first; its *foot* is the
-displacement at which its first straight region, carried on downwards, meets zero force.
+Everything is SI. Displacement is that of the crosshead from its position before the test; force is
+the tension in the specimen. The specimen is slack at first; its *foot* is the displacement at which
+its first straight region, extrapolated, meets zero force.
 
 Sizes, speeds and the stiffness of the twist tubes are those of sections 2.2 and 2.3 and Table 2.3
-of the source; forces that it does not print are plausible ones.
+of the source; forces not given there are plausible values.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from enum import StrEnum
 
 
 class Program(StrEnum):
-    """The program of the load frame, and with it the layout of the export."""
+    """Program of the load frame, which determines the layout of the export."""
 
     TEST_SUITE = "MTS TestSuite"
     R_CONTROLLER = "TestResources R-Controller"
@@ -28,11 +28,11 @@ class BilinearLaw:
     Parameters
     ----------
     stiffness_first, stiffness_second : N/m
-    break_point : m, from the foot to where the two straight lines cross
-    knee : m, length over which the slope goes from one to the other, half of it on either side of
-        the break point; 0 for a sharp bend
-    slack : m, distance before the specimen pulls at all
-    toe : m, length over which the slope grows from nothing to the first stiffness; 0 for a corner
+    break_point : m, from the foot to the intersection of the two straight lines
+    knee : m, length of the transition between them, half of it on either side of the break point;
+        0 for a corner
+    slack : m, distance without force
+    toe : m, length over which the slope grows from zero to the first stiffness; 0 for a corner
     """
 
     stiffness_first: float
@@ -46,11 +46,11 @@ class BilinearLaw:
         first, second = self.stiffness_first, self.stiffness_second
         if not (first > 0.0 and second >= 0.0):
             message = (
-                f"stiffness_first={first} must be above, stiffness_second={second} not below 0"
+                f"stiffness_first, stiffness_second: expected > 0, >= 0, found {first}, {second}"
             )
             raise ValueError(message)
         if min(self.knee, self.slack, self.toe) < 0.0:
-            message = f"knee={self.knee}, slack={self.slack}, toe={self.toe}: not negative"
+            message = f"knee={self.knee}, slack={self.slack}, toe={self.toe}: expected >= 0"
             raise ValueError(message)
         if self.break_point < 0.5 * (self.knee + self.toe):
             message = f"break_point={self.break_point} m: toe and knee overlap"
@@ -62,20 +62,20 @@ class BilinearLaw:
         return self.slack + 0.5 * self.toe
 
     def scaled(self, factor: float) -> BilinearLaw:
-        """The same law with all forces multiplied by `factor`."""
+        """Return the law with all forces multiplied by `factor`."""
         first, second = self.stiffness_first * factor, self.stiffness_second * factor
         return replace(self, stiffness_first=first, stiffness_second=second)
 
 
 @dataclass(frozen=True, slots=True)
 class GripSlip:
-    """One sudden slide of the specimen in its grips.
+    """One slip of the specimen in its grips.
 
     Parameters
     ----------
     position : m, displacement at which the force begins to fall
-    drop : N, force lost; the force goes on parallel to what it would have been, lower by this
-    duration : s, that the fall takes
+    drop : N, force lost; the force continues lower by this
+    duration : s, of the drop
     """
 
     position: float
@@ -85,14 +85,14 @@ class GripSlip:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """How the specimen breaks.
+    """Failure of the specimen.
 
     Parameters
     ----------
-    displacement : m, at which the force begins to be lost
-    duration : s, that the loss takes
-    residue : share of the force that a few fibres still hold then
-    tail : s, time constant with which these fibres go
+    displacement : m, at which the force begins to drop
+    duration : s, of the drop
+    residue : share of the force still held by a few fibres
+    tail : s, time constant of the failure of these fibres
     """
 
     displacement: float
@@ -103,15 +103,15 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class LoadFrame:
-    """How the machine moves, and how much it gives way.
+    """Motion and compliance of the machine.
 
     Parameters
     ----------
     speed : m/s, of the crosshead
     stroke : m, at which it stops if the specimen has not failed before
-    overrun : s, that it goes on after the specimen has failed, or that it stands at full stroke
-    unloads : whether it drives back to where it began; only without a failure
-    compliance : m/N, of frame, load cell and grips, in line with the specimen
+    overrun : s, of motion after the failure, or of rest at full stroke
+    unloads : it returns to its start; only without a failure
+    compliance : m/N, of frame, load cell and grips, in series with the specimen
     """
 
     speed: float
@@ -123,23 +123,23 @@ class LoadFrame:
 
 @dataclass(frozen=True, slots=True)
 class FrameInstruments:
-    """What the load frame's controller measures, and how well.
+    """Sampling, noise and errors of the load frame's controller.
 
     Parameters
     ----------
     rate : Hz
     first_sample : s, time of the first sample after the crosshead has started
-    last_step : time between the last two samples, in sampling steps: the program stops off the grid
+    last_step : time between the last two samples, in sampling steps; the program stops off the grid
     white_noise : N, rms
     slow_noise : N, rms, of a noise that is correlated over `correlation_time`
-    correlation_time : s, after which the correlation has fallen to 1/e
+    correlation_time : s, at which the correlation is 1/e
     displacement_noise : m, rms, white
     displacement_step : m, resolution; 0 for none
     force_step : N, resolution; 0 for none
-    tare : N, what the load cell says without load
-    displacement_tare : m, what the crosshead says before the test
-    gain_error : relative error of the load cell in truth
-    gain_uncertainty : relative standard uncertainty that its certificate states
+    tare : N, reading of the load cell without load
+    displacement_tare : m, reading of the crosshead before the test
+    gain_error : true relative error of the load cell
+    gain_uncertainty : relative standard uncertainty on its certificate
     """
 
     rate: float
@@ -159,14 +159,14 @@ class FrameInstruments:
 
 @dataclass(frozen=True, slots=True)
 class ExportLayout:
-    """How the program exports the test.
+    """Layout of the export of a test.
 
     Parameters
     ----------
-    program : which layout
+    program : of the load frame
     force_unit : ``N`` or ``kN`` for TestSuite, ``lbf`` for R-Controller
-    in_parts : whether TestSuite writes two acquisition steps into two files whose numbers are not
-        in the order of time, and a third one that took no samples
+    in_parts : TestSuite writes two acquisition steps to two files, not numbered in the order of
+        time, and a third one without samples
     part_at : s, between the two parts
     """
 
@@ -178,12 +178,12 @@ class ExportLayout:
 
 @dataclass(frozen=True, slots=True)
 class TensileScenario:
-    """A whole virtual tensile test, from specimen to test sheet.
+    """A complete virtual tensile test, from specimen to test sheet.
 
     Parameters
     ----------
     name : of the test and of its folder
-    protocol : that the test sheet names
+    protocol : on the test sheet
     specimen_type, spool, sample : for the test sheet
     length : m, gauge length between the grips
     law : of the specimen
@@ -191,8 +191,8 @@ class TensileScenario:
     instruments : of the machine
     slips : in order of position
     failure : None if the specimen outlasts the test
-    export : how the test is exported
-    section : m, measures of the section that differ from the protocol's, by name
+    export : layout
+    section : m, dimensions of the section that differ from the protocol, by name
     date : ISO date for the test sheet and the exports
     """
 
@@ -215,13 +215,13 @@ class TensileScenario:
         end = self.last_displacement
         positions = [slip.position for slip in self.slips]
         if positions != sorted(positions) or any(not 0.0 < p < end for p in positions):
-            message = f"slips at {positions} m: must be in order and before {end} m"
+            message = f"slips: expected positions in order and before {end} m, found {positions} m"
             raise ValueError(message)
         if not 0.0 < end <= self.frame.stroke:
-            message = f"failure at {end} m: must lie within the stroke of {self.frame.stroke} m"
+            message = f"failure: expected within the stroke of {self.frame.stroke} m, found {end} m"
             raise ValueError(message)
         if self.failure is not None and self.frame.unloads:
-            message = "unloads=True: a specimen that has failed is not unloaded"
+            message = "unloads=True: expected no failure, as a failed specimen is not unloaded"
             raise ValueError(message)
 
     @property
@@ -238,8 +238,8 @@ TABLE_2_3 = {
     "2b": (48.19, 28.81),
     "2c": (46.08, 30.50),
 }
-"""First and second stiffness of the twist tubes over their peak force, 1/m, by sample."""
-GIVE = 2e-7
+"""First and second stiffness of the twist tubes, relative to their peak force, 1/m, by sample."""
+FRAME_COMPLIANCE = 2e-7
 """Compliance of the MTS frame with load cell and grips, m/N."""
 GAIN_UNCERTAINTY = 0.0025
 """Relative standard uncertainty of both load cells: half of the limit of ISO 7500-1 class 0.5."""
@@ -264,12 +264,12 @@ _R_CONTROLLER = FrameInstruments(
 
 
 def corrugated_tube(name: str, *, factor: float = 1.0, gain_error: float = 0.0) -> TensileScenario:
-    """One corrugated tube of 10 mm: no slip, no failure, stopped at 50 mm.
+    """Return a test of a corrugated tube of 10 mm: no slip, no failure, stopped at 50 mm.
 
     Parameters
     ----------
     name : type and number of the sample, such as ``CT-10-slit-1``
-    factor : by which its forces are larger than those of the slit tube
+    factor : on the forces of the slit tube
     gain_error : of the load cell
     """
     kind, _, sample = name.rpartition("-")
@@ -296,26 +296,26 @@ def twist_tube(
     break_point: float = 8.0e-3,
     gain_error: float = 0.0,
 ) -> TensileScenario:
-    """One twist tube of Table 2.3, pulled until it tears.
+    """Return a test of a twist tube of Table 2.3, pulled to failure.
 
     Parameters
     ----------
     sample : of the table
-    peak_force : N, at which it tears
+    peak_force : N, at failure
     slack : m
-    break_point : m, from the foot, as seen at the crosshead
+    break_point : m, from the foot, of the crosshead
     gain_error : of the load cell
 
     Notes
     -----
-    The table's numbers are those seen at the crosshead. Where the tube tears follows from them:
+    The table's numbers include the compliance of the frame. The displacement at failure follows:
     1 = n1 b + n2 (d - b), with d the displacement from the foot and b the break point.
     """
     first, second = TABLE_2_3[sample]
     law = BilinearLaw(
-        stiffness_first=_without_give(first * peak_force),
-        stiffness_second=_without_give(second * peak_force),
-        break_point=break_point * (1.0 - GIVE * first * peak_force),
+        stiffness_first=_without_frame(first * peak_force),
+        stiffness_second=_without_frame(second * peak_force),
+        break_point=break_point * (1.0 - FRAME_COMPLIANCE * first * peak_force),
         knee=1.0e-3,
         slack=slack,
         toe=0.6e-3,
@@ -329,7 +329,7 @@ def twist_tube(
         sample=sample,
         length=75e-3,
         law=law,
-        frame=LoadFrame(speed=5e-3, stroke=60e-3, overrun=0.31, compliance=GIVE),
+        frame=LoadFrame(speed=5e-3, stroke=60e-3, overrun=0.31, compliance=FRAME_COMPLIANCE),
         instruments=_test_suite(100.0, gain_error),
         failure=Failure(tears_at, duration=0.02, residue=0.03, tail=0.15),
         export=ExportLayout(Program.TEST_SUITE, "kN"),
@@ -337,20 +337,20 @@ def twist_tube(
     )
 
 
-def _without_give(stiffness: float) -> float:
-    """Stiffness of the specimen alone, from what is seen at the crosshead of the MTS frame."""
-    return stiffness / (1.0 - GIVE * stiffness)
+def _without_frame(stiffness: float) -> float:
+    """Return the stiffness of the specimen alone, without the compliance of the MTS frame."""
+    return stiffness / (1.0 - FRAME_COMPLIANCE * stiffness)
 
 
 def pet_tape(
     sample: str, *, factor: float = 1.0, fails_at: float = 60e-3, gain_error: float = 0.0
 ) -> TensileScenario:
-    """One PET tape, pulled until it breaks; a few fibres hold on.
+    """Return a test of a PET tape, pulled to failure, with a few remaining fibres.
 
     Parameters
     ----------
     sample : counted over both spools: 1 to 3 of the first, 4 and 5 of the second
-    factor : by which its forces are larger than usual
+    factor : on its forces
     fails_at : m, displacement
     gain_error : of the load cell
     """
@@ -362,7 +362,7 @@ def pet_tape(
         sample=sample,
         length=0.3,
         law=_TAPE.scaled(factor),
-        frame=LoadFrame(speed=0.5e-3, stroke=0.1, overrun=2.3, compliance=GIVE),
+        frame=LoadFrame(speed=0.5e-3, stroke=0.1, overrun=2.3, compliance=FRAME_COMPLIANCE),
         instruments=_test_suite(20.0, gain_error),
         failure=Failure(fails_at, duration=0.15, residue=0.06, tail=1.2),
         export=ExportLayout(Program.TEST_SUITE, "N"),
@@ -371,7 +371,7 @@ def pet_tape(
 
 
 def stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
-    """A steel bar of 12 mm in the MTS frame: what the crosshead travels is the frame's give.
+    """Return a test of a steel bar of 12 mm, which measures the compliance of the MTS frame.
 
     Parameters
     ----------
@@ -386,7 +386,7 @@ def stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
         sample="1",
         length=0.15,
         law=_BAR,
-        frame=LoadFrame(speed=5e-6, stroke=0.35e-3, overrun=0.52, compliance=GIVE),
+        frame=LoadFrame(speed=5e-6, stroke=0.35e-3, overrun=0.52, compliance=FRAME_COMPLIANCE),
         instruments=replace(usual, displacement_noise=2e-8, displacement_tare=0.0),
         export=ExportLayout(Program.TEST_SUITE, "kN"),
         date="2026-03-11",
@@ -394,7 +394,7 @@ def stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
 
 
 def _test_suite(rate: float, gain_error: float) -> FrameInstruments:
-    """A 50 kN load cell, strong for what it measures here."""
+    """Return the instruments of the MTS frame with a 50 kN load cell, oversized for these tests."""
     return FrameInstruments(
         rate=rate,
         first_sample=1.95 / rate,

@@ -1,23 +1,23 @@
-"""The quasi-static path of a bundle on two rollers that a third one pushes down in the middle.
+"""Quasi-static path of a bundle in three-point bending.
 
-Half of it is solved, the other half being its mirror image. s is the arc length from mid-span,
-where the tangent is level; a history stays with its place on the bundle, however far that slides
-over the roller. The bundle rests on the roller at s = l, its axis at the distance rho, of both
-radii, from the roller's centre:
+Half of it is solved; the other half is its mirror image. s is the arc length from mid-span, where
+the tangent is level; the history belongs to the material point, which may slide over the roller.
+The bundle touches the roller at s = l, with its axis at the distance rho, the sum of both radii,
+from the roller's centre:
 
     theta(s) = integral of kappa(M),   x(s), y(s) = integrals of cos theta, sin theta
     x(l) = a - rho sin theta(l)                 the centre of the roller at half the span a
-    d = y(l) + rho (1 - cos theta(l))           the way of the middle against the supports
+    d = y(l) + rho (1 - cos theta(l))           displacement of mid-span relative to the supports
     M(s) = (place of contact - place of s) x F,   F = N (normal + mu tangent),   P = 2 F_y
 
-so the span shrinks and the force leans as the bundle turns. Friction acts on the surface, r below
-the axis, and therefore bends, too: by mu N r. It holds against sliding: the bundle is drawn inwards
-when it is loaded and slides back when it is unloaded; after a start or a turn friction goes over to
-that within a short way u of the crosshead as 1 - exp(-u / u0), which stands for sticking. Weight
-is left out. Where the force comes back to nothing the upper roller leaves the bundle as it is.
+so the span shrinks and the force inclines as the bundle rotates. Friction acts on the surface, r
+below the axis, and therefore adds a moment mu N r. It opposes sliding: the bundle is drawn inwards
+on loading and slides back on unloading; after a start or a reversal friction changes over a short
+travel u of the crosshead as 1 - exp(-u / u0), which models sticking. Weight is neglected. When the
+force returns to zero, the upper roller leaves the bundle.
 
-Everything scales: with moments f times as large at given curvatures the forces are f times as large
-and no place changes. So one solution serves all samples of a type.
+The problem scales: with moments f times as large at given curvatures the forces are f times as
+large at the same positions, so one solution serves all samples of a type.
 """
 
 from __future__ import annotations
@@ -34,11 +34,7 @@ from labpipe.law.plays import MomentLaw, respond, unbent_plays
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.conduit_scenarios import ThreePointTest
 
-_ITERATIONS = 40
-_TOLERANCE = 1e-9
-_LARGEST_TURN = 0.3  # rad, in one iteration
-_STEP_OF_CONTACT = 1e-7
-_SMALLEST_STEP = 1e-9
+_MIN_DISPLACEMENT_STEP = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,10 +43,10 @@ class ThreePointPath:
 
     Parameters
     ----------
-    test : what was solved
+    test : solved test
     arc_length : shape (stations,), m, from mid-span
     loading : positions from rest to full stroke
-    unloading : positions from full stroke back to rest, or to where the force is gone
+    unloading : positions from full stroke back to rest, or to zero force
     """
 
     test: ThreePointTest
@@ -60,27 +56,27 @@ class ThreePointPath:
 
     @property
     def residual(self) -> float:
-        """Displacement at which the force is gone on unloading, m; 0 where it never is."""
+        """Displacement at which the force returns to zero on unloading, m; 0 if it does not."""
         return self.unloading[-1].displacement
 
     def displacement(self, progress: Floats) -> Floats:
-        """Where the upper roller is at progress (its way down and up added), m, shape (n,)."""
+        """Return the position of the upper roller at progress (total travel), m, shape (n,)."""
         inside = np.clip(progress, 0.0, 2.0 * self.test.stroke)
         way: Floats = self.test.stroke - np.abs(self.test.stroke - inside)
         return way
 
     def force(self, progress: Floats) -> Floats:
-        """Force at progress, N, shape (n,)."""
+        """Return the force at progress, N, shape (n,)."""
         return self._look_up(progress, [[half.force] for half in self._halves])[:, 0]
 
     def middle(self, progress: Floats) -> tuple[Floats, Floats, Floats]:
-        """Way of mid-span, m, and moment and curvature there, N m, 1/m; shape (n,) each."""
+        """Return displacement, moment and curvature of mid-span, m, N m, 1/m; shape (n,) each."""
         rows = [[h.displacement, h.moment[0], h.curvature[0]] for h in self._halves]
-        found = self._look_up(progress, rows)
-        return found[:, 0], found[:, 1], found[:, 2]
+        values = self._look_up(progress, rows)
+        return values[:, 0], values[:, 1], values[:, 2]
 
     def points(self, progress: Floats, arc_length: Floats) -> tuple[Floats, Floats, Floats]:
-        """Places on the axis, and the angle of its tangent.
+        """Return places on the axis, and the angle of its tangent.
 
         Parameters
         ----------
@@ -89,8 +85,8 @@ class ThreePointPath:
 
         Returns
         -------
-        x, y, angle, each of shape (n, m): x to the right from mid-span, y upwards from where the
-        axis lay at rest, m, rad.
+        x, y, angle, each of shape (n, m): x to the right from mid-span, y upwards from the
+        axis at rest, m, rad.
         """
         side, where = np.sign(arc_length), np.abs(arc_length)
         halves = np.array([np.concatenate([h.x, h.y, h.angle]) for h in self._halves])
@@ -105,19 +101,19 @@ class ThreePointPath:
         return self.loading + self.unloading
 
     def _look_up(self, progress: Floats, rows: object) -> Floats:
-        """Splines along both branches; what is left of a bundle stays as it is."""
+        """Interpolate along both branches; after zero force the shape is constant."""
         columns = np.asarray(rows, dtype=np.float64)
         n, stroke = len(self.loading), self.test.stroke
         down = CubicSpline([h.displacement for h in self.loading], columns[:n])
         up = CubicSpline([2.0 * stroke - h.displacement for h in self.unloading], columns[n:])
         until = 2.0 * stroke - self.residual
         is_down = (progress <= stroke)[:, None]
-        found: Floats = np.where(
+        values: Floats = np.where(
             is_down,
             down(np.clip(progress, 0.0, stroke)),
             up(np.clip(progress, stroke, until)),
         )
-        return found
+        return values
 
 
 @lru_cache(maxsize=64)
@@ -135,7 +131,7 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
     Raises
     ------
     ValueError
-        If there is no equilibrium somewhere on it, or the bundle slides off its rollers.
+        If an equilibrium does not exist, or the bundle slides off its rollers.
     """
     half = half_bundle(test)
     rest = half.free(unbent_plays(half.law, test.n_stations))
@@ -145,13 +141,13 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
 
 
 def _branch(half: HalfBundle, begin: BentHalf, goal: float, *, turns: bool) -> Iterator[BentHalf]:
-    """Walk to a displacement; on the way back stop where the force is gone."""
+    """Solve up to a displacement; on unloading stop at zero force."""
     test, here = half.test, begin
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for wanted in (begin.displacement + share * (goal - begin.displacement)).tolist():
         if turns:
             curvature_after_release = half.free(here.plays)
-            if curvature_after_release.displacement >= wanted - _SMALLEST_STEP:
+            if curvature_after_release.displacement >= wanted - _MIN_DISPLACEMENT_STEP:
                 yield curvature_after_release
                 return
         here = _reach(half, here, wanted, begin.displacement, turns=turns)
@@ -161,17 +157,19 @@ def _branch(half: HalfBundle, begin: BentHalf, goal: float, *, turns: bool) -> I
 def _reach(
     half: HalfBundle, here: BentHalf, wanted: float, turned_at: float, *, turns: bool
 ) -> BentHalf:
-    """Go on to a displacement, in halves where Newton's method fails."""
+    """Solve at a displacement, with halved steps where Newton's method fails."""
     while True:
         ahead = wanted
-        while (found := half.settle(here, ahead, half.friction(ahead - turned_at, turns))) is None:
+        while (solved := half.settle(here, ahead, half.friction(ahead - turned_at, turns))) is None:
             ahead = 0.5 * (here.displacement + ahead)
-            if abs(ahead - here.displacement) < _SMALLEST_STEP:
-                message = f"displacement={wanted!r}: no equilibrium beyond {here.displacement:.6g}"
+            if abs(ahead - here.displacement) < _MIN_DISPLACEMENT_STEP:
+                message = (
+                    f"displacement={wanted!r}: no equilibrium beyond {here.displacement:.6g} m"
+                )
                 raise ValueError(message)
         if ahead == wanted:
-            return found
-        here = found
+            return solved
+        here = solved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +200,7 @@ class BentHalf:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Touch:
-    """Where the bundle touches its roller: weights of the stations, and what they give."""
+    """Contact with the roller: weights of the stations, and the interpolated position."""
 
     weight: Floats
     x: float
@@ -212,7 +210,7 @@ class _Touch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HalfBundle:
-    """Half a bundle on its roller: stations, and the equations that hold at them.
+    """Half a bundle on its roller: stations and equations.
 
     Parameters
     ----------
@@ -233,12 +231,12 @@ class HalfBundle:
         return float(self.arc_length[1])
 
     def friction(self, way: float, turns: bool) -> float:
-        """Coefficient with its sign, `way` after the start or the turn."""
+        """Return the signed coefficient at a travel `way` after the start or the reversal."""
         built = 1.0 - float(np.exp(-abs(way) / self.test.build_up))
         return self.test.friction * (1.0 - 2.0 * built if turns else built)
 
     def free(self, plays: Floats) -> BentHalf:
-        """The bundle with its history and without force, resting on its rollers."""
+        """Return the bundle with its history on its rollers without force."""
         nothing = np.zeros(self.test.n_stations)
         answer = respond(self.law, nothing, plays)
         x, y, angle = self._shape(answer.curvature)
@@ -253,19 +251,22 @@ class HalfBundle:
         return BentHalf(way, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
 
     def settle(self, here: BentHalf, wanted: float, friction: float) -> BentHalf | None:
-        """Newton's method for moments, roller force and contact; None where it fails."""
+        """Solve for moments, roller force and contact by Newton's method; None if it fails."""
+        max_iterations = 40
+        tolerance = 1e-9
+        max_turn = 0.3
         _, fy = _direction(self._touch_of(here).angle, friction)
         unknowns = np.concatenate([here.moment, [0.5 * here.force / fy, here.contact]])
-        for _ in range(_ITERATIONS):
+        for _ in range(max_iterations):
             residual, jacobian, turns = self._linearise(unknowns, here.plays, wanted, friction)
             change = -np.linalg.solve(jacobian, residual)
             largest = float(np.max(np.abs(turns @ change[:-2])))
-            change *= min(1.0, _LARGEST_TURN / largest) if largest > 0.0 else 1.0
+            change *= min(1.0, max_turn / largest) if largest > 0.0 else 1.0
             unknowns = unknowns + change
             if not (0.0 < unknowns[-1] < self.arc_length[-1]) or not np.isfinite(largest):
                 return None
             moment = unknowns[:-2]
-            if np.max(np.abs(change[:-2])) <= _TOLERANCE * (np.max(np.abs(moment)) + 1e-12):
+            if np.max(np.abs(change[:-2])) <= tolerance * (np.max(np.abs(moment)) + 1e-12):
                 return self._bent(unknowns, here.plays, wanted, friction)
         return None
 
@@ -294,7 +295,7 @@ class HalfBundle:
         return self._touch(half.contact, half.x, half.y, half.angle)
 
     def _touch(self, contact: float, x: Floats, y: Floats, angle: Floats) -> _Touch:
-        """Look up between the two stations next to the contact."""
+        """Interpolate between the two stations next to the contact."""
         below = min(int(contact / self.step), self.test.n_stations - 2)
         weight = np.zeros(self.test.n_stations)
         beyond = contact / self.step - below
@@ -304,7 +305,7 @@ class HalfBundle:
     def _gaps(
         self, touch: _Touch, x: Floats, y: Floats, contact: float, *, wanted: float, friction: float
     ) -> tuple[Floats, Floats]:
-        """Moments under a unit of normal force, and what the two conditions lack, m."""
+        """Return the moments per unit of normal force, and the residuals of both conditions, m."""
         fx, fy = _direction(touch.angle, friction)
         inside = self.arc_length < contact
         lever = (touch.x - x) * fy - (touch.y - y) * fx
@@ -320,7 +321,8 @@ class HalfBundle:
     def _linearise(
         self, unknowns: Floats, plays: Floats, wanted: float, friction: float
     ) -> tuple[Floats, Floats, Floats]:
-        """Residual, Jacobian by moments, normal force and contact, and angle by moment."""
+        """Return residual, Jacobian by moments, normal force and contact, and angle by moment."""
+        contact_step = 1e-7
         moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
         answer = respond(self.law, moment, plays)
         x, y, angle = self._shape(answer.curvature)
@@ -336,16 +338,16 @@ class HalfBundle:
             touch, (x, y), (dx, dy, turns), contact, friction
         )
         jacobian[:n, n] = -unit
-        tx, ty, tt = (touch.weight @ each for each in (dx, dy, turns))
+        tx, ty, tt = (touch.weight @ slope for slope in (dx, dy, turns))
         reach = self.test.reach
         jacobian[n, :n] = tx + reach * np.cos(touch.angle) * tt
         jacobian[n + 1, :n] = ty + reach * np.sin(touch.angle) * tt
-        ahead = contact + _STEP_OF_CONTACT
+        ahead = contact + contact_step
         moved = self._gaps(
             self._touch(ahead, x, y, angle), x, y, ahead, wanted=wanted, friction=friction
         )
-        jacobian[:n, n + 1] = -normal * (moved[0] - unit) / _STEP_OF_CONTACT
-        jacobian[n:, n + 1] = (moved[1] - lacks) / _STEP_OF_CONTACT
+        jacobian[:n, n + 1] = -normal * (moved[0] - unit) / contact_step
+        jacobian[n:, n + 1] = (moved[1] - lacks) / contact_step
         return residual, jacobian, turns
 
     def _levers(
@@ -356,7 +358,7 @@ class HalfBundle:
         contact: float,
         friction: float,
     ) -> Floats:
-        """Derivative of the moments under a unit of normal force by the moments."""
+        """Return the derivative of the moments per unit of normal force by the moments."""
         (x, y), (dx, dy, turns) = place, slopes
         fx, fy = _direction(touch.angle, friction)
         tt = touch.weight @ turns
@@ -368,7 +370,7 @@ class HalfBundle:
 
 
 def half_bundle(test: ThreePointTest) -> HalfBundle:
-    """Lay out half a bundle, never bent, with the trapezoidal rule along it."""
+    """Return half an unbent bundle with the trapezoidal rule along it."""
     arc_length: Floats = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
     along = np.tri(test.n_stations)
     along[:, 0] = 0.5
@@ -378,6 +380,6 @@ def half_bundle(test: ThreePointTest) -> HalfBundle:
 
 
 def _direction(angle: float, friction: float) -> tuple[float, float]:
-    """The roller's force for a unit of normal force: along the normal and the tangent."""
+    """Return the roller's force per unit of normal force, along the normal and the tangent."""
     cos, sin = float(np.cos(angle)), float(np.sin(angle))
     return friction * cos - sin, cos + friction * sin

@@ -1,4 +1,4 @@
-"""What really happened in a virtual test, for whoever checks the processing against it.
+"""True values of a virtual test, to check the processing.
 
 Everything is SI; frames and signs are those of `virtual_lab.cantilever_scenarios`,
 `virtual_lab.conduit_scenarios` and `virtual_lab.tensile_scenarios`.
@@ -23,10 +23,7 @@ from labpipe.virtual_lab.tensile_path import TensilePath
 from labpipe.virtual_lab.three_point_path import ThreePointPath
 
 MIDDLE_WINDOW = (1e-3, 10e-3)
-_SHAPE_POINTS = 41
-_STEPS = 20_001
-_TENSILE_STEPS = 100_001
-_NO_FORCE = 1e-9
+_CURVE_POINTS = 20_001
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +33,9 @@ class CycleTruth:
     Parameters
     ----------
     cycle : counted from 1
-    start_time, top_time, stop_time : when the clamp starts down, turns, and is back
+    start_time, top_time, stop_time : of the clamp: start, reversal, return
     peak_force, peak_deflection : N, m, the largest of the cycle
-    residual_deflection : m, where the force has come back to zero on unloading; None if it does not
+    residual_deflection : m, at which the force returns to zero on unloading, if it does
     energy : J, integral of force over deflection from the start of the cycle to its end
     """
 
@@ -70,7 +67,7 @@ class ShapeTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CantileverTruth:
-    """What really happened in the cantilever rig; arrays at the camera frames, shape (frames,).
+    """True values of a cantilever test; arrays at the camera frames, shape (frames,).
 
     Parameters
     ----------
@@ -90,12 +87,12 @@ class CantileverTruth:
 
 
 def evaluate_cantilever(path: MechanicalPath, schedule: Schedule) -> CantileverTruth:
-    """Look up what really happened at every camera frame and in every cycle.
+    """Return the true values at every camera frame and of every cycle.
 
     Parameters
     ----------
     path : the solved test
-    schedule : when what happens
+    schedule : of the motion and the recordings
 
     Returns
     -------
@@ -116,7 +113,7 @@ def evaluate_cantilever(path: MechanicalPath, schedule: Schedule) -> CantileverT
 def _cycle(path: MechanicalPath, schedule: Schedule, number: int) -> CycleTruth:
     start, top, stop = schedule.turning_times[2 * number - 2 : 2 * number + 1]
     stroke = path.test.stroke
-    progress = 2.0 * stroke * (number - 1) + np.linspace(0.0, 2.0 * stroke, _STEPS)
+    progress = 2.0 * stroke * (number - 1) + np.linspace(0.0, 2.0 * stroke, _CURVE_POINTS)
     force = path.tension(progress) - path.rest.tension
     deflection = path.deflection(progress)
     return CycleTruth(
@@ -132,14 +129,15 @@ def _cycle(path: MechanicalPath, schedule: Schedule, number: int) -> CycleTruth:
 
 
 def _residual(path: MechanicalPath, number: int) -> float | None:
-    """Deflection where the force first comes back to zero on unloading."""
+    """Return the deflection at which the force first returns to zero on unloading."""
+    zero_force = 1e-9
     for segment in path.segments:
         if segment.cycle != number or segment.loading or segment.is_still:
             continue
-        if segment.tension[-1] > path.rest.tension + _NO_FORCE:
+        if segment.tension[-1] > path.rest.tension + zero_force:
             return None
         where = float(segment.progress[-1])
-        if segment.tension[-1] < path.rest.tension - _NO_FORCE:
+        if segment.tension[-1] < path.rest.tension - zero_force:
             crossing = CubicSpline(segment.progress, segment.tension - path.rest.tension)
             where = float(crossing.roots(extrapolate=False)[0])
         return float(path.deflection(np.array([where]))[0])
@@ -147,7 +145,8 @@ def _residual(path: MechanicalPath, number: int) -> float | None:
 
 
 def _shapes(path: MechanicalPath, schedule: Schedule) -> list[ShapeTruth]:
-    arc_length = np.linspace(0.0, path.test.length, _SHAPE_POINTS)
+    shape_points = 41
+    arc_length = np.linspace(0.0, path.test.length, shape_points)
     turns = schedule.turning_times
     times = [np.linspace(a, b, 6) for a, b in pairwise(turns)]
     frames = np.unique(np.searchsorted(schedule.frame_times, np.concatenate(times)))
@@ -158,15 +157,15 @@ def _shapes(path: MechanicalPath, schedule: Schedule) -> list[ShapeTruth]:
 
 @dataclass(frozen=True, slots=True)
 class MiddleTruth:
-    """Mid-span at full stroke, and its stiffness at first.
+    """Mid-span at full stroke, and its initial stiffness.
 
     Parameters
     ----------
     curvature : 1/m
     moment : N m, in the bundle
-    moment_of_force : N m, P L / 4, what a straight bundle on points would have
-    bending_stiffness : N m^2, slope of moment over curvature while the displacement goes through
-        `MIDDLE_WINDOW`, least squares over even steps of curvature
+    moment_of_force : N m, P L / 4, of a straight bundle on point supports
+    bending_stiffness : N m^2, slope of moment over curvature for displacements in `MIDDLE_WINDOW`,
+        least squares over even steps of curvature
     bending_stiffness_of_force : N m^2, the same with P L / 4
     twist : rad, right-handed about x
     """
@@ -181,16 +180,16 @@ class MiddleTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConduitTruth:
-    """What really happened in a three-point test.
+    """True values of a three-point test.
 
     Parameters
     ----------
-    loading : of the way down; displacement is that of the crosshead
+    loading : displacement is that of the crosshead
     initial_bending_stiffness : N m^2, of the law before anything slips
     bending_stiffness : N m^2, K L^3 / 48 with the slope K over
         `curve_truth.KINK_WINDOW`, uncorrected
     peak_force, peak_displacement : N, m
-    residual_displacement : m, where the roller leaves the bundle on its way up
+    residual_displacement : m, at which the roller leaves the bundle on unloading
     energy : J, of the cycle
     middle : mid-span
     start_time, top_time, stop_time : s, true time, of the crosshead
@@ -224,7 +223,7 @@ class ConduitTruth:
 def evaluate_conduit(
     path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, *, rate: float = 5.0
 ) -> ConduitTruth:
-    """Look up what really happened in a three-point test.
+    """Return the true values of a three-point test.
 
     Parameters
     ----------
@@ -238,7 +237,7 @@ def evaluate_conduit(
     """
     stroke, factor = scenario.test.stroke, scenario.factor
     loading = _type_loading(path).scaled(factor)
-    both = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _STEPS - 1)
+    both = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _CURVE_POINTS - 1)
     force, way = factor * path.force(both), path.displacement(both)
     top = int(np.argmax(force))
     time: Floats = np.arange(0.0, schedule.end + scenario.clocks.camera_lead, 1.0 / rate)
@@ -269,19 +268,19 @@ def evaluate_conduit(
 
 @lru_cache(maxsize=64)
 def _type_loading(path: ThreePointPath) -> LoadingTruth:
-    """Of the type; samples differ by a factor."""
-    down = path.test.stroke * np.linspace(0.0, 1.0, _STEPS)
+    """Return the true loading of the type; samples differ by a factor."""
+    down = path.test.stroke * np.linspace(0.0, 1.0, _CURVE_POINTS)
     return evaluate_loading(down, path.force(down))
 
 
 def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
     stroke, span = scenario.test.stroke, scenario.test.span
     first, last = MIDDLE_WINDOW
-    _, moment, curvature = path.middle(np.linspace(first, last, _STEPS))
-    of_force = 0.25 * span * path.force(np.linspace(first, last, _STEPS))
+    _, moment, curvature = path.middle(np.linspace(first, last, _CURVE_POINTS))
+    of_force = 0.25 * span * path.force(np.linspace(first, last, _CURVE_POINTS))
     slopes = [
-        scenario.factor * line_slope(curvature, each, float(curvature[0]), float(curvature[-1]))
-        for each in (moment, of_force)
+        scenario.factor * line_slope(curvature, values, float(curvature[0]), float(curvature[-1]))
+        for values in (moment, of_force)
     ]
     full = np.array([stroke])
     _, at_full, bent = path.middle(full)
@@ -314,25 +313,25 @@ class SlipTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TensileTruth:
-    """What really happened, free of tare, gain error and noise.
+    """True values of a tensile test, free of tare, gain error and noise.
 
-    *As seen at the crosshead* means with the machine's give in it, which is what a test without
-    compliance correction measures. All displacements count from where the crosshead stood before
-    the test; whoever counts from the first sample is `displacement[0]` lower.
+    *At the crosshead* means including the compliance of the machine, as measured without compliance
+    correction. All displacements are relative to the crosshead before the test; relative to the
+    first sample they are lower by `displacement[0]`.
 
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N, at the samples of the record
     foot : m, displacement at which the first straight line meets zero force
-    stiffness_first, stiffness_second : N/m, as seen at the crosshead
+    stiffness_first, stiffness_second : N/m, at the crosshead
     specimen_stiffness_first, specimen_stiffness_second : N/m, of the specimen alone
-    break_point : m, displacement at which the two straight lines cross, as seen at the crosshead;
-        None if the test ends before
+    break_point : m, displacement at which the two straight lines cross, at the crosshead; None if
+        the test ends before
     break_point_from_foot : m, the same, from the foot
     break_force : N, at which they cross
     peak_force : N, largest
     peak_displacement : m, at which it is reached
-    failure_displacement : m, at which the force begins to be lost; None without a failure
+    failure_displacement : m, at which the force begins to drop; None without a failure
     failure_force : N, there; None without a failure
     energy_to_break : J, integral of force over displacement up to failure; None without one
     slips : in order
@@ -358,7 +357,7 @@ class TensileTruth:
 
 
 def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
-    """Look up what really happened in a tensile test.
+    """Return the true values of a tensile test.
 
     Parameters
     ----------
@@ -370,12 +369,12 @@ def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
     The truth.
     """
     scenario = path.scenario
-    law, give = scenario.law, scenario.frame.compliance
-    fine = np.linspace(0.0, path.last_time, _TENSILE_STEPS)
+    law, compliance = scenario.law, scenario.frame.compliance
+    fine = np.linspace(0.0, path.last_time, 100_001)
     travelled, pulled = path.displacement(fine), path.force(fine)
     top = int(np.argmax(pulled))
     break_force = law.stiffness_first * law.break_point
-    from_foot = law.break_point + give * break_force
+    from_foot = law.break_point + compliance * break_force
     bends = law.foot + from_foot < scenario.last_displacement
     failed = scenario.failure is not None
     return TensileTruth(
@@ -383,8 +382,8 @@ def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
         displacement=path.displacement(time),
         force=path.force(time),
         foot=law.foot,
-        stiffness_first=in_series(law.stiffness_first, give),
-        stiffness_second=in_series(law.stiffness_second, give),
+        stiffness_first=in_series(law.stiffness_first, compliance),
+        stiffness_second=in_series(law.stiffness_second, compliance),
         specimen_stiffness_first=law.stiffness_first,
         specimen_stiffness_second=law.stiffness_second,
         break_point=law.foot + from_foot if bends else None,
@@ -400,5 +399,5 @@ def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
 
 
 def in_series(stiffness: float, compliance: float) -> float:
-    """Stiffness, N/m, of a specimen in line with a machine of some compliance, m/N."""
+    """Return the stiffness, N/m, of a specimen in series with a compliance, m/N."""
     return stiffness / (1.0 + stiffness * compliance)

@@ -1,12 +1,12 @@
-"""The files that the programs of the bench export, in the layout of real exports.
+"""Exports of the programs of the bench, in the layout of real exports.
 
 **ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1. One struct with
-Info, X, Y and Description; channels known by Path and Name; units empty; whole numbers stored
-as small integers; data as rows; the text header names the time of saving.
+Info, X, Y and Description; channels known by Path and Name; units empty; whole numbers stored as
+small integers; data as rows; the text header names the time of saving.
 
 **Motive** (cameras): a table CSV, Format Version 1.23. One line of keys and values, a blank line,
 rows of types, names, ids and quantities, then a row of axes and the data with six decimals and
-blanks for what was not seen; CRLF line ends; the body's fitted markers (Rigid Body Marker, quoted
+blanks for untracked markers; CRLF line ends; the body's fitted markers (Rigid Body Marker, quoted
 names) beside the measured ones of the same name (Marker, bare names).
 
 **MTS TestSuite** (load frame): ``(Timed)`` text. UTF-8 with byte order mark, CRLF, four lines of
@@ -15,10 +15,10 @@ into the unit of the column. Several acquisition steps give several files whose 
 the order of time, and a step without samples leaves a byte order mark alone.
 
 **TestResources R-Controller** (load frame): a workbook with time s, force lbf, travel in. No real
-export was at hand: that there are these three quantities in these units is known, sheet name, names
-of columns and rows above them are made up.
+export was available: the three quantities and their units are known; sheet name, names of columns
+and rows above them are assumed.
 
-Every file says that it is synthetic.
+Every file states that it is synthetic.
 """
 
 from __future__ import annotations
@@ -43,34 +43,29 @@ from labpipe.virtual_lab.tensile_scenarios import ExportLayout
 
 CONTROL_DESK_VERSION = "7.4"
 _RASTER = "HostService"
-_HEADER_BYTES = 116
 _NO_LIMIT = np.finfo(np.float64).max
 
 UNITS = {"m": ("Meters", 1.0), "cm": ("Centimeters", 100.0), "mm": ("Millimeters", 1000.0)}
 _PLACE = (("Position", "X"), ("Position", "Y"), ("Position", "Z"))
 _TURN = (("Rotation", "X"), ("Rotation", "Y"), ("Rotation", "Z"), ("Rotation", "W"))
-_ROWS_AT_A_TIME = 2000
 
 ACTIVITY = "DAQ- Crosshead, … - (Timed)"
 NEWTONS = {"N": 1.0, "kN": 1e3}
-_LOST_BETWEEN_PARTS = 2
 _FOLDER = "C:\\MTS Data\\SYNTHETIC labpipe virtual lab"
 
 NEWTONS_PER_POUND, METRES_PER_INCH = 4.4482216152605, 0.0254
 HEADER = ("Time (s)", "Force (lbf)", "Displacement (in)")
 SHEET = "Test Data"
-_DIGITS = 6
-_OLDEST = (1980, 1, 1, 0, 0, 0)  # the first date that a zip archive can hold
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What the programs write into the heads of their files.
+    """Data for the heads of the files.
 
     Parameters
     ----------
     name : of the test
-    started : when
+    started : time of the test
     seed : for the notes that the test is synthetic
     """
 
@@ -85,7 +80,7 @@ def write_control_desk(path: Path, record: ForceRecord, run: Run) -> None:
     Parameters
     ----------
     path : the file; its stem becomes the name of the struct
-    record : what the recorder measured
+    record : of the recorder
     run : for the header and the description
     """
     saved = run.started + timedelta(seconds=round(float(record.clock[-1])))
@@ -133,7 +128,7 @@ def _channel(where: str, values: Floats) -> dict[str, object]:
 
 
 def _compact(values: Floats) -> NDArray[np.generic]:
-    """Whole numbers as the smallest unsigned integers that hold them, as ControlDesk does."""
+    """Convert whole numbers to the smallest unsigned integers, as ControlDesk does."""
     whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
     if not whole or np.max(values) > np.iinfo(np.uint16).max:
         return values
@@ -175,15 +170,15 @@ def _description(clock: Floats, saved: datetime, seed: int) -> dict[str, object]
 
 
 def _stamp(path: Path, saved: datetime) -> None:
-    """Put the scenario's date into the text header, so that equal tests are equal files."""
+    """Write the scenario's date to the text header, so that equal tests give equal files."""
     text = f"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {saved:%a %b %d %H:%M:%S %Y}"
     with path.open("r+b") as file:
-        file.write(text.encode("ascii").ljust(_HEADER_BYTES))
+        file.write(text.encode("ascii").ljust(116))
 
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """The columns of one object: type, name and id as written, and (quantity, axis) of each."""
+    """Columns of one object: type, name and id as written, and (quantity, axis) of each."""
 
     kind: str
     name: str
@@ -197,17 +192,17 @@ def write_motive(path: Path, take: Take, run: Run, *, unit: str) -> None:
     Parameters
     ----------
     path : the file
-    take : what the cameras saw
-    run : for the head; its seed is that of the ids, too
+    take : of the cameras
+    run : for the head; its seed is also that of the ids
     unit : m, cm or mm
 
     Raises
     ------
     ValueError
-        If the unit is none of the three.
+        If the unit is unknown.
     """
     if unit not in UNITS:
-        message = f"unit={unit!r}: allowed are {', '.join(UNITS)}"
+        message = f"unit: expected {', '.join(UNITS)}, found {unit!r}"
         raise ValueError(message)
     word, factor = UNITS[unit]
     head = [_first_line(take, word, run), "", *_label_rows(_groups(take, run.seed))]
@@ -253,7 +248,7 @@ def _body_groups(body: str, random: np.random.Generator) -> list[_Group]:
 
 
 def _label_rows(groups: Sequence[_Group]) -> list[str]:
-    """Type, name, id, quantity and axis of every column."""
+    """Return type, name, id, quantity and axis of every column."""
     columns = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
     for group in groups:
         columns += [(group.kind, group.name, group.identity, *column) for column in group.columns]
@@ -261,7 +256,7 @@ def _label_rows(groups: Sequence[_Group]) -> list[str]:
 
 
 def _table(take: Take, factor: float) -> Floats:
-    """All data columns after the frame number, in the file's unit."""
+    """Return all data columns after the frame number, in the unit of the file."""
     frames = len(take.time)
     fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
     poses = [
@@ -274,10 +269,11 @@ def _table(take: Take, factor: float) -> Floats:
 
 
 def _data_lines(take: Take, factor: float) -> Iterator[str]:
+    rows_at_a_time = 2000
     table = _table(take, factor)
     row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
-    for first in range(0, len(table), _ROWS_AT_A_TIME):
-        block = table[first : first + _ROWS_AT_A_TIME].tolist()
+    for first in range(0, len(table), rows_at_a_time):
+        block = table[first : first + rows_at_a_time].tolist()
         lines = (row % (first + number, *values) for number, values in enumerate(block))
         yield "".join(lines).replace("nan", "")
 
@@ -294,8 +290,8 @@ def write_test_suite(
 
     Parameters
     ----------
-    folder : gets the files
-    record : what the controller measured
+    folder : of the files
+    record : of the controller
     layout : unit of force and parts
     run : for the preamble
     kind : of the test, for the note that it is synthetic
@@ -307,10 +303,10 @@ def write_test_suite(
     Raises
     ------
     ValueError
-        If the unit is neither N nor kN, or a part would hold no samples.
+        If the unit is neither N nor kN, or a part has no samples.
     """
     if layout.force_unit not in NEWTONS:
-        message = f"force_unit={layout.force_unit!r}: allowed are {', '.join(NEWTONS)}"
+        message = f"force_unit: expected {', '.join(NEWTONS)}, found {layout.force_unit!r}"
         raise ValueError(message)
     files = {}
     for number, part in enumerate(_parts(record, layout)):
@@ -323,13 +319,14 @@ def write_test_suite(
 
 
 def _parts(record: FrameRecord, layout: ExportLayout) -> list[FrameRecord | None]:
-    """By number of file: the whole, or the later step, the earlier one, and one without samples."""
+    """Return the parts by number of file: later step, earlier step, and one without samples."""
+    lost_rows = 2
     if not layout.in_parts:
         return [record]
     first = int(np.searchsorted(record.time, layout.part_at))
-    later = first + _LOST_BETWEEN_PARTS
+    later = first + lost_rows
     if first < 1 or later >= len(record.time):
-        message = f"part_at={layout.part_at} s: outside the record"
+        message = f"part_at: expected a time within the record, found {layout.part_at} s"
         raise ValueError(message)
     return [_piece(record, slice(later, None)), _piece(record, slice(first)), None]
 
@@ -365,12 +362,12 @@ def _rows(record: FrameRecord, force_unit: str) -> str:
 
 
 def write_r_controller(path: Path, record: FrameRecord, run: Run) -> None:
-    """Write a record as a workbook of the TestResources kind; the same record, the same bytes.
+    """Write a record as a workbook of TestResources; equal records give equal bytes.
 
     Parameters
     ----------
     path : the file
-    record : what the controller measured
+    record : of the controller
     run : for the head of the sheet and the properties of the workbook
     """
     note = f"SYNTHETIC: made by labpipe's virtual lab, seed {run.seed}, not a measurement"
@@ -391,17 +388,18 @@ def write_r_controller(path: Path, record: FrameRecord, run: Run) -> None:
 
 
 def _columns(record: FrameRecord) -> tuple[list[float], ...]:
-    """The three columns in the units of the file, to the digits of its cells."""
+    """Return the three columns in the units of the file, rounded to its digits."""
     scaled = (
         record.time,
         record.force / NEWTONS_PER_POUND,
         record.displacement / METRES_PER_INCH,
     )
-    return tuple((column.round(_DIGITS) + 0.0).tolist() for column in scaled)
+    return tuple((column.round(6) + 0.0).tolist() for column in scaled)
 
 
 def _without_dates(book: bytes, started: datetime) -> bytes:
-    """Replace the moment of writing by the date of the test: equal tests are equal files."""
+    """Replace the time of writing by the date of the test, so that equal tests give equal files."""
+    oldest_date = (1980, 1, 1, 0, 0, 0)
     stamp = f">{started:%Y-%m-%dT%H:%M:%SZ}</dcterms:modified>".encode("ascii")
     buffer = io.BytesIO()
     with (
@@ -410,5 +408,5 @@ def _without_dates(book: bytes, started: datetime) -> bytes:
     ):
         for member in old.namelist():
             content = re.sub(rb">[^<]*</dcterms:modified>", stamp, old.read(member))
-            new.writestr(zipfile.ZipInfo(member, _OLDEST), content, zipfile.ZIP_DEFLATED)
+            new.writestr(zipfile.ZipInfo(member, oldest_date), content, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()

@@ -85,10 +85,10 @@ def test_wires_do_not_overlap_and_balance(arrangement: str) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (BundleModel((("Z9", 7),)).law, r"allowed are one or two kinds of A1, A2, A3, B1, B2"),
-        (BundleModel((("B1", 8),)).law, r"8 wires: allowed are numbers that fill shells"),
-        (BundleModel((("B1", 7),), "loose").law, r"arrangement='loose'.*allowed are packed"),
-        (BundleModel((("B1", 7),), locking=0.9).law, r"locking=0.9: allowed are .* numbers >= 1"),
+        (BundleModel((("Z9", 7),)).law, r"expected one or two kinds of A1, A2, A3, B1, B2"),
+        (BundleModel((("B1", 8),)).law, r"expected a number that fills shells .*, found 8"),
+        (BundleModel((("B1", 7),), "loose").law, r"expected packed, .*, found 'loose'"),
+        (BundleModel((("B1", 7),), locking=0.9).law, r"expected .* a number >= 1, found .*, 0.9"),
         (replace(WIRES["A2"], wall=0.4e-3).section, r"does not fit: strands overlap the bore"),
         (replace(WIRES["B1"], wall=0.3e-3).section, r"less than the .* m that the strands need"),
     ],
