@@ -13,20 +13,19 @@ from labpipe.records.arrays import Flags, Floats, Ints
 
 REST_TERMS = 4
 """Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic."""
-_ROUNDS = 30
 SETTLED = 1e-10
-"""m by which arc lengths change at most from one round to the next once they are found."""
+"""Largest change of arc lengths in m between rounds at convergence."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveBasis:
-    """Power series in u = s / length, free only where the ends leave them free.
+    """Power series in u = s / length that satisfy the end conditions.
 
     Parameters
     ----------
     length : m, arc length at u = 1
-    matrix : shape (terms, unknowns), turns the unknowns of one coordinate into its coefficients
+    matrix : shape (terms, unknowns), coefficients of one coordinate per unknown
     """
 
     length: float
@@ -34,33 +33,33 @@ class CurveBasis:
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns per coordinate."""
+        """Return the number of unknowns per coordinate."""
         return int(self.matrix.shape[1])
 
     def value(self, arc_length: Floats) -> Floats:
-        """Values of the basis at arc lengths of shape (n,); shape (n, unknowns)."""
+        """Return values of the basis at arc lengths of shape (n,); shape (n, unknowns)."""
         return powers(arc_length / self.length, len(self.matrix)) @ self.matrix
 
     def slope(self, arc_length: Floats) -> Floats:
-        """Derivatives in arc length, 1/m; shape (n, unknowns)."""
+        """Return derivatives in arc length, 1/m; shape (n, unknowns)."""
         rates = power_slopes(arc_length / self.length, len(self.matrix)) / self.length
         return rates @ self.matrix
 
 
 def powers(u: Floats, terms: int) -> Floats:
-    """Powers 0 to terms - 1 of u; shape (n, terms)."""
+    """Return powers 0 to terms - 1 of u; shape (n, terms)."""
     return np.asarray(np.vander(u, terms, increasing=True), dtype=np.float64)
 
 
 def power_slopes(u: Floats, terms: int) -> Floats:
-    """Derivatives of the powers of u; shape (n, terms)."""
+    """Return derivatives of the powers of u; shape (n, terms)."""
     rates = np.zeros((len(u), terms))
     rates[:, 1:] = np.arange(1, terms) * powers(u, terms)[:, :-1]
     return rates
 
 
 def curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> CurveBasis:
-    """Build the basis of curves that obey the conditions at the ends.
+    """Build the basis of curves that satisfy the end conditions.
 
     Parameters
     ----------
@@ -71,7 +70,7 @@ def curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> 
 
     Returns
     -------
-    The basis, orthonormal over the length for the sake of conditioning.
+    The basis, orthonormal over the length for good conditioning.
 
     Raises
     ------
@@ -91,7 +90,7 @@ def curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> 
 
 
 def coupled_design(basis: CurveBasis, arc_length: Floats, centre_offset: float) -> Floats:
-    """Positions of marker centres per unknown of x and y.
+    """Return positions of marker centres per unknown of x and y.
 
     Parameters
     ----------
@@ -132,7 +131,7 @@ def curve_at_rest(
     free_tip: bool,
     settled: float = SETTLED,
 ) -> RestCurve:
-    """Find clamped end, direction there and arc lengths of the markers from the shape at rest.
+    """Determine clamped end, its direction and arc lengths of the markers from the shape at rest.
 
     Parameters
     ----------
@@ -141,7 +140,7 @@ def curve_at_rest(
         without a clamp, whose first marker is its beginning
     pull_offset, centre_offset : m
     free_tip : no moment at the pull point
-    settled : m, when the arc lengths are good enough
+    settled : m, change of arc lengths at convergence
 
     Returns
     -------
@@ -150,18 +149,19 @@ def curve_at_rest(
     Notes
     -----
     A cubic in arc length is fitted with free height and slope at its beginning. Its arc lengths
-    start from the chords between the markers and are measured along the fitted curve, again until
-    they settle; the beginning is moved along the curve until it lies `grip_offset` from the pivot.
-    The pivot may lie beside the axis.
+    start from the chords between the markers and are measured along the fitted curve until they
+    converge; the beginning is moved along the curve to the distance `grip_offset` from the pivot.
+    The pivot need not be on the axis.
     """
+    max_rounds = 30
     steps = np.linalg.norm(np.diff(markers, axis=0), axis=1)
     arc_length = np.r_[0.0, np.cumsum(steps)]
     if grip_offset is not None:
         arc_length += markers[0, 0] - grip_offset
-    for _ in range(_ROUNDS):
+    for _ in range(max_rounds):
         length = float(arc_length[-1]) + pull_offset
         coefficients = _rest_coefficients(markers, arc_length, length, centre_offset, free_tip)
-        fitted = _along(coefficients, arc_length, length)
+        fitted = _lengths_along(coefficients, arc_length, length)
         tangent = coefficients[:, 1] / np.linalg.norm(coefficients[:, 1])
         shift = 0.0 if grip_offset is None else coefficients[:, 0] @ tangent - grip_offset
         fitted += shift - (fitted[0] if grip_offset is None else 0.0)
@@ -183,8 +183,8 @@ def _rest_coefficients(
     return np.asarray(np.vstack([in_plane, across]) @ basis.matrix.T, dtype=np.float64)
 
 
-def _along(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
-    """Length of the curve from its beginning to each of the parameters (Gauss-Legendre)."""
+def _lengths_along(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
+    """Return the length of the curve up to each parameter (Gauss-Legendre)."""
     half = arc_length[:, None] / 2
     u = half * (1 + _NODES) / length
     rates = power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
@@ -194,13 +194,13 @@ def _along(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EndConditions:
-    """What is known of the ends of the curve.
+    """Conditions at the ends of the curve.
 
     Parameters
     ----------
     length : m, arc length of the last point
-    direction : shape (3,), unit tangent at the clamped end, which is the origin; None where the
-        beginning is as free as the rest
+    direction : shape (3,), unit tangent at the clamped end, which is the origin; None if the
+        beginning is free
     free_tip : no moment at the last point
     """
 
@@ -211,7 +211,7 @@ class EndConditions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFits:
-    """Fitted curves of all frames; NaN where markers are too few.
+    """Fitted curves of all frames; NaN where there are too few markers.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ class FrameFits:
     gain : shape (frames, 3), standard error of the last point per standard deviation of one
         coordinate of one marker
     freedom : shape (frames,), degrees of freedom per coordinate
-    needed : markers that a frame must show
+    needed : least number of markers in a frame
     """
 
     coefficients: Floats
@@ -231,17 +231,17 @@ class FrameFits:
 
     @property
     def last_point(self) -> Floats:
-        """Position at s = length, shape (frames, 3), m."""
+        """Return the position at s = length, shape (frames, 3), m."""
         return np.asarray(self.coefficients.sum(axis=2), dtype=np.float64)
 
     @property
     def spare(self) -> int:
-        """Further coefficients that all markers in sight would allow."""
+        """Return the number of further coefficients that all markers would allow."""
         return int(self.misfit.shape[2]) - self.needed
 
     @property
     def residual(self) -> Floats:
-        """Root mean square misfit per coordinate, shape (frames,), m."""
+        """Return the root mean square misfit per coordinate, shape (frames,), m."""
         seen = np.isfinite(self.misfit)
         squares = np.where(seen, self.misfit, 0.0) ** 2
         count = seen.sum(axis=(1, 2))
@@ -249,9 +249,9 @@ class FrameFits:
         return np.asarray(np.where(count > 0, np.sqrt(mean), np.nan), dtype=np.float64)
 
     def noise(self, rest: Selection) -> float:
-        """Standard deviation of a marker coordinate, m, from the scatter of the misfit at rest.
+        """Return the standard deviation of a marker coordinate, m, from the misfit at rest.
 
-        What the curve cannot follow stays the same at rest and drops out with the mean.
+        Deviations from the curve model are constant at rest and removed with the mean.
         """
         misfit, freedom = self.misfit[rest], self.freedom[rest]
         whole = np.isfinite(misfit).all(axis=(1, 2))
@@ -269,7 +269,7 @@ def fit_frames(
     *,
     terms: int,
 ) -> FrameFits:
-    """Fit one curve per frame, all frames that show the same markers together.
+    """Fit one curve per frame, together for all frames with the same markers in sight.
 
     Parameters
     ----------
@@ -290,8 +290,8 @@ def fit_frames(
 
     Notes
     -----
-    The design matrix depends on arc length alone, so its pseudo-inverse serves every frame with the
-    same markers in sight.
+    The design matrix depends on arc length only, so its pseudo-inverse is the same for all frames
+    with the same markers in sight.
     """
     free = conditions.direction is None
     basis = curve_basis(
@@ -332,7 +332,7 @@ def fit_frames(
 def last_heights(
     markers: Floats, fits: Sequence[tuple[RestCurve, EndConditions, float]], *, terms: int
 ) -> Floats:
-    """Height of the last point of the curves that `fit_frames` fits, and nothing else of them.
+    """Return the height of the last point of the curves of `fit_frames` only.
 
     Parameters
     ----------
@@ -346,8 +346,8 @@ def last_heights(
 
     Notes
     -----
-    The height is linear in the markers, so one row of weights a curve does all frames that show the
-    same markers.
+    The height is linear in the markers, so one row of weights per curve is enough for all frames
+    with the same markers in sight.
     """
     flat = np.concatenate([markers[..., 0], markers[..., 1]], axis=1)
     heights = np.full((len(fits), len(markers)), np.nan)
@@ -367,9 +367,9 @@ def _height_of_end(
     pattern: Flags,
     terms: int,
 ) -> tuple[Floats, float]:
-    """Weights of x then y of the markers in sight, and the height without them, m.
+    """Return weights of x then y of the markers in sight, and the height without them, m.
 
-    No weights where the markers are too few.
+    There are no weights if there are too few markers.
     """
     length, direction = conditions.length, at_rest.tangent
     basis = curve_basis(terms=terms, length=length, clamped=True, free_tip=conditions.free_tip)
@@ -385,9 +385,9 @@ def _height_of_end(
 def _solve(
     data: Floats, basis: CurveBasis, arc_length: Floats, centre_offset: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit frames that show the same markers.
+    """Fit frames with the same markers in sight.
 
-    Gives unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
+    Returns unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
     """
     count = basis.unknowns
     design, value = coupled_design(basis, arc_length, centre_offset), basis.value(arc_length)
@@ -404,7 +404,7 @@ def _solve(
 
 
 def _known_part(direction: Floats | None, arc_length: Floats, centre_offset: float) -> Floats:
-    """Where the given beginning alone would put the markers, shape (markers, 3), m."""
+    """Return marker positions from the given beginning only, shape (markers, 3), m."""
     if direction is None:
         return np.zeros((len(arc_length), 3))
     normal = np.array([-direction[1], direction[0], 0.0])
@@ -412,7 +412,7 @@ def _known_part(direction: Floats | None, arc_length: Floats, centre_offset: flo
 
 
 def _patterns(seen: Flags) -> list[tuple[Flags, Ints]]:
-    """Sets of markers in sight, and the frames that show just these."""
-    codes = seen @ (1 << np.arange(seen.shape[1]))  # sorting rows themselves is far slower
+    """Return the sets of markers in sight, each with its frames."""
+    codes = seen @ (1 << np.arange(seen.shape[1]))  # sorting rows is far slower
     first, which = np.unique(codes, return_index=True, return_inverse=True)[1:]
     return [(seen[row], np.flatnonzero(which == number)) for number, row in enumerate(first)]

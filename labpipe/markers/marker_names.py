@@ -1,4 +1,4 @@
-"""Give every chain of tracklets to the marker that it shows."""
+"""Assignment of chains of tracklets to markers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Chain:
     tracklets : their numbers
     start, stop : frames, `stop` left out
     frames : number of frames in which the point was seen
-    label : column of the marker that the chain says it is, -1 if it never had a name
+    label : column of the marker by its labels, -1 if it never had a name
     """
 
     tracklets: tuple[int, ...]
@@ -33,20 +33,20 @@ class Chain:
     label: int
 
     def overlaps(self, other: Chain) -> bool:
-        """Whether both exist in some frame, so that they cannot be one marker."""
+        """Return whether both exist in some frame, so that they cannot be one marker."""
         return max(self.start, other.start) < min(self.stop, other.stop)
 
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """Chains of each marker, and what is left over.
+    """Chains of each marker, and the remaining ones.
 
     Parameters
     ----------
     markers : by column of the marker, its chains in order of time
-    eliminated : chains given to the only marker that was free, by that marker's column
-    doubtful : named chains that could be one of several markers, or of none
-    leftover : chains that belong to no marker
+    eliminated : chains assigned to the only free marker, by its column
+    doubtful : named chains that could belong to several markers, or to none
+    leftover : chains of no marker
     """
 
     markers: dict[int, tuple[Chain, ...]]
@@ -56,7 +56,7 @@ class Naming:
 
 
 def is_unlabelled(name: str) -> bool:
-    """Whether a track is one that the motion-capture program could not name."""
+    """Return whether the motion-capture program did not name a track."""
     return _UNLABELLED.match(name.rpartition(":")[2]) is not None or bool(_UNLABELLED.match(name))
 
 
@@ -70,7 +70,7 @@ def name_chains(
     settled: float,
     apart: float,
 ) -> Naming:
-    """Decide which marker each chain is.
+    """Assign each chain to a marker.
 
     Parameters
     ----------
@@ -78,8 +78,8 @@ def name_chains(
     tracklets, links : the chains
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
-    settled : s, how long a label must hold to be believed; shorter stretches are glitches
-    apart : m, least distance between two markers; a track nearer to another one is its double
+    settled : s, shortest duration of a valid label; shorter stretches are glitches
+    apart : m, least distance between two markers; a closer track is a double
 
     Returns
     -------
@@ -87,28 +87,30 @@ def name_chains(
 
     Notes
     -----
-    A chain is the marker whose label it bore first for at least `settled` (labels are given at the
-    start of a take and go wrong later), else the one it bore longest. Of two simultaneous chains
-    with one name the longer keeps it; the other is given to the marker that is missing all that
-    time, if there is exactly one. A track that begins where another one is, is a double and only
-    believed if it is all that its label has. In a take without any named track the
-    long-lived chains (half the longest or more) are the markers.
+    A chain is the marker whose label it had first for at least `settled` (labels are assigned at
+    the start of a take and become wrong later), else the one it had longest. Of two simultaneous
+    chains with one name the longer keeps it; the other is assigned to the marker that is missing
+    during that time, if there is exactly one. A track that begins at the position of another one is
+    a double, used only if its label has no other track. In a take without named tracks the long
+    chains (at least half the longest) are the markers.
     """
     named = [not is_unlabelled(name) for name in names]
     anonymous = not any(named)
-    chains = _collect(tracklets, links, time, [anonymous or known for known in named], settled)
+    chains = _collect(
+        tracklets, links, time, [anonymous or is_named for is_named in named], settled
+    )
     doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, apart)]
-    markers, rejected = _claim(chains, doubles)
+    markers, rejected = _assign_by_label(chains, doubles)
     single = [
         chain
         for chain in rejected
         if time[chain.stop - 1] - time[chain.start] >= settled and chain not in doubles
     ]
     short = [chain for chain in rejected if chain not in single]
-    eliminated, doubtful = _eliminate(markers, single)
+    eliminated, doubtful = _assign_by_elimination(markers, single)
     leftover = short + [chain for chain in chains if chain.label < 0]
     if anonymous:
-        leftover += _short_lived(markers)
+        leftover += _remove_short(markers)
     ordered = {
         label: tuple(sorted(markers[label], key=lambda chain: chain.start))
         for label in sorted(markers)
@@ -127,9 +129,11 @@ def _collect(
     column = tracklets.column
 
     def label(pieces: list[int]) -> int:
-        known = [piece for piece in pieces if named[column[piece]]]
-        first = next((piece for piece in known if lasting[piece]), None)
-        best = first if first is not None else max(known, key=lambda p: length[p], default=None)
+        named_pieces = [piece for piece in pieces if named[column[piece]]]
+        first = next((piece for piece in named_pieces if lasting[piece]), None)
+        best = (
+            first if first is not None else max(named_pieces, key=lambda p: length[p], default=None)
+        )
         return -1 if best is None else int(column[best])
 
     return [
@@ -144,8 +148,10 @@ def _collect(
     ]
 
 
-def _claim(chains: list[Chain], doubles: list[Chain]) -> tuple[dict[int, list[Chain]], list[Chain]]:
-    """Chains by the marker they say they are, and those that find it taken or are doubles."""
+def _assign_by_label(
+    chains: list[Chain], doubles: list[Chain]
+) -> tuple[dict[int, list[Chain]], list[Chain]]:
+    """Return chains by marker, and those that are doubles or whose marker is taken."""
     markers: dict[int, list[Chain]] = {}
     rejected: list[Chain] = []
     for chain in sorted(chains, key=lambda chain: (-chain.frames, chain.start)):
@@ -158,17 +164,17 @@ def _claim(chains: list[Chain], doubles: list[Chain]) -> tuple[dict[int, list[Ch
 
 
 def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, apart: float) -> bool:
-    """Whether the chain begins where some other track is."""
-    own = tracklets.column[chain.tracklets[0]]
-    distance = np.linalg.norm(relative[chain.start] - relative[chain.start, own], axis=1)
-    distance[own] = np.nan
+    """Return whether the chain begins at the position of another track."""
+    column = tracklets.column[chain.tracklets[0]]
+    distance = np.linalg.norm(relative[chain.start] - relative[chain.start, column], axis=1)
+    distance[column] = np.nan
     return bool((distance < apart).any())
 
 
-def _eliminate(
+def _assign_by_elimination(
     markers: dict[int, list[Chain]], rejected: list[Chain]
 ) -> tuple[list[tuple[int, Chain]], list[Chain]]:
-    """Give a rejected chain to the one marker that is missing all the time it lasts."""
+    """Assign rejected chains to the only marker that is missing during them, if any."""
     eliminated: list[tuple[int, Chain]] = []
     doubtful: list[Chain] = []
     for chain in sorted(rejected, key=lambda chain: chain.start):
@@ -186,9 +192,11 @@ def _eliminate(
     return eliminated, doubtful
 
 
-def _short_lived(markers: dict[int, list[Chain]]) -> list[Chain]:
-    """Take the markers out that live less than half as long as the longest."""
-    life = {label: sum(chain.frames for chain in held) for label, held in markers.items()}
-    longest = max(life.values(), default=0)
-    gone = [label for label, frames in life.items() if 2 * frames < longest]
-    return [chain for label in gone for chain in markers.pop(label)]
+def _remove_short(markers: dict[int, list[Chain]]) -> list[Chain]:
+    """Remove markers with less than half the frames of the longest one."""
+    frames_by_label = {
+        label: sum(chain.frames for chain in held) for label, held in markers.items()
+    }
+    longest = max(frames_by_label.values(), default=0)
+    short = [label for label, frames in frames_by_label.items() if 2 * frames < longest]
+    return [chain for label in short for chain in markers.pop(label)]

@@ -1,4 +1,4 @@
-"""Say in words what the repair of marker tracks did."""
+"""Quality notes on the repair of marker tracks."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from labpipe.records.arrays import Flags, Floats, stretches_of
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote, Severity
 
-_MOST = 10
-"""Stretches of one marker that get a note each; more share one."""
+_MAX_NOTES = 10
+"""Most stretches of one marker with a note each; more get a common note."""
 _FROZEN = ("pose_frozen", Severity.WARNING, "stale pose removed")
 _FILLED = ("gap_filled", Severity.INFO, "gap filled between its ends, relative to the clamp")
 _LEFT = ("gap_left", Severity.WARNING, "no position, gap too long or open to fill")
@@ -24,7 +24,7 @@ _LEFT = ("gap_left", Severity.WARNING, "no position, gap too long or open to fil
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Take:
-    """What the notes need to name places: column names, frame numbers, times, tracklets."""
+    """Data of a take for the notes: column names, frame numbers, times, tracklets."""
 
     names: tuple[str, ...]
     frames: Floats
@@ -32,7 +32,7 @@ class Take:
     pieces: Tracklets
 
     def span(self, start: int, stop: int) -> str:
-        """Word a stretch of frames, `stop` left out."""
+        """Describe a stretch of frames, `stop` excluded."""
         first, last = f"{self.frames[start]:.0f}", f"{self.frames[stop - 1]:.0f}"
         frames = f"frame {first}" if stop - start == 1 else f"frames {first} to {last}"
         return f"{frames} ({self.time[start]:.3f} s to {self.time[stop - 1]:.3f} s)"
@@ -47,7 +47,7 @@ def describe(
     flags: NDArray[np.uint8],
     measured: Floats,
 ) -> tuple[QualityNote, ...]:
-    """List every repair and every thing left alone.
+    """Return notes on all repairs and on unresolved faults.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def describe(
     links, naming : how the tracklets were joined and named
     stale : shape (frames, columns), samples removed as frozen
     flags : shape (frames, markers), after filling
-    measured : shape (frames, columns, 3), m, for the extent of what is dropped
+    measured : shape (frames, columns, 3), m, for the extent of dropped tracks
 
     Returns
     -------
@@ -63,19 +63,19 @@ def describe(
     """
     markers = [take.names[label] for label in naming.markers]
     return (
-        *_absent(take, naming, measured),
-        *_by_column(take, stale, list(take.names), _FROZEN),
-        *_relabelled(take, naming, measured),
-        *_eliminated(take, naming),
-        *_jumps(take, links, naming),
-        *_by_column(take, np.equal(flags, PointFlag.FILLED), markers, _FILLED),
-        *_by_column(take, np.equal(flags, PointFlag.MISSING), markers, _LEFT),
-        *_ambiguous(take, links, naming),
-        *_dropped(take, naming, measured),
+        *_missing_notes(take, naming, measured),
+        *_stretch_notes(take, stale, list(take.names), _FROZEN),
+        *_relabel_notes(take, naming, measured),
+        *_elimination_notes(take, naming),
+        *_jump_notes(take, links, naming),
+        *_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, _FILLED),
+        *_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, _LEFT),
+        *_ambiguity_notes(take, links, naming),
+        *_dropped_notes(take, naming, measured),
     )
 
 
-def _absent(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+def _missing_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
     if all(is_unlabelled(name) for name in take.names):
         return
     seen = np.flatnonzero(in_sight(measured).any(axis=0)).tolist()
@@ -88,63 +88,65 @@ def _absent(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNot
             yield QualityNote("marker_missing", Severity.WARNING, name, message)
 
 
-def _by_column(
+def _stretch_notes(
     take: Take, mask: Flags, names: list[str], kind: tuple[str, Severity, str]
 ) -> Iterator[QualityNote]:
-    code, severity, words = kind
+    code, severity, text = kind
     for column, name in enumerate(names):
         stretches = stretches_of(mask[:, column])
-        if len(stretches) <= _MOST:
+        if len(stretches) <= _MAX_NOTES:
             for start, stop in stretches:
                 span = take.span(start, stop)
-                message = f"{name}: {words}, {stop - start} frames, {span}"
+                message = f"{name}: {text}, {stop - start} frames, {span}"
                 yield QualityNote(code, severity, f"{name}, {span}", message)
         else:
             longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
             message = (
-                f"{name}: {words}, {len(stretches)} times, {int(mask[:, column].sum())} frames, "
+                f"{name}: {text}, {len(stretches)} times, {int(mask[:, column].sum())} frames, "
                 f"longest {take.span(*longest)}"
             )
             where = f"{name}, {take.span(stretches[0][0], stretches[-1][1])}"
             yield QualityNote(code, severity, where, message)
 
 
-def _relabelled(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
-    """One note per exchange of labels, and per stretch that had no label."""
+def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+    """Yield a note per exchange of labels, and per stretch without a label."""
     exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for label, chains in naming.markers.items():
-        for column, start, stop in _foreign(take.pieces, label, chains):
-            words = f"{take.names[label]} was labelled as {take.names[column]}"
+        for column, start, stop in _stretches_under_other_labels(take.pieces, label, chains):
+            text = f"{take.names[label]} was labelled as {take.names[column]}"
             if is_unlabelled(take.names[column]):
                 span = take.span(start, stop)
-                apart = _apart(measured[:, label], measured[start:stop, column], start, stop)
-                message = f"{words}, {span}; merged{apart}"
+                apart = _distance_text(
+                    measured[:, label], measured[start:stop, column], start, stop
+                )
+                message = f"{text}, {span}; merged{apart}"
                 where = f"{take.names[label]}, {span}"
                 yield QualityNote("unlabelled_merged", Severity.WARNING, where, message)
             else:
-                exchanges.setdefault((start, stop), []).append((take.names[label], words))
-    for (start, stop), who in sorted(exchanges.items()):
+                exchanges.setdefault((start, stop), []).append((take.names[label], text))
+    for (start, stop), markers in sorted(exchanges.items()):
         span = take.span(start, stop)
-        message = f"{', '.join(words for _, words in who)}, {span}; label switch undone"
-        names = ", ".join(name for name, _ in who)
+        message = f"{', '.join(text for _, text in markers)}, {span}; label switch undone"
+        names = ", ".join(name for name, _ in markers)
         yield QualityNote("label_switch", Severity.WARNING, f"{names}, {span}", message)
 
 
-def _apart(own: Floats, other: Floats, start: int, stop: int) -> str:
-    """Say how far two tracks lie apart where one takes over from the other, if both are there."""
+def _distance_text(own: Floats, other: Floats, start: int, stop: int) -> str:
+    """Describe the distance of two tracks where one continues the other, if both are present."""
     seams = [
         float(np.linalg.norm(own[frame] - end))
         for frame, end in ((start - 1, other[0]), (stop, other[-1]))
         if 0 <= frame < len(own)
     ]
-    known = [seam for seam in seams if np.isfinite(seam)]
-    return f", {1e3 * max(known):.2f} mm apart where they meet" if known else ""
+    distances = [seam for seam in seams if np.isfinite(seam)]
+    return f", {1e3 * max(distances):.2f} mm apart where they meet" if distances else ""
 
 
-def _foreign(
+def _stretches_under_other_labels(
     pieces: Tracklets, label: int, chains: tuple[Chain, ...]
 ) -> Iterator[tuple[int, int, int]]:
-    """Column, start and stop of the stretches that a marker spent under another label."""
+    """Yield column, start and stop of the stretches of a marker under another label."""
     run: tuple[int, int, int] | None = None
     for piece in (piece for chain in chains for piece in chain.tracklets):
         column, stop = int(pieces.column[piece]), int(pieces.stop[piece])
@@ -158,15 +160,15 @@ def _foreign(
         yield run
 
 
-def _eliminated(take: Take, naming: Naming) -> Iterator[QualityNote]:
+def _elimination_notes(take: Take, naming: Naming) -> Iterator[QualityNote]:
     for label, chain in naming.eliminated:
         name, span = take.names[label], take.span(chain.start, chain.stop)
         message = f"{name}: given a track under another label, {span}, as the only marker missing"
         yield QualityNote("label_by_elimination", Severity.WARNING, f"{name}, {span}", message)
 
 
-def _jumps(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
-    """Tracklets under one label, frame after frame, that do not join."""
+def _jump_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
+    """Yield a note per jump between successive tracklets of one label."""
     for label, chains in naming.markers.items():
         for before, after in pairwise(chains):
             if after.start == before.stop and links.successor[before.tracklets[-1]] < 0:
@@ -176,13 +178,13 @@ def _jumps(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
                 yield QualityNote("marker_jump", Severity.WARNING, f"{name}, {span}", message)
 
 
-def _ambiguous(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
+def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
     pieces = take.pieces
-    for one, two in links.ambiguous[:_MOST]:
+    for one, two in links.ambiguous[:_MAX_NOTES]:
         span = take.span(int(pieces.stop[one]) - 1, int(pieces.start[two]) + 1)
         names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
         message = f"{names}: may have exchanged labels, {span}; too near to tell, left as labelled"
-        # from there on the two may be each other
+        # From there on the two may be exchanged.
         after = ((float(take.time[pieces.stop[one] - 1]), float(take.time[-1])),)
         yield QualityNote("label_ambiguous", Severity.WARNING, f"{names}, {span}", message, after)
     for chain in naming.doubtful:
@@ -192,15 +194,15 @@ def _ambiguous(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote
         yield QualityNote("label_ambiguous", Severity.WARNING, f"{name}, {span}", message, when)
 
 
-def _dropped(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+def _dropped_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
     chains = sorted(naming.leftover, key=lambda chain: (chain.start, chain.stop))
-    for chain in chains[:_MOST]:
+    for chain in chains[:_MAX_NOTES]:
         names = ", ".join(_columns(take, chain))
         span, extent = take.span(chain.start, chain.stop), _extent(take.pieces, chain, measured)
         message = f"{names}: track of no marker dropped, {span}, within {extent * 1e3:.1f} mm"
         yield QualityNote("track_dropped", Severity.WARNING, f"{names}, {span}", message)
-    if len(chains) > _MOST:
-        rest = chains[_MOST:]
+    if len(chains) > _MAX_NOTES:
+        rest = chains[_MAX_NOTES:]
         frames = sum(chain.frames for chain in rest)
         message = f"{len(rest)} more tracks of no marker dropped, {frames} samples in all"
         yield QualityNote("track_dropped", Severity.WARNING, "markers", message)
@@ -211,7 +213,7 @@ def _columns(take: Take, chain: Chain) -> Iterable[str]:
 
 
 def _extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:
-    """Diagonal of the box around a track, m."""
+    """Return the diagonal of the bounding box of a track, m."""
     points = np.concatenate(
         [
             measured[pieces.start[piece] : pieces.stop[piece], pieces.column[piece]]

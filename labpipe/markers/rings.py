@@ -1,4 +1,4 @@
-"""Several markers around one section: they stand for a point on the axis between them."""
+"""Sections with several markers: the point on the axis from the markers around it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,7 @@ from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote, Severity
 
 SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.0, -1.0))}
-"""Directions (y, z) in which the markers may lie off the axis, by where they face."""
-_STEPS = 20
-_FEWEST_FRAMES = 3
-_MOVES = 1e-6
-"""m; no camera sees less."""
-_APART = 0.3
-"""Distance of two markers in a section, in radii, below which they say nothing on its turning."""
+"""Possible directions (y, z) from the axis to the markers, by the side they face."""
 
 
 def rings_by_body(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -34,7 +28,7 @@ def rings_by_body(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
     Returns
     -------
-    Names of the markers of each ring; a marker without a colon is a ring of its own.
+    Names of the markers of each ring; a marker without a colon is a separate ring.
 
     Examples
     --------
@@ -49,35 +43,35 @@ def rings_by_body(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def ring_centres(repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]) -> RepairedTracks:
-    """Put one point in the middle of every ring of markers.
+    """Return the centre of every ring of markers.
 
     Parameters
     ----------
     repaired : tracks of the single markers
-    groups : names of the markers of each ring, as `rings_by_body` gives them
+    groups : names of the markers of each ring, from `rings_by_body`
 
     Returns
     -------
-    One track per ring: the mean of its markers. Where some are missing the centre is built from the
-    others and flagged filled; where all are missing it is NaN. A ring takes the flag of its least
+    One track per ring: the mean of its markers. If some are missing the centre is constructed from
+    the others and flagged filled; if all are missing it is NaN. A ring has the flag of its least
     certain marker.
 
     Raises
     ------
     ValueError
-        If a group names a marker that is not there, or holds none.
+        If a group names an unknown marker, or is empty.
 
     Notes
     -----
-    The ring is rigid: with three or more markers in sight their best rigid fit (Kabsch) to the ring
-    as it stood in the nearest complete frame carries the centre; with fewer, the vector from their
-    mean to the centre is interpolated between the nearest complete frames. A ring that is never
-    complete has the mean of the markers it shows.
+    The ring is rigid: with three or more markers in sight, the centre follows their best rigid fit
+    (Kabsch) to the ring in the nearest complete frame; with fewer, the vector from their mean to
+    the centre is interpolated between the nearest complete frames. A ring that is never complete
+    has the mean of the markers in sight.
     """
-    known = set(repaired.names)
+    known_names = set(repaired.names)
     tracks, flags, notes = [], [], list(repaired.notes)
     for ring, members in groups.items():
-        if not members or not known.issuperset(members):
+        if not members or not known_names.issuperset(members):
             message = f"ring {ring}={list(members)}: expected markers out of {repaired.names}"
             raise ValueError(message)
         columns = [repaired.names.index(name) for name in members]
@@ -94,18 +88,18 @@ def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArra
     seen = in_sight(positions)
     whole = seen.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
-    origin = flags.max(axis=1)  # the least certain: values rise from measured to filled
+    origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
     centre[whole] = positions[whole].mean(axis=1)
     for pattern in np.unique(seen[~whole], axis=0):
         frames = np.flatnonzero((seen == pattern).all(axis=1))
         if pattern.any():
-            centre[frames] = _carried(positions, pattern, frames, np.flatnonzero(whole))
+            centre[frames] = _centre_from_visible(positions, pattern, frames, np.flatnonzero(whole))
         origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
     return centre, origin
 
 
-def _carried(positions: Floats, pattern: Flags, frames: Ints, whole: Ints) -> Floats:
-    """Centres in `frames`, where only the markers of `pattern` are seen."""
+def _centre_from_visible(positions: Floats, pattern: Flags, frames: Ints, whole: Ints) -> Floats:
+    """Return centres in `frames`, where only the markers of `pattern` are in sight."""
     visible = positions[:, pattern]
     middle = visible[frames].mean(axis=1)
     if not len(whole):
@@ -122,7 +116,7 @@ def _carried(positions: Floats, pattern: Flags, frames: Ints, whole: Ints) -> Fl
 
 
 def _nearest(whole: Ints, frames: Ints) -> Ints:
-    """The frame out of `whole` next to each of `frames`."""
+    """Return the frame of `whole` nearest to each of `frames`."""
     after = np.clip(np.searchsorted(whole, frames), 0, len(whole) - 1)
     before = np.maximum(after - 1, 0)
     late = np.abs(whole[after] - frames) < np.abs(frames - whole[before])
@@ -130,7 +124,7 @@ def _nearest(whole: Ints, frames: Ints) -> Ints:
 
 
 def _rotations(before: Floats, after: Floats) -> Floats:
-    """Rotations that best take one set of centred points to another, for every frame (Kabsch)."""
+    """Return the best rotations from one set of centred points to another, per frame (Kabsch)."""
     left, _, right = np.linalg.svd(np.einsum("fmi,fmj->fij", after, before))
     mirror = np.ones((len(before), 3))
     mirror[:, 2] = np.sign(np.linalg.det(left @ right))
@@ -141,8 +135,14 @@ def _notes(ring: str, members: Sequence[str], flags: NDArray[np.uint8]) -> Itera
     missing = flags == PointFlag.MISSING
     built = missing.any(axis=1) & ~missing.all(axis=1)
     if built.any():
-        who = [name for name, gone in zip(members, missing[built].any(axis=0), strict=True) if gone]
-        message = f"{ring}: centre built without {', '.join(who)} in {int(built.sum())} frames"
+        missing_names = [
+            name
+            for name, is_missing in zip(members, missing[built].any(axis=0), strict=True)
+            if is_missing
+        ]
+        message = (
+            f"{ring}: centre built without {', '.join(missing_names)} in {int(built.sum())} frames"
+        )
         yield QualityNote("ring_incomplete", Severity.WARNING, ring, message)
     if not missing.any(axis=1).all():
         return
@@ -161,7 +161,7 @@ class Sections(ArrayRecord):
     markers : shape (frames, markers, 3), m; NaN where missing
     at_rest : shape (markers, 3), m, means over the rest
     section : shape (markers,), number of the section, counted along x from 0
-    columns : shape (markers,), where each of them was among the markers that were given
+    columns : shape (markers,), their indices among the given markers
     rotation_lab_to_specimen : shape (3, 3)
     """
 
@@ -173,27 +173,27 @@ class Sections(ArrayRecord):
 
     @property
     def count(self) -> int:
-        """Number of sections."""
+        """Return the number of sections."""
         return int(self.section.max()) + 1 if len(self.section) else 0
 
     @property
     def x(self) -> Floats:
-        """Place of each section at rest, shape (sections,), m."""
+        """Return the place of each section at rest, shape (sections,), m."""
         return np.array([self.at_rest[self.section == k, 0].mean() for k in range(self.count)])
 
 
 def find_sections(markers_lab: Floats, *, rest: Flags, apart: float) -> Sections:
-    """Find frame and sections of a specimen on two supports.
+    """Determine frame and sections of a specimen on two supports.
 
     Parameters
     ----------
     markers_lab : shape (frames, markers, 3), m; NaN where missing
-    rest : shape (frames,), frames in which the specimen is straight and still
-    apart : m, along the axis; markers nearer to each other share a section
+    rest : shape (frames,), frames in which the specimen is straight and at rest
+    apart : m, along the axis; closer markers share a section
 
     Returns
     -------
-    The sections. Markers that are not seen at rest are left out of them.
+    The sections, without markers that are not in sight at rest.
 
     Raises
     ------
@@ -202,11 +202,12 @@ def find_sections(markers_lab: Floats, *, rest: Flags, apart: float) -> Sections
 
     Notes
     -----
-    x is the direction in which the markers spread most at rest. y is across x, along the path of
-    the markers of the section that moves farthest (their mean, so that a turning about the axis,
-    which moves them along circles, does not tilt it).
+    x is the direction of the largest spread of the markers at rest. y is perpendicular to x, along
+    the mean path of the markers of the section that moves farthest (the mean is not affected by a
+    rotation about the axis).
     """
-    seen = np.isfinite(markers_lab[rest]).all(axis=2).sum(axis=0) >= _FEWEST_FRAMES
+    min_frames_at_rest = 3
+    seen = np.isfinite(markers_lab[rest]).all(axis=2).sum(axis=0) >= min_frames_at_rest
     markers = markers_lab[:, seen]
     if markers.shape[1] < 3:
         message = f"{markers.shape[1]} markers seen at rest: expected at least 3"
@@ -214,7 +215,7 @@ def find_sections(markers_lab: Floats, *, rest: Flags, apart: float) -> Sections
     at_rest = np.nanmean(markers[rest], axis=0)
     centre = at_rest.mean(axis=0)
     x = np.linalg.svd(at_rest - centre, full_matrices=False)[2][0]
-    section = _numbered((at_rest - centre) @ x, apart)
+    section = _number_sections((at_rest - centre) @ x, apart)
     y = _direction_of_motion(markers - at_rest, section, x)
     rotation = np.stack([x, y, np.cross(x, y)])
     return Sections(
@@ -226,7 +227,7 @@ def find_sections(markers_lab: Floats, *, rest: Flags, apart: float) -> Sections
     )
 
 
-def _numbered(along: Floats, apart: float) -> Ints:
+def _number_sections(along: Floats, apart: float) -> Ints:
     order = np.argsort(along)
     number: Ints = np.empty(len(along), dtype=np.int64)
     number[order] = np.concatenate([[0], np.cumsum(np.diff(along[order]) > apart)])
@@ -234,27 +235,31 @@ def _numbered(along: Floats, apart: float) -> Ints:
 
 
 def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:
+    # In m: below the resolution of cameras.
+    min_motion = 1e-6
     across = moved - (moved @ x)[..., None] * x
     paths = np.stack([across[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
     far = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
     path = paths[int(np.argmax(far))]
     path = path[np.isfinite(path).all(axis=1)]
-    if not far.max() > _MOVES or not len(path):
+    if not far.max() > min_motion or not len(path):
         message = "the markers do not move: expected a specimen that is bent"
         raise ValueError(message)
-    main = np.linalg.svd(path, full_matrices=False)[2][0]  # of length one, and across like the path
+    main = np.linalg.svd(path, full_matrices=False)[2][
+        0
+    ]  # a unit vector, perpendicular to x like the path
     sign = np.sign(float(path[np.argmax(np.abs(path @ main))] @ main))
     return np.asarray(sign * main, dtype=np.float64)
 
 
 def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, float]) -> Floats:
-    """Where the axis of the cylinder passes, seen along it.
+    """Return the position of the axis of the cylinder in the plane across it.
 
     Parameters
     ----------
     sections : of the specimen
     radius : m, from the axis to the centre of a marker
-    towards : direction (y, z) in which the markers lie off the axis, by and large
+    towards : approximate direction (y, z) from the axis to the markers
 
     Returns
     -------
@@ -263,11 +268,13 @@ def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, flo
     Notes
     -----
     Least squares of the distances from the axis minus `radius`, by Gauss-Newton with steps of least
-    length from the mean of the markers: what markers in one row leave open stays as `towards` says.
+    norm from the mean of the markers: markers in one row do not determine the position across the
+    row, which then follows from `towards`.
     """
+    max_steps = 20
     points, out = sections.at_rest[:, 1:], np.asarray(towards)
     axis = points.mean(axis=0) - radius * out
-    for _ in range(_STEPS if radius > 0.0 else 0):
+    for _ in range(max_steps if radius > 0.0 else 0):
         away = points - axis
         far = np.linalg.norm(away, axis=1)
         step = np.linalg.lstsq(-away / far[:, None], radius - far, rcond=0.05)[0]
@@ -276,7 +283,7 @@ def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, flo
 
 
 def section_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[Floats, Floats]:
-    """How far every section has turned about the axis against rest.
+    """Return the twist of every section about the axis relative to rest.
 
     Parameters
     ----------
@@ -288,29 +295,30 @@ def section_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
     -------
     twist : shape (frames, sections), rad, from y towards z; NaN where fewer than two markers of the
         section are in sight
-    lever : shape (sections,), m; the twist of white noise of standard deviation s is s / lever.
-        0 for a section whose markers cannot show a twist
+    lever : shape (sections,), m; noise of standard deviation s gives a twist of s / lever. 0 for a
+        section whose markers do not show the twist
 
     Notes
     -----
-    The turn that best takes the markers of a section at rest to where they are, seen along the
-    present axis, about their mean: no centre is needed, so that neither the radius nor the place of
-    the axis enters. Angle of sum(conj(a) b) with a, b the positions as complex numbers (Kabsch in
-    two dimensions).
+    The best rotation of the markers of a section from rest about their mean, in the plane across
+    the present axis; it does not depend on the radius or the position of the axis. Angle of
+    sum(conj(a) b) with a, b the positions as complex numbers (Kabsch in two dimensions).
     """
+    # In radii: closer markers do not show the twist.
+    min_spread = 0.3
     frames = len(sections.markers)
     twist = np.full((frames, sections.count), np.nan)
     lever = np.zeros(sections.count)
     for number in range(sections.count):
-        own = sections.section == number
-        rest = sections.at_rest[own, 1] + 1j * sections.at_rest[own, 2]
+        in_section = sections.section == number
+        rest = sections.at_rest[in_section, 1] + 1j * sections.at_rest[in_section, 2]
         rest = rest - rest.mean()
         spread = float(np.sqrt(np.sum(np.abs(rest) ** 2)))
-        if own.sum() < 2 or spread < _APART * max(radius, 1e-9):
+        if in_section.sum() < 2 or spread < min_spread * max(radius, 1e-9):
             continue
         lever[number] = spread
         angle = slope[:, number, None]
-        seen = sections.markers[:, own]
+        seen = sections.markers[:, in_section]
         across = -np.sin(angle) * seen[..., 0] + np.cos(angle) * seen[..., 1]
         now = across + 1j * seen[..., 2]
         now = now - now.mean(axis=1, keepdims=True)
@@ -319,14 +327,14 @@ def section_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
 
 
 def section_centres(sections: Sections, axis: Floats, slope: Floats, twist: Floats) -> Floats:
-    """Put a point on the axis of every section.
+    """Return the point on the axis of every section.
 
     Parameters
     ----------
     sections : of the specimen
-    axis : shape (2,), m, where the axis passes at rest
+    axis : shape (2,), m, position of the axis at rest
     slope : shape (frames, sections), rad, angle of the axis in the plane of bending
-    twist : shape (frames, sections), rad; NaN is taken for what the neighbours have, or for none
+    twist : shape (frames, sections), rad; NaN is interpolated from neighbours, or 0
 
     Returns
     -------
@@ -334,37 +342,37 @@ def section_centres(sections: Sections, axis: Floats, slope: Floats, twist: Floa
 
     Notes
     -----
-    A marker is rigidly joined to its section, which turns by `twist` about the axis and by `slope`
-    with it; what it then lies off the axis is taken off, and the markers of a section are averaged.
+    A marker is rigidly joined to its section, which rotates by `twist` about the axis and by
+    `slope` with it; its offset from the axis is subtracted, and the markers of a section are
+    averaged.
     """
     frames, x = len(sections.markers), sections.x
-    turned = _filled(twist)
+    turned = _fill_twist(twist)
     centres = np.full((frames, sections.count, 3), np.nan)
     for number in range(sections.count):
-        own = sections.section == number
-        off = sections.at_rest[own] - np.array([x[number], *axis])
+        in_section = sections.section == number
+        off = sections.at_rest[in_section] - np.array([x[number], *axis])
         phi, angle = turned[:, number, None], slope[:, number, None]
         across = np.cos(phi) * off[:, 1] - np.sin(phi) * off[:, 2]
         out = np.sin(phi) * off[:, 1] + np.cos(phi) * off[:, 2]
         turned_x = np.cos(angle) * off[:, 0] - np.sin(angle) * across
         turned_y = np.sin(angle) * off[:, 0] + np.cos(angle) * across
-        points = sections.markers[:, own] - np.stack([turned_x, turned_y, out], axis=2)
+        points = sections.markers[:, in_section] - np.stack([turned_x, turned_y, out], axis=2)
         seen = np.isfinite(points).all(axis=2)
         total = np.where(seen[..., None], points, 0.0).sum(axis=1)
-        some = seen.any(axis=1)
-        centres[some, number] = total[some] / seen[some].sum(axis=1)[:, None]
+        has_points = seen.any(axis=1)
+        centres[has_points, number] = total[has_points] / seen[has_points].sum(axis=1)[:, None]
     return centres
 
 
-def _filled(twist: Floats) -> Floats:
-    """Twist of every section, of those without one by a line between their neighbours."""
+def _fill_twist(twist: Floats) -> Floats:
+    """Return the twist of every section, interpolated for those without one."""
     places = np.arange(twist.shape[1])
-    known = np.isfinite(twist)
+    has_twist = np.isfinite(twist)
     filled = np.zeros_like(twist)
-    for pattern in np.unique(known, axis=0):
-        frames = (known == pattern).all(axis=1)
+    for pattern in np.unique(has_twist, axis=0):
+        frames = (has_twist == pattern).all(axis=1)
         if pattern.any():
             rows = twist[frames][:, pattern]
-            near = np.array([np.interp(places, places[pattern], row) for row in rows])
-            filled[frames] = near
+            filled[frames] = [np.interp(places, places[pattern], row) for row in rows]
     return filled

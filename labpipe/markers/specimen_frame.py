@@ -16,7 +16,7 @@ Selection: TypeAlias = slice | Flags
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenFrame(ArrayRecord):
-    """Where the specimen lies in the frame of the motion-capture system.
+    """Position of the specimen in the frame of the motion-capture system.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class SpecimenFrame(ArrayRecord):
     out_of_plane : m, root mean square distance of the markers from their common plane
     travel_residual : m, root mean square distance of the clamp from its straight path (without a
         clamp: 0)
-    notes : what is doubtful
+    notes : quality notes
     """
 
     rotation_lab_to_specimen: Annotated[Floats, 3, 3]
@@ -37,7 +37,7 @@ class SpecimenFrame(ArrayRecord):
     notes: tuple[QualityNote, ...] = ()
 
     def to_specimen(self, positions_lab: Floats) -> Floats:
-        """Turn positions of shape (..., 3) from the lab into the specimen frame; NaN stays NaN."""
+        """Transform positions of shape (..., 3) from the lab to the specimen frame; NaN is kept."""
         moved = (positions_lab - self.origin_lab) @ self.rotation_lab_to_specimen.T
         return np.asarray(moved, dtype=np.float64)
 
@@ -59,15 +59,15 @@ def specimen_frame(
     moving: Selection | None,
     out_of_plane_limit: float,
 ) -> SpecimenFrame:
-    """Find the frame of the specimen, and the order of its markers.
+    """Determine the frame of the specimen and the order of its markers.
 
     Parameters
     ----------
     clamp_lab : shape (frames, 3), m, pivot of the clamp; None for a take without a clamp
-    markers_lab : shape (frames, markers, 3), m; NaN is left out
+    markers_lab : shape (frames, markers, 3), m; NaN is ignored
     rest : frames in which the specimen is at rest, before the first loading
-    moving : frames of the first loading; None takes all
-    out_of_plane_limit : m, the frame is doubtful when the markers leave their plane by more
+    moving : frames of the first loading; None for all
+    out_of_plane_limit : m, largest distance of the markers from their plane without a note
 
     Returns
     -------
@@ -76,16 +76,15 @@ def specimen_frame(
     Raises
     ------
     ValueError
-        If nothing moves, nothing is seen at rest, or there are fewer than two markers.
+        If nothing moves, nothing is in sight at rest, or there are fewer than two markers.
 
     Notes
     -----
     With a clamp: y is opposite to the clamp's travel (its total-least-squares line); x is the
-    direction across y in which the markers, relative to the clamp, spread most, away from the
-    clamp; z = x cross y is what is left. So the plane of the wire, seen over the whole take, fixes
-    the turn about y that one pair of vectors leaves open. Without a clamp: the end that moves less
-    is the origin, x points along the chain at rest, y is the direction across x in which the other
-    end travels most.
+    direction perpendicular to y of the largest spread of the markers relative to the clamp, away
+    from the clamp; z = x cross y. So the plane of the wire over the whole take determines the
+    rotation about y. Without a clamp: the end that moves less is the origin, x points along the
+    chain at rest, y is the direction perpendicular to x of the largest travel of the other end.
     """
     if markers_lab.ndim != 3 or markers_lab.shape[1] < 2:
         message = f"markers_lab of shape {markers_lab.shape}: expected at least 2 markers"
@@ -122,12 +121,12 @@ def _frame_of_chain(markers_lab: Floats, rest: Selection, limit: float) -> Speci
 
 
 def _travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
-    """Direction in which the clamp leaves its place at rest, and what its path has beside it."""
+    """Return the direction of travel of the clamp, and the rms deviation of its path."""
     seen = path[np.isfinite(path).all(axis=1)]
     centred = seen - seen.mean(axis=0) if len(seen) > 1 else np.zeros((2, 3))
     spread, axes = np.linalg.svd(centred, full_matrices=False)[1:]
     if spread[0] <= 1e-9 * np.sqrt(len(centred)):
-        message = "clamp_lab: expected a clamp that moves, found one that stands still"
+        message = "clamp_lab: expected a clamp that moves, found one at rest"
         raise ValueError(message)
     along = (seen - rest) @ axes[0]
     sign = np.sign(along[np.abs(along).argmax()])
@@ -135,7 +134,7 @@ def _travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
 
 
 def _spread(points: Floats, normal: Floats) -> tuple[Floats, float]:
-    """Direction of greatest spread across `normal`, towards the points; the spread beside it."""
+    """Return the direction of largest spread across `normal`, and the spread beside it."""
     seen = points[np.isfinite(points).all(axis=1)]
     if not len(seen):
         message = "markers_lab: expected markers in some frame in which the clamp is seen"
@@ -151,7 +150,7 @@ def _spread(points: Floats, normal: Floats) -> tuple[Floats, float]:
 
 
 def _distances(positions: Floats, rest: Selection) -> Floats:
-    """Distances between markers, m: at rest, or over all frames for pairs not seen at rest."""
+    """Return distances between markers, m: at rest, or over all frames for other pairs."""
     count = positions.shape[1]
     distances = np.zeros((count, count))
     for one in range(count):
@@ -162,12 +161,12 @@ def _distances(positions: Floats, rest: Selection) -> Floats:
 
 
 def _reach(relative: Floats, rest: Selection) -> Floats:
-    """Distance of every marker from the clamp, m."""
+    """Return the distance of every marker from the clamp, m."""
     return np.array([_typical(relative[:, marker], rest) for marker in range(relative.shape[1])])
 
 
 def _typical(offsets: Floats, rest: Selection) -> float:
-    """Median length of offsets of shape (frames, 3), m; infinite when there is none."""
+    """Return the median length of offsets of shape (frames, 3), m; infinite if there is none."""
     for stretch in (offsets[rest], offsets):
         apart = np.linalg.norm(stretch, axis=1)
         seen = apart[np.isfinite(apart)]
@@ -177,11 +176,11 @@ def _typical(offsets: Floats, rest: Selection) -> float:
 
 
 def _order(distances: Floats, reach: Floats) -> tuple[int, ...]:
-    """Order of markers along the wire: next to the clamp first, then always the nearest left."""
+    """Return the order of markers along the wire: from the clamp, always to the nearest one."""
     order = [int(np.argmin(reach))]
     while len(order) < len(distances):
-        left = [marker for marker in range(len(distances)) if marker not in order]
-        order.append(min(left, key=lambda marker: distances[order[-1], marker]))
+        remaining = [marker for marker in range(len(distances)) if marker not in order]
+        order.append(min(remaining, key=lambda marker: distances[order[-1], marker]))
     return tuple(order)
 
 

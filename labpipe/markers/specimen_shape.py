@@ -20,7 +20,7 @@ from labpipe.markers.curve_fits import (
     last_heights,
 )
 from labpipe.markers.specimen_frame import Selection
-from labpipe.markers.track_repair import LEAST_MARKERS
+from labpipe.markers.track_repair import MIN_MARKERS
 from labpipe.markers.tracklets import in_sight
 from labpipe.records.arrays import Flags, Floats, times_of
 from labpipe.records.causes import CENTRE, GRIP, PULL
@@ -29,13 +29,11 @@ from labpipe.records.quality import QualityNote, Severity
 
 CLAMPED_END = "clamped end"
 PULL_POINT = "pull point"
-_NEARLY = 1e-8
-"""m, as `SETTLED` where only a change by some 1e-5 m is looked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapeFit:
-    """The fitted shape, and how well it is known.
+    """The fitted shape and its uncertainty.
 
     Parameters
     ----------
@@ -43,14 +41,14 @@ class ShapeFit:
     clamp_angle : rad, from x to the specimen at the clamped end, towards the pull
     residual : shape (frames,), m, root mean square distance per coordinate between markers and
         curve in the plane of bending; NaN where there is no fit
-    marker_noise : m, standard deviation of one coordinate of one marker, from how the residuals
-        scatter about their mean at rest; NaN where the markers leave no residual
+    marker_noise : m, standard deviation of one coordinate of one marker, from the scatter of the
+        residuals at rest; NaN if the markers leave no residual
     tip_gain : shape (frames, 3), standard error of the last point per unit of `marker_noise`
-    tip_systematic : shape (frames, 3), m, how far the last point moves with one coefficient more;
-        NaN where the markers do not carry one more
+    tip_systematic : shape (frames, 3), m, change of the last point with one more coefficient; NaN
+        if the markers do not allow one more
     tip_moved : by cause, shape (frames,), m, height of the last point over the first with an offset
         one standard uncertainty longer; empty for a specimen without a clamp
-    notes : what was noticed
+    notes : quality notes
     """
 
     shape: Shape
@@ -65,12 +63,12 @@ class ShapeFit:
 
 @dataclass(frozen=True, slots=True)
 class Offsets:
-    """How markers and specimen lie to each other, m.
+    """Offsets between markers and specimen, m.
 
     Parameters
     ----------
-    grip : pivot to clamped end along the specimen; of no meaning without a clamp
-    pull : last marker to pull point along the specimen; 0 leaves the pull point out
+    grip : pivot to clamped end along the specimen; unused without a clamp
+    pull : last marker to pull point along the specimen; 0 for no pull point
     centre : axis to marker centre, positive towards the pull
     """
 
@@ -79,7 +77,7 @@ class Offsets:
     centre: float = 0.0
 
     def moved(self, by: Offsets) -> dict[str, Offsets]:
-        """Make each offset longer by itself, by its cause; those that are not known better stay.
+        """Return the offsets with each one increased separately, by cause, without exact ones.
 
         Parameters
         ----------
@@ -94,7 +92,7 @@ class Offsets:
 
 
 EXACT: Final = Offsets()
-"""Standard uncertainties of offsets that are taken as exact."""
+"""Standard uncertainties of exact offsets."""
 
 
 def fit_shape(
@@ -121,8 +119,8 @@ def fit_shape(
     names : one per marker
     time : shape (frames,), s
     clamp_specimen : shape (frames, 3), m, pivot of the clamp; None for a specimen without a clamp,
-        which begins at its first marker and keeps the frame's own origin
-    rotation_lab_to_specimen : shape (3, 3), handed on
+        which begins at its first marker and keeps the origin of the frame
+    rotation_lab_to_specimen : shape (3, 3), copied to the shape
     offsets, uncertainties : of the markers, and standard uncertainties of the offsets
     terms : coefficients per coordinate
     tip : ``free``: no moment at the last point; ``loaded``: no condition there
@@ -135,19 +133,21 @@ def fit_shape(
     Raises
     ------
     ValueError
-        If the markers are too few for `terms`, or fewer than three are seen at rest.
+        If there are too few markers for `terms`, or fewer than three in sight at rest.
 
     Notes
     -----
     Relative to the clamp, which does not turn, x(s), y(s), z(s) are power series in s / L with
     r(0) and r'(0) given by the shape at rest (`curve_at_rest`), and r''(L) = 0 for a free tip. The
     centre of marker i is r(s_i) + h n(s_i), n = (-y', x', 0), so least squares is linear, and one
-    pseudo-inverse does all frames that show the same markers. The source fits y(x) by a quartic
-    (App. A), which fails as the tip nears the vertical.
+    pseudo-inverse is enough for all frames with the same markers. The source fits y(x) by a quartic
+    (App. A), which fails as the tip approaches the vertical.
 
-    With 8 markers on 85 mm and 7 terms the tip of an elastic wire is met within 7 um up to 53 mm of
-    deflection; where the wire kinks (bilinear law) within 0.1 mm, which `tip_systematic` shows.
+    With 8 markers on 85 mm and 7 terms the error of the tip of an elastic wire is below 7 um up to
+    53 mm of deflection; if the wire kinks (bilinear law) below 0.1 mm, as `tip_systematic` shows.
     """
+    # In m: only changes of some 1e-5 m matter here.
+    tolerance = 1e-8
     _check(markers_specimen, flags, names, time)
     clamped, free_tip = clamp_specimen is not None, tip == "free"
     relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
@@ -156,7 +156,7 @@ def fit_shape(
     begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
     others = offsets.moved(uncertainties) if clamped else {}
-    models = [(*begin(other, settled=_NEARLY), other.centre) for other in others.values()]
+    models = [(*begin(other, settled=tolerance), other.centre) for other in others.values()]
     heights = last_heights(relative[:, settled], models, terms=terms)
     relative = relative - (at_rest.clamped_end if clamped else 0.0)
     model = (relative[:, settled], at_rest.arc_length, offsets.centre, conditions)
@@ -185,7 +185,7 @@ def _beginning(
     free_tip: bool,
     settled: float = SETTLED,
 ) -> tuple[RestCurve, EndConditions]:
-    """Curve at rest through the means of the markers, and what it says of the ends of all."""
+    """Return the curve at rest through the means of the markers, and the end conditions."""
     at_rest = curve_at_rest(
         straight,
         grip_offset=offsets.grip if clamped else None,
@@ -203,11 +203,11 @@ def _beginning(
 
 
 def deflection(shape: Shape, *, rest: Selection) -> Floats:
-    """Deflection of the last point against the first, across the specimen.
+    """Return the deflection of the last point relative to the first, across the specimen.
 
     Parameters
     ----------
-    shape : as `fit_shape` gives it
+    shape : from `fit_shape`
     rest : frames in which the deflection is zero on average
 
     Returns
@@ -249,9 +249,9 @@ def _check(markers: Floats, flags: NDArray[np.uint8], names: Sequence[str], time
 
 
 def _mean_at_rest(relative: Floats, rest: Selection) -> Floats:
-    if relative.shape[1] < LEAST_MARKERS:
+    if relative.shape[1] < MIN_MARKERS:
         message = (
-            f"markers at rest={relative.shape[1]}: expected at least {LEAST_MARKERS} markers seen "
+            f"markers at rest={relative.shape[1]}: expected at least {MIN_MARKERS} markers seen "
             "together with the clamp before the first loading"
         )
         raise ValueError(message)
@@ -271,7 +271,7 @@ def _shape(
     *,
     clamped: bool,
 ) -> Shape:
-    """Put clamped end, markers and pull point in a row."""
+    """Return the shape with clamped end, markers and pull point in order."""
     frames = len(time)
     positions, names = [points.positions], list(points.names)
     flags = [np.where(in_sight(points.positions), points.flags, PointFlag.MISSING)]

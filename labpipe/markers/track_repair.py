@@ -1,4 +1,4 @@
-"""Repair marker tracks by rule: labels that switch, points that lose their name, gaps."""
+"""Repair of marker tracks: label switches, unlabelled tracks, gaps."""
 
 from __future__ import annotations
 
@@ -23,11 +23,7 @@ from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks
 
-LEAST_MARKERS = 3
-_DOUBLE = 0.25
-"""A track that begins this near to another, in max_jump, is a second image of the same marker."""
-_SPEED_FRAMES = 5
-"""Frames over which the speed at the ends of a gap is taken."""
+MIN_MARKERS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +33,7 @@ class RepairedTracks(ArrayRecord):
     Parameters
     ----------
     names : one per marker
-    positions : shape (frames, markers, 3), m, as given to the repair; NaN where there is none
+    positions : shape (frames, markers, 3), m, in the frame of the take; NaN where missing
     flags : shape (frames, markers), values of `PointFlag`
     notes : one per repair
     """
@@ -62,17 +58,17 @@ def repair_tracks(
     Parameters
     ----------
     tracks : the take
-    along : names of the tracks to look at, named markers and unlabelled ones; not the clamp's own
+    along : names of the tracks, labelled and unlabelled markers; not those of the clamp
     max_gap : s, longest time without a sample that is bridged and filled
-    max_jump : m, longest step from one frame to the next that is motion
-    frozen : s, shortest run of identical positions that is taken for a stale pose and removed
+    max_jump : m, longest step between frames that counts as motion
+    frozen : s, shortest run of identical positions that is removed as a stale pose
     reference : shape (frames, 3), m, position of the clamp: continuity and filling are relative to
-        it; its own blanks are bridged linearly. None for a take without a clamp.
+        it; its gaps are bridged linearly. None for a take without a clamp.
 
     Returns
     -------
-    The markers in the order of `along`. Measured positions are handed on untouched; longer gaps
-    stay NaN and are flagged missing.
+    The markers in the order of `along`. Measured positions are unchanged; longer gaps stay NaN and
+    are flagged missing.
 
     Raises
     ------
@@ -82,14 +78,18 @@ def repair_tracks(
 
     Notes
     -----
-    Tracks are cut into tracklets (`cut_tracklets`), joined across blanks and jumps by expected
+    Tracks are cut into tracklets (`cut_tracklets`), joined across gaps and jumps by expected
     position (`link_tracklets`) and named (`name_chains`). Gaps inside a joined chain are filled
     by cubics (Hermite) in the positions relative to `reference`, with the speed of the frames
     around the gap at its ends.
     """
+    # In max_jump: a track that begins this close to another is its second image.
+    double_share = 0.25
     _check(max_gap=max_gap, max_jump=max_jump, frozen=frozen)
-    measured, names = _selected(tracks, along), tuple(along)
-    base = np.zeros((len(measured), 3)) if reference is None else _bridged(reference, tracks.time)
+    measured, names = _copy_tracks(tracks, along), tuple(along)
+    base = (
+        np.zeros((len(measured), 3)) if reference is None else _bridge_gaps(reference, tracks.time)
+    )
     stale = frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
     measured[stale] = np.nan
     relative = measured - base[:, None]
@@ -102,7 +102,7 @@ def repair_tracks(
         relative=relative,
         time=tracks.time,
         settled=max_gap,
-        apart=_DOUBLE * max_jump,
+        apart=double_share * max_jump,
     )
     _require_markers(names, naming)
     take = Take(names, tracks.frames, tracks.time, pieces)
@@ -120,8 +120,8 @@ def _check(**limits: float) -> None:
             raise ValueError(message)
 
 
-def _selected(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
-    """Copy the tracks asked for; a sample with one blank coordinate is blank."""
+def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
+    """Copy the wanted tracks; a sample with one missing coordinate is missing."""
     unknown = [name for name in along if name not in tracks.names]
     if unknown or len(set(along)) < len(along):
         message = f"along={list(along)}: expected different names out of {list(tracks.names)}"
@@ -132,23 +132,23 @@ def _selected(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
     return measured
 
 
-def _bridged(reference: Floats, time: Floats) -> Floats:
-    """Fill blanks of the clamp's path linearly, ends held."""
-    known = np.isfinite(reference).all(axis=1)
-    if not known.any():
+def _bridge_gaps(reference: Floats, time: Floats) -> Floats:
+    """Fill gaps of the clamp's path linearly; extend its ends."""
+    present = np.isfinite(reference).all(axis=1)
+    if not present.any():
         message = "reference: expected positions of the clamp, found none in any frame"
         raise ValueError(message)
-    if known.all():
+    if present.all():
         return reference
-    return np.column_stack([np.interp(time, time[known], axis[known]) for axis in reference.T])
+    return np.column_stack([np.interp(time, time[present], axis[present]) for axis in reference.T])
 
 
 def _require_markers(names: tuple[str, ...], naming: Naming) -> None:
-    if len(naming.markers) < LEAST_MARKERS:
-        found = ", ".join(names[label] for label in naming.markers) or "none"
+    if len(naming.markers) < MIN_MARKERS:
+        listed = ", ".join(names[label] for label in naming.markers) or "none"
         message = (
-            f"markers={len(naming.markers)}: expected at least {LEAST_MARKERS} markers along the "
-            f"specimen, found {found}"
+            f"markers={len(naming.markers)}: expected at least {MIN_MARKERS} markers along the "
+            f"specimen, found {listed}"
         )
         raise ValueError(message)
 
@@ -163,8 +163,8 @@ def _assemble(
         for piece in _pieces(chains):
             column, stretch = pieces.column[piece], slice(pieces.start[piece], pieces.stop[piece])
             positions[stretch, marker] = measured[stretch, column]
-            own = column == label
-            flags[stretch, marker] = PointFlag.MEASURED if own else PointFlag.RELABELLED
+            is_own = column == label
+            flags[stretch, marker] = PointFlag.MEASURED if is_own else PointFlag.RELABELLED
     return positions, flags
 
 
@@ -173,7 +173,7 @@ def _pieces(chains: tuple[Chain, ...]) -> list[int]:
 
 
 def _holes(pieces: Tracklets, links: Links, naming: Naming, frames: int) -> Flags:
-    """Frames of each marker that lie between two joined tracklets."""
+    """Return the frames of each marker between two joined tracklets."""
     holes = np.zeros((frames, len(naming.markers)), dtype=np.bool_)
     for marker, chains in enumerate(naming.markers.values()):
         for piece in _pieces(chains):
@@ -187,21 +187,22 @@ def _fill(
     positions: Floats, flags: NDArray[np.uint8], base: Floats, time: Floats, holes: Flags
 ) -> None:
     for marker in np.flatnonzero(holes.any(axis=0)):
-        known = np.flatnonzero(flags[:, marker] != PointFlag.MISSING)
-        path = positions[known, marker] - base[known]
+        present = np.flatnonzero(flags[:, marker] != PointFlag.MISSING)
+        path = positions[present, marker] - base[present]
         hole = np.flatnonzero(holes[:, marker])
-        positions[hole, marker] = base[hole] + _bridged_path(time[known], path, time[hole])
+        positions[hole, marker] = base[hole] + _bridge_path(time[present], path, time[hole])
         flags[hole, marker] = PointFlag.FILLED
 
 
-def _bridged_path(time: Floats, path: Floats, at: Floats) -> Floats:
-    """Cubics across the gaps of a path that leave and arrive at its speed of a few frames."""
+def _bridge_path(time: Floats, path: Floats, at: Floats) -> Floats:
+    """Return cubics across the gaps of a path, with its speed at both ends."""
+    speed_frames = 5
     after = np.searchsorted(time, at)
     before = after - 1
     span = (time[after] - time[before])[:, None]
     part = (at - time[before])[:, None] / span
-    leaving = _speed(time, path, np.maximum(before - _SPEED_FRAMES, 0), before) * span
-    arriving = _speed(time, path, after, np.minimum(after + _SPEED_FRAMES, len(time) - 1)) * span
+    leaving = _speed(time, path, np.maximum(before - speed_frames, 0), before) * span
+    arriving = _speed(time, path, after, np.minimum(after + speed_frames, len(time) - 1)) * span
     start, stop = path[before], path[after]
     rest = 1.0 - part
     bridge: Floats = (

@@ -1,4 +1,4 @@
-"""Marker tracks cut into tracklets that certainly show one marker, and joined into chains."""
+"""Marker tracks cut into tracklets of one marker each, and joined into chains."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
-_VELOCITY_FRAMES = 5
-"""Frames over which the velocity at the end of a tracklet is taken."""
-_SAME_LABEL = 0.25
-"""How much further away, in max_jump, a point of the same label may be and still win."""
+_LABEL_PREFERENCE = 0.25
+"""Preference for the same label, as a distance in max_jump."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,8 +19,8 @@ class Tracklets:
 
     Parameters
     ----------
-    column : shape (n,), the track that holds it
-    start, stop : shape (n,), frames, `stop` left out
+    column : shape (n,), its track
+    start, stop : shape (n,), frames, `stop` excluded
     """
 
     column: Ints
@@ -34,13 +32,13 @@ class Tracklets:
 
 
 def in_sight(positions: Floats) -> Flags:
-    """Which points have a position; shape (..., 3) of floats to shape (...) of flags."""
+    """Return which points have a position; shape (..., 3) of floats to shape (...) of flags."""
     x, y, z = (np.isfinite(positions[..., axis]) for axis in range(3))  # .all() is 15 x slower
     return np.asarray(x & y & z, dtype=np.bool_)
 
 
 def frame_period(time: Floats) -> float:
-    """Time from one frame to the next, s: the median, so that holes in a cut take do not count."""
+    """Return the frame period, s: the median, so that holes in a cut take do not count."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 1.0
 
 
@@ -49,14 +47,14 @@ def frozen_samples(
 ) -> Flags:
     """Mark samples that repeat the last pose while other points move.
 
-    Some exports hold the last position of a lost point instead of leaving it blank.
+    Some exports repeat the last position of a lost point instead of leaving it blank.
 
     Parameters
     ----------
     positions : shape (frames, points, 3), m, as exported
     time : shape (frames,), s
     frozen : s, shortest run of identical positions that counts
-    reference : shape (frames, 3), m, one more point that shows movement, such as the clamp
+    reference : shape (frames, 3), m, a further moving point, such as the clamp
 
     Returns
     -------
@@ -92,16 +90,16 @@ def frozen_samples(
 def cut_tracklets(
     positions: Floats, relative: Floats, time: Floats, *, max_jump: float
 ) -> Tracklets:
-    """Cut every track at blanks, at jumps, and where two tracks exchange their points.
+    """Cut every track at gaps, at jumps, and where two tracks exchange their points.
 
     Parameters
     ----------
-    positions : shape (frames, tracks, 3), m, as measured; NaN where not seen
+    positions : shape (frames, tracks, 3), m, as measured; NaN where missing
     relative : shape (frames, tracks, 3), m, the same relative to the clamp
     time : shape (frames,), s
-    max_jump : m, longest step from one frame to the next that is motion. A step is a jump only if
-        it is too long both as measured and relative to the clamp, so neither fast travel of the
-        whole rig nor a slip of the clamp's own pose cuts anything.
+    max_jump : m, longest step between frames that counts as motion. A step is a jump only if it is
+        too long both as measured and relative to the clamp, so that neither fast travel of the
+        whole rig nor an error of the clamp's pose cuts tracks.
 
     Returns
     -------
@@ -136,22 +134,22 @@ def _squared_steps(positions: Floats) -> Floats:
 
 
 def _exchanges(earlier: Floats, later: Floats) -> Flags:
-    """Tracks that change places with another one from `earlier` to `later`."""
+    """Return tracks that exchange places with another one from `earlier` to `later`."""
     apart = np.linalg.norm(later[:, :, None] - earlier[:, None], axis=3)
-    own = np.einsum("fii->fi", apart)
-    nearer = apart < own[:, :, None]
+    steps = np.einsum("fii->fi", apart)
+    nearer = apart < steps[:, :, None]
     return np.asarray((nearer & nearer.transpose(0, 2, 1)).any(axis=2), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """Which tracklet goes on as which.
+    """Links between tracklets.
 
     Parameters
     ----------
     chain : shape (tracklets,), number of the chain that each tracklet belongs to
     successor : shape (tracklets,), the next tracklet of the chain, -1 at its end
-    ambiguous : pairs of tracklets that position alone would join differently, left to the labels
+    ambiguous : pairs of tracklets that position would join differently, joined by label
     """
 
     chain: Ints
@@ -172,7 +170,7 @@ class _Pairs:
 def link_tracklets(
     tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
 ) -> Links:
-    """Join the end of one tracklet to the start of another that goes on where it would be.
+    """Join ends of tracklets to the starts of others at the expected position.
 
     Parameters
     ----------
@@ -180,9 +178,8 @@ def link_tracklets(
     relative : shape (frames, tracks, 3), m, positions relative to the clamp
     time : shape (frames,), s
     max_gap : s, longest time without a sample that is bridged
-    max_jump : m, furthest that the start may lie from where the point is expected; under the same
-        label this much times the root of the frames of the gap, but then any nearer partner is
-        preferred
+    max_jump : m, largest distance of the start from the expected position; for the same label
+        times the root of the frames of the gap, but then any nearer partner is preferred
 
     Returns
     -------
@@ -190,15 +187,15 @@ def link_tracklets(
 
     Notes
     -----
-    Expected is either where the point stood or where the mean of both velocities takes it,
+    The expected position is the last one, or the one extrapolated with the mean of both velocities,
     whichever is nearer. Within each group of competing ends and starts the assignment of least
-    total distance is taken; crossing to another label costs a quarter of `max_jump` on top.
-    A crossing whose rival (a simultaneous tracklet) lies as near within that margin is not made.
+    total distance is used; a change of label costs a quarter of `max_jump` in addition. A change of
+    label is rejected if a rival (a simultaneous tracklet) is as near within that margin.
     """
     pairs = _candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     successor = np.full(len(tracklets), -1, dtype=np.int64)
-    chosen = _assign(pairs, unlinked=max_jump * (1 + _SAME_LABEL))
-    margin = _SAME_LABEL * max_jump
+    chosen = _assign(pairs, unlinked=max_jump * (1 + _LABEL_PREFERENCE))
+    margin = _LABEL_PREFERENCE * max_jump
     doubts = dict(_rivals(pairs, chosen, tracklets, margin))
     crossing = tracklets.column[pairs.end] != tracklets.column[pairs.start]
     for index in chosen:
@@ -225,7 +222,7 @@ def _candidates(
     distance = _distances(tracklets, relative, time, end, start)
     crossing = tracklets.column[end] != tracklets.column[start]
     gate = np.where(crossing, max_jump, max_jump * np.sqrt(np.maximum(1.0, pause / period)))
-    cost = np.minimum(distance, 0.999 * max_jump) + _SAME_LABEL * max_jump * crossing
+    cost = np.minimum(distance, 0.999 * max_jump) + _LABEL_PREFERENCE * max_jump * crossing
     keep = distance <= gate
     return _Pairs(end[keep], start[keep], distance[keep], cost[keep])
 
@@ -233,10 +230,11 @@ def _candidates(
 def _distances(
     tracklets: Tracklets, relative: Floats, time: Floats, end: Ints, start: Ints
 ) -> Floats:
-    """How far each start lies from where the end would be."""
+    """Return the distance of each start from the expected position of the end."""
+    velocity_frames = 5
     column, begin, final = tracklets.column, tracklets.start, tracklets.stop - 1
-    inside_end = np.maximum(begin, final - _VELOCITY_FRAMES)
-    inside_start = np.minimum(final, begin + _VELOCITY_FRAMES)
+    inside_end = np.maximum(begin, final - velocity_frames)
+    inside_start = np.minimum(final, begin + velocity_frames)
 
     def velocity(a: Ints, b: Ints) -> Floats:
         pause = np.where(b > a, time[b] - time[a], 1.0)
@@ -251,8 +249,8 @@ def _distances(
 
 
 def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
-    """Indices of the pairs that make the cheapest assignment."""
-    from scipy.optimize import linear_sum_assignment  # pulls need not wait for it
+    """Return the indices of the pairs of the cheapest assignment."""
+    from scipy.optimize import linear_sum_assignment  # slow import, not needed by tensile tests
 
     chosen: list[int] = []
     for group in _groups(pairs):
@@ -268,7 +266,7 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
 
 
 def _groups(pairs: _Pairs) -> list[Ints]:
-    """Pairs that compete with each other, directly or through others."""
+    """Return groups of pairs that compete with each other, directly or indirectly."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -284,7 +282,7 @@ def _groups(pairs: _Pairs) -> list[Ints]:
 def _rivals(
     pairs: _Pairs, chosen: list[int], tracklets: Tracklets, margin: float
 ) -> Iterable[tuple[int, int]]:
-    """Chosen pairs with a rival too near to tell, and the rival."""
+    """Yield chosen pairs with an equally near rival, and the rival."""
     column = tracklets.column
     by_end, by_start = _index(pairs.end), _index(pairs.start)
     for index in chosen:
@@ -310,18 +308,18 @@ def _index(keys: Ints) -> dict[int, list[int]]:
 
 
 def _overlap(tracklets: Tracklets, one: int, two: int) -> bool:
-    """Whether two different tracklets share a frame, so that they are different points."""
+    """Return whether two different tracklets share a frame, so that they are different points."""
     begin = max(tracklets.start[one], tracklets.start[two])
     return one != two and bool(begin < min(tracklets.stop[one], tracklets.stop[two]))
 
 
 def _chains(successor: Ints) -> Ints:
     chain = np.full(len(successor), -1, dtype=np.int64)
-    fresh = 0
+    next_chain = 0
     for tracklet, after in enumerate(successor.tolist()):
         if chain[tracklet] < 0:
-            chain[tracklet] = fresh
-            fresh += 1
+            chain[tracklet] = next_chain
+            next_chain += 1
         if after >= 0:
             chain[after] = chain[tracklet]
     return chain

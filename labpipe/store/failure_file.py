@@ -1,4 +1,4 @@
-"""failure.json: why a test has no new results, beside its earlier ones."""
+"""Writing of failure.json: the reason why a test has no new results."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ FAILURE_SCHEMA = 1
 
 @dataclass(frozen=True, slots=True)
 class FailedTest:
-    """Why a test could not be processed.
+    """A test that could not be processed, and the reason.
 
     Parameters
     ----------
-    test : its name; empty where that is not known
+    test : its name; empty if unknown
     code : see `labpipe.errors.CODES`
     reason : the message for the user
-    run : key that its results would have had; empty where that is not known
-    inputs : the exports, where all can be read
+    run : key of the failed run; empty if unknown
+    inputs : the exports, if all can be read
     made_of : SHA-256 of the test sheet and of the resolved protocol, as in ``summary.json``; empty
-        where they cannot be read
+        if they cannot be read
     """
 
     test: str
@@ -39,17 +39,17 @@ class FailedTest:
 
 
 def write_failure(failure: FailedTest, folder: Path) -> None:
-    """Write ``failure.json``; nothing else in the folder is touched.
+    """Write ``failure.json``; other files in the folder are unchanged.
 
     Parameters
     ----------
     failure : of the test
-    folder : of its results; made if it is not there
+    folder : of its results; created if it does not exist
 
     Raises
     ------
     StoreError
-        If it cannot be written, or another labpipe process works there.
+        If it cannot be written, or another labpipe process works in the folder.
     """
     inputs = [{"role": i.role, "file": i.file, "sha256": i.sha256} for i in failure.inputs]
     head = {"schema": FAILURE_SCHEMA, "labpipe": __version__}

@@ -1,7 +1,7 @@
-"""Datasets and attributes made by the calls of the HDF5 library itself.
+"""Datasets and attributes written with low-level calls of the HDF5 library.
 
-h5py makes types, spaces and property lists anew for each of the hundreds of small things in a
-result file; here they are made once. What is written is the same, in a third of the time.
+h5py creates types, spaces and property lists again for each of the hundreds of small objects in a
+result file; here they are created once. The content is the same, in a third of the time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from h5py import h5a, h5d, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 LEVEL: Final = 3
-"""At levels 1 and 2 ISA-L (isal 1.9) now and then packs the same bytes otherwise in a thread."""
+"""At levels 1 and 2 ISA-L (isal 1.9) sometimes compresses equal bytes differently in a thread."""
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
 _SCALAR: Final = h5s.create(h5s.SCALAR)
@@ -24,27 +24,29 @@ _IN_MEMORY: Final = h5t.py_create(_STRING)
 
 
 def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, ...]) -> Any:
-    """Make a dataset for an array, without writing the array.
+    """Create a dataset for an array, without writing the array.
 
     Parameters
     ----------
-    group : open, without anything of this name
+    group : open, without an object of this name
     name : of the dataset
     values : any shape and number type; axes of length 0 may grow
     chunk : shape of the chunks, which go through shuffle, gzip and fletcher32
 
     Returns
     -------
-    The dataset, which keeps no times.
+    The dataset, without time stamps.
     """
-    most = tuple(size or h5s.UNLIMITED for size in values.shape)
-    space = h5s.create_simple(values.shape, most)
-    created = h5d.create(group.id, name.encode(), _type(values.dtype.str), space, _how(chunk))
+    max_shape = tuple(size or h5s.UNLIMITED for size in values.shape)
+    space = h5s.create_simple(values.shape, max_shape)
+    created = h5d.create(
+        group.id, name.encode(), _type(values.dtype.str), space, _properties(chunk)
+    )
     return h5py.Dataset(created)
 
 
 def open_dataset(group: Any, name: str) -> Any:
-    """Open a dataset that is there.
+    """Open an existing dataset.
 
     Parameters
     ----------
@@ -56,21 +58,21 @@ def open_dataset(group: Any, name: str) -> Any:
 
 @lru_cache(maxsize=256)
 def _type(kind: str) -> Any:
-    made = h5t.py_create(np.dtype(kind), logical=True)
-    if isinstance(made, h5t.TypeStringID):
-        made.set_strpad(h5t.STR_NULLTERM)
-    return made
+    hdf5_type = h5t.py_create(np.dtype(kind), logical=True)
+    if isinstance(hdf5_type, h5t.TypeStringID):
+        hdf5_type.set_strpad(h5t.STR_NULLTERM)
+    return hdf5_type
 
 
 @lru_cache(maxsize=256)
-def _how(chunk: tuple[int, ...]) -> Any:
-    made = h5p.create(h5p.DATASET_CREATE)
-    made.set_obj_track_times(False)
-    made.set_chunk(chunk)
-    made.set_shuffle()
-    made.set_deflate(LEVEL)
-    made.set_fletcher32()
-    return made
+def _properties(chunk: tuple[int, ...]) -> Any:
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_obj_track_times(False)
+    properties.set_chunk(chunk)
+    properties.set_shuffle()
+    properties.set_deflate(LEVEL)
+    properties.set_fletcher32()
+    return properties
 
 
 def set_text(owner: Any, name: str, text: str) -> None:
@@ -81,8 +83,8 @@ def set_text(owner: Any, name: str, text: str) -> None:
     owner : open group or dataset, without an attribute of this name
     name, text : of the attribute
     """
-    made = h5a.create(owner.id, name.encode(), _TEXT, _SCALAR)
-    made.write(np.array(text, dtype=_STRING))
+    attribute = h5a.create(owner.id, name.encode(), _TEXT, _SCALAR)
+    attribute.write(np.array(text, dtype=_STRING))
 
 
 def get_text(owner: Any, name: str) -> Any:
@@ -95,7 +97,7 @@ def get_text(owner: Any, name: str) -> Any:
 
     Returns
     -------
-    The text; what h5py makes of it if it is none.
+    The text; the value of h5py if it is not a text.
 
     Raises
     ------
@@ -104,18 +106,20 @@ def get_text(owner: Any, name: str) -> Any:
     UnicodeDecodeError
         If it is not UTF-8.
     """
-    found = h5a.open(owner.id, name.encode())
-    kind = found.get_type()
-    is_text = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str() and found.shape == ()
+    attribute = h5a.open(owner.id, name.encode())
+    kind = attribute.get_type()
+    is_text = (
+        isinstance(kind, h5t.TypeStringID) and kind.is_variable_str() and attribute.shape == ()
+    )
     if not is_text:
         return owner.attrs[name]
     text = np.array("", dtype=_STRING)
-    found.read(text, mtype=_IN_MEMORY)
+    attribute.read(text, mtype=_IN_MEMORY)
     return bytes(text[()]).decode()
 
 
 def has_attribute(owner: Any, name: str) -> bool:
-    """Tell whether a group or dataset has an attribute.
+    """Return whether a group or dataset has an attribute.
 
     Parameters
     ----------
@@ -138,18 +142,18 @@ def get_number(owner: Any, name: str) -> float:
     KeyError
         If there is no such attribute.
     TypeError, ValueError
-        If it is no number.
+        If it is not a number.
     """
-    found = h5a.open(owner.id, name.encode())
-    if found.shape != () or found.get_type() != h5t.NATIVE_DOUBLE:
+    attribute = h5a.open(owner.id, name.encode())
+    if attribute.shape != () or attribute.get_type() != h5t.NATIVE_DOUBLE:
         return float(owner.attrs[name])
     value = np.empty((), dtype=np.float64)
-    found.read(value)
+    attribute.read(value)
     return float(value)
 
 
 def is_empty(owner: Any, name: str) -> bool:
-    """Tell whether an attribute that should be a list has no entry.
+    """Return whether an attribute that should be a list is empty.
 
     Parameters
     ----------

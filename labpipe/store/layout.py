@@ -1,11 +1,11 @@
 """Names, units and axes of everything in a result file: the schema, as data.
 
-Every dataset carries the attributes ``unit`` and ``axes``; a unit of None here means that the
-dataset says its own. Each axis has a dimension scale, as netCDF-4 wants it: a dataset of its group.
-A table is a group of columns, never a compound: Octave skips compounds, and texts in them crash the
+Every dataset has the attributes ``unit`` and ``axes``; a unit of None here means that the dataset
+defines its own. Each axis has a dimension scale, as netCDF-4 requires: a dataset of its group. A
+table is a group of columns, never a compound: Octave skips compounds, and texts in them crash the
 netCDF library. Texts are UTF-8: of variable length in attributes, of fixed length in datasets,
-where they are declared ASCII. That is the one kind of text that Octave reads, and the checksum
-covers it; HDF5 has none for variable lengths.
+where they are declared ASCII. Octave reads only this type of text, and checksums cover it; HDF5 has
+none for variable lengths.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Final
 
 SCHEMA: Final = 2
-"""Version of the layout; 1 is read, too, and a file with a higher one is refused."""
+"""Version of the layout; version 1 is also read, higher versions are refused."""
 
 NO_UNIT: Final = "unknown"
-"""Stands where neither the export nor the protocol has said the unit."""
+"""Unit of channels for which neither the export nor the protocol states one."""
 
 TEXT: Final = "text"
 """The unit of a dataset of strings."""
@@ -27,12 +27,12 @@ TEXT: Final = "text"
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """What one dataset must be.
+    """Definition of a dataset.
 
     Parameters
     ----------
-    axes : name of each axis
-    unit : SI unit; None where the dataset says its own
+    axes : names of the axes
+    unit : SI unit; None if the dataset defines its own
     dtype : numpy's name of the number type
     """
 
@@ -70,7 +70,7 @@ COORDINATES: Final[Mapping[str, tuple[str, ...]]] = {
     "specimen": ("x", "y", "z"),
     "lab": ("x", "y", "z"),
 }
-"""Words along an axis that has no dataset of its own for them; other axes are counted from 0."""
+"""Labels along an axis without its own dataset; other axes are numbered from 0."""
 
 # Attributes of the root, each also a field of TestResult.
 SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
@@ -82,7 +82,7 @@ FIGURES: Final = "figures"
 DATE: Final = "date"
 OPERATOR: Final = "operator"
 INSTRUMENTS: Final = "instruments"
-"""Group of columns, only where the protocol has certificates."""
+"""Group of columns, only if the protocol has certificates."""
 INSTRUMENT_TABLE: Final = _table(
     "instrument",
     "channel",
@@ -271,7 +271,7 @@ REASON_CODES: Final = "reason_codes"
 REASON_MESSAGES: Final = "reason_messages"
 INTERVAL_NUMBERS: Final = ("lower", "upper", "level")
 RESULT_TABLE: Final = "table"
-"""Group in `RESULTS` with a row per result, for programs that read no attributes."""
+"""Group in `RESULTS` with a row per result, for programs that do not read attributes."""
 RESULT_COLUMNS: Final = _table(
     "result",
     "name",
@@ -308,16 +308,16 @@ NOTE_TABLE: Final = _table("note", "code", dict.fromkeys(NOTE_COLUMNS, _TEXTS))
 
 
 def link_name(name: str, taken: Iterable[str]) -> str:
-    """Turn any name into one that HDF5, h5dump and MATLAB take, and that is still free.
+    """Return an unused name that HDF5, h5dump and MATLAB accept.
 
     Parameters
     ----------
-    name : such as a channel's; slashes, blanks and other signs become underscores
-    taken : names that are in use in the same group
+    name : such as that of a channel; slashes, blanks and other characters become underscores
+    taken : names in use in the same group
 
     Returns
     -------
-    The name, with a number behind it if it was taken.
+    The name, with a number appended if it is in use.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""HDF5 to TestResult: everything checked, nothing guessed."""
+"""Reading of result files: HDF5 to TestResult, fully checked."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _R = TypeVar("_R")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawTest:
-    """What a result file holds of a test before processing: enough to process it again.
+    """The content of a result file before processing: sufficient to process the test again.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class RawTest:
     protocol : name of the protocol
     protocol_yaml : the resolved protocol
     test_yaml : the test sheet as written
-    labpipe_version : the version that made the file
+    labpipe_version : the version that wrote the file
     inputs : the exports, with their fingerprints
     recordings : by role
     """
@@ -76,7 +76,7 @@ class RawTest:
 
 
 def read_result(path: Path) -> TestResult:
-    """Read a result file whole, exactly as it was written.
+    """Read a complete result file.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def read_result(path: Path) -> TestResult:
 
 
 def read_outcome(path: Path) -> TestResult:
-    """Read what a report needs of a result file: curve and results, no recordings, no shapes.
+    """Read the parts of a result file for a report: curve and results, no recordings or shapes.
 
     Parameters
     ----------
@@ -112,8 +112,8 @@ def read_outcome(path: Path) -> TestResult:
 
     Returns
     -------
-    The test with empty recordings; the aligned signals only where slips were repaired, so that the
-    force as measured can be shown.
+    The test with empty recordings; the aligned signals only if slips were repaired, to show the
+    measured force.
 
     Raises
     ------
@@ -121,16 +121,16 @@ def read_outcome(path: Path) -> TestResult:
         As `read_result`.
     """
     with opened(path) as root:
-        return _reported(root)
+        return _read_reported(root)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawable:
-    """What a report needs of a result file.
+    """The parts of a result file for a report.
 
     Parameters
     ----------
-    result : as `read_outcome` gives it
+    result : as from `read_outcome`
     shapes : at the chosen frames; None without shapes
     law : None without a measured law
     """
@@ -143,13 +143,13 @@ class Drawable:
 def read_drawable(
     path: Path, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
 ) -> Drawable:
-    """Read what a report needs of a result file: the outcome, few shapes and the measured law.
+    """Read the parts of a result file for a report: outcome, few shapes and measured law.
 
     Parameters
     ----------
     path : a file that `write_result` made
-    choose : is given the outcome and the times of all frames, s; says which frames are wanted, in
-        order, and the deflection at each of them, m
+    choose : function of the outcome and the times of all frames, s; returns the wanted frames, in
+        order, and their deflections, m
 
     Raises
     ------
@@ -157,11 +157,11 @@ def read_drawable(
         As `read_result`.
     """
     with opened(path) as root:
-        result = _reported(root)
-        return Drawable(result, _drawn_shapes(root, result, choose), _drawn_law(root))
+        result = _read_reported(root)
+        return Drawable(result, _read_drawn_shapes(root, result, choose), _read_drawn_law(root))
 
 
-def _drawn_shapes(
+def _read_drawn_shapes(
     root: Any, result: TestResult, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
 ) -> DrawnShapes | None:
     if layout.SHAPE not in root:
@@ -172,7 +172,7 @@ def _drawn_shapes(
     return DrawnShapes(deflection, places[:, :, :2])
 
 
-def _drawn_law(root: Any) -> DrawnLaw | None:
+def _read_drawn_law(root: Any) -> DrawnLaw | None:
     group = root.get(f"{layout.BENDING}/{layout.LAW}")
     if group is None:
         return None
@@ -180,8 +180,8 @@ def _drawn_law(root: Any) -> DrawnLaw | None:
     return DrawnLaw(**arrays(group, {name: layout.LAW_FIELDS[name] for name in names}))
 
 
-def _reported(root: Any) -> TestResult:
-    """The outcome, with the aligned signals only where slips were repaired."""
+def _read_reported(root: Any) -> TestResult:
+    """Return the outcome, with the aligned signals only if slips were repaired."""
     outcome = _outcome(root)
     is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in outcome["slips"])
     aligned = _aligned(root) if is_repaired else None
@@ -189,7 +189,7 @@ def _reported(root: Any) -> TestResult:
 
 
 def read_stages(path: Path) -> TestResult:
-    """Read all that processing made of a test: aligned signals, shapes and outcome, no recordings.
+    """Read the stages of processing: aligned signals, shapes and outcome, no recordings.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def read_stages(path: Path) -> TestResult:
 
 
 def read_raw(path: Path) -> RawTest:
-    """Read what is needed to process a test again when its exports are gone.
+    """Read the parts needed to process a test again without its exports.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def read_raw(path: Path) -> RawTest:
 
 
 def read_name(path: Path) -> str:
-    """Read the name of the test alone.
+    """Read the name of the test only.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def read_name(path: Path) -> str:
 
 
 def read_run(path: Path) -> str:
-    """Read the key of the run alone.
+    """Read the key of the run only.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
 
 
 def _outcome(root: Any) -> dict[str, Any]:
-    """Read what processing found, the curve and the numbers."""
+    """Read the outcome of processing: curve and numbers."""
     curve = root.get(layout.CURVE)
     return {
         "curve": None if curve is None else _curve(curve),
@@ -295,7 +295,7 @@ def _outcome(root: Any) -> dict[str, Any]:
 
 
 def _circumstances(root: Any) -> dict[str, Any]:
-    """Read who made the test, when and with what; a file from before these were kept says less."""
+    """Read operator, date and instruments of the test, which old files do not have."""
     day = text(root, layout.DATE) if layout.DATE in root.attrs else ""
     return {
         "date": date.fromisoformat(day) if day else None,
@@ -307,21 +307,21 @@ def _circumstances(root: Any) -> dict[str, Any]:
 
 
 def _instrument(row: Mapping[str, Any]) -> Instrument:
-    words = {name: cell.decode() for name, cell in row.items() if isinstance(cell, bytes)}
+    cells = {name: cell.decode() for name, cell in row.items() if isinstance(cell, bytes)}
     return Instrument(
-        channel=words["channel"],
-        measures=tuple(words["measures"].split(", ")),
-        certificate=words["certificate"],
-        calibrated=date.fromisoformat(words["calibrated"]),
-        due=date.fromisoformat(words["due"]) if words["due"] else None,
+        channel=cells["channel"],
+        measures=tuple(cells["measures"].split(", ")),
+        certificate=cells["certificate"],
+        calibrated=date.fromisoformat(cells["calibrated"]),
+        due=date.fromisoformat(cells["due"]) if cells["due"] else None,
         uncertainty=None if isnan(row["uncertainty"]) else row["uncertainty"],
         k=row["k"],
     )
 
 
 def _display(root: Any) -> dict[str, str]:
-    said = json.loads(text(root, layout.DISPLAY))
-    return {str(quantity): str(unit) for quantity, unit in said.items()}
+    units = json.loads(text(root, layout.DISPLAY))
+    return {str(quantity): str(unit) for quantity, unit in units.items()}
 
 
 def _inputs(raw: Any) -> tuple[InputFile, ...]:
@@ -380,13 +380,13 @@ def _curve(group: Any) -> Curve:
 
 
 def _records(kind: type[_R], table: Iterable[Any]) -> tuple[_R, ...]:
-    """Make the rows of a table records."""
+    """Convert the rows of a table to records."""
     hints = get_type_hints(kind).items()
     return tuple(kind(**{key: _cell(row, key, of) for key, of in hints}) for row in table)
 
 
 def _cell(row: Any, name: str, kind: Any) -> object:
-    """One field of a record; ``drop_interval`` stands in ``drop_lower`` and ``drop_upper``."""
+    """Return one field of a record; ``drop_interval`` is in ``drop_lower`` and ``drop_upper``."""
     if kind is Interval:
         ends = (f"{name.removesuffix('_interval')}_{end}" for end in ("lower", "upper"))
         return Interval(*(float(row[end]) for end in ends))
@@ -411,12 +411,12 @@ def _results(root: Any) -> tuple[Result, ...]:
 
 
 def _budgets(root: Any) -> dict[str, list[Contribution]]:
-    """Rows of the budgets by result; files from before there were budgets have none."""
+    """Return the rows of the budgets by result; old files have none."""
     budgets: dict[str, list[Contribution]] = {}
     for row in rows(root, layout.BUDGETS, layout.BUDGET_TABLE):
         cause, change = row["cause"].decode(), float(row["change"])
-        own = Contribution(cause, change, bool(row["is_common"]))
-        budgets.setdefault(row["result"].decode(), []).append(own)
+        contribution = Contribution(cause, change, bool(row["is_common"]))
+        budgets.setdefault(row["result"].decode(), []).append(contribution)
     return budgets
 
 
@@ -424,8 +424,8 @@ def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution,
     status, method = Status(text(group, "status")), text(group, "method")
     is_new = has_attribute(group, "made_of")
     parts: dict[str, Any] = {"method": method}
-    parts |= {each: text(group, each) for each in ("made_of", "remark")} if is_new else {}
-    found = Result(
+    parts |= {key: text(group, key) for key in ("made_of", "remark")} if is_new else {}
+    result = Result(
         name=name,
         value=None if status is Status.FAILED else get_number(group, "value"),
         unit=text(group, "unit"),
@@ -439,7 +439,7 @@ def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution,
         budget=budget,
         **(parts if is_new else method_parts(method, others)),
     )
-    if has_attribute(group, "seal") and text(group, "seal") != found.seal:
+    if has_attribute(group, "seal") and text(group, "seal") != result.seal:
         message = f"results/{name}: its numbers were changed after they were written"
         raise ValueError(message)
-    return found
+    return result

@@ -1,4 +1,4 @@
-"""Write-verify-rename in the folder of a test, by one process at a time."""
+"""Atomic replacement of files in the folder of a test, by one process at a time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from labpipe.errors import StoreError, error_text
 
-_CAUSES = {
+_ERROR_TEXTS = {
     errno.ENOSPC: ("room on the disk", "a full disk", "Make room and process the test again."),
     errno.EDQUOT: ("room on the disk", "a used-up quota", "Make room and process the test again."),
     errno.EACCES: ("a folder to write in", "no permission", "Change the folder's permissions."),
@@ -23,7 +23,7 @@ _CAUSES = {
     errno.EROFS: ("a folder to write in", "a read-only disk", "Choose another folder with --out."),
     errno.ENOENT: ("a folder to write in", "no such folder", "Make the folder first."),
     errno.ENOTDIR: ("a folder to write in", "a file in its place", "Choose another folder."),
-    errno.ELOOP: ("a folder of its own", "a link to another place", "Take the link away."),
+    errno.ELOOP: ("a folder of its own", "a link to another place", "Remove the link."),
     errno.EISDIR: ("a file to replace", "a folder in its place", "Move the folder away."),
     errno.EEXIST: ("a folder to write in", "a file in its place", "Choose another folder."),
 }
@@ -31,7 +31,7 @@ _CAUSES = {
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Hand out a temporary file beside `path`, and rename it to `path` once all went well.
+    """Yield a temporary file beside `path`, and rename it to `path` on success.
 
     Parameters
     ----------
@@ -39,13 +39,13 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Yields
     ------
-    The temporary file to write; it is brought to the disk (fsync) before the rename.
+    The temporary file to write; it is flushed to the disk (fsync) before the rename.
 
     Raises
     ------
     StoreError
-        If the system refuses: full disk, no permission, no folder. As with any other way out of
-        the block, the temporary file is gone and what stood at `path` before still stands there.
+        On an error of the system: full disk, no permission, no folder. As after any other error,
+        the temporary file is removed and the earlier file at `path` is unchanged.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -63,20 +63,20 @@ _STAGE = ".labpipe.new"
 _COMMIT = ".labpipe.commit"
 _DONE = ".labpipe.old"
 STAGES = (_STAGE, _COMMIT, _DONE)
-"""Folders in which labpipe writes; what a killed process left there is no result."""
-_FILES, _ASIDE, _GONE = "files", "aside", "gone"
+"""Temporary folders of labpipe; remainders of a killed process there are not results."""
+_FILES, _ASIDE, _REMOVED = "files", "aside", "gone"
 
 
 @contextmanager
 def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
-    """Hand out an empty folder, and move its files into `folder` once all went well.
+    """Yield an empty folder, and move its files into `folder` on success.
 
     Parameters
     ----------
-    folder : holds files that belong together, such as a result and its figures; files of other
-        names stay. No other process may write in it meanwhile (`store.lock.locked`)
-    owned : files below it, with slashes, that are taken away where there is no new one: they would
-        speak for other numbers
+    folder : contains files that belong together, such as a result and its figures; files with other
+        names are kept. No other process may write in it meanwhile (`locked`)
+    owned : files below it, with slashes, that are removed if there is no new one, as they belong to
+        other numbers
 
     Yields
     ------
@@ -85,21 +85,20 @@ def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[P
     Raises
     ------
     StoreError
-        If the system refuses. As with any other way out of the block, what stood in `folder`
-        before still stands there, and nothing else does.
+        On an error of the system. As after any other error, the content of `folder` is unchanged.
 
     Notes
     -----
-    All new files are brought to the disk. Then one rename of the folder that holds them makes them
-    those that count: a process killed before leaves all that was; after one killed later
-    `is_cut_off` says so, and `finish_cut_off` moves the rest, as does whoever writes here next.
+    All new files are flushed to the disk. Then one rename of their folder makes them valid: a
+    process killed before that leaves the earlier files; if it is killed later, `is_cut_off` is
+    true, and `finish_cut_off` or the next writer moves the remaining files.
     """
     stage = folder / _STAGE
     with storing(folder):
         finish_cut_off(folder)
-        for left in (stage, folder / _DONE):
-            if left.exists():  # by a process that was killed
-                shutil.rmtree(left)
+        for leftover in (stage, folder / _DONE):
+            if leftover.exists():  # from a killed process
+                shutil.rmtree(leftover)
         stage.mkdir()
         (stage / _FILES).mkdir()
     try:
@@ -111,17 +110,17 @@ def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[P
 
 
 def is_cut_off(folder: Path) -> bool:
-    """Whether files of a folder are being replaced, or a process was killed when it did so."""
+    """Return whether files are being replaced, or a process was killed while replacing them."""
     return (folder / _COMMIT).is_dir() and not (folder / _COMMIT).is_symlink()
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is such a file, or will be once `finish_cut_off` was called."""
+    """Return whether a file exists, or will exist after `finish_cut_off`."""
     return path.is_file() or (path.parent / _COMMIT / _FILES / path.name).is_file()
 
 
 def finish_cut_off(folder: Path) -> bool:
-    """Bring to its end what a killed process began.
+    """Finish the replacement that a killed process began.
 
     Parameters
     ----------
@@ -129,32 +128,32 @@ def finish_cut_off(folder: Path) -> bool:
 
     Returns
     -------
-    Whether there was anything to do.
+    Whether there was a replacement to finish.
 
     Raises
     ------
     OSError
-        If the system refuses; it can be done later then.
+        On an error of the system; it can be repeated later.
     """
     if not is_cut_off(folder):
         return False
     moves = _moves(folder)
     for move in moves:
         move.make()
-    _end(folder, moves)
+    _finish(folder, moves)
     return True
 
 
 def _commit(folder: Path, owned: Iterable[str]) -> None:
     stage = folder / _STAGE
     files = _files(stage / _FILES)
-    gone = [name for name in owned if name not in files and (folder / name).is_file()]
-    (stage / _GONE).write_text("\n".join(gone), encoding="utf-8")
+    removed = [name for name in owned if name not in files and (folder / name).is_file()]
+    (stage / _REMOVED).write_text("\n".join(removed), encoding="utf-8")
     _require_places(folder, files)
-    every = list(stage.rglob("*"))
-    with ThreadPoolExecutor(max_workers=8) as pool:  # a disk takes several in one go
-        list(pool.map(_flush_to_disk, (path for path in every if path.is_file())))
-    for place in (*(path for path in every if path.is_dir()), stage):
+    paths = list(stage.rglob("*"))
+    with ThreadPoolExecutor(max_workers=8) as pool:  # disks flush several files faster in parallel
+        list(pool.map(_flush_to_disk, (path for path in paths if path.is_file())))
+    for place in (*(path for path in paths if path.is_dir()), stage):
         _flush_folder(place)
     moves: list[_Move] = []
     try:
@@ -163,17 +162,17 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
         moves = _moves(folder)
         for move in moves:
             move.make()
-        _end(folder, moves)
+        _finish(folder, moves)
     except BaseException:
         if is_cut_off(folder):
             for move in reversed(moves):
-                move.take_back()
+                move.undo()
             (folder / _COMMIT).rename(stage)
         raise
 
 
 class _Move(NamedTuple):
-    """What stands at `goal` goes aside, and the new file, if there is one, takes its place."""
+    """Move of the file at `goal` aside, and of the new file, if any, to its place."""
 
     new: Path
     goal: Path
@@ -187,27 +186,27 @@ class _Move(NamedTuple):
             self.goal.parent.mkdir(parents=True, exist_ok=True)
             self.new.replace(self.goal)
 
-    def take_back(self) -> None:
+    def undo(self) -> None:
         if not self.new.exists() and self.goal.exists():
             self.goal.replace(self.new)
         if self.aside.exists():
             self.aside.replace(self.goal)
         else:
-            with suppress(OSError):  # where others have files, too
+            with suppress(OSError):  # if it contains other files
                 self.goal.parent.rmdir()
 
 
 def _moves(folder: Path) -> list[_Move]:
-    """What is still to be done: files that go, then the new ones, and last the result."""
+    """Return the remaining moves: removed files, then new ones, the result last."""
     commit = folder / _COMMIT
-    gone = (commit / _GONE).read_text(encoding="utf-8").splitlines()
-    names = [*gone, *sorted(_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
+    removed = (commit / _REMOVED).read_text(encoding="utf-8").splitlines()
+    names = [*removed, *sorted(_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
     _require_places(folder, names)
     return [_Move(commit / _FILES / name, folder / name, commit / _ASIDE / name) for name in names]
 
 
-def _end(folder: Path, moves: Iterable[_Move]) -> None:
-    """Bring the moves to the disk; then the earlier files are not needed any more."""
+def _finish(folder: Path, moves: Iterable[_Move]) -> None:
+    """Flush the moves to the disk, then delete the earlier files."""
     for place in {move.goal.parent for move in moves} | {folder}:
         if place.is_dir():
             _flush_folder(place)
@@ -217,13 +216,13 @@ def _end(folder: Path, moves: Iterable[_Move]) -> None:
 
 
 def _files(folder: Path) -> list[str]:
-    """Files below a folder, with slashes."""
-    found = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    return [path.relative_to(folder).as_posix() for path in found]
+    """Return the files below a folder, with slashes."""
+    paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return [path.relative_to(folder).as_posix() for path in paths]
 
 
 def _require_places(folder: Path, names: Iterable[str]) -> None:
-    """Refuse what would not go, or would go elsewhere, before anything is moved."""
+    """Refuse impossible moves, and moves out of the folder, before anything is moved."""
     goals = [folder / name for name in names]
     for place in {goal.parent for goal in goals}:
         if place.exists() and not place.is_dir():
@@ -236,13 +235,13 @@ def _require_places(folder: Path, names: Iterable[str]) -> None:
 
 @contextmanager
 def storing(path: Path) -> Iterator[None]:
-    """Say what the system refuses while `path` is written as a `StoreError`."""
+    """Turn errors of the system while writing `path` into a `StoreError`."""
     try:
         yield
     except OSError as error:
-        expected, found, remedy = _CAUSES.get(
+        expected, found, remedy = _ERROR_TEXTS.get(
             error.errno or 0,
-            ("a file that can be written", str(error), "Look at the disk and try again."),
+            ("a file that can be written", str(error), "Check the disk and try again."),
         )
         message = error_text(path, "", expected=expected, found=found, remedy=remedy)
         is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
@@ -255,7 +254,7 @@ def _flush_to_disk(path: Path) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    if os.name == "nt":  # Windows has no handle of a folder that could be flushed
+    if os.name == "nt":  # Windows cannot flush folders
         return
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -265,8 +264,7 @@ def _flush_folder(folder: Path) -> None:
 
 
 LOCK_FILE = ".labpipe.lock"
-_PAUSE = 0.05
-_NOT_BY_LINK = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
+_NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
 
 
 @contextmanager
@@ -275,8 +273,8 @@ def locked(folder: Path, *, patience: float = 0.0) -> Iterator[None]:
 
     Parameters
     ----------
-    folder : made if it is not there
-    patience : s, how long to wait for another labpipe process
+    folder : created if it does not exist
+    patience : s, time to wait for another labpipe process
 
     Raises
     ------
@@ -285,27 +283,27 @@ def locked(folder: Path, *, patience: float = 0.0) -> Iterator[None]:
 
     Notes
     -----
-    The lock is the operating system's, on an open file: it ends with its process, however that
-    ends, so that no stale lock can be left behind.
+    The lock is that of the operating system on an open file: it ends with its process, so that
+    there are no stale locks.
     """
     path = folder / LOCK_FILE
     with storing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        handle = _own(path, time.monotonic() + patience)
+        handle = _acquire(path, time.monotonic() + patience)
     try:
         yield
     finally:
-        _give_back(handle, path)
+        _release(handle, path)
 
 
-def _own(path: Path, end: float) -> int:
-    """Open the lock file and lock it; anew if its last owner removed it in between."""
+def _acquire(path: Path, end: float) -> int:
+    """Open the lock file and lock it; repeat if its last owner removed it in between."""
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | _NOT_BY_LINK, 0o666)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o666)
         if not _try_lock(handle):
             os.close(handle)
             if time.monotonic() < end:
-                time.sleep(_PAUSE)
+                time.sleep(0.05)
                 continue
             message = error_text(
                 path.parent,
@@ -331,7 +329,7 @@ if sys.platform == "win32":
             return False
         return True
 
-    def _give_back(handle: int, path: Path) -> None:
+    def _release(handle: int, path: Path) -> None:
         os.close(handle)  # an open file cannot be removed on Windows
         with suppress(OSError):
             path.unlink()
@@ -346,7 +344,7 @@ else:
             return False
         return True
 
-    def _give_back(handle: int, path: Path) -> None:
+    def _release(handle: int, path: Path) -> None:
         with suppress(OSError):
-            path.unlink()  # before the lock ends: who opens it now sees that it has gone
+            path.unlink()  # before the lock ends, so that others notice the removal
         os.close(handle)

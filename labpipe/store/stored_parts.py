@@ -1,4 +1,4 @@
-"""Parts of a result file, both ways: reasons, specimen, recordings with notes, measured bending."""
+"""Parts of a result file: reasons, specimen, recordings with notes, measured bending."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from labpipe.store.datasets import Target, array, arrays, strings, text, texts
 from labpipe.store.hdf5_objects import has_attribute, set_text
 from labpipe.store.layout import link_name
 
-_OF_ONE_WORD: Final = "cut|drift|gap|saturation|truncated"
-_NEXT: Final = re.compile(rf"; (?=(?:[a-z0-9]+(?:_[a-z0-9]+)+|{_OF_ONE_WORD}): )")
-"""Where the next reason begins: a code and a colon."""
+_SINGLE_WORD_CODES: Final = "cut|drift|gap|saturation|truncated"
+_REASON_START: Final = re.compile(rf"; (?=(?:[a-z0-9]+(?:_[a-z0-9]+)+|{_SINGLE_WORD_CODES}): )")
+"""Separator before the next reason: a code and a colon."""
 _REMARK: Final = re.compile(r"(.*); ([^;]* of slips added back)")
 
 
 def reasons_in(glued: str) -> tuple[Reason, ...]:
-    """Take the text of all reasons apart; empty where there are none.
+    """Split the text of all reasons; empty if there are none.
 
     Examples
     --------
     >>> reasons_in("drift: the zero drifts; at last; gap: 4 samples are missing")[1]
     Reason(code='gap', message='4 samples are missing')
     """
-    parted = (part.partition(": ") for part in _NEXT.split(glued) if part)
-    return tuple(Reason(code, message) for code, _, message in parted)
+    parts = (part.partition(": ") for part in _REASON_START.split(glued) if part)
+    return tuple(Reason(code, message) for code, _, message in parts)
 
 
 def method_parts(method: str, results: Collection[str]) -> dict[str, str]:
-    """Find what a method says of the test alone, and the result that a number is made of.
+    """Split a method text into method, remark, and the result from which it is computed.
 
     Parameters
     ----------
@@ -52,9 +52,9 @@ def method_parts(method: str, results: Collection[str]) -> dict[str, str]:
     {'method': 'stiffness x length', 'made_of': 'stiffness', 'remark': '3 N of slips added back'}
     """
     match = _REMARK.fullmatch(method)
-    plain, remark = match.groups() if match else (method, "")
-    made_of = next((word for word in re.findall(r"[\w.]+", plain) if word in results), "")
-    return {"method": plain, "made_of": made_of, "remark": remark}
+    main, remark = match.groups() if match else (method, "")
+    made_of = next((name for name in re.findall(r"[\w.]+", main) if name in results), "")
+    return {"method": main, "made_of": made_of, "remark": remark}
 
 
 def write_reasons(target: Target, reasons: Iterable[Reason]) -> None:
@@ -62,12 +62,12 @@ def write_reasons(target: Target, reasons: Iterable[Reason]) -> None:
 
     Parameters
     ----------
-    target : group of what they are the reasons of
+    target : group of the result
     reasons : any number
     """
-    given = tuple(reasons)
-    target.texts(layout.REASON_CODES, tuple(each.code for each in given))
-    target.texts(layout.REASON_MESSAGES, tuple(each.message for each in given))
+    reasons = tuple(reasons)
+    target.texts(layout.REASON_CODES, tuple(reason.code for reason in reasons))
+    target.texts(layout.REASON_MESSAGES, tuple(reason.message for reason in reasons))
 
 
 def read_reasons(group: Any) -> tuple[Reason, ...]:
@@ -89,7 +89,7 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
     Parameters
     ----------
     target : their group, empty
-    specimen : what was tested; type, spool and sample are attributes of the root
+    specimen : the specimen; type, spool and sample are attributes of the root
     """
     target.texts("dimensions", tuple(specimen.dimensions))
     target.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
@@ -117,11 +117,11 @@ def _write_bundle(target: Target, bundle: Bundle) -> None:
 
 
 def read_specimen(root: Any) -> Specimen:
-    """Read what was tested.
+    """Read the specimen.
 
     Parameters
     ----------
-    root : open result file; one from before there were bundles and labels has none
+    root : open result file; old ones have no bundles and labels
 
     Returns
     -------
@@ -132,11 +132,11 @@ def read_specimen(root: Any) -> Specimen:
     values = (float(value) for value in group.attrs["values"])
     dimensions = dict(zip(texts(group, "dimensions"), values, strict=True))
     bundle = _bundle(group[layout.BUNDLE]) if layout.BUNDLE in group else None
-    kinds, words = (
+    kinds, values_of_labels = (
         texts(group, name) if layout.LABELS in group.attrs else ()
         for name in (layout.LABELS, layout.LABEL_WORDS)
     )
-    labels = dict(zip(kinds, words, strict=True))
+    labels = dict(zip(kinds, values_of_labels, strict=True))
     return Specimen(**named, dimensions=dimensions, bundle=bundle, labels=labels)
 
 
@@ -147,31 +147,31 @@ def _bundle(group: Any) -> Bundle:
         array(group, layout.WIRE_DIAMETERS, layout.WIRE_DIAMETER),
         strict=True,
     )
-    given = layout.POSITIONS in group
-    positions = array(group, layout.POSITIONS, layout.WIRE_POSITION) if given else ()
+    has_positions = layout.POSITIONS in group
+    positions = array(group, layout.POSITIONS, layout.WIRE_POSITION) if has_positions else ()
     return Bundle(
-        wires=tuple(BundleWire(kind, int(number), _known(wide)) for kind, number, wide in wires),
+        wires=tuple(BundleWire(kind, int(number), _optional(wide)) for kind, number, wide in wires),
         arrangement=_one_of(ARRANGEMENTS, text(group, "arrangement")),
         positions=tuple((float(x), float(y)) for x, y in positions),
         tape=text(group, "tape"),
         taping=_one_of(TAPINGS, text(group, "taping")),
         conduit=text(group, "conduit"),
-        conduit_bore=_known(group.attrs[layout.BORE]),
+        conduit_bore=_optional(group.attrs[layout.BORE]),
     )
 
 
-def _one_of(known: tuple[str, ...], word: str) -> str:
-    if word not in known:
-        message = f"{word!r} is none of {', '.join(known)}"
+def _one_of(choices: tuple[str, ...], choice: str) -> str:
+    if choice not in choices:
+        message = f"{choice!r} is none of {', '.join(choices)}"
         raise ValueError(message)
-    return word
+    return choice
 
 
 def _number(value: float | None) -> float:
     return nan if value is None else value
 
 
-def _known(value: float) -> float | None:
+def _optional(value: float) -> float | None:
     return None if isnan(value) else float(value)
 
 
@@ -183,8 +183,8 @@ def write_recording(target: Target, recording: Recording) -> None:
 
     Parameters
     ----------
-    target : its group, empty but for the fingerprints of the exports
-    recording : markers, clocks, channels, notes and all that the export said
+    target : its group, with the fingerprints of the exports only
+    recording : markers, clocks, channels, notes and metadata
     """
     attributes = target.group.attrs
     for name in layout.RECORDING_TEXTS:
@@ -200,7 +200,7 @@ def write_recording(target: Target, recording: Recording) -> None:
 
 
 def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
-    """One clock is ``time``, several are ``time_<clock>``; give back their datasets by clock."""
+    """Write one clock as ``time``, several as ``time_<clock>``; return their datasets by clock."""
     names: list[str] = []
     scales: dict[str, Any] = {}
     for clock in clocks:
@@ -268,9 +268,9 @@ def read_recording(group: Any) -> Recording:
     Raises
     ------
     StoreError
-        If a dataset has another unit, axis or number type than the layout says.
+        If a dataset has another unit, axis or number type than in the layout.
     KeyError, ValueError
-        If a channel has no clock, or it or a body is not as long as its times.
+        If a channel has no clock, or the length of a channel or body differs from its times.
     """
     has_markers = layout.MARKERS in group
     recording = Recording(
@@ -281,12 +281,12 @@ def read_recording(group: Any) -> Recording:
         metadata=dict(json.loads(text(group, layout.METADATA)).items()),
         notes=read_notes(group[layout.NOTES]),
     )
-    _require_alike(recording)
+    _require_equal_lengths(recording)
     return recording
 
 
-def _require_alike(recording: Recording) -> None:
-    """Refuse, with a ValueError, what is not as long as its times."""
+def _require_equal_lengths(recording: Recording) -> None:
+    """Raise a ValueError if a length differs from that of the times."""
     pairs = [
         (channel.name, channel.values, recording.clock(channel.clock).time)
         for channel in recording.channels
@@ -306,10 +306,10 @@ def _clock(group: Any, name: str) -> Clock:
 
 
 def _channel(group: Any, name: str) -> Channel:
-    said = {key: text(group[name], where) for key, where in layout.CHANNEL_TEXTS.items()}
+    fields = {key: text(group[name], where) for key, where in layout.CHANNEL_TEXTS.items()}
     unit = text(group[name], "unit")
     values = array(group, name, layout.CHANNEL)
-    return Channel(**said, values=values, unit=None if unit == layout.NO_UNIT else unit)
+    return Channel(**fields, values=values, unit=None if unit == layout.NO_UNIT else unit)
 
 
 def _markers(group: Any) -> MarkerTracks:
@@ -336,7 +336,7 @@ def read_notes(group: Any) -> tuple[QualityNote, ...]:
     Raises
     ------
     StoreError
-        If a column is not the layout's.
+        If a column differs from the layout.
     """
     columns = [strings(group, name, "note") for name in layout.NOTE_COLUMNS]
     return tuple(
@@ -351,7 +351,7 @@ def write_bending(target: Target, bending: Bending) -> None:
     Parameters
     ----------
     target : their group, empty
-    bending : what was measured
+    bending : measured bending
     """
     target.fields(bending.cloud, layout.CLOUD_FIELDS)
     target.scaled(layout.CLOUD_SCALES)
@@ -381,7 +381,7 @@ def read_bending(group: Any) -> Bending:
 
     Returns
     -------
-    What was measured.
+    The measured bending.
     """
     return Bending(
         cloud=BendingCloud(

@@ -1,4 +1,4 @@
-"""TestResult to summary.json, and back to what a table of many tests needs."""
+"""Writing and reading of summary.json."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SUMMARY_SCHEMA = 2
 
 
 def summary(result: TestResult) -> dict[str, object]:
-    """Sum up a test in plain SI numbers.
+    """Return the summary of a test in SI numbers.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ def summary(result: TestResult) -> dict[str, object]:
 
     Returns
     -------
-    What ``summary.json`` holds; only what JSON can say. A number that is not finite, or not
-    available, is None; the status and the reasons say why.
+    The content of ``summary.json``. A number that is not finite or not available is None; status
+    and reasons explain it.
     """
     return {
         "schema": SUMMARY_SCHEMA,
@@ -38,8 +38,8 @@ def summary(result: TestResult) -> dict[str, object]:
         "protocol": result.protocol,
         "labpipe": result.labpipe_version,
         "inputs": [
-            {"role": given.role, "file": given.file, "sha256": given.sha256}
-            for given in result.inputs
+            {"role": export.role, "file": export.file, "sha256": export.sha256}
+            for export in result.inputs
         ],
         "date": None if result.date is None else str(result.date),
         "operator": result.operator,
@@ -58,7 +58,7 @@ def summary(result: TestResult) -> dict[str, object]:
 
 
 def write_summary(result: TestResult, path: Path) -> None:
-    """Write ``summary.json``; an earlier one stays until the new one is whole.
+    """Write ``summary.json``; an earlier one is kept until the new one is complete.
 
     Parameters
     ----------
@@ -76,17 +76,17 @@ def write_summary(result: TestResult, path: Path) -> None:
 
 
 def _specimen(specimen: Specimen) -> dict[str, object]:
-    said: dict[str, object] = {
+    content: dict[str, object] = {
         "type": specimen.type,
         "spool": specimen.spool,
         "sample": specimen.sample,
         **{name: _number(value) for name, value in specimen.dimensions.items()},
     }
     if specimen.bundle is not None:
-        said["bundle"] = _bundle(specimen.bundle)
+        content["bundle"] = _bundle(specimen.bundle)
     if specimen.labels:
-        said["labels"] = dict(specimen.labels)
-    return said
+        content["labels"] = dict(specimen.labels)
+    return content
 
 
 def _bundle(bundle: Bundle) -> dict[str, object]:
@@ -120,7 +120,7 @@ def _instrument(instrument: Instrument) -> dict[str, object]:
 
 
 def result_entry(result: Result) -> dict[str, object]:
-    """A result as ``summary.json`` has it.
+    """Return a result as an entry of ``summary.json``.
 
     Parameters
     ----------
@@ -154,17 +154,17 @@ def result_entry(result: Result) -> dict[str, object]:
 
 
 def check_summary(result: TestResult, path: Path) -> None:
-    """Compare the numbers of a ``summary.json`` with those of the result file beside it.
+    """Compare the numbers of a ``summary.json`` with those of its result file.
 
     Parameters
     ----------
     result : of the result file
-    path : the summary; nothing is compared if it is not there
+    path : the summary; nothing is compared if it does not exist
 
     Raises
     ------
     StoreError
-        If a result of the summary has another seal, or numbers that do not fit its seal.
+        If a result of the summary has another seal, or numbers that do not match its seal.
     """
     if not path.is_file():
         return
@@ -184,7 +184,7 @@ def check_summary(result: TestResult, path: Path) -> None:
 
 
 def sealed(entry: Mapping[str, Any]) -> str:
-    """The seal that the numbers of an entry of ``summary.json`` have.
+    """Return the seal of the numbers of an entry of ``summary.json``.
 
     Parameters
     ----------
@@ -195,12 +195,8 @@ def sealed(entry: Mapping[str, Any]) -> str:
 
 
 def _number(value: float | None) -> float | None:
-    """The number itself; None for what JSON cannot say (NaN, infinities)."""
+    """Return the number; None for NaN and infinities, which JSON does not have."""
     return float(value) if value is not None and isfinite(value) else None
-
-
-_MOST_BYTES = 1 << 26
-"""A summary of a test of a hundred cycles has a hundredth of it."""
 
 
 def read_summary(path: Path) -> dict[str, Any]:
@@ -212,25 +208,27 @@ def read_summary(path: Path) -> dict[str, Any]:
 
     Returns
     -------
-    What it says, as JSON has it; of schema 1 it lacks some keys.
+    Its content; some keys are missing in schema 1.
 
     Raises
     ------
     StoreError
-        If it cannot be read, is no summary of labpipe's, or is of a newer schema.
+        If it cannot be read, is not a summary of labpipe, or is of a newer schema.
     """
+    # A summary of a test of a hundred cycles has a hundredth of it.
+    max_bytes = 1 << 26
     try:
-        if not path.is_file() or path.stat().st_size > _MOST_BYTES:
-            said = None
+        if not path.is_file() or path.stat().st_size > max_bytes:
+            content = None
         else:
-            said = json.loads(path.read_bytes())
+            content = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
         raise _no_summary(path, f"a damaged one ({error})") from error
-    if not isinstance(said, dict) or not isinstance(schema := said.get("schema"), int):
+    if not isinstance(content, dict) or not isinstance(schema := content.get("schema"), int):
         raise _no_summary(path, "something else")
     if schema > SUMMARY_SCHEMA:
         raise _no_summary(path, f"one of a newer labpipe, schema {schema}", "Update labpipe.")
-    return said
+    return content
 
 
 def _no_summary(path: Path, found: str, remedy: str = "Process the test again.") -> StoreError:

@@ -1,4 +1,4 @@
-"""TestResult to result.h5: written beside the old file, verified, renamed."""
+"""Writing of result files: TestResult to HDF5, verified before the old file is replaced."""
 
 from __future__ import annotations
 
@@ -29,28 +29,26 @@ from labpipe.store.stored_parts import (
     write_specimen,
 )
 
-_BLOCK = 1 << 20
-
 
 def write_result(result: TestResult, path: Path) -> None:
-    """Write everything known of a test; an earlier file stays until the new one is verified.
+    """Write a test; an earlier file is kept until the new one is verified.
 
     Parameters
     ----------
     result : a processed test
-    path : the file, by custom ``result.h5``
+    path : the file, usually ``result.h5``
 
     Raises
     ------
     StoreError
-        If it cannot be written, or does not read back as it was written. What stood at `path`
-        before still stands there then.
+        If it cannot be written, or does not read back as written. An earlier file at `path` is
+        then unchanged.
 
     Notes
     -----
-    The same result gives the same bytes: no times, no names of machines. The file is put together
-    in memory (about as large as on disk), because an HDF5 library that meets a full disk half-way
-    cannot close its file in good order.
+    The same result gives the same bytes: no times, no host names. The file is created in memory
+    (about as large as on disk), because the HDF5 library cannot close a file properly when the disk
+    becomes full.
     """
     image, written = _image(result)
     with replacing(path) as temporary:
@@ -59,10 +57,10 @@ def write_result(result: TestResult, path: Path) -> None:
 
 
 def _image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
-    """Put the whole file together in memory; with the arrays by dataset, to verify it."""
+    """Return the file as bytes, with the arrays by dataset for verification."""
     with (
         ThreadPoolExecutor(max(os.cpu_count() or 1, 2)) as pool,
-        h5py.File("result", "w", driver="core", backing_store=False, block_size=_BLOCK) as root,
+        h5py.File("result", "w", driver="core", backing_store=False, block_size=1 << 20) as root,
     ):
         target = Target(root, pool)
         _write_root(target, result)
@@ -71,19 +69,19 @@ def _image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
 
 
 def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArray[Any]]) -> None:
-    """Read the file again from its disk: every byte, and every array through its checksums.
+    """Read the file from the disk again: every byte, and every array through its checksums.
 
-    An array that stands in several groups has the same chunks in each: one of them is read.
+    An array in several groups has the same chunks in each: it is read once.
     """
     is_whole = temporary.read_bytes() == image
     if is_whole:
         try:
             with h5py.File(temporary, "r") as root:
-                once = {place_of(array): name for name, array in written.items()}
+                unique = {place_of(array): name for name, array in written.items()}.values()
                 is_whole = all(
-                    same_content(open_dataset(root, name), written[name]) for name in once.values()
+                    same_content(open_dataset(root, name), written[name]) for name in unique
                 )
-        except OSError:  # a checksum that does not fit
+        except OSError:  # a wrong checksum
             is_whole = False
     if not is_whole:
         message = error_text(
@@ -123,7 +121,7 @@ def _write_root(target: Target, result: TestResult) -> None:
 
 
 def _write_circumstances(target: Target, result: TestResult) -> None:
-    """Who made the test, when and with what."""
+    """Write date, operator and instruments of the test."""
     target.group.attrs[layout.DATE] = str(result.date or "")
     target.group.attrs[layout.OPERATOR] = result.operator
     rows = [
@@ -139,16 +137,16 @@ def _write_circumstances(target: Target, result: TestResult) -> None:
 
 
 def _write_raw(target: Target, result: TestResult) -> None:
-    """Recordings by role, with fingerprints of their exports and the place of each among all."""
-    roles = dict.fromkeys([*result.recordings, *(given.role for given in result.inputs)])
+    """Write recordings by role, with fingerprints and order of their exports."""
+    roles = dict.fromkeys([*result.recordings, *(export.role for export in result.inputs)])
     target.texts("roles", tuple(result.recordings))
     for role in roles:
         inside = target.inside(role)
-        places = [place for place, given in enumerate(result.inputs) if given.role == role]
+        places = [place for place, export in enumerate(result.inputs) if export.role == role]
         inputs = [result.inputs[place] for place in places]
-        inside.texts("file", tuple(given.file for given in inputs))
-        inside.texts("sha256", tuple(given.sha256 for given in inputs))
-        sizes = np.array([given.bytes for given in inputs], dtype=np.int64)
+        inside.texts("file", tuple(export.file for export in inputs))
+        inside.texts("sha256", tuple(export.sha256 for export in inputs))
+        sizes = np.array([export.bytes for export in inputs], dtype=np.int64)
         inside.group.attrs["bytes"] = sizes
         inside.group.attrs[layout.INPUT_ORDER] = np.array(places, dtype=np.int64)
         if role in result.recordings:
@@ -198,7 +196,7 @@ def _write_curve(target: Target, result: TestResult, curve: Curve) -> None:
 
 
 def _rows(records: Iterable[object], table: Table) -> list[tuple[Any, ...]]:
-    """Rows of a table; ``drop_lower`` is the lower end of a record's ``drop_interval``."""
+    """Return rows of a table; ``drop_lower`` is the lower end of a record's ``drop_interval``."""
     return [tuple(_cell(record, column) for column in table.columns) for record in records]
 
 
@@ -235,7 +233,7 @@ def _write_results(target: Target, results: tuple[Result, ...]) -> None:
 
 
 def _write_table(target: Target, results: tuple[Result, ...]) -> None:
-    """The results as columns; what is not available is NaN, and `code` and `reason` say why."""
+    """Write the results as columns; missing values are NaN, with `code` and `reason`."""
     rows = []
     for result in results:
         interval = result.interval or Interval(np.nan, np.nan, np.nan)

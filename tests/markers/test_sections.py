@@ -12,7 +12,7 @@ from labpipe.markers.rings import (
     ring_centres,
     section_twist,
 )
-from labpipe.markers.three_point_axis import _linearised, fit_bent_axis, fit_span
+from labpipe.markers.three_point_axis import _linearise, fit_bent_axis, fit_span
 from labpipe.markers.track_repair import RepairedTracks
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import PointFlag
@@ -182,7 +182,7 @@ def test_beyond_its_grid_an_axis_goes_on_straight() -> None:
     """A sine of 0.6 is a slope of 0.75 everywhere."""
     grid = np.linspace(-1.0, 1.0, 11)
     x = np.array([[-1.1, -1.0, 0.0, 0.55, 1.0, 1.2]])
-    _, y = _linearised(np.array([[0.6, 0.2]]), np.ones((11, 1)), grid, x)
+    _, y = _linearise(np.array([[0.6, 0.2]]), np.ones((11, 1)), grid, x)
     assert y == pytest.approx(0.2 + 0.75 * x)
 
 

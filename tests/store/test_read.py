@@ -292,6 +292,6 @@ def test_more_than_goes_into_the_memory(path: Path, monkeypatch: pytest.MonkeyPa
         raise MemoryError(message)
 
     monkeypatch.setattr("labpipe.store.datasets.np.empty", empty)
-    said = r"expected a result file that goes into the memory, found one that needs more \(Unable"
+    said = r"expected a result file that fits into the memory, found one that needs more \(Unable"
     with pytest.raises(StoreError, match=said):
         read_outcome(path)

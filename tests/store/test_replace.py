@@ -37,9 +37,12 @@ from labpipe.store.replace import (
         (errno.EROFS, "expected a folder to write in, found a read-only disk. Choose"),
         (errno.ENOTDIR, "expected a folder to write in, found a file in its place. Choose"),
         (errno.EEXIST, "expected a folder to write in, found a file in its place. Choose"),
-        (errno.ELOOP, "expected a folder of its own, found a link to another place. Take the link"),
+        (
+            errno.ELOOP,
+            "expected a folder of its own, found a link to another place. Remove the link",
+        ),
         (errno.EISDIR, "expected a file to replace, found a folder in its place. Move the folder"),
-        (errno.EIO, "expected a file that can be written, found .*Input/output error.*Look at"),
+        (errno.EIO, "expected a file that can be written, found .*Input/output error.*Check"),
     ],
 )
 def test_refusals_of_the_system(number: int, text: str) -> None:
@@ -224,7 +227,7 @@ def elsewhere(tmp_path: Path) -> Path:
 def test_files_do_not_go_through_a_link(elsewhere: Path) -> None:
     here = elsewhere.with_name("here")
     (here / "figures").symlink_to(elsewhere)
-    said = "expected a folder of its own, found a link to another place. Take the link away"
+    said = "expected a folder of its own, found a link to another place. Remove the link"
     with pytest.raises(StoreError, match=said), replacing_together(here) as stage:
         write_new(stage)
     assert contents(elsewhere) == {"b": "own"}
