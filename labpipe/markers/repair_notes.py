@@ -127,7 +127,7 @@ def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
                 exchanges.setdefault((start, stop), []).append((take.names[label], text))
     for (start, stop), markers in sorted(exchanges.items()):
         span = take.span(start, stop)
-        message = f"{', '.join(text for _, text in markers)}, {span}; label switch undone"
+        message = f"{', '.join(text for _, text in markers)}, {span}; label switch corrected"
         names = ", ".join(name for name, _ in markers)
         yield QualityNote("label_switch", Severity.WARNING, f"{names}, {span}", message)
 
@@ -163,7 +163,7 @@ def _stretches_under_other_labels(
 def _elimination_notes(take: Take, naming: Naming) -> Iterator[QualityNote]:
     for label, chain in naming.eliminated:
         name, span = take.names[label], take.span(chain.start, chain.stop)
-        message = f"{name}: given a track under another label, {span}, as the only marker missing"
+        message = f"{name}: assigned a track with another label, {span}, as the only marker missing"
         yield QualityNote("label_by_elimination", Severity.WARNING, f"{name}, {span}", message)
 
 
@@ -174,7 +174,7 @@ def _jump_notes(take: Take, links: Links, naming: Naming) -> Iterator[QualityNot
             if after.start == before.stop and links.successor[before.tracklets[-1]] < 0:
                 span = take.span(after.start, after.start + 1)
                 name = take.names[label]
-                message = f"{name}: jumps at {span}; its label was believed"
+                message = f"{name}: jumps at {span}; its label was kept"
                 yield QualityNote("marker_jump", Severity.WARNING, f"{name}, {span}", message)
 
 
@@ -183,7 +183,7 @@ def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[Quali
     for one, two in links.ambiguous[:_MAX_NOTES]:
         span = take.span(int(pieces.stop[one]) - 1, int(pieces.start[two]) + 1)
         names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
-        message = f"{names}: may have exchanged labels, {span}; too near to tell, left as labelled"
+        message = f"{names}: may have exchanged labels, {span}; too close, kept as labelled"
         # From there on the two may be exchanged.
         after = ((float(take.time[pieces.stop[one] - 1]), float(take.time[-1])),)
         yield QualityNote("label_ambiguous", Severity.WARNING, f"{names}, {span}", message, after)

@@ -146,7 +146,7 @@ def _notes(ring: str, members: Sequence[str], flags: NDArray[np.uint8]) -> Itera
         yield QualityNote("ring_incomplete", Severity.WARNING, ring, message)
     if not missing.any(axis=1).all():
         return
-    message = f"{ring}: never seen whole; its centre is the mean of the markers in sight"
+    message = f"{ring}: never seen complete; its centre is the mean of the markers in sight"
     yield QualityNote("ring_never_whole", Severity.WARNING, ring, message)
 
 

@@ -188,8 +188,8 @@ def _mean(points: Floats, name: str) -> Floats:
     seen = points[np.isfinite(points).all(axis=-1)]
     if not len(seen):
         message = (
-            f"{name} is seen in no frame of the stretch at rest: make it ('over') longer, "
-            "or mend the labels of the take"
+            f"{name} is not seen in any frame of the stretch at rest: make it ('over') longer, "
+            "or correct the labels of the take"
         )
         raise ValueError(message)
     return np.asarray(seen.mean(axis=0), dtype=np.float64)

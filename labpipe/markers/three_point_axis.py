@@ -141,7 +141,7 @@ def fit_span(
     max_frames = 30
     if sections.count < TERMS + 3:
         message = (
-            f"{sections.count} sections with markers: expected at least {TERMS + 3}; look at "
+            f"{sections.count} sections with markers: expected at least {TERMS + 3}; check "
             "markers.along, at the step's section and at the unit of the markers"
         )
         raise ValueError(message)
@@ -169,7 +169,7 @@ def _check_span(sections: Sections, span: float) -> None:
     if between < TERMS + 2:
         message = (
             f"of {sections.count} sections with markers {between} lie between supports "
-            f"{1e3 * span:.4g} mm apart: expected at least {TERMS + 2}; look at specimen.span and "
+            f"{1e3 * span:.4g} mm apart: expected at least {TERMS + 2}; check specimen.span and "
             "at the unit of the markers"
         )
         raise ValueError(message)

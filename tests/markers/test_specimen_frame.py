@@ -101,7 +101,7 @@ def test_frames_that_cannot_be_found() -> None:
     cases: list[tuple[Floats | None, Floats, str]] = [
         (None, np.zeros((350, 3, 3)), "expected a vector of a length above 0"),
         (0 * take.clamp + 1.0, markers, "clamp_lab: expected a clamp that moves, found one"),
-        (hidden, markers, "the clamp is seen in no frame of the stretch at rest: make it"),
+        (hidden, markers, "the clamp is not seen in any frame of the stretch at rest: make it"),
         (take.clamp, nothing, "markers_lab: expected markers in some frame"),
         (take.clamp, markers[:, :1], "expected at least 2 markers"),
     ]

@@ -109,7 +109,7 @@ def test_labels_that_switch_while_one_marker_is_hidden(back: int) -> None:
     assert (repaired.flags[300:back, 3] == hidden).all()
     assert "label_ambiguous" not in codes(repaired)
     by_elimination = (
-        "M4: given a track under another label, frames 420 to 599 (8.400 s to 11.980 s), as the "
+        "M4: assigned a track with another label, frames 420 to 599 (8.400 s to 11.980 s), as the "
         "only marker missing"
     )
     assert (by_elimination in [note.message for note in repaired.notes]) == (back == 420)
