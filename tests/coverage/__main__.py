@@ -40,7 +40,7 @@ def _run(options: argparse.Namespace, kinds: list[str]) -> int:
 
 def _status(options: argparse.Namespace, kinds: list[str]) -> int:
     rows = study.kept_rows()
-    changed = study.changes(study.make_rows(study.canary(kinds), jobs=options.jobs))
+    changed = study.describe_changes(study.make_rows(study.canary(kinds), jobs=options.jobs))
     for kind in kinds:
         state = "differs" if kind in changed else "holds" if rows[kind] else ""
         print(f"{kind}: {len(rows[kind])} of {len(study.BY_KIND[kind].seeds[kind])} kept {state}")

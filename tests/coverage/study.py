@@ -225,14 +225,15 @@ def _is_same(one: Any, other: Any, nearness: float) -> bool:
 def standing(rows: Iterable[Row]) -> Rows:
     """Rows that hold, in the order of kinds and seeds.
 
-    Of a kind and seed the last one counts. Where its numbers are others than those of the one
-    before, the earlier rows of its kind no longer hold.
+    Of a kind and seed the last one counts. Where its numbers differ from those of the one before,
+    rows of its kind from other commits no longer hold.
     """
     found: Rows = {kind: {} for kind in BY_KIND}
     for row in rows:
         own = found.get(row["kind"], {})
         if row["seed"] in own and differences(own[row["seed"]], row):
-            own.clear()
+            own = {seed: other for seed, other in own.items() if other["commit"] == row["commit"]}
+            found[row["kind"]] = own
         own[row["seed"]] = row
     return {kind: dict(sorted(own.items())) for kind, own in found.items()}
 
@@ -347,7 +348,7 @@ def canary(kinds: Iterable[str]) -> list[tuple[str, int]]:
     return [(kind, seed) for kind in kinds if kind in known for seed in known[kind].canary]
 
 
-def changes(made: Iterable[Row]) -> dict[str, list[str]]:
+def describe_changes(made: Iterable[Row]) -> dict[str, list[str]]:
     """By kind, what rows made just now have otherwise than those kept."""
     rows, found = list(made), dict[str, list[str]]()
     kept = kept_rows({row["kind"] for row in rows})

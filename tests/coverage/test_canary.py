@@ -12,7 +12,7 @@ from tests.coverage.study import (
     STUDIES,
     Study,
     canary,
-    changes,
+    describe_changes,
     kept_rows,
     kinds_of,
     make_row,
@@ -31,7 +31,7 @@ SHARE = 0.05
 def test_canary_rows_are_made_again(kind: str, number: int) -> None:
     wanted = canary([kind])[:number]
     assert len(wanted) == number
-    changed = changes(make_row(*each) for each in wanted)
+    changed = describe_changes(make_row(*each) for each in wanted)
     assert not changed, remedy(changed)
 
 
@@ -45,6 +45,6 @@ def test_rows_drawn_by_the_date_are_made_again(study: Study) -> None:
     ]
     drawn = np.random.default_rng(seed).choice(len(rows), round(SHARE * len(rows)), replace=False)
     wanted = dict.fromkeys([*canary(study.seeds), *(rows[number] for number in sorted(drawn))])
-    changed = changes(make_row(*each) for each in wanted)
+    changed = describe_changes(make_row(*each) for each in wanted)
     print(f"STUDY_SEED={seed}: {len(wanted)} of {len(rows)} {study.name}")  # noqa: T201
     assert not changed, f"STUDY_SEED={seed}\n{remedy(changed)}"

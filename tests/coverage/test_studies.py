@@ -219,7 +219,13 @@ def test_a_difference_voids_the_earlier_rows_of_its_kind() -> None:
         TAPE: [1, 2],
         BAR: [1, 2],
     }
-    found = study.standing([*rows, kept_row(BAR, 2, value=1.1), kept_row(BAR, 0, value=1.1)])
+    found = study.standing(
+        [
+            *rows,
+            kept_row(BAR, 0, value=1.1, commit="new"),
+            kept_row(BAR, 2, value=1.1, commit="new"),
+        ]
+    )
     assert list(found[BAR]) == [0, 2]
     assert list(found[TAPE]) == [1, 2]
 
@@ -250,11 +256,11 @@ def test_what_is_kept(kept: Path, tmp_path: Path) -> None:
     study.keep(file)
     assert study.costs()[BAR].canary == (27002, 27001), "stays"
     other = tmp_path / "other.jsonl"
-    append(other, kept_row(BAR, 27001, 5.0, seconds=7.0))
+    append(other, kept_row(BAR, 27001, 5.0, seconds=7.0, commit="new"))
     assert study.keep(other)[BAR] == 1, "a number that differs voids the kind"
     assert study.costs() == {BAR: Cost(1.767, (27001,))}, "one row says little of the cost"
-    assert "RuntimeError" not in str(study.changes([kept_row(BAR, 27001, 5.0)]))
-    told = study.remedy(study.changes([kept_row(BAR, 27001, 6.0)]))
+    assert "RuntimeError" not in str(study.describe_changes([kept_row(BAR, 27001, 5.0)]))
+    told = study.remedy(study.describe_changes([kept_row(BAR, 27001, 6.0)]))
     assert "seed 27001, compliance value: 5.0 -> 6.0); 353 CPU s" in told
     assert "python -m tests.coverage run 'lab/stiff-bar' --again" in told
 
