@@ -1,11 +1,11 @@
-"""A solid round bar that bends as a wire does: the stress-strain curve that its material must have.
+"""Equivalent material of a solid round bar that bends as a wire does.
 
-Programs without beams that take a moment-curvature law take a material. Plane sections of a round
+Programs whose beams have no moment-curvature law use a material. Plane sections of a round
 bar of radius R bent by kappa are strained by y kappa (Euler-Bernoulli), and so
 
     M(kappa) = 4 integral from 0 to R of sigma(y kappa) y sqrt(R^2 - y^2) dy
 
-is an integral equation of Abel's kind for sigma. It is solved for a curve of straight lines.
+is an integral equation of Abel's kind for sigma. It is solved for a piecewise linear curve.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ class EquivalentMaterial(ArrayRecord):
 
     @property
     def elastic_curvature(self) -> float:
-        """Where the bar leaves its first slope, 1/m."""
+        """Return the curvature at which the bar yields, 1/m."""
         return float(2.0 * self.strain[0] / self.diameter)
 
     @property
     def plastic_strain(self) -> Floats:
-        """Strain less stress over modulus, shape (n,); the first is zero."""
+        """Return strain less stress over modulus, shape (n,); the first is zero."""
         plastic = self.strain - self.stress / self.modulus
         return np.asarray(plastic - plastic[0])
 
     def holds_from(self, tolerance: float) -> float | None:
-        """Curvature from which the bar's law is within a share of the wire's, to the end.
+        """Return the curvature from which the bar's law stays within a share of the wire's.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class EquivalentMaterial(ArrayRecord):
 
         Returns
         -------
-        1/m, one of `curvature`; None if the law is farther off at the last of them.
+        1/m, one of `curvature`; None if the error is larger at the last of them.
         """
         outside = np.flatnonzero(np.abs(self.error) > tolerance)
         first = int(outside[-1]) + 1 if len(outside) else 0
@@ -105,39 +105,41 @@ def equivalent_material(
     Notes
     -----
     Least squares of the relative error at the points above the elastic range, by bounded slopes
-    (Stark and Parker, Computational Statistics 10 (1995) 129): none below zero, since a stress that
-    falls has no stable bar, and none above the modulus. A kink of a law that is sharper than the
-    circle lets one be (slip that begins at once) is rounded; what that costs is in `error`.
+    (Stark and Parker, Computational Statistics 10 (1995) 129): none below zero, since a bar of
+    falling stress is unstable, and none above the modulus. A kink sharper than a round section
+    allows (immediate slip) is rounded, which is included in `error`.
 
     Strains are those of a straight line of slope kappa over the section. At strains of a few per
     cent the difference of nominal and true strain is opposite on the two sides of the bar and
     cancels to first order.
     """
-    _require(curvature, moment, elastic_share, n_knots)
+    _require_input(curvature, moment, elastic_share, n_knots)
     require_positive("diameter", diameter)
     radius = 0.5 * diameter
     elastic = elastic_share * float(curvature[-1])
     strain = np.geomspace(elastic, float(curvature[-1]), n_knots) * radius
     secant = _moment_at(elastic, curvature, moment) / elastic
     modulus = secant / (0.25 * np.pi * radius**4)
-    parts = modulus * _segments(curvature, strain, radius) / moment[:, np.newaxis]
+    parts = modulus * _segment_moments(curvature, strain, radius) / moment[:, np.newaxis]
     above = curvature > elastic
-    rest = 1.0 - parts[above, 0]
-    slopes = _bounded_slopes(parts[above, 1:], rest)
+    remaining = 1.0 - parts[above, 0]
+    slopes = _bounded_slopes(parts[above, 1:], remaining)
     shares = np.append(1.0, slopes)
     stress = modulus * np.cumsum(shares * np.diff(strain, prepend=0.0))
     return EquivalentMaterial(diameter, modulus, strain, stress, curvature, parts @ shares - 1.0)
 
 
-def _bounded_slopes(parts: Floats, wanted: Floats) -> Floats:
-    """Least squares between zero and `_STEEPEST`; that above zero, found sooner, if it is so."""
+def _bounded_slopes(parts: Floats, right_side: Floats) -> Floats:
+    """Solve least squares with bounded slopes; by NNLS where that meets the upper bound."""
     max_slope = 0.999  # of the modulus: as steep as it, a curve has no plastic strain
     rounds_per_slope = 20  # with the default of one some searches stop early
-    most = rounds_per_slope * parts.shape[1]
-    slopes = nnls(parts, wanted, maxiter=most)[0]
+    max_iterations = rounds_per_slope * parts.shape[1]
+    slopes = nnls(parts, right_side, maxiter=max_iterations)[0]
     if np.any(slopes > max_slope):
         bounds = (0.0, max_slope)
-        slopes = lsq_linear(parts, wanted, bounds=bounds, method="bvls", max_iter=most).x
+        slopes = lsq_linear(
+            parts, right_side, bounds=bounds, method="bvls", max_iter=max_iterations
+        ).x
     return np.asarray(slopes)
 
 
@@ -145,13 +147,13 @@ def _moment_at(at: float, curvature: Floats, moment: Floats) -> float:
     return float(np.interp(at, np.append(0.0, curvature), np.append(0.0, moment)))
 
 
-def _segments(curvature: Floats, strain: Floats, radius: float) -> Floats:
-    """Moments of bars whose stress rises by unit slope in one segment of strain only, (m, n)."""
-    return np.diff(_cut_off(curvature[:, np.newaxis], strain, radius), axis=1, prepend=0.0)
+def _segment_moments(curvature: Floats, strain: Floats, radius: float) -> Floats:
+    """Return the moments of bars with unit slope in one segment of strain only, (m, n)."""
+    return np.diff(_plastic_moment(curvature[:, np.newaxis], strain, radius), axis=1, prepend=0.0)
 
 
-def _cut_off(curvature: Floats, strain: Floats, radius: float) -> Floats:
-    """Moment of a bar of unit modulus, perfectly plastic from a strain on.
+def _plastic_moment(curvature: Floats, strain: Floats, radius: float) -> Floats:
+    """Return the moment of a bar of unit modulus, perfectly plastic from a strain on.
 
     With c = strain / (kappa R) the half-height of the elastic core, as a share of the radius:
     M = kappa R^4 / 2 (asin c - c sqrt(1 - c^2) (1 - 2 c^2)) + 4/3 strain R^3 (1 - c^2)^(3/2).
@@ -162,10 +164,10 @@ def _cut_off(curvature: Floats, strain: Floats, radius: float) -> Floats:
     return 0.5 * curvature * radius**4 * inner + 4.0 / 3.0 * strain * radius**3 * outside**1.5
 
 
-def _require(curvature: Floats, moment: Floats, elastic_share: float, n_knots: int) -> None:
+def _require_input(curvature: Floats, moment: Floats, elastic_share: float, n_knots: int) -> None:
     if len(curvature) < 2 or len(moment) != len(curvature):
         message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are as many of both, "
+            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
             f"at least 2"
         )
         raise ValueError(message)

@@ -1,4 +1,4 @@
-"""A law of first loading, cut into panels for integrals over the moment."""
+"""First loading divided into panels for integrals over the moment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NODES = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadingLaw:
-    """A law of first loading, cut into panels of the moment for Gauss's rule.
+    """A law of first loading, divided into panels of the moment for Gauss's rule.
 
     Parameters
     ----------
@@ -23,9 +23,9 @@ class LoadingLaw:
         the complementary one, per length
     node_weight : shape (edges - 1, nodes), N m, weights of the rule in the moment
     node_energy : same shape, N, complementary energy at the nodes
-    points : edges at which points of the curve are wanted, increasing, without the first edge
+    points : indices of the edges that are points of the curve, increasing, without the first edge
     energy_change : shape (parameters, edges), N, derivative of the energy at constant moment by
-        each of some parameters
+        each parameter
     node_energy_change : shape (parameters, edges - 1, nodes), N, the same at the nodes
     """
 
@@ -41,6 +41,6 @@ class LoadingLaw:
 
 @lru_cache(maxsize=8)
 def panel_rule(nodes: int) -> tuple[Floats, Floats]:
-    """Places and weights of Gauss's rule on the unit interval, shape (nodes,) each."""
+    """Return nodes and weights of Gauss's rule on the unit interval, shape (nodes,) each."""
     roots, weights = np.polynomial.legendre.leggauss(nodes)
     return 0.5 * (roots + 1.0), 0.5 * weights

@@ -1,4 +1,4 @@
-"""A law of first loading as curvature over moment, and on from a rest by Masing's rule."""
+"""First loading as curvature over moment, continued from a rest by Masing's rule."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.law.plays import MomentLaw, corners_of
 from labpipe.records.arrays import Floats
 
-Bent: TypeAlias = tuple[Floats, Floats]
+CurvatureAndSlope: TypeAlias = tuple[Floats, Floats]
 """Curvature, 1/m, and its slope by the moment, 1/(N m^2)."""
 
 
@@ -23,9 +23,9 @@ class LoadingTable:
     moment : shape (knots,), N m, from zero, increasing
     curvature : shape (knots,), 1/m
     first, last : shape (knots - 1,), 1/(N m^2), slope of the curvature at the beginning and at the
-        end of each stretch between two knots: a law may have corners
+        end of each panel: a law may have corners
     first_change, last_change : shape (parameters, knots - 1), 1/m, derivative of the curvature at
-        constant moment by each of some parameters, at the beginning and at the end of each stretch
+        constant moment by each parameter, at the beginning and at the end of each panel
     """
 
     moment: Floats
@@ -37,7 +37,7 @@ class LoadingTable:
 
     @classmethod
     def of_plays(cls, law: MomentLaw) -> LoadingTable:
-        """Table of a law of plays, which is straight between its corners."""
+        """Return the table of a law of plays, which is linear between its corners."""
         last_step_factor = 1.0
         moment, curvature, slopes = corners_of(law)
         step = last_step_factor * (moment[-1] or law.stiffness)
@@ -46,73 +46,75 @@ class LoadingTable:
         none = np.zeros((0, len(slopes)))
         return cls(moment, curvature, slopes, slopes, none, none)
 
-    def bend(self, moment: Floats) -> Bent:
+    def bend(self, moment: Floats) -> CurvatureAndSlope:
         """Bend a wire that was never bent to moments of any shape and sign, N m."""
         size = np.abs(moment)
-        place = self._place(size)
+        place = self._panel(size)
         width = (self.moment[1:] - self.moment[:-1])[place]
         u = (size - self.moment[place]) / width
         inside = np.minimum(u, 1.0)
         first, last = self.first[place], self.last[place]
         chord = (self.curvature[1:] - self.curvature[:-1])[place] / width
-        bow, lean = first + last - 2.0 * chord, 3.0 * chord - 2.0 * first - last
-        rise = ((bow * inside + lean) * inside + first) * inside + last * (u - inside)
-        slope = (3.0 * bow * inside + 2.0 * lean) * inside + first
+        quadratic, lean = first + last - 2.0 * chord, 3.0 * chord - 2.0 * first - last
+        rise = ((quadratic * inside + lean) * inside + first) * inside + last * (u - inside)
+        slope = (3.0 * quadratic * inside + 2.0 * lean) * inside + first
         return np.sign(moment) * (self.curvature[place] + width * rise), slope
 
-    def bend_on(self, rest: Floats, moment: Floats) -> Bent:
-        """Bend on from a rest that was reached by first loading.
+    def bend_on(self, rest: Floats, moment: Floats) -> CurvatureAndSlope:
+        """Bend from a rest that was reached by first loading.
 
         Parameters
         ----------
         rest : shape (stations,), N m
-        moment : shape (n, stations), N m; each is gone to without a turn
+        moment : shape (n, stations), N m; each is reached monotonically
 
         Notes
         -----
-        Masing's rule: back from M0 the law is twice as large, kappa0 + 2 k((M - M0) / 2), until the
-        wire is bent the other way as much as it was.
+        Masing's rule: after a reversal at M0 the law is doubled, kappa0 + 2 k((M - M0) / 2), until
+        the wire is bent as far the other way.
         """
         curvature, slope = self.bend(moment)
-        turned = self._turned(rest, moment)
-        if turned.any():
-            way = 0.5 * (moment - rest)[turned]
+        is_reversed = self._is_reversed(rest, moment)
+        if is_reversed.any():
+            way = 0.5 * (moment - rest)[is_reversed]
             bent, rise = self.bend(way)
-            before = np.broadcast_to(self.bend(rest)[0], moment.shape)[turned]
-            curvature[turned], slope[turned] = before + 2.0 * bent, rise
+            before = np.broadcast_to(self.bend(rest)[0], moment.shape)[is_reversed]
+            curvature[is_reversed], slope[is_reversed] = before + 2.0 * bent, rise
         return curvature, slope
 
     def changes(self, moment: Floats) -> Floats:
-        """Derivatives of the curvature of first loading, shape (parameters, *moment's)."""
+        """Return the derivatives of the curvature, shape (parameters, *moment's)."""
         size = np.minimum(np.abs(moment), self.moment[-1])
-        place = self._place(size)
+        place = self._panel(size)
         u = (size - self.moment[place]) / (self.moment[1:] - self.moment[:-1])[place]
-        found = (1.0 - u) * self.first_change[:, place] + u * self.last_change[:, place]
-        return np.asarray(np.sign(moment) * found, dtype=np.float64)
+        changes = (1.0 - u) * self.first_change[:, place] + u * self.last_change[:, place]
+        return np.asarray(np.sign(moment) * changes, dtype=np.float64)
 
     def changes_on(self, rest: Floats, moment: Floats, rest_change: Floats) -> Floats:
-        """Derivatives of the curvature of `bend_on`, shape (parameters, n, stations).
+        """Return the derivatives of the curvature of `bend_on`, shape (parameters, n, stations).
 
         Parameters
         ----------
-        rest, moment : as there
+        rest, moment : as for `bend_on`
         rest_change : shape (parameters, stations), N m, derivative of the rest
         """
         changes = self.changes(moment)
-        turned = self._turned(rest, moment)
-        if turned.any():
+        is_reversed = self._is_reversed(rest, moment)
+        if is_reversed.any():
             way = 0.5 * (moment - rest)
             slack = self.bend(rest)[1] - self.bend(way)[1]
             back = self.changes(rest)[:, None, :] + 2.0 * self.changes(way)
             back = back + slack * rest_change[:, None, :]
-            changes = np.where(turned, back, changes)
+            changes = np.where(is_reversed, back, changes)
         return changes
 
-    def _place(self, size: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    def _panel(self, size: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
         return np.minimum(np.searchsorted(self.moment[1:], size, side="right"), len(self.first) - 1)
 
     @staticmethod
-    def _turned(rest: Floats, moment: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def _is_reversed(
+        rest: Floats, moment: Floats
+    ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         way = moment - rest
         turned: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] = (way * rest < 0.0) & (
             np.abs(way) < 2.0 * np.abs(rest)

@@ -1,7 +1,7 @@
-"""What a law loses in each form that a simulation program can hold: its loss card.
+"""Loss card: errors of a law in each form that simulation programs offer.
 
 All errors are the largest distance from the law's moment on first loading over a range of
-curvatures, as a share of that moment, each form at its best.
+curvatures, as a share of that moment, for the best fit of each form.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from labpipe.law.sliders import SliderLaw, within_range
 from labpipe.records.arrays import Floats, Ints
 
 COUNTS = (4, 6, 8, 12)
-"""Sliders of which a card tells the loss."""
+"""Numbers of sliders on a card."""
 DIRECTIONS = 4
-"""Of scalar sliders, of which a card tells the loss."""
+"""Directions of scalar sliders on a card."""
 
 _N_DECAYS = 60
 
 
 @dataclass(frozen=True, slots=True)
 class DahlLaw:
-    """A spring and one slider that slides little by little, after Dahl (1968).
+    """A spring and one slider with gradual slip, after Dahl (1968).
 
     M = EI kappa + M_0 (1 - exp(-kappa / tau)) on first loading.
 
@@ -45,7 +45,7 @@ class DahlLaw:
 
 @dataclass(frozen=True, slots=True)
 class LossCard:
-    """What a law loses in each form.
+    """Errors of a law in each form.
 
     Parameters
     ----------
@@ -53,11 +53,11 @@ class LossCard:
     stiffness : N m^2, the best constant one
     constant : error of the constant stiffness
     dahl : the best Dahl law
-    sliders : number of sliders and error of each fit; fewer sliders than asked for where the law
+    sliders : number of sliders and error of each fit; fewer sliders than requested if the law
         has fewer corners
     directions : number of directions of scalar sliders in three dimensions, and the largest
         difference of the moment along the curvature from that of vector sliders, in the worst
-        direction: of a node alone, and of nodes whose directions are turned (`turned`)
+        direction: for one node, and for nodes with turned directions (`turned`)
     """
 
     first: float
@@ -70,7 +70,7 @@ class LossCard:
 
 
 def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> LossCard:
-    """Work out what a law loses, from the sliders that were fitted to it.
+    """Compute the loss card of a law from the sliders fitted to it.
 
     Parameters
     ----------
@@ -80,21 +80,24 @@ def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> Los
     x, y, start = within_range(curvature, moment, laws[0].first, laws[0].last)
     secant = y[1:] / x[1:]
     low, high = float(secant.min()), float(secant.max())
-    most = laws[int(np.argmin([law.error for law in laws]))]
-    alone = in_directions(most, DIRECTIONS)
+    best_law = laws[int(np.argmin([law.error for law in laws]))]
+    alone = in_directions(best_law, DIRECTIONS)
     return LossCard(
         first=start,
         last=float(x[-1]),
         stiffness=2.0 * low * high / (low + high),
         constant=(high - low) / (high + low),
-        dahl=fit_dahl(*_fewer(x[1:], y[1:])),
+        dahl=fit_dahl(*_thinned_rows(x[1:], y[1:])),
         sliders=tuple((len(law.stiffnesses), law.error) for law in laws),
-        directions=tuple((each.directions, each.error) for each in (alone, turned(most, alone))),
+        directions=tuple(
+            (directional.directions, directional.error)
+            for directional in (alone, turned(best_law, alone))
+        ),
     )
 
 
-def _fewer(curvature: Floats, moment: Floats) -> tuple[Floats, Floats]:
-    """Some points of a law, its ends included: enough for a smooth curve of three numbers."""
+def _thinned_rows(curvature: Floats, moment: Floats) -> tuple[Floats, Floats]:
+    """Thin out the points of a law, keeping its ends: enough for three parameters."""
     max_rows = 80
     if len(curvature) <= max_rows:
         return curvature, moment
@@ -104,13 +107,13 @@ def _fewer(curvature: Floats, moment: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, slots=True)
 class TurnLoss:
-    """What is off on the way back from a bend, as the largest share of the moment at the turn.
+    """Largest error of unbending, as a share of the moment at the turn.
 
     Parameters
     ----------
-    curve : of a law without memory, which goes back the way it came
-    curve_at : 1/m, the turn after which that is so
-    isotropic : of one that unloads with its first slope and hardens alike on both sides
+    curve : of a law without memory
+    curve_at : 1/m, curvature of the turn
+    isotropic : of isotropic hardening
     isotropic_at : 1/m
     """
 
@@ -121,7 +124,7 @@ class TurnLoss:
 
 
 def turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
-    """Work out what is off where a wire is bent and straightened again.
+    """Compute the errors for a wire that is bent and straightened again.
 
     Parameters
     ----------
@@ -130,11 +133,11 @@ def turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
 
     Notes
     -----
-    Turned at curvatures up to half of the range, so that a law that hardens stays inside of it, and
-    gone back to straight; the wire follows Masing's rule, M_0 - 2 M((kappa_0 - kappa) / 2). With
-    isotropic hardening M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0; from there
-    on the wire yields the other way, by as much more as the first loading is plastic:
-    M = -M(2 kappa_0 - kappa - 2 M_0 / S).
+    The wire is turned at curvatures up to half of the range, so that a hardening law stays within
+    it, and straightened; it follows Masing's rule, M_0 - 2 M((kappa_0 - kappa) / 2). With isotropic
+    hardening M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0; beyond it yields the
+    other way, shifted by the plastic part of the first loading: M = -M(2 kappa_0 - kappa - 2 M_0 /
+    S).
     """
     n_turns = 40
     n_points = 41
@@ -143,16 +146,16 @@ def turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
     turn = turn[:, None]
     at = turn * np.linspace(0.0, 1.0, n_points)
     top = np.interp(turn, curvature, moment)
-    wanted = top - 2.0 * np.interp(0.5 * (turn - at), curvature, moment)
+    masing = top - 2.0 * np.interp(0.5 * (turn - at), curvature, moment)
     straight = top - slope * (turn - at)
     yields = -np.interp(2.0 * turn - at - 2.0 * top / slope, curvature, moment)
     isotropic = np.where(straight >= -top, straight, yields)
-    found: list[float] = []
+    largest: list[float] = []
     for carried in (np.interp(at, curvature, moment), isotropic):
-        off = np.max(np.abs((carried - wanted) / top), axis=1)
-        worst = int(np.argmax(off))
-        found += [float(off[worst]), float(turn[worst, 0])]
-    return TurnLoss(*found)
+        errors = np.max(np.abs((carried - masing) / top), axis=1)
+        worst_turn = int(np.argmax(errors))
+        largest += [float(errors[worst_turn]), float(turn[worst_turn, 0])]
+    return TurnLoss(*largest)
 
 
 def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
@@ -165,12 +168,12 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
     Notes
     -----
-    For each of many decays the spring and the slider of the least largest error, by exchange of the
-    three points at which it is the same with changing sign (Stiefel, Numerische Mathematik 1 (1959)
-    1-28): the ratio of the two only falls, so that there is one such best. Springs and sliders that
-    push are left out.
+    For each of many decays the minimax spring and slider are found by exchange of the three points
+    of equal error with alternating sign (Stiefel, Numerische Mathematik 1 (1959) 1-28); the optimum
+    is unique because the ratio of the two functions falls. Negative springs and sliders are left
+    out.
     """
-    if len(curvature) < 3:  # two points have no third at which the error is the same
+    if len(curvature) < 3:  # the exchange needs three points
         middle = 0.5 * (curvature[0] + curvature[-1])
         moment = np.insert(moment, 1, np.interp(middle, curvature, moment))
         curvature = np.insert(curvature, 1, middle)
@@ -187,25 +190,30 @@ def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) 
     slider = -np.expm1(-curvature / decay[:, None]) / moment
     points = np.tile([0, len(curvature) // 2, len(curvature) - 1], (_N_DECAYS, 1))
     for _ in range(max_exchanges):
-        sides = [np.take_along_axis(each, points, axis=1) for each in (spring, slider)]
+        sides = [np.take_along_axis(column, points, axis=1) for column in (spring, slider)]
         signs = np.broadcast_to([1.0, -1.0, 1.0], points.shape)
         level = np.linalg.solve(np.stack([*sides, signs], axis=2), np.ones((_N_DECAYS, 3, 1)))
         stiffness, height, even = level[..., 0].T
-        off = 1.0 - stiffness[:, None] * spring - height[:, None] * slider
-        worst = np.argmax(np.abs(off), axis=1)
-        most = np.take_along_axis(off, worst[:, None], axis=1)[:, 0]
-        moves = np.abs(most) > np.abs(even) * (1.0 + convergence_tolerance) + convergence_tolerance
-        if not moves.any():
+        errors = 1.0 - stiffness[:, None] * spring - height[:, None] * slider
+        worst = np.argmax(np.abs(errors), axis=1)
+        largest_error = np.take_along_axis(errors, worst[:, None], axis=1)[:, 0]
+        is_moving = (
+            np.abs(largest_error)
+            > np.abs(even) * (1.0 + convergence_tolerance) + convergence_tolerance
+        )
+        if not is_moving.any():
             break
-        swapped = _exchanged(points, worst, np.sign(most), np.sign(even[:, None]) * signs)
-        points = np.where(moves[:, None], swapped, points)
-    error = np.where((stiffness >= 0.0) & (height >= 0.0), np.abs(most), np.inf)
+        swapped = _exchange_points(
+            points, worst, np.sign(largest_error), np.sign(even[:, None]) * signs
+        )
+        points = np.where(is_moving[:, None], swapped, points)
+    error = np.where((stiffness >= 0.0) & (height >= 0.0), np.abs(largest_error), np.inf)
     at = int(np.argmin(error))
     return DahlLaw(*map(float, (stiffness[at], height[at], decay[at], error[at])))
 
 
-def _exchanged(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
-    """Points with the worst one among them, and signs that still change from one to the next."""
+def _exchange_points(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
+    """Exchange the worst point in, keeping alternating signs."""
     place = np.sum(points < worst[:, None], axis=1)
     row = np.arange(len(points))
     left, right = np.maximum(place - 1, 0), np.minimum(place, 2)

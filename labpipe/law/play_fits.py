@@ -1,4 +1,4 @@
-"""Plays made from what is known of a first loading: its points, a smooth curve, two stiffnesses."""
+"""Plays fitted to first loading: to points, a smooth curve, or two stiffnesses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labpipe.records.arrays import Floats
 
 
 def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
-    """Plays of a polygon through the origin and given points of a first loading, the last its end.
+    """Return the plays of a polygon through the origin and points of a first loading.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     ------
     ValueError
         If the moment does not grow (softens), or a later slope is above an earlier one (stiffens);
-        the message says the curvature.
+        the message states the curvature.
     """
     rounding_share = 1e-7  # of the first slope, from differences of close corners
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
@@ -33,7 +33,8 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     if np.any(np.diff(slopes) > rounding_share * slopes[0]):
         at = curvature[int(np.argmax(np.diff(slopes))) + 1]
         message = (
-            f"the law stiffens before curvature={at:.6g} 1/m: allowed is a slope that never grows"
+            f"the law stiffens before curvature={at:.6g} 1/m: "
+            "allowed is a slope that does not increase"
         )
         raise ValueError(message)
     compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
@@ -41,10 +42,10 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
 
 
 def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
-    """Plays of the lowest polygon that no given point of a first loading lies above.
+    """Return the plays of the concave hull of points of a first loading.
 
-    Where the law stiffens, as it can by the rounding of a table or under tension, its corners are
-    left out and the polygon bridges them; elsewhere it is that of `polygon_law`.
+    Where the law stiffens, as it can by rounding of a table or under tension, the hull bridges its
+    corners; elsewhere it is that of `polygon_law`.
 
     Parameters
     ----------
@@ -54,34 +55,36 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     Raises
     ------
     ValueError
-        If the moment does not grow, or the bridges are more than 1 % of the moment above the law;
-        the message says the curvature.
+        If the moment does not grow, or the hull is more than 1 % of the moment above the law;
+        the message states the curvature.
     """
     max_bridged_share = 0.01  # of the moment: more would be another law
-    kept = _upper_corners(curvature, moment)
-    bridged = np.interp(curvature, np.append(0.0, curvature[kept]), np.append(0.0, moment[kept]))
-    above = bridged / moment - 1.0
-    if np.any(above > max_bridged_share):
-        at = int(np.argmax(above))
+    corners = _upper_corners(curvature, moment)
+    bridged = np.interp(
+        curvature, np.append(0.0, curvature[corners]), np.append(0.0, moment[corners])
+    )
+    excess = bridged / moment - 1.0
+    if np.any(excess > max_bridged_share):
+        at = int(np.argmax(excess))
         message = (
-            f"the law stiffens at curvature={curvature[at]:.6g} 1/m: a law that never does is "
-            f"{100.0 * above[at]:.2g} % above it, allowed is {100.0 * max_bridged_share:.0f} %"
+            f"the law stiffens at curvature={curvature[at]:.6g} 1/m: its concave hull is "
+            f"{100.0 * excess[at]:.2g} % above it, allowed is {100.0 * max_bridged_share:.0f} %"
         )
         raise ValueError(message)
-    return polygon_law(curvature[kept], moment[kept])
+    return polygon_law(curvature[corners], moment[corners])
 
 
 def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:
-    """Which points are corners of the upper hull with the origin (Andrew's chain, 1979)."""
-    kept: list[int] = []
+    """Return the corners of the upper hull with the origin (Andrew's chain, 1979)."""
+    corners: list[int] = []
     x, y = [0.0], [0.0]
     for number, (k, m) in enumerate(zip(curvature.tolist(), moment.tolist(), strict=True)):
         while len(x) > 1 and (m - y[-2]) * (x[-1] - x[-2]) >= (y[-1] - y[-2]) * (k - x[-2]):
-            del x[-1], y[-1], kept[-1]
+            del x[-1], y[-1], corners[-1]
         x.append(k)
         y.append(m)
-        kept.append(number)
-    return kept
+        corners.append(number)
+    return corners
 
 
 def fit_plays(
@@ -98,19 +101,19 @@ def fit_plays(
     ----------
     curvature : first-loading curvature, 1/m, as a function of moments, N m
     stiffness : EI0 of the elastic start and of unloading, N m^2
-    first_moment, last_moment : N m, where the first play gives way and where the fit ends; the
-        corners lie between them, closer near the first; beyond the last the law goes on straight
+    first_moment, last_moment : N m, where the first play moves and where the fit ends; the corners
+        lie between them, denser near the first; beyond the last the law is linear
     n_plays : number of plays, 30 to 60 for a law without visible corners
 
     Returns
     -------
-    The law. Up to `first_moment` it has `stiffness`, whatever `curvature` says there.
+    The law. Up to `first_moment` it has `stiffness`, independent of `curvature`.
 
     Raises
     ------
     ValueError
         If a number is out of its range, or `curvature` softens (stops growing with the moment) or
-        stiffens (its slope falls), which plays cannot do.
+        stiffens (its slope falls), which plays cannot.
     """
     require_positive("first_moment", first_moment)
     if not (last_moment > first_moment and n_plays >= 1):
@@ -146,7 +149,7 @@ def stick_slip_law(
     last_moment: float,
     n_plays: int = 40,
 ) -> PlayLaw:
-    """Stick, then a power law of slip and yield (Ramberg-Osgood beyond the stick moment).
+    """Return plays for stick, then a power law of slip and yield (Ramberg-Osgood beyond).
 
     kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n), cut into plays.
 
@@ -157,7 +160,7 @@ def stick_slip_law(
     slip_stiffness : EI1, N m^2: secant stiffness of the power law alone at Ms + `reference_moment`
     reference_moment : M0, N m
     hardening : n between 0 (perfectly plastic) and 1 (two straight lines)
-    last_moment : N m, up to which the law is followed
+    last_moment : N m, end of the fit
     n_plays : number of plays
 
     Returns

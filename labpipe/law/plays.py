@@ -5,13 +5,13 @@ yield do so one after the other):
 
     kappa = M / EI0 + sum_j c_j p_j        p_j <- min(max(p_j, M - r_j), M + r_j)
 
-On first loading p_j = max(0, M - r_j), so the law is a polygon that gives way at each half-width
-r_j; after a reversal nothing moves until the moment has changed by twice the smallest r_j, so
-unloading starts with EI0, loops follow Masing's rule and close, and curvature stays behind when the
-moment is gone. It does not depend on rate. Moments are in N m, curvatures in 1/m.
+On first loading p_j = max(0, M - r_j), so the law is a polygon with a corner at each half-width
+r_j; after a reversal no play moves until the moment has changed by twice the smallest r_j, so
+unloading starts with EI0, loops follow Masing's rule and close, and residual curvature remains at
+zero moment. The law is rate-independent. Moments are in N m, curvatures in 1/m.
 
-A law may end at a moment. Nothing here stops there, so that a search may pass it on its way; what
-it ends at is checked by `require_within`.
+A law may end at a moment. Functions here do not stop there, so that a search may pass it; results
+are checked by `require_within`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from labpipe.records.arrays import ArrayRecord, Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """What a law answers to a moment at each station.
+    """Response of a law to a moment at each station.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class MomentLaw(Protocol):
 
     @property
     def largest_moment(self) -> float:
-        """Where the law ends, N m, either sign; infinite where it does not."""
+        """End of the law, N m, either sign; may be infinite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +77,17 @@ class LinearLaw:
 
     @property
     def largest_moment(self) -> float:
-        """No end."""
+        """Return infinity."""
         return np.inf
 
     @property
     def half_widths(self) -> Floats:
-        """No plays: shape (0,)."""
+        """Return an empty array: there are no plays."""
         return np.zeros(0)
 
     @property
     def compliances(self) -> Floats:
-        """No plays: shape (0,)."""
+        """Return an empty array: there are no plays."""
         return np.zeros(0)
 
 
@@ -129,17 +129,17 @@ class PlayLaw(ArrayRecord):
 
 
 def unbent_plays(law: MomentLaw, n_stations: int) -> Floats:
-    """History of a wire that was never bent, shape (n_stations, plays), N m."""
+    """Return the history of a wire that was never bent, shape (n_stations, plays), N m."""
     return np.zeros((n_stations, len(law.half_widths)))
 
 
 def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
-    """Curvature under new moments, from the history left by the moments before.
+    """Compute curvatures under new moments, from the history.
 
     Parameters
     ----------
     law : the law of every station
-    moment : shape (stations,), N m; each station's moment is taken to go there monotonically
+    moment : shape (stations,), N m; each is reached monotonically
     plays : shape (stations, plays), N m, history before the step
 
     Returns
@@ -148,8 +148,7 @@ def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
 
     Notes
     -----
-    A step that would need two turns is two steps. The compliance at a corner of the polygon is
-    that of the play at rest.
+    The compliance at a corner of the polygon is that of the play at rest.
     """
     column = moment[:, None]
     moved = np.minimum(np.maximum(plays, column - law.half_widths), column + law.half_widths)
@@ -160,7 +159,7 @@ def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
 
 
 def corners_of(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
-    """Where a law bends on first loading, zero first, each of shape (plays + 1,).
+    """Return the corners of a law on first loading, from zero, each of shape (plays + 1,).
 
     Parameters
     ----------
@@ -176,7 +175,7 @@ def corners_of(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
 
 
 def first_curvature(law: MomentLaw, moment: Floats) -> Floats:
-    """Curvature of first loading at moments, 1/m.
+    """Return the curvature of first loading at moments, 1/m.
 
     Parameters
     ----------
@@ -189,7 +188,7 @@ def first_curvature(law: MomentLaw, moment: Floats) -> Floats:
 
 
 def is_within(law: MomentLaw, moment: float) -> bool:
-    """Whether a law goes as far as a moment, N m, either sign, but for rounding."""
+    """Return whether a law covers a moment, N m, either sign, within rounding."""
     rounding_share = 1e-6  # of the last moment, to which a moment is searched
     return bool(abs(moment) <= law.largest_moment * (1.0 + rounding_share))
 
@@ -201,7 +200,7 @@ def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
     ----------
     law : the law
     moment : shape (n,), N m
-    what : it takes them for, for the message
+    what : place, for the message
 
     Raises
     ------
@@ -213,7 +212,8 @@ def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
         return
     bent, last = first_curvature(law, np.array([largest, law.largest_moment]))
     message = (
-        f"{what}: the wire would be bent to {bent:.4g} 1/m, and its law ends at {last:.4g} 1/m"
+        f"{what}: expected curvatures up to {last:.4g} 1/m, the end of the law, "
+        f"found {bent:.4g} 1/m"
     )
     raise ValueError(message)
 

@@ -1,14 +1,14 @@
-"""Vector sliders by scalar ones in a few directions, for programs that have only scalar sliders.
+"""Scalar sliders in a few directions in place of vector sliders, for programs without them.
 
 D directions across the wire, at 180 / D degrees from each other, each with the same spring and
-sliders on its component of the curvature. A spring so made is alike in every direction from D = 2
-on, sliders are not: in a direction of its own a row of sliders gives way sooner than in between.
-With one slider that slides at kappa_j, stiffness 2 K / D and moment pi K kappa_j / 2 D in each
-direction carry K kappa_j on average once all slide (PHYSICS 11). On the way there they carry less,
-so that the sliders of several are fitted together to what a vector slider carries.
+sliders on its component of the curvature. Such a spring is isotropic from D = 2 on, sliders are
+not: they slide earlier along one of the directions than in between. With one slider that slides at
+kappa_j, stiffness 2 K / D and moment pi K kappa_j / 2 D in each direction carry K kappa_j on
+average once all slide (PHYSICS 11). Before that they carry less, so that several sliders are fitted
+together to the moment of the vector sliders.
 
-Nodes of a chain may have their directions turned from one to the next (`TURNS`): what one node has
-too much another has too little, and four of them together are nearly alike in every direction.
+Nodes of a chain may have their directions turned from one to the next (`TURNS`): their
+errors cancel, and four of them together are nearly isotropic.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from labpipe.law.sliders import SliderLaw, slider_moment
 from labpipe.records.arrays import ArrayRecord, Floats
 
 MOST_SLIDERS = 16
-"""In each direction."""
+"""Largest number in each direction."""
 TURNS = (0.0, 0.5, 0.25, 0.75)
-"""Of the angle between two directions, by which those of one node after another may be turned."""
+"""Turns of successive nodes, as shares of the angle between two directions."""
 
 _N_ANGLES = 13
 
@@ -55,24 +55,24 @@ class DirectionalLaw(ArrayRecord):
 
     @property
     def normals(self) -> Floats:
-        """Directions, unit vectors, shape (directions, 2)."""
+        """Return the directions, unit vectors, shape (directions, 2)."""
         return self.turned_normals(0.0)
 
     def turned_normals(self, share: float) -> Floats:
-        """The same, turned by a share of the angle between two of them."""
+        """Return the directions, turned by a share of the angle between two of them."""
         angle = np.pi * (np.arange(self.directions) + share) / self.directions
         return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-@lru_cache(maxsize=16)  # a law is known by its identity
+@lru_cache(maxsize=16)  # laws are hashed by identity
 def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) -> DirectionalLaw:
-    """Make scalar sliders in a few directions that come close to vector sliders.
+    """Fit scalar sliders in a few directions to vector sliders.
 
     Parameters
     ----------
     law : vector sliders
     directions : D, at least 2
-    most : sliders in each direction
+    most : largest number of sliders in each direction
 
     Raises
     ------
@@ -82,8 +82,8 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     Notes
     -----
     Non-negative least squares of the moment along the curvature, relative to that of the vector
-    sliders and as a mean over all directions, on a grid of slip curvatures; then the nearest ones
-    are made one until few enough are left.
+    sliders and as a mean over all directions, on a grid of slip curvatures; then the nearest
+    ones are merged until few enough are left.
     """
     n_slips = 48  # slip curvatures to choose from
     last_slip_factor = 1.6  # vector sliders slide together, scalar ones only until there
@@ -93,32 +93,32 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     if most < 1:
         message = f"most={most}: allowed are numbers >= 1"
         raise ValueError(message)
-    size = _sizes(law)
-    wanted = slider_moment(law, size)
+    size = _curvatures(law)
+    vector_moment = slider_moment(law, size)
     if not law.stiffnesses.size:
-        slips, found = np.zeros(0), np.array([law.stiffness])
+        slips, stiffnesses = np.zeros(0), np.array([law.stiffness])
     else:
         ends = (
             0.5 * law.slip_curvatures[0],
             min(last_slip_factor * law.slip_curvatures[-1], law.last),
         )
         slips = np.geomspace(*ends, n_slips)
-        found = _fitted(size, wanted, slips, directions)
-        while np.count_nonzero(found[1:]) > most or not np.all(found[1:]):
-            slips = _fewer(slips, found[1:])
-            found = _fitted(size, wanted, slips, directions)
-    springs = 2.0 * found / directions
-    made = DirectionalLaw(directions, float(springs[0]), springs[1:], slips, 0.0, 0.0)
-    return _judged(law, made)
+        stiffnesses = _fit_stiffnesses(size, vector_moment, slips, directions)
+        while np.count_nonzero(stiffnesses[1:]) > most or not np.all(stiffnesses[1:]):
+            slips = _fewer_slips(slips, stiffnesses[1:])
+            stiffnesses = _fit_stiffnesses(size, vector_moment, slips, directions)
+    springs = 2.0 * stiffnesses / directions
+    scalar_law = DirectionalLaw(directions, float(springs[0]), springs[1:], slips, 0.0, 0.0)
+    return _with_errors(law, scalar_law)
 
 
 def turned(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
-    """What neighbouring nodes make together whose directions are turned by `TURNS`.
+    """Return the mean of neighbouring nodes whose directions are turned by `TURNS`.
 
     Parameters
     ----------
     law : vector sliders
-    few : as each of the nodes has them
+    few : scalar sliders of each node
 
     Returns
     -------
@@ -131,34 +131,37 @@ def turned(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
         stiffness=few.stiffness / count,
         stiffnesses=few.stiffnesses / count,
     )
-    return _judged(law, mean)
+    return _with_errors(law, mean)
 
 
-def _sizes(law: SliderLaw) -> Floats:
+def _curvatures(law: SliderLaw) -> Floats:
     n_sizes = 80
     return np.geomspace(law.first, law.last, n_sizes)
 
 
-def _judged(law: SliderLaw, made: DirectionalLaw) -> DirectionalLaw:
-    """The same with its largest errors."""
-    size = _sizes(law)
-    wanted = slider_moment(law, size)
-    along, aside = _components(made, size)
+def _with_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
+    """Return the law with its largest errors."""
+    size = _curvatures(law)
+    vector_moment = slider_moment(law, size)
+    along, aside = _components(scalar_law, size)
     return replace(
-        made,
-        error=float(np.max(np.abs(along / wanted[:, None] - 1.0))),
-        sideways=float(np.max(np.abs(aside / wanted[:, None]))),
+        scalar_law,
+        error=float(np.max(np.abs(along / vector_moment[:, None] - 1.0))),
+        sideways=float(np.max(np.abs(aside / vector_moment[:, None]))),
     )
 
 
-def _fitted(size: Floats, wanted: Floats, slips: Floats, directions: int) -> Floats:
-    """Stiffness of the spring, then of the sliders, as those of vector sliders, N m^2."""
-    columns = np.column_stack([size, _mean_held(size, slips, directions)]) / wanted[:, None]
+def _fit_stiffnesses(size: Floats, vector_moment: Floats, slips: Floats, directions: int) -> Floats:
+    """Fit the stiffness of the spring, then of the sliders, as vector sliders, N m^2."""
+    columns = (
+        np.column_stack([size, _mean_held_curvature(size, slips, directions)])
+        / vector_moment[:, None]
+    )
     return np.asarray(nnls(columns, np.ones(len(size)))[0])
 
 
-def _mean_held(size: Floats, slips: Floats, directions: int) -> Floats:
-    """What sliders hold along the curvature, 1/m, as a mean over all directions of it.
+def _mean_held_curvature(size: Floats, slips: Floats, directions: int) -> Floats:
+    """Return the mean held curvature along the curvature, over all its directions, 1/m.
 
     Shape (curvatures, slips). A slider whose component of the curvature is p slides from slip / p
     on: sorted by p, those that slide are the last ones.
@@ -173,20 +176,20 @@ def _mean_held(size: Floats, slips: Floats, directions: int) -> Floats:
     return 2.0 / directions / len(turn) * (squares * size[:, None] + sliding * slips)
 
 
-def _fewer(slips: Floats, stiffnesses: Floats) -> Floats:
-    """Slip curvatures without those that carry nothing; else the two nearest made one."""
-    used = slips[stiffnesses > 0.0]
-    if len(used) < len(slips):
-        return np.asarray(used)
-    near = int(np.argmin(np.diff(np.log(used))))
-    middle = np.sqrt(used[near] * used[near + 1])
-    return np.concatenate([used[:near], [middle], used[near + 2 :]])
+def _fewer_slips(slips: Floats, stiffnesses: Floats) -> Floats:
+    """Drop slip curvatures without stiffness; if there is none, merge the two nearest."""
+    loaded = slips[stiffnesses > 0.0]
+    if len(loaded) < len(slips):
+        return np.asarray(loaded)
+    near = int(np.argmin(np.diff(np.log(loaded))))
+    middle = np.sqrt(loaded[near] * loaded[near + 1])
+    return np.concatenate([loaded[:near], [middle], loaded[near + 2 :]])
 
 
 def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
-    """Moment along and across the curvature, N m, shape (curvatures, angles).
+    """Return the moment along and across the curvature, N m, shape (curvatures, angles).
 
-    From a direction to the middle between two: beyond, all is the same mirrored.
+    Angles go from a direction to the middle between two; the rest follows by symmetry.
     """
     turn = np.linspace(0.0, 0.5 * np.pi / law.directions, _N_ANGLES + 1)
     towards = np.column_stack([np.cos(turn), np.sin(turn)])

@@ -1,16 +1,16 @@
-"""A moment-curvature law as sliders: what a simulation program can hold, with its memory.
+"""A moment-curvature law as sliders, with history, for simulation programs.
 
 Any concave first loading M(kappa) is a spring and Coulomb sliders side by side (PHYSICS 11), each a
 spring of stiffness K_j that slides once it is bent by kappa_j:
 
     M(kappa) = EI_0 kappa + sum_j K_j stop_j(kappa)      on first loading: K_j min(kappa, kappa_j)
 
-It is the dual of `law.plays`, where curvature follows from moment. On reversal a slider gives way
-after 2 kappa_j, so that loops follow Masing's rule and close. The history is where each slider
-rests: the curvature a_j at which it carries nothing.
+It is the dual of `law.plays`, where curvature follows from moment. After a reversal a slider slides
+again after 2 kappa_j, so that loops follow Masing's rule and close. The history is the curvature
+a_j at which each slider carries no moment.
 
 In three dimensions curvature and moment are vectors across the wire, and a slider is a vector stop:
-it holds on while |kappa - a_j| <= kappa_j, else a_j follows (radial return), alike in every plane.
+it sticks while |kappa - a_j| <= kappa_j, else a_j follows (radial return), isotropically.
 Curvatures are in 1/m, moments in N m.
 """
 
@@ -27,7 +27,7 @@ from labpipe.law.thinning import thin
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
 MOST_SLIDERS = 64
-"""Of a law: more tell nothing new."""
+"""Largest number of sliders of a law."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class SliderLaw(ArrayRecord):
     stiffness : EI_0 of the spring, which never slides, N m^2; may be zero
     stiffnesses : shape (sliders,), K_j, N m^2, positive
     slip_curvatures : shape (sliders,), kappa_j, 1/m, positive and increasing
-    first, last : 1/m, between which the law was fitted; beyond the last it goes on straight
+    first, last : 1/m, between which the law was fitted; beyond the last it is linear
     error : largest distance of the first loading from the law it was fitted to, between `first`
         and `last`, as a share of the moment there; 0 where nothing was fitted
 
@@ -72,13 +72,13 @@ class SliderLaw(ArrayRecord):
 
     @property
     def first_stiffness(self) -> float:
-        """Bending stiffness before anything slides, N m^2, and right after every reversal."""
+        """Return the bending stiffness before sliding, and after every reversal, N m^2."""
         return self.stiffness + float(np.sum(self.stiffnesses))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SliderResponse:
-    """What sliders answer to a curvature at each station.
+    """Response of sliders to a curvature at each station.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class SliderResponse:
 
 
 def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
-    """Moment of first loading, N m.
+    """Return the moment of first loading, N m.
 
     Parameters
     ----------
@@ -106,17 +106,17 @@ def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
 
 
 def unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
-    """History of a wire that was never bent, 1/m: shape (n_stations, sliders), or with 2 behind."""
+    """Return the history of a wire that was never bent, 1/m: shape (n_stations, sliders[, 2])."""
     return np.zeros((n_stations, len(law.stiffnesses), *((2,) if is_vector else ())))
 
 
 def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
-    """Moment at new curvatures in one plane, from the history left by those before.
+    """Compute moments at new curvatures in one plane, from the history.
 
     Parameters
     ----------
     law : the law of every station
-    curvature : shape (stations,), 1/m; each is taken to go there without a turn
+    curvature : shape (stations,), 1/m; each is reached monotonically
     rests : shape (stations, sliders), 1/m, before the step
 
     Notes
@@ -131,19 +131,19 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
 
 
 def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
-    """Moment vectors at new curvature vectors, from the history left by those before.
+    """Compute moment vectors at new curvature vectors, from the history.
 
     Parameters
     ----------
     law : the law of every station
-    curvature : shape (stations, 2), 1/m, across the wire; each is taken to go there straight
+    curvature : shape (stations, 2), 1/m, across the wire; each is reached along a straight line
     rests : shape (stations, sliders, 2), 1/m, before the step
 
     Notes
     -----
     Radial return: a slider bent by b = kappa - a, |b| > kappa_j, carries K_j kappa_j b / |b|, and
     d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider that does not slide has
-    K_j 1. As exact as the path is straight: a path that turns wants steps.
+    K_j 1. Exact for straight paths; a curved path needs small steps.
     """
     bent = curvature[:, None, :] - rests
     size = np.sqrt(np.vecdot(bent, bent))
@@ -160,7 +160,7 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
 
 
 def as_plays(law: SliderLaw) -> PlayLaw:
-    """The same law with curvature as a function of moment, up to the end of its range.
+    """Return the law as plays, up to the end of its range.
 
     Parameters
     ----------
@@ -189,35 +189,35 @@ def fit_sliders(
     Parameters
     ----------
     curvature : shape (n,), 1/m, from 0, increasing
-    moment : shape (n,), N m, from 0, growing with a slope that does not
-    n_sliders : at most; fewer where the law has fewer corners
-    first, last : 1/m, between which the error counts; as far as the points go where not given
-    allowed : error that is refused when it is passed, as a share of the moment
+    moment : shape (n,), N m, from 0, increasing, concave
+    n_sliders : largest number; fewer where the law has fewer corners
+    first, last : 1/m, range in which the error counts; by default that of the points
+    allowed : largest error, as a share of the moment
 
     Raises
     ------
     ValueError
         If the range is empty or outside of the points; if the law softens, or stiffens by more than
-        1 % of its moment (the message says the curvature); if the error is larger than allowed (the
-        message says how many sliders are enough).
+        1 % of its moment (the message states the curvature); if the error is larger than allowed
+        (the message states the number of sliders needed).
 
     Notes
     -----
-    Chords between the best so many points of the law (`thin`) lie below it by at most e; multiplied
+    Chords between the best points of the law (`thin`) lie below it by at most e; multiplied
     by 1 + e / (2 - e) they are within e / (2 - e) of it, on both sides. Their slopes fall, so that
     the differences of the slopes are the K_j > 0 of least error; non-negative least squares on a
-    grid of kappa_j, thinned out afterwards, comes out worse.
+    grid of kappa_j, thinned out afterwards, has a larger error.
     """
     if not 1 <= n_sliders <= MOST_SLIDERS:
         message = f"n_sliders={n_sliders}: allowed are numbers from 1 to {MOST_SLIDERS}"
         raise ValueError(message)
     x, y, start = within_range(curvature, moment, first, last)
-    law = _fitted(x, y, n_sliders, start)
+    law = _fit(x, y, n_sliders, start)
     if not law.error <= allowed:
-        enough = _enough(x, y, start, allowed)
+        enough = _number_needed(x, y, start, allowed)
         message = (
-            f"{n_sliders} sliders lose {100.0 * law.error:.3g} % of the moment, allowed is "
-            f"{100.0 * allowed:.3g} %: {enough}"
+            f"{n_sliders} sliders have an error of {100.0 * law.error:.3g} % of the moment, "
+            f"allowed is {100.0 * allowed:.3g} %: {enough}"
         )
         raise ValueError(message)
     return law
@@ -232,7 +232,7 @@ def _require_range(first: float, last: float) -> None:
 def within_range(
     curvature: Floats, moment: Floats, first: float, last: float
 ) -> tuple[Floats, Floats, float]:
-    """Take the points of a law inside a range, with zero before them.
+    """Return the points of a law inside a range, with zero before them.
 
     Parameters
     ----------
@@ -240,8 +240,8 @@ def within_range(
 
     Returns
     -------
-    Curvatures, 1/m, and moments, N m: zero, the begin of the range, the points inside, its end; and
-    where the range begins, 1/m.
+    Curvatures, 1/m, and moments, N m: zero, the start of the range, the points inside, its end; and
+    the start of the range, 1/m.
 
     Raises
     ------
@@ -250,7 +250,7 @@ def within_range(
     """
     if len(curvature) < 2 or len(curvature) != len(moment) or curvature[0] != 0.0:
         message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are as many of both, "
+            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
             "from zero"
         )
         raise ValueError(message)
@@ -268,22 +268,22 @@ def within_range(
 
 
 def _require_concave(x: Floats, y: Floats) -> None:
-    """Refuse a law that stiffens by more than can be bridged; `thin` refuses one that softens."""
+    """Refuse a law that stiffens too much; `thin` refuses one that softens."""
     max_bridged = 0.01  # of the moment, between the law and its concave hull
     slopes = np.diff(y) / np.diff(x)
     if np.all(slopes > 0.0) and np.any(np.diff(slopes) > 0.0):
         hull = thin(x, y, most=len(x))
-        off = np.interp(x[1:], hull.curvature, hull.moment) / y[1:] - 1.0
-        if np.max(off) > max_bridged:
-            at = int(np.argmax(off)) + 1
+        excess = np.interp(x[1:], hull.curvature, hull.moment) / y[1:] - 1.0
+        if np.max(excess) > max_bridged:
+            at = int(np.argmax(excess)) + 1
             message = (
-                f"the law stiffens at curvature={x[at]:.6g} 1/m: a law that never does is "
-                f"{100.0 * off[at - 1]:.2g} % above it, allowed is {100.0 * max_bridged:.0f} %"
+                f"the law stiffens at curvature={x[at]:.6g} 1/m: its concave hull is "
+                f"{100.0 * excess[at - 1]:.2g} % above it, allowed is {100.0 * max_bridged:.0f} %"
             )
             raise ValueError(message)
 
 
-def _fitted(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
+def _fit(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
     chords = thin(x, y, most=n_sliders + 2)
     shares = np.interp(x[1:], chords.curvature, chords.moment) / y[1:]
     scale = 2.0 / (float(shares.max()) + float(shares.min()))
@@ -298,15 +298,15 @@ def _fitted(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
     )
 
 
-def _enough(x: Floats, y: Floats, start: float, allowed: float) -> str:
+def _number_needed(x: Floats, y: Floats, start: float, allowed: float) -> str:
     for number in range(1, MOST_SLIDERS + 1):
-        if _fitted(x, y, number, start).error <= allowed:
+        if _fit(x, y, number, start).error <= allowed:
             return f"{number} are enough"
     return f"{MOST_SLIDERS} are not enough"
 
 
 def linear_moment_law(stiffness: float, last: float) -> SliderLaw:
-    """A constant stiffness as a law without sliders.
+    """Return a constant stiffness as a law without sliders.
 
     Parameters
     ----------
@@ -318,5 +318,5 @@ def linear_moment_law(stiffness: float, last: float) -> SliderLaw:
 
 
 def slip_moments(law: SliderLaw) -> Vector:
-    """Moments at which the sliders slide, K_j kappa_j, N m."""
+    """Return the moments at which the sliders slide, K_j kappa_j, N m."""
     return np.asarray(law.stiffnesses * law.slip_curvatures)

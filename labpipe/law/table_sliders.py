@@ -1,4 +1,4 @@
-"""Sliders of a wire from its table, and what they lose: for decks and for rods alike."""
+"""Sliders of a wire from its table, and their loss card, for decks and rods."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from labpipe.law.sliders import SliderLaw, fit_sliders
 from labpipe.records.wire import WireTable
 
 SLIDERS = 12
-"""With fewer, what a wire keeps after unloading is off by more than 2 %."""
+"""With fewer, the error of the residual curvature after unloading exceeds 2 %."""
 
 
 def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
-    """Sliders of a wire over its whole table.
+    """Fit sliders to a wire over its whole table.
 
     Parameters
     ----------
@@ -28,14 +28,14 @@ def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
     return _fitted(table, sliders)
 
 
-@lru_cache(maxsize=16)  # a table is known by its identity
+@lru_cache(maxsize=16)  # tables are hashed by identity
 def _fitted(table: WireTable, sliders: int) -> SliderLaw:
     return fit_sliders(table.curvature, table.moment, sliders)
 
 
 @lru_cache(maxsize=4)
 def table_card(table: WireTable) -> LossCard:
-    """What the law of a wire loses in each form, over its table.
+    """Compute the loss card of a wire over its table.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Few points of a law that never stiffens, such that straight lines between them lose least."""
+"""Thinning of a concave law to few points with the smallest error of linear interpolation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thinned(ArrayRecord):
-    """Points of a moment-curvature law, the slope between them always falling.
+    """Points of a moment-curvature law with falling slopes between them.
 
     Parameters
     ----------
@@ -28,35 +28,34 @@ class Thinned(ArrayRecord):
 
 
 def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
-    """Choose at most so many points of a law, zero and the end included.
+    """Choose points of a law, including zero and the end.
 
     Parameters
     ----------
     curvature : shape (n,), 1/m, from 0, increasing; n >= 2
     moment : shape (n,), N m, from 0, increasing
-    most : points, at least 2
+    most : largest number of points, at least 2
 
     Returns
     -------
     The points. Each slope is below the one before by at least a millionth: programs that take the
-    first slope as the elastic one ask for it.
+    first slope as the elastic one require it.
 
     Raises
     ------
     ValueError
-        If fewer than two points are asked for or given; if a value is NaN or not finite; if the
-        law does not begin at zero; if it softens (the message says the curvature).
+        If fewer than two points are requested or given, a value is not finite, the law does not
+        begin at zero, or it softens (the message states the curvature).
 
     Notes
     -----
     The error relative to the moment is a quotient of straight lines between neighbouring points of
-    the law, so that it is largest at one of these points: it need not be looked for between them.
+    the law, so that it is largest at one of these points.
 
-    Chosen from are the corners of the concave hull (Andrew's monotone chain). On a concave polygon
-    the error between two corners grows with their distance, so that going as far as a tolerance
-    lets one needs the fewest points (Imai and Iri 1986), and the tolerance is halved until as many
-    are left as asked for. For a law that never stiffens no other choice has a smaller error; what a
-    law that stiffens loses to its hull is in the error that is stated.
+    The points are corners of the concave hull (Andrew's monotone chain). On a concave polygon the
+    error between two corners grows with their distance, so that a greedy choice within a tolerance
+    needs the fewest points (Imai and Iri 1986); the tolerance is found by bisection. For a concave
+    law no other choice has a smaller error; the error includes that of the hull.
 
     References
     ----------
@@ -66,10 +65,10 @@ def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
     Processing Letters 9 (1979) 216-219.
     """
     _require_law(curvature, moment, most)
-    corners = _hull(curvature.tolist(), moment.tolist())  # plain numbers are faster one by one
+    corners = _hull(curvature.tolist(), moment.tolist())  # lists are faster for single numbers
     x, y = curvature[corners], moment[corners]
     chosen = np.arange(len(x)) if len(x) <= most else _fewest_error(x, y, most)
-    return Thinned(x[chosen], y[chosen], _error(x[chosen], y[chosen], curvature, moment))
+    return Thinned(x[chosen], y[chosen], _largest_error(x[chosen], y[chosen], curvature, moment))
 
 
 def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
@@ -78,7 +77,7 @@ def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
         raise ValueError(message)
     if len(curvature) < 2 or len(moment) != len(curvature):
         message = (
-            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are as many of both, "
+            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are equal numbers, "
             f"at least 2"
         )
         raise ValueError(message)
@@ -89,7 +88,7 @@ def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
         )
         raise ValueError(message)
     if curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
-        message = "the law does not go from zero: allowed are increasing curvatures from 0"
+        message = "the law does not start at zero: allowed are increasing curvatures from 0"
         raise ValueError(message)
     if np.any(np.diff(moment) <= 0.0):
         at = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
@@ -98,51 +97,51 @@ def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
 
 
 def _hull(x: list[float], y: list[float]) -> Ints:
-    """Corners of the concave hull, the two ends included."""
+    """Return the corners of the concave hull, including both ends."""
     min_slope_drop = 1e-6  # share by which the slope falls at a corner
-    kept: list[int] = [0]
+    corners: list[int] = [0]
     for new in range(1, len(x)):
-        while len(kept) > 1:
-            before, last = kept[-2], kept[-1]
+        while len(corners) > 1:
+            before, last = corners[-2], corners[-1]
             arrives = (y[last] - y[before]) / (x[last] - x[before])
             leaves = (y[new] - y[last]) / (x[new] - x[last])
             if leaves < arrives * (1.0 - min_slope_drop):
                 break
-            kept.pop()
-        kept.append(new)
-    return np.array(kept, dtype=np.int64)
+            corners.pop()
+        corners.append(new)
+    return np.array(corners, dtype=np.int64)
 
 
 def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
-    """Among the choices of at most so many corners, the one with the smallest error."""
+    """Return the choice of at most `most` corners with the smallest error."""
     end_share = 1e-6  # of the tolerance, at which halving ends
     near_share = 0.03  # of the tolerance, below which errors are tried one by one
     first_cut = 0.1  # of the tolerance, until one is too small
     best = np.array([0, len(x) - 1])
-    low, high = 0.0, _error(x[best], y[best], x, y)
+    low, high = 0.0, _largest_error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
-    has_asked = False
+    is_probe = False
     while high - low > end_share * high:
-        # errors are few: near the end it is asked whether there is any below the one found last
-        has_asked = not has_asked and high - low < near_share * high
-        middle = (1.0 - end_share) * high if has_asked else 0.5 * (low + high)
+        # possible errors are discrete: near the end, test whether there is one below the last
+        is_probe = not is_probe and high - low < near_share * high
+        middle = (1.0 - end_share) * high if is_probe else 0.5 * (low + high)
         middle = middle if low > 0.0 else first_cut * high
-        found = _as_far_as_allowed(plain_x, plain_y, middle, most)
-        if len(found) > most:
+        choice = _skip_corners(plain_x, plain_y, middle, most)
+        if len(choice) > most:
             low = middle
         else:
-            best = np.array(found)
-            high = min(middle, _error(x[best], y[best], x, y))
+            best = np.array(choice)
+            high = min(middle, _largest_error(x[best], y[best], x, y))
     return best
 
 
-def _as_far_as_allowed(x: list[float], y: list[float], tolerance: float, most: int) -> list[int]:
-    """Go from corner to corner as far as the tolerance lets one; end with one too many."""
+def _skip_corners(x: list[float], y: list[float], tolerance: float, most: int) -> list[int]:
+    """Skip as many corners as the tolerance allows; stop with one too many."""
     chosen, steepest, share = [0], -np.inf, 1.0 - tolerance
     at_x, at_y = x[0], y[0]
     for new in range(1, len(x)):
         width, to = x[new] - at_x, y[new]
-        # a chord passes below the corners it skips: it must be as steep as each of them asks for
+        # a chord passes below the corners it skips: each of them limits its slope from below
         if to - at_y < steepest * width:
             chosen.append(new - 1)
             if len(chosen) == most:
@@ -150,11 +149,11 @@ def _as_far_as_allowed(x: list[float], y: list[float], tolerance: float, most: i
             at_x, at_y, steepest = x[new - 1], y[new - 1], -np.inf
             width = x[new] - at_x
         slope = (share * to - at_y) / width
-        steepest = slope if slope > steepest else steepest  # `max` takes as long as all the rest
+        steepest = slope if slope > steepest else steepest  # faster than `max`
     return [*chosen, len(x) - 1]
 
 
-def _error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
-    """Largest distance at the points of the law, as a share of the moment there."""
+def _largest_error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
+    """Return the largest error at the points of the law, as a share of the moment."""
     lines = np.interp(curvature[1:], x, y)
     return float(np.max(np.abs(lines / moment[1:] - 1.0)))

@@ -1,4 +1,4 @@
-"""Out-of-balance forces of a line, and their tangent: what Newton's method works with.
+"""Residual forces of a line, and their tangent, for Newton's method.
 
 With elements of length l from x_e to x_(e+1), their direction d, stretch eps and force f, cells
 (the half elements on both sides of a node) of length h with the energy W of bending and twist, and
@@ -7,8 +7,8 @@ forces F at the nodes, equilibrium is where
     sum f . (x_(e+1) - x_e - l (1 + eps) d) + l (EA eps^2 / 2 + C eps tau) + h W(kappa) - F . x
 
 is stationary: the first term is the stretch row, whose multiplier f is the force in the element.
-EA infinite keeps eps = 0. Frames turn in themselves, by q exp(phi / 2), so that nothing depends on
-the frame of space.
+EA infinite keeps eps = 0. Frames turn in the body frame, by q exp(phi / 2), so that nothing
+depends on the frame of space.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from labpipe.rod.supports import Supports
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """What Newton's method improves.
+    """Unknowns of Newton's method.
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ class Shape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineMemory:
-    """What the line and its supports remember.
+    """History of the line and its supports.
 
     Parameters
     ----------
     rests : shape (cells, sliders, 2), 1/m
     contacts : shape (planes, n + 1, 3), m
-    places : shape (rings,), where the line goes through them, in nodes (`threaded`)
+    places : shape (rings,), where the line passes through them, in nodes
     """
 
     rests: Floats
@@ -74,13 +74,13 @@ class LineMemory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demands:
-    """What the boundaries ask at a time.
+    """Demands of the boundaries at a time.
 
     Parameters
     ----------
-    held : shape (grips, 3), m, where the held nodes are
+    held : shape (grips, 3), m, positions of the held nodes
     clamps : shape (clamps, 4), their frames
-    forces : shape (n + 1, 3), N, of constant direction, weight and all
+    forces : shape (n + 1, 3), N, of constant direction, weight included
     moments : shape (n, 3), N m, on the elements, of constant direction
     anchors : shape (strings, 3), m
     rings : shape (rings, 3), m
@@ -96,17 +96,17 @@ class Demands:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArtificialDrag:
-    """Holds a line where it was.
+    """Artificial drag towards an earlier shape.
 
-    Its cells resist bending and twist, in proportion to their stiffness, as a wire in itself does:
-    each springs back by what it carries, and none is bent by the way that others go. What moves
-    without bending is held by its movement, which bends the line a hundred times less.
+    The cells resist bending and twist in proportion to their stiffness, as internal damping does:
+    each relaxes by its own moment, and none is bent by the motion of others. Motion without bending
+    is resisted by a drag that bends the line a hundred times less.
 
     Parameters
     ----------
     size : share of the line's own stiffness
-    shape : where it was
-    turns : shape (cells, 3), rad, of its cells there
+    shape : the earlier one
+    turns : shape (cells, 3), rad, of its cells
     """
 
     size: float
@@ -116,16 +116,16 @@ class ArtificialDrag:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Balance:
-    """How far from equilibrium a shape is.
+    """Residual and tangent of a shape.
 
     Parameters
     ----------
     residual : shape (unknowns,): N of positions, N m of stretches and turns, m of forces
     values : of the tangent, entry by entry
-    even : the same without what has no energy (friction that grows with pressure)
+    even : without the part without energy (friction that grows with pressure)
     cells : of the line
     directions : of the elements
-    memory : after the step
+    memory : history after the step
     touches : of the planes
     tensions : shape (strings, 3), N
     threads : of the rings
@@ -152,12 +152,12 @@ class Assembly:
     planes : that it may touch
     strings : nodes and lengths, m, of strings
     n_rings : number of rings
-    force : N, of the size that acts on the line as a whole
+    force : N, size of the forces on the whole line
 
     Attributes
     ----------
-    rounding : N, by which forces of planes, strings and rings may be off
-    drag : shape (unknowns,), N/m and N m, of a drag against moving: `force` over the length
+    rounding : N, rounding error of the forces of planes, strings and rings
+    drag : shape (unknowns,), N/m and N m, of a drag: `force` over the length
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class Assembly:
         self.band = Band(*self.pattern, self._scale(), self._fixed())
         p = self.places
         self._at_positions, self._at_turns, self._at_forces = map(
-            _spread, (p.positions, p.turns, p.forces)
+            _three_each, (p.positions, p.turns, p.forces)
         )
         ones = np.ones(3 * self.n)
         give = np.repeat(-min_stretch / force * line.lengths, 3)
@@ -205,64 +205,66 @@ class Assembly:
     def balance(
         self, shape: Shape, demands: Demands, memory: LineMemory, drag: ArtificialDrag | None = None
     ) -> Balance:
-        """Work out residual and tangent.
+        """Compute residual and tangent.
 
         Parameters
         ----------
-        shape, demands : where the line is, and what is asked
+        shape, demands : the line and its boundaries
         memory : before the step
-        drag : where it holds the line to
+        drag : artificial drag
         """
         min_drag = 1e-10  # tangent only: keeps it regular where a line is free to move
         translation_drag = 1e-2  # share of the drag, beside that of bending
         line, p = self.line, self.places
         lengths = line.lengths * (1.0 + shape.stretches)
         cells = self._cells(shape, demands, memory, drag)
-        turned = matrices(shape.frames)
+        rotations = matrices(shape.frames)
         pulls = lengths[:, None] * shape.forces
-        way = directions_of(
-            self.supports, turned, clamp_directions(self.supports, demands.clamps), pulls
+        directions = directions_of(
+            self.supports, rotations, clamp_directions(self.supports, demands.clamps), pulls
         )
-        turns, by_turn = self._turns(cells, way, turned, demands)
-        places, by_place, touches, tensions = self._at_nodes(shape, demands, memory)
+        turns, by_turn = self._turns(cells, directions, rotations, demands)
+        node_residual, by_position, touches, tensions = self._at_nodes(shape, demands, memory)
         threads = tuple(
             thread(shape.positions, ring, float(place), self._stiff)
             for ring, place in zip(demands.rings, memory.places, strict=True)
         )
-        aside = self._threading(threads, places, by_place)
-        gaps = np.diff(shape.positions, axis=0) - lengths[:, None] * way.along
-        stretch, by_stretch = self._stretching(shape, way, cells)
+        off_diagonal = self._threading(threads, node_residual, by_position)
+        gaps = np.diff(shape.positions, axis=0) - lengths[:, None] * directions.along
+        stretch, by_stretch = self._stretching(shape, directions, cells)
         residual = np.empty(p.total)
-        residual[self._at_positions] = places.ravel()
+        residual[self._at_positions] = node_residual.ravel()
         residual[p.stretches] = stretch
         residual[self._at_turns] = turns.ravel()
         residual[self._at_forces] = gaps.ravel()
         drags = min_drag if drag is None else translation_drag * drag.size
         by_turn[:, _AXES, _AXES] += drags * self.drag[self._at_turns].reshape(-1, 3)
-        by_place[:, _AXES, _AXES] += drags * self.drag[self._at_positions].reshape(-1, 3)
+        by_position[:, _AXES, _AXES] += drags * self.drag[self._at_positions].reshape(-1, 3)
         if drag is not None:
             residual += drags * self.drag * self.moved(drag.shape, shape)
         first = np.concatenate(
             [
                 self._constants,
-                *(each.ravel() for each in by_stretch),
-                *_there_and_back(-lengths[:, None, None] * way.by_turn),
-                *_there_and_back((way.pull / (1.0 + shape.stretches)[:, None])[:, None, :]),
+                *(part.ravel() for part in by_stretch),
+                *_block_and_transpose(-lengths[:, None, None] * directions.by_turn),
+                *_block_and_transpose(
+                    (directions.pull / (1.0 + shape.stretches)[:, None])[:, None, :]
+                ),
                 by_turn.ravel(),
-                *_there_and_back(cells.across[self._inner]),
+                *_block_and_transpose(cells.across[self._inner]),
                 *self._coupled_values(cells),
-                *aside,
+                *off_diagonal,
             ]
         )
-        values = even = np.append(first, by_place)
+        values = even = np.append(first, by_position)
         if any(plane.friction > 0.0 for plane in self.planes):
-            even = np.append(first, by_place - sum(touch.pressing for touch in touches))
+            even = np.append(first, by_position - sum(touch.pressing for touch in touches))
         return Balance(
             residual,
             values,
             even,
             cells,
-            way,
+            directions,
             LineMemory(
                 cells.rests,
                 np.array([t.contacts for t in touches]).reshape(-1, self.n + 1, 3),
@@ -274,7 +276,7 @@ class Assembly:
         )
 
     def moved(self, before: Shape, behind: Shape) -> Floats:
-        """Changes of the unknowns from one shape to another, forces left out."""
+        """Return the changes of the unknowns between two shapes, without forces."""
         p = self.places
         out = np.zeros(p.total)
         out[self._at_positions] = (behind.positions - before.positions).ravel()
@@ -296,17 +298,17 @@ class Assembly:
     def right_side(
         self, balance: Balance, shape: Shape, demands: Demands, held: Floats, clamps: Floats
     ) -> Floats:
-        """Right side of a Newton step in which the held nodes and the clamps move as well.
+        """Return the right side of a Newton step in which held nodes and clamps move, too.
 
         Parameters
         ----------
         balance, shape, demands : before they move
-        held : shape (grips, 3), m, by how much the held nodes have to move
-        clamps : shape (clamps, 3), rad, by how much the clamps turn, in themselves
+        held : shape (grips, 3), m, moves of the held nodes
+        clamps : shape (clamps, 3), rad, turns of the clamps, in the body frame
         """
         p, s = self.places, self.supports
         right = -balance.residual
-        right[_spread(p.positions[s.held])] = held.ravel()
+        right[_three_each(p.positions[s.held])] = held.ravel()
         if self.is_rigid:
             right[p.stretches] = -shape.stretches
         if np.any(clamps):
@@ -319,21 +321,21 @@ class Assembly:
             np.add.at(tilted, row, cross(turns[clamp], clamp_directions(s, demands.clamps)))
             change = np.matvec(balance.directions.by_clamp, tilted)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
-            right[_spread(p.forces[s.ends])] += (lengths[:, None] * change).ravel()
+            right[_three_each(p.forces[s.ends])] += (lengths[:, None] * change).ravel()
         return right
 
     def _push(
         self, right: Floats, elements: Ints, others: Ints, across: Floats, clamps: Floats
     ) -> None:
-        """Take off what turning clamps do to the elements that their cells join them to."""
+        """Subtract the effect of turning clamps on the elements joined to them."""
         at = np.flatnonzero(others < 0)
         push = np.matvec(across[at], clamps[-1 - others[at]])
-        np.subtract.at(right, _spread(self.places.turns[elements[at]]), push.ravel())
+        np.subtract.at(right, _three_each(self.places.turns[elements[at]]), push.ravel())
 
     def reactions(self, balance: Balance, demands: Demands) -> tuple[Floats, Floats]:
-        """What the grips do to the line: N, shape (grips, 3), and N m in space, (clamps, 3)."""
+        """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
         s, cells = self.supports, balance.cells
-        at_places = _spread(self.places.positions[s.held])
+        at_places = _three_each(self.places.positions[s.held])
         moments = added_at(s.lent[:, 1], balance.directions.lent_moments, len(s.clamps))
         turned = matrices(demands.clamps)
         for elements, feel in ((s.before, cells.before), (s.behind, cells.behind)):
@@ -343,12 +345,12 @@ class Assembly:
         return balance.residual[at_places].reshape(-1, 3), moments
 
     def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
-        """Energy that stretch and twist share, J."""
+        """Return the coupling energy of stretch and twist, J."""
         stretches = np.sum(self._shares * shape.stretches[self._sides], axis=1)
         return float(stretches @ cells.curvatures[:, 2])
 
     def turns(self, shape: Shape, demands: Demands) -> Floats:
-        """Rotation vectors from the frames before the cells to those behind, rad, (cells, 3)."""
+        """Return rotation vectors from frames before to behind the cells, rad, (cells, 3)."""
         before, behind = self._frames(shape, demands)
         return rotation_vectors(multiply(conjugate(before), behind))
 
@@ -376,12 +378,12 @@ class Assembly:
     def _turns(
         self, cells: BentCells, way: Directions, turned: Floats, demands: Demands
     ) -> tuple[Floats, Floats]:
-        """Residuals of the turns, and the tangents of each by itself."""
+        """Return the residuals of the turns, and their diagonal tangents."""
         s, (free_a, free_b) = self.supports, self._free
         pushed = np.vecmat(demands.moments, turned)
         residual = way.pull - pushed
         tangent = way.stiff - 0.5 * skew(pushed)
-        # no element stands twice on the same side of a cell, so that plain indices do
+        # no element is twice on the same side of a cell, so that plain indexing suffices
         residual[s.before[free_a]] += cells.before[free_a]
         tangent[s.before[free_a]] += cells.by_before[free_a]
         residual[s.behind[free_b]] += cells.behind[free_b]
@@ -391,7 +393,7 @@ class Assembly:
     def _at_nodes(
         self, shape: Shape, demands: Demands, memory: LineMemory
     ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
-        """Residuals of the positions, the tangents of each by itself, planes and strings."""
+        """Return the residuals of the positions, diagonal tangents, planes and strings."""
         touch_share = 1e-9  # of an element's length
         residual = -demands.forces
         residual[:-1] -= shape.forces
@@ -419,7 +421,7 @@ class Assembly:
     def _threading(
         self, threads: tuple[RingContact, ...], residual: Floats, tangent: Floats
     ) -> list[Floats]:
-        """Add what rings do to the nodes; give back the tangents between different nodes."""
+        """Add the forces of rings to the nodes; return the tangents between different nodes."""
         if not self._has_rings:
             return []
         beside = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]
@@ -430,16 +432,16 @@ class Assembly:
                 tangent[threaded.first + i] += threaded.stiffness[i, :, i, :]
                 for step in range(1, 3 - i):
                     beside[step - 1][threaded.first + i] += threaded.stiffness[i, :, i + step, :]
-        return [entry for blocks in beside for entry in _there_and_back(blocks)]
+        return [entry for blocks in beside for entry in _block_and_transpose(blocks)]
 
     def _stretching(
         self, shape: Shape, way: Directions, cells: BentCells
     ) -> tuple[Floats, tuple[Floats, Floats, Floats]]:
-        """Residuals of the stretches, and their tangents by stretch and force, and back."""
+        """Return the residuals of the stretches, and their tangents by stretch and force."""
         lengths = self.line.lengths
         if self.is_rigid:
-            none = np.zeros((self.n, 3))
-            return np.zeros(self.n), (np.zeros(self.n), none, none)
+            zeros = np.zeros((self.n, 3))
+            return np.zeros(self.n), (np.zeros(self.n), zeros, zeros)
         stiffness = self.line.section.axial_stiffness * lengths
         residual = stiffness * shape.stretches
         residual -= lengths * np.vecdot(shape.forces, way.along)
@@ -464,11 +466,11 @@ class Assembly:
         p, s = self.places, self.supports
         a, b = p.turns[s.before[self._inner]], p.turns[s.behind[self._inner]]
         blocks = [
-            _diagonal(p.positions[:-1], p.forces),
-            _diagonal(p.positions[1:], p.forces),
-            _diagonal(p.forces, p.positions[:-1]),
-            _diagonal(p.forces, p.positions[1:]),
-            _diagonal(p.forces, p.forces),
+            _identity_entries(p.positions[:-1], p.forces),
+            _identity_entries(p.positions[1:], p.forces),
+            _identity_entries(p.forces, p.positions[:-1]),
+            _identity_entries(p.forces, p.positions[1:]),
+            _identity_entries(p.forces, p.forces),
             entries(p.stretches, 1, p.stretches, 1),
             entries(p.stretches, 1, p.forces, 3),
             entries(p.forces, 3, p.stretches, 1),
@@ -495,13 +497,13 @@ class Assembly:
         mean = float(np.mean(self.line.lengths))
         stiffness = self.line.section.law.first_stiffness
         scale = np.ones(self.places.total)
-        scale[_spread(self.places.positions)] = mean
-        scale[_spread(self.places.forces)] = stiffness / mean**2
+        scale[_three_each(self.places.positions)] = mean
+        scale[_three_each(self.places.forces)] = stiffness / mean**2
         return np.asarray(scale * np.sqrt(mean / stiffness))
 
     def _fixed(self) -> Flags:
         fixed = np.zeros(self.places.total, dtype=np.bool_)
-        fixed[_spread(self.places.positions[self.supports.held])] = True
+        fixed[_three_each(self.places.positions[self.supports.held])] = True
         if self.is_rigid:
             fixed[self.places.stretches] = True
         return fixed
@@ -511,12 +513,12 @@ class Assembly:
         shares = line.lengths / line.length
         at_nodes = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
         drag = np.zeros(p.total)
-        drag[_spread(p.positions)] = np.repeat(at_nodes * force / line.length, 3)
-        drag[_spread(p.turns)] = np.repeat(shares * force * line.length, 3)
+        drag[_three_each(p.positions)] = np.repeat(at_nodes * force / line.length, 3)
+        drag[_three_each(p.turns)] = np.repeat(shares * force * line.length, 3)
         return drag
 
     def _coupling_shares(self) -> Floats:
-        """What a stretch of the elements beside each cell does to its twist: (cells, 2), N m^2."""
+        """Return the coupling of each cell's twist to adjacent stretches: (cells, 2), N m^2."""
         s, (free_a, free_b) = self.supports, self._free
         self._sides = np.stack([np.where(free_a, s.before, 0), np.where(free_b, s.behind, 0)], 1)
         self._coupled: list[tuple[int, int, Ints]] = []
@@ -528,21 +530,21 @@ class Assembly:
                 self._coupled.append((stretch, turn, at))
         count = added_at(s.before[free_a], np.ones(int(free_a.sum())), self.n)
         count += added_at(s.behind[free_b], np.ones(int(free_b.sum())), self.n)
-        each = self.line.section.coupling * self.line.lengths / np.maximum(count, 1.0)
-        return np.where(np.stack(self._free, axis=1), each[self._sides], 0.0)
+        coupling = self.line.section.coupling * self.line.lengths / np.maximum(count, 1.0)
+        return np.where(np.stack(self._free, axis=1), coupling[self._sides], 0.0)
 
 
 _AXES = np.arange(3)
 
 
-def _spread(first: Ints) -> Ints:
-    """Places of three unknowns each."""
+def _three_each(first: Ints) -> Ints:
+    """Return the indices of three unknowns each."""
     return np.asarray((first[:, None] + _AXES).ravel())
 
 
-def _diagonal(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
-    return _spread(rows), _spread(columns)
+def _identity_entries(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
+    return _three_each(rows), _three_each(columns)
 
 
-def _there_and_back(blocks: Floats) -> tuple[Floats, Floats]:
+def _block_and_transpose(blocks: Floats) -> tuple[Floats, Floats]:
     return blocks.ravel(), np.swapaxes(blocks, 1, 2).ravel()

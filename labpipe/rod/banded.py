@@ -1,8 +1,8 @@
-"""The places of a line's unknowns in one banded matrix, and its solution.
+"""Numbering of a line's unknowns in one banded matrix, and its solution.
 
 Every element has ten unknowns, in this order: the position of its first node (3), its stretch, the
-turn of its frame (3), its force (3); the last node follows. A matrix is a list of small blocks,
-always in the same order, whose entries are added to the band in one go.
+turn of its frame (3), its force (3); the last node follows. A matrix is a list of small blocks in
+a fixed order, whose entries are added to the band at once.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from labpipe.records.arrays import Flags, Floats, Ints
 
 PER_ELEMENT = 10
 STRETCH, TURN, FORCE = 3, 4, 7
-"""First place of them among the ten."""
+"""Offsets among the ten unknowns of an element."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """First places of the unknowns of a line of n elements.
+    """First indices of the unknowns of a line of n elements.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Places:
 
     @property
     def total(self) -> int:
-        """Number of unknowns."""
+        """Return the number of unknowns."""
         return int(self.positions[-1]) + 3
 
 
@@ -47,7 +47,7 @@ def places_of(n: int) -> Places:
 
 
 def entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:
-    """Rows and columns of all entries of blocks of the same size, one block after the other."""
+    """Return rows and columns of all entries of equal blocks, one block after the other."""
     shape = (len(rows), height, width)
     down = rows[:, None, None] + np.arange(height)[:, None]
     right = columns[:, None, None] + np.arange(width)
@@ -55,11 +55,11 @@ def entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, I
 
 
 class Band:
-    """A banded matrix that is filled again and again with the same blocks.
+    """A banded matrix that is filled repeatedly with the same blocks.
 
     Parameters
     ----------
-    rows, columns : shape (entries,), of every entry of every block; several may share a place
+    rows, columns : shape (entries,), of every entry of every block; entries may coincide
     scale : shape (unknowns,), size of each unknown: rows and columns are multiplied by it
     fixed : shape (unknowns,), whether its row is replaced by that of a given change
     """
@@ -81,13 +81,13 @@ class Band:
         Parameters
         ----------
         values : shape (entries,)
-        right : shape (unknowns,); of fixed ones the change itself
+        right : shape (unknowns,); the change itself for fixed ones
         """
         factors = self.factorise(values)
         return None if factors is None else self.solve_factored(factors, right)
 
     def factorise(self, values: Floats) -> tuple[Floats, Ints] | None:
-        """LU factors with their pivots; None where the matrix is singular."""
+        """Return LU factors with their pivots; None where the matrix is singular."""
         flat = np.bincount(self._at, values * self._weights, minlength=self._deep * self.size)
         flat[self._ones] = 1.0
         band = flat.reshape(self.size, self._deep).T
@@ -95,11 +95,11 @@ class Band:
         return None if failed else (factors, pivots)
 
     def solve_factored(self, factors: tuple[Floats, Ints], right: Floats) -> Floats | None:
-        """Solve with factors that are there; None where the result is not finite."""
+        """Solve with given factors; None where the result is not finite."""
         scaled = np.where(self.fixed, right / self.scale, right * self.scale)
-        found, failed = lapack.dgbtrs(
+        solution, failed = lapack.dgbtrs(
             factors[0], self.lower, self.upper, scaled, factors[1], overwrite_b=True
         )
-        if failed or not np.all(np.isfinite(found)):
+        if failed or not np.all(np.isfinite(solution)):
             return None
-        return np.asarray(found * self.scale)
+        return np.asarray(solution * self.scale)

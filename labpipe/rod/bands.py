@@ -1,8 +1,8 @@
 """Predicted 95 % bands of a line: shape, curvature, smallest bend radius, forces.
 
-Bands are pointwise: each node, each component for itself lies inside in 95 of 100 lines; that a
-whole shape does is rarer. The smallest bend radius is the least along the line in every draw of
-the response, wherever along the line it then is, and its band is that of these least values.
+Bands are pointwise: each component of each node lies inside in 95 of 100 lines; a whole shape does
+less often. The smallest bend radius is the least along the line in each draw of the response, at
+any node, and its band is that of these values.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from labpipe.rod.response import Band, Fields, Response, band_of, field_band, re
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
 
 Solve = Callable[[Mapping[str, float]], RodPath]
-"""Build a line and what holds it from named inputs, and follow it along its whole path."""
+"""Build a line and its boundaries from named inputs, and follow it along its whole path."""
 
-PLAIN = ("positions", "forces", "moments", "reaction_forces", "reaction_moments")
-BENT = "bent"
+_PLAIN_FIELDS = ("positions", "forces", "moments", "reaction_forces", "reaction_moments")
+_CURVATURE_FIELD = "bent"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,16 +32,16 @@ class StateBands:
 
     Parameters
     ----------
-    step : which
+    step : its number
     positions : shape (n + 1, 3), m
-    curvature : shape (n + 1,), 1/m, of the line as it lies, free curvature included; the larger one
-        where a clamp parts both sides of a node
-    smallest_bend_radius : one number, m: the least along the line; infinite of a straight one
+    curvature : shape (n + 1,), 1/m, including the curvature at rest; the larger one where a
+        clamp separates both sides of a node
+    smallest_bend_radius : one number, m: the least along the line; infinite for a straight one
     forces : shape (n, 3), N, in space
     moments : shape (n + 1, 2, 3), N m, in space, before and behind every node
     reaction_forces, reaction_moments : shape (boundaries, 3), N, N m
     shares : by ``positions``, ``smallest_bend_radius`` and ``reaction_forces``: the share of each
-        cause in the variance, over all their numbers together, for the best belief
+        cause in the variance, over all their numbers together, for the best distribution
     """
 
     step: int
@@ -61,9 +61,9 @@ class LineBands:
 
     Parameters
     ----------
-    path : of the best inputs of the best belief
-    states : of the steps that were asked for
-    notes : what makes the bands doubtful; none if nothing does
+    path : of the best inputs of the best distribution
+    states : of the requested steps
+    notes : what makes the bands doubtful
     """
 
     path: RodPath
@@ -73,7 +73,7 @@ class LineBands:
 
 def bands_of(
     solve: Solve | Sequence[Solve],
-    beliefs: Sequence[InputDistribution],
+    distributions: Sequence[InputDistribution],
     *,
     at: Sequence[int] = (-1,),
     tested_curvature: float = np.inf,
@@ -82,42 +82,47 @@ def bands_of(
 
     Parameters
     ----------
-    solve : follows the line for some inputs; called 1 + 2 x causes times for each belief. One for
-        all beliefs, or one for each: a law keeps slip curvatures that were chosen for its solution
-    beliefs : what its inputs may be: one for each solution of a calibration, the best first
-    at : steps to look at; negative ones count from the last
+    solve : follows the line for some inputs; called 1 + 2 x causes times for each distribution. One
+    for
+        all distributions, or one for each: a law keeps slip curvatures that were chosen for its
+        solution
+    distributions : of its inputs: one for each solution of a calibration, the best first
+    at : steps of the bands; negative ones count from the last
     tested_curvature : 1/m, largest that the tests of the calibration reached
 
     Returns
     -------
-    The bands, from the lowest to the highest of all beliefs; None if the line fails at the best
-    inputs of one. Notes: ``beyond_tested`` (curvature, step, node), ``one_sided`` and ``silent``
-    (causes of which one side or none has an equilibrium), ``jumps`` (a jump at other steps than at
-    the best inputs, where no smooth response holds).
+    The bands, from the lowest to the highest of all distributions; None if the line fails at the
+    best inputs of one. Notes: ``beyond_tested`` (curvature, step, node), ``one_sided`` and
+    ``silent`` (causes of which one side or none has an equilibrium), ``jumps`` (a jump at other
+    steps than at the best inputs, where no smooth response holds).
 
     Raises
     ------
     ValueError
-        If there is no belief.
+        If there is no distribution.
     """
-    if not beliefs:
-        message = "beliefs: allowed is at least one"
+    if not distributions:
+        message = "distributions: allowed is at least one"
         raise ValueError(message)
-    solves = [solve] * len(beliefs) if callable(solve) else solve
-    looks = [_Look(solve, at) for solve, _ in zip(solves, beliefs, strict=True)]
-    responses = [respond(look, belief) for look, belief in zip(looks, beliefs, strict=True)]
-    found = [response for response in responses if response is not None]
-    if len(found) < len(beliefs):
+    solves = [solve] * len(distributions) if callable(solve) else solve
+    solvers = [_Solver(solve, at) for solve, _ in zip(solves, distributions, strict=True)]
+    responses = [
+        respond(look, distribution)
+        for look, distribution in zip(solvers, distributions, strict=True)
+    ]
+    solved = [response for response in responses if response is not None]
+    if len(solved) < len(distributions):
         return None
-    best = looks[0].paths[0]
-    notes = [*_beyond(best, tested_curvature), *_unsolved(found), *_jumps(looks)]
+    best = solvers[0].paths[0]
+    notes = [*_range_notes(best, tested_curvature), *_side_notes(solved), *_jump_notes(solvers)]
     steps = [range(len(best.states))[step] for step in at]
-    states = tuple(_bands(found, number, step) for number, step in enumerate(steps))
+    states = tuple(_bands(solved, number, step) for number, step in enumerate(steps))
     return LineBands(best, states, tuple(notes))
 
 
-class _Look:
-    """Solves, and keeps of each path what is wanted of it; the first one whole."""
+class _Solver:
+    """Solver that keeps the fields of each path, and the first path."""
 
     def __init__(self, solve: Solve, at: Sequence[int]) -> None:
         self.solve, self.at = solve, tuple(at)
@@ -136,13 +141,13 @@ class _Look:
 def _fields(path: RodPath, at: Sequence[int]) -> Iterator[tuple[str, Floats]]:
     for number, step in enumerate(at):
         state = path.states[step]
-        for name in PLAIN:
+        for name in _PLAIN_FIELDS:
             yield f"{name} {number}", np.asarray(getattr(state, name))
-        yield f"{BENT} {number}", bent(state)
+        yield f"{_CURVATURE_FIELD} {number}", line_curvatures(state)
 
 
-def bent(state: RodState) -> Floats:
-    """Curvature vectors across the line as it lies, shape (n + 1, 2, 2), 1/m.
+def line_curvatures(state: RodState) -> Floats:
+    """Return the bending curvature vectors of the line, shape (n + 1, 2, 2), 1/m.
 
     Parameters
     ----------
@@ -150,8 +155,8 @@ def bent(state: RodState) -> Floats:
 
     Notes
     -----
-    The state has curvatures less those at rest. What is missing at an inner node is the turn
-    between its two elements over half of both, less their mean; ends have the curvature at rest of
+    The state has curvatures less those at rest. The curvature at rest of an inner node is the turn
+    between its two elements over half their lengths, less the mean of the state; ends have that of
     their neighbours.
     """
     turned = rotation_vectors(multiply(conjugate(state.frames[:-1]), state.frames[1:]))
@@ -167,70 +172,76 @@ def bent(state: RodState) -> Floats:
     return np.asarray(state.node_curvatures[:, :, :2])
 
 
-def _sizes(vectors: Floats) -> Floats:
-    """Curvature at nodes, shape (..., n + 1), the larger one of both sides."""
+def _node_curvatures(vectors: Floats) -> Floats:
+    """Return the curvature at nodes, shape (..., n + 1), the larger one of both sides."""
     return np.asarray(np.linalg.norm(vectors, axis=-1).max(axis=-1))
 
 
 def _smallest_radius(vectors: Floats) -> Floats:
-    most = _sizes(vectors).max(axis=-1)
-    return np.asarray(np.divide(1.0, most, out=np.full_like(most, np.inf), where=most > 0.0))
-
-
-def _bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
-    plain = {name: field_band(responses, f"{name} {number}") for name in PLAIN}
-    name = f"{BENT} {number}"
-    curvature = band_of(responses, lambda response: _both(response, name, _sizes))
-    radius = band_of(responses, lambda response: _both(response, name, _smallest_radius))
-    best = responses[0]
-    shares = {
-        each: best.shares(f"{each} {number}") for each in ("positions", "reaction_forces")
-    } | {"smallest_bend_radius": best.shares(name)}
-    return StateBands(
-        step=step, curvature=curvature, smallest_bend_radius=radius, shares=shares, **plain
+    largest = _node_curvatures(vectors).max(axis=-1)
+    return np.asarray(
+        np.divide(1.0, largest, out=np.full_like(largest, np.inf), where=largest > 0.0)
     )
 
 
-def _both(
+def _bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
+    bands = {name: field_band(responses, f"{name} {number}") for name in _PLAIN_FIELDS}
+    name = f"{_CURVATURE_FIELD} {number}"
+    curvature = band_of(
+        responses, lambda response: _value_and_draws(response, name, _node_curvatures)
+    )
+    radius = band_of(responses, lambda response: _value_and_draws(response, name, _smallest_radius))
+    best = responses[0]
+    shares = {
+        field: best.shares(f"{field} {number}") for field in ("positions", "reaction_forces")
+    } | {"smallest_bend_radius": best.shares(name)}
+    return StateBands(
+        step=step, curvature=curvature, smallest_bend_radius=radius, shares=shares, **bands
+    )
+
+
+def _value_and_draws(
     response: Response, name: str, measure: Callable[[Floats], Floats]
 ) -> tuple[Floats, Floats]:
     return measure(response.value[name]), measure(response.drawn(name))
 
 
-def _beyond(path: RodPath, tested: float) -> Iterator[QualityNote]:
-    most = np.array([state.bendings.max() for state in path.states])
-    if most.max() <= tested:
+def _range_notes(path: RodPath, tested: float) -> Iterator[QualityNote]:
+    largest = np.array([state.bendings.max() for state in path.states])
+    if largest.max() <= tested:
         return
-    step = int(np.argmax(most))
+    step = int(np.argmax(largest))
     node = int(np.argmax(path.states[step].bendings))
     message = (
-        f"step {step}, node {node}: the line is bent to {most[step]:.3g} 1/m, the tests of the "
-        f"calibration reached {tested:.3g} 1/m: the law beyond, and the band, are the model's alone"
+        f"step {step}, node {node}: the line is bent to {largest[step]:.3g} 1/m, the tests of the "
+        f"calibration reached {tested:.3g} 1/m: beyond, the law and the band are extrapolated"
     )
     yield QualityNote("beyond_tested", Severity.WARNING, f"step {step}, node {node}", message)
 
 
-def _unsolved(responses: Sequence[Response]) -> Iterator[QualityNote]:
-    for code, what in (
-        ("one_sided", "to one side of these causes the line has no equilibrium, and the band takes "
+def _side_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
+    for code, reason in (
+        ("one_sided", "to one side of these causes the line has no equilibrium; the band uses "
          "the other side for both"),
-        ("silent", "to both sides of these causes the line has no equilibrium, and the band leaves "
-         "them out"),
+        ("silent", "to both sides of these causes the line has no equilibrium; the band excludes "
+         "them"),
     ):  # fmt: skip
         causes = dict.fromkeys(cause for response in responses for cause in getattr(response, code))
         if causes:
-            message = f"{what}: {', '.join(causes)}"
+            message = f"{reason}: {', '.join(causes)}"
             yield QualityNote(code, Severity.WARNING, ", ".join(causes), message)
 
 
-def _jumps(looks: Sequence[_Look]) -> Iterator[QualityNote]:
-    """Jumps in step 0 are none: there a line is laid, wherever its drawing has it."""
-    differing = [each for look in looks for each in look.snapped if each != look.snapped[0]]
+def _jump_notes(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
+    """Note jumps at different steps; step 0, where the line is laid, does not count."""
+    differing = [
+        snapped for look in solvers for snapped in look.snapped if snapped != look.snapped[0]
+    ]
     if differing:
-        steps = looks[0].snapped[0], differing[0]
-        at, beside = (", ".join(map(str, step)) or "none" for step in steps)
+        steps = solvers[0].snapped[0], differing[0]
+        at, other = (", ".join(map(str, step)) or "none" for step in steps)
         message = (
-            f"steps in which the line jumps: {at} at the best inputs, {beside} to one side of a "
-            "cause; near a jump a smooth response, and the band, do not hold"
+            f"steps in which the line jumps: {at} at the best inputs, {other} to one side of a "
+            "cause; near a jump the smooth response and the band are not valid"
         )
         yield QualityNote("jumps", Severity.WARNING, "", message)

@@ -1,8 +1,8 @@
-"""What holds, pulls and supports a line, step by step.
+"""Boundaries of a line: what holds, loads and supports it, step by step.
 
-A path has one row per step and one before, shape (steps + 1, ...): row 0 is where a walk starts.
-One row stands for what does not move; without that row's axis it is taken as well. Between two
-steps positions and forces go straight, and frames turn at a steady rate. Forces keep their
+A path has one row per step and one before, shape (steps + 1, ...): row 0 is the start.
+A single row, or a vector, is constant. Between two steps positions and forces are interpolated
+linearly, and frames turn at a constant rate. Forces keep their
 direction in space.
 """
 
@@ -20,7 +20,7 @@ EARTH = (0.0, 0.0, -9.81)
 
 
 def _rows(name: str, values: object, width: int) -> Floats:
-    """Give back a path as rows, read-only."""
+    """Return a path as rows, read-only."""
     path: Floats = np.array(values, dtype=np.float64)
     path = path[None] if path.ndim == 1 else path
     if path.ndim != 2 or path.shape[1] != width or not len(path):
@@ -59,9 +59,9 @@ class Held:
     node : from 0; negative numbers count from the end of the line, as in Python
     position : path, m, shape (steps + 1, 3)
     frame : path, unit quaternions, shape (steps + 1, 4): the frame of the line at the node (d3
-        along it), both elements there grow out of it; None: the node is pinned and may turn
-    release : the first step in which it holds no more; None holds on. What it carried is gone at
-        once: each cell goes straight to its new curvature, or the line falls from where it was held
+        along it), both elements there are clamped to it; None: the node is pinned and may turn
+    release : the first step without it; None never releases. Its reaction is removed at once: each
+        cell goes directly to its new curvature, or the line falls from where it was held
     name : for messages
 
     Raises
@@ -91,13 +91,13 @@ class Held:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
-    """A ring without friction, which the line slides through.
+    """A frictionless ring through which the line slides.
 
     Parameters
     ----------
     position : path, m, shape (steps + 1, 3)
-    direction : shape (3,), of its opening; it turns with the line, so that only pictures need it
-    near : node at which the line goes through it to begin with; None: the nearest one
+    direction : shape (3,), of its opening, for figures only
+    near : node at which the line passes through it at the start; None: the nearest one
     name : for messages
 
     Raises
@@ -124,7 +124,7 @@ class String:
     ----------
     node : from 0, or negative from the end
     anchor : path, m, shape (steps + 1, 3)
-    length : m, which it keeps
+    length : m, constant
     name : for messages
 
     Raises
@@ -174,7 +174,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A table: the line stays on the side of its normal, and rubs where it slides (Coulomb).
+    """A table: the line stays on the side of its normal, with Coulomb friction.
 
     The nodes, on the axis of the line, stay half its diameter above; friction acts on the axis.
 
@@ -204,13 +204,13 @@ class Plane:
             raise ValueError(message)
 
     def raised(self, height: float) -> Plane:
-        """A plane so much higher, m: where the axis of a line of that radius may be."""
+        """Return the plane raised by a height, m, for the axis of a line of that radius."""
         return replace(self, point=self.point + height * self.normal)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gravity:
-    """Weight: acceleration, m/s^2, a path of shape (steps + 1, 3); the earth's where not given."""
+    """Weight: acceleration, m/s^2, a path of shape (steps + 1, 3); the earth's by default."""
 
     vector: Floats = field(default_factory=lambda: np.array(EARTH))
     name: str = ""

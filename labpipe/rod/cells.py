@@ -1,15 +1,15 @@
 """Bending and twist of the cells of a line: the half elements on both sides of a node.
 
-Where a node is free, its cell turns from one element's frame to the next; a clamp parts it in two,
-each between its frame and one element. With psi the rotation vector (rad) from the frame before to
-the frame behind, the curvature of a cell of length h is psi / h less its value at rest, in the mean
-of both frames. PHYSICS 7 has (2 / h) Im of the quaternion, which is the same to second order; the
-whole angle rolls exact circles, and has no largest value.
+Where a node is free, its cell turns from one element's frame to the next; a clamp splits it in two,
+each between the clamp's frame and one element. With psi the rotation vector (rad) from the frame
+before to the frame behind, the curvature of a cell of length h is psi / h less its value at rest,
+in the mean of both frames. PHYSICS 7 has (2 / h) Im of the quaternion, which is the same to second
+order; the full angle gives exact circles, and has no largest value.
 
 A cell's moment m, in the mean frame, is that of the sliders across and of the torsion along. Turns
-d_a and d_b of the frames before and behind (in themselves) change psi by A d_b - A^T d_a, with
-A = 1 + psi x / 2 + c psi x psi x, so that the frames feel -A m and A^T m. The tangent is the second
-derivative of the energy along such turns, which is symmetric.
+d_a and d_b of the frames before and behind (in the body frame) change psi by A d_b - A^T d_a, with
+A = 1 + psi x / 2 + c psi x psi x, so that -A m and A^T m act on the frames. The tangent is the
+second derivative of the energy along such turns, which is symmetric.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ _EYE = np.eye(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BentCells:
-    """What the cells answer to the frames on both sides.
+    """Response of the cells to the frames on both sides.
 
     Parameters
     ----------
     turns : shape (cells, 3), rad, psi
     curvatures : shape (cells, 3), 1/m, less those at rest
     moments : shape (cells, 3), N m, in the mean frames
-    rests : shape (cells, sliders, 2), 1/m, the memory after the step
+    rests : shape (cells, sliders, 2), 1/m, history after the step
     before, behind : shape (cells, 3), N m, derivative of the energy by the turns of the frames
     by_before, by_behind : shape (cells, 3, 3), N m, of `before` by its own frame, of `behind` by
         its own
@@ -72,17 +72,17 @@ def bend_cells(
     torques: Floats,
     drag: tuple[float, Floats] | None = None,
 ) -> BentCells:
-    """Work out moments and tangents of cells.
+    """Compute moments and tangents of cells.
 
     Parameters
     ----------
-    section : what the line is made of
+    section : of the line
     frames : before and behind, each of shape (cells, 4)
     lengths : shape (cells,), m
     natural : shape (cells, 3), 1/m, curvatures at rest
-    rests : shape (cells, sliders, 2), 1/m, the memory before the step
+    rests : shape (cells, sliders, 2), 1/m, history before the step
     torques : shape (cells,), N m, from stretch
-    drag : share of the first stiffness with which cells resist to turn on from a psi, and that psi
+    drag : share of the first stiffness with which cells resist turning from a psi, and that psi
     """
     psi = rotation_vectors(multiply(conjugate(frames[0]), frames[1]))
     curvatures = psi / lengths[:, None] - natural
@@ -129,7 +129,7 @@ def _even(matrices: Floats) -> Floats:
 
 
 def _tangents(psi: Floats, moments: Floats, first: Floats, second: Floats) -> tuple[Floats, Floats]:
-    """A, and the derivative by psi of c psi x (psi x m)."""
+    """Return A, and the derivative by psi of c psi x (psi x m)."""
     c = first[:, None, None]
     outer = psi[:, :, None] * psi[:, None, :]
     square = np.vecdot(psi, psi)[:, None, None]

@@ -1,7 +1,7 @@
-"""Where the elements of a line point, and what their forces do to their frames.
+"""Directions of the elements of a line, and the effect of their forces on their frames.
 
-An element points along its d3. Beside a clamp its direction is that of d3 and the clamp's together,
-each with its share (`supports.END_SHARE`), made of length one again.
+An element points along its d3. Beside a clamp its direction is the normalised mean of d3 and the
+clamp's, weighted by `supports.END_SHARE`.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ _EYE = np.eye(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """Of n elements with forces g (N m: their force times their length).
+    """Directions of n elements with forces g (N m: their force times their length).
 
     Parameters
     ----------
     along : shape (n, 3), unit
-    by_turn : shape (n, 3, 3), its derivative by a turn of the frame in itself
+    by_turn : shape (n, 3, 3), its derivative by a turn of the frame in the body frame
     pull : shape (n, 3), N m, derivative of -g . along by the turn
     stiff : shape (n, 3, 3), N m, its second derivative along turns, symmetric
     by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the directions
-        that clamps lend
+        contributed by clamps
     lent_moments : shape (pairs, 3), N m, in space, derivative of -g . along by the turns of the
         clamps, pair by pair
     """
@@ -42,13 +42,13 @@ class Directions:
 
 
 def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Floats) -> Directions:
-    """Point the elements.
+    """Compute the directions of the elements.
 
     Parameters
     ----------
     supports : which elements are beside a clamp
     frames : shape (n, 3, 3), matrices of the elements
-    lent : shape (pairs, 3), what clamps lend to them: see `clamp_directions`
+    lent : shape (pairs, 3), contributions of clamps, see `clamp_directions`
     pulls : shape (n, 3), N m, g
     """
     along = frames[:, :, 2].copy()
@@ -58,9 +58,9 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
     by_clamp = np.zeros((len(supports.ends), 3, 3))
     lent_moments = np.zeros_like(lent)
     if len(supports.ends):
-        at, own = supports.ends, supports.own[:, None, None]
+        at, own_share = supports.ends, supports.own[:, None, None]
         row = supports.lent[:, 0]
-        mixed = own[:, 0] * along[at]
+        mixed = own_share[:, 0] * along[at]
         np.add.at(mixed, row, lent)
         size = np.linalg.norm(mixed, axis=1)[:, None]
         along[at] = mixed / size
@@ -71,8 +71,8 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
         second = second + np.swapaxes(second, 1, 2)
         second += np.vecdot(g, along[at])[:, None, None] * flat
         second /= size[:, :, None]
-        turn = own * by_turn[at]
-        stiff[at] = own * _bend(np.vecmat(p, frames[at]))
+        turn = own_share * by_turn[at]
+        stiff[at] = own_share * _bend(np.vecmat(p, frames[at]))
         stiff[at] += np.swapaxes(turn, 1, 2) @ second @ turn
         by_turn[at] = flat @ turn
         by_clamp = flat
@@ -82,7 +82,7 @@ def directions_of(supports: Supports, frames: Floats, lent: Floats, pulls: Float
 
 
 def _bend(g: Floats) -> Floats:
-    """Second derivative of -g . d3 along turns of the frame, g in the frame."""
+    """Return the second derivative of -g . d3 along turns of the frame, g in the frame."""
     out = g[:, 2, None, None] * _EYE
     out[:, :, 2] -= 0.5 * g
     out[:, 2, :] -= 0.5 * g
@@ -90,11 +90,11 @@ def _bend(g: Floats) -> Floats:
 
 
 def clamp_directions(supports: Supports, clamps: Floats) -> Floats:
-    """Work out what clamps lend to the directions of the elements beside them, shape (pairs, 3).
+    """Return the contributions of clamps to the directions of adjacent elements, shape (pairs, 3).
 
     Parameters
     ----------
-    supports : which elements those are
+    supports : with those elements
     clamps : shape (clamps, 4), frames
     """
     turned = multiply(clamps[supports.lent[:, 1]], supports.carried)

@@ -1,4 +1,4 @@
-"""What a line stores and loses, and what its boundaries do to it, J."""
+"""Stored and lost energy of a line, and the work of its boundaries, J."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from labpipe.rod.rotations import conjugate, matrices, multiply, rotation_vector
 
 
 def stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
-    """Elastic energy of bending, twist and stretch, J."""
+    """Return the elastic energy of bending, twist and stretch, J."""
     section, cells = assembly.line.section, balance.cells
     law = section.law
-    bent = cells.curvatures[:, None, :2] - balance.memory.rests
-    of_sliders = np.einsum("nj,j->n", np.sum(bent**2, axis=2), law.stiffnesses)
+    slider_strain = cells.curvatures[:, None, :2] - balance.memory.rests
+    of_sliders = np.einsum("nj,j->n", np.sum(slider_strain**2, axis=2), law.stiffnesses)
     of_spring = law.stiffness * np.sum(cells.curvatures[:, :2] ** 2, axis=1)
     of_twist = section.torsional_stiffness * cells.curvatures[:, 2] ** 2
     energy = 0.5 * float(assembly.supports.lengths @ (of_sliders + of_spring + of_twist))
@@ -25,9 +25,9 @@ def stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
 
 
 def lost_energy(assembly: Assembly, before: Floats, behind: Floats) -> float:
-    """Energy lost in the sliders, J, from rests before to rests behind a step, both of cells.
+    """Return the energy lost in the sliders in a step, J, from the rests of cells around it.
 
-    A slider that slides carries K_j kappa_j over the way that its rest goes.
+    A sliding slider carries K_j kappa_j over the path of its rest.
     """
     law = assembly.line.section.law
     ways = np.linalg.norm(behind - before, axis=2)
@@ -40,19 +40,21 @@ def work_done(
     shapes: tuple[Shape, Shape],
     balances: tuple[Balance, Balance],
 ) -> float:
-    """Work of grips, loads, weight and strings on the line within a step, J.
+    """Return the work of grips, loads, weight and strings on the line within a step, J.
 
-    By the mean of the forces at both ends of the step: exact for what does not change, of third
-    order in the step else.
+    By the mean of the forces at both ends of the step: exact for constant forces, else of third
+    order in the step.
     """
     (old, new), (first, last) = demands, shapes
     pulls = [assembly.reactions(b, d) for b, d in zip(balances, demands, strict=True)]
     moved = last.positions - first.positions
     work = 0.5 * float(np.sum((pulls[0][0] + pulls[1][0]) * (new.held - old.held)))
     work += 0.5 * float(np.sum((old.forces + new.forces) * moved))
-    work += 0.5 * float(np.sum((pulls[0][1] + pulls[1][1]) * _turned(old.clamps, new.clamps)))
+    work += 0.5 * float(
+        np.sum((pulls[0][1] + pulls[1][1]) * _turns_in_space(old.clamps, new.clamps))
+    )
     if np.any(old.moments) or np.any(new.moments):
-        turned = _turned(first.frames, last.frames)
+        turned = _turns_in_space(first.frames, last.frames)
         work += 0.5 * float(np.sum((old.moments + new.moments) * turned))
     if len(new.anchors):
         tensions = balances[0].tensions + balances[1].tensions
@@ -63,7 +65,7 @@ def work_done(
     return work
 
 
-def _turned(before: Floats, behind: Floats) -> Floats:
-    """Rotation vectors in space, rad, from frames to others."""
-    own = rotation_vectors(multiply(conjugate(before), behind))
-    return np.asarray(np.einsum("nxy,ny->nx", matrices(before), own))
+def _turns_in_space(before: Floats, behind: Floats) -> Floats:
+    """Return rotation vectors in space, rad, between frames."""
+    rotation = rotation_vectors(multiply(conjugate(before), behind))
+    return np.asarray(np.einsum("nxy,ny->nx", matrices(before), rotation))

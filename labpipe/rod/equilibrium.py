@@ -1,4 +1,4 @@
-"""One step of a line to the equilibrium under new demands, by Newton's method."""
+"""Equilibrium of a line under new demands, by Newton's method."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from labpipe.rod.rotations import (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settled:
-    """An equilibrium: its shape, the balance there, and how many iterations it took."""
+class Equilibrium:
+    """An equilibrium: its shape, balance and number of iterations."""
 
     shape: Shape
     balance: Balance
     iterations: int
 
 
-def settle(
+def find_equilibrium(
     assembly: Assembly,
     shape: Shape,
     memory: LineMemory,
@@ -36,53 +36,53 @@ def settle(
     force: float,
     earlier: LineMemory | None = None,
     drag: ArtificialDrag | None = None,
-) -> Settled | None:
-    """Go from one equilibrium to the next.
+) -> Equilibrium | None:
+    """Find the next equilibrium from one.
 
     Parameters
     ----------
     assembly : the line with its supports
-    shape, memory : where it is, and what it remembers
-    demands : what was asked there, and what is asked now
-    force : N, of the size that acts on the line as a whole
-    earlier : memory before the step that led there: the same forces, but what slid is sliding on,
-        which is the better guess where the walk goes on as it did
-    drag : where it holds the line to
+    shape, memory : present shape and history
+    demands : present and new ones
+    force : N, size of the forces on the whole line
+    earlier : history before the last step: equal forces, but sliders that slid slide on, which is
+        the better guess where the motion continues
+    drag : artificial drag
 
     Returns
     -------
-    The equilibrium; None where Newton's method does not find one near.
+    The equilibrium; None where Newton's method does not find a near one.
     """
     max_iterations = 20
     max_idle_iterations = 4  # between corners of the law Newton's method may circle for ever
     min_step_share = 0.1  # of a step; a direction that is cut further says nothing
     now, goal = demands
     nodes = assembly.supports.held
-    # held nodes and clamps go there with the first change, or as far as it is taken
-    partly = replace(goal, held=now.held, clamps=now.clamps)
-    balance = assembly.balance(shape, partly, memory if earlier is None else earlier, drag)
-    least, strayed = math.inf, 0
+    # held nodes and clamps move with the first step, or the share of it that is taken
+    present_demands = replace(goal, held=now.held, clamps=now.clamps)
+    balance = assembly.balance(shape, present_demands, memory if earlier is None else earlier, drag)
+    least_turn, idle = math.inf, 0
     for iteration in range(1, max_iterations + 1):
         held = goal.held - shape.positions[nodes]
-        clamps = rotation_vectors(multiply(conjugate(partly.clamps), goal.clamps))
-        right = assembly.right_side(balance, shape, partly, held, clamps)
+        clamps = rotation_vectors(multiply(conjugate(present_demands.clamps), goal.clamps))
+        right = assembly.right_side(balance, shape, present_demands, held, clamps)
         change = assembly.band.solve(balance.values, right)
         if change is None:
             return None
         turn = _largest_turn(assembly, change)
-        least, strayed = (turn, 0) if turn < least else (least, strayed + 1)
-        share = _modest_share(assembly, change, turn)
-        if share < min_step_share or strayed == max_idle_iterations:
+        least_turn, idle = (turn, 0) if turn < least_turn else (least_turn, idle + 1)
+        share = _step_share(assembly, change, turn)
+        if share < min_step_share or idle == max_idle_iterations:
             return None
         shape = assembly.changed(shape, share * change)
-        partly = goal if share == 1.0 else _turned(partly, share * clamps)
-        balance = assembly.balance(shape, partly, memory, drag)
+        present_demands = goal if share == 1.0 else _turn_clamps(present_demands, share * clamps)
+        balance = assembly.balance(shape, present_demands, memory, drag)
         if share == 1.0 and _is_close(assembly, balance, shape, change, force):
-            return Settled(shape, balance, iteration)
+            return Equilibrium(shape, balance, iteration)
     return None
 
 
-def _turned(demands: Demands, clamps: Floats) -> Demands:
+def _turn_clamps(demands: Demands, clamps: Floats) -> Demands:
     return replace(demands, clamps=unit(multiply(demands.clamps, from_rotation_vectors(clamps))))
 
 
@@ -90,8 +90,8 @@ def _largest_turn(assembly: Assembly, change: Floats) -> float:
     return float(np.max(np.abs(change[assembly.places.turns[:, None] + np.arange(3)])))
 
 
-def _modest_share(assembly: Assembly, change: Floats, turn: float) -> float:
-    """Share of a change that turns and moves no part of the line too far."""
+def _step_share(assembly: Assembly, change: Floats, turn: float) -> float:
+    """Return the share of a step that turns and moves no part of the line too far."""
     max_turn = 0.7  # rad, of an element in one iteration
     max_move = 0.35  # of the line's length, of a node in one iteration
     p = assembly.places
@@ -117,16 +117,16 @@ def _is_close(
         return False
     force = max(force, pull)
     unbalanced = float(np.max(np.abs(residual[p.positions[:, None] + three])))
-    off = max(
+    error = max(
         max(unbalanced - assembly.rounding, 0.0) / force,
         float(np.max(np.abs(residual[p.turns[:, None] + three]))) / (force * length),
         float(np.max(np.abs(residual[p.stretches]))) / (force * length),
         float(np.max(np.abs(residual[p.forces[:, None] + three]))) / length,
     )
-    if off < balance_tolerance:
+    if error < balance_tolerance:
         return True
     moved = max(
         _largest_turn(assembly, change),
         float(np.max(np.abs(change[p.positions[:, None] + three]))) / length,
     )
-    return moved < step_tolerance and off < rounded_balance
+    return moved < step_tolerance and error < rounded_balance

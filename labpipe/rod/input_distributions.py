@@ -1,9 +1,9 @@
-"""What is known of the numbers that a line is predicted from: values, and how they may be off.
+"""Distributions of the inputs of a line's prediction.
 
-A belief is a set of named inputs and independent causes that move them, each by a straight step. A
-calibration gives a belief for each of its solutions: the logarithms of its parameters lie about the
-solution as its mixture of Student's t says, a specimen of the spool differs from the mean of the
-tested ones by a factor on all moments, and both are drawn together, since what is not known of the
+A distribution is a set of named inputs and independent causes that move them linearly. A
+calibration gives a distribution for each of its solutions: the logarithms of its parameters lie
+about the solution as its mixture of Student's t says, a specimen of the spool differs from the mean
+of the tested ones by a factor on all moments, and both are drawn together, since the uncertain
 scatter of samples widens both. Everything else (free curvature, mass, places of clips, difference
 of spools) is stated as a standard deviation, with its degrees of freedom where they are few.
 """
@@ -22,12 +22,12 @@ from labpipe.records.arrays import ArrayRecord, Floats
 from labpipe.records.wire_calibration import PARAMETERS, Solution
 
 DRAWS = 4096
-"""Of a belief, a power of two: a band's width is off by 1.5 % where most of it is the scatter of
-specimens, of which three samples say little; as many draws by chance alone are off by 3 %."""
-CALIBRATION, SPECIMEN = "calibration", "specimen"
-"""Causes, as a budget names them."""
+"""Of a distribution, a power of two. The width of a band has an error of 1.5 % where the scatter of
+specimens, estimated from three samples, dominates; random draws have 3 %."""
+CALIBRATION = "calibration"
+SPECIMEN = "specimen"
 
-_MAX_LOG_STEP = 0.3  # step of a logarithm; lines are solved two away, where it is 1.8 times as much
+_MAX_LOG_STEP = 0.3  # of a logarithm; lines are solved two steps away, a factor of 1.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,9 +37,9 @@ class InputDistribution(ArrayRecord):
     Parameters
     ----------
     names : of the inputs, each once
-    causes : what moves them, one for each step; several steps may have one cause
+    causes : of each step; several steps may have one cause
     centre : best values
-    steps : shape (names, causes): how far one of each cause moves each input
+    steps : shape (names, causes): change of each input per unit of each cause
     amounts : shape (draws, causes): draws of all causes together, in their steps
     """
 
@@ -50,12 +50,12 @@ class InputDistribution(ArrayRecord):
     amounts: Annotated[Floats, "draws", "causes"]
 
     def inputs(self, amounts: Floats | None = None) -> dict[str, float]:
-        """Inputs at some amounts of the causes, shape (causes,); the best values without any."""
+        """Return the inputs at amounts of the causes, shape (causes,), or the best values."""
         moved = self.centre if amounts is None else self.centre + self.steps @ amounts
         return dict(zip(self.names, moved.tolist(), strict=True))
 
 
-def known(
+def stated_distribution(
     name: str,
     deviation: float,
     *,
@@ -65,7 +65,7 @@ def known(
     draws: int = DRAWS,
     seed: int = 0,
 ) -> InputDistribution:
-    """One input with its standard deviation.
+    """Return the distribution of one input from its standard deviation.
 
     Parameters
     ----------
@@ -73,10 +73,10 @@ def known(
     deviation : its standard deviation, in its own unit; positive
     centre : its best value
     freedom : degrees of freedom of the deviation: the input is drawn from Student's t
-    cause : as a budget names it; the name of the input if left out
-    draws, seed : how many are drawn, and in which order: their quantiles are those of the
-        distribution. Beliefs of one line want seeds of their own; the name takes part in the seed,
-        so that inputs of different names have them
+    cause : its name in a budget; by default the name of the input
+    draws, seed : number and order of the draws, whose quantiles are exact. Distributions of one
+    line
+        need different seeds; the name is part of the seed, so that different names suffice
     """
     if not (np.isfinite(deviation) and deviation > 0.0 and freedom > 0.0):
         message = (
@@ -84,8 +84,10 @@ def known(
         )
         raise ValueError(message)
     chance = np.random.default_rng([seed, *f"{name} {cause}".encode()])
-    even = (chance.permutation(draws) + 0.5) / draws
-    amounts = np.asarray(ndtri(even) if np.isinf(freedom) else stdtrit(freedom, even), np.float64)
+    uniform = (chance.permutation(draws) + 0.5) / draws
+    amounts = np.asarray(
+        ndtri(uniform) if np.isinf(freedom) else stdtrit(freedom, uniform), np.float64
+    )
     steps = np.array([[deviation]])
     return InputDistribution((name,), (cause or name,), np.array([centre]), steps, amounts[:, None])
 
@@ -98,25 +100,25 @@ def calibrated_distributions(
     draws: int = DRAWS,
     seed: int = 0,
 ) -> tuple[InputDistribution, ...]:
-    """What a calibration knows of a wire, a belief for each solution in its 95 % set.
+    """Return a distribution for each solution of a calibration in its 95 % set.
 
     Parameters
     ----------
     solutions : of the calibration, the best first
     widening : of its quantiles
-    specimen : input that is the logarithm of a factor on all moments, for a line that is one more
-        specimen of the spool: it is drawn from what the calibration knows of the scatter of
-        samples. None for a line with the law of the mean sample
-    draws, seed : how many are drawn, a power of two, and from where
+    specimen : input that is the logarithm of a factor on all moments, for a line that is another
+        specimen of the spool: it is drawn from the scatter of samples. None for a line with the
+        law of the mean sample
+    draws, seed : number of draws, a power of two, and their seed
 
     Returns
     -------
-    Beliefs in the logarithms of `PARAMETERS`; what the wire has not is no input. What is fixed does
-    not move. As in the calibration's own bands a solution's spread is the narrower the less likely
-    it is: by sqrt(1 - rise / limit).
+    Distributions in the logarithms of the acting `PARAMETERS`; fixed ones do not move. As in the
+    bands of the calibration, the spread of a less likely solution is narrower: by
+    sqrt(1 - rise / limit).
     """
     return tuple(
-        _of_solution(
+        _solution_distribution(
             *(solution, widening * np.sqrt(1.0 - solution.rise / solution.limit)),
             specimen=specimen,
             draws=draws,
@@ -126,7 +128,7 @@ def calibrated_distributions(
     )
 
 
-def _of_solution(
+def _solution_distribution(
     solution: Solution,
     wide: float,
     *,
@@ -136,77 +138,80 @@ def _of_solution(
 ) -> InputDistribution:
     acts = np.flatnonzero(np.isfinite(solution.values))
     mixture = solution.mixture
-    even = _evenly(chance, draws, 3 + len(acts))
+    uniform = _sobol_points(chance, draws, 3 + len(acts))
     last = len(mixture.chance) - 1
-    place = np.minimum(np.searchsorted(np.cumsum(mixture.chance), even[:, 0]), last)
-    student = _student(even[:, 1], mixture.freedom)
-    normal = ndtri(even[:, 2:])
+    place = np.minimum(np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0]), last)
+    student = _student_divisor(uniform[:, 1], mixture.freedom)
+    normal = ndtri(uniform[:, 2:])
     inner = mixture.covariance[:, acts[:, None], acts]
-    roots = np.stack([_root(each) for each in inner])
-    plain = np.einsum("nij,nj->ni", roots[place], normal[:, 1:])
-    moved = wide * (mixture.shift[place][:, acts] + plain / student[:, None])
+    roots = np.stack([_square_root(covariance) for covariance in inner])
+    normal_part = np.einsum("nij,nj->ni", roots[place], normal[:, 1:])
+    moved = wide * (mixture.shift[place][:, acts] + normal_part / student[:, None])
     spread = np.einsum("s,sij->ij", mixture.chance, inner)
     spread += np.einsum("s,si,sj->ij", mixture.chance, *(2 * [mixture.shift[:, acts]]))
     steps = _steps(spread)
     names, amounts = [PARAMETERS[number] for number in acts], moved @ np.linalg.pinv(steps).T
-    belief = InputDistribution(
+    distribution = InputDistribution(
         tuple(names), (CALIBRATION,) * steps.shape[1], np.log(solution.values[acts]), steps, amounts
     )
     factor = mixture.scatter[place] * normal[:, 0] / student
     size = float(np.sqrt(mixture.chance @ mixture.scatter**2))
     if specimen is None or size == 0.0:
-        return belief
+        return distribution
     size = min(size, _MAX_LOG_STEP)
-    one = np.array([[size]])
-    own = InputDistribution((specimen,), (SPECIMEN,), np.zeros(1), one, factor[:, None] / size)
-    return joined([belief, own])
+    one_step = np.array([[size]])
+    specimen_part = InputDistribution(
+        (specimen,), (SPECIMEN,), np.zeros(1), one_step, factor[:, None] / size
+    )
+    return join_distributions([distribution, specimen_part])
 
 
-def joined(beliefs: Iterable[InputDistribution]) -> InputDistribution:
-    """Beliefs of which none knows of the others, as one.
+def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistribution:
+    """Join independent distributions.
 
     Parameters
     ----------
-    beliefs : with as many draws each; an input in several is moved by all of them, and its best
-        value is the sum of theirs
+    distributions : with equal numbers of draws; an input in several is moved by all of them, and
+    its
+        best value is the sum of theirs
     """
-    every = tuple(beliefs)
-    names = tuple(dict.fromkeys(name for each in every for name in each.names))
-    counts = [len(each.causes) for each in every]
+    parts = tuple(distributions)
+    names = tuple(dict.fromkeys(name for part in parts for name in part.names))
+    counts = [len(part.causes) for part in parts]
     centre, steps = np.zeros(len(names)), np.zeros((len(names), sum(counts)))
-    for each, last in zip(every, np.cumsum(counts), strict=True):
-        rows = np.array([names.index(name) for name in each.names], dtype=np.int64)
-        centre[rows] += each.centre
-        steps[rows, last - len(each.causes) : last] = each.steps
-    causes = tuple(cause for each in every for cause in each.causes)
+    for part, last in zip(parts, np.cumsum(counts), strict=True):
+        rows = np.array([names.index(name) for name in part.names], dtype=np.int64)
+        centre[rows] += part.centre
+        steps[rows, last - len(part.causes) : last] = part.steps
+    causes = tuple(cause for part in parts for cause in part.causes)
     return InputDistribution(
-        names, causes, centre, steps, np.hstack([each.amounts for each in every])
+        names, causes, centre, steps, np.hstack([part.amounts for part in parts])
     )
 
 
-def _evenly(chance: np.random.Generator, draws: int, numbers: int) -> Floats:
-    """Chances between 0 and 1 that fill their cube evenly (Sobol's), shape (draws, numbers)."""
+def _sobol_points(chance: np.random.Generator, draws: int, numbers: int) -> Floats:
+    """Return Sobol points in the unit cube, shape (draws, numbers)."""
     inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
     return np.asarray(0.5 + inner_share * (Sobol(numbers, seed=chance).random(draws) - 0.5))
 
 
-def _student(even: Floats, freedom: float) -> Floats:
-    """What normal draws are divided by to be Student's."""
+def _student_divisor(uniform: Floats, freedom: float) -> Floats:
+    """Return the divisors that turn normal draws into Student's t."""
     if np.isinf(freedom):
-        return np.ones(len(even))
-    return np.asarray(np.sqrt(chdtri(freedom, even) / freedom))
+        return np.ones(len(uniform))
+    return np.asarray(np.sqrt(chdtri(freedom, uniform) / freedom))
 
 
-def _root(covariance: Floats) -> Floats:
+def _square_root(covariance: Floats) -> Floats:
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _steps(covariance: Floats) -> Floats:
-    """Principal axes that are not known, one standard deviation long, or the longest that is."""
+    """Return the uncertain principal axes, one standard deviation long, within the largest step."""
     zero_variance = 1e-12  # of the largest variance
     values, vectors = np.linalg.eigh(covariance)
     moves = values > zero_variance * max(float(values[-1]), 1e-300)
     steps = vectors[:, moves] * np.sqrt(values[moves])
-    longest = np.abs(steps).max(axis=0, initial=zero_variance)
-    return np.asarray(steps * np.minimum(1.0, _MAX_LOG_STEP / longest))
+    longest_step = np.abs(steps).max(axis=0, initial=zero_variance)
+    return np.asarray(steps * np.minimum(1.0, _MAX_LOG_STEP / longest_step))

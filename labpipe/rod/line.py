@@ -1,4 +1,4 @@
-"""A line to be laid: its section, its elements, the shape it starts from and the one at rest.
+"""A line to be laid: section, elements, start shape and shape at rest.
 
 n elements join n + 1 nodes. Each element is straight and carries a frame whose third axis d3 points
 along it; the first two are material directions across. The law of bending acts at the nodes, over
@@ -27,17 +27,17 @@ from labpipe.rod.rotations import (
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """What a line is made of, the same all along.
+    """Section of a line, constant along it.
 
     Parameters
     ----------
-    law : moment against curvature with its sliders, alike in every plane
+    law : moment against curvature with its sliders, isotropic
     torsional_stiffness : GJ at fixed length, N m^2
     axial_stiffness : EA at fixed twist, N; infinite: the line keeps its length
     coupling : C of stretch and twist, N m, positive in the sense of a positive lay (PHYSICS 9);
         without effect where the line keeps its length
     mass_per_length : kg/m
-    diameter : outer, m; 0 where nobody asks
+    diameter : outer, m; 0 if unknown
 
     Raises
     ------
@@ -54,7 +54,9 @@ class Section:
 
     def __post_init__(self) -> None:
         if not self.law.first_stiffness > 0.0:
-            message = "law: it has neither a stiffness nor sliders; allowed is a line that resists"
+            message = (
+                "law: found neither a stiffness nor sliders; expected a line that resists bending"
+            )
             raise ValueError(message)
         _require("torsional_stiffness", self.torsional_stiffness, self.torsional_stiffness > 0.0)
         if not self.axial_stiffness > 0.0:
@@ -70,7 +72,7 @@ def _require(name: str, value: float, is_allowed: bool) -> None:
     if not (np.isfinite(value) and is_allowed):
         bounds = {
             "torsional_stiffness": "> 0",
-            "coupling": "of a size below sqrt(axial_stiffness * torsional_stiffness)",
+            "coupling": "of magnitude below sqrt(axial_stiffness * torsional_stiffness)",
         }
         message = f"{name}={value!r}: allowed are finite numbers {bounds.get(name, '>= 0')}"
         raise ValueError(message)
@@ -83,7 +85,7 @@ class Line(ArrayRecord):
     Parameters
     ----------
     lengths : shape (n,), m, of the elements at rest
-    section : what it is made of
+    section : of the line
     positions : shape (n + 1, 3), m, of the nodes to start from
     frames : shape (n, 4), unit quaternions (w, x, y, z) to start from; d3 is the direction
     natural : shape (n - 1, 3), 1/m, the curvature at rest of the inner nodes: two bendings and the
@@ -124,18 +126,18 @@ class Line(ArrayRecord):
 
     @property
     def length(self) -> float:
-        """Length at rest, m."""
+        """Return the length at rest, m."""
         return float(np.sum(self.lengths))
 
     @property
     def natural_at_nodes(self) -> Floats:
-        """Curvature at rest of all nodes, 1/m, shape (n + 1, 3): at the ends the neighbours'."""
+        """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3); ends as neighbours."""
         if not len(self.natural):
             return np.zeros((len(self.positions), 3))
         return np.concatenate([self.natural[:1], self.natural, self.natural[-1:]])
 
     def frame_at(self, node: int) -> Floats:
-        """Frame at a node, shape (4,): where a clamp there leaves the line as it is.
+        """Return the frame at a node, shape (4,), in which a clamp leaves the line unchanged.
 
         Parameters
         ----------
@@ -157,7 +159,7 @@ class Line(ArrayRecord):
 
     @property
     def stations(self) -> Floats:
-        """Where the nodes are along the line at rest, m, shape (n + 1,)."""
+        """Return the arc length of the nodes at rest, m, shape (n + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.lengths)])
 
 
@@ -168,15 +170,15 @@ def line_along(
     up: tuple[float, float, float] = (0.0, 0.0, 1.0),
     is_formed: bool = False,
 ) -> Line:
-    """Make a line through points, the nodes, without twist.
+    """Return a line through points, its nodes, without twist.
 
     Parameters
     ----------
     positions : shape (n + 1, 3), m
-    section : what it is made of
-    up : d1 of the first frame is as near to it as can be; the others follow without twist
-    is_formed : whether this is the shape at rest, as of a line that took a set on its spool; else
-        the line is straight at rest and must be bent into these points
+    section : of the line
+    up : d1 of the first frame is as near to it as possible; the others follow without twist
+    is_formed : whether this is the shape at rest, as of a line with a set from its spool; else the
+        line is straight at rest and must be bent to these points
 
     Raises
     ------
@@ -186,8 +188,8 @@ def line_along(
 
     Notes
     -----
-    The frames are carried along by the shortest turn from each element to the next, one by one:
-    d1 where a ring closes differs from where it began by the angle that belongs to its shape.
+    Each frame follows from the one before by the shortest turn: d1 at the end of a closed ring
+    differs from its start by the angle of its shape.
     """
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2:
@@ -197,7 +199,7 @@ def line_along(
     lengths = np.linalg.norm(steps, axis=1)
     if not np.all(lengths > 0.0):
         at = int(np.argmin(lengths > 0.0))
-        message = f"positions {at} and {at + 1}: allowed are points apart from one another"
+        message = f"positions {at} and {at + 1}: allowed are different points"
         raise ValueError(message)
     directions = steps / lengths[:, None]
     turns = shortest_turns(directions[:-1], directions[1:])

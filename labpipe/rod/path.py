@@ -1,4 +1,4 @@
-"""What a walk of a line leaves: its states, step by step, and why it ended where it did."""
+"""Result of following a line: its states, step by step, and its status."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ Status: TypeAlias = Literal["ok", "doubtful", "failed"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RodState(ArrayRecord):
-    """A line in equilibrium, with its memory.
+    """A line in equilibrium, with its history.
 
     Parameters
     ----------
     positions : shape (n + 1, 3), m, of the nodes
     frames : shape (n, 4), unit quaternions of the elements
     stretches : shape (n,), strain of the elements along themselves
-    forces : shape (n, 3), N, in space: what the part behind an element pulls the part before it
-        with (tension is along d3)
-    moments : shape (n + 1, 2, 3), N m, in space: what the part behind pulls the part before with,
-        before and behind every node; both are the same but where a clamp holds the node; zero
-        before the first and behind the last node
+    forces : shape (n, 3), N, in space, of the part behind an element on the part before it
+        (tension is along d3)
+    moments : shape (n + 1, 2, 3), N m, in space, of the part behind on the part before, before and
+        behind every node; both are equal except at a clamp; zero before the first and behind the
+        last node
     curvatures : shape (n + 1, 2, 3), 1/m, less those at rest: two bendings and the twist, in the
         mean frame; before and behind every node as the moments; beside a clamp the mean of half an
         element
-    node_curvatures : shape (n + 1, 2, 3), 1/m, the same, but carried on to the clamps
-    rests : shape (n + 1, 2, sliders, 2), 1/m, where the sliders rest: the memory
-    reaction_forces : shape (boundaries, 3), N, what each boundary does to the line in all, loads
+    node_curvatures : shape (n + 1, 2, 3), 1/m, the same, extrapolated to the clamps
+    rests : shape (n + 1, 2, sliders, 2), 1/m, where the sliders rest: the history
+    reaction_forces : shape (boundaries, 3), N, total force of each boundary on the line, loads
         included; weight and moments have none
     reaction_moments : shape (boundaries, 3), N m, of clamps, about their node
-    contacts : shape (planes, n + 1, 3), m, where the nodes stick to the planes: their memory
-    contact_forces : shape (planes, n + 1, 3), N, what the planes do to the nodes
+    contacts : shape (planes, n + 1, 3), m, where the nodes stick to the planes: their history
+    contact_forces : shape (planes, n + 1, 3), N, of the planes on the nodes
     slid : shape (boundaries,), m: arc length at rest that lies in a ring; NaN for others
     """
 
@@ -55,9 +55,9 @@ class RodState(ArrayRecord):
 
     @property
     def bendings(self) -> Floats:
-        """Curvature across the line at the nodes, 1/m, shape (n + 1,), less that at rest.
+        """Return the bending curvature at the nodes, 1/m, shape (n + 1,), less that at rest.
 
-        The larger one where a clamp parts both sides.
+        The larger one where a clamp separates both sides.
         """
         across = self.node_curvatures[:, :, :2]
         return np.asarray(np.max(np.linalg.norm(across, axis=2), axis=1))
@@ -65,14 +65,14 @@ class RodState(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a walk failed or is doubtful.
+    """Reason why a path failed or is doubtful.
 
     Parameters
     ----------
     code : one word
     sentence : for people, with the step and the place
     step : in which
-    node : where; None where no place stands out
+    node : its place; None if it has none
     """
 
     code: str
@@ -83,23 +83,24 @@ class Reason:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RodPath(ArrayRecord):
-    """The states of a walk.
+    """Path of a line.
 
     Parameters
     ----------
-    states : of steps 0, 1, ...; fewer than asked for where the walk failed
-    status : `failed` where a step has no equilibrium that can be reached; `doubtful` where all have
-        but a number is not backed, as beyond the range of the law
-    reasons : why, first things first; empty where all is well
-    snapped : steps in which the line jumped: it snapped or something let go, so that the
-        equilibrium is not the continuation of the one before, and what the jump set free was lost
-    work : shape (states,), J, of clamps, loads and weight on the line since before step 0, and what
-        it stored then
+    states : of steps 0, 1, ...; fewer than requested where it failed
+    status : `failed` where no equilibrium of a step was reached; `doubtful` where a result is
+        unsupported, as beyond the range of the law
+    reasons : of the status, the most important first; empty if `ok`
+    snapped : steps in which the line jumped: it snapped or was released, so that the equilibrium
+    does
+        not continue the one before, and the energy of the jump was lost
+    work : shape (states,), J, of clamps, loads and weight on the line, and the energy stored before
+        step 0
     stored : shape (states,), J, elastic, of bending, twist and stretch
     lost : shape (states,), J, in the sliders
     rubbed : shape (states,), J, on planes
-    jumped : shape (states,), J, set free in jumps and kept by nothing
-    lost_in_jumps : shape (states,), J, of `lost`: in the sliders, on the way down in jumps
+    jumped : shape (states,), J, released in jumps and lost
+    lost_in_jumps : shape (states,), J, part of `lost` in jumps
     """
 
     states: tuple[RodState, ...]
@@ -115,12 +116,12 @@ class RodPath(ArrayRecord):
 
     @property
     def last(self) -> RodState:
-        """The last state that was reached.
+        """Return the last state that was reached.
 
         Raises
         ------
         ValueError
-            If there is none: the walk failed in step 0.
+            If there is none: step 0 failed.
         """
         if not self.states:
             message = f"no state was reached: {self.reasons[0].sentence}"

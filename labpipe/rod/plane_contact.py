@@ -1,8 +1,8 @@
-"""What acts on nodes and depends on where they are: planes with friction, and strings.
+"""Forces on nodes that depend on their position: planes with friction, and strings.
 
-Both are stiff springs: a plane and a string yield by a tiny length. So there is always an answer,
-and Newton's method finds it. The friction has a memory as a slider does: a node sticks to a point
-of the plane, by a stiff spring, until its force reaches the friction, and drags it from there.
+Both are stiff springs: planes and strings yield by a tiny length, so that Newton's method has a
+solution. Friction has a history as sliders do: a node sticks to a point of the plane by a stiff
+spring until its force reaches the friction, then drags the point along.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class ContactForces:
     Parameters
     ----------
     forces : shape (nodes, 3), N
-    stiffness : shape (nodes, 3, 3), N/m, of minus the force by the place
-    pressing : shape (nodes, 3, 3), N/m, the part of it by which friction grows with pressure: it
-        has no energy, so that stability is judged without it
+    stiffness : shape (nodes, 3, 3), N/m, of minus the force by the position
+    pressing : shape (nodes, 3, 3), N/m, its part by the growth of friction with pressure, which has
+        no energy, so that stability is judged without it
     contacts : shape (nodes, 3), m, where the nodes stick
     rubbed : J, lost to friction in this step
     """
@@ -45,44 +45,44 @@ def touch_plane(
 
     Parameters
     ----------
-    plane : where and how rough it is
+    plane : with its friction
     stiffness : N/m of a node
     positions : shape (nodes, 3), m
     contacts : shape (nodes, 3), m, where the nodes stuck before the step
-    close : m, a node that near counts as touching, with no force as yet
+    close : m, a nearer node counts as touching, without force
     """
     normal = plane.normal
     depth = -(positions - plane.point) @ normal
     press = stiffness * np.maximum(depth, 0.0)
     is_in = depth >= -close
-    out = np.where(is_in, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
+    tangent = np.where(is_in, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
     forces = press[:, None] * normal
     flat = _EYE - np.outer(normal, normal)
-    aside = (positions - contacts) @ flat
-    size = np.linalg.norm(aside, axis=1)
-    most = plane.friction * press / stiffness
-    is_sliding = size > most
-    kept = np.where(is_sliding, most / np.where(size > 0.0, size, 1.0), 1.0)
-    kept = np.where(is_in, kept, 0.0)
-    held = kept[:, None] * aside
-    pressing = np.zeros_like(out)
+    offset = (positions - contacts) @ flat
+    size = np.linalg.norm(offset, axis=1)
+    largest = plane.friction * press / stiffness
+    is_sliding = size > largest
+    held_share = np.where(is_sliding, largest / np.where(size > 0.0, size, 1.0), 1.0)
+    held_share = np.where(is_in, held_share, 0.0)
+    held_offset = held_share[:, None] * offset
+    pressing = np.zeros_like(tangent)
     if plane.friction > 0.0:
-        forces = forces - stiffness * held
+        forces = forces - stiffness * held_offset
         turning = is_sliding & is_in
-        heading = np.where(turning, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)[:, None] * aside
+        heading = np.where(turning, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)[:, None] * offset
         across = flat - heading[:, :, None] * heading[:, None, :]
-        out = out + stiffness * kept[:, None, None] * across
+        tangent = tangent + stiffness * held_share[:, None, None] * across
         pressing = -stiffness * plane.friction * heading[:, :, None] * normal
-        out = out + pressing
-    moved = (aside - held) * is_in[:, None]
+        tangent = tangent + pressing
+    moved = (offset - held_offset) * is_in[:, None]
     rubbed = float(np.sum(plane.friction * press * np.linalg.norm(moved, axis=1)))
-    return ContactForces(forces, out, pressing, positions - held, rubbed)
+    return ContactForces(forces, tangent, pressing, positions - held_offset, rubbed)
 
 
 def pull_strings(
     anchors: Floats, lengths: Floats, stiffness: float, positions: Floats
 ) -> tuple[Floats, Floats]:
-    """Pull nodes by strings, which do not push.
+    """Compute the forces of strings, which do not push.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def pull_strings(
 
     Returns
     -------
-    Forces, shape (strings, 3), N, and N/m of minus the forces by the place, (strings, 3, 3).
+    Forces, shape (strings, 3), N, and N/m of minus the forces by the position, (strings, 3, 3).
     """
     reach = anchors - positions
     distance = np.linalg.norm(reach, axis=1)

@@ -1,11 +1,10 @@
-"""How a line answers to its inputs, and pointwise 95 % bands from it.
+"""Response of a line to its inputs, and pointwise 95 % bands.
 
-The line is solved at the best inputs, and along its whole path once to each side of every cause, as
-far away as 95 % of the draws of that cause lie. Its answer to a cause is the parabola through these
-three, straight beyond; causes add up. So the answer to a cause that makes most of a band is exact
-where the band ends. Thousands of draws of the causes then cost two products of matrices, so that
-quantiles of Student's t, of mixtures of it and of a largest value along the line need no
-approximation of their own.
+The line is solved at the best inputs, and along its whole path once to each side of every cause, at
+the distance that covers 95 % of the draws of that cause. The response to a cause is the parabola
+through these three, linear beyond; causes add up. So the response to a dominant cause is exact at
+the ends of the band. Thousands of draws then cost two matrix products, and quantiles of Student's
+t, of its mixtures and of largest values along the line need no further approximation.
 """
 
 from __future__ import annotations
@@ -19,30 +18,30 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.rod.input_distributions import InputDistribution
 
 Fields = Mapping[str, Floats]
-"""What is looked at of a line, by name; arrays of any shape."""
-Look = Callable[[Mapping[str, float]], Fields | None]
+"""Fields of a line, by name; arrays of any shape."""
+SolveFields = Callable[[Mapping[str, float]], Fields | None]
 """Solve a line for some inputs; None where it has no equilibrium."""
 
 TAIL = 0.025
-"""Outside a band, on each side."""
+"""Probability outside a band, on each side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """How a line answers.
+    """Response of a line.
 
     Parameters
     ----------
-    belief : what its inputs may be
+    distribution : of its inputs
     value : at the best inputs, by name
-    reach : shape (causes,), steps of each cause within which the parabolas are
+    reach : shape (causes,), range of the parabolas, in steps of each cause
     slopes, bends : by name, shape (causes, ...): of an amount x of a cause the value changes by
         slope x + bend x^2 within reach
-    one_sided : causes of which one side has no equilibrium: the other is taken for both
+    one_sided : causes with no equilibrium on one side: the other is used for both
     silent : causes with no equilibrium on either side: left out
     """
 
-    belief: InputDistribution
+    distribution: InputDistribution
     value: Fields
     reach: Floats
     slopes: Fields
@@ -51,32 +50,34 @@ class Response:
     silent: tuple[str, ...] = ()
 
     def drawn(self, name: str) -> Floats:
-        """Draws of a field, shape (draws, ...)."""
+        """Return draws of a field, shape (draws, ...)."""
         value = self.value[name]
-        moved = self._moved(name, np.ones(len(self.belief.causes), dtype=np.bool_))
+        moved = self._moved(name, np.ones(len(self.distribution.causes), dtype=np.bool_))
         return np.asarray(value + moved.reshape(len(moved), *value.shape))
 
     def _moved(self, name: str, which: Flags) -> Floats:
-        """Change by some of the causes, shape (draws, numbers)."""
-        amounts, reach = self.belief.amounts[:, which], self.reach[which]
+        """Return the change by some of the causes, shape (draws, numbers)."""
+        amounts, reach = self.distribution.amounts[:, which], self.reach[which]
         within = np.clip(amounts, -reach, reach)
-        squares = within * (2.0 * amounts - within)  # beyond its reach a parabola goes on straight
-        flat = (len(self.belief.causes), self.value[name].size)
+        squares = within * (2.0 * amounts - within)  # linear beyond the reach
+        flat = (len(self.distribution.causes), self.value[name].size)
         slopes, bends = (slope[name].reshape(flat)[which] for slope in (self.slopes, self.bends))
         return np.asarray(amounts @ slopes + squares @ bends)
 
     def shares(self, name: str) -> dict[str, float]:
-        """Share of each cause in the variance of a field, summed over all its numbers.
+        """Return the share of each cause in the variance of a field, summed over all its numbers.
 
-        Steps of one cause count together. Empty where nothing moves.
+        Steps of one cause count together. Empty if the field is constant.
         """
-        causes = np.array(self.belief.causes)
-        found = {
+        causes = np.array(self.distribution.causes)
+        variances = {
             cause: float(np.nansum(_robust_variance(self._moved(name, causes == cause))))
-            for cause in dict.fromkeys(self.belief.causes)
+            for cause in dict.fromkeys(self.distribution.causes)
         }
-        total = sum(found.values())
-        return {cause: finding / total for cause, finding in found.items()} if total > 0.0 else {}
+        total = sum(variances.values())
+        return (
+            {cause: finding / total for cause, finding in variances.items()} if total > 0.0 else {}
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +86,7 @@ class Band:
 
     Parameters
     ----------
-    value : at the best inputs of the best belief
+    value : at the best inputs of the best distribution
     lower, upper : of its shape
     """
 
@@ -94,13 +95,13 @@ class Band:
     upper: Floats
 
 
-def respond(look: Look, belief: InputDistribution) -> Response | None:
+def respond(look: SolveFields, distribution: InputDistribution) -> Response | None:
     """Solve a line at the best inputs and to both sides of every cause.
 
     Parameters
     ----------
     look : solves the line; called 1 + 2 x causes times
-    belief : what its inputs may be
+    distribution : of its inputs
 
     Returns
     -------
@@ -108,23 +109,23 @@ def respond(look: Look, belief: InputDistribution) -> Response | None:
     """
     min_steps = 0.1  # of a cause: nearer, the difference is the solver's error
     max_steps = 2.0  # ends of long tails are not evaluated
-    value = look(belief.inputs())
+    value = look(distribution.inputs())
     if value is None:
         return None
     slopes, bends, one_sided, silent = [], [], [], []
-    reach = np.quantile(np.abs(belief.amounts), 1.0 - 2.0 * TAIL, axis=0)
+    reach = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL, axis=0)
     reach = np.clip(reach, min_steps, max_steps)
-    for cause, far, step in zip(belief.causes, reach, np.diag(reach), strict=True):
-        ahead, behind = look(belief.inputs(step)), look(belief.inputs(-step))
+    for cause, far, step in zip(distribution.causes, reach, np.diag(reach), strict=True):
+        ahead, behind = look(distribution.inputs(step)), look(distribution.inputs(-step))
         if ahead is None and behind is None:
             silent.append(cause)
         elif ahead is None or behind is None:
             one_sided.append(cause)
-        both = {name: _through(value[name], ahead, behind, name) for name in value}
+        both = {name: _parabola(value[name], ahead, behind, name) for name in value}
         slopes.append({name: slope / far for name, (slope, _) in both.items()})
         bends.append({name: bend / far**2 for name, (_, bend) in both.items()})
     return Response(
-        belief,
+        distribution,
         value,
         reach,
         {name: _stacked(slopes, name, value[name]) for name in value},
@@ -134,12 +135,12 @@ def respond(look: Look, belief: InputDistribution) -> Response | None:
     )
 
 
-def _through(
+def _parabola(
     value: Floats, ahead: Fields | None, behind: Fields | None, name: str
 ) -> tuple[Floats, Floats]:
-    """Slope and bend of the parabola through a value and those a length 1 to both sides of it.
+    """Return slope and curvature of the parabola through a value and its neighbours at distance 1.
 
-    With one side alone it is straight.
+    With one side it is linear.
     """
     rise = None if ahead is None else ahead[name] - value
     fall = None if behind is None else value - behind[name]
@@ -149,13 +150,13 @@ def _through(
     return np.asarray(0.5 * (rise + fall)), np.asarray(0.5 * (rise - fall))
 
 
-def _stacked(each_cause: Sequence[Fields], name: str, value: Floats) -> Floats:
-    rows = [fields[name] for fields in each_cause]
+def _stacked(fields_by_cause: Sequence[Fields], name: str, value: Floats) -> Floats:
+    rows = [fields[name] for fields in fields_by_cause]
     return np.stack(rows) if rows else np.zeros((0, *value.shape))
 
 
 def _robust_variance(moved: Floats) -> Floats:
-    """Variance of draws as of a normal with their middle 68 %: heavy tails have none."""
+    """Return the variance of a normal with the middle 68 % of the draws, robust to heavy tails."""
     low, high = np.quantile(moved, [0.15866, 0.84134], axis=0)
     return np.asarray((0.5 * (high - low)) ** 2)
 
@@ -163,7 +164,7 @@ def _robust_variance(moved: Floats) -> Floats:
 def band_of(
     responses: Sequence[Response], measure: Callable[[Response], tuple[Floats, Floats]]
 ) -> Band:
-    """Pointwise 95 % band over all beliefs.
+    """Compute the pointwise 95 % band over all distributions.
 
     Parameters
     ----------
@@ -172,7 +173,7 @@ def band_of(
 
     Returns
     -------
-    From the lowest to the highest of the bands of all, and never without the value.
+    From the lowest to the highest of all bands, including the value.
     """
     values, lows, highs = [], [], []
     for response in responses:
@@ -185,7 +186,7 @@ def band_of(
 
 
 def field_band(responses: Sequence[Response], name: str) -> Band:
-    """Pointwise band of a field.
+    """Compute the pointwise band of a field.
 
     Parameters
     ----------
@@ -196,5 +197,5 @@ def field_band(responses: Sequence[Response], name: str) -> Band:
 
 
 def sizes(vectors: Floats) -> Floats:
-    """Lengths of vectors along the last axis."""
+    """Return lengths of vectors along the last axis."""
     return np.asarray(np.linalg.norm(vectors, axis=-1))

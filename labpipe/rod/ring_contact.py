@@ -1,8 +1,8 @@
-"""Rings: where a line goes through them, and how they pull.
+"""Rings: where a line passes through them, and their forces.
 
-A ring holds the line to its place and lets it slide. It sees a smooth curve in place of the
-elements: the quadratic spline that touches every element in its middle, so that nothing catches at
-a node. Along the curve u counts nodes: u = 3.5 is the middle of the element behind node 3. A ring
+A ring holds the line and lets it slide. It acts on a smooth curve in place of the elements: the
+quadratic spline that touches every element in its middle, so that the line slides smoothly over
+nodes. Along the curve u counts nodes: u = 3.5 is the middle of the element behind node 3. A ring
 is a stiff spring to the nearest point of the curve, which pulls across it: no friction.
 """
 
@@ -22,11 +22,11 @@ class RingContact:
     Parameters
     ----------
     place : u
-    first : first of the three nodes that feel it
+    first : first of the three loaded nodes
     weights : shape (3,), share of each in the point of the curve
     force : shape (3,), N, of the ring on the line
-    stiffness : shape (3, 3, 3, 3), N/m, of minus the force on one node (axis 0, 1) by the place of
-        another (2, 3)
+    stiffness : shape (3, 3, 3, 3), N/m, of minus the force on one node (axis 0, 1) by the position
+        of another (2, 3)
     """
 
     place: float
@@ -37,7 +37,7 @@ class RingContact:
 
 
 def thread(positions: Floats, ring: Floats, near: float, stiffness: float) -> RingContact:
-    """Find where a line goes through a ring, and what the ring does.
+    """Find where a line passes through a ring, and the force of the ring.
 
     Parameters
     ----------
@@ -49,24 +49,24 @@ def thread(positions: Floats, ring: Floats, near: float, stiffness: float) -> Ri
     place = nearest_place(positions, ring, near)
     first, b, slopes, bends = _weights(place, len(positions))
     points = positions[first : first + 3]
-    off = b @ points - ring
+    offset = b @ points - ring
     along, bend = slopes @ points, bends @ points
-    mixed = b[:, None] * along + slopes[:, None] * off
-    size = along @ along + max(float(off @ bend), -0.5 * float(along @ along))
+    mixed = b[:, None] * along + slopes[:, None] * offset
+    size = along @ along + max(float(offset @ bend), -0.5 * float(along @ along))
     out = np.einsum("i,j,xy->ixjy", b, b, np.eye(3))
     if 0.0 < place < len(positions) - 1:
         out -= np.einsum("ix,jy->ixjy", mixed, mixed) / size
-    return RingContact(place, first, b, -stiffness * off, stiffness * out)
+    return RingContact(place, first, b, -stiffness * offset, stiffness * out)
 
 
 def point_at(positions: Floats, place: float) -> Floats:
-    """Point of the curve at u, m."""
+    """Return the point of the curve at u, m."""
     first, weights, _, _ = _weights(place, len(positions))
     return np.asarray(weights @ positions[first : first + 3])
 
 
 def _weights(place: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
-    """First node, and the shares of three nodes with their first and second derivatives by u."""
+    """Return the first node, and shares of three nodes with their two derivatives by u."""
     node = int(np.clip(np.floor(place + 0.5), 1, n_nodes - 2))
     t = place - node + 0.5
     none = np.zeros(3)
@@ -86,16 +86,16 @@ def nearest_place(positions: Floats, ring: Floats, near: float) -> float:
     search_reach = 1.5  # nodes on both sides of the last place
     last = float(len(positions) - 1)
     low, high = max(near - search_reach, 0.0), min(near + search_reach, last)
-    tried = np.linspace(low, high, 25)
-    distances = [float(np.sum((point_at(positions, u) - ring) ** 2)) for u in tried]
-    place = float(tried[int(np.argmin(distances))])
+    candidates = np.linspace(low, high, 25)
+    distances = [float(np.sum((point_at(positions, u) - ring) ** 2)) for u in candidates]
+    place = float(candidates[int(np.argmin(distances))])
     for _ in range(max_iterations):
         first, b, slopes, bends = _weights(place, len(positions))
         points = positions[first : first + 3]
-        off = b @ points - ring
+        offset = b @ points - ring
         along = slopes @ points
-        size = along @ along + max(float(off @ (bends @ points)), -0.5 * float(along @ along))
-        change = float(np.clip(-(off @ along) / size, -0.1, 0.1))
+        size = along @ along + max(float(offset @ (bends @ points)), -0.5 * float(along @ along))
+        change = float(np.clip(-(offset @ along) / size, -0.1, 0.1))
         place = float(np.clip(place + change, 0.0, last))
         if abs(change) < 1e-14:
             break

@@ -1,7 +1,7 @@
 """Frames as unit quaternions (w, x, y, z), and rotation vectors, whole arrays at once.
 
 A frame turns vectors of the material into vectors of space; its third axis d3 is the direction of
-the line. A rotation vector psi (rad) stands for the turn by |psi| about psi.
+the line. A rotation vector psi (rad) is the turn by |psi| about psi.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from labpipe.records.arrays import Floats
 
 _FACTOR = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
 _SIGN = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]], dtype=np.float64)
-"""Row by row of a product: which part of the left factor each part of the right one meets."""
+"""Indices and signs of the left factor for each component of a product."""
 _NEXT, _AFTER_NEXT = np.array([1, 2, 0]), np.array([2, 0, 1])
 _SQUARES = np.array([[2, 1, 1], [1, 1, 2], [1, 2, 1]]), np.array([[2, 2, 3], [2, 1, 3], [3, 3, 1]])
 _OTHERS = np.array([[3, 0, 0], [0, 3, 0], [0, 0, 2]]), np.array([[3, 3, 2], [3, 3, 1], [2, 1, 2]])
@@ -27,18 +27,18 @@ def multiply(left: Floats, right: Floats) -> Floats:
 
 
 def conjugate(frames: Floats) -> Floats:
-    """Turn back, shape (..., 4)."""
+    """Invert rotations, shape (..., 4)."""
     return np.asarray(frames * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def cross(u: Floats, v: Floats) -> Floats:
-    """Vector product, shape (..., 3); `numpy.cross` takes several times as long."""
+    """Return the vector product, shape (..., 3); several times faster than `numpy.cross`."""
     one = u.take(_NEXT, axis=-1) * v.take(_AFTER_NEXT, axis=-1)
     return np.asarray(one - u.take(_AFTER_NEXT, axis=-1) * v.take(_NEXT, axis=-1))
 
 
 def skew(vectors: Floats) -> Floats:
-    """Matrices that take a vector product: skew(u) @ v = u x v, shape (..., 3, 3)."""
+    """Return matrices of the vector product: skew(u) @ v = u x v, shape (..., 3, 3)."""
     out = np.zeros((*vectors.shape, 3))
     out[..., 0, 1], out[..., 0, 2] = -vectors[..., 2], vectors[..., 1]
     out[..., 1, 0], out[..., 1, 2] = vectors[..., 2], -vectors[..., 0]
@@ -47,7 +47,7 @@ def skew(vectors: Floats) -> Floats:
 
 
 def from_rotation_vectors(vectors: Floats) -> Floats:
-    """Quaternions of rotation vectors, rad, shape (..., 3)."""
+    """Return quaternions of rotation vectors, rad, shape (..., 3)."""
     half = 0.5 * np.sqrt(np.vecdot(vectors, vectors))
     out = np.empty((*vectors.shape[:-1], 4))
     out[..., 0] = np.cos(half)
@@ -56,7 +56,7 @@ def from_rotation_vectors(vectors: Floats) -> Floats:
 
 
 def rotation_vectors(frames: Floats) -> Floats:
-    """Rotation vectors of quaternions, rad, the shorter way round, shape (..., 3)."""
+    """Return rotation vectors of quaternions, rad, the shorter way, shape (..., 3)."""
     sign = np.where(frames[..., 0] < 0.0, -1.0, 1.0)
     real = sign * frames[..., 0]
     size = np.sqrt(np.vecdot(frames[..., 1:], frames[..., 1:]))
@@ -66,7 +66,7 @@ def rotation_vectors(frames: Floats) -> Floats:
 
 
 def matrices(frames: Floats) -> Floats:
-    """Rotation matrices, shape (..., 3, 3); the columns are d1, d2, d3."""
+    """Return rotation matrices, shape (..., 3, 3); the columns are d1, d2, d3."""
     one, other = (
         frames.take(first, axis=-1) * frames.take(second, axis=-1) * sign
         for (first, second), sign in ((_SQUARES, _OF_SQUARES), (_OTHERS, _OF_OTHERS))
@@ -75,28 +75,28 @@ def matrices(frames: Floats) -> Floats:
 
 
 def unit(vectors: Floats) -> Floats:
-    """Vectors or quaternions of length one, the last axis as it is."""
+    """Normalise vectors or quaternions along the last axis."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def frame_from_axes(direction: Floats, up: Floats) -> Floats:
-    """Frame whose d3 is a direction and whose d1 is as near to `up` as can be, shape (4,).
+    """Return the frame with d3 along a direction and d1 as near to `up` as possible, shape (4,).
 
     Parameters
     ----------
-    direction, up : shape (3,), of any length, not along one another
+    direction, up : shape (3,), of any length, not parallel
 
     Raises
     ------
     ValueError
-        If one is zero or both are along one line.
+        If one is zero or both are parallel.
     """
     d3 = np.asarray(direction, dtype=np.float64)
     across = cross(d3, np.asarray(up, dtype=np.float64))
     if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
         message = (
             f"direction={np.asarray(direction).tolist()}, up={np.asarray(up).tolist()}: allowed "
-            "are two directions that are not along one line"
+            "are two directions that are not parallel"
         )
         raise ValueError(message)
     d3, d2 = unit(d3), unit(across)
@@ -104,7 +104,7 @@ def frame_from_axes(direction: Floats, up: Floats) -> Floats:
 
 
 def _from_matrix(matrix: Floats) -> Floats:
-    """Quaternion of one rotation matrix, by its largest component."""
+    """Return the quaternion of one rotation matrix, by its largest component."""
     (a, b, c) = np.diagonal(matrix)
     squares = np.array([1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c])
     off = matrix - matrix.T
@@ -122,23 +122,23 @@ def _from_matrix(matrix: Floats) -> Floats:
 
 
 def shortest_turns(before: Floats, behind: Floats) -> Floats:
-    """Quaternions that turn unit vectors into others the shortest way, shape (..., 4).
+    """Return quaternions of the shortest turns between unit vectors, shape (..., 4).
 
-    Opposite vectors have no shortest way: the turn is about any axis across.
+    Opposite vectors are turned about any axis across.
     """
     out = np.empty((*before.shape[:-1], 4))
     out[..., 0] = 1.0 + np.vecdot(before, behind)
     out[..., 1:] = cross(before, behind)
     opposite = out[..., 0] < 1e-12
     if np.any(opposite):
-        some = np.eye(3)[np.argmin(np.abs(before[opposite]), axis=-1)]
+        axes = np.eye(3)[np.argmin(np.abs(before[opposite]), axis=-1)]
         out[opposite, 0] = 0.0
-        out[opposite, 1:] = cross(before[opposite], some)
+        out[opposite, 1:] = cross(before[opposite], axes)
     return unit(out)
 
 
 def tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
-    """The c(theta) of the inverse tangent map, and c'(theta) / theta, both of even order.
+    """Return c(theta) of the inverse tangent map, and c'(theta) / theta, both even.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
 
     Notes
     -----
-    With psi = log(q), a small turn d in the turned frame changes psi by
+    With psi = log(q), a small turn d in the body frame changes psi by
     (1 + psi x / 2 + c psi x psi x) d, c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
     """
     series_below = 0.3  # rad: the series are more exact than the closed forms there

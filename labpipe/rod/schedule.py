@@ -1,7 +1,7 @@
-"""What the boundaries of a line ask at every time of a walk.
+"""Demands of the boundaries of a line at every time.
 
-Time counts steps: k is step k, k - 1/2 halfway to it. From -1 to 0 the line is laid in: held nodes
-go from where the line is to row 0 of their paths, and weight and loads grow to row 0 of theirs.
+Time counts steps: k is step k, k - 1/2 halfway to it. From -1 to 0 the line is laid: held
+nodes move to row 0 of their paths, and weight and loads grow to row 0 of theirs.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from labpipe.rod.rotations import (
 
 
 class Schedule:
-    """The boundaries of a line over a walk.
+    """The boundaries of a line over time.
 
     Parameters
     ----------
     line : the line
     boundaries : in the order of the caller
-    steps : of the walk
-    start : where the line is before
+    steps : number
+    start : shape before
 
     Raises
     ------
@@ -65,28 +65,30 @@ class Schedule:
         return tuple(k for k, boundary in enumerate(self.boundaries) if isinstance(boundary, kind))
 
     def node(self, boundary: Boundary) -> int:
-        """Node of a boundary, from 0."""
+        """Return the node of a boundary, from 0."""
         node = boundary.node  # type: ignore[union-attr]
         if not -self.n - 1 <= node <= self.n:
             message = (
-                f"{called(self.boundaries, boundary)}: node={node}: allowed are 0 to {self.n}, "
-                f"or -1 to {-self.n - 1} from the end"
+                f"{boundary_name(self.boundaries, boundary)}: node={node}: "
+                f"allowed are 0 to {self.n}, or -1 to {-self.n - 1} from the end"
             )
             raise ValueError(message)
         return int(node % (self.n + 1))
 
     def _ring_start(self, ring: Ring) -> float:
-        """Node, or between two, at which the line goes through a ring to begin with."""
+        """Return the place, in nodes, where the line passes through a ring at the start."""
         if self.n < 2:
-            message = f"{called(self.boundaries, ring)}: allowed on a line of at least two elements"
+            message = (
+                f"{boundary_name(self.boundaries, ring)}: expected a line of at least two elements"
+            )
             raise ValueError(message)
         if ring.near is None:
-            apart = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
-            return nearest_place(self.start.positions, ring.position[0], float(np.argmin(apart)))
+            distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
+            return nearest_place(self.start.positions, ring.position[0], float(np.argmin(distance)))
         if not -self.n - 1 <= ring.near <= self.n:
             message = (
-                f"{called(self.boundaries, ring)}: near={ring.near}: allowed are 0 to {self.n}, or "
-                f"-1 to {-self.n - 1} from the end"
+                f"{boundary_name(self.boundaries, ring)}: near={ring.near}: "
+                f"allowed are 0 to {self.n}, or -1 to {-self.n - 1} from the end"
             )
             raise ValueError(message)
         return nearest_place(
@@ -96,17 +98,19 @@ class Schedule:
     def _require_one_each(self) -> None:
         for step in range(self.steps + 1):
             nodes = [self.held_nodes[k] for k in self.grips(step)]
-            twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
-            if twice:
-                message = f"step {step}: node {twice[0]} is held twice; allowed is once at a time"
+            held_twice = sorted(node for node in set(nodes) if nodes.count(node) > 1)
+            if held_twice:
+                message = (
+                    f"step {step}: node {held_twice[0]} is held twice; allowed is once at a time"
+                )
                 raise ValueError(message)
 
     def grips(self, step: int) -> tuple[int, ...]:
-        """Indices of the boundaries that hold a node in a step."""
-        return tuple(k for k in self.held if _holds(self.boundaries[k], step))
+        """Return the indices of the boundaries that hold a node in a step."""
+        return tuple(k for k in self.held if _is_holding(self.boundaries[k], step))
 
     def force_scale(self) -> float:
-        """Size of the forces on the line as a whole, N."""
+        """Return the size of the forces on the whole line, N."""
         line = self.line
         size = line.section.law.first_stiffness / line.length**2
         for boundary in self.boundaries:
@@ -119,7 +123,7 @@ class Schedule:
         return size
 
     def demands(self, time: float, grips: tuple[int, ...]) -> Demands:
-        """What is asked at a time.
+        """Return the demands at a time.
 
         Parameters
         ----------
@@ -129,13 +133,13 @@ class Schedule:
         share = min(1.0, time + 1.0)
         forces, moments = self._loads(time, share)
         held, clamps = self._places(time, share, grips)
-        anchors = np.array([_at(self._string(k).anchor, time) for k in self.strings])
+        anchors = np.array([_row_at(self._string(k).anchor, time) for k in self.strings])
         rings = self._ring_places(time, share)
         return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3), rings)
 
     def _ring_places(self, time: float, share: float) -> Floats:
-        """Where the rings are: while the line is laid in, they come from it to their places."""
-        places = [_at(self._ring(k).position, time) for k in self.rings]
+        """Return the positions of the rings, which move from the line to their paths at first."""
+        places = [_row_at(self._ring(k).position, time) for k in self.rings]
         goal = np.array(places).reshape(-1, 3)
         if share < 1.0:
             starts = [point_at(self.start.positions, u) for u in self.start_places]
@@ -147,55 +151,55 @@ class Schedule:
         moments = np.zeros((self.n, 3))
         for boundary in self.boundaries:
             if isinstance(boundary, Gravity):
-                forces += share * self._masses[:, None] * _at(boundary.vector, time)
+                forces += share * self._masses[:, None] * _row_at(boundary.vector, time)
             elif isinstance(boundary, Load):
-                forces[self.node(boundary)] += share * _at(boundary.force, time)
+                forces[self.node(boundary)] += share * _row_at(boundary.force, time)
             elif isinstance(boundary, Moment):
-                self._turn(moments, self.node(boundary), share * _at(boundary.moment, time))
+                self._turn(moments, self.node(boundary), share * _row_at(boundary.moment, time))
         return forces, moments
 
     def _places(self, time: float, share: float, grips: tuple[int, ...]) -> tuple[Floats, Floats]:
         held = np.zeros((len(grips), 3))
         clamps = []
         for row, k in enumerate(grips):
-            each, node = self._held(k), self.held_nodes[k]
-            goal = _at(each.position, time)
+            grip, node = self._held(k), self.held_nodes[k]
+            goal = _row_at(grip.position, time)
             held[row] = share * goal + (1.0 - share) * self.start.positions[node]
-            if each.frame is not None:
-                frame = _frame_at(each.frame, time)
+            if grip.frame is not None:
+                frame = _frame_at(grip.frame, time)
                 if share < 1.0:
-                    frame = _between(self._start_frames[k], frame, share)
+                    frame = _interpolate_frames(self._start_frames[k], frame, share)
                 clamps.append(frame)
         return held, np.array(clamps).reshape(-1, 4)
 
     def _ring(self, k: int) -> Ring:
-        each = self.boundaries[k]
-        assert isinstance(each, Ring)
-        return each
+        boundary = self.boundaries[k]
+        assert isinstance(boundary, Ring)
+        return boundary
 
     def _held(self, k: int) -> Held:
-        each = self.boundaries[k]
-        assert isinstance(each, Held)
-        return each
+        boundary = self.boundaries[k]
+        assert isinstance(boundary, Held)
+        return boundary
 
     def _string(self, k: int) -> String:
-        each = self.boundaries[k]
-        assert isinstance(each, String)
-        return each
+        boundary = self.boundaries[k]
+        assert isinstance(boundary, String)
+        return boundary
 
     def _turn(self, moments: Floats, node: int, moment: Floats) -> None:
-        """Put a moment on the elements at a node."""
+        """Add a moment to the elements at a node."""
         at = [k for k in (node - 1, node) if 0 <= k < self.n]
         moments[at] += moment / len(at)
 
 
-def called(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
-    """Name of a boundary for messages."""
-    k = next(i for i, each in enumerate(boundaries) if each is boundary)
+def boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
+    """Return the name of a boundary for messages."""
+    k = next(i for i, candidate in enumerate(boundaries) if candidate is boundary)
     return boundary.name or f"boundary {k} ({type(boundary).__name__})"
 
 
-def _holds(boundary: Boundary, step: int) -> bool:
+def _is_holding(boundary: Boundary, step: int) -> bool:
     return isinstance(boundary, Held) and (boundary.release is None or step < boundary.release)
 
 
@@ -203,8 +207,8 @@ def _largest(path: Floats) -> float:
     return float(np.max(np.linalg.norm(path, axis=1)))
 
 
-def _at(path: Floats, time: float) -> Floats:
-    """Row of a path at a time, straight between two rows."""
+def _row_at(path: Floats, time: float) -> Floats:
+    """Interpolate a path at a time."""
     if len(path) == 1 or time <= 0.0:
         return np.asarray(path[0])
     k = min(int(time), len(path) - 2)
@@ -215,10 +219,10 @@ def _frame_at(path: Floats, time: float) -> Floats:
     if len(path) == 1 or time <= 0.0:
         return np.asarray(path[0])
     k = min(int(time), len(path) - 2)
-    return _between(path[k], path[k + 1], time - k)
+    return _interpolate_frames(path[k], path[k + 1], time - k)
 
 
-def _between(first: Floats, second: Floats, share: float) -> Floats:
+def _interpolate_frames(first: Floats, second: Floats, share: float) -> Floats:
     turn = rotation_vectors(multiply(conjugate(first), second))
     return multiply(first, from_rotation_vectors(share * turn))
 
@@ -231,7 +235,7 @@ def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
             if path is None or path.ndim != 2 or len(path) in (1, steps + 1):
                 continue
             message = (
-                f"{called(boundaries, boundary)}: {name} has {len(path)} rows; allowed are 1 or "
-                f"steps + 1 = {steps + 1}"
+                f"{boundary_name(boundaries, boundary)}: {name} has {len(path)} rows; "
+                f"allowed are 1 or steps + 1 = {steps + 1}"
             )
             raise ValueError(message)

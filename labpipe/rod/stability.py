@@ -1,19 +1,18 @@
-"""Whether an equilibrium is stable, and the way in which it gives way.
+"""Stability of an equilibrium, and its softest mode.
 
 An equilibrium under held nodes and dead loads is stable where the second variation of the energy is
-positive for all changes that keep the stretch rows. That is so where the tangent without the rows'
-multipliers, stiffened along the rows by something much stiffer than the line, is positive definite,
-which one banded Cholesky factorisation tells. The stiffening is 1e6 times the line's own scale, and
-what gives way by less than 3e-4 of the line's own stiffness counts as neutral, so that critical
-loads come out within about 1e-4. Sliders count as they slid in the step: where the
-line would go on in the same sense.
+positive for all changes that satisfy the stretch rows. This holds where the tangent without their
+multipliers, with a stiff penalty along the rows, is positive definite, which one banded Cholesky
+factorisation decides. The penalty is 1e6 times the line's own scale, and modes softer than 3e-4 of
+the line's own stiffness count as neutral, so that critical loads are within about 1e-4. Sliders
+count as they slid in the step: as if the line continued in the same sense.
 
 Moments of constant direction have no energy (Ziegler, Principles of structural stability, 1968):
-they make the tangent unsymmetric. Where its symmetric part is positive the line is stable all the
-same. Where it is not, the line in honey decides: it comes back where no eigenvalue of the tangent
-against the drag has a negative real part. A real one diverges: its zero, where another equilibrium
-branches off, does not depend on the drag. One of a pair that is not real whirls, and does depend on
-it. Flutter by inertia is not looked for. Sliding friction counts by its symmetric part.
+they make the tangent unsymmetric. Where its symmetric part is positive the line is still stable.
+Else overdamped motion decides: it is stable where no eigenvalue of the tangent against the drag has
+a negative real part. A real one diverges: its zero, where another equilibrium branches off, does
+not depend on the drag. A complex pair whirls, and depends on it. Flutter by inertia is not checked.
+Sliding friction counts by its symmetric part.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from labpipe.rod.assembly import Assembly, Balance, Shape
 from labpipe.rod.banded import FORCE, PER_ELEMENT, STRETCH, TURN, entries
 
 _SHIFT_DRAG = 10.0
-"""Drag: eigenvalues are looked for around minus this, which is nearer to the unstable ones."""
+"""Drag: eigenvalues are searched around minus this, near to the unstable ones."""
 
 
 class StabilityCheck:
-    """Checks of one line with given supports; what does not change is worked out once.
+    """Stability checks of one line with given supports; constant parts are computed once.
 
     Parameters
     ----------
@@ -60,11 +59,11 @@ class StabilityCheck:
         self._free = np.flatnonzero(free)
         fixed = band.fixed[free]
         scale = band.scale[free]
-        # an entry off the diagonal comes as (i, j) and as (j, i), but for the block between nodes
+        # off-diagonal entries come twice, except in the block between nodes
         count = np.ones(len(row))
         count[: len(self._kept)] = np.where(row == column, 1.0, 0.5)[: len(self._kept)]
-        own = slice(len(self._kept), len(self._kept) + n * FORCE * FORCE)
-        count[own] = np.where(row == column, 1.0, 0.5)[own]
+        element_block = slice(len(self._kept), len(self._kept) + n * FORCE * FORCE)
+        count[element_block] = np.where(row == column, 1.0, 0.5)[element_block]
         last = slice(len(row) - 9 * n, len(row))
         count[last] = np.where(row == column, 1.0, 0.5)[last]
         self._weights = count * scale[row] * scale[column] * ~(fixed[row] | fixed[column])
@@ -73,62 +72,64 @@ class StabilityCheck:
         self._mass = self._drag * (np.arange(self.size) % FORCE < STRETCH)
 
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
-        """Whether a line at a shape comes back from every small change, in honey."""
+        """Return whether a line returns from every small perturbation, overdamped."""
         neutral_share = 3e-4  # of the line's own stiffness: a softer mode counts as neutral
         if self._factors(balance, shape, neutral_share) is not None:
             return True
         return self._is_turned and self.slowest_return(balance)[0].real > -neutral_share
 
     def whirls(self, balance: Balance) -> bool:
-        """Whether a line that is not stable turns away round and round, more than it leaves."""
+        """Return whether an unstable line whirls rather than diverges."""
         rate = self.slowest_return(balance)[0] if self._is_turned else complex(-np.inf)
         return rate.real < 0.0 and abs(rate.imag) > abs(rate.real)
 
     def slowest_return(self, balance: Balance) -> tuple[complex, Floats]:
-        """Find how fast the change dies out that does so slowest, and that change of the unknowns.
+        """Find the rate of the slowest decaying perturbation, and the perturbation.
 
         Parameters
         ----------
-        balance : where it is
+        balance : of the shape
 
         Returns
         -------
         Rate, 1 for a line of its own stiffness against a drag of 1: of negative real part for a
-        change that grows; minus infinity, with no change, where none was found.
+        growing perturbation; minus infinity where none was found.
 
         Notes
         -----
         Rates r solve K x = r D x with the tangent K and the drag D. Arnoldi's method finds those
-        nearest to a negative number, where all that grow in earnest are nearer than any other.
+        nearest to a negative number, where the growing ones are.
         """
         n_eigenvalues = 8
         band, drag = self._assembly.band, self._assembly.drag
-        own = np.flatnonzero((drag > 0.0) & ~band.fixed)
-        root = np.sqrt(drag[own])
+        moving = np.flatnonzero((drag > 0.0) & ~band.fixed)
+        root = np.sqrt(drag[moving])
         change = np.zeros(len(drag))
-        factors = band.factorise(self._held_back(balance))
+        factors = band.factorise(self._shifted_tangent(balance))
         if factors is None:
             return complex(-np.inf), change
 
         def answer(push: Floats) -> Floats:
             right = np.zeros(len(drag))
-            right[own] = root * np.ravel(push)
-            found = band.solve_factored(factors, right)
-            return np.full(len(own), np.nan) if found is None else root * found[own]
+            right[moving] = root * np.ravel(push)
+            eigenvalues = band.solve_factored(factors, right)
+            return (
+                np.full(len(moving), np.nan) if eigenvalues is None else root * eigenvalues[moving]
+            )
 
-        inverse = LinearOperator((len(own), len(own)), matvec=answer, dtype=np.float64)
-        first = np.cos(1.0 + 2.4 * np.arange(len(own)))
+        inverse = LinearOperator((len(moving), len(moving)), matvec=answer, dtype=np.float64)
+        first = np.cos(1.0 + 2.4 * np.arange(len(moving)))
         try:
-            found, ways = eigs(inverse, k=min(n_eigenvalues, len(own) - 2), v0=first)
+            eigenvalues, vectors = eigs(inverse, k=min(n_eigenvalues, len(moving) - 2), v0=first)
         except ArpackError:
             return complex(-np.inf), change
-        rates = 1.0 / found - _SHIFT_DRAG
+        rates = 1.0 / eigenvalues - _SHIFT_DRAG
         slowest = int(np.argmin(rates.real))
-        change[own] = np.real(ways[:, slowest]) / root
+        change[moving] = np.real(vectors[:, slowest]) / root
         return complex(rates[slowest]), change
 
-    def _held_back(self, balance: Balance) -> Floats:
-        """Entries of the tangent with a drag of `_SHIFT_DRAG`."""
+    def _shifted_tangent(self, balance: Balance) -> Floats:
+        """Return the entries of the tangent with a drag of `_SHIFT_DRAG`."""
         rows, columns = self._assembly.pattern
         at, first = np.unique(np.where(rows == columns, rows, -1), return_index=True)
         values = balance.even.copy()
@@ -136,18 +137,17 @@ class StabilityCheck:
         return values
 
     def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
-        """The change of the unknowns in which the line resists least; None where none is found.
+        """Return the softest mode; None where none is found.
 
         Parameters
         ----------
-        balance, shape : where it is
-        push : shape (unknowns,), N and N m: of ways in which it resists alike, the one to this side
+        balance, shape : of the line
+        push : shape (unknowns,), N and N m: selects among equal modes
 
         Notes
         -----
-        Inverse iteration with the nodes' share of the drag as the mass: a way without movement, as
-        a mere twist, is none. Moments in the frames of the elements that are no symmetry of
-        anything are added to the push, a little of them.
+        Inverse iteration with the nodes' share of the drag as the mass, which excludes pure twist.
+        A small asymmetric load is added to the push.
         """
         iterations = 6
         random_share = 1e-3
@@ -165,11 +165,11 @@ class StabilityCheck:
         is_across = (np.arange(self.size) % FORCE >= TURN) & (
             np.arange(self.size) % FORCE < TURN + 2
         )
-        some = np.cos(1.0 + 2.4 * np.arange(self.size)) * is_across
-        some /= np.sqrt(np.sum(some**2))
+        random_mode = np.cos(1.0 + 2.4 * np.arange(self.size)) * is_across
+        random_mode /= np.sqrt(np.sum(random_mode**2))
         pushed = push[self._free] * self._scale * ~self._fixed
         size = float(np.sqrt(np.sum(pushed**2)))
-        mode = some * ~self._fixed
+        mode = random_mode * ~self._fixed
         if size > 0.0:
             mode = pushed / size + random_share * mode
         for _ in range(iterations):
@@ -208,8 +208,8 @@ class StabilityCheck:
                 stiffness[:, FORCE:, FORCE:].ravel(),
             ]
         )
-        weighed = values * self._weights
-        flat = np.bincount(self._at, weighed, minlength=self._deep * self.size)
+        weighted = values * self._weights
+        flat = np.bincount(self._at, weighted, minlength=self._deep * self.size)
         diagonal = flat[:: self._deep]
         diagonal += drag * self._drag + rounding_share * diagonal
         diagonal[self._fixed] = 1.0

@@ -1,4 +1,4 @@
-"""Between the cells that a solver sees and the nodes that a state tells."""
+"""Conversion between the cells of the solver and the nodes of a state."""
 
 from __future__ import annotations
 
@@ -20,28 +20,27 @@ class BalancedShape(Protocol):
 
     @property
     def shape(self) -> Shape:
-        """Where the line is."""
+        """Shape of the line."""
 
     @property
     def balance(self) -> Balance:
-        """Of it."""
+        """Its balance."""
 
     @property
     def demands(self) -> Demands:
-        """That it is in balance under."""
+        """Its demands."""
 
 
-def merged_rests(supports: Supports, rests: Floats) -> Floats:
-    """Rests of cells, shape (cells, sliders, 2), from those before and behind the nodes.
+def merge_rests(supports: Supports, rests: Floats) -> Floats:
+    """Return the rests of cells, shape (cells, sliders, 2), from those before and behind the nodes.
 
-    Where a clamp is gone, both sides make up one cell with the mean of their rests: no slider is
-    then bent by more than it holds.
+    Without a clamp both sides form one cell with the mean of their rests, which is admissible.
     """
     return np.asarray(np.einsum("cs,csjx->cjx", supports.sides, rests[supports.nodes]))
 
 
-def parted_rests(supports: Supports, rests: Floats) -> Floats:
-    """Rests before and behind the nodes, shape (n + 1, 2, sliders, 2), from those of cells."""
+def split_rests(supports: Supports, rests: Floats) -> Floats:
+    """Return the rests before and behind the nodes, shape (n + 1, 2, sliders, 2), from cells."""
     return _at_sides(supports, rests)
 
 
@@ -56,7 +55,7 @@ def _at_sides(supports: Supports, values: Floats) -> Floats:
 def state_of(
     assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], now: BalancedShape, step: int
 ) -> RodState:
-    """Tell the state of a step, all forces and moments in space."""
+    """Return the state of a step, with all forces and moments in space."""
     supports, cells = assembly.supports, now.balance.cells
     n_nodes = assembly.n + 1
     forces, clamp_moments = assembly.reactions(now.balance, now.demands)
@@ -95,7 +94,7 @@ def state_of(
 
 
 def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
-    """Curvatures of the cells, shape (cells, 3); those beside a clamp carried on to it.
+    """Return the curvatures of the cells, shape (cells, 3), extrapolated to clamps.
 
     Along the straight line to the next cell: a half cell bends as the line does at a share
     `END_SHARE` of its element.
@@ -111,9 +110,9 @@ def _to_clamps(supports: Supports, curvatures: Floats) -> Floats:
 
 
 def _moments_in_space(assembly: Assembly, now: BalancedShape) -> Floats:
-    """Moments of the cells, of the part behind on the part before, N m, shape (cells, 3).
+    """Return the moments of the cells, by the part behind on the part before, N m, (cells, 3).
 
-    At a clamp the moment at the node itself, which is a little more than that of the half cell.
+    At a clamp it is the moment at the node, which exceeds that of the half cell.
     """
     supports, cells = assembly.supports, now.balance.cells
     frames = np.concatenate([now.shape.frames, now.demands.clamps[::-1]])

@@ -1,14 +1,13 @@
 """Follow a line through the steps of its boundaries, from equilibrium to equilibrium.
 
-Every step is one of Newton's method, halved where it does not arrive, turns the line too far or
-ends where the line is not stable; the memory of sliders and friction moves on with every part of a
-step. So a line that buckles does it where it first can, and not after a whole step of pressing it
-straight. There, and where no equilibrium follows (a line that snaps or is let go), the line is let
-down: through ever less of a resistance to bending and twist, always downhill in energy, as a line
-that is damped in itself would go. So each piece springs back by what it carries; a resistance to
-movement would bend the free end as it falls, and sliders keep that. Such steps are `snapped`, and
-so are those in which something lets go. An equilibrium that is not stable is left in the direction
-in which it gives way first.
+Every step is solved by Newton's method, halved where it does not converge, turns the line too far
+or ends where the line is unstable; the history of sliders and friction advances with every part of
+a step. So a line buckles where it first can, not after a whole step of pressing it straight. There,
+and where no equilibrium follows (a line that snaps or is released), the line is relaxed: through
+ever smaller resistance to bending and twist, always downhill in energy, as a line with internal
+damping moves. So each piece relaxes by its own moment; a resistance to motion would bend the free
+end as it falls, which sliders would keep. Such steps are `snapped`, and so are those with a
+release. An unstable equilibrium is left along its softest mode.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import ArtificialDrag, Assembly, Balance, Demands, LineMemory, Shape
 from labpipe.rod.boundaries import Boundary, Moment, Plane
 from labpipe.rod.energies import lost_energy, stored_energy, work_done
-from labpipe.rod.equilibrium import Settled, settle
+from labpipe.rod.equilibrium import Equilibrium, find_equilibrium
 from labpipe.rod.line import Line
 from labpipe.rod.path import Reason, RodPath, RodState, Status
 from labpipe.rod.rotations import conjugate, multiply, rotation_vectors
 from labpipe.rod.schedule import Schedule
 from labpipe.rod.stability import StabilityCheck
-from labpipe.rod.states import merged_rests, parted_rests, state_of
+from labpipe.rod.states import merge_rests, split_rests, state_of
 from labpipe.rod.supports import supports_of
-from labpipe.rod.walk_errors import broken, held_in_plane, out_of_reach, ring_left
+from labpipe.rod.walk_errors import held_in_plane, out_of_reach, ring_left, torn_or_folded
 
 
 @dataclass(frozen=True, slots=True)
 class RodSettings:
-    """How a line is followed.
+    """Settings of following a line.
 
     Parameters
     ----------
-    smallest_part : of a step, to which it is halved at most
-    most_turn : rad, by which two neighbouring elements may turn against each other, and twice that
-        any element in space, in a part of a step
+    smallest_part : of a step, smallest by halving
+    most_turn : rad, largest relative turn of two neighbouring elements, and half of that of any
+        element in space, in a part of a step
     most_stretch : strain beyond which the line counts as torn
     checks_stability : whether equilibria are checked, and left where they are not stable
     """
@@ -65,17 +64,17 @@ def follow(
 
     Parameters
     ----------
-    line : the line, which has never been bent but to its curvature at rest
-    boundaries : what holds, pulls and supports it
+    line : the line, never bent except to its curvature at rest
+    boundaries : what holds, loads and supports it
     steps : of their paths
-    settings : how; the usual where not given
-    start : state of the same line to start from, with its memory, in place of the line's own shape
+    settings : by default the usual ones
+    start : state of the same line, with its history, in place of the line's own shape
     on_step : called after each step
 
     Returns
     -------
     States 0 to `steps`, or up to the step before the one that failed: `status` is then `failed`,
-    and the reason says in which step and where.
+    and the reason states step and place.
 
     Raises
     ------
@@ -91,12 +90,12 @@ def follow(
     return walk.path()
 
 
-def _apart(before: Floats, behind: Floats) -> float:
+def _largest_distance(before: Floats, behind: Floats) -> float:
     return float(np.max(np.abs(behind - before)))
 
 
 class _NoEquilibriumError(Exception):
-    """No way on, and why."""
+    """No further equilibrium, with the reason."""
 
     def __init__(self, reason: Reason) -> None:
         super().__init__(reason.sentence)
@@ -105,7 +104,7 @@ class _NoEquilibriumError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WalkState:
-    """Where the walk is: a shape in balance under its demands, and the memory before and behind."""
+    """A shape in balance under its demands, with the history before and behind."""
 
     time: float
     shape: Shape
@@ -125,7 +124,7 @@ class _Walk:
         start: RodState | None,
     ) -> None:
         self.line, self.boundaries, self.settings = line, boundaries, settings
-        shape, rests, contacts = _begin(line, boundaries, start)
+        shape, rests, contacts = _start_state(line, boundaries, start)
         self.schedule = Schedule(line, boundaries, steps, shape)
         self.force = self.schedule.force_scale()
         self.states: list[RodState] = []
@@ -136,7 +135,7 @@ class _Walk:
         self.work = self.lost = self.rubbed = self.jumped = self.lost_in_jumps = 0.0
         self.failed = False
         self.is_checked = self.settings.checks_stability
-        self._gather(
+        self._set_up(
             self.schedule.grips(0),
             time=-1.0,
             shape=shape,
@@ -148,7 +147,7 @@ class _Walk:
 
     # ---- grips --------------------------------------------------------------------------------
 
-    def _gather(
+    def _set_up(
         self,
         grips: tuple[int, ...],
         *,
@@ -181,56 +180,56 @@ class _Walk:
         )
         is_turned = any(isinstance(boundary, Moment) for boundary in self.boundaries)
         self.check = StabilityCheck(self.assembly, is_turned=is_turned)
-        memory = LineMemory(merged_rests(self.assembly.supports, rests), contacts, places)
+        memory = LineMemory(merge_rests(self.assembly.supports, rests), contacts, places)
         demands = schedule.demands(time, grips)
         balance = self.assembly.balance(shape, demands, memory)
         self.now = _WalkState(time, shape, balance, demands, memory, None)
 
-    def _let_go(self, step: int) -> None:
-        """Take the grips away that hold no more in a step: the line comes free where they held it.
+    def _release_grips(self, step: int) -> None:
+        """Release the grips that end in a step; the line starts from where they held it.
 
-        It does so at once where that is near, else it falls.
+        It moves to a near equilibrium, else it falls.
         """
         grips, now = self.schedule.grips(step), self.now
         if grips == self.grips:
             return
         self.snapped.append(step)
-        free, lost = self._set_free(), self.lost
-        self._gather(
+        free, lost = self._unaccounted_energy(), self.lost
+        self._set_up(
             grips,
             time=now.time,
             shape=now.shape,
-            rests=parted_rests(self.assembly.supports, now.memory.rests),
+            rests=split_rests(self.assembly.supports, now.memory.rests),
             contacts=now.memory.contacts,
             places=now.memory.places,
         )
         jumped, lost_in_jumps = self.jumped, self.lost_in_jumps
-        settled = self._settled(now.time)
-        is_lost = settled is not None and not self._is_stable(settled)
-        self._arrive(now.time, settled, is_lost=is_lost)
-        self.jumped = jumped + self._set_free() - free
+        equilibrium = self._find_equilibrium(now.time)
+        is_lost = equilibrium is not None and not self._is_stable(equilibrium)
+        self._move_on(now.time, equilibrium, is_lost=is_lost)
+        self.jumped = jumped + self._unaccounted_energy() - free
         self.lost_in_jumps = lost_in_jumps + self.lost - lost
 
     # ---- steps --------------------------------------------------------------------------------
 
     def go_to(self, step: int) -> bool:
-        """Walk to a step; false where that fails."""
+        """Follow the line to a step; false where that fails."""
         self.step = step
         try:
             grips = self.schedule.grips(step)
             is_rigid = self.assembly.is_rigid
-            self._refuse(
+            self._raise_first(
                 out_of_reach(self.schedule, grips, step) if is_rigid else None,
                 held_in_plane(self.schedule, grips, step),
             )
             if step > 0:
-                self._let_go(step)
+                self._release_grips(step)
             self._walk_to(float(step))
         except _NoEquilibriumError as failure:
             self.reasons.insert(0, failure.reason)
             self.failed = True
             return False
-        self._keep(step)
+        self._record_state(step)
         return True
 
     def _walk_to(self, goal: float) -> None:
@@ -239,40 +238,40 @@ class _Walk:
         was_refused = False
         while self.now.time < goal:
             time = min(goal, self.now.time + part)
-            settled = self._settled(time)
-            is_lost = settled is not None and not self._is_stable(settled)
-            was_refused, before = settled is None or is_lost, was_refused
+            equilibrium = self._find_equilibrium(time)
+            is_lost = equilibrium is not None and not self._is_stable(equilibrium)
+            was_refused, before = equilibrium is None or is_lost, was_refused
             if was_refused and part > smallest and not (is_lost and self._is_doubtful):
                 part *= 0.5
                 continue
-            self._arrive(time, settled, is_lost=is_lost)
-            if settled is not None and (self._is_doubtful if is_lost else not before):
+            self._move_on(time, equilibrium, is_lost=is_lost)
+            if equilibrium is not None and (self._is_doubtful if is_lost else not before):
                 part = min(1.0, 2.0 * part)
 
-    def _arrive(self, time: float, settled: Settled | None, *, is_lost: bool) -> None:
-        """Move on to what was found, and from there or from here downhill if that is no place."""
-        if settled is None:
-            self._let_down(time, is_unstable=False)
+    def _move_on(self, time: float, equilibrium: Equilibrium | None, *, is_lost: bool) -> None:
+        """Commit an equilibrium, and relax from it if unstable, or from here if there is none."""
+        if equilibrium is None:
+            self._relax(time, is_unstable=False)
             return
-        self._commit(time, settled)
+        self._commit(time, equilibrium)
         if is_lost:
-            self._leave(time)
+            self._leave_unstable(time)
 
-    def _is_stable(self, settled: Settled) -> bool:
-        return not self.is_checked or self.check.is_stable(settled.balance, settled.shape)
+    def _is_stable(self, equilibrium: Equilibrium) -> bool:
+        return not self.is_checked or self.check.is_stable(equilibrium.balance, equilibrium.shape)
 
     @property
     def _is_doubtful(self) -> bool:
-        """Whether the walk goes on where it is not stable: smaller parts show nothing more."""
-        return self._is_said("unstable") or self._is_said("whirls")
+        """Whether an unstable equilibrium was accepted: smaller parts do not help."""
+        return self._has_reason("unstable") or self._has_reason("whirls")
 
-    def _settled(self, time: float) -> Settled | None:
-        """The equilibrium at a time; None where it is not found or is too far."""
+    def _find_equilibrium(self, time: float) -> Equilibrium | None:
+        """Find the equilibrium at a time; None where there is none near."""
         now = self.now
         goal = self.schedule.demands(time, self.grips)
-        # what slid may slide on, or stick where the walk turns back
+        # sliders may slide on, or stick after a reversal
         for earlier in (now.earlier, None) if now.earlier is not None else (None,):
-            settled = settle(
+            equilibrium = find_equilibrium(
                 self.assembly,
                 now.shape,
                 now.memory,
@@ -280,73 +279,75 @@ class _Walk:
                 force=self.force,
                 earlier=earlier,
             )
-            if settled is not None and self._is_near(settled):
-                return settled
+            if equilibrium is not None and self._is_near_enough(equilibrium):
+                return equilibrium
         return None
 
-    def _is_near(self, settled: Settled) -> bool:
-        now, most = self.now, self.settings.most_turn
-        bent = settled.balance.cells.turns - now.balance.cells.turns
-        if float(np.max(np.linalg.norm(bent, axis=1), initial=0.0)) > most:
+    def _is_near_enough(self, equilibrium: Equilibrium) -> bool:
+        now, largest_turn = self.now, self.settings.most_turn
+        turns = equilibrium.balance.cells.turns - now.balance.cells.turns
+        if float(np.max(np.linalg.norm(turns, axis=1), initial=0.0)) > largest_turn:
             return False
-        turned = rotation_vectors(multiply(conjugate(now.shape.frames), settled.shape.frames))
-        return float(np.max(np.linalg.norm(turned, axis=1))) < 2.0 * most
+        turned = rotation_vectors(multiply(conjugate(now.shape.frames), equilibrium.shape.frames))
+        return float(np.max(np.linalg.norm(turned, axis=1))) < 2.0 * largest_turn
 
-    def _commit(self, time: float, settled: Settled) -> None:
-        """Move on to an equilibrium, with memory and energies."""
+    def _commit(self, time: float, equilibrium: Equilibrium) -> None:
+        """Accept an equilibrium, with history and energies."""
         now = self.now
         goal = self.schedule.demands(time, self.grips)
-        new = settled.balance
+        new = equilibrium.balance
         self.work += work_done(
-            self.assembly, (now.demands, goal), (now.shape, settled.shape), (now.balance, new)
+            self.assembly, (now.demands, goal), (now.shape, equilibrium.shape), (now.balance, new)
         )
         self.lost += lost_energy(self.assembly, now.memory.rests, new.memory.rests)
         self.rubbed += sum(touch.rubbed for touch in new.touches)
-        self.now = _WalkState(time, settled.shape, new, goal, new.memory, now.memory)
-        most = self.settings.most_stretch
-        self._refuse(
-            broken(self.assembly, settled.shape, new, self.step, most_stretch=most),
+        self.now = _WalkState(time, equilibrium.shape, new, goal, new.memory, now.memory)
+        largest_stretch = self.settings.most_stretch
+        self._raise_first(
+            torn_or_folded(
+                self.assembly, equilibrium.shape, new, self.step, most_stretch=largest_stretch
+            ),
             ring_left(self.schedule, new, self.step),
         )
 
     def _stored(self) -> float:
         return stored_energy(self.assembly, self.now.balance, self.now.shape)
 
-    def _set_free(self) -> float:
-        """What is neither stored nor lost in sliders nor rubbed off, J."""
+    def _unaccounted_energy(self) -> float:
+        """Return the work that is not stored, lost in sliders or by friction, J."""
         return self.work - self._stored() - self.lost - self.rubbed
 
-    # ---- letting down -------------------------------------------------------------------------
+    # ---- relaxing -----------------------------------------------------------------------------
 
-    def _leave(self, time: float) -> None:
-        """Leave an equilibrium that is not stable; in whirling there is none to come to."""
-        if self._is_said("whirls") or self.check.whirls(self.now.balance):
-            self._doubt_stability("whirls", "moments of constant direction set the line whirling")
+    def _leave_unstable(self, time: float) -> None:
+        """Leave an unstable equilibrium, unless it whirls."""
+        if self._has_reason("whirls") or self.check.whirls(self.now.balance):
+            self._doubt_stability("whirls", "the line whirls under moments of constant direction")
         else:
-            self._let_down(time, is_unstable=True)
+            self._relax(time, is_unstable=True)
 
-    def _let_down(self, time: float, *, is_unstable: bool) -> None:
-        """Let the line go downhill to a stable equilibrium at a time."""
-        # of the line's length, or rad: how far a line that finds no way on is moved off
+    def _relax(self, time: float, *, is_unstable: bool) -> None:
+        """Relax the line to a stable equilibrium at a time."""
+        # of the line's length, or rad: perturbations of a line without a near equilibrium
         kicks = (0.0, 1e-3, 1e-2)
         if self.step not in self.snapped:
             self.snapped.append(self.step)
-        before = self.now, self.work, self.lost, self.rubbed
-        free = self._set_free()
+        saved = self.now, self.work, self.lost, self.rubbed
+        free = self._unaccounted_energy()
         for kick in kicks[1:] if is_unstable else kicks:
-            if self._comes_to_rest(time, kick):
-                self.jumped += self._set_free() - free
-                self.lost_in_jumps += self.lost - before[2]
+            if self._relax_to_rest(time, kick):
+                self.jumped += self._unaccounted_energy() - free
+                self.lost_in_jumps += self.lost - saved[2]
                 return
-            self.now, self.work, self.lost, self.rubbed = before
+            self.now, self.work, self.lost, self.rubbed = saved
         if not is_unstable:
             self._give_up()
         self._doubt_stability("unstable", "no stable one was reached from it")
 
-    def _comes_to_rest(self, time: float, kick: float) -> bool:
-        """Let the line down through ever less of a resistance; false where it finds no rest."""
+    def _relax_to_rest(self, time: float, kick: float) -> bool:
+        """Relax the line through decreasing drag; false where it does not come to rest."""
         first_drag = 1.0
-        # 1e-8 is about 1/(4 pi)^4 of what holds a way of two turns: only a stable line stays
+        # a mode of two turns is stiffer by (4 pi)^4, so that only a stable line stays
         last_drag = 1e-8
         max_drag = 1e5
         drag_decrease = 0.25
@@ -354,34 +355,35 @@ class _Walk:
         rest_tolerance = 1e-6  # of the line's length
         max_steps = 400
         goal = self.schedule.demands(time, self.grips)
-        shape = self._kicked(kick)
+        shape = self._perturbed_shape(kick)
         size = first_drag
         rested: Floats | None = None
         for _ in range(max_steps):
-            settled = self._dragged(shape, goal, size)
-            if settled is None:
+            equilibrium = self._find_dragged(shape, goal, size)
+            if equilibrium is None:
                 size *= drag_increase
                 if size > max_drag:
                     return False
                 continue
-            self._commit(time, settled)
-            shape = settled.shape
+            self._commit(time, equilibrium)
+            shape = equilibrium.shape
             size *= drag_decrease
             if size < last_drag:
-                if self._rests(time):
+                if self._reach_rest(time):
                     return True
                 if (
                     rested is not None
-                    and _apart(rested, shape.positions) < rest_tolerance * self.line.length
+                    and _largest_distance(rested, shape.positions)
+                    < rest_tolerance * self.line.length
                 ):
                     return False
                 rested = shape.positions
                 size *= drag_increase
         return False
 
-    def _rests(self, time: float) -> bool:
-        """Whether the line is in a stable equilibrium without drag; it is then there."""
-        final = self._settled(time)
+    def _reach_rest(self, time: float) -> bool:
+        """Accept a stable equilibrium without drag; false where there is none."""
+        final = self._find_equilibrium(time)
         if final is None:
             return False
         if self.is_checked and not self.check.is_stable(final.balance, final.shape):
@@ -389,20 +391,20 @@ class _Walk:
         self._commit(time, final)
         return True
 
-    def _dragged(self, shape: Shape, goal: Demands, size: float) -> Settled | None:
+    def _find_dragged(self, shape: Shape, goal: Demands, size: float) -> Equilibrium | None:
         now = self.now
         drag = ArtificialDrag(size, shape, self.assembly.turns(shape, now.demands))
-        settled = settle(
+        equilibrium = find_equilibrium(
             self.assembly, shape, now.memory, (now.demands, goal), force=self.force, drag=drag
         )
-        if settled is None or not self._is_near(settled):
+        if equilibrium is None or not self._is_near_enough(equilibrium):
             return None
-        if self.is_checked and not self.check.is_stable(settled.balance, settled.shape):
+        if self.is_checked and not self.check.is_stable(equilibrium.balance, equilibrium.shape):
             return None
-        return settled
+        return equilibrium
 
-    def _kicked(self, size: float) -> Shape:
-        """The line, moved off in the way in which it resists least."""
+    def _perturbed_shape(self, size: float) -> Shape:
+        """Return the shape perturbed along its softest mode."""
         now = self.now
         if not size:
             return now.shape
@@ -429,9 +431,9 @@ class _Walk:
         )
         raise _NoEquilibriumError(Reason("no_equilibrium", sentence, self.step, node))
 
-    def _doubt_stability(self, code: str, why: str) -> None:
-        """Go on with an equilibrium that is not stable, and say so once."""
-        if self._is_said(code):
+    def _doubt_stability(self, code: str, reason: str) -> None:
+        """Accept an unstable equilibrium, with one reason."""
+        if self._has_reason(code):
             return
         push = np.zeros(self.assembly.places.total)
         mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
@@ -440,23 +442,23 @@ class _Walk:
             moved = mode[self.assembly.places.positions[:, None] + np.arange(3)]
             node = int(np.argmax(np.linalg.norm(moved, axis=1)))
         sentence = (
-            f"step {self.step}: the equilibrium is not stable, and {why}; it gives way most at "
+            f"step {self.step}: the equilibrium is not stable, and {reason}; it is softest at "
             f"node {node}"
         )
         self.reasons.append(Reason(code, sentence, self.step, node))
 
-    def _is_said(self, code: str) -> bool:
+    def _has_reason(self, code: str) -> bool:
         return any(reason.code == code for reason in self.reasons)
 
-    def _refuse(self, *reasons: Reason | None) -> None:
-        """Stop at the first of reasons that there is."""
+    def _raise_first(self, *reasons: Reason | None) -> None:
+        """Raise the first blocking reason."""
         for reason in reasons:
             if reason is not None:
                 raise _NoEquilibriumError(reason)
 
-    # ---- what is kept -------------------------------------------------------------------------
+    # ---- results ------------------------------------------------------------------------------
 
-    def _keep(self, step: int) -> None:
+    def _record_state(self, step: int) -> None:
         state = state_of(self.assembly, self.schedule, self.grips, self.now, step)
         self.states.append(state)
         stored = self._stored()
@@ -464,7 +466,7 @@ class _Walk:
         self.energies.append((self.work, stored, self.lost, self.rubbed, *jumps))
         last = self.line.section.law.last
         node = int(np.argmax(state.bendings))
-        if state.bendings[node] > last and not self._is_said("beyond_law"):
+        if state.bendings[node] > last and not self._has_reason("beyond_law"):
             sentence = (
                 f"step {step}: the curvature {state.bendings[node]:.4g} 1/m at node {node} is "
                 f"beyond the range of the law, which ends at {last:.4g} 1/m"
@@ -472,7 +474,7 @@ class _Walk:
             self.reasons.append(Reason("beyond_law", sentence, step, node))
 
     def path(self) -> RodPath:
-        """What the walk leaves."""
+        """Return the path."""
         columns = np.array(self.energies).reshape(-1, 6).T
         status: Status = "doubtful" if self.reasons else "ok"
         return RodPath(
@@ -485,16 +487,16 @@ class _Walk:
 
 
 def _start_places(schedule: Schedule, start: RodState | None) -> Floats:
-    """Where the line goes through the rings, in nodes."""
+    """Return where the line passes through the rings, in nodes."""
     places = schedule.start_places
     if start is None or len(start.slid) != len(schedule.boundaries):
         return places
     stations = schedule.line.stations
-    known = np.interp(start.slid[list(schedule.rings)], stations, np.arange(len(stations)))
-    return np.where(np.isfinite(known), known, places)
+    known_places = np.interp(start.slid[list(schedule.rings)], stations, np.arange(len(stations)))
+    return np.where(np.isfinite(known_places), known_places, places)
 
 
-def _begin(
+def _start_state(
     line: Line, boundaries: tuple[Boundary, ...], start: RodState | None
 ) -> tuple[Shape, Floats, Floats]:
     n, sliders = len(line.lengths), len(line.section.law.stiffnesses)

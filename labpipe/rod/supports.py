@@ -1,4 +1,4 @@
-"""Which nodes are held at a time, and the cells and end elements that follow from it."""
+"""Held nodes, and the cells and end elements that follow from them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Grip: TypeAlias = tuple[int, bool]
 _Cell: TypeAlias = tuple[int, int, int, tuple[float, float], float]
 
 END_SHARE = 1.0 / 6.0
-"""Of the direction of an element beside a clamp, which is the clamp's; the rest is its frame's.
+"""Weight of the clamp in the direction of an adjacent element; the rest is its frame's.
 
-The half cell at a clamp feels the moment of the node and not that of its middle, which makes the
-line too soft by an angle. With a direction of the element that is in part the clamp's (carried
-along the curvature at rest), the moment is the one a little further along. A sixth takes the error
-of second order at the clamp out of both the angle and the deflection of a line that bends a little,
-and leaves less than a third of it where it bends far.
+The half cell at a clamp has the moment of the node instead of that of its middle, which makes the
+line too soft. With a direction of the element that is in part the clamp's (transported along the
+curvature at rest), the moment is that of a point further along. A sixth removes the second-order
+error at the clamp from angle and deflection for small bending, and reduces it to less than a third
+for large bending.
 """
 
 
@@ -42,8 +42,8 @@ class Supports:
     lengths : shape (cells,), m
     natural : shape (cells, 3), 1/m
     ends : shape (clamped elements,), elements beside a clamp
-    own : shape (clamped elements,), share of the direction that is their frame's
-    lent : shape (pairs, 2), row in `ends` and clamp: whose direction has a share of a clamp's
+    own : shape (clamped elements,), weight of their frame in the direction
+    lent : shape (pairs, 2), row in `ends` and clamp of each contribution
     carried : shape (pairs, 4), turns from the clamp to the element at rest: quaternions
     """
 
@@ -63,7 +63,7 @@ class Supports:
 
 
 def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
-    """Part the cells of a line by its clamps.
+    """Split the cells of a line at its clamps.
 
     Parameters
     ----------
@@ -103,18 +103,18 @@ def supports_of(line: Line, grips: tuple[Grip, ...]) -> Supports:
 
 
 def _cells_at(line: Line, node: int, clamp_at: dict[int, int]) -> list[_Cell]:
-    """Cells of a node: elements or clamps before and behind, node, weights of its sides, length."""
+    """Return the cells of a node: elements or clamps on both sides, node, weights, length."""
     n = len(line.lengths)
     lower = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
     upper = 0.5 * float(line.lengths[node]) if node < n else 0.0
     if node in clamp_at:
         mark = -1 - clamp_at[node]
-        parted: list[_Cell] = [
+        cells: list[_Cell] = [
             (node - 1, mark, node, (1.0, 0.0), lower),
             (mark, node, node, (0.0, 1.0), upper),
         ]
-        return [cell for cell in parted if cell[4] > 0.0]
+        return [cell for cell in cells if cell[4] > 0.0]
     if not 0 < node < n:
         return []
-    both = lower + upper
-    return [(node - 1, node, node, (lower / both, upper / both), both)]
+    length = lower + upper
+    return [(node - 1, node, node, (lower / length, upper / length), length)]

@@ -158,7 +158,7 @@ class _DrawnNumbers:
 
     def solved_draws(self) -> Iterator[tuple[int, dict[str, Floats] | None]]:
         """Draws that are solved with all their causes at once; None of one without equilibrium."""
-        belief = self.response.belief
+        belief = self.response.distribution
         for row in check_draws(belief):
             fields = self.solve.fields(belief.inputs(belief.amounts[row]))
             yield row, None if fields is None else self.numbers(fields.__getitem__)

@@ -23,8 +23,8 @@ from labpipe.records.wire import WireSpec
 from labpipe.rod.input_distributions import (
     InputDistribution,
     calibrated_distributions,
-    joined,
-    known,
+    join_distributions,
+    stated_distribution,
 )
 from labpipe.rod.line import Section
 from labpipe.studies.calibration_file import CalibratedFile, read_calibrated
@@ -116,15 +116,15 @@ def _add_stated(
     if harness.line.spool is not None:
         stated |= dict.fromkeys(FREE_CURVATURES, harness.line.spool.spread)
     stated_distributions = [
-        known(name, deviation, cause=_CAUSES[name])
+        stated_distribution(name, deviation, cause=_CAUSES[name])
         for name, deviation in stated.items()
         if deviation > 0.0
     ]
     if not stated_distributions:
         return distributions
     if not distributions:
-        return (joined(stated_distributions),)
-    return tuple(joined([calibrated, *stated_distributions]) for calibrated in distributions)
+        return (join_distributions(stated_distributions),)
+    return tuple(join_distributions([calibrated, *stated_distributions]) for calibrated in distributions)
 
 
 _CAUSES = {LAW_FACTOR: "stiffness as stated"} | dict.fromkeys(FREE_CURVATURES, "curl of the spool")

@@ -16,8 +16,8 @@ from labpipe.rod.bands import LineBands, bands_of
 from labpipe.rod.input_distributions import (
     InputDistribution,
     calibrated_distributions,
-    joined,
-    known,
+    join_distributions,
+    stated_distribution,
 )
 from labpipe.rod.path import RodPath
 from labpipe.rod.response import Band
@@ -138,7 +138,7 @@ def known_of(seed: int) -> KnownFacts:
 def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputDistribution, ...]:
     """What is known of the line's inputs, for each solution."""
     stated = [
-        known(
+        stated_distribution(
             _INPUTS.get(name, name),
             deviation,
             freedom=FREEDOM.get(name.removesuffix("_1").removesuffix("_2"), np.inf),
@@ -148,7 +148,7 @@ def beliefs_of(kind: LineKind, drawn: Drawn, found: Calibration) -> tuple[InputD
         if name != "specimen"
     ]
     calibrated = calibrated_distributions(found.solutions, found.widening, specimen=LAW_FACTOR)
-    return tuple(joined([each, *stated]) for each in calibrated)
+    return tuple(join_distributions([each, *stated]) for each in calibrated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.law.sliders import SliderLaw
-from labpipe.rod.bands import bent
+from labpipe.rod.bands import line_curvatures
 from labpipe.rod.boundaries import EARTH, Gravity, Held, Load
 from labpipe.rod.line import Line, Section
 from labpipe.rod.path import RodPath
@@ -237,7 +237,7 @@ def _in_space(kind: LineKind, drawn: Drawn, length: float, mass: float, torsion:
         message = f"the truth fails: {path.reasons}"
         raise RuntimeError(message)
     held, last = path.states[held_at(kind, laid.returning)], path.last
-    most = float(np.linalg.norm(bent(held), axis=-1).max())
+    most = float(np.linalg.norm(line_curvatures(held), axis=-1).max())
     return TrueLine(
         held.positions[::FINER],
         last.positions[::FINER],

@@ -12,12 +12,12 @@ from labpipe.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, 
 from labpipe.rod.banded import Band
 from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
 from labpipe.rod.cells import bend_cells
-from labpipe.rod.equilibrium import Settled, settle
-from labpipe.rod.input_distributions import joined, known
+from labpipe.rod.equilibrium import Equilibrium, find_equilibrium
+from labpipe.rod.input_distributions import join_distributions, stated_distribution
 from labpipe.rod.line import Line, Section
 from labpipe.rod.response import Fields, band_of, field_band, respond
 from labpipe.rod.rotations import from_rotation_vectors, multiply, skew, unit
-from labpipe.rod.states import merged_rests, parted_rests
+from labpipe.rod.states import merge_rests, split_rests
 from labpipe.rod.supports import supports_of
 from tests.builders.rods import (
     LENGTH,
@@ -213,7 +213,9 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
     assert path.work[-1] == pytest.approx(path.stored[-1] + path.lost[-1], rel=2e-3)
 
 
-BELIEF = joined([known("a", 0.3, draws=16_384), known("b", 0.4, draws=16_384)])
+BELIEF = join_distributions(
+    [stated_distribution("a", 0.3, draws=16_384), stated_distribution("b", 0.4, draws=16_384)]
+)
 
 
 def straight(inputs: Mapping[str, float]) -> Fields:
@@ -246,14 +248,16 @@ def test_a_cause_that_makes_most_of_a_band_is_exact_where_the_band_ends(
     answer: Callable[[float], float], ends: tuple[float, float]
 ) -> None:
     """The line is solved there."""
-    response = respond(lambda inputs: {"y": np.array(answer(inputs["a"]))}, known("a", 0.3))
+    response = respond(
+        lambda inputs: {"y": np.array(answer(inputs["a"]))}, stated_distribution("a", 0.3)
+    )
     assert response is not None
     band = field_band([response], "y")
     assert (float(band.lower), float(band.upper)) == pytest.approx(ends, rel=2e-3)
 
 
 def test_a_parabola_is_met_and_goes_on_straight() -> None:
-    belief = known("a", 1.0, freedom=4.0)
+    belief = stated_distribution("a", 1.0, freedom=4.0)
     response = respond(lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief)
     assert response is not None
     assert response.reach.tolist() == [2.0]
@@ -294,14 +298,14 @@ def test_rests_go_to_both_sides_and_back() -> None:
     line = straight_line(LENGTH, 5, sliding_section())
     supports = supports_of(line, ((0, True), (2, True)))
     rests = np.random.default_rng(0).normal(size=(len(supports.nodes), 3, 2))
-    parted = parted_rests(supports, rests)
+    parted = split_rests(supports, rests)
     assert parted.shape == (6, 2, 3, 2)
     assert not np.any(parted[0, 0])
     assert not np.any(parted[5])
     np.testing.assert_array_equal(parted[1, 0], parted[1, 1])
     assert np.all(parted[2, 0] != parted[2, 1])
-    np.testing.assert_allclose(merged_rests(supports, parted), rests)
-    free = merged_rests(supports_of(line, ()), parted)
+    np.testing.assert_allclose(merge_rests(supports, parted), rests)
+    free = merge_rests(supports_of(line, ()), parted)
     np.testing.assert_allclose(free[1], 0.5 * (rests[2] + rests[3]))
 
 
@@ -346,7 +350,7 @@ def test_the_bend_at_a_clamp_is_of_second_order() -> None:
     assert errors[0] > 4.0 * errors[1] > 16.0 * errors[2]
 
 
-def settled(tip: Floats, *, moved: Floats | float = 0.0) -> Settled | None:
+def outcome_of_call(tip: Floats, *, moved: Floats | float = 0.0) -> Equilibrium | None:
     """A cantilever from straight and free to a force at its tip and another place of its clamp."""
     line = straight_line(LENGTH, 10, linear_section())
     supports, force = supports_of(line, ((0, True),)), STIFFNESS / LENGTH**2
@@ -360,12 +364,12 @@ def settled(tip: Floats, *, moved: Floats | float = 0.0) -> Settled | None:
     )
     forces[-1] = force * tip
     there = replace(here, forces=forces, held=here.held + moved)
-    return settle(assembly, shape, memory, (here, there), force=force)
+    return find_equilibrium(assembly, shape, memory, (here, there), force=force)
 
 
 def test_a_small_load_deflects_as_a_beam_and_a_clamp_takes_the_line_along() -> None:
     load = np.array([0.0, 1e-3, 0.0])
-    bent = settled(load)
+    bent = outcome_of_call(load)
     assert bent is not None
     assert bent.iterations <= 3
     assert bent.shape.positions[-1, 1] == pytest.approx(1e-3 * LENGTH / 3.0, rel=2e-3)
@@ -374,8 +378,8 @@ def test_a_small_load_deflects_as_a_beam_and_a_clamp_takes_the_line_along() -> N
         bent.shape.forces, np.tile(force * load, (10, 1)), atol=1e-12 * force
     )
     way = np.array([0.0, 0.01, 0.02])
-    taken = settled(np.zeros(3), moved=way)
+    taken = outcome_of_call(np.zeros(3), moved=way)
     assert taken is not None
     stations = np.linspace(0.0, LENGTH, 11)[:, None] * [1.0, 0.0, 0.0]
     np.testing.assert_allclose(taken.shape.positions, stations + way, atol=1e-12)
-    assert settled(np.array([-100.0, 50.0, 0.0])) is None  # a step too far
+    assert outcome_of_call(np.array([-100.0, 50.0, 0.0])) is None  # a step too far

@@ -9,13 +9,13 @@ from scipy.special import stdtrit
 
 from labpipe.law.sliders import SliderLaw
 from labpipe.records.wire_calibration import Calibration
-from labpipe.rod.bands import bands_of, bent
+from labpipe.rod.bands import bands_of, line_curvatures
 from labpipe.rod.boundaries import Gravity, Held, Load
 from labpipe.rod.input_distributions import (
     InputDistribution,
     calibrated_distributions,
-    joined,
-    known,
+    join_distributions,
+    stated_distribution,
 )
 from labpipe.rod.line import Line, Section
 from labpipe.rod.path import RodPath
@@ -30,11 +30,11 @@ LENGTH, NODES, STEPS = 0.2, 10, 6
 
 LAW = SliderLaw(2e-4, np.array([3e-4, 2e-4]), np.array([1.0, 4.0]), 0.0, 50.0)
 
-BELIEF = joined(
+BELIEF = join_distributions(
     [
-        known("law_factor", 0.08, draws=2048),
-        known("length_factor", 0.01, draws=2048),
-        known("free_curvature", 0.3, draws=2048, seed=4),
+        stated_distribution("law_factor", 0.08, draws=2048),
+        stated_distribution("length_factor", 0.01, draws=2048),
+        stated_distribution("free_curvature", 0.3, draws=2048, seed=4),
     ]
 )
 
@@ -64,7 +64,9 @@ def test_bands_hold_as_many_draws_as_they_say() -> None:
     tips = np.array([path.states[4].positions[-1, 2] for path in paths])
     inside = (tips > held.positions.lower[-1, 2]) & (tips < held.positions.upper[-1, 2])
     assert inside.mean() >= 0.85
-    most = np.array([np.linalg.norm(bent(path.states[4]), axis=-1).max() for path in paths])
+    most = np.array(
+        [np.linalg.norm(line_curvatures(path.states[4]), axis=-1).max() for path in paths]
+    )
     radius = held.smallest_bend_radius
     assert np.mean((1.0 / most > radius.lower) & (1.0 / most < radius.upper)) >= 0.85
     assert radius.value == pytest.approx(1.0 / held.curvature.value.max())
@@ -98,16 +100,16 @@ def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
         return replace(pushed(inputs), snapped=(0, 3) if inputs["law_factor"] < 0.0 else (0,))
 
     for solve, code in ((torn, "one_sided"), (jumping, "jumps")):
-        bands = bands_of(solve, [known("law_factor", 0.05)])
+        bands = bands_of(solve, [stated_distribution("law_factor", 0.05)])
         assert bands is not None
         assert [note.code for note in bands.notes] == [code]
-    assert bands_of(torn, [known("law_factor", 0.05, centre=0.2)]) is None
+    assert bands_of(torn, [stated_distribution("law_factor", 0.05, centre=0.2)]) is None
     with pytest.raises(ValueError, match="at least one"):
         bands_of(pushed, [])
 
 
 def test_a_line_beyond_what_was_tested_is_doubtful() -> None:
-    bands = bands_of(pushed, [known("law_factor", 0.05)], tested_curvature=2.0)
+    bands = bands_of(pushed, [stated_distribution("law_factor", 0.05)], tested_curvature=2.0)
     assert bands is not None
     assert [note.code for note in bands.notes] == ["beyond_tested"]
     assert bands.notes[0].where == "step 4, node 0"
@@ -176,17 +178,20 @@ def test_what_is_fixed_does_not_move(calibration: Calibration) -> None:
 
 def test_a_stated_deviation_is_drawn_from_students_t() -> None:
     for freedom, quantile in ((np.inf, 1.96), (4.0, float(stdtrit(4.0, 0.975)))):
-        belief = known("mass_factor", 0.02, freedom=freedom, draws=MANY)
+        belief = stated_distribution("mass_factor", 0.02, freedom=freedom, draws=MANY)
         assert belief.inputs(np.ones(1)) == {"mass_factor": 0.02}
         upper = np.quantile(drawn(belief, {"mass_factor": 1.0}), 0.975)
         assert upper == pytest.approx(0.02 * quantile, rel=1e-3)
     with pytest.raises(ValueError, match=r"length_factor: deviation=0\.0"):
-        known("length_factor", 0.0)
+        stated_distribution("length_factor", 0.0)
 
 
 def test_causes_of_one_input_add() -> None:
-    both = joined(
-        [known("law_factor", 0.03, cause="specimen"), known("law_factor", 0.04, cause="spool")]
+    both = join_distributions(
+        [
+            stated_distribution("law_factor", 0.03, cause="specimen"),
+            stated_distribution("law_factor", 0.04, cause="spool"),
+        ]
     )
     assert both.names == ("law_factor",)
     assert both.causes == ("specimen", "spool")

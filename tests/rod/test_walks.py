@@ -154,7 +154,7 @@ def test_a_circle_rolled_by_a_moment_of_constant_direction_would_whirl(
     path = follow(line, [clamp(line), Moment(-1, moment)], steps=20)
     assert (path.status, path.snapped) == ("doubtful", ())
     assert [(reason.code, reason.step) for reason in path.reasons] == [("whirls", first)]
-    assert path.reasons[0].sentence.endswith("line whirling; it gives way most at node 20")
+    assert path.reasons[0].sentence.endswith("of constant direction; it is softest at node 20")
 
 
 def test_a_walk_goes_on_from_a_state_as_if_it_had_not_stopped() -> None:
