@@ -133,7 +133,6 @@ _TOWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{
 """A power of a power, or to the hundredth or more: no unit is written so."""
 _NO_UNIT = re.compile(r"[^\w%°(]|(?!1\s*/)\d|.{100}|.*,", re.DOTALL)
 """How no unit begins, one that is too long, and a comma, which pint would pass over."""
-_MOST_DIGITS = 18
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*+(.*)")
 
 
@@ -221,7 +220,8 @@ def whole_number(text: str) -> int | None:
     >>> whole_number("2701"), whole_number("2701.0"), whole_number(5000 * "9")
     (2701, None, None)
     """
-    return int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else None
+    max_digits = 18
+    return int(text) if text.isdecimal() and len(text) <= max_digits else None
 
 
 def parse_quantity(text: object, si_unit: str) -> float:

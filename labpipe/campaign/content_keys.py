@@ -1,8 +1,8 @@
-"""What a test is made of, told without reading what has not changed.
+"""Keys of the inputs of tests, without reading unchanged files.
 
 The key of a test is that of its results (`labpipe.process.run.key_of`): exports, test sheet,
-resolved protocol and processing version. A file whose size, times and number are those it had when
-its hash was taken is not read again, unless it could have changed within the same tick of a clock.
+resolved protocol and processing version. A file with the size, times and inode of its last hash is
+not read again, unless it may have changed within the time resolution of the file system.
 """
 
 from __future__ import annotations
@@ -19,31 +19,29 @@ from typing import Any
 
 import labpipe
 from labpipe.errors import Fault, LabpipeError
-from labpipe.process.reading import cards_in_play, named_exports
+from labpipe.process.reading import dialect_cards, named_exports
 from labpipe.process.run import PROCESSING_VERSION, key_of
 from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
 
-_TICK = 2_000_000_000
-"""ns: the coarsest tick in which file systems count times, that of FAT."""
 _NOT_IN_PROTOCOL = ("test", "date", "operator", "files")
-"""Keys of a test sheet that say nothing of how the test is processed; roles of files do."""
+"""Keys of a test sheet without influence on processing; the roles of files have some."""
 _OF_SPECIMEN = ("spool", "sample", "labels")
 
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """How a file looked when its hash was taken.
+    """A hash of a file, and the state of the file at that time.
 
     Parameters
     ----------
     size : bytes
     modified, changed : times, ns, of the content and of anything about the file
-    number : of the file on its disk
-    taken : when the hash was, ns
-    sha256 : hexadecimal; empty for a file that could not be read
+    number : inode
+    taken : time of the hash, ns
+    sha256 : hexadecimal; empty for an unreadable file
     """
 
     size: int
@@ -55,42 +53,43 @@ class Stamp:
 
     @property
     def looks(self) -> tuple[int, int, int, int]:
-        """What is compared."""
+        """State that is compared."""
         return self.size, self.modified, self.changed, self.number
 
     @property
     def is_sure(self) -> bool:
-        """Whether a later change must have changed its looks.
+        """Whether any later change of the file changes its state.
 
-        Not where it was hashed within a tick of its last change, or before it: then clocks were
-        set back.
+        False for a hash taken too soon after the last change, or before it (clock set back).
         """
-        return max(self.modified, self.changed) + _TICK < self.taken
+        # ns: the coarsest time resolution of file systems, that of FAT
+        time_resolution = 2_000_000_000
+        return max(self.modified, self.changed) + time_resolution < self.taken
 
 
-def stamp_of(path: Path, known: Stamp | None = None) -> Stamp:
-    """Take the stamp of a file; its hash only where it is in doubt.
+def stamp_of(path: Path, last: Stamp | None = None) -> Stamp:
+    """Take the stamp of a file, without hashing an unchanged file again.
 
     Parameters
     ----------
     path : the file
-    known : its last stamp
+    last : its last stamp
 
     Returns
     -------
-    The stamp; one of a missing or unreadable file, or one that is no plain file, has no hash.
+    The stamp; without a hash for a missing or unreadable file, or anything but a plain file.
     """
     taken = time.time_ns()
     try:
         about = path.stat()
         looks = (about.st_size, about.st_mtime_ns, about.st_ctime_ns, about.st_ino)
-        if known is not None and looks == known.looks and known.is_sure:
-            return known
+        if last is not None and looks == last.looks and last.is_sure:
+            return last
         if not stat.S_ISREG(about.st_mode):
             return _NO_FILE
         with path.open("rb") as file:
             return Stamp(*looks, taken, hashlib.file_digest(file, "sha256").hexdigest())
-    except (OSError, ValueError):  # a name that no file can have
+    except (OSError, ValueError):  # or an impossible name
         return _NO_FILE
 
 
@@ -99,17 +98,16 @@ _NO_FILE = Stamp(-1, 0, 0, 0, 0, "")
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What a test is made of.
+    """Inputs of a test.
 
     Parameters
     ----------
-    key : of all of it, the `run` of the results that it would have
+    key : of all inputs; the `run` of results made from them
     inputs : role, file and SHA-256 of each export, and of the lab's dialect cards
-    sheet, protocol : SHA-256 of the text of the test sheet and of the resolved protocol; empty
-        where they are wrong
+    sheet, protocol : SHA-256 of the texts of test sheet and resolved protocol; empty if faulty
     stamps : of the test sheet and the exports, by file
-    rests_on : what else the key was made from, to be compared before the stamps are believed
-    about : what the test sheet says: test, protocol, type, spool, sample, date, operator
+    rests_on : hashes of everything else in the key, compared before the stamps
+    about : from the test sheet: test, protocol, type, spool, sample, date, operator
     """
 
     key: str
@@ -121,43 +119,40 @@ class Content:
     about: Mapping[str, str] = field(default_factory=dict)
 
     def as_text(self) -> str:
-        """Text that `parse_content` reads back."""
-        said = {name: getattr(self, name) for name in ("key", "inputs", "sheet", "protocol")}
+        """Return a text for `parse_content`."""
+        texts = {name: getattr(self, name) for name in ("key", "inputs", "sheet", "protocol")}
         stamps = {name: astuple(stamp) for name, stamp in self.stamps.items()}
         more = {"stamps": stamps, "rests_on": self.rests_on, "about": dict(self.about)}
-        return json.dumps(said | more)
+        return json.dumps(texts | more)
 
 
 def parse_content(text: str) -> Content | None:
-    """Read a content from text; None from text that is none, such as an empty one.
+    """Parse the text of a content; return None for any other text.
 
     Parameters
     ----------
     text : of `Content.as_text`
     """
     try:
-        said = json.loads(text)
-        said["inputs"] = tuple(map(tuple, said["inputs"]))
-        said["stamps"] = {name: Stamp(*sentence) for name, sentence in said["stamps"].items()}
-        said["rests_on"] = tuple(said["rests_on"])
-        return Content(**said)
+        fields = json.loads(text)
+        fields["inputs"] = tuple(map(tuple, fields["inputs"]))
+        fields["stamps"] = {name: Stamp(*values) for name, values in fields["stamps"].items()}
+        fields["rests_on"] = tuple(fields["rests_on"])
+        return Content(**fields)
     except (ValueError, TypeError, AttributeError, KeyError):
         return None
 
 
 @dataclass(frozen=True, slots=True)
 class _Resolved:
-    """A protocol with what tests of one kind change in it."""
+    """A protocol with the overrides of its tests."""
 
     text: str
     protocol: Protocol
 
 
 class ContentKeys:
-    """Tells what tests are made of; remembers protocols as long as it lives.
-
-    A protocol is read again by the next one: one lives as long as a command.
-    """
+    """Determines the inputs of tests; caches protocols during one command."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, str], Path | Fault] = {}
@@ -165,72 +160,72 @@ class ContentKeys:
         self._resolved: dict[str, _Resolved] = {}
         self._cards: str | None = None
 
-    def content_of(self, sheet_path: Path, known: Content | None = None) -> Content:
-        """Tell what a test is made of.
+    def content_of(self, sheet_path: Path, last: Content | None = None) -> Content:
+        """Determine the inputs of a test.
 
         Parameters
         ----------
         sheet_path : its test.yaml
-        known : what it was made of last time; what is unchanged is not read again
+        last : its last content; unchanged files are not read again
 
         Returns
         -------
-        The content. A test that is not fit to be processed has a key, too: of what can be read.
+        The content. A faulty test has a key, too, from its readable files.
         """
         folder = sheet_path.parent
-        if known is None:
-            return self._anew(sheet_path, {})
-        stamps = {name: stamp_of(folder / name, old) for name, old in known.stamps.items()}
-        is_same = all(stamps[name].sha256 == old.sha256 for name, old in known.stamps.items())
-        if is_same and known.rests_on and known.rests_on == self._rests_on(folder, known.rests_on):
-            if all(stamps[name] == old for name, old in known.stamps.items()):
-                return known
-            return replace(known, stamps=stamps)
-        return self._anew(sheet_path, stamps)
+        if last is None:
+            return self._read_content(sheet_path, {})
+        stamps = {name: stamp_of(folder / name, old) for name, old in last.stamps.items()}
+        is_same = all(stamps[name].sha256 == old.sha256 for name, old in last.stamps.items())
+        if is_same and last.rests_on and last.rests_on == self._dependencies(folder, last.rests_on):
+            if all(stamps[name] == old for name, old in last.stamps.items()):
+                return last
+            return replace(last, stamps=stamps)
+        return self._read_content(sheet_path, stamps)
 
-    def _anew(self, sheet_path: Path, known: Mapping[str, Stamp]) -> Content:
+    def _read_content(self, sheet_path: Path, stamps_before: Mapping[str, Stamp]) -> Content:
         folder = sheet_path.parent
-        stamps = {SHEET_NAME: stamp_of(sheet_path, known.get(SHEET_NAME))}
+        stamps = {SHEET_NAME: stamp_of(sheet_path, stamps_before.get(SHEET_NAME))}
         try:
             sheet = load_test_sheet(sheet_path)
             text = sheet_path.read_text(encoding="utf-8")
         except (LabpipeError, OSError, ValueError):
-            return self._unfit(folder, stamps, "")
+            return self._unfit_content(folder, stamps, "")
         for names in sheet.files.values():
-            stamps |= {name: stamp_of(folder / name, known.get(name)) for name in names}
+            stamps |= {name: stamp_of(folder / name, stamps_before.get(name)) for name in names}
         try:
             resolved = self._resolve(sheet, sheet_path, text)
-            cards = cards_in_play(resolved.protocol)
+            cards = dialect_cards(resolved.protocol)
         except LabpipeError:
-            return replace(self._unfit(folder, stamps, sheet.protocol), about=_about(sheet))
+            return replace(self._unfit_content(folder, stamps, sheet.protocol), about=_about(sheet))
         exports = named_exports(sheet, resolved.protocol)
         inputs = [(role, name, stamps[name].sha256) for role, name in exports]
         inputs += [(card.role, card.file, card.sha256) for card in cards]
         key = key_of([(role, sha256) for role, _, sha256 in inputs], text, resolved.text)
-        rests_on = self._rests_on(folder, (sheet.protocol,))
+        rests_on = self._dependencies(folder, (sheet.protocol,))
         made_of = _sha256(text), _sha256(resolved.text)
         return Content(key, tuple(inputs), *made_of, stamps, rests_on, _about(sheet))
 
-    def _unfit(self, folder: Path, stamps: Mapping[str, Stamp], protocol: str) -> Content:
-        """The content of a test that cannot be processed as it stands."""
-        rests_on = self._rests_on(folder, (protocol,))
+    def _unfit_content(self, folder: Path, stamps: Mapping[str, Stamp], protocol: str) -> Content:
+        """Return the content of a test that cannot be processed."""
+        rests_on = self._dependencies(folder, (protocol,))
         files = [[name, stamp.sha256] for name, stamp in stamps.items()]
         parts = ["unfit", files, *rests_on[1:]]
         return Content(_sha256(json.dumps(parts)), stamps=stamps, rests_on=rests_on)
 
-    def _rests_on(self, folder: Path, wanted: tuple[str, ...]) -> tuple[str, ...]:
-        """The protocol that a test wants, its text, the lab's cards and the code, as hashes."""
+    def _dependencies(self, folder: Path, wanted: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the protocol name, and hashes of its text, the lab's cards and the code."""
         name = wanted[0]
         return name, self._protocol_text(name, folder), self._all_cards(), _code()
 
     def _protocol_text(self, name: str, folder: Path) -> str:
-        """Hash of the protocol as written; empty where there is none."""
-        found = self._protocol_file(name, folder)
-        if isinstance(found, Fault):
+        """Return the hash of the protocol text; empty without a protocol."""
+        file = self._protocol_file(name, folder)
+        if isinstance(file, Fault):
             return ""
-        if found not in self._hashes:
-            self._hashes[found] = stamp_of(found).sha256
-        return self._hashes[found]
+        if file not in self._hashes:
+            self._hashes[file] = stamp_of(file).sha256
+        return self._hashes[file]
 
     def _protocol_file(self, name: str, folder: Path) -> Path | Fault:
         is_path = any(sign in name for sign in "/\\.")
@@ -248,13 +243,17 @@ class ContentKeys:
         return self._cards
 
     def _resolve(self, sheet: TestSheet, sheet_path: Path, text: str) -> _Resolved:
-        """Resolve the protocol of a test; once for all tests that say the same of it."""
-        said: Any = parse_yaml(text, str(sheet_path)).data
-        kept = {key: value for key, value in said.items() if key not in _NOT_IN_PROTOCOL}
-        specimen = kept.get("specimen") or {}
-        kept["specimen"] = {key: specimen[key] for key in specimen if key not in _OF_SPECIMEN}
+        """Resolve the protocol of a test, once for all tests with the same overrides."""
+        sheet_data: Any = parse_yaml(text, str(sheet_path)).data
+        processing_keys = {
+            key: value for key, value in sheet_data.items() if key not in _NOT_IN_PROTOCOL
+        }
+        specimen = processing_keys.get("specimen") or {}
+        processing_keys["specimen"] = {
+            key: specimen[key] for key in specimen if key not in _OF_SPECIMEN
+        }
         written = self._protocol_text(sheet.protocol, sheet_path.parent)
-        kind = json.dumps([written, sorted(sheet.files), kept], sort_keys=True)
+        kind = json.dumps([written, sorted(sheet.files), processing_keys], sort_keys=True)
         if kind not in self._resolved:
             protocol = resolve(sheet, sheet_path, follow_links=True)
             self._resolved[kind] = _Resolved(dump_protocol(protocol), protocol)
@@ -262,7 +261,7 @@ class ContentKeys:
 
 
 def _about(sheet: TestSheet) -> dict[str, str]:
-    """What a test sheet says of its test."""
+    """Return the test facts of a test sheet."""
     specimen = sheet.specimen.record
     return {
         "test": sheet.test,
@@ -277,7 +276,7 @@ def _about(sheet: TestSheet) -> dict[str, str]:
 
 @cache
 def _code() -> str:
-    """Hash of what makes a resolved protocol from a written one, and of the processing version."""
+    """Return the hash of the code that resolves protocols, and of the processing version."""
     package = Path(labpipe.__file__).parent
     files = sorted([*package.glob("protocol/*.py"), *package.glob("records/*.py")])
     digest = hashlib.sha256(str(PROCESSING_VERSION).encode())
@@ -286,32 +285,32 @@ def _code() -> str:
     return digest.hexdigest()
 
 
-def changes(
+def describe_changes(
     *, inputs: Iterable[tuple[str, str, str]], sheet: str, protocol: str, now: Content
 ) -> str:
-    """Say what changed since a test was processed.
+    """Describe what changed since a test was processed.
 
     Parameters
     ----------
-    inputs : role, file and SHA-256 of what it was made of then
-    sheet, protocol : SHA-256 of their texts then; empty where that is not known
-    now : what it is made of
+    inputs : role, file and SHA-256 of its earlier inputs
+    sheet, protocol : SHA-256 of the earlier texts; empty if not known
+    now : its present content
 
     Returns
     -------
-    Such as ``export changed (force.mat), sheet changed``.
+    A text such as ``export changed (force.mat), sheet changed``.
     """
     then = {file: sha256 for _, file, sha256 in inputs}
     files = sorted(
         {file for _, file, sha256 in now.inputs if then.get(file) != sha256}
         | then.keys() - {file for _, file, _ in now.inputs}
     )
-    said = [f"export changed ({', '.join(files)})"] if files and then and now.inputs else []
+    reasons = [f"export changed ({', '.join(files)})"] if files and then and now.inputs else []
     if not sheet or not now.sheet:
-        return ", ".join(said) or "something changed"
-    said += ["sheet changed"] if sheet != now.sheet else []
-    said += ["protocol changed"] if protocol != now.protocol else []
-    return ", ".join(said) or "newer labpipe"
+        return ", ".join(reasons) or "something changed"
+    reasons += ["sheet changed"] if sheet != now.sheet else []
+    reasons += ["protocol changed"] if protocol != now.protocol else []
+    return ", ".join(reasons) or "newer labpipe"
 
 
 def _sha256(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Pairing exports to tests: one folder per test, or by the patterns of their names."""
+"""Pair exports into tests: one folder per test, or by patterns of file names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from labpipe.errors import LabpipeError, ProtocolError, StoreError, error_text
 from labpipe.process.protocol_match import all_protocols, majority
 from labpipe.process.sheet_inference import InferredTest, infer_test, neighbours_in, safe_name
-from labpipe.process.sheet_writing import write_seen
+from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.campaign_plan import PLAN_NAME, ByFolder, ByName, CampaignPlan
 from labpipe.protocol.load import (
     find_protocol,
@@ -26,19 +26,19 @@ from labpipe.protocol.values import has_control_characters
 from labpipe.store.replace import replacing, storing
 
 _COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")
-"""Keys of a specimen that are columns of a campaign's table, too."""
-_OTHER = (".yaml", ".yml", ".md", ".ini")
+"""Keys of a specimen that are also columns of a campaign sheet."""
+_NOT_EXPORTS = (".yaml", ".yml", ".md", ".ini")
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """Exports that may be those of one test.
+    """Exports that may belong to one test.
 
     Parameters
     ----------
-    folder : of the test, below that of the campaign; need not be there yet
-    files : where each export lies now; by role where the plan says the roles, else by name
-    values : what the names say, by column of a campaign's table
+    folder : of the test, below that of the campaign; may be missing
+    files : path of each export, by role if the plan states roles, else by name
+    values : from the names, by column of a campaign sheet
     by_role : whether the keys of `files` are roles
     """
 
@@ -49,45 +49,45 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Of the folder."""
+        """Name of the folder."""
         return self.folder.name
 
     @property
     def sheet(self) -> Path:
-        """Where its test sheet is, or will be."""
+        """Path of its test sheet, which may be missing."""
         return self.folder / SHEET_NAME
 
 
 @dataclass(frozen=True, slots=True)
 class RawListing:
-    """What lies where exports come to.
+    """Content of the folder of exports.
 
     Parameters
     ----------
     candidates : tests, by name
-    strangers : files that no rule takes, with the reason
+    unmatched : files that fit no rule, with the reason
     """
 
     candidates: tuple[Candidate, ...]
-    strangers: Mapping[Path, str]
+    unmatched: Mapping[Path, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
-    """What became of a test that was to get its sheet.
+class PairingOutcome:
+    """Result of pairing a test.
 
     Parameters
     ----------
-    sheet : that was written, or was there; None where it is waited for more
-    said : sentences on what the sheet is made of, or on what is odd
-    is_new : whether the sheet was written now
-    open : keys that a person must fill in before the test can be processed
-    missing : roles that are waited for
-    unread : exports that cannot be read as they are, with the reason
+    sheet : new or existing; None while exports are missing
+    messages : on the content of the sheet, or on problems
+    is_new : whether the sheet was written
+    open : keys to fill in before the test can be processed
+    missing : roles without an export yet
+    unread : exports that cannot be read, with the reason
     """
 
     sheet: Path | None
-    said: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
     is_new: bool = False
     open: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ class Written:
 
 
 def plan_of(folder: Path) -> CampaignPlan:
-    """Read the campaign YAML of a folder; one folder per test where there is none.
+    """Read the campaign YAML of a folder; without one, there is one folder per test.
 
     Parameters
     ----------
@@ -104,115 +104,123 @@ def plan_of(folder: Path) -> CampaignPlan:
     Raises
     ------
     ProtocolError
-        If anything is wrong with it.
+        If it has a fault.
     """
     path = folder / PLAN_NAME
     return load_campaign_plan(path) if path.exists() else CampaignPlan(version=1)
 
 
 def list_candidates(
-    folder: Path, plan: CampaignPlan, *, rests: Callable[[Path], bool] = lambda _: False
+    folder: Path, plan: CampaignPlan, *, is_skipped: Callable[[Path], bool] = lambda _: False
 ) -> RawListing:
-    """List the tests of a campaign by its rules, without opening a file.
+    """List the tests of a campaign by its rules, without opening any file.
 
     Parameters
     ----------
     folder : of the campaign's exports
     plan : its rules
-    rests : whether the test of a folder is left out this time
+    is_skipped : whether the test of a folder is skipped
 
     Raises
     ------
     OSError
-        If a folder cannot be listed, as when a network drive is gone.
+        If a folder cannot be listed, such as on a lost network drive.
     """
     if isinstance(plan.pair, ByName):
         listed = _by_name(folder, plan.pair)
-        kept = tuple(candidate for candidate in listed.candidates if not rests(candidate.folder))
-        return RawListing(kept, listed.strangers)
-    return _by_folder(folder, plan.pair, rests)
+        candidates = tuple(
+            candidate for candidate in listed.candidates if not is_skipped(candidate.folder)
+        )
+        return RawListing(candidates, listed.unmatched)
+    return _by_folder(folder, plan.pair, is_skipped)
 
 
-def _by_folder(folder: Path, pair: ByFolder, rests: Callable[[Path], bool]) -> RawListing:
-    candidates, strangers = list[Candidate](), dict[Path, str]()
-    for place in _test_folders(folder, rests):
+def _by_folder(folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]) -> RawListing:
+    candidates, unmatched = list[Candidate](), dict[Path, str]()
+    for place in _test_folders(folder, is_skipped):
         files = {name: place / name for name in _names(place) if _may_be_export(name)}
         for name in [file for file in files if has_control_characters(file)]:
-            strangers[files.pop(name)] = "its name has control characters; rename it"
+            unmatched[files.pop(name)] = "its name has control characters; rename it"
         values = _folder_values(place, pair)
         if values is None:
-            strangers |= dict.fromkeys(files.values(), f"its folder is not called {pair.name!r}")
+            unmatched |= dict.fromkeys(
+                files.values(), f"the name of its folder does not fit {pair.name!r}"
+            )
         elif files or (place / SHEET_NAME).exists():
             candidates.append(Candidate(place, files, values))
     loose = [folder / name for name in _names(folder) if _may_be_export(name)]
-    strangers |= dict.fromkeys(loose, "it is in no folder of a test")
-    return RawListing(tuple(candidates), strangers)
+    unmatched |= dict.fromkeys(loose, "it is not in the folder of a test")
+    return RawListing(tuple(candidates), unmatched)
 
 
-def _test_folders(folder: Path, rests: Callable[[Path], bool]) -> Iterator[Path]:
-    """Folders below one that hold files, but none below those."""
+def _test_folders(folder: Path, is_skipped: Callable[[Path], bool]) -> Iterator[Path]:
+    """Yield the topmost folders with files below a folder."""
     for place in _folders(folder):
-        if rests(place):
+        if is_skipped(place):
             continue
         if _names(place):
             yield place
         else:
-            yield from _test_folders(place, rests)
+            yield from _test_folders(place, is_skipped)
 
 
 def _folder_values(place: Path, pair: ByFolder) -> dict[str, str] | None:
-    """What the name of a folder says; None where it is not of the plan's pattern."""
+    """Parse the name of a folder; return None if it does not fit the plan."""
     return {} if pair.pattern is None else pair.pattern.match(place.name)
 
 
 def _by_name(folder: Path, pair: ByName) -> RawListing:
     top = folder / pair.source
     patterns = pair.patterns
-    found: dict[tuple[str, ...], dict[str, Path]] = {}
+    exports: dict[tuple[str, ...], dict[str, Path]] = {}
     names: dict[tuple[str, ...], tuple[str, dict[str, str]]] = {}
-    strangers: dict[Path, str] = {}
+    unmatched: dict[Path, str] = {}
     for name in _below(
         top, depth=1 + max(pattern.text.count("/") for pattern in patterns.values())
     ):
         roles = {role: pattern.match(name) for role, pattern in patterns.items()}
         fits = {role: values for role, values in roles.items() if values is not None}
         if has_control_characters(name):
-            strangers[top / name] = "its name has control characters; rename it"
+            unmatched[top / name] = "its name has control characters; rename it"
         elif not fits:
-            strangers[top / name] = "its name is of no pattern in campaign.yaml"
+            unmatched[top / name] = "its name fits no pattern in campaign.yaml"
         elif len(fits) > 1:
-            strangers[top / name] = f"its name is of several patterns: {', '.join(fits)}"
+            unmatched[top / name] = f"its name fits several patterns: {', '.join(fits)}"
         else:
             ((role, values),) = fits.items()
             key = tuple(f"{key}={values[key].casefold()}" for key in sorted(values))
-            if role in found.setdefault(key, {}):
-                other = found[key][role].name
-                strangers[top / name] = f"{other} is the {role} of the same test already"
+            if role in exports.setdefault(key, {}):
+                other = exports[key][role].name
+                unmatched[top / name] = f"{other} is already the {role} of the same test"
                 continue
-            found[key][role] = top / name
+            exports[key][role] = top / name
             test = values.get("test") or patterns[role].stem(name)
             names.setdefault(key, (safe_name(test), values))
     candidates = [
         Candidate(folder / names[key][0], files, names[key][1], by_role=True)
-        for key, files in found.items()
+        for key, files in exports.items()
     ]
-    return RawListing(tuple(sorted(candidates, key=lambda candidate: candidate.name)), strangers)
+    return RawListing(tuple(sorted(candidates, key=lambda candidate: candidate.name)), unmatched)
 
 
 def _names(folder: Path) -> list[str]:
-    """Files of a folder by name, none that are hidden."""
+    """List the files of a folder by name, without hidden ones."""
     with os.scandir(folder) as entries:
-        return sorted(x.name for x in entries if x.is_file() and not x.name.startswith("."))
+        return sorted(
+            entry.name for entry in entries if entry.is_file() and not entry.name.startswith(".")
+        )
 
 
 def _folders(folder: Path) -> list[Path]:
     with os.scandir(folder) as entries:
-        names = [x.name for x in entries if x.is_dir() and not x.name.startswith(".")]
+        names = [
+            entry.name for entry in entries if entry.is_dir() and not entry.name.startswith(".")
+        ]
     return [folder / name for name in sorted(names)]
 
 
 def _below(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
-    """Files down to a depth, with slashes; none in a folder that is a test already."""
+    """Yield files down to a depth, with slashes, but none in a folder with a test sheet."""
     if prefix and (top / SHEET_NAME).exists():
         return
     yield from (f"{prefix}{name}" for name in _names(top) if _may_be_export(name))
@@ -222,91 +230,91 @@ def _below(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
 
 
 def _may_be_export(name: str) -> bool:
-    return not name.casefold().endswith(_OTHER)
+    return not name.casefold().endswith(_NOT_EXPORTS)
 
 
-def given_by(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
-    """Collect what the plan and the names say about a test, by column of a campaign's table.
+def stated_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
+    """Collect the facts on a test from plan and names, by column of a campaign sheet.
 
     Parameters
     ----------
     plan : of the campaign
     candidate : the test
     """
-    given = {key: str(plan.specimen[key]) for key in _COLUMNS if key in plan.specimen}
-    given |= {"operator": plan.operator} if plan.operator else {}
-    given |= {"protocol": plan.protocol} if plan.protocol else {}
-    given |= {key: value for key, value in candidate.values.items() if key != "test"}
+    columns = {key: str(plan.specimen[key]) for key in _COLUMNS if key in plan.specimen}
+    columns |= {"operator": plan.operator} if plan.operator else {}
+    columns |= {"protocol": plan.protocol} if plan.protocol else {}
+    columns |= {key: value for key, value in candidate.values.items() if key != "test"}
     named = dict(candidate.files) if candidate.by_role else {}
     return (
-        given
+        columns
         | {"test": safe_name(candidate.name)}
         | {role: path.name for role, path in named.items()}
     )
 
 
-def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) -> Written:
-    """Write the sheet of a test, once all its exports are there and can be read.
+def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) -> PairingOutcome:
+    """Write the sheet of a test once all its exports exist and can be read.
 
     Parameters
     ----------
-    candidate : the test, its files standing still
+    candidate : the test; its files no longer change
     plan : of the campaign
-    waited : s, since the last of its files came
+    waited : s since its last file appeared
 
     Returns
     -------
-    The sheet, or what is waited for. A sheet that is there already is never written over.
+    The sheet, or the missing roles. An existing sheet is never overwritten.
 
     Raises
     ------
     LabpipeError
-        If a file cannot be copied or written, or names and plan say something wrong.
+        If a file cannot be copied or written, or names or plan have a fault.
     """
     if candidate.sheet.exists():
         return _with_sheet(candidate)
     early = _missing_by_name(candidate, plan)
     if early:
-        return Written(None, missing=early)
-    copies = _bring_together(candidate)
+        return PairingOutcome(None, missing=early)
+    copies = _copy_exports(candidate)
     around = neighbours_in(candidate.folder.resolve().parent)
-    seen = infer_test(candidate.folder, given_by(plan, candidate), neighbours=around)
+    seen = infer_test(candidate.folder, stated_columns(plan, candidate), neighbours=around)
     missing = _missing(seen, plan, around.beside(candidate.folder), waited)
     if seen.unread or missing:
-        _take_back(copies, candidate.folder)
-        return Written(None, missing=missing, unread=seen.unread)
-    sheet = write_seen(with_blocks(seen, plan))
-    return Written(sheet.path, sheet.said, is_new=True, open=sheet.open)
+        _remove_copies(copies, candidate.folder)
+        return PairingOutcome(None, missing=missing, unread=seen.unread)
+    sheet = write_inferred_sheet(add_plan_blocks(seen, plan))
+    return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open=sheet.open)
 
 
-def _with_sheet(candidate: Candidate) -> Written:
-    """Say what a test with a sheet waits for: exports that the sheet names."""
+def _with_sheet(candidate: Candidate) -> PairingOutcome:
+    """Find the exports that the sheet of a test names and that are missing."""
     try:
         sheet = load_test_sheet(candidate.sheet)
     except ProtocolError:
-        return Written(candidate.sheet)  # processing says what is wrong with it
+        return PairingOutcome(candidate.sheet)  # processing reports the fault
     names = [name for several in sheet.files.values() for name in several]
     absent = tuple(name for name in names if not (candidate.folder / name).exists())
     if absent:
-        return Written(None, missing=absent)
+        return PairingOutcome(None, missing=absent)
     elsewhere = [path for path in candidate.files.values() if path.parent != candidate.folder]
     newer = [path.name for path in elsewhere if _differs(path, candidate.folder / path.name)]
-    said = [f"{name} is another one than its copy in the folder of the test" for name in newer]
-    return Written(
-        candidate.sheet, tuple(f"look: {sentence}; the copy counts" for sentence in said)
-    )
+    messages = [
+        f"check: {name} differs from its copy in the test folder, which is used" for name in newer
+    ]
+    return PairingOutcome(candidate.sheet, tuple(messages))
 
 
 def _differs(path: Path, copy: Path) -> bool:
-    """Whether an export was written again after it was copied; by size and time."""
+    """Whether an export has changed since it was copied, by size and time."""
     if not copy.exists():
         return False
     one, other = path.stat(), copy.stat()
     return (one.st_size, int(one.st_mtime)) != (other.st_size, int(other.st_mtime))
 
 
-def with_blocks(seen: InferredTest, plan: CampaignPlan) -> InferredTest:
-    """Add what the plan says of every test and no column holds: labels, bundle, overrides.
+def add_plan_blocks(seen: InferredTest, plan: CampaignPlan) -> InferredTest:
+    """Add the facts of the plan without a column: labels, bundle, overrides.
 
     Parameters
     ----------
@@ -319,7 +327,7 @@ def with_blocks(seen: InferredTest, plan: CampaignPlan) -> InferredTest:
 
 
 def _missing_by_name(candidate: Candidate, plan: CampaignPlan) -> tuple[str, ...]:
-    """Roles that the patterns name, are needed, and have no file yet."""
+    """Return the required roles of the patterns that have no file yet."""
     if not candidate.by_role:
         return ()
     return tuple(role for role in _needed(plan, candidate) if role not in candidate.files)
@@ -334,69 +342,71 @@ def _needed(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
 def _missing(
     seen: InferredTest, plan: CampaignPlan, others: Mapping[str, int], waited: float
 ) -> tuple[str, ...]:
-    """Roles that are waited for, by what was seen in the folder and what other tests are."""
+    """Return the missing roles, from the inferred test and the protocols of other tests."""
     if plan.wait_for is not None:
         return tuple(role for role in plan.wait_for if role not in seen.files)
-    needed, optional = _roles(seen, plan, others)
+    needed, optional = _required_and_awaited(seen, plan, others)
     missing = [role for role in needed if role not in seen.files]
     late = [role for role in optional if role not in seen.files]
     return tuple(missing or (late if waited < plan.patience else []))
 
 
-def _roles(
+def _required_and_awaited(
     seen: InferredTest, plan: CampaignPlan, others: Mapping[str, int]
 ) -> tuple[list[str], list[str]]:
-    """Roles that a test needs, and those that it may lack and that are waited for a while.
+    """Return the required roles of a test, and optional roles that are awaited for a while.
 
-    Where the plan names no protocol, the test is taken for one like most others as long as its
-    exports may be of such a one; and an export that it may lack is waited for only if another
-    protocol that takes those exports needs it: one of the other tests, or, if none takes them, any.
+    If the plan names no protocol, the most frequent one of the other tests is assumed if its roles
+    include the exports. An optional export is awaited only if another protocol with these exports
+    requires it: one of the other tests, or, if none fits, any protocol.
     """
     if plan.protocol:
-        own = _sources(plan.protocol, seen.folder)
-        needed = _needed_of(own)
-        return needed, [role for role in own if role not in needed]
+        sources = _sources(plan.protocol, seen.folder)
+        needed = _required_roles(sources)
+        return needed, [role for role in sources if role not in needed]
     of_others = [_sources(name, seen.folder) for name in others if name]
     of_any = (protocol.sources for protocol in all_protocols())
-    may_be = _that_take(seen, of_others) or _that_take(seen, of_any)
+    may_be = _accepting(seen, of_others) or _accepting(seen, of_any)
     usual = _sources(majority(others), seen.folder)
-    own = usual if usual in may_be else _sources(seen.values.get("protocol", ""), seen.folder)
-    needed = _needed_of(own)
-    wanted = {role for sources in may_be for role in _needed_of(sources)}
-    return needed, [role for role in own if role in wanted and role not in needed]
+    sources = usual if usual in may_be else _sources(seen.values.get("protocol", ""), seen.folder)
+    needed = _required_roles(sources)
+    wanted = {role for sources in may_be for role in _required_roles(sources)}
+    return needed, [role for role in sources if role in wanted and role not in needed]
 
 
-def _that_take(
+def _accepting(
     seen: InferredTest, several: Iterable[Mapping[Role, Source]]
 ) -> list[Mapping[Role, Source]]:
     return [sources for sources in several if sources.keys() >= seen.files.keys()]
 
 
 def _sources(name: str, folder: Path) -> Mapping[Role, Source]:
-    """Exports of a protocol by role; none where it is not known, or wrong."""
-    found = find_protocol(name, beside=folder) if name else None
+    """Return the exports of a protocol by role; none for an unknown or faulty protocol."""
+    file = find_protocol(name, beside=folder) if name else None
     with suppress(LabpipeError):
-        return load_protocol(found).sources if isinstance(found, Path) else {}
+        return load_protocol(file).sources if isinstance(file, Path) else {}
     return {}
 
 
-def _needed_of(sources: Mapping[Role, Source]) -> list[str]:
+def _required_roles(sources: Mapping[Role, Source]) -> list[str]:
     return [role for role, source in sources.items() if not source.optional]
 
 
-def _bring_together(candidate: Candidate) -> list[Path]:
-    """Copy exports that lie elsewhere into the folder of their test; the originals stay."""
-    made = []
+def _copy_exports(candidate: Candidate) -> list[Path]:
+    """Copy exports from elsewhere into the folder of their test."""
+    copies = []
     for path in candidate.files.values():
         goal = candidate.folder / path.name
         if path == goal:
             continue
         if goal.exists():
             if _differs(path, goal):
-                remedy = "Take away the one that is wrong."
-                found = "another file of that name"
+                remedy = "Remove the wrong one."
+                description = "a different file of that name"
                 raise StoreError(
-                    error_text(goal, "", expected=f"a copy of {path}", found=found, remedy=remedy)
+                    error_text(
+                        goal, "", expected=f"a copy of {path}", found=description, remedy=remedy
+                    )
                 )
             continue
         with storing(goal):
@@ -404,14 +414,14 @@ def _bring_together(candidate: Candidate) -> list[Path]:
             with replacing(goal) as part:
                 shutil.copyfile(path, part)
                 shutil.copystat(path, part)
-        made.append(goal)
-    return made
+        copies.append(goal)
+    return copies
 
 
-def _take_back(copies: Sequence[Path], folder: Path) -> None:
-    """Take away copies of exports that may still be written."""
+def _remove_copies(copies: Sequence[Path], folder: Path) -> None:
+    """Remove copies of exports that may still be incomplete."""
     for path in copies:
         path.unlink(missing_ok=True)
-    with suppress(OSError):  # where there is more in it
+    with suppress(OSError):  # not empty
         if copies:
             folder.rmdir()

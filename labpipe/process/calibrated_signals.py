@@ -1,4 +1,4 @@
-"""From recordings to signals: calibrated, in SI units, with what a first look finds."""
+"""Convert recordings to calibrated signals in SI units, and check them."""
 
 from __future__ import annotations
 
@@ -33,18 +33,12 @@ if TYPE_CHECKING:
 
 
 _LARGEST = {"channel": 1e15, "marker": 1e6}
-"""SI; no transducer and no camera measures beyond this, damaged files do."""
-
-_FEWEST = 8
-"""Samples of a channel; with fewer, nothing can be said."""
-
-_AT_ENDS = 0.02
-"""Share of a channel that may be blank before its first and behind its last sample."""
+"""SI units. Larger numbers are from damaged files; no transducer or camera measures them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Take:
-    """What the cameras recorded, on its way from marker tracks to the shape of the specimen.
+    """The camera recording at each stage from marker tracks to the shape of the specimen.
 
     Parameters
     ----------
@@ -64,20 +58,20 @@ class Take:
     rest: Flags | None = None
     scale_error: float = 0.0
 
-    def seen(self, time: Floats, values: Floats) -> Signal:
-        """A length (m) that cameras saw, on their clock and with what is known of their scale."""
+    def signal_of(self, time: Floats, values: Floats) -> Signal:
+        """Make a signal of a length (m) on the clock of the cameras, with their scale error."""
         return Signal(time, values, "m", self.role, relative_error=self.scale_error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
-    """A test before force and displacement are put together.
+    """A test before force and displacement are combined into a curve.
 
     Parameters
     ----------
-    signals, take : so far
+    signals, take : after the steps so far
     shape : of the specimen; None where no step fits one
-    span : the bent axis between two supports, or why there is none; None where not asked for
+    span : the bent axis between two supports, or why there is none; None if no step fits one
     """
 
     signals: Signals
@@ -86,10 +80,10 @@ class Prepared:
     span: SpanBend | Failure | None = None
 
 
-def calibrated(
+def calibrate(
     recordings: Mapping[str, Recording], protocol: Protocol
 ) -> tuple[Prepared, list[Finding]]:
-    """Take the channels of all recordings as signals in SI units.
+    """Calibrate the channels of all recordings.
 
     Parameters
     ----------
@@ -98,40 +92,45 @@ def calibrated(
 
     Returns
     -------
-    Signals and marker tracks, and what the readers and a first look found.
+    Signals and marker tracks; the notes of the readers and the findings of the first checks.
 
     Raises
     ------
     ProcessingError
         If a clock runs backwards, a channel has no finite sample, or a number is impossibly large.
     """
-    curve, found = protocol.curve, list[Finding]()
+    min_samples = 8
+    curve, findings = protocol.curve, list[Finding]()
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
     scales: dict[str, float] = {
         role: source.camera_uncertainty for role, source in protocol.sources.items()
     }
-    turned = [] if curve is None else [getattr(curve, word) for word in curve.reverse or ()]
+    reversed_channels = (
+        []
+        if curve is None
+        else [getattr(curve, quantity_name) for quantity_name in curve.reverse or ()]
+    )
     for role, recording in recordings.items():
-        found += [
+        findings += [
             Finding(replace(note, where=f"{role}: {note.where}" if note.where else role))
             for note in recording.notes
         ]
         if recording.markers is not None:
-            _check_clock(recording.markers.time, role, fewest=2)
+            _check_clock(recording.markers.time, role, min_samples=2)
             _check_markers(recording.markers, role)
             take = Take(recording.markers, role, scale_error=scales[role])
         for channel in recording.channels:
             clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
-            _check_clock(clock.time, role, fewest=_FEWEST)
+            _check_clock(clock.time, role, min_samples=min_samples)
             signal = _signal(channel, source, clock, role)
-            if channel.name in turned:
+            if channel.name in reversed_channels:
                 signal = replace(signal, values=-signal.values)
             signals = signals.with_new(channel.name, signal)
             quantity = signals.quantities.get(channel.name, channel.name)
-            found += _missing(channel.name, signal, quantity)
-            found += _peak(channel.name, signal, quantity, source.peak_range)
-    return Prepared(signals, take), found
+            findings += _missing(channel.name, signal, quantity)
+            findings += _peak(channel.name, signal, quantity, source.peak_range)
+    return Prepared(signals, take), findings
 
 
 def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) -> Signal:
@@ -162,7 +161,7 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
 def _peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
 ) -> list[Finding]:
-    """Doubt a channel whose peak no such specimen has: a unit that is not what the file says."""
+    """Doubt a channel whose peak is implausible: the unit in the file may be wrong."""
     if peak_range is None:
         return []
     peak, (least, most) = float(np.nanmax(np.abs(signal.values))), peak_range
@@ -183,14 +182,14 @@ def _check_markers(tracks: MarkerTracks, role: str) -> None:
 
 
 def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
-    """Refuse numbers that cannot be measurements, before they overflow."""
+    """Refuse numbers that are too large to be measurements."""
     largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
     if not largest > _LARGEST[kind]:
         return
-    at = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
+    sample = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
     message = error_text(
         role,
-        f"{place}, sample {at + 1}",
+        f"{place}, sample {sample + 1}",
         expected=f"numbers up to {_LARGEST[kind]:g} in SI units",
         found=f"{largest:.3g}",
         remedy="The file is damaged, or a unit is wrong: export the recording again.",
@@ -199,98 +198,100 @@ def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
 
 
 def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Note blank samples, and doubt where they are, but for those before and behind the record."""
+    """Note blank samples, and doubt where they are, except at the ends of the record."""
+    # Share of a channel that may be blank before its first and after its last sample.
+    max_blank_end_share = 0.02
     missing = np.isnan(signal.values)
     if not missing.any():
         return []
     message = f"{int(missing.sum())} of {len(missing)} samples are blank or not finite"
-    known = np.flatnonzero(~missing)
-    if known[0] + len(missing) - 1 - known[-1] <= _AT_ENDS * len(missing):
-        missing[: known[0]] = missing[known[-1] :] = False  # it begins later, and ends earlier
+    finite = np.flatnonzero(~missing)
+    if finite[0] + len(missing) - 1 - finite[-1] <= max_blank_end_share * len(missing):
+        missing[: finite[0]] = missing[finite[-1] :] = False
     if not missing.any():
         return [warning("missing_samples", name, message)]
-    when = times_of(missing, signal.time)
-    note = QualityNote("missing_samples", Severity.WARNING, name, message, when)
+    times = times_of(missing, signal.time)
+    note = QualityNote("missing_samples", Severity.WARNING, name, message, times)
     return [doubtful_stretches(quantity, note, signal.clock)]
 
 
-def _check_clock(time: Floats, role: str, *, fewest: int) -> None:
-    if len(time) < fewest:
-        expected, found = f"at least {fewest} samples", f"{len(time)}"
+def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
+    if len(time) < min_samples:
+        expected, actual = f"at least {min_samples} samples", f"{len(time)}"
         remedy = "The recording was aborted; leave this test out."
-        message = error_text(role, "time", expected=expected, found=found, remedy=remedy)
+        message = error_text(role, "time", expected=expected, found=actual, remedy=remedy)
         raise ProcessingError(message)
     steps = np.diff(time)
     backwards = np.flatnonzero(~(steps > 0))
     if len(backwards):
-        at = int(backwards[0]) + 1
+        sample = int(backwards[0]) + 1
         message = error_text(
             role,
-            f"sample {at + 1}",
-            expected="a time axis that grows",
-            found=f"{time[at]:.6f} s after {time[at - 1]:.6f} s",
+            f"sample {sample + 1}",
+            expected="an increasing time axis",
+            found=f"{time[sample]:.6f} s after {time[sample - 1]:.6f} s",
             remedy="Export the recording again.",
         )
         raise ProcessingError(message)
 
 
 def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
-    """Doubt channels that are full or frozen, there and then.
+    """Doubt channels while they are saturated or frozen.
 
     Parameters
     ----------
-    signals : the raw ones are looked at
-    protocol : says which channel splits the branches, and which one joins the clocks
+    signals : the raw ones are checked
+    protocol : names the channel that splits the branches and the one that joins the clocks
     """
-    words = {} if protocol.curve is None else signals.quantities
-    others = dict(zip(words, reversed(words), strict=True))
+    quantities = {} if protocol.curve is None else signals.quantities
+    others = dict(zip(quantities, reversed(quantities), strict=True))
     for name, signal in signals.raw.items():
         other = signals.raw.get(others.get(name, ""))
-        beside = other.values if other is not None and other.clock == signal.clock else None
-        runs = stuck_runs(signal.time, signal.values, beside)
-        quantity = words.get(name, name)
-        full = [run for run in runs if run.is_clipped]
-        if full:
-            yield _full(name, signal, full, quantity)
-            if getattr(protocol.align, "channel", "") == name:  # its peaks are not where they seem
-                yield _full(name, signal, full, "clock", anywhere=True)
+        other_values = other.values if other is not None and other.clock == signal.clock else None
+        runs = stuck_runs(signal.time, signal.values, other_values)
+        quantity = quantities.get(name, name)
+        saturated = [run for run in runs if run.is_clipped]
+        if saturated:
+            yield _saturation(name, signal, saturated, quantity)
+            if getattr(protocol.align, "channel", "") == name:  # the times of its peaks are wrong
+                yield _saturation(name, signal, saturated, "clock", anywhere=True)
         for run in (run for run in runs if not run.is_clipped):
             yield _frozen(name, signal, run, quantity)
             if protocol.branches is not None and protocol.branches.channel == name:
-                yield _frozen(name, signal, run, "force")  # its branches are not where they were
+                yield _frozen(name, signal, run, "force")  # the branches are at wrong times
 
 
-def _full(
+def _saturation(
     name: str, signal: Signal, runs: list[StuckRun], quantity: str, *, anywhere: bool = False
 ) -> Finding:
     count = sum(run.stop - run.start for run in runs)
-    at = " and ".join(
+    levels = " and ".join(
         f"{level:.6g} {signal.unit}"
         for level in sorted({float(signal.values[run.start]) for run in runs})
     )
     message = (
-        f"{count} samples stand at {at} to the last digit, in {len(runs)} stretches, and none lies "
-        "beyond: saturated? Look at the range of the amplifier"
+        f"{count} samples in {len(runs)} stretches are exactly {levels}, and none lies beyond: "
+        "saturated? Check the range of the amplifier"
     )
     if anywhere:
         return doubtful("saturation", name, message, quantity)
-    when = tuple(_times(signal, run) for run in runs)
-    note = QualityNote("saturation", Severity.WARNING, name, message, when)
+    times = tuple(_times(signal, run) for run in runs)
+    note = QualityNote("saturation", Severity.WARNING, name, message, times)
     return doubtful_stretches(quantity, note, signal.clock)
 
 
 def _frozen(name: str, signal: Signal, run: StuckRun, quantity: str) -> Finding:
-    when = _times(signal, run)
+    times = _times(signal, run)
     unit = "s" if signal.has_time else "of the samples"
     message = (
-        f"stands at {float(signal.values[run.start]):.6g} {signal.unit} to the last digit from "
-        f"{when[0]:.3f} to {when[1]:.3f} {unit} while the test goes on: frozen"
+        f"is exactly {float(signal.values[run.start]):.6g} {signal.unit} from "
+        f"{times[0]:.3f} to {times[1]:.3f} {unit} while the test goes on: frozen"
     )
-    note = QualityNote("frozen_channel", Severity.WARNING, name, message, (when,))
+    note = QualityNote("frozen_channel", Severity.WARNING, name, message, (times,))
     return doubtful_stretches(quantity, note, signal.clock)
 
 
 def _times(signal: Signal, run: StuckRun) -> tuple[float, float]:
-    """From the last sample before a run to the first one behind it."""
+    """Return the times of the last sample before a run and the first one after it."""
     first, last = max(run.start - 1, 0), min(run.stop, len(signal.time) - 1)
     return float(signal.time[first]), float(signal.time[last])

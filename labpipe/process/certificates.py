@@ -1,4 +1,4 @@
-"""Whether the instruments of a test were calibrated when it was made."""
+"""Check that the instruments of a test were in calibration on the day of the test."""
 
 from __future__ import annotations
 
@@ -14,27 +14,25 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import Instrument
 
 DAY_KEYS = ("date", "start_time", "Capture Start Time")
-"""What exports call the day, or the time, that they were recorded at: ISO 8601 in all of them."""
+"""Metadata keys of the recording date or time, always in ISO 8601."""
 
 
 def day_of_test(sheet: str, recordings: Mapping[str, Recording]) -> date | None:
-    """Find the day on which a test was made.
+    """Find the day of a test.
 
     Parameters
     ----------
-    sheet : text of its test sheet, whose date counts first
-    recordings : by role; the first one that says a day
+    sheet : text of its test sheet, whose date has priority
+    recordings : by role; the first one with a date is used
 
     Returns
     -------
-    The day; None where nothing says it.
+    The day; None if it is not stated anywhere.
     """
-    said = parse_yaml(sheet, "test.yaml").data
-    written = [said.get("date")] if isinstance(said, Mapping) else []
-    written += [
-        recording.metadata.get(key) for recording in recordings.values() for key in DAY_KEYS
-    ]
-    return next(filter(None, map(_day, written)), None)
+    sheet_data = parse_yaml(sheet, "test.yaml").data
+    dates = [sheet_data.get("date")] if isinstance(sheet_data, Mapping) else []
+    dates += [recording.metadata.get(key) for recording in recordings.values() for key in DAY_KEYS]
+    return next(filter(None, map(_day, dates)), None)
 
 
 def _day(written: object) -> date | None:
@@ -45,14 +43,14 @@ def _day(written: object) -> date | None:
 
 
 def operator_of_test(sheet: str) -> str:
-    """Find who made a test; empty where its sheet does not say.
+    """Find the operator of a test; empty if the sheet does not name one.
 
     Parameters
     ----------
     sheet : text of the test sheet
     """
-    said = parse_yaml(sheet, "test.yaml").data
-    operator = said.get("operator") if isinstance(said, Mapping) else None
+    sheet_data = parse_yaml(sheet, "test.yaml").data
+    operator = sheet_data.get("operator") if isinstance(sheet_data, Mapping) else None
     return operator if isinstance(operator, str) else ""
 
 
@@ -67,50 +65,52 @@ def instruments_of(protocol: Protocol) -> tuple[Instrument, ...]:
         Instrument(
             channel=name,
             measures=quantities,
-            certificate=each.number,
-            calibrated=each.date,
-            due=each.due,
-            uncertainty=each.uncertainty,
-            k=each.k,
+            certificate=certificate.number,
+            calibrated=certificate.date,
+            due=certificate.due,
+            uncertainty=certificate.uncertainty,
+            k=certificate.k,
         )
-        for name, each, quantities in _certificates(protocol)
+        for name, certificate, quantities in _certificates(protocol)
     )
 
 
 def check_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:
-    """Doubt what rests on an instrument whose calibration was overdue.
+    """Doubt quantities of instruments whose calibration was overdue.
 
     Parameters
     ----------
     protocol : with certificates
-    tested : day of the test; None where it is not known, and nothing is doubted
+    tested : day of the test; None if it is not known; then nothing is doubted
     """
     for where, certificate, quantities in _certificates(protocol):
         due = certificate.due
         if due is not None and tested is not None and tested > due:
             message = (
-                f"calibration {certificate.number} of {certificate.date} was due again on {due}, "
-                f"the test was made on {tested}: have the instrument calibrated"
+                f"calibration {certificate.number} of {certificate.date} expired on {due}, "
+                f"before the test on {tested}: have the instrument calibrated"
             )
             yield doubtful("calibration_overdue", where, message, *quantities)
 
 
 def _certificates(protocol: Protocol) -> Iterator[tuple[str, Certificate, tuple[str, ...]]]:
-    """Certificates, with the channel or role that they are of, and the quantities it stands for."""
+    """Yield each certificate with its channel or role and the quantities measured."""
     curve = protocol.curve
-    words = {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
+    quantity_of = (
+        {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
+    )
     for name, channel in protocol.channels.items():
         if channel.certificate is not None:
-            yield name, channel.certificate, (words.get(name, name),)
+            yield name, channel.certificate, (quantity_of.get(name, name),)
     cameras = protocol.sources.get("markers")
     if cameras is not None and cameras.certificate is not None:
-        yield "markers", cameras.certificate, tuple(_seen(protocol))
+        yield "markers", cameras.certificate, tuple(_camera_quantities(protocol))
 
 
-def _seen(protocol: Protocol) -> Iterator[str]:
-    """Quantities that cameras measure: the displacement, too, where nothing else does."""
+def _camera_quantities(protocol: Protocol) -> Iterator[str]:
+    """Yield the quantities that cameras measure; the displacement only if nothing else does."""
     yield "mid_span"
     curve = protocol.curve
-    made = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-    if curve is None or curve.displacement not in {*protocol.channels, *made}:
+    step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    if curve is None or curve.displacement not in {*protocol.channels, *step_channels}:
         yield "displacement"

@@ -1,4 +1,4 @@
-"""Checking protocols and tests against each other and against the exports, without processing."""
+"""Check protocols and tests against each other and against the exports, without processing."""
 
 from __future__ import annotations
 
@@ -8,10 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ProcessingError, ProtocolError, ReadError, error_text, nearest
-from labpipe.process.calibrated_signals import calibrated
+from labpipe.process.calibrated_signals import calibrate
 from labpipe.process.output_paths import files_below
-from labpipe.process.reading import is_empty, joined, name_channels, unit_fault, where_to_name
-from labpipe.process.steps import step_or_refusal
+from labpipe.process.reading import (
+    channel_remedy,
+    is_empty,
+    join_exports,
+    name_channels,
+    unit_fault,
+)
+from labpipe.process.steps import run_step
 from labpipe.protocol.load import (
     is_there,
     load_calibration_plan,
@@ -39,12 +45,12 @@ _INSPECT = "`labpipe inspect` shows what the file holds."
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong.
+    """One fault.
 
     Parameters
     ----------
-    file : protocol or test sheet in which it was found
-    message : file, place, what was expected, what was found, what to do
+    file : protocol or test sheet
+    message : file, place, expected, found, what to do
     """
 
     file: Path
@@ -53,13 +59,13 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """What was looked at and what was found.
+    """The checked files and their faults.
 
     Parameters
     ----------
-    protocols, tests : files looked at
-    findings : everything that is wrong, each once
-    plans : other files looked at: calibration plans, campaign plans, harnesses
+    protocols, tests : checked files
+    findings : all faults, each once
+    plans : other checked files: calibration plans, campaign plans, harnesses
     """
 
     protocols: tuple[Path, ...]
@@ -76,13 +82,13 @@ def check_paths(
     Parameters
     ----------
     paths : protocols, test sheets, or folders that are searched for them; ``protocols`` and
-        ``raw`` in the working folder if there are none
+        ``raw`` in the working folder if empty
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
     follow_links : whether exports may be links out of the folder of their test
 
     Returns
     -------
-    What was looked at and what was found; nothing is raised for what is wrong with a file.
+    The report; faults of files are never raised.
     """
     wanted = list(paths) or [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
     files = list(dict.fromkeys(file for path in wanted for file in _yaml_files(path)))
@@ -90,16 +96,18 @@ def check_paths(
     loaders = {file: _loader_of(file) for file in files if file.name != SHEET_NAME}
     plans = tuple(file for file, load in loaders.items() if load is not None)
     others = tuple(file for file, load in loaders.items() if load is None)
-    found = [finding for path in wanted or [Path("protocols")] for finding in _unusable(path)]
+    findings = [finding for path in wanted or [Path("protocols")] for finding in _unusable(path)]
     for other in others:
-        found += [Finding(other, message) for message in _protocol_faults(other)]
+        findings += [Finding(other, message) for message in _protocol_faults(other)]
     for plan, load in loaders.items():
-        found += [Finding(plan, message) for message in _faults_by(load, plan)]
+        findings += [Finding(plan, message) for message in _load_faults(load, plan)]
     for test in tests:
-        found += [Finding(test, message) for message in _test_faults(test, protocols, follow_links)]
-    found += _shared_names(tests)
-    once = {finding.message: finding for finding in reversed(found)}
-    return CheckReport(others, tests, tuple(reversed(once.values())), plans)
+        findings += [
+            Finding(test, message) for message in _test_faults(test, protocols, follow_links)
+        ]
+    findings += _shared_names(tests)
+    findings_by_message = {finding.message: finding for finding in reversed(findings)}
+    return CheckReport(others, tests, tuple(reversed(findings_by_message.values())), plans)
 
 
 def _yaml_files(path: Path) -> list[Path]:
@@ -112,16 +120,16 @@ def _unusable(path: Path) -> Iterator[Finding]:
     """Find a path with nothing to check."""
     if _yaml_files(path):
         return
-    found = "nothing of that name"
+    actual = "nothing of that name"
     if path.exists():
-        found = "a folder without any" if path.is_dir() else "another file"
+        actual = "a folder without any" if path.is_dir() else "another file"
     expected = f"a protocol, a {SHEET_NAME}, or a folder with some"
     remedy = f"`labpipe new` writes a {SHEET_NAME}."
-    yield Finding(path, error_text(path, "", expected=expected, found=found, remedy=remedy))
+    yield Finding(path, error_text(path, "", expected=expected, found=actual, remedy=remedy))
 
 
 def _loader_of(path: Path) -> Callable[[Path], object] | None:
-    """What reads a YAML file that is no protocol; a misspelt protocol is one."""
+    """Return the loader of a YAML file; None for a protocol, even a misspelt one."""
     from labpipe.protocol.campaign_plan import PLAN_NAME
     from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.plans import CalibrationPlan
@@ -129,20 +137,20 @@ def _loader_of(path: Path) -> Callable[[Path], object] | None:
     if path.name == PLAN_NAME:
         return load_campaign_plan
     try:
-        said = parse_yaml(read_text(path), str(path)).data
+        data = parse_yaml(read_text(path), str(path)).data
     except ProtocolError:
         return None
-    keys = set(said) if isinstance(said, Mapping) else set()
+    keys = set(data) if isinstance(data, Mapping) else set()
     if "sources" in keys:
         return None
-    not_its_own = keys - {*Protocol.keys()}
-    if not_its_own & {*HarnessFile.keys()} - {*CalibrationPlan.keys()}:
+    other_keys = keys - {*Protocol.keys()}
+    if other_keys & {*HarnessFile.keys()} - {*CalibrationPlan.keys()}:
         return load_harness
-    return load_calibration_plan if not_its_own & {*CalibrationPlan.keys()} else None
+    return load_calibration_plan if other_keys & {*CalibrationPlan.keys()} else None
 
 
-def _faults_by(load: Callable[[Path], object] | None, path: Path) -> list[str]:
-    """Word the faults that loading a file finds."""
+def _load_faults(load: Callable[[Path], object] | None, path: Path) -> list[str]:
+    """Load a file and list its faults."""
     try:
         if load is not None:
             load(path)
@@ -179,25 +187,26 @@ def _test_faults(path: Path, protocols: Path | None, follow_links: bool) -> Iter
         yield from _span_faults(path, protocol)
     missing = missing_exports(sheet, path)
     faults = str(missing).splitlines() if missing else []
-    read: dict[str, list[Recording]] = {role: [] for role in sheet.files}
+    recordings: dict[str, list[Recording]] = {role: [] for role in sheet.files}
     for role, names in sheet.files.items():
         source = protocol.sources[role] if protocol else None
         for export in filter(is_there, (path.parent / name for name in names)):
-            faults += _export_faults(export, source, protocol, read[role])
+            faults += _export_faults(export, source, protocol, recordings[role])
     yield from faults
     if protocol is not None and not faults:
-        yield from _refusals(path, sheet, protocol, read)
+        yield from _refusals(path, sheet, protocol, recordings)
 
 
 def _refusals(
-    path: Path, sheet: TestSheet, protocol: Protocol, read: Mapping[str, list[Recording]]
+    path: Path, sheet: TestSheet, protocol: Protocol, exports: Mapping[str, list[Recording]]
 ) -> Iterator[str]:
-    """Find what `labpipe process` would refuse although each export is as it should be."""
+    """Find what `labpipe process` would refuse although each export alone is valid."""
     try:
         recordings: dict[str, Recording] = {
-            role: joined(read[role], sheet.files[role], path.parent) for role in protocol.sources
+            role: join_exports(exports[role], sheet.files[role], path.parent)
+            for role in protocol.sources
         }
-        prepared, _ = calibrated(recordings, protocol)
+        prepared, _ = calibrate(recordings, protocol)
     except ReadError as error:
         yield str(error)
         return
@@ -209,17 +218,17 @@ def _refusals(
             continue
         if step.channel in prepared.signals.filtered:
             try:
-                prepared, _ = step_or_refusal(prepared, step, protocol)
+                prepared, _ = run_step(prepared, step, protocol)
             except ProcessingError as error:
                 yield f"{path}, {error}"
 
 
 def needs_span(protocol: Protocol) -> list[str]:
-    """List the results that need the distance of the supports, where the protocol lacks it.
+    """List the results that need the span, if the protocol does not state it.
 
     Parameters
     ----------
-    protocol : resolved, or as it is
+    protocol : resolved or not
     """
     if protocol.specimen.span is not None:
         return []
@@ -232,24 +241,24 @@ def needs_span(protocol: Protocol) -> list[str]:
 
 
 def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
-    """Find a test on two supports whose distance is missing."""
-    asked = needs_span(protocol)
-    if asked:
+    """Find a test on two supports without a span."""
+    results = needs_span(protocol)
+    if results:
         yield error_text(
             path,
             "specimen.span",
-            expected=f"the distance of the supports (for {', '.join(asked)})",
+            expected=f"the distance of the supports (for {', '.join(results)})",
             found="nothing",
             remedy="Write it into the specimen, such as 'span: 152.4 mm'.",
         )
 
 
 def _export_faults(
-    path: Path, source: Source | None, protocol: Protocol | None, read: list[Recording]
+    path: Path, source: Source | None, protocol: Protocol | None, recordings: list[Recording]
 ) -> Iterator[str]:
     """Find what is wrong with one export; only that it can be read, where the protocol failed.
 
-    What is right goes into `read`, with the channels of the protocol.
+    What is right goes into `recordings`, with the channels of the protocol.
     """
     try:
         if source is None or protocol is None:
@@ -260,7 +269,7 @@ def _export_faults(
         yield str(error)
         return
     if is_empty(recording):
-        read.append(recording)  # one of several parts, or all that there is
+        recordings.append(recording)  # one of several parts, or the only one
         return
     faults = [
         *(
@@ -272,31 +281,31 @@ def _export_faults(
     ]
     yield from faults
     if not faults:
-        read.append(name_channels(recording, source, path))
+        recordings.append(name_channels(recording, source, path))
 
 
 def _channel_faults(
-    recording: Recording, wanted: ChannelSource, source: Source, path: Path
+    recording: Recording, channel_source: ChannelSource, source: Source, path: Path
 ) -> Iterator[str]:
     try:
-        channel = select_channel(recording, wanted.channel, path)
+        channel = select_channel(recording, channel_source.channel, path)
     except NoChannelError as error:
-        yield where_to_name(error, source, path)
+        yield channel_remedy(error, source, path)
         return
-    if fault := unit_fault(channel, wanted, path):
+    if fault := unit_fault(channel, channel_source, path):
         yield fault
 
 
 def _marker_faults(
     tracks: MarkerTracks | None, markers: Markers | None, path: Path
 ) -> Iterator[str]:
-    """Find a clamp or markers that the take does not have."""
+    """Find a clamp or markers that are missing in the take."""
     if tracks is None or markers is None:
         return
     bodies = [body.name for body in tracks.bodies]
     if markers.clamp is not None and markers.clamp not in bodies:
-        near = nearest(markers.clamp, bodies)
-        remedy = f"The take has {', '.join(map(repr, near))}." if near else _INSPECT
+        near_names = nearest(markers.clamp, bodies)
+        remedy = f"The take has {', '.join(map(repr, near_names))}." if near_names else _INSPECT
         yield error_text(
             path,
             f"rigid body {markers.clamp!r}",
@@ -304,17 +313,17 @@ def _marker_faults(
             found="no such body" if bodies else "no rigid bodies at all",
             remedy=remedy,
         )
-    for wanted in () if markers.along == "all" else markers.along:
-        if not fnmatch.filter(tracks.names, wanted):
-            near = nearest(wanted, list(tracks.names))
-            remedy = f"Nearest: {', '.join(map(repr, near))}." if near else _INSPECT
+    for pattern in () if markers.along == "all" else markers.along:
+        if not fnmatch.filter(tracks.names, pattern):
+            near_names = nearest(pattern, list(tracks.names))
+            remedy = f"Nearest: {', '.join(map(repr, near_names))}." if near_names else _INSPECT
             expected = "markers that 'markers.along' names"
-            place = f"markers {wanted!r}"
+            place = f"markers {pattern!r}"
             yield error_text(path, place, expected=expected, found="none", remedy=remedy)
 
 
 def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
-    """Find two tests of one campaign with one name: their results would overwrite each other."""
+    """Find tests of one campaign with the same name: they would overwrite each other."""
     seen: dict[tuple[Path, str], Path] = {}
     for path in tests:
         try:
@@ -323,8 +332,8 @@ def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
             continue  # reported already
         key = (path.resolve().parent.parent, sheet.test.casefold())
         if key in seen:
-            expected, found = "a name that no other test of the campaign has", repr(sheet.test)
+            expected, actual = "a name that no other test of the campaign has", repr(sheet.test)
             remedy = f"{seen[key]} has it too: rename one of them."
-            text = error_text(path, "(test)", expected=expected, found=found, remedy=remedy)
+            text = error_text(path, "(test)", expected=expected, found=actual, remedy=remedy)
             yield Finding(path, text)
         seen.setdefault(key, path)

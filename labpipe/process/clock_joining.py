@@ -1,4 +1,4 @@
-"""Joining the clock of the force to that of the motion: by turns, by a common start, as stated."""
+"""Join the clocks of force and motion: by turning points, by a common start, or as stated."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy as np
 
 from labpipe.errors import in_test_sheet
 from labpipe.process.motion import (
-    WORST_CORNER,
+    MAX_CORNER_ERROR,
     Turn,
     check_turns,
     match_strokes,
     turn_events,
     turning_points,
-    upright,
+    with_rising_force,
 )
 from labpipe.protocol.schema import (
     Align,
@@ -39,30 +39,21 @@ from labpipe.signal.reversals import Reversal
 from labpipe.signal.turning_points import Stroke, sharpest_turn
 from labpipe.uncertainty.zero_drift import drift_modes
 
-_TRIM = 1.0
-"""s at both ends of a cycle that are left out of a comparison of cycles."""
-_CONTRADICTED = 4.0
-"""Standard errors by which the lag of the repeated cycle may differ from that of the corners."""
-_RELAXES = 0.01
-"""Share of its range that a force loses in a dwell before the lag of the repeated cycle is doubted;
-with 0.04 the drift was off by two standard errors."""
-
 
 def join_clocks(
     signals: Signals, align: Align, motion: Signal, strokes: tuple[Stroke, ...]
 ) -> tuple[ClockFit | None, list[Turn], list[Finding]]:
-    """Join the clock of the force to that of the motion as the protocol says.
+    """Join the clock of the force to that of the motion by the method of the protocol.
 
     Parameters
     ----------
-    signals : raw, with the channel that is to show the turns
+    signals : raw, with the channel that shows the turns
     align : of the protocol
     motion, strokes : the travel and its strokes
 
     Returns
     -------
-    The fit, None where there is none; the turns of the motion that it was looked for at, and what
-    was found.
+    The fit, None if there is none; the turns of the motion; the findings.
     """
     if not strokes or isinstance(align, AlignNone):
         return None, [], []
@@ -74,15 +65,15 @@ def join_clocks(
     fit: ClockFit | None
     match align:
         case AlignStated():
-            fit, found = stated_clocks(force, align, motion, strokes)
+            fit, findings = use_stated_clocks(force, align, motion, strokes)
         case AlignCommonStart():
-            fit, found = start_together(force, align, motion, strokes, turns)
+            fit, findings = fit_common_start(force, align, motion, strokes, turns)
         case AlignTurningPoints():
-            fit, found = align_clocks(force, align, motion, strokes, turns)
+            fit, findings = align_clocks(force, align, motion, strokes, turns)
         case _ as never:
             assert_never(never)
     for_clock = not isinstance(align, AlignStated)
-    return fit, turns, [*found, *check_turns(motion, strokes, turns, for_clock=for_clock)]
+    return fit, turns, [*findings, *check_turns(motion, strokes, turns, for_clock=for_clock)]
 
 
 def align_clocks(
@@ -92,68 +83,72 @@ def align_clocks(
     strokes: tuple[Stroke, ...],
     turns: list[Turn],
 ) -> tuple[ClockFit | None, list[Finding]]:
-    """Fit the force's clock to the motion's, from the peaks that both have seen.
+    """Fit the clock of the force to that of the motion at the peaks in both records.
 
     Parameters
     ----------
     force : the raw channel that joins the clocks
     align : windows and limits of the protocol
-    motion, strokes, turns : the travel, its strokes, and the turns that were found between them
+    motion, strokes, turns : the travel, its strokes, and the turns between them
 
     Returns
     -------
-    The fit, or None where there is none, and what was found on the way.
+    The fit, or None if there is none, and the findings.
     """
     if _is_constant(force):
         level = float(np.nanmean(force.values))
         message = f"the {align.channel} is constant at {level:.6g} {force.unit}"
         return None, [blocking("constant_channel", align.channel, message)]
-    force = upright(force)
+    force = with_rising_force(force)
     pairs, is_ambiguous, counted = match_strokes(motion, force, strokes, sign=1)
     events = turn_events(force, pairs, turns, align.force_window)
     if not events:
-        why = _why_no_event(force, len(pairs), counted)
-        return None, [blocking("no_common_peak", "align", why)]
-    fit, found = _fitted(events, None), _ambiguous(counted) if is_ambiguous else []
-    if len(events) > 2 and not _relaxes(force, turns, fit):
-        repeat, more = _consistent(_repeat(motion, strokes, turns, force, fit), fit)
-        fit, found = _fitted(events, repeat), [*found, *more]
-    return fit, [*found, *_judged(fit, align)]
+        reason = _no_event_reason(force, len(pairs), counted)
+        return None, [blocking("no_common_peak", "align", reason)]
+    fit, findings = _fit_events(events, None), _ambiguous_finding(counted) if is_ambiguous else []
+    if len(events) > 2 and not _has_relaxation(force, turns, fit):
+        repeat, repeat_findings = _check_repeat(
+            _measure_repeat(motion, strokes, turns, force, fit), fit
+        )
+        fit, findings = _fit_events(events, repeat), [*findings, *repeat_findings]
+    return fit, [*findings, *_check_fit(fit, align)]
 
 
 def _is_constant(force: Signal) -> bool:
     return not np.nanmax(force.values) > np.nanmin(force.values)
 
 
-def _ambiguous(counted: str) -> list[Finding]:
+def _ambiguous_finding(counted: str) -> list[Finding]:
     message = (
-        "another pairing of the peaks may be the right one, as not all of the test is in both "
-        f"records ({counted}); if you know the offset, state it: "
+        "another pairing of the peaks may be right, because the records do not both hold the whole "
+        f"test ({counted}); if the offset is known, state it: "
         f"{in_test_sheet('align', '{method: stated, offset: ...}')}"
     )
     return [doubtful("alignment_ambiguous", "align", message, "clock")]
 
 
-def _why_no_event(force: Signal, pairs: int, counted: str) -> str:
-    """What to tell a person when no peak was found on both clocks."""
+def _no_event_reason(force: Signal, pairs: int, counted: str) -> str:
+    """Explain why no peak was found in both records."""
     start = float(np.nanmean(force.values[: max(1, len(force.values) // 100)]))
     if start - np.nanmin(force.values) > 2.0 * (np.nanmax(force.values) - start):
-        return "the force falls where the clamp loads: look at the sign of calibration.gain"
+        return "the force falls while the clamp loads: check the sign of calibration.gain"
     if pairs:
         return (
-            f"{pairs} peaks of the motion lie at peaks of the force, but none of these is a "
-            f"corner known to {WORST_CORNER:g} s: noise or mains hum on the force?"
+            f"{pairs} peaks of the motion match peaks of the force, but the time of none is known "
+            f"to {MAX_CORNER_ERROR:g} s: noise or mains hum on the force?"
         )
     return f"{counted}, no pair"
 
 
-def _repeat(
+def _measure_repeat(
     motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn], force: Signal, fit: ClockFit
 ) -> Repeat | None:
-    """Lag from the second cycle to the last, seen on both clocks.
+    """Measure the lag from the second cycle to the last on both clocks.
 
-    The first cycle is left out: it is the one that deforms the specimen for the first time.
+    The first cycle is omitted, because it deforms the specimen for the first time.
     """
+    # s, omitted at both ends of a cycle.
+    trim = 1.0
     tops = {turn.stroke: turn.middle for turn in turns}
     cycles = [
         (float(motion.time[up.start]), tops[number], float(motion.time[down.stop]))
@@ -163,7 +158,7 @@ def _repeat(
     if len(cycles) < 3:
         return None
     (start, turn, stop), last = cycles[1], cycles[-1]
-    start, stop, guess = start + _TRIM, stop - _TRIM, last[1] - turn
+    start, stop, guess = start + trim, stop - trim, last[1] - turn
     moved = fit_lag(
         motion.time,
         motion.values,
@@ -173,7 +168,7 @@ def _repeat(
         guess=guess,
         hysteresis=False,
     )
-    begin, top, end = (fit.to_force_seconds(at) for at in (start, turn, stop))
+    begin, top, end = (fit.to_force_seconds(time) for time in (start, turn, stop))
     lag_of = partial(
         fit_lag,
         force.time,
@@ -187,14 +182,17 @@ def _repeat(
     if isinstance(moved, Failure) or isinstance(pulled, Failure):
         return None
     error = float(np.hypot(moved.error, pulled.error))
-    by = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    lags = [lag_of(force.values + wave) for wave in drift_modes(force.time - force.time[0], by)]
+    drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
+    lags = [lag_of(force.values + wave) for wave in drift_modes(force.time - force.time[0], drift)]
     steps = [lag.value - pulled.value for lag in lags if not isinstance(lag, Failure)]
     return Repeat(moved.value, pulled.value, error, wander=float(np.linalg.norm(steps)))
 
 
-def _relaxes(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:
-    """Whether a force is lost while the machine waits, so that no cycle is quite like another."""
+def _has_relaxation(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:
+    """Check whether the force relaxes in the dwells, so that cycles are not alike."""
+    # Share of the range that the force loses in a dwell. With 0.04 the drift was off by two
+    # standard errors.
+    max_relaxation_share = 0.01
     levels = []
     for turn in turns:
         ends = np.array([turn.arrival.time, turn.departure.time])
@@ -206,30 +204,36 @@ def _relaxes(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:
     if not levels:
         return False
     span = float(np.nanmax(force.values) - np.nanmin(force.values))
-    return max(abs(before - after) for before, after in levels) > _RELAXES * span
+    return max(abs(before - after) for before, after in levels) > max_relaxation_share * span
 
 
-def _consistent(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
-    """The lag of the repeated cycle, unless the corners contradict it: cycles need not be alike."""
+def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
+    """Return the lag of the repeated cycle, unless the turning points contradict it."""
+    # In standard errors.
+    max_lag_difference = 4.0
     if repeat is None:
         return None, []
     expected = (1.0 + fit.drift) * repeat.motion
     error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion))
-    if abs(repeat.force - expected) <= _CONTRADICTED * error:
+    if abs(repeat.force - expected) <= max_lag_difference * error:
         return repeat, []
     message = (
-        f"the force of the last cycle lies {repeat.force:.3f} s behind that of the second, the "
-        f"turning points {expected:.3f} s: the cycles are not alike, and the turning points alone "
-        "join the clocks"
+        f"the force of the last cycle is {repeat.force:.3f} s later than that of the second, the "
+        f"turning points {expected:.3f} s: the cycles are not alike, so the clocks are joined by "
+        "the turning points alone"
     )
     return None, [info_note("cycles_not_alike", "align", message)]
 
 
-def _fitted(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
+def _fit_events(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
     method = "turning points: lines through the travel, smooth pieces of the force"
     columns = [
-        [seen.time, felt.corner.time, _event_error(seen, felt, len(events))]
-        for seen, felt in events
+        [
+            motion_corner.time,
+            reversal.corner.time,
+            _event_error(motion_corner, reversal, len(events)),
+        ]
+        for motion_corner, reversal in events
     ]
     return fit_clocks(
         *np.array(columns, dtype=np.float64).T,
@@ -239,101 +243,97 @@ def _fitted(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> Clo
 
 
 def _event_error(motion: Corner, force: Reversal, count: int) -> float:
-    """Standard error of an event; what is alike in all of them counts as often as they are many.
+    """Return the standard error of an event.
 
-    The same specimen turns in the same way, so that what its force hides does not average out.
+    The shape error is common to all events of a specimen and does not average out.
     """
     common = float(np.sqrt(count - 1)) * force.shape_error
     return float(np.hypot(np.hypot(motion.time_error, force.corner.time_error), common))
 
 
-_BY_CHANCE = 2.0
-"""Times the error of a turning point that clocks may disagree by before it is no chance: what a
-noisy turn leaves open is in the offset's interval, and in those of all that rests on it."""
-
-
-def _judged(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
-    chance = _BY_CHANCE * float(np.sqrt(np.mean(fit.event_errors**2)))
+def _check_fit(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
+    # Allowed rms residual over the rms error of the turning points. A noisy turn widens the
+    # interval of the offset, and needs no doubt of its own.
+    chance_factor = 2.0
+    chance = chance_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
     if fit.residual > max(align.max_residual, chance):
         message = (
             f"the clocks agree to {1e3 * fit.residual:.3g} ms rms at the turning points, "
             f"the protocol allows {1e3 * align.max_residual:.3g} ms"
         )
         yield doubtful("alignment_residual", "align", message, "clock")
-    known_to = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
-    if abs(fit.drift) - known_to > align.max_drift:  # more than chance would have it
+    half_width = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
+    if abs(fit.drift) - half_width > align.max_drift:  # beyond its uncertainty
         message = (
-            f"the clocks drift by {1e6 * fit.drift:.4g} ppm, known to {1e6 * known_to:.3g} ppm, "
+            f"the clocks drift by {1e6 * fit.drift:.4g} ppm, known to {1e6 * half_width:.3g} ppm, "
             f"the protocol allows {1e6 * align.max_drift:.4g} ppm"
         )
-        # instruments keep time to parts in a million: these may be recordings of two tests
+        # clocks are accurate to parts per million: these may be recordings of two tests
         yield doubtful("alignment_drift", "align", message, "clock", "displacement", "force")
     if len(fit.event_times_motion) == 1:
-        message = "only one turning point was seen by both: the drift is taken as zero"
+        message = "only one turning point is in both records: the drift is assumed to be zero"
         yield doubtful("alignment_one_event", "align", message, "clock")
 
 
-_RATE = 1e-4
-"""How far two recorders may differ in rate that were never compared."""
-_SMOOTH, _SHARE = 0.5, 0.3
-"""As for `rough_peaks`: s, and share of the range."""
-_FAR, _SURELY = 1.0, 3.0
-"""s by which a peak of the force may be off its turn by a rough look at it; and standard errors."""
-
-
-def stated_clocks(
+def use_stated_clocks(
     force: Signal, align: AlignStated, motion: Signal, strokes: tuple[Stroke, ...]
 ) -> tuple[ClockFit, list[Finding]]:
-    """Take an offset between the clocks of force and motion as it is stated.
+    """Use the stated offset between the clocks of force and motion.
 
     Parameters
     ----------
-    force : the raw channel whose peaks are to lie at the turns
+    force : the raw channel, whose peaks should be at the turns
     align : offset, drift, uncertainty and reason of the protocol
     motion, strokes : on the clock of the motion
 
     Returns
     -------
-    The fit, with the statement in place of an event; a note, and a doubt where the force peaks
+    The fit, with the stated offset as its only event; a note, and a doubt if the force peaks
     elsewhere.
 
     Notes
     -----
-    Without a stated uncertainty the offset is taken as known to one sample of the slower recorder.
-    The drift is known to 100 ppm / sqrt(3), a rectangle (GUM, JCGM 100:2008, sec. 4.3.7).
+    The default uncertainty of the offset is one sample of the slower recorder. That of the drift
+    is 100 ppm / sqrt(3), a rectangular distribution (GUM, JCGM 100:2008, sec. 4.3.7).
     """
-    known_to = align.uncertainty
-    if known_to is None:
-        known_to = max(median(np.diff(motion.time)), median(np.diff(force.time)))
+    # Between two recorders that were never compared.
+    max_rate_difference = 1e-4
+    error = align.uncertainty
+    if error is None:
+        error = max(median(np.diff(motion.time)), median(np.diff(force.time)))
     fit = ClockFit(
         offset=align.offset,
         drift=align.drift,
-        offset_interval=Interval.normal_95(align.offset, known_to),
-        drift_interval=Interval.normal_95(align.drift, _RATE / sqrt(3.0)),
+        offset_interval=Interval.normal_95(align.offset, error),
+        drift_interval=Interval.normal_95(align.drift, max_rate_difference / sqrt(3.0)),
         residual=0.0,
         event_times_motion=np.zeros(1),
         event_times_force=np.full(1, align.offset),
-        event_errors=np.full(1, known_to),
+        event_errors=np.full(1, error),
         method=f"stated: {align.because}",
     )
     message = (
         f"the offset of the clocks is stated, not measured: {align.offset:.6g} s, standard "
-        f"uncertainty {known_to:.3g} s"
+        f"uncertainty {error:.3g} s"
         f"{'' if align.uncertainty is not None else ' (one sample, as none is stated)'}, drift "
         f"{1e6 * align.drift:.4g} ppm, because: {align.because}"
     )
     note = info_note("clocks_stated", "align", message)
-    return fit, [note, *_contradicted(force, fit, motion, strokes)]
+    return fit, [note, *_check_stated_offset(force, fit, motion, strokes)]
 
 
-def _contradicted(
+def _check_stated_offset(
     force: Signal, fit: ClockFit, motion: Signal, strokes: tuple[Stroke, ...]
 ) -> Iterator[Finding]:
-    """Doubt a statement by which the force peaks long before or after the motion turns."""
+    """Doubt a stated offset with which the force peaks long before or after the motion turns."""
+    # s
+    smoothing, peak_share = 0.5, 0.3
+    # s, and standard errors of the stated offset.
+    max_peak_lag, lag_error_factor = 1.0, 3.0
     if not strokes or _is_constant(force):
         return
-    force = upright(force)
-    peaks = rough_peaks(force.time, force.values, smoothing=_SMOOTH, share=_SHARE)
+    force = with_rising_force(force)
+    peaks = rough_peaks(force.time, force.values, smoothing=smoothing, share=peak_share)
     if not len(peaks):
         return
     ends = [motion.time[[before.stop, after.start]] for before, after in pairwise(strokes)]
@@ -343,89 +343,91 @@ def _contradicted(
         for top in tops
         if force.time[0] <= top[0] and top[1] <= force.time[-1]
     ]
-    known_to = float(fit.event_errors[0])
-    off = median(np.array(lags)) if lags else 0.0
-    if off <= _FAR + _SURELY * known_to:
+    error = float(fit.event_errors[0])
+    lag = median(np.array(lags)) if lags else 0.0
+    if lag <= max_peak_lag + lag_error_factor * error:
         return
     message = (
-        f"by the stated offset the force peaks {off:.2f} s away from where the "
-        "motion turns: look at its sign (time of the force less time of the motion) and at the "
-        "files"
+        f"with the stated offset the force peaks {lag:.2f} s away from the turns of the "
+        "motion: check its sign (time of the force minus time of the motion) and the files"
     )
     yield doubtful("clocks_stated_wrong", "align", message, "clock", "force")
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """A turning point that both recorders have seen: their times, s, and the difference's error."""
+class SharedTurn:
+    """Times (s) of a turning point in both records, and the error of their difference."""
 
     motion: float
     force: float
     error: float
 
 
-def start_together(
+def fit_common_start(
     force: Signal,
     align: AlignCommonStart,
     motion: Signal,
     strokes: tuple[Stroke, ...],
     turns: list[Turn],
 ) -> tuple[ClockFit, list[Finding]]:
-    """Fit the force's clock to the motion's, both started by one trigger.
+    """Fit the clock of the force to that of the motion, both started by one trigger.
 
     Parameters
     ----------
-    force : the raw channel that is to show the turns
+    force : the raw channel that shows the turns
     align : channel and limits of the protocol
-    motion, strokes, turns : the travel, its strokes, and the turns that were found between them
+    motion, strokes, turns : the travel, its strokes, and the turns between them
 
     Returns
     -------
-    The fit, and a doubt where the two did not start together.
+    The fit, and a doubt if the two did not start together.
 
     Notes
     -----
-    Three kinds of evidence in one weighted least-squares fit of offset and drift: the common start
-    says offset = 0 with the standard uncertainty max_offset / sqrt(3) of a rectangle, instruments
-    say drift = 0 with that of max_drift (GUM, JCGM 100:2008, sec. 4.3.7), every corner of the force
-    says what its difference to the turn of the motion is. A sharp corner so decides within the
-    limits of the start, a blurred one leaves what the start says. Where the corner contradicts the
-    start by more than its own 95 % interval, the start is left out and the clocks are doubtful.
+    Offset and drift are a weighted least-squares fit to three kinds of equations: offset = 0 with
+    the standard uncertainty max_offset / sqrt(3) of a rectangular distribution; drift = 0 with that
+    of max_drift (GUM, JCGM 100:2008, sec. 4.3.7); and the difference of times at every turn. If the
+    turns contradict the common start by more than their own 95 % interval, the start is left out
+    and the clocks are doubtful.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     if _is_constant(force):
         message = (
             f"the {align.channel} is constant at {float(np.nanmean(force.values)):.6g} "
             f"{force.unit}: is it the right channel, and is the cell connected?"
         )
-        found.append(blocking("constant_channel", align.channel, message))
-    seen = _seen(force, align, motion, strokes, turns)
-    at_turn = _weighted(seen)
+        findings.append(blocking("constant_channel", align.channel, message))
+    shared_turns = _shared_turns(force, align, motion, strokes, turns)
+    at_turn = _weighted_difference(shared_turns)
     together = at_turn is None or abs(at_turn[0]) - 1.96 * at_turn[1] <= align.max_offset
-    fit = _fit_together(seen, align, together=together)
-    return fit, [*found, _finding(fit, align, at_turn, together=together)]
+    fit = _fit_turns(shared_turns, align, together=together)
+    return fit, [*findings, _start_finding(fit, align, at_turn, together=together)]
 
 
-def _seen(
+def _shared_turns(
     force: Signal,
     align: AlignCommonStart,
     motion: Signal,
     strokes: tuple[Stroke, ...],
     turns: list[Turn],
-) -> list[Seen]:
-    """Turns at the top of loading that the force has seen as well."""
-    force = upright(force)
-    pairs = _paired(motion, force, strokes, align)
+) -> list[SharedTurn]:
+    """Find the turns at the top of loading in both records."""
+    force = with_rising_force(force)
+    pairs = _rough_turns(motion, force, strokes, align)
     return [
-        Seen(seen.time, felt.corner.time, float(np.hypot(seen.time_error, felt.corner.time_error)))
-        for seen, felt in turn_events(force, pairs, turns, align.force_window)
+        SharedTurn(
+            motion_corner.time,
+            reversal.corner.time,
+            float(np.hypot(motion_corner.time_error, reversal.corner.time_error)),
+        )
+        for motion_corner, reversal in turn_events(force, pairs, turns, align.force_window)
     ]
 
 
-def _paired(
+def _rough_turns(
     motion: Signal, force: Signal, strokes: tuple[Stroke, ...], align: AlignCommonStart
 ) -> list[tuple[int, float]]:
-    """Strokes that end at the top of loading, and where the force roughly turns there."""
+    """Pair the strokes that load with the rough times at which the force turns."""
     loads = [stroke.sign == strokes[0].sign for stroke in strokes[:-1]]
     if sum(loads) == 1:
         near = sharpest_turn(force.time, force.values, width=align.force_window)
@@ -433,8 +435,8 @@ def _paired(
     return match_strokes(motion, force, strokes, sign=strokes[0].sign)[0]
 
 
-def _weighted(seen: list[Seen]) -> tuple[float, float] | None:
-    """Mean difference at the turns and its standard error, s."""
+def _weighted_difference(seen: list[SharedTurn]) -> tuple[float, float] | None:
+    """Return the mean difference at the turns and its standard error, s."""
     if not seen:
         return None
     weights = np.array([seen.error for seen in seen]) ** -2.0
@@ -442,37 +444,39 @@ def _weighted(seen: list[Seen]) -> tuple[float, float] | None:
     return float(np.average(differences, weights=weights)), float(weights.sum() ** -0.5)
 
 
-def _fit_together(seen: list[Seen], align: AlignCommonStart, *, together: bool) -> ClockFit:
-    design: Floats = np.array([[1.0, seen.motion] for seen in seen] + [[0.0, 1.0]])
-    says = np.array([seen.force - seen.motion for seen in seen] + [0.0])
-    errors = np.array([seen.error for seen in seen] + [align.max_drift / sqrt(3.0)])
+def _fit_turns(
+    shared_turns: list[SharedTurn], align: AlignCommonStart, *, together: bool
+) -> ClockFit:
+    design: Floats = np.array([[1.0, turn.motion] for turn in shared_turns] + [[0.0, 1.0]])
+    differences = np.array([turn.force - turn.motion for turn in shared_turns] + [0.0])
+    errors = np.array([turn.error for turn in shared_turns] + [align.max_drift / sqrt(3.0)])
     if together:
         design = np.vstack([design, [1.0, 0.0]])
-        says = np.append(says, 0.0)
+        differences = np.append(differences, 0.0)
         errors = np.append(errors, align.max_offset / sqrt(3.0))
     weighted = design / errors[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
-    offset, drift = (float(say) for say in covariance @ weighted.T @ (says / errors))
-    offset_error, drift_error = (float(each) for each in np.sqrt(np.diag(covariance)))
-    events = seen or [Seen(0.0, 0.0, align.max_offset / sqrt(3.0))]  # the trigger itself
+    offset, drift = (float(value) for value in covariance @ weighted.T @ (differences / errors))
+    offset_error, drift_error = (float(error) for error in np.sqrt(np.diag(covariance)))
+    events = shared_turns or [SharedTurn(0.0, 0.0, align.max_offset / sqrt(3.0))]  # the trigger
     motion, force, spread = np.array([[e.motion, e.force, e.error] for e in events]).T
-    left = force - offset - (1.0 + drift) * motion
-    how = "the force's corner at the turn"
-    how = f"common start and {how}" if together else f"{how} alone"
+    residuals = force - offset - (1.0 + drift) * motion
+    evidence = "the force's corner at the turn"
+    evidence = f"common start and {evidence}" if together else f"{evidence} alone"
     return ClockFit(
         offset=offset,
         drift=drift,
         offset_interval=Interval.normal_95(offset, offset_error),
         drift_interval=Interval.normal_95(drift, drift_error),
-        residual=float(np.sqrt(np.mean(left**2))),
+        residual=float(np.sqrt(np.mean(residuals**2))),
         event_times_motion=motion,
         event_times_force=force,
         event_errors=spread,
-        method=f"{how}, drift taken as zero within a bound",
+        method=f"{evidence}, drift taken as zero within a bound",
     )
 
 
-def _finding(
+def _start_finding(
     fit: ClockFit,
     align: AlignCommonStart,
     at_turn: tuple[float, float] | None,
@@ -482,20 +486,20 @@ def _finding(
     if at_turn is None:
         message = (
             f"the {align.channel} shows no corner at a turn of the motion: the common start, "
-            f"within {1e3 * align.max_offset:.3g} ms, is taken as it is"
+            f"within {1e3 * align.max_offset:.3g} ms, is used unchecked"
         )
         return info_note("start_unchecked", "align", message)
-    known, apart = 1.96e3 * at_turn[1], abs(at_turn[0])
-    far = f"{apart:.2f} s" if apart > 1.0 else f"{1e3 * apart:.4g} ms"
-    said = (
-        f"the {align.channel} turns {far} "
-        f"{'after' if at_turn[0] >= 0.0 else 'before'} the motion, known to {known:.2g} ms"
+    known_to_ms, size = 1.96e3 * at_turn[1], abs(at_turn[0])
+    size_text = f"{size:.2f} s" if size > 1.0 else f"{1e3 * size:.4g} ms"
+    start = (
+        f"the {align.channel} turns {size_text} "
+        f"{'after' if at_turn[0] >= 0.0 else 'before'} the motion, known to {known_to_ms:.2g} ms"
     )
     if together:
-        message = f"{said}; started together, so {1e3 * fit.offset:.4g} ms is taken at the start"
+        message = f"{start}; with the common start the offset is {1e3 * fit.offset:.4g} ms"
         return info_note("common_start", "align", message)
     message = (
-        f"{said}: the recorders did not start within {1e3 * align.max_offset:.3g} ms of each "
-        "other; the difference at the turn is taken"
+        f"{start}: the recorders did not start within {1e3 * align.max_offset:.3g} ms of each "
+        "other; the difference at the turn is used"
     )
     return doubtful("not_started_together", "align", message, "clock", "force")

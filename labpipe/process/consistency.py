@@ -1,8 +1,8 @@
-"""Whether a record contradicts itself: cycle against cycle, force against displacement.
+"""Check a record for contradictions: cycle against cycle, force against displacement.
 
-Each check compares one statistic with one threshold. The thresholds are multiples of what real
-cyclic tests and simulated ones reach at most (docs/explanations/consistency.md), so that a clean
-record fails a check in fewer than one case in fifty.
+Each check compares one statistic with one threshold. The thresholds are multiples of the maxima
+in real and simulated cyclic tests (docs/explanations/consistency.md), so that a clean record fails
+a check in fewer than one case in fifty.
 """
 
 from __future__ import annotations
@@ -20,25 +20,13 @@ from labpipe.records.limits import LIMITS, Limits
 from labpipe.records.quality import Finding, doubtful
 from labpipe.signal.turning_points import noise_level
 
-POINTS, BLOCKS = 40, 400
-"""Places on a branch at which cycles are compared; means that a branch is reduced to before."""
-MIN_SAMPLES = 5
-"""Samples of a branch below which it is not compared."""
-MIN_OVERLAP = 0.5
-"""Share of the travel that two cycles must have in common."""
-SCALE_RATIO = 3.0
-"""Misfit of two cycles as recorded over that after a change of scale or level: at most 2.0 in 246
-pairs of real cycles and of simulated ones, whose changes of the material alter the shape."""
-UNLOADING_SCALE_RATIO, UNLOADING_LEVEL_RATIO = 5.5, 8.0
-"""The same of unloading alone: at most 4.0 and 6.2 there."""
-SURE = 8.0
-"""Standard deviations of the noise that a growth must exceed."""
-BROKEN_WAY = 0.8
-"""Share of the way back over which a broken specimen carries nothing."""
-REPEATED = 40
-"""Samples in a row, all different, that no recording repeats to the last digit."""
-MAX_TABLE = 200_000
-"""Samples of a record that may have gone through a spreadsheet, where rows are copied."""
+COMPARED_POINTS = 40
+"""Displacements of a branch at which cycles are compared."""
+MIN_BRANCH_SAMPLES = 5
+"""Shorter branches are not compared."""
+MIN_SCALE_RATIO = 3.0
+"""Misfit of two cycles as recorded, over the misfit after a change of scale or level. It is at most
+2.0 in 246 pairs of real and simulated cycles, where the material changes the shape of the curve."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +39,7 @@ class Cycle:
 
 
 def check_consistency(where: str, curve: Curve, limits: Limits = LIMITS) -> Iterator[Finding]:
-    """Compare the parts of a record with each other.
+    """Compare the parts of a record.
 
     Parameters
     ----------
@@ -61,18 +49,18 @@ def check_consistency(where: str, curve: Curve, limits: Limits = LIMITS) -> Iter
 
     Yields
     ------
-    Of each check that fails: which cycle, when, how much, and what it makes doubtful.
+    A finding for each failed check: which cycle, when, how much, and what is doubtful.
     """
     if not curve.branches:
         return
     largest = float(np.nanmax(np.abs(curve.force), initial=0.0))
     cycles = list(_cycles(curve))
-    yield from _repeated(where, curve)
+    yield from _check_repetition(where, curve)
     if largest > 0.0:
-        yield from _unlike_cycles(where, curve, cycles, largest, limits)
-        yield from _turns(where, curve, largest, limits)
-        yield from _loops(where, curve, cycles, limits)
-        yield from _carries_again(where, curve, cycles, limits)
+        yield from _check_cycles(where, curve, cycles, largest, limits)
+        yield from _check_turns(where, curve, largest, limits)
+        yield from _check_energy(where, curve, cycles, limits)
+        yield from _check_second_specimen(where, curve, cycles, limits)
 
 
 def _cycles(curve: Curve) -> Iterator[Cycle]:
@@ -80,7 +68,7 @@ def _cycles(curve: Curve) -> Iterator[Cycle]:
         if first.direction is not Direction.LOADING or second.cycle != first.cycle:
             continue
         paths = _path(curve, first), _path(curve, second)
-        if min(len(path[0]) for path in paths) >= MIN_SAMPLES:
+        if min(len(path[0]) for path in paths) >= MIN_BRANCH_SAMPLES:
             yield Cycle(first, second, paths)
 
 
@@ -88,40 +76,43 @@ def _path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
     part = slice(branch.start, branch.stop)
     both = np.stack([curve.displacement[part], curve.force[part]])
     both = both[:, ~np.isnan(both).any(axis=0)]
-    size = max(1, both.shape[1] // BLOCKS)
+    max_means = 400
+    size = max(1, both.shape[1] // max_means)
     means = both[:, : both.shape[1] // size * size].reshape(2, -1, size).mean(axis=2)
     displacement, force = means[:, np.argsort(means[0], kind="stable")]
     return displacement, force
 
 
 def _common(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
-    """Forces of some paths at the same displacements; empty where they hardly overlap."""
-    if min(len(path[0]) for path in paths) < MIN_SAMPLES:
+    """Return the forces of several paths at common displacements; empty if they hardly overlap."""
+    min_common_share = 0.5
+    if min(len(path[0]) for path in paths) < MIN_BRANCH_SAMPLES:
         return ()
     low, high = max(path[0][0] for path in paths), min(path[0][-1] for path in paths)
     span = max(path[0][-1] for path in paths) - min(path[0][0] for path in paths)
-    if not high - low > MIN_OVERLAP * span:
+    if not high - low > min_common_share * span:
         return ()
-    places = np.linspace(low, high, POINTS + 2)[1:-1]
+    places = np.linspace(low, high, COMPARED_POINTS + 2)[1:-1]
     return tuple(np.interp(places, *path) for path in paths)
 
 
-def _unlike_cycles(
+def _check_cycles(
     where: str, curve: Curve, cycles: list[Cycle], largest: float, limits: Limits
 ) -> Iterator[Finding]:
-    """A change of scale or level that is the same in all of a cycle is one of the instruments.
+    """Doubt changes of scale or level that are the same over a whole cycle.
 
-    Conditioning, hardening, fatigue and a set alter loading and unloading differently; a first
-    loading is like no other, so that unloading is compared alone as well.
+    The instruments cause them: conditioning, hardening, fatigue and permanent set change loading
+    and unloading differently. Unloading is also compared alone, because a first loading differs
+    from all others.
     """
     for before, after in pairwise(cycles):
-        change = _change(before, after, largest, limits.cycle_change)
+        change = _instrument_change(before, after, largest, limits.cycle_change)
         if change is None:
             continue
         is_level, what, remedy = change
         message = (
             f"from cycle {after.loading.cycle} on ({_at(curve, after.loading.start)}) {what}, in "
-            f"loading and unloading alike, as no specimen changes: {remedy}"
+            f"loading and unloading alike, which no specimen causes: {remedy}"
         )
         during = (float(curve.time[before.unloading.stop - 1]), float(curve.time[-1]))
         if is_level:
@@ -130,75 +121,83 @@ def _unlike_cycles(
             yield doubtful("cycle_scale", where, message, "force", "displacement", during=during)
 
 
-def _change(
+def _instrument_change(
     before: Cycle, after: Cycle, largest: float, least: float
 ) -> tuple[bool, str, str] | None:
-    """Whether the level (or the scale) of an instrument changed, words for it, and a remedy."""
+    """Return whether the level (or else the scale) changed, a description, and a remedy."""
+    # The ratios of unloading alone are at most 4.0 and 6.2 in the same pairs.
+    unloading_scale_ratio, unloading_level_ratio = 5.5, 8.0
     forces = _common(*before.paths, *after.paths)
     if not forces:
         return None
     old, new = np.concatenate(forces[:2]), np.concatenate(forces[2:])
-    wholly = slice(None), SCALE_RATIO, SCALE_RATIO
-    unloading = slice(POINTS, None), UNLOADING_SCALE_RATIO, UNLOADING_LEVEL_RATIO
-    for part, scale_ratio, level_ratio in (wholly, unloading):
+    whole_cycle = slice(None), MIN_SCALE_RATIO, MIN_SCALE_RATIO
+    unloading = slice(COMPARED_POINTS, None), unloading_scale_ratio, unloading_level_ratio
+    for part, scale_ratio, level_ratio in (whole_cycle, unloading):
         first, second = old[part], new[part]
         recorded = _rms(second - first)
         scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
         left, left_level = _rms(second - scale * first), _rms(second - level - first)
         if left < left_level and abs(scale - 1.0) > least and recorded > scale_ratio * left:
-            words = f"the force over displacement is {scale:.4g} times that of the cycle before"
-            return False, words, "look for a change of range, gain or encoder"
+            description = (
+                f"the force over displacement is {scale:.4g} times that of the cycle before"
+            )
+            return False, description, "check for a change of range, gain or encoder"
         if abs(level) > least * largest and recorded > level_ratio * left_level:
-            words = f"the force is {level:+.4g} N off that of the cycle before"
-            return True, words, "look for a new zero of the load cell"
+            description = f"the force is {level:+.4g} N off that of the cycle before"
+            return True, description, "check for a new zero of the load cell"
     first_back, back = before.paths[1], after.paths[1]
     stretch = back[0][-1] / first_back[0][-1] if first_back[0][-1] > 0.0 else 1.0
     scaled = _common(first_back, (back[0] / stretch, back[1])) if stretch > 0.0 else ()
     left = _rms(scaled[1] - scaled[0]) if scaled else np.inf
-    if abs(stretch - 1.0) < least or _rms(new[POINTS:] - old[POINTS:]) < SCALE_RATIO * left:
+    recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
+    if abs(stretch - 1.0) < least or recorded < MIN_SCALE_RATIO * left:
         return None
-    words = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
-    return False, words, "look for a change of the encoder or its scale"
+    description = f"the travel is {stretch:.4g} times that of the cycle before at equal forces"
+    return False, description, "check for a change of the encoder or its scale"
 
 
-def _turns(where: str, curve: Curve, largest: float, limits: Limits) -> Iterator[Finding]:
-    """A force that goes on growing when the motion has turned back is late, or has jumped."""
+def _check_turns(where: str, curve: Curve, largest: float, limits: Limits) -> Iterator[Finding]:
+    """Doubt a force that still grows after the motion has turned: it is late, or has jumped."""
+    noise_factor = 8.0
     sense = sense_of_loading(curve.force[curve.branches[0].start : curve.branches[0].stop])
-    sure = SURE * noise_level(curve.force)
+    min_growth = noise_factor * noise_level(curve.force)
     growths = []
     for before, after in pairwise(curve.branches):
         if before.direction is after.direction:
             continue
-        way = sense if before.direction is Direction.LOADING else -sense
+        sense_of_branch = sense if before.direction is Direction.LOADING else -sense
         ends = [_tenth(curve, before, at_end=True), _tenth(curve, after, at_end=False)]
         width = max(1, min(map(len, ends)) // 10)
         if min(map(len, ends)) >= 3:
-            last, first = (float(_means(way * end, width).max()) for end in ends)
-            step = max(0.0, way * float(ends[0][-1] - ends[0][0])) / (len(ends[0]) - 1)
+            last, first = (float(_means(sense_of_branch * end, width).max()) for end in ends)
+            step = max(0.0, sense_of_branch * float(ends[0][-1] - ends[0][0])) / (len(ends[0]) - 1)
             growths.append((after, first - last - step))  # the turn is between two samples
     if not growths:
         return
-    usual = median(np.array([growth for _, growth in growths]))
-    if usual > max(limits.force_lag * largest, sure):
+    usual_growth = median(np.array([growth for _, growth in growths]))
+    if usual_growth > max(limits.force_lag * largest, min_growth):
         message = (
-            f"the force grows by {usual:.3g} N, {usual / largest:.1%} of the largest, after the "
-            "motion has turned back: force and displacement were not recorded at the same time"
+            f"the force grows by {usual_growth:.3g} N ({usual_growth / largest:.1%} of the peak) "
+            "after the turns of the motion: force and displacement are not synchronous"
         )
         yield doubtful("force_late", where, message, "clock")
         return
-    branch, most = max(growths, key=lambda turn: turn[1])
-    if most > max(limits.turn_jump * largest, sure):
+    branch, growth = max(growths, key=lambda turn: turn[1])
+    if growth > max(limits.turn_jump * largest, min_growth):
         message = (
-            f"the force jumps by {most:.4g} N where the motion turns back at "
-            f"{_at(curve, branch.start)} (cycle {branch.cycle}), against the way it should go: "
-            "look at the cable and at the tare of the load cell"
+            f"the force jumps by {growth:.4g} N where the motion turns at "
+            f"{_at(curve, branch.start)} (cycle {branch.cycle}), in the wrong direction: check the "
+            "cable and the tare of the load cell"
         )
         during = (float(curve.time[branch.start]), float(curve.time[-1]))
         yield doubtful("turn_jump", where, message, "force", during=during)
 
 
-def _loops(where: str, curve: Curve, cycles: list[Cycle], limits: Limits) -> Iterator[Finding]:
-    """No passive specimen gives back more energy than was put into it."""
+def _check_energy(
+    where: str, curve: Curve, cycles: list[Cycle], limits: Limits
+) -> Iterator[Finding]:
+    """Doubt cycles whose specimen gives back more energy than was put into it."""
     gains = []
     for cycle in cycles:
         forces = _common(*cycle.paths)
@@ -207,13 +206,13 @@ def _loops(where: str, curve: Curve, cycles: list[Cycle], limits: Limits) -> Ite
         loss = sense * float(np.mean(forces[0] - forces[1])) / put_in if put_in else 0.0
         if loss < -limits.energy_gain:
             gains.append((cycle, -loss))
-    # as in most cycles, so perhaps in all: the columns, or the record
+    # in most cycles: the columns may be exchanged, or the record reversed
     touches_all = len(gains) > len(cycles) / 2
     for cycle, gain in gains[:1] if touches_all else gains:
         message = (
             f"in cycle {cycle.loading.cycle} the specimen gives back {gain:.0%} more energy than "
             "was put into it: the record runs backwards, columns are exchanged, or the force is "
-            "late or stood still"
+            "late or frozen"
         )
         quantities = ("force", "displacement", "clock") if touches_all else ("force",)
         inner = curve.time[[cycle.loading.start + 1, cycle.unloading.stop - 2]]
@@ -221,47 +220,52 @@ def _loops(where: str, curve: Curve, cycles: list[Cycle], limits: Limits) -> Ite
         yield doubtful("energy_gained", where, message, *quantities, during=during)
 
 
-def _carries_again(
+def _check_second_specimen(
     where: str, curve: Curve, cycles: list[Cycle], limits: Limits
 ) -> Iterator[Finding]:
-    """A specimen that carried nothing on the whole way back is broken; what carries is another."""
+    """Doubt a record that goes on with another specimen after the first one broke."""
+    unloading_quantile = 0.8  # below it, a broken specimen carries no force on the way back
     for before in cycles:
         later = [branch for branch in curve.branches if branch.start >= before.unloading.stop]
-        if not later or later[0].stop - later[0].start < MIN_SAMPLES:
+        if not later or later[0].stop - later[0].start < MIN_BRANCH_SAMPLES:
             continue
         forces = _common(*before.paths, _path(curve, later[0]))
         if not forces:
             continue
-        first, back, second = (float(np.quantile(np.abs(force), BROKEN_WAY)) for force in forces)
+        first, back, second = (
+            float(np.quantile(np.abs(force), unloading_quantile)) for force in forces
+        )
         if back < limits.broken_force * first and second > limits.second_loading * first:
             message = (
                 f"the specimen is broken at the end of cycle {before.loading.cycle} (it carries "
-                f"{back:.3g} N on the way back), and cycle {later[0].cycle} carries "
-                f"{second:.4g} N: a second specimen in one record? Export them apart"
+                f"{back:.3g} N in unloading), but cycle {later[0].cycle} carries "
+                f"{second:.4g} N: a second specimen in one record? Export them separately"
             )
             yield doubtful("second_specimen", where, message, "force", "displacement")
             return
 
 
-def _repeated(where: str, curve: Curve) -> Iterator[Finding]:
-    """Measured samples never repeat in a row to the last digit, unless rows were copied."""
+def _check_repetition(where: str, curve: Curve) -> Iterator[Finding]:
+    """Doubt a record with a long sequence of samples that occurs twice: rows were copied."""
+    min_repeated = 40
+    max_samples = 200_000  # longer records have not been edited in a spreadsheet
     force, displacement = curve.force, curve.displacement
-    if not 4 * REPEATED <= len(force) <= MAX_TABLE:
+    if not 4 * min_repeated <= len(force) <= max_samples:
         return
     rows = np.stack([force[:-1], force[1:], displacement[:-1], displacement[1:]])
     keys = np.array([1.0, np.e, np.pi, np.sqrt(2.0)]) @ rows  # equal for equal rows
     order = np.argsort(keys, kind="stable")
     lags = np.diff(order)[np.diff(keys[order]) == 0.0]
-    if len(lags) < REPEATED:
+    if len(lags) < min_repeated:
         return
     lag = int(np.argmax(np.bincount(np.abs(lags))))
     same = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
-    runs = [run for run in stretches_of(same) if len(np.unique(force[slice(*run)])) >= REPEATED]
+    runs = [run for run in stretches_of(same) if len(np.unique(force[slice(*run)])) >= min_repeated]
     if runs:
         start, stop = runs[0]
         message = (
-            f"{stop - start} samples in a row from {_at(curve, start)} on stand again, to "
-            f"the last digit, {lag} samples later: were rows copied? Export the recording again"
+            f"{stop - start} samples from {_at(curve, start)} on occur again, {lag} samples later: "
+            "were rows copied? Export the recording again"
         )
         yield doubtful("samples_repeated", where, message, "force", "displacement")
 

@@ -1,7 +1,7 @@
-"""The curve: force and displacement on one clock, and what frame, grips and slack add to it.
+"""The curve: force and displacement on one clock, corrected for frame, grips and slack.
 
-They follow one another in the order of the protocol's keys, on the curve as it was split into
-branches; the aligned signals stay as measured.
+Corrections are made in the order of the keys of the protocol, after the split into branches; the
+aligned signals stay as measured.
 """
 
 from __future__ import annotations
@@ -44,13 +44,11 @@ from labpipe.signal.turning_points import branch_numbers
 from labpipe.uncertainty.extractors import Decide, Trace
 from labpipe.uncertainty.intervals import Measured
 
-_MAY_FALL = 0.025
-"""Share of the curves with such noise in which a force that surely rises may fall."""
 Corrected: TypeAlias = tuple[ReducedTest, list[Finding]]
 
 
-def aligned(test: ReducedTest) -> Aligned:
-    """Sample all raw signals at the times of the displacement; the curve's own by its words."""
+def align_signals(test: ReducedTest) -> Aligned:
+    """Sample all raw signals at the times of the displacement."""
     time = test.displacement.time
     series = {
         test.signals.quantities.get(name, name): Series(
@@ -61,10 +59,10 @@ def aligned(test: ReducedTest) -> Aligned:
     return Aligned(time, series, test.clocks.force, test.displacement.time_unit)
 
 
-def put_together(
+def build_curve(
     test: ReducedTest, unfiltered: Signal, motion: Motion
 ) -> tuple[Curve | None, list[Finding]]:
-    """Put force and displacement on one clock: the curve; none where the records do not overlap.
+    """Build the curve, force and displacement on one clock; None if the records do not overlap.
 
     Parameters
     ----------
@@ -74,7 +72,7 @@ def put_together(
     """
     displacement = test.displacement
     time = displacement.time
-    force = test.clocks.sampled(unfiltered, time)  # filtered once its corners are known
+    force = test.clocks.sampled(unfiltered, time)  # filtered after its corners are known
     if np.isnan(force).all():
         force_time = test.force.time
         message = (
@@ -82,13 +80,13 @@ def put_together(
             f"{time[0]:.3f} s to {time[-1]:.3f} s do not overlap"
         )
         return None, [blocking("no_overlap", "align", message)]
-    moved = tuple(_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
+    moved = tuple(_branch_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
     branch, cycle = branch_numbers(len(time), moved)
     return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
 
 
-def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
-    """Count a branch in samples of another time axis on the same clock."""
+def _branch_on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
+    """Convert the sample numbers of a branch to another time axis on the same clock."""
     if len(motion_time) == len(time):
         return branch
     last = min(branch.stop, len(motion_time)) - 1
@@ -108,42 +106,43 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> Corrected:
 
     Returns
     -------
-    With another curve and displacement, with failure, slips and slack; and what was done.
+    The test with corrected curve, failure, slips and slack; and the findings.
     """
-    rule = None
+    rule = lost = None
     if block.failure is not None:
         failure = block.failure
         rule = LossOfForce(failure.force_below, failure.loss, failure.within)
-    lost = (
-        None if rule is None else final_loss_of(test, rule)
-    )  # seen on the unfiltered force, which no filter has blurred
-    test, found = _filtered_in_pieces(test, lost), list[Finding]()
+        lost = find_final_loss(test, rule)  # in the unfiltered force
+    test, findings = _filter_branches(test, lost), list[Finding]()
     if block.compliance is not None and block.compliance.value > 0.0:
-        test, found = _without_compliance(test, block.compliance)
+        test, findings = _subtract_compliance(test, block.compliance)
     if rule is not None and test.curve is not None:
-        test = replace(test, failure=_failure(test.curve, lost, rule))
+        test = replace(test, failure=_find_failure(test.curve, lost, rule))
     if block.slips is not None:
-        test, more = _with_slips(test, block.slips)
-        found += more
+        test, more_findings = _correct_slips(test, block.slips)
+        findings += more_findings
     test = replace(test, replicates=replicate_curves(test))
     if block.slack is not None:
-        test, more = _without_slack(test, block.slack)
-        found += more
-    # Reported last: slack moves the place that displacement counts from.
+        test, more_findings = _subtract_slack(test, block.slack)
+        findings += more_findings
+    # Reported last, because slack shifts the origin of the displacement.
     where = test.signals.force
-    return test, [*found, *(warning(f"slip_{x.decision}", where, _said(x)) for x in test.slips)]
+    return test, [
+        *findings,
+        *(warning(f"slip_{x.decision}", where, _slip_message(x)) for x in test.slips),
+    ]
 
 
-def without_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
-    """Put single bad samples of the force on the line between their neighbours.
+def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
+    """Interpolate single outliers of the force.
 
     Parameters
     ----------
-    signals : the raw force is used, and stays
+    signals : with the raw force, which is not changed
 
     Returns
     -------
-    The unfiltered force on its own clock, and a note.
+    The unfiltered force without outliers on its own clock, and a note.
     """
     signal = signals.raw[signals.force]
     outliers = find_spikes(signal.values)
@@ -152,36 +151,36 @@ def without_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     first = int(outliers[0])
     at = f"at {signal.time[first]:.3f} s" if signal.has_time else f"in sample {first + 1}"
     message = (
-        f"{len(outliers)} samples far off their neighbours, the first {signal.values[first]:.4g} N "
-        f"{at}: put on the line between them"
+        f"{len(outliers)} outliers of the force, the first {signal.values[first]:.4g} N {at}: "
+        "replaced by interpolation"
     )
     bridge = replace(signal, values=bridge_spikes(signal.values, outliers))
     return bridge, [warning("stray_samples", signals.force, message)]
 
 
-def _without_compliance(test: ReducedTest, compliance: MachineCompliance) -> Corrected:
-    """Displacement of the specimen alone, and what it is with another compliance."""
+def _subtract_compliance(test: ReducedTest, compliance: MachineCompliance) -> Corrected:
+    """Compute the displacement of the specimen alone, also with a higher compliance."""
     curve = test.curve
     if curve is None:
         return test, []
     value = compliance.value
-    less = partial(correct_displacement, force=curve.force, compliance=value)
-    signal = test.displacement.changed(less)
+    correct = partial(correct_displacement, force=curve.force, compliance=value)
+    signal = test.displacement.changed(correct)
     _refuse_backwards(test, curve, signal.values, value)
     if compliance.uncertainty:
         higher = value * (1.0 + compliance.uncertainty)
         other = correct_displacement(curve.displacement, curve.force, compliance=higher)
         signal = replace(signal, moved={**signal.moved, COMPLIANCE: other})
-    most = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
+    largest = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
     message = (
-        f"{1e6 * value:.4g} um/N x force taken off the displacement, {most:.4g} um at the most"
+        f"{1e6 * value:.4g} um/N x force subtracted from the displacement, at most {largest:.4g} um"
     )
-    made = replace(_with_displacement(test, curve, signal), compliance=value)
-    return made, [info_note("compliance_removed", test.signals.displacement, message)]
+    corrected = replace(_with_displacement(test, curve, signal), compliance=value)
+    return corrected, [info_note("compliance_removed", test.signals.displacement, message)]
 
 
 def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value: float) -> None:
-    """Refuse a compliance that is more than frame and specimen give way together."""
+    """Refuse a compliance larger than that of frame and specimen together."""
     branch = test.first_loading
     if branch is None:
         return
@@ -195,59 +194,69 @@ def _refuse_backwards(test: ReducedTest, curve: Curve, corrected: Floats, value:
     message = error_text(
         "curve.compliance",
         "",
-        expected=f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N on the way up",
+        expected=f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N in loading",
         found=f"{1e6 * value:.4g} um/N, with which the specimen would get shorter",
-        remedy="Look at its unit, and at the test of the stiff bar it comes from.",
+        remedy="Check its unit, and the test of the stiff bar.",
     )
     raise ProcessingError(message)
 
 
-def final_loss_of(test: ReducedTest, rule: LossOfForce) -> int | Failure | None:
-    """Find the sample of the curve at which the force begins to be lost.
+def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | None:
+    """Find the sample at which the final loss of force begins.
 
     Parameters
     ----------
     test : with a curve
-    rule : by which it is lost
+    rule : definition of the loss
 
     Returns
     -------
-    Its number, or why it is lost nowhere; None without a loading.
+    Its number, or why there is no loss; None without a loading.
     """
     curve, branch = test.curve, test.first_loading
     if curve is None or branch is None:
         return None
     after = slice(branch.start, None)
     is_back = np.zeros(len(curve.time), dtype=np.bool_)
-    for point in curve.branches:
-        is_back[point.start : point.stop] = point.direction is Direction.UNLOADING
-    force = _sense(curve) * curve.force[after]
-    found = final_loss(curve.time[after], force, rule, is_back[after])
-    return found if isinstance(found, Failure) else found + branch.start
+    for other_branch in curve.branches:
+        is_back[other_branch.start : other_branch.stop] = (
+            other_branch.direction is Direction.UNLOADING
+        )
+    force = _loading_sign(curve) * curve.force[after]
+    sample = final_loss(curve.time[after], force, rule, is_back[after])
+    return sample if isinstance(sample, Failure) else sample + branch.start
 
 
-def _failure(
+def _find_failure(
     curve: Curve, lost: int | Failure | None, rule: LossOfForce
 ) -> FailurePoint | Failure | None:
     if isinstance(lost, Failure) and lost.code == "no_break":
-        up = slice(curve.branches[0].start, None)
-        sense = sense_of_loading(curve.displacement[up])
-        at = slow_loss(sense * curve.displacement[up], _sense(curve) * curve.force[up], rule)
-        return lost if at is None else FailurePoint(up.start + at, slow_below=rule.force_below)
+        loading = slice(curve.branches[0].start, None)
+        sense = sense_of_loading(curve.displacement[loading])
+        sample = slow_loss(
+            sense * curve.displacement[loading], _loading_sign(curve) * curve.force[loading], rule
+        )
+        return (
+            lost
+            if sample is None
+            else FailurePoint(loading.start + sample, slow_below=rule.force_below)
+        )
     if lost is None or isinstance(lost, Failure):
         return lost
-    up = slice(loading_before(curve, lost).start, lost + 1)
-    return FailurePoint(lost, lost_earlier(curve.time[up], _sense(curve) * curve.force[up], rule))
+    loading = slice(loading_before(curve, lost).start, lost + 1)
+    return FailurePoint(
+        lost, lost_earlier(curve.time[loading], _loading_sign(curve) * curve.force[loading], rule)
+    )
 
 
-def _sense(curve: Curve) -> float:
-    """Which way the force goes when the specimen is loaded for the first time."""
+def _loading_sign(curve: Curve) -> float:
+    """Return the sign of the force in the first loading."""
     first = curve.branches[0]
     return sense_of_loading(curve.force[first.start : first.stop])
 
 
-def _filtered_in_pieces(test: ReducedTest, lost: int | Failure | None) -> ReducedTest:
-    """Filter force and displacement anew, each branch by itself: their corners are known now."""
+def _filter_branches(test: ReducedTest, lost: int | Failure | None) -> ReducedTest:
+    """Filter force and displacement again, each branch separately: the corners are known now."""
     curve, signals = test.curve, test.signals
     names = {"force": signals.force, "displacement": signals.displacement}
     if curve is None or not set(names.values()) & signals.filters.keys():
@@ -255,53 +264,59 @@ def _filtered_in_pieces(test: ReducedTest, lost: int | Failure | None) -> Reduce
     ends = [at for branch in curve.branches for at in (branch.start_time, branch.stop_time)]
     ends += [float(curve.time[lost])] if isinstance(lost, int) else []
     raw = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
-    changed = {"force": curve.force, "displacement": curve.displacement}
+    curve_values = {"force": curve.force, "displacement": curve.displacement}
     for quantity, name in names.items():
         if name in signals.filters:
             cuts = cuts_of(test.clocks, ends, raw[name])
-            made = raw[name].changed(partial(in_pieces, cuts=cuts, filters=signals.filters[name]))
-            filtered = replace(signals.filtered[name], values=made.values, moved=made.moved)
+            filtered_signal = raw[name].changed(
+                partial(in_pieces, cuts=cuts, filters=signals.filters[name])
+            )
+            filtered = replace(
+                signals.filtered[name], values=filtered_signal.values, moved=filtered_signal.moved
+            )
             signals = signals.with_filtered(name, filtered)
             time = signals.filtered[signals.displacement].time
-            changed[quantity] = test.clocks.sampled(filtered, time)
-    corrected = replace(curve, force=changed["force"], displacement=changed["displacement"])
+            curve_values[quantity] = test.clocks.sampled(filtered, time)
+    corrected = replace(
+        curve, force=curve_values["force"], displacement=curve_values["displacement"]
+    )
     return replace(test, signals=signals, curve=corrected)
 
 
-def _with_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
+def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
     curve, stretch = test.curve, test.loading_stretch
     if curve is None or stretch.stop <= stretch.start:
         return test, []
     decision = SlipDecision(block.decision)
     displacement, force = curve.displacement[stretch], curve.force[stretch]
-    found = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
-    if isinstance(found, Failure):
-        return test, [warning("slips_not_looked_for", test.signals.force, found.message)]
+    slips_or_failure = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
+    if isinstance(slips_or_failure, Failure):
+        return test, [warning("slips_not_looked_for", test.signals.force, slips_or_failure.message)]
     slips = tuple(
         replace(slip, start=slip.start + stretch.start, stop=slip.stop + stretch.start)
-        for slip in found
+        for slip in slips_or_failure
     )
     test = replace(test, slips=slips)
     if slips and decision is SlipDecision.REPAIRED:
-        return _repaired(test, curve), []
-    return _cut(test, curve) if slips and decision is SlipDecision.CUT else test, []
+        return _add_slips_back(test, curve), []
+    return _cut_at_slip(test, curve) if slips and decision is SlipDecision.CUT else test, []
 
 
-def _said(slip: Slip) -> str:
-    done = {
+def _slip_message(slip: Slip) -> str:
+    treatments = {
         SlipDecision.MARKED: "the curve stays as measured",
-        SlipDecision.REPAIRED: "added back to all that follows",
+        SlipDecision.REPAIRED: "added back to the rest of the curve",
         SlipDecision.CUT: "the curve ends before it",
     }
     where = f"{1e3 * slip.position:.4g} mm"
     return (
-        f"the force falls suddenly by {slip.drop:.3g} N at {where}, as when a specimen slips in "
-        f"the grips: {done[slip.decision]}"
+        f"the force falls suddenly by {slip.drop:.3g} N at {where}, as if the specimen slipped in "
+        f"the grips: {treatments[slip.decision]}"
     )
 
 
-def _repaired(test: ReducedTest, curve: Curve) -> ReducedTest:
-    """Add the drops back; what is left once the specimen broke is not raised."""
+def _add_slips_back(test: ReducedTest, curve: Curve) -> ReducedTest:
+    """Add the drops back, except after the failure of the specimen."""
     force = add_back(curve.force, test.slips)
     if isinstance(test.failure, FailurePoint):
         broken = slice(test.failure.sample + 1, None)
@@ -309,16 +324,16 @@ def _repaired(test: ReducedTest, curve: Curve) -> ReducedTest:
     return replace(test, curve=replace(curve, force=force))
 
 
-def _cut(test: ReducedTest, curve: Curve) -> ReducedTest:
-    """Nothing counts from the first slip on."""
-    kept = samples_before(test.slips, len(curve.force))
-    force = np.where(np.arange(len(curve.force)) < kept, curve.force, np.nan)
+def _cut_at_slip(test: ReducedTest, curve: Curve) -> ReducedTest:
+    """Discard the curve from the first slip on."""
+    stop = samples_before(test.slips, len(curve.force))
+    force = np.where(np.arange(len(curve.force)) < stop, curve.force, np.nan)
     branches = tuple(
-        replace(branch, stop=min(branch.stop, kept), stop_time=float(curve.time[kept - 1]))
-        if branch.stop > kept
+        replace(branch, stop=min(branch.stop, stop), stop_time=float(curve.time[stop - 1]))
+        if branch.stop > stop
         else branch
         for branch in curve.branches
-        if branch.start < kept
+        if branch.start < stop
     )
     return replace(
         test,
@@ -328,46 +343,48 @@ def _cut(test: ReducedTest, curve: Curve) -> ReducedTest:
     )
 
 
-def _without_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
+def _subtract_slack(test: ReducedTest, block: SlackBlock) -> Corrected:
     curve, where = test.curve, test.signals.displacement
     if curve is None:
         return test, []
     decide = partial(slack_of, start_share=block.start, stop_share=block.stop)
-    slack = slack_by(test, decide)
+    slack = measure_slack(test, decide)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
         if slack.code == "no_toe":
             return test, [warning("no_toe", where, slack.message)]
-        message = f"slack not found, so not taken off ({slack.message})"
+        message = f"slack not found, so not subtracted ({slack.message})"
         return test, [doubtful("slack_unknown", where, message, "displacement")]
-    off = slack.value
-    made = replace(
-        _with_displacement(test, curve, test.displacement.changed(lambda values: values - off)),
+    offset = slack.value
+    corrected = replace(
+        _with_displacement(test, curve, test.displacement.changed(lambda values: values - offset)),
         replicates=test.replicates and counted_from_taut(test.replicates, decide, slack),
-        slips=tuple(_moved(slip, off) for slip in test.slips),
+        slips=tuple(_shift_slip(slip, offset) for slip in test.slips),
     )
-    message = f"{1e3 * off:.4g} mm of slack taken off: displacement counts from where it is taut"
-    return made, [info_note("slack_removed", where, message)]
+    message = f"{1e3 * offset:.4g} mm of slack subtracted from the displacement"
+    return corrected, [info_note("slack_removed", where, message)]
 
 
-def slack_by(test: ReducedTest, decide: Decide) -> Measured | Failure:
-    """Measure the slack, where the force surely rises and the curve has a toe.
+def measure_slack(test: ReducedTest, decide: Decide) -> Measured | Failure:
+    """Measure the slack of a curve that has a toe.
 
     Parameters
     ----------
     test : with a curve
-    decide : on the linear region
+    decide : finds the linear region
 
     Returns
     -------
     The slack (m), or a failure ``not_rising``, ``no_toe`` or one of `decide`.
     """
-    found = test.measure(decide)
-    if isinstance(found, Failure):
-        return found
-    slack, trace = found[0], traced(test)
-    if np.isnan(slack.off).mean() > _MAY_FALL:
-        message = "in some curves with such noise the force does not rise in the linear region"
+    # Share of the replicate curves.
+    max_falling_share = 0.025
+    measured = test.measure(decide)
+    if isinstance(measured, Failure):
+        return measured
+    slack, trace = measured[0], traced(test)
+    if np.isnan(slack.off).mean() > max_falling_share:
+        message = "with noise of this size the force may not rise in the linear region"
         return Failure("not_rising", message)
     at = loading_of(trace).start
     first, load = float(trace.displacement[at]), float(trace.force[at])
@@ -375,16 +392,16 @@ def slack_by(test: ReducedTest, decide: Decide) -> Measured | Failure:
         return Failure(
             "no_toe",
             f"the line meets zero force at {1e3 * slack.value:.4g} mm, before the first sample at "
-            f"{1e3 * first:.4g} mm and {load:.4g} N: the curve is steepest where it begins",
+            f"{1e3 * first:.4g} mm and {load:.4g} N: the curve is steepest at its beginning",
         )
     return slack
 
 
 def _preload_explains(slack: Measured, decide: Decide, trace: Trace, at: int) -> bool:
-    """Whether a line back to zero force goes below a first sample because that one has a load.
+    """Check whether the line meets zero force before the first sample because of a preload.
 
-    Where the line reaches the force of the first sample is near that sample if the curve is
-    straight from there on, close to the slack if the curve was steeper than the line.
+    The line reaches the force of the first sample near that sample if the curve is straight from
+    there on, and close to the slack if the curve is steeper than the line.
     """
     first = float(trace.displacement[at])
     if slack.interval.upper >= first:
@@ -397,7 +414,7 @@ def _preload_explains(slack: Measured, decide: Decide, trace: Trace, at: int) ->
     return place - slack.value >= 0.5 * (first - slack.value)
 
 
-def _moved(slip: Slip, slack: float) -> Slip:
+def _shift_slip(slip: Slip, slack: float) -> Slip:
     interval = slip.position_interval
     moved = replace(interval, lower=interval.lower - slack, upper=interval.upper - slack)
     return replace(slip, position=slip.position - slack, position_interval=moved)

@@ -1,4 +1,4 @@
-"""What exports, folders and names of files say about a test: its day, operator and specimen."""
+"""Facts about a test in exports, folder names and file names: day, operator and specimen."""
 
 from __future__ import annotations
 
@@ -13,47 +13,49 @@ from labpipe.process.certificates import DAY_KEYS
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
-_DAYS = (*DAY_KEYS, "Date", "Datum", "Date/heure", "Date/Clock time", "Data Header")
-"""What exports call the day of the test."""
-_OPERATOR = ("User", "author", "Operator", "Prüfer", "Tester", "Bediener", "Opérateur")
-_SPECIMEN = (
+_DAY_ENTRIES = (*DAY_KEYS, "Date", "Datum", "Date/heure", "Date/Clock time", "Data Header")
+"""Metadata keys of the day of the test."""
+_OPERATOR_ENTRIES = ("User", "author", "Operator", "Prüfer", "Tester", "Bediener", "Opérateur")
+_SPECIMEN_ENTRIES = (
     "Specimen label",
     "Specimen number (included)",
     "Probebezeichnung",
     "Probenbezeichnung",
     "aktuelle Probe",
 )
-_TEST = ("Take Name", "Test Run")
-_SIZES = MappingProxyType(
+_TEST_ENTRIES = ("Take Name", "Test Run")
+_SIZE_ENTRIES = MappingProxyType(
     {
         "length": ("Length", "Einspannlänge"),
         "width": ("Width", "Probenbreite b0"),
         "thickness": ("Thickness", "Probendicke a0"),
     }
 )
-_NOBODY = frozenset({"", "-", "none", "<none>", "default", "unknown", "user", "administrator"})
-"""Entries that programs make where nobody filled a field in."""
-_ISO = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
-_DOTTED = re.compile(r"(?<!\d)(\d{1,2})\.(\d{1,2})\.(\d{4})(?!\d)")
-_EITHER = re.compile(r"(?<!\d)(\d{1,2})[/-](\d{1,2})[/-](\d{4})(?!\d)(.*)", re.DOTALL)
-_AMERICAN = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
-"""Clock of twelve hours in capitals, as Windows writes it in the United States, month first."""
-_IN_A_ROW = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
-_WITH_LENGTH = re.compile(r"(?P<type>.+)-(?P<length>\d{3})-(?P<sample>\d{1,3}[a-z]?)")
-_WITHOUT = re.compile(r"(?P<type>.+?)[-_](?P<sample>\d{1,3}[a-z]?)")
+_EMPTY_ENTRIES = frozenset(
+    {"", "-", "none", "<none>", "default", "unknown", "user", "administrator"}
+)
+"""Entries of programs for a field that nobody filled in."""
+_ISO_DATE = re.compile(r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})(?!\d)")
+_DOTTED_DATE = re.compile(r"(?<!\d)(\d{1,2})\.(\d{1,2})\.(\d{4})(?!\d)")
+_SLASHED_DATE = re.compile(r"(?<!\d)(\d{1,2})[/-](\d{1,2})[/-](\d{4})(?!\d)(.*)", re.DOTALL)
+_US_CLOCK = re.compile(r"\s+\d{1,2}:\d\d(?::\d\d)?\s*(?:AM|PM)\b")
+"""12-hour clock in capitals, the US format of Windows, which puts the month first."""
+_COMPACT_DATE = re.compile(r"(?<!\d)(20\d\d)(\d\d)(\d\d)(?!\d)")
+_NAME_WITH_LENGTH = re.compile(r"(?P<type>.+)-(?P<length>\d{3})-(?P<sample>\d{1,3}[a-z]?)")
+_NAME_WITHOUT_LENGTH = re.compile(r"(?P<type>.+?)[-_](?P<sample>\d{1,3}[a-z]?)")
 FOLDER = "the name of the folder"
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One thing that is said about a test.
+    """One fact about a test and its source.
 
     Parameters
     ----------
     key : column of a campaign's table: ``date``, ``operator``, ``type``, ``sample``, ``length``
-        ...; ``take`` for the name that a program gave to the test
-    value : as a test sheet writes it; empty where it can be read in two ways
-    where : who says it, such as ``force.mat``
+        ...; ``take`` for the name of the test in a program
+    value : as a test sheet writes it; empty if ambiguous
+    where : its source, such as ``force.mat``
     written : as it is written there
     """
 
@@ -64,13 +66,13 @@ class Fact:
 
 
 @dataclass(frozen=True, slots=True)
-class Agreed:
-    """What all that is said about a test comes to.
+class CombinedFacts:
+    """The facts of all sources of a test, combined.
 
     Parameters
     ----------
-    facts : one of each key on which all agree; `where` names all that say it
-    open : sentences on what is said in two ways, or can be read in two ways: it is left out
+    facts : by key, those on which all sources agree; `where` names all of them
+    open : sentences on contradictory or ambiguous facts, which are left out
     """
 
     facts: Mapping[str, Fact]
@@ -78,32 +80,41 @@ class Agreed:
 
 
 def facts_of_export(name: str, recording: Recording) -> tuple[Fact, ...]:
-    """Collect what an export says about its test.
+    """Collect the facts that an export holds about its test.
 
     Parameters
     ----------
-    name : of the file, whose date counts where the export itself has none
-    recording : as its reader gives it
+    name : of the file; its date is used if the export has none
+    recording : from its reader
 
     Returns
     -------
-    Its facts. The time at which the file was written is none of them: a copy has another.
+    Its facts. The modification time of the file is not one of them: copying changes it.
     """
-    said = dict(_entries(recording.metadata))
-    dated = {word: text for word, text in said.items() if _has_day(text)}
-    facts = [Fact("date", day_in(text), name, text) for text in _first(dated, _DAYS)]
+    entries = dict(_entries(recording.metadata))
+    dated_entries = {
+        name_of_entry: text for name_of_entry, text in entries.items() if _has_date(text)
+    }
+    facts = [
+        Fact("date", day_in(text), name, text)
+        for text in _first_filled(dated_entries, _DAY_ENTRIES)
+    ]
     if not facts:
         facts = [Fact("date", day, f"the name of {name}", name) for day in days_in_name(name)]
-    for key, words in (("operator", _OPERATOR), ("specimen", _SPECIMEN), ("take", _TEST)):
-        facts += [Fact(key, text, name, text) for text in _first(said, words)]
-    for key, words in _SIZES.items():
-        sizes = [text for text in _first(said, words) if _is_length(text)]
+    for key, entry_names in (
+        ("operator", _OPERATOR_ENTRIES),
+        ("specimen", _SPECIMEN_ENTRIES),
+        ("take", _TEST_ENTRIES),
+    ):
+        facts += [Fact(key, text, name, text) for text in _first_filled(entries, entry_names)]
+    for key, entry_names in _SIZE_ENTRIES.items():
+        sizes = [text for text in _first_filled(entries, entry_names) if _is_length(text)]
         facts += [Fact(key, text, name, text) for text in sizes]
     return tuple(facts)
 
 
 def facts_of_folder(name: str) -> tuple[Fact, ...]:
-    """Read the name of a folder as labs form it: ``A2-085-1`` is type, length in mm, sample.
+    """Parse a folder name such as ``A2-085-1``: type, length in mm, sample.
 
     Parameters
     ----------
@@ -118,17 +129,17 @@ def facts_of_folder(name: str) -> tuple[Fact, ...]:
     >>> facts_of_folder("Test Run 4 10-23-2023 6 43 09 PM")
     ()
     """
-    if days_in_name(name) or _EITHER.search(name):
+    if days_in_name(name) or _SLASHED_DATE.search(name):
         return ()
-    found = _WITH_LENGTH.fullmatch(name) or _WITHOUT.fullmatch(name)
-    said = found.groupdict() if found else {}
-    if "length" in said:
-        said["length"] = f"{int(said['length'])} mm"
-    return tuple(Fact(key, value, FOLDER, name) for key, value in said.items())
+    match = _NAME_WITH_LENGTH.fullmatch(name) or _NAME_WITHOUT_LENGTH.fullmatch(name)
+    parts = match.groupdict() if match else {}
+    if "length" in parts:
+        parts["length"] = f"{int(parts['length'])} mm"
+    return tuple(Fact(key, value, FOLDER, name) for key, value in parts.items())
 
 
 def days_in_name(name: str) -> list[str]:
-    """Find days in the name of a file or folder, the year first: there the order is plain.
+    """Find dates in the name of a file or folder that begin with the year.
 
     Parameters
     ----------
@@ -139,12 +150,12 @@ def days_in_name(name: str) -> list[str]:
     >>> days_in_name("Take 2020-08-03 11.05.00 AM.csv"), days_in_name("20260304_A2.mat")
     (['2020-08-03'], ['2026-03-04'])
     """
-    written = [*_ISO.findall(name), *_IN_A_ROW.findall(name)]
-    return list(dict.fromkeys(day for parts in written if (day := _iso(*parts))))
+    written = [*_ISO_DATE.findall(name), *_COMPACT_DATE.findall(name)]
+    return list(dict.fromkeys(day for parts in written if (day := _iso_date(*parts))))
 
 
 def day_in(text: str) -> str:
-    """Read the day in a date as a program wrote it.
+    """Parse a date in the format of some program.
 
     Parameters
     ----------
@@ -152,7 +163,7 @@ def day_in(text: str) -> str:
 
     Returns
     -------
-    ISO date; empty if there is none, or if day and month could be either way round.
+    ISO date; empty if there is none, or if the order of day and month is ambiguous.
 
     Examples
     --------
@@ -161,23 +172,23 @@ def day_in(text: str) -> str:
     >>> day_in("03/09/2026 10:05:00")
     ''
     """
-    if match := _ISO.search(text):
-        return _iso(*match.groups())
-    if match := _DOTTED.search(text):
-        return _iso(match[3], match[2], match[1])
-    if match := _EITHER.search(text):
+    if match := _ISO_DATE.search(text):
+        return _iso_date(*match.groups())
+    if match := _DOTTED_DATE.search(text):
+        return _iso_date(match[3], match[2], match[1])
+    if match := _SLASHED_DATE.search(text):
         month_first, day_first = (
-            _iso(match[3], match[1], match[2]),
-            _iso(match[3], match[2], match[1]),
+            _iso_date(match[3], match[1], match[2]),
+            _iso_date(match[3], match[2], match[1]),
         )
-        if _AMERICAN.match(match[4]) or not day_first or month_first == day_first:
+        if _US_CLOCK.match(match[4]) or not day_first or month_first == day_first:
             return month_first
         return "" if month_first else day_first
     return ""
 
 
-def agreed(facts: Iterable[Fact]) -> Agreed:
-    """Bring together what several say about one test.
+def combine_facts(facts: Iterable[Fact]) -> CombinedFacts:
+    """Combine the facts of several sources about one test.
 
     Parameters
     ----------
@@ -186,47 +197,49 @@ def agreed(facts: Iterable[Fact]) -> Agreed:
     by_key: dict[str, list[Fact]] = {}
     for fact in facts:
         by_key.setdefault(fact.key, []).append(fact)
-    kept, left_open = {}, []
-    for key, said in by_key.items():
-        plain = [fact for fact in said if fact.value]
-        values = dict.fromkeys(fact.value for fact in plain)
+    agreed_facts, left_open = {}, []
+    for key, facts_of_key in by_key.items():
+        clear_facts = [fact for fact in facts_of_key if fact.value]
+        values = dict.fromkeys(fact.value for fact in clear_facts)
         if len(values) == 1:
-            first = plain[0]
-            where = list(dict.fromkeys(fact.where for fact in plain))
-            kept[key] = Fact(key, first.value, " and ".join(where), first.written)
+            first = clear_facts[0]
+            where = list(dict.fromkeys(fact.where for fact in clear_facts))
+            agreed_facts[key] = Fact(key, first.value, " and ".join(where), first.written)
         elif values:
-            each = ", ".join(f"{fact.value} in {fact.where}" for fact in plain)
-            left_open.append(f"{key}: {each}; left out, write the right one")
+            statements = ", ".join(f"{fact.value} in {fact.where}" for fact in clear_facts)
+            left_open.append(f"{key}: {statements}; left out, write the correct one")
         else:
-            each = ", ".join(f"{fact.written!r} in {fact.where}" for fact in said)
-            left_open.append(f"{key}: {each} can be read day first or month first; left out")
-    return Agreed(kept, tuple(left_open))
+            statements = ", ".join(f"{fact.written!r} in {fact.where}" for fact in facts_of_key)
+            left_open.append(f"{key}: {statements} can be read day first or month first; left out")
+    return CombinedFacts(agreed_facts, tuple(left_open))
 
 
 def _entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """What an export says, by the last word of each key; the first of a word counts."""
+    """Yield metadata entries by the last part of their key; the first entry of a name is used."""
     seen: set[str] = set()
     for key, value in metadata.items():
         if key in ("channels", "clocks", "objects", "rigid_bodies"):
-            continue  # of these there are many, and they say nothing about the test
-        inner = _entries(value) if isinstance(value, Mapping) else [(_word(key), str(value))]
+            continue  # lists that hold no facts about the test
+        inner = _entries(value) if isinstance(value, Mapping) else [(_last_part(key), str(value))]
         for word, text in inner:
             if word not in seen:
                 seen.add(word)
                 yield word, text.strip()
 
 
-def _word(key: str) -> str:
+def _last_part(key: str) -> str:
     return key.rpartition(" : ")[2].strip()
 
 
-def _first(said: Mapping[str, str], words: Iterable[str]) -> list[str]:
-    """The first entry that somebody filled in, as a list of one or none."""
-    return [said[word] for word in words if said.get(word, "").casefold() not in _NOBODY][:1]
+def _first_filled(entries: Mapping[str, str], names: Iterable[str]) -> list[str]:
+    """Return the first entry that was filled in, as a list of one or none."""
+    return [
+        entries[name] for name in names if entries.get(name, "").casefold() not in _EMPTY_ENTRIES
+    ][:1]
 
 
-def _has_day(text: str) -> bool:
-    return any(form.search(text) for form in (_ISO, _DOTTED, _EITHER))
+def _has_date(text: str) -> bool:
+    return any(form.search(text) for form in (_ISO_DATE, _DOTTED_DATE, _SLASHED_DATE))
 
 
 def _is_length(text: str) -> bool:
@@ -235,7 +248,7 @@ def _is_length(text: str) -> bool:
     return False
 
 
-def _iso(year: str, month: str, day: str) -> str:
+def _iso_date(year: str, month: str, day: str) -> str:
     with suppress(ValueError):
         return date(int(year), int(month), int(day)).isoformat()
     return ""

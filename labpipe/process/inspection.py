@@ -1,4 +1,4 @@
-"""What an export is: program, channels, rates, gaps, oddities; nothing processed."""
+"""Describe an export without processing it: program, channels, rates, gaps, notes."""
 
 from __future__ import annotations
 
@@ -15,27 +15,24 @@ from labpipe.records.arrays import Floats, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
 
-_SI = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
-"""Units that a channel's own unit is turned into when the export states one."""
+_SI_UNITS = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
+"""Units to which the unit of a channel is converted."""
 
-_ANGLES = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
+_ANGLE_UNITS = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
 """Units of pure numbers that mean an angle."""
 
-_IN_TABLE = frozenset({"marker_gaps", "body_gaps"})
-"""Notes that only repeat, in words, the table of objects."""
-
-_MOST_RANGES = 100
-"""Gaps listed with their rows, per object; the count is of all."""
+_TABLE_NOTES = frozenset({"marker_gaps", "body_gaps"})
+"""Notes that repeat the table of objects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inspection:
-    """An export and what its reader made of it.
+    """An export and its recording.
 
     Parameters
     ----------
     file : the export
-    recording : everything it holds
+    recording : its content
     """
 
     file: Path
@@ -43,7 +40,7 @@ class Inspection:
 
 
 def inspect_export(path: Path) -> Inspection:
-    """Recognise an export by its content and read it whole.
+    """Recognise an export by its content and read all of it.
 
     Parameters
     ----------
@@ -51,18 +48,18 @@ def inspect_export(path: Path) -> Inspection:
 
     Returns
     -------
-    The inspection. A time axis that cannot be processed is a note of severity error here.
+    The inspection. A time axis that cannot be processed is a note of severity error.
 
     Raises
     ------
     ReadError
-        If the file is of no known format, or too damaged to be read at all.
+        If the format of the file is unknown, or the file is too damaged to be read.
     """
     return Inspection(path, recognise_export(path).read(path))
 
 
 def as_json(inspection: Inspection) -> dict[str, object]:
-    """Facts of an inspection as `labpipe inspect --json` prints them.
+    """Convert an inspection to the data that `labpipe inspect --json` prints.
 
     Parameters
     ----------
@@ -70,8 +67,8 @@ def as_json(inspection: Inspection) -> dict[str, object]:
 
     Returns
     -------
-    Only what JSON can hold. Numbers are in SI where the export says the unit, else as in the file
-    with ``unit`` None; a number that does not exist is None; rows are counted from 0.
+    Data for JSON. Numbers are in SI if the export states the unit, else as in the file with
+    ``unit`` None; a missing number is None; rows are counted from 0.
     """
     recording = inspection.recording
     return {
@@ -106,7 +103,7 @@ def _stream(clock: Clock, recording: Recording) -> dict[str, object]:
 
 
 def _is_uneven(clock: Clock, recording: Recording) -> bool:
-    """Whether long steps of a time axis are how its program samples, not losses."""
+    """Check whether the program samples unevenly, so that long steps are not losses."""
     notes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
     return clock.name in SAMPLED_ON_EVENT or TIME_VARIABLE in notes
 
@@ -127,7 +124,7 @@ def _timing(time: Floats, *, on_event: bool) -> dict[str, object]:
 
 def _channel(channel: Channel) -> dict[str, object]:
     unit, factor = _si(channel)
-    known = channel.values[~np.isnan(channel.values)] * factor
+    finite = channel.values[~np.isnan(channel.values)] * factor
     return {
         "name": channel.name,
         "path": channel.path,
@@ -135,17 +132,17 @@ def _channel(channel: Channel) -> dict[str, object]:
         "unit_in_file": channel.unit_in_file,
         "first": _end(channel.values * factor, 0),
         "last": _end(channel.values * factor, -1),
-        "min": _number(known.min()) if len(known) else None,
-        "max": _number(known.max()) if len(known) else None,
-        "missing": len(channel.values) - len(known),
+        "min": _number(finite.min()) if len(finite) else None,
+        "max": _number(finite.max()) if len(finite) else None,
+        "missing": len(channel.values) - len(finite),
     }
 
 
 def _si(channel: Channel) -> tuple[str | None, float]:
-    """SI unit of a channel and the factor to it; None and 1 when the export states no unit."""
+    """Return the SI unit of a channel and the factor to it; None and 1 without a unit."""
     if channel.unit is not None or not channel.unit_in_file:
         return channel.unit, 1.0
-    for unit in ("rad",) if channel.unit_in_file in _ANGLES else _SI:
+    for unit in ("rad",) if channel.unit_in_file in _ANGLE_UNITS else _SI_UNITS:
         try:
             return unit, si_factor(channel.unit_in_file, unit)
         except ValueError:
@@ -158,7 +155,7 @@ def _end(values: Floats, place: int) -> float | None:
 
 
 def _number(value: float | np.floating) -> float | None:
-    """Give back a plain number, None for NaN."""
+    """Return a float, or None for NaN and infinity."""
     return float(value) if np.isfinite(value) else None
 
 
@@ -181,11 +178,13 @@ def _markers(tracks: MarkerTracks) -> dict[str, object]:
 
 
 def _gaps(track: Floats) -> dict[str, object]:
+    # The count in the output is of all gaps.
+    max_ranges = 100
     stretches = runs(blank(track))
     return {
         "count": len(stretches),
         "longest": longest(stretches),
-        "ranges": [[run.first, run.last] for run in stretches[:_MOST_RANGES]],
+        "ranges": [[run.first, run.last] for run in stretches[:max_ranges]],
     }
 
 
@@ -208,7 +207,7 @@ def _body(body: RigidBody) -> dict[str, object]:
 
 
 def as_text(inspection: Inspection) -> str:
-    """Facts of an inspection as a page for people.
+    """Convert an inspection to readable text.
 
     Parameters
     ----------
@@ -216,7 +215,7 @@ def as_text(inspection: Inspection) -> str:
 
     Returns
     -------
-    Lines without the last line end.
+    Lines without the last newline.
     """
     recording = inspection.recording
     program = f"{recording.program} {recording.program_version}".strip() or "unknown program"
@@ -225,7 +224,7 @@ def as_text(inspection: Inspection) -> str:
         lines += ["", *_stream_lines(clock, recording)]
     if recording.markers is not None:
         lines += ["", *_marker_lines(recording.markers)]
-    notes = [note for note in recording.notes if note.code not in _IN_TABLE]
+    notes = [note for note in recording.notes if note.code not in _TABLE_NOTES]
     if notes:
         lines += ["", "Notes"]
         lines += [f"  {n.severity.value:7}  {n.where}: {n.message}" for n in notes]
@@ -261,7 +260,7 @@ def _marker_lines(tracks: MarkerTracks) -> list[str]:
 
 
 def _timing_text(timing: Mapping[str, object], what: str) -> str:
-    """One line on a time axis: count, start, end, rate, holes."""
+    """Describe a time axis in one line: count, start, end, rate, holes."""
     text = f"{timing['samples']} {what}"
     if timing["start"] is not None:
         text += f", {_short(timing['start'])} to {_short(timing['end'])} s"
@@ -277,7 +276,7 @@ def _short(value: object) -> str:
 
 
 def _table(rows: list[list[str]]) -> list[str]:
-    """Lines of a table: text to the left, numbers to the right."""
+    """Format a table: text aligned left, numbers aligned right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return [
         "  "

@@ -1,4 +1,4 @@
-"""What paths of a command line stand for: tests to process, results to report, copies."""
+"""Resolve paths of a command line: tests to process, results to report, copies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labpipe.store.replace import STAGES, is_there
 
 
 def recording_of(result: TestResult, protocol: Protocol) -> Hashable:
-    """Say which recording of which specimen a test was made of.
+    """Identify the recording from which a test was made.
 
     Parameters
     ----------
@@ -23,21 +23,21 @@ def recording_of(result: TestResult, protocol: Protocol) -> Hashable:
 
     Returns
     -------
-    Equal for two tests whose exports are the same bytes and of which the same channels, markers and
-    parts were taken, by one protocol. One export may hold several specimens.
+    A key that is equal for two tests with identical exports and the same protocol, channels,
+    markers and parts. One export may hold several specimens.
     """
-    exports = tuple(sorted((each.role, each.sha256) for each in result.inputs))
-    taken = tuple(
-        (role, source.part, *(all_channel.channel for all_channel in source.all_channels.values()))
+    exports = tuple(sorted((file.role, file.sha256) for file in result.inputs))
+    channels = tuple(
+        (role, source.part, *(channel.channel for channel in source.all_channels.values()))
         for role, source in protocol.sources.items()
     )
     markers = protocol.markers
-    seen = None if markers is None else (markers.clamp, markers.along)
-    return result.protocol, exports, taken, seen
+    marker_names = None if markers is None else (markers.clamp, markers.along)
+    return result.protocol, exports, channels, marker_names
 
 
 def find_copies(recordings: Sequence[tuple[Path, Hashable]]) -> dict[str, str]:
-    """Find tests whose recording is that of an earlier one.
+    """Find tests with the recording of an earlier test.
 
     Parameters
     ----------
@@ -45,29 +45,29 @@ def find_copies(recordings: Sequence[tuple[Path, Hashable]]) -> dict[str, str]:
 
     Returns
     -------
-    By file, as text, why it is not to be counted.
+    By file, as text, the reason to leave it out.
     """
     first: dict[Hashable, Path] = {}
     copies: dict[str, str] = {}
     for file, recording in recordings:
-        kept = first.setdefault(recording, file)
-        if kept != file:
+        original = first.setdefault(recording, file)
+        if original != file:
             copies[str(file)] = error_text(
                 file,
                 "",
                 expected="each recording once",
-                found=f"the same exports, byte for byte, as in {kept}",
-                remedy="Look at `files` in both test sheets, or leave the copy out.",
+                found=f"the same exports, byte for byte, as in {original}",
+                remedy="Check `files` in both test sheets, or leave the copy out.",
             )
     return copies
 
 
 RESULT_FILE = "result.h5"
-_A_TEST = "a test.yaml, a folder that holds one, or a result.h5"
+_EXPECTED_TEST = "a test.yaml, a folder that holds one, or a result.h5"
 
 
 def find_tests(targets: Sequence[Path]) -> list[Path]:
-    """Find the tests below some paths.
+    """Find the tests in given paths.
 
     Parameters
     ----------
@@ -75,24 +75,24 @@ def find_tests(targets: Sequence[Path]) -> list[Path]:
 
     Returns
     -------
-    test.yaml and result.h5 files, sorted, each once; none out of a hidden folder.
+    test.yaml and result.h5 files, sorted and unique, without hidden folders.
 
     Raises
     ------
     UsageError
-        If a path does not exist, holds no test, or lies in a folder that labpipe was writing.
+        If a path does not exist, holds no test, or is in a folder that labpipe was writing.
     """
     for target in targets:
         if target.is_file() and target.suffix not in {".yaml", ".yml", ".h5"}:
-            found = f"a {target.suffix or 'nameless'} file"
+            actual = f"a {target.suffix or 'nameless'} file"
             remedy = "An export belongs to a test: `labpipe new` writes its test.yaml."
-            raise _unfit(target, _A_TEST, found, remedy)
+            raise _usage_error(target, _EXPECTED_TEST, actual, remedy)
     remedy = "`labpipe new` writes a test.yaml."
-    return _files(targets, SHEET_NAME, expected=_A_TEST, none="neither", remedy=remedy)
+    return _find_files(targets, SHEET_NAME, expected=_EXPECTED_TEST, none="neither", remedy=remedy)
 
 
 def find_results(targets: Sequence[Path]) -> list[Path]:
-    """Find the processed tests below some paths.
+    """Find the processed tests in given paths.
 
     Parameters
     ----------
@@ -100,21 +100,21 @@ def find_results(targets: Sequence[Path]) -> list[Path]:
 
     Returns
     -------
-    result.h5 files, sorted, each once; none out of a hidden folder.
+    result.h5 files, sorted and unique, without hidden folders.
 
     Raises
     ------
     UsageError
-        If a path does not exist, holds no processed test, or lies in a folder that labpipe was
+        If a path does not exist, holds no processed test, or is in a folder that labpipe was
         writing.
     """
     expected = f"a {RESULT_FILE}, or a folder with processed tests"
-    remedy = "`labpipe process` makes them from the exports of a test."
-    return _files(targets, RESULT_FILE, expected=expected, none="none", remedy=remedy)
+    remedy = "`labpipe process` writes them from the exports of a test."
+    return _find_files(targets, RESULT_FILE, expected=expected, none="none", remedy=remedy)
 
 
 def shared_folder(files: Sequence[Path]) -> Path:
-    """Find the deepest folder that holds all tests; of one test, the folder around it.
+    """Find the deepest folder that holds all tests; of one test, its parent folder.
 
     Parameters
     ----------
@@ -125,33 +125,33 @@ def shared_folder(files: Sequence[Path]) -> Path:
 
 
 def files_below(folder: Path, name: str = "") -> list[Path]:
-    """List files below a folder, but none that are hidden or in a hidden folder.
+    """List files below a folder, except hidden ones and those in hidden folders.
 
     Parameters
     ----------
-    folder : searched through and through; links to folders are not followed
-    name : of the files that are wanted; all of them if empty
+    folder : searched recursively; links to folders are not followed
+    name : of the files; all files if empty
 
     Returns
     -------
-    The files, sorted. What labpipe was writing when it was killed is in a hidden folder.
+    The files, sorted. Unfinished results of a killed process are in hidden folders.
     """
-    found: list[Path] = []
+    paths: list[Path] = []
     for place, folders, files in os.walk(folder):
         folders[:] = [folder for folder in folders if not folder.startswith(".")]
         wanted = [name] if name else [file for file in files if not file.startswith(".")]
-        here = [Path(place, each) for each in wanted]
-        found += [path for path in here if path.name in files or is_there(path)]
-    return sorted(found)
+        here = [Path(place, file_name) for file_name in wanted]
+        paths += [path for path in here if path.name in files or is_there(path)]
+    return sorted(paths)
 
 
-def refuse_repeated(marked: Iterable[tuple[str, Path]], what: str) -> None:
-    """Refuse two tests that share what each has for itself, but for the case of letters.
+def refuse_repeated(marks: Iterable[tuple[str, Path]], what: str) -> None:
+    """Refuse two tests with the same name or results folder, ignoring case.
 
     Parameters
     ----------
-    marked : of each test its name, or where its results go, and its file
-    what : which of these it is
+    marks : name or results folder of each test, and its file
+    what : which of the two it is
 
     Raises
     ------
@@ -160,36 +160,36 @@ def refuse_repeated(marked: Iterable[tuple[str, Path]], what: str) -> None:
     """
     first: dict[str, Path] = {}
     faults = []
-    for mark, file in marked:
+    for mark, file in marks:
         earlier = first.setdefault(mark.casefold(), file)
         if earlier != file:
-            expected, found = f"one test for each {what}", f"a second for {mark!r}"
+            expected, actual = f"one test for each {what}", f"a second for {mark!r}"
             remedy = (
                 f"{earlier} is the first: rename one of them in its test.yaml, or leave it out."
             )
-            faults.append(error_text(file, "", expected=expected, found=found, remedy=remedy))
+            faults.append(error_text(file, "", expected=expected, found=actual, remedy=remedy))
     if faults:
         raise UsageError("\n".join(faults))
 
 
-def _files(
+def _find_files(
     targets: Sequence[Path], name: str, *, expected: str, none: str, remedy: str
 ) -> list[Path]:
-    """Files among some paths, and those of a name below them; `none` where a folder holds none."""
+    """List given files, and files of a name in given folders."""
     files: dict[Path, Path] = {}
     for target in targets:
         if set(target.resolve().parts) & set(STAGES):
             unfinished = "one that labpipe was writing when it was stopped"
-            raise _unfit(target, expected, unfinished, "Process the test again.")
+            raise _usage_error(target, expected, unfinished, "Process the test again.")
         below = [target] if is_there(target) else files_below(target, name)
         if not below:
             missing = none if target.is_dir() else "a pipe or a device"
             missing = missing if target.exists() else "nothing of that name"
-            raise _unfit(target, expected, missing, remedy)
+            raise _usage_error(target, expected, missing, remedy)
         for file in below:
             files.setdefault(file.resolve(), file)
     return list(files.values())
 
 
-def _unfit(target: Path, expected: str, found: str, remedy: str) -> UsageError:
-    return UsageError(error_text(target, "", expected=expected, found=found, remedy=remedy))
+def _usage_error(target: Path, expected: str, actual: str, remedy: str) -> UsageError:
+    return UsageError(error_text(target, "", expected=expected, found=actual, remedy=remedy))

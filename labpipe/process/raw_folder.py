@@ -1,4 +1,4 @@
-"""What lies in the folder of a test: exports, each by its own reader, and files that are none."""
+"""Read the folder of a test: exports, each by its own reader, and other files."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from labpipe.readers import Reader, recognise_export
 from labpipe.readers.unknown_files import describe_unknown
 from labpipe.records.recording import Recording
 
-_OTHER = frozenset({".yaml", ".yml", ".md", ".ini"})
-"""Endings of files that no program exports; they are not asked."""
+_IGNORED_SUFFIXES = frozenset({".yaml", ".yml", ".md", ".ini"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +22,7 @@ class InspectedExport:
     Parameters
     ----------
     path : of the file
-    recording : everything that it holds
+    recording : its content
     """
 
     path: Path
@@ -31,25 +30,25 @@ class InspectedExport:
 
     @property
     def name(self) -> str:
-        """Of the file, as a test sheet writes it."""
+        """Name of the file, as a test sheet writes it."""
         return self.path.name
 
     @property
     def reader(self) -> str:
-        """Of its format."""
+        """Name of the reader of its format."""
         return self.recording.reader
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FolderContents:
-    """What lies in a folder.
+    """The files of a folder.
 
     Parameters
     ----------
-    folder : looked into, but not into the folders below it
+    folder : without its subfolders
     exports : those that can be read, by name
-    others : names of files that are no exports, and what each appears to be
-    unread : names of exports that cannot be read as they are, and why: damaged, cut, locked
+    others : names of other files, and what each appears to be
+    unread : names of exports that cannot be read, and the reason: damaged, truncated, locked
     """
 
     folder: Path
@@ -58,12 +57,12 @@ class FolderContents:
     unread: dict[str, str]
 
 
-def look_into(folder: Path) -> FolderContents:
-    """Read what lies in the folder of a test; by content, never by the names of files.
+def read_folder(folder: Path) -> FolderContents:
+    """Read the files in the folder of a test; formats are recognised by content.
 
     Parameters
     ----------
-    folder : of the test; one that is not there holds nothing
+    folder : of the test; a missing folder is empty
     """
     exports, others, unread = list[InspectedExport](), dict[str, str](), dict[str, str]()
     for path in files_in(folder):
@@ -82,8 +81,8 @@ def look_into(folder: Path) -> FolderContents:
 
 
 def _reader_of(path: Path) -> Reader | None:
-    """The reader of an export; None where it is of no format that is read."""
-    with path.open("rb") as stream:  # what the system refuses is no matter of the format
+    """Return the reader of an export; None if its format is unknown."""
+    with path.open("rb") as stream:  # raises OSError before the format is recognised
         stream.read(1)
     try:
         return recognise_export(path)
@@ -92,7 +91,7 @@ def _reader_of(path: Path) -> Reader | None:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """List the files of a folder that may be exports, by name; none that are hidden.
+    """List the files of a folder that may be exports, by name, without hidden ones.
 
     Parameters
     ----------
@@ -104,12 +103,14 @@ def files_in(folder: Path) -> list[Path]:
 
 
 def _may_be_export(path: Path) -> bool:
-    is_other = path.name == SHEET_NAME or path.suffix in _OTHER or path.name.startswith(".")
+    is_other = (
+        path.name == SHEET_NAME or path.suffix in _IGNORED_SUFFIXES or path.name.startswith(".")
+    )
     return not is_other and path.is_file()
 
 
 def folders_of_tests(folder: Path) -> list[Path]:
-    """List the folders in a folder of a campaign that hold files, by name.
+    """List the test folders of a campaign that hold files, by name.
 
     Parameters
     ----------
@@ -117,9 +118,9 @@ def folders_of_tests(folder: Path) -> list[Path]:
 
     Returns
     -------
-    None where the folder itself is that of a test: it has a test sheet, or no folder with files.
+    The folders; none if the folder is that of a test: it has a test sheet, or no folder with files.
     """
     if (folder / SHEET_NAME).exists() or not folder.is_dir():
         return []
     below = [path for path in sorted(folder.iterdir()) if path.is_dir()]
-    return [each for each in below if not each.name.startswith(".") and files_in(each)]
+    return [path for path in below if not path.name.startswith(".") and files_in(path)]

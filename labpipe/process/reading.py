@@ -1,4 +1,4 @@
-"""From the exports that a test sheet names to recordings in the protocol's words and units."""
+"""Read the exports of a test sheet into recordings with the names and units of the protocol."""
 
 from __future__ import annotations
 
@@ -27,62 +27,77 @@ from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 from labpipe.units import GRAVITY, si_factor
 
-_WORDS = (("newton", "N"), ("kilonewton", "kN"), ("lb", "lbf"), ("pound", "lbf"), ("inch", "in"))
-_SILENT = frozenset({"", "-", "1", "count"})
-"""What programs write in the place of a unit where they know none."""
-_SPELT = MappingProxyType(
+_UNIT_NAMES = (
+    ("newton", "N"),
+    ("kilonewton", "kN"),
+    ("lb", "lbf"),
+    ("pound", "lbf"),
+    ("inch", "in"),
+)
+_NO_UNIT = frozenset({"", "-", "1", "count"})
+"""Entries of programs for an unknown unit."""
+_UNIT_SPELLINGS = MappingProxyType(
     {
         **{unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")},
-        **{f"{word}{s}": unit for word, unit in _WORDS for s in ("", "s")},
+        **{f"{word}{s}": unit for word, unit in _UNIT_NAMES for s in ("", "s")},
     }
 )
-"""Spellings that are no units to labpipe, and the units that they can only mean."""
+"""Spellings that labpipe does not know, and the only unit that each can mean."""
 
 
 def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
-    """Word what is wrong with the unit of a channel; empty if nothing is.
+    """Describe what is wrong with the unit of a channel; empty if nothing is.
 
     Parameters
     ----------
-    channel : as a reader gives it, with the unit that the export states
-    source : of the protocol, with the unit that protocol or test sheet say
+    channel : from a reader, with the unit of the export
+    source : of the protocol, with the unit of protocol or test sheet
     path : of the export
 
     Returns
     -------
-    The message: no unit is stated, the export's is unknown or of another quantity, or `unit`
+    The message: no unit is stated, that of the export is unknown or of another quantity, or `unit`
     contradicts it and `wrong_unit_in_file` does not name it.
     """
-    stated, said = channel.unit_in_file, source.unit
-    if said is None:
+    stated, protocol_unit = channel.unit_in_file, source.unit
+    if protocol_unit is None:
         return _stated_fault(channel, source, path)
-    if stated == source.wrong_unit_in_file or not _contradicts(stated, said, _si_unit(source)):
+    if stated == source.wrong_unit_in_file or not _contradicts(
+        stated, protocol_unit, _si_unit(source)
+    ):
         return ""
-    key, meant = source.key, _meant(stated)
-    is_alike = _same(meant, meant, _si_unit(source))
-    remedy = f"Write {meant} there" if is_alike else _another_channel(source)
+    key, likely_unit = source.key, _known_unit(stated)
+    is_alike = _is_same_unit(likely_unit, likely_unit, _si_unit(source))
+    remedy = f"Write {likely_unit} there" if is_alike else _another_channel(source)
     wrong = in_test_sheet(f"{key}.wrong_unit_in_file", stated)
     return error_text(
         path,
         f"channel {channel.path!r}",
         expected=f"the unit that the export states, {stated!r}",
-        found=f"'{key}.unit: {said}'",
+        found=f"'{key}.unit: {protocol_unit}'",
         remedy=f"{remedy}. Only if the export's own unit is wrong, add {wrong}.",
     )
 
 
 def unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
-    """Say where another unit was taken than the one that the export states.
+    """Note that the unit of the protocol replaced that of the export.
 
     Parameters
     ----------
     channel : in SI, with the unit that the export states
     source : of the protocol
     """
-    said, stated = source.unit, channel.unit_in_file
-    if said is None or not stated or said == stated or _same(said, stated, _si_unit(source)):
+    protocol_unit, stated = source.unit, channel.unit_in_file
+    if (
+        protocol_unit is None
+        or not stated
+        or protocol_unit == stated
+        or _is_same_unit(protocol_unit, stated, _si_unit(source))
+    ):
         return []
-    message = f"the export says {stated!r}, the protocol {said!r}: the protocol was followed"
+    message = (
+        f"the export says {stated!r}, the protocol {protocol_unit!r}: that of the protocol was used"
+    )
     return [QualityNote("unit_overridden", Severity.WARNING, channel.name, message)]
 
 
@@ -91,66 +106,68 @@ def _si_unit(source: ChannelSource) -> str:
 
 
 def _stated_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
-    """Word what is wrong with the unit of the export, which is all that is known."""
+    """Describe what is wrong with the unit of the export, if the protocol states none."""
     stated, target = channel.unit_in_file, source.target_unit
-    if stated and _same(stated, stated, target):
+    if stated and _is_same_unit(stated, stated, target):
         return ""
-    expected, found = f"a unit of the dimension of {target}", repr(stated)
-    meant = _meant(stated) if _same(_meant(stated), _meant(stated), target) else "..."
-    remedy = f"Write {in_test_sheet(f'{source.key}.unit', meant)}."
+    expected, actual = f"a unit of the dimension of {target}", repr(stated)
+    likely_unit = (
+        _known_unit(stated)
+        if _is_same_unit(_known_unit(stated), _known_unit(stated), target)
+        else "..."
+    )
+    remedy = f"Write {in_test_sheet(f'{source.key}.unit', likely_unit)}."
     if not stated:
-        expected, found = "a unit", "none in the file and none in the protocol"
+        expected, actual = "a unit", "none in the file and none in the protocol"
         unit = in_test_sheet(f"{source.key}.unit", target)
         remedy = f"Write the unit of its numbers, such as {unit}."
     elif has_dimension_of(stated, "kg") and target == "N":
         unit = in_test_sheet(f"{source.key}.unit", stated)
         weight = in_test_sheet(f"{source.key}.calibration", f"{{gain: {GRAVITY} N/kg}}")
         remedy = f"{stated} is a unit of mass. To take its weight, write {unit} and {weight}."
-    elif stated not in _SILENT and is_unit(stated):
+    elif stated not in _NO_UNIT and is_unit(stated):
         remedy = f"{_another_channel(source)}, or give '{source.key}.calibration'."
     place = f"channel {channel.path!r}"
-    return error_text(path, place, expected=expected, found=found, remedy=remedy)
+    return error_text(path, place, expected=expected, found=actual, remedy=remedy)
 
 
 def _another_channel(source: ChannelSource) -> str:
     return f"Name another channel with {in_test_sheet(f'{source.key}.channel', '...')}"
 
 
-def _contradicts(stated: str, said: str, si_unit: str) -> bool:
-    """Tell whether two units cannot both be right; one that is unknown says nothing."""
-    if stated in _SILENT or _same(stated, said, si_unit):
+def _contradicts(stated: str, protocol_unit: str, si_unit: str) -> bool:
+    """Check whether two units contradict each other; an unknown unit does not."""
+    if stated in _NO_UNIT or _is_same_unit(stated, protocol_unit, si_unit):
         return False
-    meant = _meant(stated)
-    return is_unit(meant) and not _same(meant, said, si_unit)
+    likely_unit = _known_unit(stated)
+    return is_unit(likely_unit) and not _is_same_unit(likely_unit, protocol_unit, si_unit)
 
 
-def _meant(stated: str) -> str:
-    """The unit that an export means, whether it writes kN or KN."""
-    return stated if is_unit(stated) else _SPELT.get(stated.casefold(), stated)
+def _known_unit(stated: str) -> str:
+    """Return the known unit for the spelling of an export, such as kN for KN."""
+    return stated if is_unit(stated) else _UNIT_SPELLINGS.get(stated.casefold(), stated)
 
 
-def _same(one: str, other: str, si_unit: str) -> bool:
-    """Tell whether two units of a dimension are one and the same."""
+def _is_same_unit(one: str, other: str, si_unit: str) -> bool:
+    """Check whether two units of a dimension are equal."""
     try:
         return isclose(si_factor(one, si_unit), si_factor(other, si_unit), rel_tol=1e-9)
     except ValueError:
         return False
 
 
-_LISTED = 8
-"""Specimens that a message lists."""
 _TWO_TESTS = (
-    "If these are two tests, give each a folder of its own; else name only one of the files under"
+    "If these are two tests, use a folder for each; else name only one of the files under"
     f" 'files' in {SHEET_NAME}."
 )
 DIALECT = "dialect"
-"""Role of a lab's dialect card among the inputs of a test."""
+"""Role of dialect cards of the lab among the inputs of a test."""
 
 
 def read_inputs(
     folder: Path, sheet: TestSheet, protocol: Protocol
 ) -> tuple[dict[str, Recording], tuple[InputFile, ...]]:
-    """Read what a test sheet names, reduced to what the protocol asks for.
+    """Read the exports of a test sheet, reduced to the channels of the protocol.
 
     Parameters
     ----------
@@ -160,8 +177,8 @@ def read_inputs(
 
     Returns
     -------
-    recordings : by role; channels carry the protocol's names and SI units
-    inputs : the files with their fingerprints, in the same order; then the lab's `cards_in_play`
+    recordings : by role; channels have the names of the protocol and SI units
+    inputs : the files with their fingerprints, in the same order; then the dialect cards of the lab
 
     Raises
     ------
@@ -169,19 +186,21 @@ def read_inputs(
         If a file is missing, is not of the format that the protocol names, or lacks a channel.
     """
     files = named_exports(sheet, protocol)
-    # Hashing runs beside reading: it takes as long and lets go of the interpreter.
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        waiting = [beside.submit(fingerprint, folder / name, role, name) for role, name in files]
+    # Hashing runs in a thread: it takes as long as reading and releases the GIL.
+    with ThreadPoolExecutor(max_workers=1) as executor:
+        fingerprints = [
+            executor.submit(fingerprint, folder / name, role, name) for role, name in files
+        ]
         recordings: dict[str, Recording] = {
-            role: joined(
+            role: join_exports(
                 [read_role(folder / name, source) for name in sheet.files[role]],
                 sheet.files[role],
                 folder,
             )
             for role, source in protocol.sources.items()
         }
-        inputs = tuple(each.result() for each in waiting)
-    return recordings, (*inputs, *cards_in_play(protocol))
+        inputs = tuple(future.result() for future in fingerprints)
+    return recordings, (*inputs, *dialect_cards(protocol))
 
 
 def named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
@@ -199,8 +218,8 @@ def named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]
     return [(role, name) for role in protocol.sources for name in sheet.files[role]]
 
 
-def cards_in_play(protocol: Protocol) -> tuple[InputFile, ...]:
-    """Take fingerprints of the lab's own dialect cards, which say how an export is read.
+def dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
+    """Take fingerprints of the dialect cards of the lab, which define how an export is read.
 
     Parameters
     ----------
@@ -208,8 +227,8 @@ def cards_in_play(protocol: Protocol) -> tuple[InputFile, ...]:
 
     Returns
     -------
-    All of them, as inputs of the role `DIALECT`, where a source may be the export of a load frame:
-    a card that is added may fit better than the one before. None elsewhere.
+    All cards, as inputs of the role `DIALECT`, if a source may be a load-frame export: a new card
+    may fit better. None otherwise.
 
     Raises
     ------
@@ -221,8 +240,8 @@ def cards_in_play(protocol: Protocol) -> tuple[InputFile, ...]:
     return tuple(fingerprint(file, DIALECT, file.name) for file in lab_card_files())
 
 
-def joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
-    """Make one recording of all parts; those that took no samples only leave their notes.
+def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
+    """Join all parts into one recording; of empty parts, only the notes are kept.
 
     Parameters
     ----------
@@ -245,15 +264,15 @@ def joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Re
             remedy="The test was aborted before its first sample; leave it out.",
         )
         raise ReadError(message)
-    whole = parts[filled[0]]
+    recording = parts[filled[0]]
     if len(filled) > 1:
-        whole = join_parts([parts[i] for i in filled], [str(folder / names[i]) for i in filled])
+        recording = join_parts([parts[i] for i in filled], [str(folder / names[i]) for i in filled])
     notes = [note for part in parts if is_empty(part) for note in part.notes]
-    return replace(whole, notes=(*whole.notes, *notes))
+    return replace(recording, notes=(*recording.notes, *notes))
 
 
 def is_empty(recording: Recording) -> bool:
-    """Whether an export holds neither samples nor marker tracks, as an aborted step leaves it."""
+    """Check whether an export holds neither samples nor marker tracks, as after an abort."""
     return recording.markers is None and not any(len(clock.time) for clock in recording.clocks)
 
 
@@ -267,26 +286,26 @@ def read_role(path: Path, source: Source) -> Recording:
 
     Returns
     -------
-    The recording with just the channels that the protocol names, under its names, in SI units;
-    one without samples as it is.
+    The recording with only the channels of the protocol, with its names, in SI units; an empty one
+    unchanged.
 
     Raises
     ------
     ReadError
-        As `read_inputs`; also when neither file nor protocol says a unit, or they contradict.
+        As `read_inputs`; also if neither file nor protocol states a unit, or they contradict.
     """
-    wanted = [channel.channel for channel in source.all_channels.values()]
+    channel_names = [channel.channel for channel in source.all_channels.values()]
     try:
         recording = read_export(
-            path, source.reader, channels=wanted, dialect=source.dialect, part=source.part
+            path, source.reader, channels=channel_names, dialect=source.dialect, part=source.part
         )
         return recording if is_empty(recording) else name_channels(recording, source, path)
     except NoChannelError as error:
-        raise ReadError(where_to_name(error, source, path), code=error.code) from error
+        raise ReadError(channel_remedy(error, source, path), code=error.code) from error
 
 
-def where_to_name(error: NoChannelError, source: Source, path: Path) -> str:
-    """Say with which key a test sheet names a channel that was not found, or its specimen.
+def channel_remedy(error: NoChannelError, source: Source, path: Path) -> str:
+    """Complete an error with the key that names the channel, or the specimen.
 
     Parameters
     ----------
@@ -294,9 +313,10 @@ def where_to_name(error: NoChannelError, source: Source, path: Path) -> str:
     source : of the protocol
     path : of the export
     """
+    max_listed = 8
     if error.parts:
-        listed = ", ".join(map(repr, error.parts[:_LISTED]))
-        more = " ..." if len(error.parts) > _LISTED else ""
+        listed = ", ".join(map(repr, error.parts[:max_listed]))
+        more = " ..." if len(error.parts) > max_listed else ""
         part = in_test_sheet(f"{source.key}.part", error.parts[0])
         return error_text(
             path,
@@ -306,57 +326,63 @@ def where_to_name(error: NoChannelError, source: Source, path: Path) -> str:
             remedy=f"Choose one with {part}.",
         )
     keys = [
-        all_channel.key
-        for all_channel in source.all_channels.values()
-        if all_channel.channel == error.wanted
+        channel.key for channel in source.all_channels.values() if channel.channel == error.wanted
     ]
     name = in_test_sheet(f"{keys[0]}.channel", "...") if keys else ""
     return f"{error} Name the right one with {name}." if keys else str(error)
 
 
 def name_channels(recording: Recording, source: Source, path: Path) -> Recording:
-    """Reduce a recording to the channels of a protocol, under its names, in SI units.
+    """Reduce a recording to the channels of a protocol, with its names, in SI units.
 
     Parameters
     ----------
-    recording : as a reader gives it
+    recording : from a reader
     source : of the protocol
     path : of the export, for messages
 
     Returns
     -------
-    The recording without the channels, and the clocks, that are not asked for.
+    The recording without channels and clocks that the protocol does not use.
 
     Raises
     ------
     ReadError
         If a channel is missing, or its unit is unknown or of another dimension.
     """
-    found = [
-        (select_channel(recording, said.channel, path), name, said)
-        for name, said in source.all_channels.items()
+    selected = [
+        (select_channel(recording, channel_source.channel, path), name, channel_source)
+        for name, channel_source in source.all_channels.items()
     ]
-    channels = tuple(_in_si(channel, name, said, path) for channel, name, said in found)
+    channels = tuple(
+        _in_si(channel, name, channel_source, path) for channel, name, channel_source in selected
+    )
     clocks = {channel.clock for channel in channels}
-    kept = tuple(clock for clock in recording.clocks if clock.name in clocks)
+    kept_clocks = tuple(clock for clock in recording.clocks if clock.name in clocks)
     named = zip(channels, source.all_channels.values(), strict=True)
-    notes = [note for channel, said in named for note in unit_notes(channel, said)]
-    notes += [
-        _spelt_note(channel, name, said)
-        for channel, name, said in found
-        if not is_exact_name(said.channel, channel)
+    notes = [
+        note for channel, channel_source in named for note in unit_notes(channel, channel_source)
     ]
-    return replace(recording, channels=channels, clocks=kept, notes=(*recording.notes, *notes))
+    notes += [
+        _spelt_note(channel, name, channel_source)
+        for channel, name, channel_source in selected
+        if not is_exact_name(channel_source.channel, channel)
+    ]
+    return replace(
+        recording, channels=channels, clocks=kept_clocks, notes=(*recording.notes, *notes)
+    )
 
 
-def _spelt_note(channel: Channel, name: str, said: ChannelSource) -> QualityNote:
-    wanted = " or ".join(map(repr, said.channel[:3])) + (" ..." if len(said.channel) > 3 else "")
-    message = f"the export has none called {wanted}: {channel.path!r} was taken"
+def _spelt_note(channel: Channel, name: str, channel_source: ChannelSource) -> QualityNote:
+    wanted = " or ".join(map(repr, channel_source.channel[:3])) + (
+        " ..." if len(channel_source.channel) > 3 else ""
+    )
+    message = f"the export has none called {wanted}: {channel.path!r} was used"
     return QualityNote("channel_spelt_otherwise", Severity.INFO, name, message)
 
 
 def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
-    """Join the parts of one recording, one after the other in time.
+    """Join the parts of one recording in order of time.
 
     Parameters
     ----------
@@ -365,7 +391,7 @@ def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
 
     Returns
     -------
-    One recording; what the export says of itself is that of the first part, notes are of all.
+    One recording with the metadata of the first part and the notes of all.
 
     Raises
     ------
@@ -424,7 +450,7 @@ def _refuse_overlap(first: Recording, second: Recording, one: str, other: str) -
 
 
 def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Channel:
-    """Rename a channel and turn its numbers into SI, once."""
+    """Rename a channel and convert its numbers to SI."""
     if fault := unit_fault(channel, source, path):
         raise ReadError(fault)
     factor = si_factor(source.unit or channel.unit_in_file, _si_unit(source))
@@ -435,21 +461,21 @@ def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Ch
 
 
 def fingerprint(path: Path, role: str, name: str) -> InputFile:
-    """Take the fingerprint of a file that goes into a test.
+    """Take the fingerprint of an input file.
 
     Parameters
     ----------
     path : of the file
-    role, name : as `InputFile` has them
+    role, name : see `InputFile`
 
     Raises
     ------
     ReadError
-        If it cannot be read, or is no plain file.
+        If it cannot be read, or is not a regular file.
     """
     try:
-        if path.exists() and not path.is_file():  # of a pipe one would wait for the end
-            raise OSError(errno.EINVAL, "what is no plain file")
+        if path.exists() and not path.is_file():  # reading a pipe would never end
+            raise OSError(errno.EINVAL, "not a regular file")
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return InputFile(role, name, digest, path.stat().st_size)
@@ -459,6 +485,6 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
             "",
             expected="an export that can be read",
             found=error.strerror or "an error",
-            remedy="Look at files: in test.yaml.",
+            remedy="Check files: in test.yaml.",
         )
         raise ReadError(message) from error

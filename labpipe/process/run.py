@@ -40,20 +40,20 @@ from labpipe.store.write import write_result
 
 FIGURES = "figures"
 PROCESSING_VERSION = 2
-"""Raised whenever the same exports, sheet and protocol give other numbers than before."""
+"""Incremented whenever the same exports, sheet and protocol give different numbers."""
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Processed:
-    """One processed test and where its files are.
+    """A processed test and its files.
 
     Parameters
     ----------
     folder : holds result.h5, summary.json and figures
-    result : what was found
-    figures : the files that were drawn
-    finished : whether a killed process had left something half done, which was finished first
+    result : of the test
+    figures : files of figures
+    finished : whether unfinished work of a killed process was finished first
     """
 
     folder: Path
@@ -83,35 +83,35 @@ def process_test(
     ----------
     source : its test.yaml, or a result.h5 whose raw group is processed again
     out : folder that gets a folder per test; None for `processed` beside `raw`
-    goal : folder of the results of this test; None where `out` says
-    figures : whether to draw, as SVG
-    png : whether figures are drawn as PNG, too
+    goal : folder of the results of this test; None for a folder in `out`
+    figures : whether to draw figures as SVG
+    png : whether to draw them as PNG as well
     follow_links : whether exports may be links out of the folder of the test
-    say : is given the name of each stage as it begins
+    say : called with the name of each stage as it begins
 
     Returns
     -------
-    The result and where it was written.
+    The result and its folder.
 
     Raises
     ------
     LabpipeError
-        If an input is bad; earlier results are then as they were.
+        If an input is bad; earlier results are then unchanged.
     """
     say("read")
-    again, finished = source.suffix == ".h5", False
+    is_result, finished = source.suffix == ".h5", False
     is_in_place = out is None if goal is None else goal == source.parent
-    if again and is_in_place and is_cut_off(source.parent):  # by a process that was killed
+    if is_result and is_in_place and is_cut_off(source.parent):  # by a process that was killed
         with locked(source.parent), storing(source.parent):
             finished = finish_cut_off(source.parent)
     raw, protocol = read_source(source, follow_links=follow_links)
     say("process")
     result = reduce_test(raw, protocol)
     folder = goal or results_folder_of(source, out, lambda: result.test)
-    owned = [FAILURE_FILE, *_figures_to_go(folder, result.run, is_drawn=figures)]
+    owned = [FAILURE_FILE, *_outdated_figures(folder, result.run, is_drawn=figures)]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
-        with ThreadPoolExecutor(max_workers=1) as beside:  # most of writing is packing, not Python
+        with ThreadPoolExecutor(max_workers=1) as beside:  # compression releases the GIL
             writing = beside.submit(write_result, result, stage / RESULT_FILE)
             write_summary(result, stage / SUMMARY_FILE)
             drawn: tuple[Path, ...] = ()
@@ -126,7 +126,7 @@ def process_test(
 
 
 def draw_figures(folder: Path) -> tuple[Path, ...]:
-    """Draw the figures of a processed test from its result, as `process_test` would have.
+    """Draw the figures of a processed test from its result, as `process_test` does.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
     Raises
     ------
     StoreError
-        If the result cannot be read, or another labpipe is at work there.
+        If the result cannot be read, or another labpipe process uses the folder.
     """
     from labpipe.report.figures import save_figures
 
@@ -151,7 +151,7 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
 
 
 def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, Protocol]:
-    """Read what a test is made of.
+    """Read the inputs of a test.
 
     Parameters
     ----------
@@ -159,14 +159,14 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
 
     Returns
     -------
-    Its recordings and what is known about it, and its resolved protocol.
+    Its recordings and metadata, and its resolved protocol.
 
     Raises
     ------
     LabpipeError
         If an input is bad.
     """
-    return _stored(source) if source.suffix == ".h5" else _exported(source, follow_links)
+    return _read_stored(source) if source.suffix == ".h5" else _read_exports(source, follow_links)
 
 
 def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
@@ -174,7 +174,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
 
     Parameters
     ----------
-    raw : its recordings and what is known about it
+    raw : its recordings and metadata
     protocol : resolved
 
     Returns
@@ -184,7 +184,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     Raises
     ------
     ProcessingError
-        If a recording lacks what a step cannot do without.
+        If a recording lacks data that a step needs.
     """
     tested = day_of_test(raw.test_yaml, raw.recordings)
     try:
@@ -220,7 +220,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
 
 
 def name_of(source: Path) -> str:
-    """Read the name of a test alone.
+    """Read the name of a test.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def name_of(source: Path) -> str:
 
 
 def run_key(raw: RawTest) -> str:
-    """Name what a result is made of: the same key, the same numbers.
+    """Return the key of the inputs of a result: equal keys mean equal numbers.
 
     Parameters
     ----------
@@ -243,14 +243,14 @@ def run_key(raw: RawTest) -> str:
 
     Returns
     -------
-    SHA-256, hexadecimal, of these and of `PROCESSING_VERSION`; no time, no machine is in it.
+    SHA-256, hexadecimal, of these and `PROCESSING_VERSION`, independent of time and machine.
     """
-    exports = [(each.role, each.sha256) for each in raw.inputs]
+    exports = [(file.role, file.sha256) for file in raw.inputs]
     return key_of(exports, raw.test_yaml, raw.protocol_yaml)
 
 
 def key_of(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str) -> str:
-    """Name what a result is made of, see `run_key`.
+    """Return the key of inputs, see `run_key`.
 
     Parameters
     ----------
@@ -258,13 +258,13 @@ def key_of(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str
     test_yaml : the test sheet as written
     protocol_yaml : the resolved protocol
     """
-    exports = [list(each) for each in inputs]
+    exports = [list(file) for file in inputs]
     parts = [PROCESSING_VERSION, exports, test_yaml, protocol_yaml]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _figures_to_go(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
-    """Figures of labpipe in a folder that would show other numbers than this run's result."""
+def _outdated_figures(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
+    """List figures in a folder that would show other numbers than the result of this run."""
     if not is_drawn:
         with suppress(StoreError):
             if read_run(folder / RESULT_FILE) == run:
@@ -277,8 +277,8 @@ def _all_figures() -> list[str]:
     return [f"{FIGURES}/{name}{ending}" for name in names for ending in (".svg", ".png")]
 
 
-def _exported(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
-    """A test from its sheet and exports."""
+def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
+    """Read a test from its sheet and exports."""
     sheet = load_test_sheet(sheet_path)
     protocol = resolve(sheet, sheet_path, follow_links=follow_links)
     if missing := missing_exports(sheet, sheet_path):
@@ -297,8 +297,8 @@ def _exported(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
     return raw, protocol
 
 
-def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
-    """A test from the raw group of an earlier result."""
+def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
+    """Read a test from the raw group of an earlier result."""
     raw = read_raw(result_path)
     if not is_name_of_a_test(raw.test):
         message = error_text(
@@ -315,37 +315,37 @@ def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
 
 
 def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> None:
-    """Refuse a raw group that is not that of its protocol, or whose times no reader would take."""
+    """Refuse a raw group without the channels of its protocol, or with invalid times."""
     for role, source in protocol.sources.items():
         recording = raw.recordings.get(role, Recording(""))
         names = [channel.name for channel in recording.channels]
         missing = sorted(set(source.all_channels) - set(names))
         if missing or role not in raw.recordings:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
-            found = ", ".join(map(repr, names)) or "none"
-        elif not _times_go_on(recording):
-            expected, found = "times that go on", "some that go back, or are no numbers"
+            actual = ", ".join(map(repr, names)) or "none"
+        elif not _has_valid_times(recording):
+            expected, actual = "increasing times", "decreasing times, or times that are not numbers"
         else:
             continue
         remedy = "Process the test again from its exports."
         place = f"raw/{role}"
-        text = error_text(result_path, place, expected=expected, found=found, remedy=remedy)
+        text = error_text(result_path, place, expected=expected, found=actual, remedy=remedy)
         raise StoreError(text, code="bad_result")
 
 
-def _times_go_on(recording: Recording) -> bool:
+def _has_valid_times(recording: Recording) -> bool:
     tracks = [] if recording.markers is None else [recording.markers.time]
     times = [*(clock.time for clock in recording.clocks), *tracks]
     return all(bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all()) for time in times)
 
 
 def results_folder_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
-    """Find where the results of a test go.
+    """Find the results folder of a test.
 
     Parameters
     ----------
     source, out : see `process_test`
-    name : gives the name of the test, where it matters
+    name : function that returns the name of the test
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What a test sheet can say by itself: protocol, roles, day, operator and specimen, as seen."""
+"""Infer a test sheet from exports: protocol, roles, day, operator and specimen."""
 
 from __future__ import annotations
 
@@ -14,18 +14,24 @@ from labpipe.errors import Fault, LabpipeError
 from labpipe.process.checking import needs_span
 from labpipe.process.export_metadata import (
     FOLDER,
-    Agreed,
+    CombinedFacts,
     Fact,
-    agreed,
+    combine_facts,
     facts_of_export,
     facts_of_folder,
 )
-from labpipe.process.protocol_match import Fit, KnownFacts, all_protocols, fitting, seen_length
+from labpipe.process.protocol_match import (
+    Fit,
+    KnownFacts,
+    all_protocols,
+    marked_length,
+    match_protocols,
+)
 from labpipe.process.raw_folder import (
     FolderContents,
     InspectedExport,
     folders_of_tests,
-    look_into,
+    read_folder,
 )
 from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
@@ -36,44 +42,40 @@ from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity
 
 _NEEDED = ("type", "spool", "sample")
-_AGREE = 0.05
-"""Lengths that differ by more than this ratio are not the same."""
-_SAID = ("date", "operator", "type", "sample", "length", "width", "thickness")
-_DECIDES = (
+_FACT_KEYS = ("date", "operator", "type", "sample", "length", "width", "thickness")
+_HOW_TO_DECIDE = (
     "what would decide: a folder, export or type called like one of them, or a protocol that most"
     " tests beside it have"
 )
-_MOST = 3
-"""Faults of one export that are listed."""
 
 
 @dataclass(frozen=True, slots=True)
 class InferredTest:
-    """What a test sheet can say about a test.
+    """The inferred content of a test sheet.
 
     Parameters
     ----------
     folder : of the test
     values : text by column of a campaign's table
     files : names of exports by role
-    open : columns that are needed and not seen; the person fills them in
-    said : sentences on where the values come from, and on what does not agree
+    open : required columns without a value, which the user fills in
+    remarks : sentences on the sources of the values, and on contradictions
     unread : exports of a known format that cannot be read, with the reason
-    blocks : what no column holds, by key of the test sheet: it is put beside what was seen
+    blocks : content without a column, by key of the test sheet
     """
 
     folder: Path
     values: Mapping[str, str]
     files: Mapping[str, tuple[str, ...]]
     open: tuple[str, ...] = ()
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     unread: Mapping[str, str] = field(default_factory=dict)
     blocks: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
 class Neighbours:
-    """Protocols of the tests of a campaign, by their folders; empty where a test has none yet.
+    """Protocols of the tests of a campaign by folder; empty for a test without one.
 
     Parameters
     ----------
@@ -82,20 +84,22 @@ class Neighbours:
 
     tests: dict[Path, tuple[str, str]] = field(default_factory=dict)
 
-    def beside(self, folder: Path, kind: str | None = None) -> Counter[str]:
-        """Count the protocols of the other tests, of all or of one type of specimen.
+    def protocols_beside(self, folder: Path, kind: str | None = None) -> Counter[str]:
+        """Count the protocols of the other tests, of all types or of one.
 
         Parameters
         ----------
         folder : of the test itself
         kind : type of the specimen; None for all
         """
-        others = (test for where, test in self.tests.items() if where != folder.resolve())
-        return Counter(name for known, name in others if kind is None or known == kind)
+        other_tests = (test for where, test in self.tests.items() if where != folder.resolve())
+        return Counter(
+            name for other_kind, name in other_tests if kind is None or other_kind == kind
+        )
 
 
 def neighbours_in(campaign: Path) -> Neighbours:
-    """Read which protocols the tests of a campaign have.
+    """Read the protocols of the tests of a campaign.
 
     Parameters
     ----------
@@ -112,161 +116,162 @@ def neighbours_in(campaign: Path) -> Neighbours:
 
 
 def _type_of(folder: Path) -> str:
-    """Type of the specimen as the name of a folder says it."""
+    """Return the type of the specimen in the name of a folder; empty if there is none."""
     return next((fact.value for fact in facts_of_folder(folder.name) if fact.key == "type"), "")
 
 
 def infer_test(
     folder: Path,
-    given: Mapping[str, str],
+    stated: Mapping[str, str],
     *,
     protocols: Path | None = None,
     neighbours: Neighbours | None = None,
 ) -> InferredTest:
-    """See what the exports in a folder say about their test.
+    """Infer the test sheet of a folder from its exports.
 
     Parameters
     ----------
     folder : of the test
-    given : values by column, which count before what is seen
+    stated : values by column, which have priority over inferred ones
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
-    neighbours : the tests of the campaign; those beside the folder if None
+    neighbours : the tests of the campaign; those of the parent folder if None
 
     Returns
     -------
-    What can be said. Nothing is raised for what cannot be read: it is said.
+    The inferred test. Exports that cannot be read are in the remarks and raise nothing.
     """
-    contents = look_into(folder)
-    known = _protocols(given, folder, protocols)
-    around = neighbours_in(folder.resolve().parent) if neighbours is None else neighbours
-    return _TestInference(contents, dict(given), known, around).seen()
+    contents = read_folder(folder)
+    candidates = _protocols(stated, folder, protocols)
+    known_neighbours = neighbours_in(folder.resolve().parent) if neighbours is None else neighbours
+    return _TestInference(contents, dict(stated), candidates, known_neighbours).infer()
 
 
 def infer_tests(
-    folders: Sequence[Path], given: Mapping[str, str], *, protocols: Path | None = None
+    folders: Sequence[Path], stated: Mapping[str, str], *, protocols: Path | None = None
 ) -> Iterator[InferredTest]:
-    """See several tests of one campaign; what one leaves open, the others may settle.
+    """Infer several tests of one campaign; the others may decide what one leaves open.
 
     Parameters
     ----------
     folders : of the tests
-    given, protocols : see `infer_test`
+    stated, protocols : see `infer_test`
 
     Yields
     ------
-    Each test: first those that are settled by themselves, then the others. The recordings of one
-    test are in the memory at a time.
+    Each test: first those with a definite protocol, then the others. Only the recordings of one
+    test are in memory at a time.
     """
     if not folders:
         return
-    known = _protocols(given, folders[0], protocols)
-    around = neighbours_in(folders[0].resolve().parent)
+    candidates = _protocols(stated, folders[0], protocols)
+    neighbours = neighbours_in(folders[0].resolve().parent)
     waiting = []
     for folder in folders:
-        sight = _TestInference(look_into(folder), dict(given), known, around)
-        if len(sight.fits) > 1:
+        inference = _TestInference(read_folder(folder), dict(stated), candidates, neighbours)
+        if len(inference.fits) > 1:
             waiting.append(folder)
             continue
-        if sight.fit is not None:
-            around.tests[folder.resolve()] = (sight.kind, sight.fit.protocol.name)
-        yield sight.seen()
+        if inference.fit is not None:
+            neighbours.tests[folder.resolve()] = (inference.kind, inference.fit.protocol.name)
+        yield inference.infer()
     for folder in waiting:
-        yield _TestInference(look_into(folder), dict(given), known, around).seen()
+        yield _TestInference(read_folder(folder), dict(stated), candidates, neighbours).infer()
 
 
-def _protocols(given: Mapping[str, str], folder: Path, protocols: Path | None) -> list[Protocol]:
-    """The protocols that come into question: all, or the one that a person named."""
-    if "protocol" not in given:
+def _protocols(stated: Mapping[str, str], folder: Path, protocols: Path | None) -> list[Protocol]:
+    """Return the candidate protocols: all, or the one that the user named."""
+    if "protocol" not in stated:
         return all_protocols(protocols)
-    found = find_protocol(given["protocol"], beside=folder, protocols=protocols)
-    with suppress(LabpipeError):  # one that is wrong, or not there, is said when it is written
-        return [] if isinstance(found, Fault) else [load_protocol(found)]
+    path = find_protocol(stated["protocol"], beside=folder, protocols=protocols)
+    with suppress(LabpipeError):  # a wrong or missing one is reported when the sheet is written
+        return [] if isinstance(path, Fault) else [load_protocol(path)]
     return []
 
 
 class _TestInference:
-    """One test as it is looked at."""
+    """The inference of one test."""
 
     def __init__(
         self,
         contents: FolderContents,
-        given: dict[str, str],
+        stated: dict[str, str],
         protocols: Sequence[Protocol],
-        around: Neighbours,
+        neighbours: Neighbours,
     ) -> None:
-        self.contents, self.given, self.around = contents, given, around
+        self.contents, self.stated, self.neighbours = contents, stated, neighbours
         self._protocols = protocols
 
     @cached_property
-    def facts(self) -> Agreed:
-        each = [facts_of_export(export.name, export.recording) for export in self._belonging]
-        said = [fact for facts in each for fact in facts if fact.key != "take"]
-        own = facts_of_folder(self.contents.folder.name)
-        named = {fact.key for fact in own}
-        # The name of the folder is the lab's word; what a program counts is only a help.
-        said = [fact for fact in said if fact.key not in named]
+    def facts(self) -> CombinedFacts:
+        facts_by_export = [
+            facts_of_export(export.name, export.recording) for export in self._belonging
+        ]
+        facts = [fact for facts in facts_by_export for fact in facts if fact.key != "take"]
+        folder_facts = facts_of_folder(self.contents.folder.name)
+        named = {fact.key for fact in folder_facts}
+        # The lab chose the name of the folder; numbers of a program have no priority over it.
+        facts = [fact for fact in facts if fact.key not in named]
         if "sample" not in named:
-            said = [
-                replace(sentence, key="sample") if sentence.key == "specimen" else sentence
-                for sentence in said
+            facts = [
+                replace(fact, key="sample") if fact.key == "specimen" else fact for fact in facts
             ]
-        return agreed([*own, *(fact for fact in said if fact.key != "specimen")])
+        return combine_facts([*folder_facts, *(fact for fact in facts if fact.key != "specimen")])
 
     @property
     def _belonging(self) -> list[InspectedExport]:
-        """Exports that are surely of this test; all, where no protocol takes any of them."""
+        """Exports that belong to this test; all of them without a matching protocol."""
         unclear = {
             name
             for fit in self.fits
             for role in fit.unclear
             for name in fit.files[role]
-            if role not in self.given
+            if role not in self.stated
         }
         return [export for export in self.contents.exports if export.name not in unclear]
 
     @property
     def kind(self) -> str:
-        """Type of the specimen, as far as it is known."""
-        return self.given.get("type") or _type_of(self.contents.folder)
+        """Type of the specimen; empty if it is not known."""
+        return self.stated.get("type") or _type_of(self.contents.folder)
 
     def _fact(self, key: str) -> str:
         return self.facts.facts[key].value if key in self.facts.facts else ""
 
     @cached_property
     def fits(self) -> list[Fit]:
-        roles = {role: _parts(self.given[role]) for role in ROLES if role in self.given}
+        roles = {role: _parts(self.stated[role]) for role in ROLES if role in self.stated}
         named = {fact.key: fact.value for fact in facts_of_folder(self.contents.folder.name)}
-        length = self.given.get("length") or named.get("length", "")
+        length = self.stated.get("length") or named.get("length", "")
         folder, exports = self.contents.folder, self.contents.exports
-        known = KnownFacts(
+        known_facts = KnownFacts(
             names=(folder.name, self.kind, *(export.path.stem for export in exports)),
             length=_metres(length),
-            of_type=self.around.beside(folder, self.kind) if self.kind else {},
-            of_campaign=self.around.beside(folder),
+            of_type=self.neighbours.protocols_beside(folder, self.kind) if self.kind else {},
+            of_campaign=self.neighbours.protocols_beside(folder),
             roles=roles,
         )
-        return fitting(exports, self._protocols, known) if exports else []
+        return match_protocols(exports, self._protocols, known_facts) if exports else []
 
     @property
     def fit(self) -> Fit | None:
-        """The protocol that fits better than all others; None where that is open."""
+        """The protocol that fits better than all others; None if there are several."""
         return self.fits[0] if len(self.fits) == 1 else None
 
-    def seen(self) -> InferredTest:
-        """Put together what can be said."""
-        seen = {key: self._fact(key) for key in _SAID if self._fact(key)}
-        values = {"test": self._name, **self._protocol, **seen, **self.given}
-        files = {role: _parts(self.given[role]) for role in ROLES if role in self.given}
+    def infer(self) -> InferredTest:
+        """Combine all inferred values."""
+        inferred = {key: self._fact(key) for key in _FACT_KEYS if self._fact(key)}
+        values = {"test": self._name, **self._protocol, **inferred, **self.stated}
+        files = {role: _parts(self.stated[role]) for role in ROLES if role in self.stated}
         files = {**self._files, **files}
         needed = [*_NEEDED, *(["span"] if self.fit and needs_span(self.fit.protocol) else [])]
-        still = [key for key in ("protocol", *needed) if not values.get(key)]
+        open_keys = [key for key in ("protocol", *needed) if not values.get(key)]
         unclear = sorted(self._unclear(files))
-        still += unclear or ([] if files else ["files"])
+        open_keys += unclear or ([] if files else ["files"])
         return InferredTest(
             self.contents.folder,
             values,
             files,
-            tuple(still),
+            tuple(open_keys),
             tuple(self._sentences(values, files)),
             self.contents.unread,
         )
@@ -284,7 +289,7 @@ class _TestInference:
 
     @property
     def _files(self) -> dict[str, tuple[str, ...]]:
-        """Exports by role; where no protocol is settled, what all agree on, or their kinds."""
+        """Exports by role: those on which all candidate protocols agree, or by format."""
         if not self.fits:
             return {
                 role: tuple(
@@ -306,49 +311,55 @@ class _TestInference:
     ) -> Iterator[str]:
         yield from self._about_protocol()
         readers = {export.name: export.reader for export in self.contents.exports}
-        seen = {role: names for role, names in files.items() if role not in self.given}
-        if seen:
+        inferred = {role: names for role, names in files.items() if role not in self.stated}
+        if inferred:
             yield "; ".join(
-                f"{role}: {', '.join(f'{_shown(name)} ({readers[name]})' for name in names)}"
-                for role, names in seen.items()
+                f"{role}: {', '.join(f'{_printable(name)} ({readers[name]})' for name in names)}"
+                for role, names in inferred.items()
             )
         for role in sorted(self._unclear(files)):
-            several = ", ".join(map(_shown, self.fits[0].files[role]))
+            candidates = ", ".join(map(_printable, self.fits[0].files[role]))
             yield (
-                f"{role}: {several} could each be it, and are not parts of one recording; name one"
-                f" with --{role}, and give each test a folder of its own"
+                f"{role}: {candidates} are all possible, and are not parts of one recording; name"
+                f" one with --{role}, and use a folder for each test"
             )
         yield from self._about_facts()
-        if values["test"] != self.contents.folder.resolve().name and "test" not in self.given:
+        if values["test"] != self.contents.folder.resolve().name and "test" not in self.stated:
             yield f"test: {values['test']}, as a name of a test has no blanks or other signs"
-        left = self.facts.open
-        yield from (each for each in left if each.partition(":")[0] not in self.given)
+        open_facts = self.facts.open
+        yield from (
+            sentence for sentence in open_facts if sentence.partition(":")[0] not in self.stated
+        )
         yield from self._contradictions(values)
         unclear = {role: self.fits[0].files[role] for role in self._unclear(files)}
         yield from self._unused({**files, **unclear})
 
     def _about_facts(self) -> Iterator[str]:
-        """Say which values come from where, one line for each place."""
-        facts = [self.facts.facts[key] for key in _SAID if key in self.facts.facts]
-        taken = [fact for fact in facts if fact.key not in self.given]
-        for where in dict.fromkeys(fact.where for fact in taken):
-            each = [f"{x.key} {x.value}{_as_written(x)}" for x in taken if x.where == where]
-            yield f"{', '.join(each)}: from {where}"
+        """Yield the values of each source, one line per source."""
+        facts = [self.facts.facts[key] for key in _FACT_KEYS if key in self.facts.facts]
+        used_facts = [fact for fact in facts if fact.key not in self.stated]
+        for where in dict.fromkeys(fact.where for fact in used_facts):
+            statements = [
+                f"{fact.key} {fact.value}{_as_written(fact)}"
+                for fact in used_facts
+                if fact.where == where
+            ]
+            yield f"{', '.join(statements)}: from {where}"
 
     def _about_protocol(self) -> Iterator[str]:
-        if "protocol" in self.given:
+        if "protocol" in self.stated:
             yield from _faults(self.fits[:1])
             return
         if self.fit is not None:
-            why = "; ".join(sign.text for sign in self.fit.signs if sign.weight > 0)
-            yield f"protocol: {self.fit.protocol.name}" + (f", as {why}" if why else "")
+            reasons = "; ".join(sign.text for sign in self.fit.signs if sign.weight > 0)
+            yield f"protocol: {self.fit.protocol.name}" + (f", as {reasons}" if reasons else "")
             yield from _faults([self.fit])
         elif self.fits:
-            first = (
+            heading = (
                 f"protocol: {len(self.fits)} fit alike; name one with --protocol, or in the sheet"
             )
-            which = (_described(fit.protocol) for fit in self.fits)
-            yield "\n    ".join((first, *which, _DECIDES))
+            descriptions = (_described(fit.protocol) for fit in self.fits)
+            yield "\n    ".join((heading, *descriptions, _HOW_TO_DECIDE))
         elif self.contents.exports:
             yield "protocol: none of those here takes these exports; name one, or write one"
         else:
@@ -360,7 +371,8 @@ class _TestInference:
             yield f"protocol: {missing} in this folder; copy the exports there, or use --protocol"
 
     def _contradictions(self, values: Mapping[str, str]) -> Iterator[str]:
-        """What is said in two ways, but does not keep a value from being taken."""
+        """Yield contradictions that do not leave a value open."""
+        max_length_deviation = 0.05
         name = self.contents.folder.resolve().name
         for export in self._belonging:
             for fact in facts_of_export(export.name, export.recording):
@@ -371,26 +383,26 @@ class _TestInference:
             tracks = export.recording.markers
             if fit is None or tracks is None or not stated:
                 continue
-            reach = seen_length(fit.protocol, tracks)
-            if reach is not None and abs(reach / stated - 1.0) > _AGREE:
-                shown = f"{reach * 1e3:.3g} mm, {values['length']} is stated"
-                yield f"look: the markers of {export.name} show a length of about {shown}"
+            reach = marked_length(fit.protocol, tracks)
+            if reach is not None and abs(reach / stated - 1.0) > max_length_deviation:
+                lengths = f"{reach * 1e3:.3g} mm, {values['length']} is stated"
+                yield f"look: the markers of {export.name} show a length of about {lengths}"
 
     def _unused(self, files: Mapping[str, tuple[str, ...]]) -> Iterator[str]:
         used = {name for names in files.values() for name in names}
         for export in self.contents.exports:
             if export.name not in used:
-                yield f"not used: {_shown(export.name)} ({export.reader})"
+                yield f"not used: {_printable(export.name)} ({export.reader})"
         for name, why in {**self.contents.unread, **self.contents.others}.items():
             if name not in used:
-                yield f"not used: {_shown(name)}: {why.splitlines()[0]}"
+                yield f"not used: {_printable(name)}: {why.splitlines()[0]}"
         for name in sorted(used):
             if not (self.contents.folder / name).exists():
-                yield f"not there yet: {_shown(name)}"
+                yield f"not there yet: {_printable(name)}"
 
 
 def _described(protocol: Protocol) -> str:
-    """What a protocol is for, and the sizes that it states."""
+    """Describe the purpose of a protocol and the sizes that it states."""
     length, rig = protocol.specimen.length, protocol.rig
     sizes = [f"length {length * 1e3:g} mm"] if length else []
     sizes += [f"stroke {rig.stroke * 1e3:g} mm"] if rig.stroke else []
@@ -399,13 +411,14 @@ def _described(protocol: Protocol) -> str:
 
 
 def _faults(fits: Iterable[Fit]) -> Iterator[str]:
+    max_faults = 3
     for fit in fits:
         if not fit.unclear:
-            yield from (f"look: {fault}" for fault in fit.faults[:_MOST])
+            yield from (f"look: {fault}" for fault in fit.faults[:max_faults])
 
 
 def _role(reader: str) -> str:
-    """What an export is for, by its kind alone."""
+    """Return the role of an export by its format alone."""
     if any(
         export_format.has_markers
         for export_format in EXPORT_FORMATS
@@ -426,7 +439,7 @@ def _metres(text: str) -> float | None:
 
 
 def safe_name(name: str) -> str:
-    """Make a name that a test can have of any.
+    """Convert any name to a valid name of a test.
 
     Parameters
     ----------
@@ -449,6 +462,6 @@ def _as_written(fact: Fact) -> str:
     return "" if is_plain else f" ({fact.written!r})"
 
 
-def _shown(name: str) -> str:
-    """A name of a file as a terminal can show it."""
+def _printable(name: str) -> str:
+    """Return a printable form of a file name."""
     return name if name.isprintable() else repr(name)[1:-1]

@@ -1,4 +1,4 @@
-"""Writing test sheets: by what lies in a folder, from options, or from a campaign's table."""
+"""Write test sheets from the exports in a folder, from options, or from a campaign table."""
 
 from __future__ import annotations
 
@@ -27,26 +27,25 @@ BUNDLE = {
     "conduit": "conduit",
     "conduit_bore": "conduit_bore",
 }
-"""Columns of a harness bundle, and the keys of its block that they fill."""
+"""Columns of a harness bundle and their keys in its block."""
 LABELS = "labels."
-"""With this before its name, a column is a label of the specimen."""
+"""Prefix of columns that are labels of the specimen."""
 _PLAIN = ("test", "protocol", "date", "operator")
 _SPECIMEN = ("type", "spool", "sample")
 COLUMNS = (*_PLAIN, *_SPECIMEN, *DIMENSIONS, *BUNDLE, *ROLES, "because")
-"""The columns of a campaign's table; besides them, every dotted key of a protocol is one, and every
-label."""
+"""Columns of a campaign table, in addition to dotted keys of the protocol and labels."""
 _NEEDED = ("test", "protocol", *_SPECIMEN)
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
 
 
 @dataclass(frozen=True, slots=True)
 class NewTest:
-    """What a test sheet says, as a person wrote it.
+    """The values of a test sheet as the user wrote them.
 
     Parameters
     ----------
     values : text by column: those of `COLUMNS`, labels, and dotted keys of the protocol
-    places : where each of them was written, for messages; by column
+    places : place of each value by column, for messages
     """
 
     values: Mapping[str, str]
@@ -55,13 +54,13 @@ class NewTest:
 
 @dataclass(frozen=True, slots=True)
 class NewTests:
-    """What became of the rows of a campaign's table.
+    """Test sheets of the rows of a campaign table.
 
     Parameters
     ----------
     written : the test sheets written
-    kept : those that were there already and were left as they are
-    absent : exports that the written sheets name and that are not there, by test sheet
+    kept : existing test sheets that were not changed
+    absent : missing exports that the written sheets name, by test sheet
     """
 
     written: tuple[Path, ...]
@@ -71,67 +70,73 @@ class NewTests:
 
 @dataclass(frozen=True, slots=True)
 class InferredSheet:
-    """A test sheet that was written by what lies in the folder of the test.
+    """A test sheet that was inferred from the folder of the test.
 
     Parameters
     ----------
     path : of the test sheet
-    kept : whether it was there already, and was left as it is
-    said : sentences on where its values come from, and on what does not agree
-    open : keys that are to be filled in
+    kept : whether it existed already and was not changed
+    remarks : sentences on the sources of the values, and on contradictions
+    open : keys to be filled in
     """
 
     path: Path
     kept: bool = False
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     open: tuple[str, ...] = ()
 
 
-def new_seen(
+def write_inferred_sheets(
     folder: Path,
-    given: Mapping[str, str],
+    stated: Mapping[str, str],
     *,
     overwrite: bool = False,
     protocols: Path | None = None,
 ) -> Iterator[InferredSheet]:
-    """Write the test sheet of a folder, or of each folder of a campaign, by what lies there.
+    """Infer and write the test sheet of a folder, or of each folder of a campaign.
 
     Parameters
     ----------
     folder : of a test, or of a campaign
-    given : text by column of `COLUMNS`, by label (``labels.cured``), or by dotted key of the
-        protocol; they count before what is seen
-    overwrite : whether test sheets that are there already may go; in a campaign they are kept else
+    stated : text by column of `COLUMNS`, by label (``labels.cured``), or by dotted key of the
+        protocol; they have priority over inferred values
+    overwrite : whether existing test sheets are replaced; in a campaign they are kept otherwise
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
 
     Yields
     ------
-    Each test sheet. What is needed and cannot be seen is marked in it as to be filled in.
+    Each test sheet. Required values that cannot be inferred are marked in it, to be filled in.
 
     Raises
     ------
     UsageError
-        If given values are wrong (all of them in one message), or the only sheet is there already.
+        If stated values are wrong (all of them in one message), or the only sheet exists already.
     StoreError
         If the file cannot be written.
     """
     below = folders_of_tests(folder)
-    unknown = [_unknown(column, folder, column) for column in given if not _is_column(column)]
+    unknown = [_unknown(column, folder, column) for column in stated if not _is_column(column)]
     if unknown:
         raise UsageError("\n".join(unknown))
     if not below:
         _refuse_existing(folder / SHEET_NAME, overwrite=overwrite)
-        yield write_seen(infer_test(folder, given, protocols=protocols), protocols=protocols)
+        yield write_inferred_sheet(
+            infer_test(folder, stated, protocols=protocols), protocols=protocols
+        )
         return
-    there = [each for each in below if (each / SHEET_NAME).exists() and not overwrite]
-    yield from (InferredSheet(each / SHEET_NAME, kept=True) for each in there)
-    wanted = [each for each in below if each not in there]
-    for seen in infer_tests(wanted, given, protocols=protocols):
-        yield write_seen(seen, protocols=protocols)
+    existing = [
+        test_folder
+        for test_folder in below
+        if (test_folder / SHEET_NAME).exists() and not overwrite
+    ]
+    yield from (InferredSheet(test_folder / SHEET_NAME, kept=True) for test_folder in existing)
+    missing = [test_folder for test_folder in below if test_folder not in existing]
+    for test in infer_tests(missing, stated, protocols=protocols):
+        yield write_inferred_sheet(test, protocols=protocols)
 
 
-def write_seen(seen: InferredTest, *, protocols: Path | None = None) -> InferredSheet:
-    """Write the test sheet of a test that was looked at.
+def write_inferred_sheet(seen: InferredTest, *, protocols: Path | None = None) -> InferredSheet:
+    """Write the test sheet of an inferred test.
 
     Parameters
     ----------
@@ -146,29 +151,29 @@ def write_seen(seen: InferredTest, *, protocols: Path | None = None) -> Inferred
         If the file cannot be written.
     """
     path = seen.folder / SHEET_NAME
-    data = _seen_data(seen)
-    test = NewTest(seen.values)
-    faults = _faults(test, data, path, seen.folder, protocols=protocols, left_open=seen.open)
+    data = _inferred_data(seen)
+    new_test = NewTest(seen.values)
+    faults = _faults(new_test, data, path, seen.folder, protocols=protocols, left_open=seen.open)
     if faults:
         raise UsageError("\n".join(faults))
     _write(path, write_test_sheet(data))
-    return InferredSheet(path, False, seen.said, seen.open)
+    return InferredSheet(path, False, seen.remarks, seen.open)
 
 
-def _seen_data(seen: InferredTest) -> dict[str, object]:
-    """Arrange what was seen into the blocks of a test sheet; None for what is to be filled in."""
-    data = _sheet_data(seen.values)
+def _inferred_data(test: InferredTest) -> dict[str, object]:
+    """Arrange inferred values into the blocks of a test sheet; None for those to be filled in."""
+    data = _sheet_data(test.values)
     files = {
-        role: names[0] if len(names) == 1 else list(names) for role, names in seen.files.items()
+        role: names[0] if len(names) == 1 else list(names) for role, names in test.files.items()
     }
-    roles = [role for role in ROLES if role in {*files, *seen.open}]
+    roles = [role for role in ROLES if role in {*files, *test.open}]
     data["files"] = {role: files.get(role) for role in roles} or None
-    if "protocol" in seen.open:
+    if "protocol" in test.open:
         rest = {key: value for key, value in data.items() if key != "test"}
         data = {"test": data["test"], "protocol": None, **rest}
     specimen = data["specimen"] if isinstance(data["specimen"], dict) else {}
-    keys = [*_SPECIMEN, *(key for key in seen.open if key in DIMENSIONS)]
-    blocks = {key: dict(block) for key, block in seen.blocks.items() if block}
+    keys = [*_SPECIMEN, *(key for key in test.open if key in DIMENSIONS)]
+    blocks = {key: dict(block) for key, block in test.blocks.items() if block}
     shared = blocks.pop("specimen", {})
     labels = {**_block(shared, "labels"), **_block(specimen, "labels")}
     filled: dict[str, object] = {key: specimen.get(key) for key in keys} | shared | specimen
@@ -177,29 +182,29 @@ def _seen_data(seen: InferredTest) -> dict[str, object]:
 
 
 def _block(data: Mapping[str, object], key: str) -> dict[str, object]:
-    found = data.get(key)
-    return dict(found) if isinstance(found, Mapping) else {}
+    block = data.get(key)
+    return dict(block) if isinstance(block, Mapping) else {}
 
 
 def _refuse_existing(path: Path, *, overwrite: bool) -> None:
     if path.exists() and not overwrite:
         remedy = "Edit it, or ask to overwrite it."
-        found = "one that is there already"
-        text = error_text(path, "", expected="no such file yet", found=found, remedy=remedy)
+        actual = "an existing one"
+        text = error_text(path, "", expected="no such file yet", found=actual, remedy=remedy)
         raise UsageError(text)
 
 
 def new_from_sheet(
     sheet: Path, folder: Path, *, overwrite: bool = False, protocols: Path | None = None
 ) -> NewTests:
-    """Write one test sheet per row of a campaign's table.
+    """Write one test sheet per row of a campaign table.
 
     Parameters
     ----------
     sheet : xlsx or csv with the columns `COLUMNS`, in any order; ``length (mm)`` states a unit for
         the whole column; a column may also be a label, or a dotted key of the protocol
-    folder : of the campaign; each test gets a folder of its name in it
-    overwrite : whether test sheets that are there already may go; else they are kept
+    folder : of the campaign, with a folder for each test
+    overwrite : whether existing test sheets are replaced; otherwise they are kept
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
 
     Returns
@@ -209,8 +214,8 @@ def new_from_sheet(
     Raises
     ------
     ReadError
-        If the table cannot be read, or anything in it is wrong: all faults are in one message, each
-        with its cell, and nothing is written.
+        If the table cannot be read or has faults: all are in one message, each with its cell, and
+        nothing is written.
     StoreError
         If a file cannot be written.
     """
@@ -220,8 +225,8 @@ def new_from_sheet(
         raise ReadError("\n".join(faults))
     tests = [_from_row(table, row) for row in table.rows]
     for test in tests:
-        goal = folder / test.values.get("test", "")
-        faults += _faults(test, _sheet_data(test.values), sheet, goal, protocols=protocols)
+        test_folder = folder / test.values.get("test", "")
+        faults += _faults(test, _sheet_data(test.values), sheet, test_folder, protocols=protocols)
     faults += _repeated(tests, sheet)
     if faults:
         raise ReadError("\n".join(faults))
@@ -234,14 +239,14 @@ def new_from_sheet(
         else:
             _write(path, write_test_sheet(_sheet_data(test.values)))
             written.append(path)
-            named = [name for role in ROLES for name in _names(test.values.get(role, ""))]
-            missing = tuple(name for name in named if not (path.parent / name).exists())
+            file_names = [name for role in ROLES for name in _names(test.values.get(role, ""))]
+            missing = tuple(name for name in file_names if not (path.parent / name).exists())
             absent |= {path: missing} if missing else {}
     return NewTests(tuple(written), tuple(kept), absent)
 
 
 def _column(cell: Cell) -> tuple[str, str]:
-    """Part a heading into the name of the column and the unit of its numbers."""
+    """Split a heading into the name of the column and the unit of its numbers."""
     match = _UNIT_IN_HEADING.fullmatch(cell.text)
     name, unit = (match[1].strip(), match[2]) if match else (cell.text, "")
     return (name if "." in name else name.casefold()), unit
@@ -257,9 +262,9 @@ def _heading_faults(heading: Sequence[Cell], sheet: Path) -> Iterator[str]:
         if not name or not _is_column(name):
             yield _unknown(cell.text, sheet, cell.place)
         elif name in names[:number]:
-            found, remedy = f"{name!r} again", "Remove or rename one of them."
+            actual, remedy = f"{name!r} again", "Remove or rename one of them."
             yield error_text(
-                sheet, cell.place, expected="each column once", found=found, remedy=remedy
+                sheet, cell.place, expected="each column once", found=actual, remedy=remedy
             )
     for name in _NEEDED:
         if name not in names:
@@ -270,9 +275,9 @@ def _heading_faults(heading: Sequence[Cell], sheet: Path) -> Iterator[str]:
 
 
 def _unknown(name: str, file: Path, place: str) -> str:
-    near = nearest(name, list(COLUMNS))
-    expected = f"one of {', '.join(repr(word) for word in near)}, ..., or a dotted key"
-    remedy = f"Did you mean {near[0]!r}?"
+    near_columns = nearest(name, list(COLUMNS))
+    expected = f"one of {', '.join(repr(word) for word in near_columns)}, ..., or a dotted key"
+    remedy = f"Did you mean {near_columns[0]!r}?"
     return error_text(file, place, expected=expected, found=repr(name), remedy=remedy)
 
 
@@ -296,26 +301,26 @@ def _faults(
     protocols: Path | None,
     left_open: Sequence[str] = (),
 ) -> list[str]:
-    """Word what is wrong with one test, but not what is left open."""
-    found_in = test_sheet_faults(data)
-    faults = [each for each in found_in if not set(map(str, each.path)) & set(left_open)]
-    wanted = test.values.get("protocol")
-    found = find_protocol(wanted, beside=folder, protocols=protocols) if wanted else None
-    if isinstance(found, Fault):
-        faults.append(found)
-    return [_worded(fault, test, file) for fault in faults]
+    """Describe the faults of one test, except open values."""
+    value_faults = test_sheet_faults(data)
+    faults = [fault for fault in value_faults if not set(map(str, fault.path)) & set(left_open)]
+    protocol = test.values.get("protocol")
+    path = find_protocol(protocol, beside=folder, protocols=protocols) if protocol else None
+    if isinstance(path, Fault):
+        faults.append(path)
+    return [_fault_text(fault, test, file) for fault in faults]
 
 
-def _worded(fault: Fault, test: NewTest, file: Path) -> str:
-    """Word a fault at the cell, or the option, that it comes from."""
+def _fault_text(fault: Fault, test: NewTest, file: Path) -> str:
+    """Describe a fault with its cell or option."""
     column = _column_of(fault)
     place = test.places.get(column) or test.places.get("test")
     place = f"{place} ({column})" if place else column
     if fault.missing:
         expected, remedy = f"a value for {column!r}", "Fill it in."
         return error_text(file, place, expected=expected, found="none", remedy=remedy)
-    said = (fault.expected, fault.found)
-    return error_text(file, place, expected=said[0], found=said[1], remedy=fault.remedy).rstrip()
+    text = error_text(file, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
+    return text.rstrip()
 
 
 def _column_of(fault: Fault) -> str:
@@ -348,7 +353,7 @@ def _specimen_data(values: Mapping[str, str]) -> dict[str, object]:
     plain = (*_SPECIMEN, *DIMENSIONS)
     specimen: dict[str, object] = {key: values[key] for key in plain if key in values}
     bundle = {key: values[column] for column, key in BUNDLE.items() if column in values}
-    labels = {key.removeprefix(LABELS): word for key, word in values.items() if _is_label(key)}
+    labels = {key.removeprefix(LABELS): value for key, value in values.items() if _is_label(key)}
     blocks = {"bundle": bundle, "labels": labels}
     return specimen | {key: block for key, block in blocks.items() if block}
 
@@ -371,7 +376,7 @@ def _repeated(tests: Sequence[NewTest], sheet: Path) -> Iterator[str]:
     for test in tests:
         name = test.values.get("test", "")
         if name and name.casefold() in seen:  # some file systems take A1 and a1 for one folder
-            place, remedy = test.places["test"], "Give each test a name of its own."
+            place, remedy = test.places["test"], "Give each test another name."
             yield error_text(
                 sheet, place, expected="each test once", found=f"{name!r} again", remedy=remedy
             )
@@ -379,7 +384,7 @@ def _repeated(tests: Sequence[NewTest], sheet: Path) -> Iterator[str]:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
+    """Write a file completely or not at all."""
     with storing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as part:

@@ -1,4 +1,4 @@
-"""The step from marker tracks to a bent axis on two supports, and the clock of its cameras."""
+"""Fit the bent axis between two supports to marker tracks, and align the clock of the cameras."""
 
 from __future__ import annotations
 
@@ -33,12 +33,8 @@ NO_SPAN = Failure(
     "specimen.span, the distance of the supports, is not given: write it into the specimen of the "
     "test sheet, such as 'span: 152.4 mm'",
 )
-_WINDOW = 25.0
-"""s on each side of a turn of mid-span."""
 _DRIFT = 1e-4 / sqrt(3.0)
-"""Standard uncertainty of the rate of the cameras' clock, which one turn does not show."""
-_DRAWN = 9
-"""Degree of the curve that is stored to be drawn."""
+"""Standard uncertainty of the drift of the camera clock, which one turn does not show."""
 
 
 def bend_between_supports(
@@ -50,81 +46,85 @@ def bend_between_supports(
     ----------
     prepared : with repaired tracks
     step : of the protocol
-    protocol : its span and its marker block
+    protocol : with span and marker block
 
     Returns
     -------
-    With axis, shape and signal, or why there is none.
+    The test with axis, shape and signal, or the reason why there are none.
 
     Raises
     ------
     ValueError
         If the markers were not repaired before.
     """
-    take, words = prepared.take, protocol.markers
+    take, settings = prepared.take, protocol.markers
     tracks, repaired = take.tracks, take.repaired
-    if tracks is None or words is None or repaired is None:
+    if tracks is None or settings is None or repaired is None:
         message = "expected a role with marker tracks, a block markers: and repair-markers before"
         raise ValueError(message)
     span = protocol.specimen.span
     if span is None:
-        return _given_up(prepared, NO_SPAN)
+        return _without_span(prepared, NO_SPAN)
     rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
     try:
         sections = find_sections(repaired.positions, rest=rest, apart=step.section)
         shape = fit_span(
             sections,
             span=span,
-            radius=words.centre_offset,
+            radius=settings.centre_offset,
             facing=step.facing,
-            bent_most=_bent_most(sections),
+            bent_most=_is_bent_most(sections),
         )
     except ValueError as error:
-        return _given_up(prepared, Failure("too_few_markers", str(error)))
-    said = (
+        return _without_span(prepared, Failure("too_few_markers", str(error)))
+    summary = (
         f"{sections.count} sections of markers, {int((shape.lever > 0.0).sum())} of them with two "
         f"or more around the axis; points lie {1e6 * shape.bent.noise:.3g} um off the bent axis"
     )
-    made = replace(
+    bent = replace(
         prepared,
         signals=prepared.signals.with_new("mid_span", _mid_span(shape, tracks.time, rest, take)),
-        shape=_stored(sections, shape, tracks.time, repaired.flags),
+        shape=_span_shape(sections, shape, tracks.time, repaired.flags),
         span=SpanBend(shape, tracks.time, rest),
     )
-    return made, [info_note("three_point_shape", take.role, said)]
+    return bent, [info_note("three_point_shape", take.role, summary)]
 
 
-def _given_up(prepared: Prepared, why: Failure) -> tuple[Prepared, list[Finding]]:
-    return replace(prepared, span=why), [not_available(why.code, "markers", why.message)]
+def _without_span(prepared: Prepared, reason: Failure) -> tuple[Prepared, list[Finding]]:
+    return replace(prepared, span=reason), [not_available(reason.code, "markers", reason.message)]
 
 
 def _mid_span(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
     deflection = shape.bent.deflection
-    known = deflection[rest & np.isfinite(deflection)]
-    zero = float(np.sqrt(long_run_variance(known, parameters=1) / len(known)))
-    return replace(take.seen(time, deflection - known.mean()), zero_error=zero)
+    at_rest = deflection[rest & np.isfinite(deflection)]
+    zero = float(np.sqrt(long_run_variance(at_rest, parameters=1) / len(at_rest)))
+    return replace(take.signal_of(time, deflection - at_rest.mean()), zero_error=zero)
 
 
-def _bent_most(sections: Sections) -> Flags:
-    """Frames in which the specimen is bent more than half as far as it ever is."""
+def _is_bent_most(sections: Sections) -> Flags:
+    """Flag frames with more than half of the largest deflection."""
     moved = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
     far = np.max(np.nan_to_num(moved), axis=1)
     return np.asarray(far > 0.5 * far.max(), dtype=np.bool_)
 
 
-def _stored(sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[np.uint8]) -> Shape:
-    """Section centres as points; a power series through the axis, to be drawn."""
-    own = flags[:, sections.columns]
-    seen = np.isfinite(shape.centres).all(axis=2)
+def _span_shape(
+    sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[np.uint8]
+) -> Shape:
+    """Make the shape: section centres as points, and a power series of the axis for figures."""
+    # Of the stored power series, which only the figure uses.
+    degree = 9
+    section_flags = flags[:, sections.columns]
+    is_finite = np.isfinite(shape.centres).all(axis=2)
     of_section = np.stack(
-        [own[:, sections.section == k].max(axis=1) for k in range(sections.count)], axis=1
+        [section_flags[:, sections.section == k].max(axis=1) for k in range(sections.count)], axis=1
     )
     x = sections.x - shape.mid_span
     share = np.linspace(0.0, 1.0, 61)
     drawn = x[0] + share * (x[-1] - x[0])
-    to_terms = np.linalg.pinv(np.vander(share, _DRAWN + 1, increasing=True))
+    to_terms = np.linalg.pinv(np.vander(share, degree + 1, increasing=True))
     height = shape.bent.y(drawn) @ to_terms.T
-    coefficients = np.zeros((len(time), 3, _DRAWN + 1))
+    coefficients = np.zeros((len(time), 3, degree + 1))
     coefficients[:, 0, :2] = [x[0], x[-1] - x[0]]
     coefficients[:, 1] = height
     coefficients[np.isnan(height).any(axis=1)] = np.nan
@@ -132,7 +132,7 @@ def _stored(sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[n
         time=time,
         positions=shape.centres,
         names=tuple(f"section {number + 1}" for number in range(sections.count)),
-        flags=np.where(seen, of_section, PointFlag.MISSING).astype(np.uint8),
+        flags=np.where(is_finite, of_section, PointFlag.MISSING).astype(np.uint8),
         arc_length=x - x[0],
         coefficients=coefficients,
         length=float(x[-1] - x[0]),
@@ -143,7 +143,7 @@ def _stored(sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[n
 def align_cameras(
     prepared: Prepared, motion: Signal, strokes: tuple[Stroke, ...], *, min_stroke: float
 ) -> tuple[Prepared, dict[str, ClockFit], list[Finding]]:
-    """Fit the clock of the cameras to that of the motion: mid-span turns when the frame does.
+    """Fit the clock of the cameras to that of the motion, at the turns of mid-span.
 
     Parameters
     ----------
@@ -153,33 +153,39 @@ def align_cameras(
 
     Returns
     -------
-    With its shape on the clock of the motion, that of the cameras by name, and a note.
+    The test with its shape on the clock of the motion, the clock of the cameras by name, findings.
     """
-    seen = prepared.signals.raw.get("mid_span")
-    if seen is None or seen.clock == motion.clock:
+    # s on each side of a turn of mid-span.
+    window = 25.0
+    mid_span = prepared.signals.raw.get("mid_span")
+    if mid_span is None or mid_span.clock == motion.clock:
         return prepared, {}, []
-    own = find_strokes(seen.time, seen.values, min_stroke=min_stroke)
-    turns = turning_points(motion, strokes, window=_WINDOW)
-    found = turning_points(seen, own, window=_WINDOW)
+    camera_strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
+    turns = turning_points(motion, strokes, window=window)
+    camera_turns = turning_points(mid_span, camera_strokes, window=window)
     first = np.array([turn.middle for turn in turns if strokes[turn.stroke].sign > 0])
-    second = np.array([turn.middle for turn in found if own[turn.stroke].sign > 0])
+    second = np.array(
+        [turn.middle for turn in camera_turns if camera_strokes[turn.stroke].sign > 0]
+    )
     pairs, _ = match_peaks(first, second)
     if not len(pairs):
-        message = "the cameras did not see mid-span turn where the motion does"
-        prepared, why = _given_up(prepared, Failure("no_camera_clock", message))
-        return prepared, {}, why
-    errors = [turn.arrival.time_error for turn in found if own[turn.stroke].sign > 0]
+        message = "the cameras recorded no turn of mid-span at a turn of the motion"
+        prepared, findings = _without_span(prepared, Failure("no_camera_clock", message))
+        return prepared, {}, findings
+    errors = [
+        turn.arrival.time_error for turn in camera_turns if camera_strokes[turn.stroke].sign > 0
+    ]
     fit = _camera_fit(first[pairs[:, 0]], second[pairs[:, 1]], np.array(errors)[pairs[:, 1]])
     shape = prepared.shape
     if shape is not None:
         shape = replace(shape, time=fit.to_marker_time(shape.time))
-    said = (
+    message = (
         f"the cameras are {fit.offset:.4f} s ahead of the motion, known to "
-        f"{1.96e3 * fit.offset_interval.standard_error:.2g} ms; the shape stands on the motion's"
-        " clock"
+        f"{1.96e3 * fit.offset_interval.standard_error:.2g} ms; the shape is on the clock "
+        "of the motion"
     )
-    note = info_note("camera_clock", seen.clock, said)
-    return replace(prepared, shape=shape), {seen.clock: fit}, [note]
+    note = info_note("camera_clock", mid_span.clock, message)
+    return replace(prepared, shape=shape), {mid_span.clock: fit}, [note]
 
 
 def _camera_fit(motion: Floats, cameras: Floats, errors: Floats) -> ClockFit:

@@ -1,4 +1,4 @@
-"""The steps of a protocol: one case each, from the words of the YAML to the pure function."""
+"""Run the steps of a protocol."""
 
 from __future__ import annotations
 
@@ -10,8 +10,14 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
-from labpipe.process.motion import upright
-from labpipe.process.zeros import FEWEST, LEAST, line_zero, mean_level, needed
+from labpipe.process.motion import with_rising_force
+from labpipe.process.zeros import (
+    MIN_LEVEL_SAMPLES,
+    MIN_ZERO_SAMPLES,
+    line_zero,
+    mean_level,
+    required_samples,
+)
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SPEED, TURN
@@ -42,17 +48,10 @@ from labpipe.signal.filters import (
 from labpipe.signal.reversals import fit_reversal
 from labpipe.signal.turning_points import noise_level, sharpest_turn
 
-_WORST = 0.5
-"""s; a turn known no better than this makes no displacement."""
-_REST = 1.0
-"""s before the take-off of the force that must have been recorded, and s that are smoothed over."""
-_LATE = 0.02
-"""Share of the time of loading by which the force may rise early or late."""
-
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Up at constant speed and down again.
+    """A stroke up and down at constant speed.
 
     Parameters
     ----------
@@ -65,10 +64,10 @@ class Drive:
     speed: float
 
     def travel(self, time: Floats) -> Floats:
-        """Displacement at some times, m; 0 before the start and once it is back."""
-        lasts = self.turn - self.start
-        up = np.clip(time - self.start, 0.0, lasts)
-        down = np.clip(time - self.turn, 0.0, lasts)
+        """Return the displacement at given times, m; 0 before the start and after the return."""
+        loading_time = self.turn - self.start
+        up = np.clip(time - self.start, 0.0, loading_time)
+        down = np.clip(time - self.turn, 0.0, loading_time)
         return np.asarray(self.speed * (up - down), dtype=np.float64)
 
 
@@ -85,25 +84,28 @@ def travel_from_speed(
 
     Returns
     -------
-    With the channel; a note, and a doubt where the force contradicts speed and stroke.
+    The signals with the channel; a note, and a doubt if the force contradicts speed and stroke.
 
     Raises
     ------
     ValueError
-        If speed or stroke are not given, or the force shows no turn.
+        If speed or stroke are not stated, or the force has no turn.
 
     Notes
     -----
     The turn is the corner of the force; loading began stroke / speed before it (the source, App.
-    A.6, takes the largest force for the turn, and 58.8 s). The signal is moved by what is not
-    known: turned one standard error later, or faster by the uncertainty of the speed.
+    A.6, uses the largest force as the turn, and 58.8 s). The variants of the signal turn one
+    standard error later, or are faster by the uncertainty of the speed.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
         message = "expected rig.crosshead_speed and rig.stroke"
         raise ValueError(message)
-    force, lasts = upright(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
+    force, loading_time = (
+        with_rising_force(signals.raw[step.force]),
+        rig.stroke / rig.crosshead_speed,
+    )
     corner = _turn(force, step)
-    drive = Drive(corner.time - lasts, corner.time, rig.crosshead_speed)
+    drive = Drive(corner.time - loading_time, corner.time, rig.crosshead_speed)
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
     travel = drive.travel(time)
     moved = {
@@ -111,94 +113,100 @@ def travel_from_speed(
         SPEED: (1.0 + step.speed_uncertainty) * travel,
     }
     signal = Signal(time, travel, "m", force.clock, moved=moved)
-    said = (
-        f"no export measured it: {1e3 * rig.crosshead_speed:.4g} mm/s over {lasts:.4g} s up to the "
-        f"force's corner at {corner.time:.3f} s (standard error {1e3 * corner.time_error:.2g} ms), "
-        "and back"
+    summary = (
+        f"not measured: {1e3 * rig.crosshead_speed:.4g} mm/s over {loading_time:.4g} s up to the "
+        f"corner of the force at {corner.time:.3f} s (standard error {1e3 * corner.time_error:.2g} "
+        "ms), and back"
     )
-    known_to = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * lasts))
-    found = [
-        info_note("displacement_from_speed", step.channel, said),
+    half_width = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * loading_time))
+    findings = [
+        info_note("displacement_from_speed", step.channel, summary),
         *_start(force, drive, step.channel),
-        *_rest(force, drive, known_to),
+        *_rest(force, drive, half_width),
     ]
-    return signals.with_new(step.channel, signal), found
+    return signals.with_new(step.channel, signal), findings
 
 
 def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
+    # s
+    max_time_error = 0.5
     if not force.has_time:
-        message = f"{step.force}: a speed needs times, and the export has none"
+        message = f"{step.force}: a speed needs times, but the export has none"
         raise ValueError(message)
     near = sharpest_turn(force.time, force.values, width=step.window)
-    found = None
+    reversal = None
     if near is not None:
         part = slice(*np.searchsorted(force.time, [near - step.window, near + step.window]))
         inside = force.time[part], force.values[part]
-        found = fit_reversal(*inside, near=near, window=step.window)
-    if found is None or not found.corner.time_error < _WORST:
+        reversal = fit_reversal(*inside, near=near, window=step.window)
+    if reversal is None or not reversal.corner.time_error < max_time_error:
         message = (
             f"{step.force}: expected a corner where it turns from rising to falling, which says "
             "when the frame turned, found none: look whether it is the right channel, and whether "
             "the unloading was recorded"
         )
         raise ValueError(message)
-    return found.corner
+    return reversal.corner
 
 
 def _start(force: Signal, drive: Drive, channel: str) -> Iterator[Finding]:
-    """Compare the force's take-off with the start that speed and stroke say."""
-    seen, lasts = _take_off(force, drive.turn), drive.turn - drive.start
-    if seen is None:
-        message = "the force was not seen to rise from rest, so that nothing checks the start"
+    """Compare the take-off of the force with the start from speed and stroke."""
+    # Share of the loading time.
+    max_start_share = 0.02
+    take_off, loading_time = _take_off(force, drive.turn), drive.turn - drive.start
+    if take_off is None:
+        message = "the force does not rise from rest, so that the start cannot be checked"
         yield info_note("start_not_seen", channel, message)
         return
-    late = seen.time - drive.start
-    if abs(late) <= _LATE * lasts + 3.0 * seen.time_error:
+    late = take_off.time - drive.start
+    if abs(late) <= max_start_share * loading_time + 3.0 * take_off.time_error:
         return
     message = (
-        f"the force rises for {drive.turn - seen.time:.2f} s before it turns, speed and stroke of "
-        f"the rig say {lasts:.2f} s: look at rig.crosshead_speed and rig.stroke"
+        f"the force rises for {drive.turn - take_off.time:.2f} s before it turns, not for the "
+        f"{loading_time:.2f} s of the rig: check rig.crosshead_speed and rig.stroke"
     )
     yield doubtful("speed_unexpected", "rig.crosshead_speed", message, "displacement", "force")
 
 
-def _rest(force: Signal, drive: Drive, known_to: float) -> Iterator[Finding]:
-    """Doubt a force whose record begins when the specimen was loaded: its zero is not known."""
-    missed = float(force.time[0]) - drive.start
-    if missed > known_to:
+def _rest(force: Signal, drive: Drive, half_width: float) -> Iterator[Finding]:
+    """Doubt a force whose record begins after loading: its zero is not known."""
+    delay = float(force.time[0]) - drive.start
+    if delay > half_width:
         message = (
-            f"the record of the force begins {missed:.2f} s after the motion, known to "
-            f"{known_to:.2f} s: its zero was taken under load, so that forces are too small"
+            f"the record of the force begins {delay:.2f} s after the motion, known to "
+            f"{half_width:.2f} s: it was zeroed under load, so that forces are too small"
         )
         yield doubtful("start_missed", "force", message, "force")
 
 
 def _take_off(force: Signal, turn: float) -> Corner | None:
-    """Corner at which the force leaves its level at rest."""
-    window = max(1, seconds_to_window(_REST, force.time))
+    """Find the corner at which the force leaves its level at rest."""
+    # s of rest required before the take-off; also the smoothing window.
+    rest_time = 1.0
+    window = max(1, seconds_to_window(rest_time, force.time))
     smooth = moving_average(force.values, window=min(window, len(force.time) | 1))
-    rest = force.time <= force.time[0] + _REST
+    rest = force.time <= force.time[0] + rest_time
     level = float(np.nanmean(force.values[rest]))
     noise = noise_level(force.values) / np.sqrt(window) + 1e-9 * float(np.ptp(smooth))
     rising = (smooth - level > 5.0 * noise) & (force.time < turn)
-    # The last time that it was at rest, so that one stray sample does not count.
+    # The last sample at rest, so that single outliers have no effect.
     still = np.flatnonzero(~rising & (force.time < turn))
-    if not len(still) or force.time[still[-1]] - force.time[0] < _REST:
+    if not len(still) or force.time[still[-1]] - force.time[0] < rest_time:
         return None
     near = float(force.time[still[-1]])
-    return fit_corner(force.time, force.values, near=near, window=3.0 * _REST, degree=1)
+    return fit_corner(force.time, force.values, near=near, window=3.0 * rest_time, degree=1)
 
 
 Stepped: TypeAlias = tuple[Prepared, list[Finding]]
 
 
 class ShortStretchError(ValueError):
-    """A stretch to zero on holds too few samples.
+    """The stretch of a zero holds too few samples.
 
     Parameters
     ----------
     message : for people
-    needed : s, how long it would have to be
+    needed : required length of the stretch, s
     """
 
     def __init__(self, message: str, needed: float) -> None:
@@ -206,8 +214,8 @@ class ShortStretchError(ValueError):
         self.needed = needed
 
 
-def all_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Finding]]:
-    """Carry out the steps of a protocol, or say why not, with the key and what to do.
+def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Finding]]:
+    """Run the steps of a protocol.
 
     Parameters
     ----------
@@ -216,22 +224,22 @@ def all_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Fi
 
     Returns
     -------
-    What they made of it, and what they found.
+    The signals after the steps, and the findings.
 
     Raises
     ------
     ProcessingError
-        If the data cannot go through a step.
+        If a step cannot be run on the data; the message has its key and a remedy.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for step in protocol.steps:
-        prepared, more = step_or_refusal(prepared, step, protocol)
-        found += more
-    return prepared, found
+        prepared, step_findings = run_step(prepared, step, protocol)
+        findings += step_findings
+    return prepared, findings
 
 
-def step_or_refusal(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
-    """Carry out one step, or say why not, with its key and what to do.
+def run_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
+    """Run one step, with errors that have its key and a remedy.
 
     Parameters
     ----------
@@ -240,12 +248,12 @@ def step_or_refusal(prepared: Prepared, step: Step, protocol: Protocol) -> Stepp
     Raises
     ------
     ProcessingError
-        If the data cannot go through the step.
+        If the step cannot be run on the data.
     """
     try:
         return take_step(prepared, step, protocol)
     except ValueError as error:
-        remedy = "Look at the exports with `labpipe inspect`, and at this step of the protocol."
+        remedy = "Check the exports with `labpipe inspect`, and this step of the protocol."
         if isinstance(error, ShortStretchError):
             remedy = f"Write {in_test_sheet(f'{step.key}.over', f'{error.needed:.2g} s')}."
         message = f"{step.key} ({step.step}): {error}. {remedy}"
@@ -253,39 +261,39 @@ def step_or_refusal(prepared: Prepared, step: Step, protocol: Protocol) -> Stepp
 
 
 def take_step(prepared: Prepared, step: Step, protocol: Protocol) -> Stepped:
-    """Carry out one step.
+    """Run one step.
 
     Parameters
     ----------
-    prepared : by the steps before
+    prepared : after the steps before
     step : of the protocol
-    protocol : for what steps share: markers, rig
+    protocol : with markers and rig
 
     Returns
     -------
-    What it made, and what it found.
+    The signals after the step, and the findings.
 
     Raises
     ------
     ValueError
-        If the data cannot go through the step.
+        If the step cannot be run on the data.
     """
     match step:
         case RepairMarkers() | SpecimenFrame() | FitShape() | ThreePointShape():
             return _take_marker_step(prepared, step, protocol)
         case TravelFromSpeed():
-            signals, found = travel_from_speed(prepared.signals, step, protocol.rig)
+            signals, findings = travel_from_speed(prepared.signals, step, protocol.rig)
         case Zero():
-            signals, found = zeroed(prepared.signals, step)
+            signals, findings = zero_signal(prepared.signals, step)
         case Smooth():
-            signals, found = _smooth(prepared.signals, step, protocol)
+            signals, findings = _smooth(prepared.signals, step, protocol)
         case LowPass():
-            signals, found = _low_pass(prepared.signals, step)
+            signals, findings = _low_pass(prepared.signals, step)
         case Decimate():
-            signals, found = _decimate(prepared.signals, step)
+            signals, findings = _decimate(prepared.signals, step)
         case _ as never:
             assert_never(never)
-    return replace(prepared, signals=signals), found
+    return replace(prepared, signals=signals), findings
 
 
 def _take_marker_step(
@@ -293,7 +301,7 @@ def _take_marker_step(
     step: RepairMarkers | SpecimenFrame | FitShape | ThreePointShape,
     protocol: Protocol,
 ) -> Stepped:
-    # A test on a load frame alone does not load what takes markers to a shape.
+    # Tests without markers do not load these modules.
     from labpipe.process.camera_steps import fit_shapes, repair, turn_into_specimen
 
     match step:
@@ -309,13 +317,13 @@ def _take_marker_step(
             return bend_between_supports(prepared, step, protocol)
 
 
-def zeroed(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
-    """Take the level of a signal at rest off it.
+def zero_signal(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
+    """Subtract the level of a signal at rest.
 
     Parameters
     ----------
     signals : by name
-    step : which one, over which stretch, by a mean or the outer end of a line
+    step : with channel, stretch and method
 
     Raises
     ------
@@ -329,50 +337,49 @@ def zeroed(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     over = max(step.over, float(signal.time[last - 1] - signal.time[first]))
     start = float(signal.time[0] if step.at == "start" else signal.time[-1] - over)
     rest = signal.values[first:last]
-    known = rest[~np.isnan(rest)]
-    beside = signal.values[last:] if step.at == "start" else signal.values[:first]
-    if len(known) < (least := needed(beside)):
-        apart = _step_of(signal)
+    finite = rest[~np.isnan(rest)]
+    other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
+    if len(finite) < (min_samples := required_samples(other_values)):
+        time_step = _step_of(signal)
         message = (
-            f"{step.channel}: {len(known)} samples in the {over:.4g} s to zero on, {least} are "
-            f"needed, and there are {1.0 / apart:.4g} per second"
+            f"{step.channel}: {len(finite)} samples in the {over:.4g} s to zero on, {min_samples} "
+            f"are needed, and there are {1.0 / time_step:.4g} per second"
         )
-        raise ShortStretchError(message, (least + 0.5) * apart)
+        raise ShortStretchError(message, (min_samples + 0.5) * time_step)
     stretch = {name: (start, start + over)}
     if step.by == "mean":
         signals = replace(signals, zeroed={**signals.zeroed, **stretch})
-        level, error = mean_level(known, beside)
-        how = f"the mean over {over:.4g} s"
+        level, error = mean_level(finite, other_values)
+        method = f"the mean over {over:.4g} s"
     else:
         signals = replace(signals, lined={**signals.lined, **stretch})
-        values = known if step.at == "start" else known[::-1]
-        level, error, rested = line_zero(values, beside)
-        lasts = over * rested / len(values)
-        how = f"the outer end of a line over {over:.4g} s"
-        how = f"the mean over the {lasts:.3g} s before the motion" if rested else how
-    said = f"zero at {round(level, 12):.6g} {signal.unit}, {how} at the {step.at}"
-    if len(known) < LEAST:
-        said += f", {len(known)} samples: their noise is judged by the rest of the record"
-    return signals.without_level(name, level, error), [info_note("zeroed", name, said)]
+        values = finite if step.at == "start" else finite[::-1]
+        level, error, rest_samples = line_zero(values, other_values)
+        rest_time = over * rest_samples / len(values)
+        method = f"the outer end of a line over {over:.4g} s"
+        method = (
+            f"the mean over the {rest_time:.3g} s before the motion" if rest_samples else method
+        )
+    summary = f"zero at {round(level, 12):.6g} {signal.unit}, {method} at the {step.at}"
+    if len(finite) < MIN_LEVEL_SAMPLES:
+        summary += f", {len(finite)} samples: their noise is taken from the rest of the record"
+    return signals.without_level(name, level, error), [info_note("zeroed", name, summary)]
 
 
 def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
-    """Samples to zero on, from the first to behind the last: `FEWEST` at least.
-
-    A stretch that suits a quick recorder holds two samples of a slow one.
-    """
+    """Return start and stop of the samples of a zero: at least `MIN_ZERO_SAMPLES`."""
     time = signal.time
     if step.at == "start":
         last = int(np.searchsorted(time, time[0] + step.over, side="right"))
-        return 0, min(max(last, FEWEST), len(time))
+        return 0, min(max(last, MIN_ZERO_SAMPLES), len(time))
     first = int(np.searchsorted(time, time[-1] - step.over))
-    return max(min(first, len(time) - FEWEST), 0), len(time)
+    return max(min(first, len(time) - MIN_ZERO_SAMPLES), 0), len(time)
 
 
 def _need_time(signal: Signal, name: str, what: str) -> None:
-    """Refuse a length in seconds where the export has rows but no time."""
+    """Refuse a length in seconds if the export has no time."""
     if not signal.has_time:
-        message = f"{name}: {what} needs times, and the export has none"
+        message = f"{name}: {what} needs times, but the export has none"
         raise ValueError(message)
 
 
@@ -381,45 +388,48 @@ def _smooth(signals: Signals, step: Smooth, protocol: Protocol) -> tuple[Signals
     window = _window(step.span, signal, protocol)
     seconds = window * _step_of(signal)
     length = f" ({seconds:.4g} s)" if signal.has_time else ""
-    said = f"moving average over {window} samples{length}"
-    made = (Smoothing(window), 1)
-    return _filtered(signals, step.channel, made), [info_note("smoothed", step.channel, said)]
+    summary = f"moving average over {window} samples{length}"
+    smoothing = (Smoothing(window), 1)
+    return _filtered(signals, step.channel, smoothing), [
+        info_note("smoothed", step.channel, summary)
+    ]
 
 
 def _low_pass(signals: Signals, step: LowPass) -> tuple[Signals, list[Finding]]:
     signal = signals.filtered[step.channel]
     _need_time(signal, step.channel, "a cutoff in Hz")
     rate = 1.0 / _step_of(signal)
-    made = (Butterworth(step.cutoff, rate, step.order), 1)
-    return _filtered(signals, step.channel, made), []
+    low_pass = (Butterworth(step.cutoff, rate, step.order), 1)
+    return _filtered(signals, step.channel, low_pass), []
 
 
 def _decimate(signals: Signals, step: Decimate) -> tuple[Signals, list[Finding]]:
     window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
-    made = (Smoothing(window), step.factor)
-    said = f"every {step.factor}th sample kept ({step.method})"
-    return _filtered(signals, step.channel, made), [info_note("decimated", step.channel, said)]
+    decimation = (Smoothing(window), step.factor)
+    summary = f"every {step.factor}th sample kept ({step.method})"
+    return _filtered(signals, step.channel, decimation), [
+        info_note("decimated", step.channel, summary)
+    ]
 
 
 def _step_of(signal: Signal) -> float:
     """Median step of the clock of a signal, s.
 
-    Its steps are few numbers again and again, in which `labpipe.records.arrays.median` takes thirty
-    times as long as numpy's.
+    With few distinct steps `labpipe.records.arrays.median` takes thirty times as long as numpy's.
     """
     return float(np.median(np.diff(signal.time)))
 
 
-def _filtered(signals: Signals, name: str, made: Filter) -> Signals:
-    """Filter a signal; once its corners are known this is done anew, piece by piece."""
-    signal, (_, stride) = signals.filtered[name], made
+def _filtered(signals: Signals, name: str, filter_step: Filter) -> Signals:
+    """Filter a signal; after its corners are known this is repeated branch by branch."""
+    signal, (_, stride) = signals.filtered[name], filter_step
     thinned = replace(signal, time=signal.time[::stride])
-    signal = thinned.changed(lambda values: in_pieces(values, (), [made]))
-    return signals.with_filtered(name, signal, made)
+    signal = thinned.changed(lambda values: in_pieces(values, (), [filter_step]))
+    return signals.with_filtered(name, signal, filter_step)
 
 
 def _window(span: Span, signal: Signal, protocol: Protocol) -> int:
-    """Samples of a span; travel and branches are turned into seconds by the rig's speed."""
+    """Convert a span to samples; travel and branches by the speed of the rig."""
     count = len(signal.values)
     if span.kind == "samples":
         return window_length(max(1.0, span.value), count)

@@ -1,7 +1,7 @@
-"""The story of one test, from its recordings to its results, without touching a file.
+"""Reduce one test from recordings to results, without access to files.
 
-Read this page first. Each step is a pure function that takes a frozen record and gives the next one
-and what it found:
+Read this module first. Each step is a pure function from a frozen record to the next one and its
+findings:
 
 recordings -> signals -> prepared (steps: zeros, filters, shape) -> branches and clocks -> curve ->
 corrected curve -> results
@@ -16,15 +16,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date
 
-from labpipe.process.calibrated_signals import Prepared, calibrated, check_channels
+from labpipe.process.calibrated_signals import Prepared, calibrate, check_channels
 from labpipe.process.certificates import check_due
 from labpipe.process.clock_joining import join_clocks
 from labpipe.process.consistency import check_consistency
 from labpipe.process.curve_corrections import (
-    aligned,
+    align_signals,
+    bridge_outliers,
+    build_curve,
     correct_curve,
-    put_together,
-    without_outliers,
 )
 from labpipe.process.motion import Motion, branches_between, strokes_of
 from labpipe.process.sanity_checks import (
@@ -32,13 +32,13 @@ from labpipe.process.sanity_checks import (
     check_rest,
     check_rig,
     check_signs,
-    cut_at,
     file_is_cut,
-    holds,
+    find_cut_ends,
+    find_holds,
     is_full_stroke,
 )
-from labpipe.process.steps import all_steps
-from labpipe.process.zeros import check_begin, check_break, check_zeros, use_rest_there_is
+from labpipe.process.steps import run_steps
+from labpipe.process.zeros import check_begin, check_break, check_zeros, rezero_at_rest
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape
@@ -56,13 +56,13 @@ from labpipe.uncertainty.intervals import Measured
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReductionOfTest:
-    """What a test comes to.
+    """The reduction of a test.
 
     Parameters
     ----------
-    reduced_test : with every stage that was reached, and all findings
+    reduced_test : with all stages that were reached, and all findings
     results : in the protocol's order
-    lines : the straight lines that stiffnesses were read from
+    lines : straight lines of stiffnesses
     """
 
     reduced_test: ReducedTest
@@ -77,38 +77,38 @@ def reduce_recordings(
 
     Parameters
     ----------
-    recordings : by role, their channels named and in SI units as the protocol says
+    recordings : by role, with the channel names of the protocol, in SI units
     protocol : resolved
-    tested : day of the test, for the certificates of its instruments; None where it is not known
+    tested : day of the test, for the certificates of its instruments; None if it is not known
 
     Raises
     ------
     ProcessingError
         If a recording lacks what a step cannot do without, such as the clamp's rigid body.
     """
-    prepared, found = calibrated(recordings, protocol)
-    findings = Findings() + found + check_channels(prepared.signals, protocol)
+    prepared, new_findings = calibrate(recordings, protocol)
+    findings = Findings() + new_findings + check_channels(prepared.signals, protocol)
     findings += check_due(protocol, tested)
-    prepared, found = all_steps(prepared, protocol)
-    findings += found
+    prepared, new_findings = run_steps(prepared, protocol)
+    findings += new_findings
     if protocol.curve is None or protocol.branches is None:
         return with_results(_reduced_test(prepared, Clocks(), protocol, findings), protocol)
     seed = seed_of(recordings)
-    prepared, motion, found = split_motion(prepared, protocol, protocol.branches)
-    findings += found
-    prepared, found = at_rest(prepared, motion, protocol.limits)
-    findings += found
-    findings = checked(prepared, motion, protocol, findings)
+    prepared, motion, new_findings = split_motion(prepared, protocol, protocol.branches)
+    findings += new_findings
+    prepared, new_findings = recheck_rest(prepared, motion, protocol.limits)
+    findings += new_findings
+    findings = check_signals(prepared, motion, protocol, findings)
     test = replace(_reduced_test(prepared, motion.clocks, protocol, findings), seed=seed)
     return with_results(with_curve(test, motion, protocol, protocol.curve), protocol)
 
 
 def seed_of(recordings: Mapping[str, Recording]) -> bytes:
-    """Make a seed from what was recorded, so that the same files are drawn alike everywhere.
+    """Make a random seed from the recordings, so that results are reproducible.
 
     Parameters
     ----------
-    recordings : by role; a thousand samples of each channel count, as they were read
+    recordings : by role; a thousand samples of each channel are used
     """
     digest = hashlib.sha256()
     for role in sorted(recordings):
@@ -123,61 +123,67 @@ def seed_of(recordings: Mapping[str, Recording]) -> bytes:
 def split_motion(
     prepared: Prepared, protocol: Protocol, block: Branches
 ) -> tuple[Prepared, Motion, list[Finding]]:
-    """Split the motion where it turns, and join the clocks there.
+    """Split the motion at its turns, and join the clocks there.
 
     Parameters
     ----------
-    prepared : by all steps
-    protocol : how clocks are joined
-    block : which channel is the motion, and what a stroke is
+    prepared : after all steps
+    protocol : with the method that joins the clocks
+    block : with the channel of the motion and the minimum stroke
     """
     signals = prepared.signals
     motion = signals.raw[block.channel]
-    strokes, found = strokes_of(motion, block)
-    fit, turns, more = join_clocks(signals, protocol.align, motion, strokes)
+    strokes, findings = strokes_of(motion, block)
+    fit, turns, new_findings = join_clocks(signals, protocol.align, motion, strokes)
     clocks = Clocks(signals.raw[signals.displacement].clock, force=fit)
     branches = branches_between(motion, strokes, turns)
-    found += more
+    findings += new_findings
     if prepared.span is not None:
-        from labpipe.process.span_steps import align_cameras  # loaded by these tests alone
+        from labpipe.process.span_steps import align_cameras  # only these tests load it
 
-        least = block.min_stroke
-        prepared, others, more = align_cameras(prepared, motion, strokes, min_stroke=least)
+        min_stroke = block.min_stroke
+        prepared, others, new_findings = align_cameras(
+            prepared, motion, strokes, min_stroke=min_stroke
+        )
         clocks = replace(clocks, others=others)
-        found += more
-    return prepared, Motion(motion, branches, clocks), found
+        findings += new_findings
+    return prepared, Motion(motion, branches, clocks), findings
 
 
-def at_rest(prepared: Prepared, motion: Motion, limits: Limits) -> tuple[Prepared, list[Finding]]:
-    """Look at what was taken at rest again, now that it is known when the machine rests."""
-    prepared, found = check_mid_span(prepared, motion, limits)
-    signals, more = use_rest_there_is(prepared.signals, motion)
-    return replace(prepared, signals=signals), [*found, *more]
+def recheck_rest(
+    prepared: Prepared, motion: Motion, limits: Limits
+) -> tuple[Prepared, list[Finding]]:
+    """Check what was measured at rest again, now that the times of rest are known."""
+    prepared, findings = check_mid_span(prepared, motion, limits)
+    signals, zero_findings = rezero_at_rest(prepared.signals, motion)
+    return replace(prepared, signals=signals), [*findings, *zero_findings]
 
 
-def checked(prepared: Prepared, motion: Motion, protocol: Protocol, findings: Findings) -> Findings:
-    """Add what a careful person would see before any number is read.
+def check_signals(
+    prepared: Prepared, motion: Motion, protocol: Protocol, findings: Findings
+) -> Findings:
+    """Add the findings of all checks before the curve is built.
 
     Parameters
     ----------
     prepared, motion : of the test
-    protocol : what is expected of rig and specimen
+    protocol : with rig and specimen
     findings : so far
     """
     signals, is_blocked = prepared.signals, findings.blocked is not None
     findings += check_rig(signals, prepared.shape, protocol, motion.branches, is_blocked=is_blocked)
-    findings += holds(signals.displacement, motion, protocol.limits)
+    findings += find_holds(signals.displacement, motion, protocol.limits)
     findings += check_rest(signals, motion, protocol.limits)
     reversed_signs = [] if is_blocked else check_signs(signals, motion, protocol)
-    if any(reversed_sign.code == "force_reversed" for reversed_sign in reversed_signs):
-        findings = findings.without("force_negative")  # its cause is found
+    if any(finding.code == "force_reversed" for finding in reversed_signs):
+        findings = findings.without("force_negative")  # the reversed sign is its cause
     return findings + reversed_signs
 
 
 def with_curve(
     test: ReducedTest, motion: Motion, protocol: Protocol, block: CurveBlock
 ) -> ReducedTest:
-    """Put force and displacement on one clock, and correct what they show.
+    """Build the curve of a test and correct it.
 
     Parameters
     ----------
@@ -186,7 +192,7 @@ def with_curve(
     protocol : for the stroke of the rig
     block : the corrections
     """
-    ends = cut_at(
+    ends = find_cut_ends(
         test.signals,
         motion,
         is_full_stroke=is_full_stroke(motion.signal, protocol.rig.stroke),
@@ -196,16 +202,16 @@ def with_curve(
     test = replace(test, cut_at=ends)
     if test.findings.blocked:
         return test
-    unfiltered, found = without_outliers(test.signals)
-    test = replace(test, aligned=aligned(test), unfiltered=unfiltered)
-    curve, more = put_together(test, unfiltered, motion)
-    findings = test.findings + found + more
+    unfiltered, new_findings = bridge_outliers(test.signals)
+    test = replace(test, aligned=align_signals(test), unfiltered=unfiltered)
+    curve, curve_findings = build_curve(test, unfiltered, motion)
+    findings = test.findings + new_findings + curve_findings
     if curve is None:
         return replace(test, findings=findings)
     findings += check_zeros(test.signals, test.clocks, curve, findings, protocol.limits)
     findings += check_consistency(test.signals.force, curve, protocol.limits)
-    test, found = correct_curve(replace(test, curve=curve), block)
-    findings += found
+    test, new_findings = correct_curve(replace(test, curve=curve), block)
+    findings += new_findings
     has_slack = isinstance(test.slack, Measured)
     findings += check_begin(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
@@ -216,7 +222,7 @@ def with_curve(
 def _reduced_test(
     prepared: Prepared, clocks: Clocks, protocol: Protocol, findings: Findings
 ) -> ReducedTest:
-    specimen, words, string = protocol.specimen, protocol.markers, protocol.rig.string
+    specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     sizes = {} if specimen.section is None else vars(specimen.section)
     setup = Setup(
         length=specimen.length,
@@ -227,10 +233,10 @@ def _reduced_test(
         string=None
         if string is None
         else LoadString(string.length, string.counterweight, string.at_rest),
-        has_markers=words is not None,
-        centre_offset=0.0 if words is None else words.centre_offset,
-        offset_uncertainty=0.0 if words is None else words.offset_uncertainty,
-        centre_uncertainty=0.0 if words is None else words.centre_uncertainty,
+        has_markers=markers is not None,
+        centre_offset=0.0 if markers is None else markers.centre_offset,
+        offset_uncertainty=0.0 if markers is None else markers.offset_uncertainty,
+        centre_uncertainty=0.0 if markers is None else markers.centre_uncertainty,
         compliance_stated=protocol.curve is not None and protocol.curve.compliance is not None,
         limits=protocol.limits,
         free_tip=any(isinstance(x, FitShape) and x.tip == "free" for x in protocol.steps),
@@ -246,38 +252,38 @@ def _reduced_test(
 
 
 def _uncertainties(protocol: Protocol) -> dict[str, float]:
-    """Of the sizes of the specimen; as a bending stiffness says, where the specimen does not."""
-    said = protocol.specimen.uncertainty
+    """Return the uncertainties of sizes, of the specimen or else of a bending stiffness."""
+    stated = protocol.specimen.uncertainty
     of_results = {
         entry.length: entry.length_uncertainty
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }
-    return of_results | (said.stated if said is not None else {})
+    return of_results | (stated.stated if stated is not None else {})
 
 
 def with_results(test: ReducedTest, protocol: Protocol) -> ReductionOfTest:
-    """Compute the results that a protocol asks for.
+    """Compute the results of a protocol.
 
     Parameters
     ----------
-    test : with all that was found
-    protocol : its results, in order
+    test : with all findings
+    protocol : with its results in order
     """
     if any(isinstance(entry, MomentCurvature) for entry in protocol.results):
-        from labpipe.results.moment_curvature import measured  # loaded by these tests alone
+        from labpipe.results.moment_curvature import measured  # only these tests load it
 
-        bending, found = measured(test)
-        test = replace(test, bending=bending, findings=test.findings + found)
+        bending, bending_findings = measured(test)
+        test = replace(test, bending=bending, findings=test.findings + bending_findings)
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:
         computed = entry.compute(test)
-        made = [to_result(test, number) for number in computed.numbers]
-        if any(each.status is Status.FAILED for each in made):
-            from labpipe.process.remedies import with_remedy  # most tests do without
+        numbers = [to_result(test, number) for number in computed.numbers]
+        if any(result.status is Status.FAILED for result in numbers):
+            from labpipe.process.remedies import with_remedy  # most tests do not need it
 
-            made = [with_remedy(each, entry, test, protocol) for each in made]
-        results += made
+            numbers = [with_remedy(result, entry, test, protocol) for result in numbers]
+        results += numbers
         lines += computed.lines
         test = replace(
             test,

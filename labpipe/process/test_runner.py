@@ -1,4 +1,4 @@
-"""One test among many, whatever becomes of it: its results, or why there are none."""
+"""Process one test of many: return its results, or the reason why there are none."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from labpipe.errors import LabpipeError, code_of, error_text, refusal
-from labpipe.process.reading import cards_in_play, fingerprint, named_exports
+from labpipe.process.reading import dialect_cards, fingerprint, named_exports
 from labpipe.process.run import Processed, key_of, name_of, process_test, results_folder_of
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
 from labpipe.store.failure_file import FailedTest, write_failure
@@ -26,11 +26,11 @@ class Task:
     Parameters
     ----------
     sheet : its test.yaml, or a result.h5 whose raw group is processed again
-    goal : folder of its results; None where `labpipe process` puts them
-    figures : whether to draw, as SVG
-    png : whether figures are drawn as PNG, too
+    goal : folder of its results; None for that of `labpipe process`
+    figures : whether to draw figures as SVG
+    png : whether to draw them as PNG as well
     follow_links : whether exports may be links out of the folder of the test
-    run : key that its results will have, where that is known before
+    run : key of its results, if it is known before
     """
 
     sheet: Path
@@ -50,8 +50,8 @@ class Refused:
     test : its test.yaml or result.h5
     code : why, see `labpipe.errors.CODES`
     reason : the message for the user
-    folder : of its results, where failure.json says the same; None where that is not known
-    run : key that its results would have had; empty where that is not known
+    folder : of its results, with failure.json; None if it is not known
+    run : key of the inputs; empty if it is not known
     """
 
     test: Path
@@ -64,23 +64,22 @@ class Refused:
 def attempt(
     task: Task, say: Say = lambda _: None, *, is_alone: bool = False
 ) -> Processed | Refused:
-    """Process a test; what is wrong with it is said beside its earlier results.
+    """Process a test, or write failure.json beside its earlier results.
 
     Parameters
     ----------
     task : the test
-    say : is given the name of each stage as it begins
-    is_alone : whether a fault of labpipe itself may show all that is known of it
+    say : called with the name of each stage as it begins
+    is_alone : whether faults of labpipe itself are raised
 
     Returns
     -------
-    The test without its recordings and stages, which are in its result.h5: hundreds of tests would
-    not go into memory.
+    The test without recordings and stages, which are in its result.h5, to save memory.
 
     Raises
     ------
     Exception
-        A fault of labpipe itself, if the test is alone; failure.json has it, too.
+        A fault of labpipe itself, if the test is alone; failure.json has it as well.
     """
     try:
         done = process_test(
@@ -95,7 +94,7 @@ def attempt(
         return refuse(task, error.code, str(error))
     except Exception as error:
         code = code_of(error)
-        refused = refuse(task, code, _WORDED[code](task.sheet, error))
+        refused = refuse(task, code, _FAULT_TEXTS[code](task.sheet, error))
         if is_alone and code == "fault_of_labpipe":
             raise
         return refused
@@ -104,24 +103,24 @@ def attempt(
 
 
 def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refused:
-    """Write down why a test has no new results.
+    """Record why a test has no new results.
 
     Parameters
     ----------
     task : the test
     code, reason : see `Refused`
-    is_read : whether to read sheet and exports, to say what the results would have been made of;
-        not where reading may have been what killed a process
+    is_read : whether to read sheet and exports for the key of the inputs; not if reading them may
+        have killed a process
 
     Returns
     -------
-    The refusal. Where the folder of the results is not known, cannot be written, or is written by
-    another process at the moment, it alone tells; an earlier failure.json stays.
+    The refusal. If the results folder is not known, not writable, or in use by another process,
+    there is no failure.json, or an earlier one remains.
     """
     folder = _folder_of(task)
     failure = FailedTest("", code, reason, task.run)
     if is_read:
-        failure = _with_what_is_known(failure, task)
+        failure = _with_inputs(failure, task)
     if folder is not None and code != "in_use":
         with suppress(LabpipeError):
             write_failure(failure, folder)
@@ -136,8 +135,8 @@ def _folder_of(task: Task) -> Path | None:
     return None
 
 
-def _with_what_is_known(failure: FailedTest, task: Task) -> FailedTest:
-    """Say of a failure which test it was and what went in, as far as that can be read."""
+def _with_inputs(failure: FailedTest, task: Task) -> FailedTest:
+    """Add name and inputs of the test to a failure, as far as they can be read."""
     try:
         failure = replace(failure, test=name_of(task.sheet))
         if task.sheet.suffix == ".h5":
@@ -146,41 +145,41 @@ def _with_what_is_known(failure: FailedTest, task: Task) -> FailedTest:
         protocol = resolve(sheet, task.sheet, follow_links=task.follow_links)
         resolved = dump_protocol(protocol)
         texts = {"sheet": text, "protocol": resolved}
-        made_of = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
-        failure = replace(failure, made_of=made_of)
-        named, folder = named_exports(sheet, protocol), task.sheet.parent
-        exports = [fingerprint(folder / name, role, name) for role, name in named]
-        inputs = (*exports, *cards_in_play(protocol))
-        run = key_of([(each.role, each.sha256) for each in inputs], text, resolved)
+        hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
+        failure = replace(failure, made_of=hashes)
+        exports_by_role, folder = named_exports(sheet, protocol), task.sheet.parent
+        exports = [fingerprint(folder / name, role, name) for role, name in exports_by_role]
+        inputs = (*exports, *dialect_cards(protocol))
+        run = key_of([(file.role, file.sha256) for file in inputs], text, resolved)
         return replace(failure, inputs=inputs, run=failure.run or run)
-    except Exception:  # noqa: BLE001  what is wrong may be wrong here again, and is said already
+    except Exception:  # noqa: BLE001  the same fault may occur here, and is reported already
         return failure
 
 
-def _too_large(test: Path, _error: Exception) -> str:
+def _out_of_memory(test: Path, _error: Exception) -> str:
     return error_text(
         test,
         "",
-        expected="a test that goes into the memory",
-        found="that the memory was used up",
+        expected="a test that fits into memory",
+        found="out of memory",
         remedy="Close other programs, choose fewer --jobs, or leave the test out.",
     )
 
 
-def _own_fault(test: Path, error: Exception) -> str:
-    """Word an error that is none of the user's, with the line of labpipe that it came from."""
+def _internal_error(test: Path, error: Exception) -> str:
+    """Describe an internal error, with the line of labpipe that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
-    at = own[-1] if own else frames[-1]
-    said = " ".join(str(error).split())
-    found = f"a fault of labpipe itself ({type(error).__name__}: {said})"
-    place = f"{Path(at.filename).name}, line {at.lineno}"
+    own_frames = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
+    frame = own_frames[-1] if own_frames else frames[-1]
+    error_message = " ".join(str(error).split())
+    actual = f"a fault of labpipe itself ({type(error).__name__}: {error_message})"
+    place = f"{Path(frame.filename).name}, line {frame.lineno}"
     remedy = f"Report it ({place}) with the exports of the test; processed alone, it says more."
-    return error_text(test, "", expected="to get through", found=found, remedy=remedy)
+    return error_text(test, "", expected="no error", found=actual, remedy=remedy)
 
 
-_WORDED = {
-    "out_of_memory": _too_large,
+_FAULT_TEXTS = {
+    "out_of_memory": _out_of_memory,
     "system_refused": lambda test, error: f"{test}: {refusal(error)}",
-    "fault_of_labpipe": _own_fault,
+    "fault_of_labpipe": _internal_error,
 }

@@ -1,4 +1,4 @@
-"""Zeros: the level at rest they are taken from, whether they stay, and records that begin late."""
+"""Zeros: their level at rest, their drift, and records that begin under load."""
 
 from __future__ import annotations
 
@@ -22,45 +22,40 @@ from labpipe.signal.turning_points import noise_level
 from labpipe.uncertainty.autocorrelation import long_run_variance, smooth_stretches
 from labpipe.uncertainty.linear_fits import fit_linear
 
-LEAST = 8
-"""Samples below which a stretch alone says nothing of its level."""
-FEWEST = 3
-"""Samples that do where the rest of the record says what the noise is like."""
-SHORT = 100
-"""Samples of a stretch below which the rest of the record says what its noise is like."""
+MIN_LEVEL_SAMPLES = 8
+"""Samples that a level needs without knowledge of the noise."""
+MIN_ZERO_SAMPLES = 3
+"""Samples that a level needs if the rest of the record shows the noise."""
+SHORT_STRETCH = 100
+"""Samples below which the noise of a stretch is taken from the rest of the record."""
 
 
-_QUARTER = 25
-"""Samples of the stretches that a record of fewer than `SHORT` is cut into."""
-
-
-def needed(beside: Floats) -> int:
-    """Samples that a stretch to zero on must hold.
+def required_samples(other_values: Floats) -> int:
+    """Return the number of samples that a zero needs.
 
     Parameters
     ----------
-    beside : shape (m,), the rest of the record
+    other_values : shape (m,), the rest of the record
 
     Notes
     -----
-    Beside a hundred more samples, three are enough: with 3 to 6 of them the intervals of
-    `mean_level` and `end_level` hold 94 to 96 of 100 true values, in white noise and in noise that
-    remembers ten samples. Beside 25 they hold as many in noise that remembers up to two samples,
-    and 73 in noise that remembers ten, which so short a record cannot tell from its curve.
+    Three are enough if the record has a hundred more: with 3 to 6 the intervals of `mean_level` and
+    `end_level` hold 94 to 96 of 100 true values, in white noise and in noise that is correlated
+    over ten samples. With 25 more they hold as many in noise correlated over two samples, and 73 in
+    noise correlated over ten, which so short a record cannot distinguish from its curve.
     """
-    return FEWEST if _cut(beside) else LEAST
+    return MIN_ZERO_SAMPLES if _cut(other_values) else MIN_LEVEL_SAMPLES
 
 
-def mean_level(values: Floats, beside: Floats) -> tuple[float, float]:
-    """Mean of a stretch, with its standard error.
+def mean_level(values: Floats, other_values: Floats) -> tuple[float, float]:
+    """Return the mean of a stretch and its standard error.
 
     Parameters
     ----------
     values : shape (n,), the stretch, evenly sampled, without NaN
-    beside : shape (m,), the rest of the record: a stretch of a few samples cannot tell how far its
-        noise remembers
+    other_values : shape (m,), the rest of the record, for the correlation of the noise
     """
-    stretches = _stretches(values, beside)
+    stretches = _stretches(values, other_values)
     if stretches:
         fit = fit_linear(np.ones((len(values), 1)), values, beside=stretches)
         half = float(fit.half_widths[0])
@@ -70,60 +65,65 @@ def mean_level(values: Floats, beside: Floats) -> tuple[float, float]:
     return float(values.mean()), error
 
 
-def end_level(values: Floats, beside: Floats) -> tuple[float, float]:
-    """First value of a straight line through a stretch, with its standard error.
+def end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
+    """Return the first value of a line through a stretch and its standard error.
 
     Parameters
     ----------
-    values, beside : as for `mean_level`
+    values, other_values : as for `mean_level`
     """
     blocks = _blocks(values)
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
-    fit = fit_linear(design, blocks, beside=_stretches(values, beside))
-    # As wide as the t-based interval: a stretch for a zero holds few samples.
+    fit = fit_linear(design, blocks, beside=_stretches(values, other_values))
+    # As wide as the interval by Student's t, because a zero has few samples.
     interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
     return float(fit.coefficients[0]), interval.standard_error
 
 
-def line_zero(values: Floats, beside: Floats) -> tuple[float, float, int]:
-    """Level where a machine stood before it moved, from a stretch in which it moves.
+def line_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
+    """Return the level before a machine moved, from a stretch in which it moves.
 
     Parameters
     ----------
-    values, beside : as for `mean_level`; the stretch begins at its outer end
+    values, other_values : as for `mean_level`; the stretch begins at its outer end
 
     Returns
     -------
-    level, error : of the outer end. Where the stretch begins with a rest, the mean over that; of a
-        rest of too few samples, what a line through the motion says of its begin
-    rested : samples of that rest; 0 where the motion begins with the stretch, or before
+    level, error : of the outer end: the mean of a rest at the beginning of the stretch, or the
+        first value of a line if the rest is too short
+    rest_samples : of that rest; 0 if the machine moves from the first sample on
     """
-    rested = samples_at_rest(values)
-    if rested >= needed(beside):
-        return *mean_level(values[:rested], np.concatenate([values[rested:], beside])), rested
-    moving = values[rested:] if len(values) - rested >= LEAST else values
-    return *end_level(moving, beside), 0
+    rest_samples = samples_at_rest(values)
+    if rest_samples >= required_samples(other_values):
+        return *mean_level(
+            values[:rest_samples], np.concatenate([values[rest_samples:], other_values])
+        ), rest_samples
+    moving = values[rest_samples:] if len(values) - rest_samples >= MIN_LEVEL_SAMPLES else values
+    return *end_level(moving, other_values), 0
 
 
-def _stretches(values: Floats, beside: Floats) -> Sequence[Floats]:
-    return _cut(beside) if len(values) < SHORT else ()
+def _stretches(values: Floats, other_values: Floats) -> Sequence[Floats]:
+    return _cut(other_values) if len(values) < SHORT_STRETCH else ()
 
 
-def _cut(beside: Floats) -> Sequence[Floats]:
-    return smooth_stretches(beside, width=SHORT if len(beside) >= SHORT else _QUARTER)
+def _cut(other_values: Floats) -> Sequence[Floats]:
+    short_width = 25
+    return smooth_stretches(
+        other_values, width=SHORT_STRETCH if len(other_values) >= SHORT_STRETCH else short_width
+    )
 
 
 def _blocks(values: Floats) -> Floats:
-    """Averages over at most 1000 blocks: as good for a mean, and quick to correlate."""
+    """Average over at most 1000 blocks, which makes correlations quick."""
     size = max(1, len(values) // 1000)
     means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
     return means
 
 
-def use_rest_there_is(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Take zeros again whose stretch reaches into the motion: from its part at rest.
+def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
+    """Repeat zeros whose stretch overlaps the motion, with the part at rest.
 
     Parameters
     ----------
@@ -136,10 +136,10 @@ def use_rest_there_is(signals: Signals, motion: Motion) -> tuple[Signals, list[F
 
     Notes
     -----
-    What is known of a zero from a shorter stretch is in its standard error. A part at rest of
-    fewer than `LEAST` samples says nothing: then the zero stays, to be doubted.
+    The standard error accounts for the shorter stretch. With fewer than `MIN_LEVEL_SAMPLES` at rest
+    the zero is not repeated, and `check_rest` doubts it.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     branches = motion.branches
     for name, (start, stop) in signals.zeroed.items() if branches else ():
         begins, ends = (
@@ -152,24 +152,24 @@ def use_rest_there_is(signals: Signals, motion: Motion) -> tuple[Signals, list[F
             rest = (ends, stop)
         else:
             continue
-        signals, more = _zero_again(signals, name, rest, wanted=stop - start)
-        found += more
-    return signals, found
+        signals, zero_findings = _zero_again(signals, name, rest, stated_time=stop - start)
+        findings += zero_findings
+    return signals, findings
 
 
 def _zero_again(
-    signals: Signals, name: str, rest: Stretch, *, wanted: float
+    signals: Signals, name: str, rest: Stretch, *, stated_time: float
 ) -> tuple[Signals, list[Finding]]:
     raw = signals.raw[name]
     inside = (raw.time >= rest[0]) & (raw.time <= rest[1])
-    known = raw.values[inside & ~np.isnan(raw.values)]
-    if len(known) < LEAST:
+    rest_values = raw.values[inside & ~np.isnan(raw.values)]
+    if len(rest_values) < MIN_LEVEL_SAMPLES:
         return signals, []
-    level, error = mean_level(known, raw.values[~inside])
-    lasts = rest[1] - rest[0]
+    level, error = mean_level(rest_values, raw.values[~inside])
+    duration = rest[1] - rest[0]
     message = (
-        f"the machine rests for {lasts:.2f} s, less than the {wanted:g} s to zero on: the zero is "
-        f"the mean over these {lasts:.2f} s"
+        f"the machine rests for {duration:.2f} s, less than the {stated_time:g} s of the zero: the "
+        f"zero is the mean over these {duration:.2f} s"
     )
     signals = replace(
         signals.without_level(name, level, error), zeroed={**signals.zeroed, name: rest}
@@ -177,24 +177,9 @@ def _zero_again(
     return signals, [info_note("short_rest", name, message)]
 
 
-_MOST = 2
-"""Jumps of a force; what jumps again and again is the specimen."""
-_BREAKS = 0.3
-"""Of the largest force: a fall in the step in which a displacement jumps as the specimen breaks."""
-_TURN = 3
-"""Samples beside a turn at which a steep fall belongs to the specimen."""
-_RETURNED = 0.02
-"""Share of the stroke within which the motion has come back to where it began."""
-_SURE = 6.0
-"""Standard errors below which a difference may be noise."""
-_FEWEST = 3
-"""Samples of a rest."""
-_TAIL = 10
-"""Samples behind a break that are more than a rebound."""
-
-
-_REST_DUST = 1e-4
-"""Share of the largest force: a force at rest that is nothing."""
+REST_ERROR_FACTOR = 6.0
+"""Standard errors that a difference of levels must exceed."""
+MIN_REST_SAMPLES = 3
 
 
 def check_zeros(
@@ -206,7 +191,7 @@ def check_zeros(
     ----------
     signals, clocks : of the test
     curve : of unfiltered force
-    findings : so far; a channel that stood still and goes on does not jump
+    findings : so far; the end of a frozen stretch is not a jump
     limits : of the lab
     """
     if not curve.branches:
@@ -219,26 +204,28 @@ def check_zeros(
             if doubt.reason.code == "frozen_channel" and doubt.quantity == quantity and doubt.during
         ]
 
-    found = list(_displacement_jump(signals.displacement, curve, thawed("displacement")))
+    new_findings = list(_displacement_jump(signals.displacement, curve, thawed("displacement")))
     jump = list(_force_jump(signals.force, curve, thawed("force")))
-    found += _rest_force(signals, curve, limits.rest_force)
-    return [*found, *(jump or _drift(signals.force, curve, limits.rest_force_drift))]
+    new_findings += _rest_force(signals, curve, limits.rest_force)
+    return [*new_findings, *(jump or _drift(signals.force, curve, limits.rest_force_drift))]
 
 
 def _rest_force(signals: Signals, curve: Curve, share: float) -> Iterator[Finding]:
-    """State the force before the motion where no step takes it for zero."""
+    """Report the force before the motion if no step zeroes it."""
+    # Share of the largest force.
+    min_rest_share = 1e-4
     name = signals.force
-    before = _known(curve.force[: curve.branches[0].start])
-    if name in signals.zeroed or name in signals.lined or len(before) < LEAST:
+    before = _finite(curve.force[: curve.branches[0].start])
+    if name in signals.zeroed or name in signals.lined or len(before) < MIN_LEVEL_SAMPLES:
         return
     level, most = median(before), float(np.nanmax(np.abs(curve.force)))
     error = noise_level(curve.force) / sqrt(len(before))
-    if abs(level) <= max(_SURE * error, _REST_DUST * most):
+    if abs(level) <= max(REST_ERROR_FACTOR * error, min_rest_share * most):
         return
     message = (
         f"at rest before the motion the force is {level:.4g} N, {abs(level) / most:.2%} of the "
-        "largest, and no step takes it for zero: a preload, or the zero of the load cell? If it "
-        "is the zero, add the step {step: zero, channel: force, over: 1 s}"
+        "largest, and no step zeroes it: a preload, or the zero of the load cell? If it is the "
+        "zero, add the step {step: zero, channel: force, over: 1 s}"
     )
     if abs(level) > max(share, 2.0 * signals.raw[name].zero_drift) * most:
         yield doubtful("rest_force", name, message, "force")
@@ -247,41 +234,44 @@ def _rest_force(signals: Signals, curve: Curve, share: float) -> Iterator[Findin
 
 
 def _displacement_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Finding]:
-    """A machine moves steadily: what jumps is its zero, its encoder, the record, or a break."""
+    """Doubt jumps of the displacement that no break explains."""
+    # Fall of the force, as a share of the largest, in the same step.
+    break_share = 0.3
     largest = float(np.nanmax(np.abs(curve.force)))
     jumps = _jumps(curve, curve.displacement, thawed)
     falls = [abs(curve.force[sample - 1]) - abs(curve.force[sample]) for sample, _ in jumps]
-    if not jumps or (len(jumps) == 1 and falls[0] > _BREAKS * largest):
+    if not jumps or (len(jumps) == 1 and falls[0] > break_share * largest):
         return
     sample, size = max(jumps, key=lambda jump: abs(jump[1]))
-    often = "" if len(jumps) == 1 else f", the largest of {len(jumps)} jumps"
+    count_text = "" if len(jumps) == 1 else f", the largest of {len(jumps)} jumps"
     message = (
         f"the displacement jumps by {1e3 * size:.4g} mm from one sample to the next at "
-        f"{_at(curve, sample)}{often}: zeroed, wrapped round or lost in mid-record? Branches may "
-        "not be where they seem to be; export the test without what came before"
+        f"{_at(curve, sample)}{count_text}: zeroed, wrapped round or lost in mid-record? Branches "
+        "may be at wrong places; export the test without the part before"
     )
     yield doubtful("zero_jump", where, message, "displacement", "force")
 
 
 def _force_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Finding]:
-    """A force that jumps as no specimen lets it; what falls in loading may be a slip."""
+    """Doubt jumps of the force that no slip or break explains."""
     first = curve.branches[0]
     sense = sense_of_loading(curve.force[first.start : first.stop])
     jumps = _jumps(curve, curve.force, thawed)
-    found = [jump for jump in jumps if not _is_of_the_specimen(curve, jump[0], sense * jump[1])]
-    if len(jumps) > _MOST or not found:
+    zero_jumps = [jump for jump in jumps if not _is_from_specimen(curve, jump[0], sense * jump[1])]
+    max_jumps = 2  # more jumps are of the specimen
+    if len(jumps) > max_jumps or not zero_jumps:
         return
-    sample, size = found[0]
+    sample, size = zero_jumps[0]
     message = (
         f"the force jumps by {size:.4g} N from one sample to the next at {_at(curve, sample)}, as "
-        "a zero does and no specimen: look at the cable and at the tare of the load cell"
+        "no specimen does: check the cable and the tare of the load cell"
     )
     during = (float(curve.time[sample]), float(curve.time[-1]))
     yield doubtful("zero_jump", where, message, "force", during=during)
 
 
 def _jumps(curve: Curve, values: Floats, thawed: list[float]) -> tuple[tuple[int, float], ...]:
-    """Jumps of a level that do not end a stretch in which the channel stood still."""
+    """Find jumps of a level, except at the end of a frozen stretch."""
     return tuple(
         (sample, size)
         for sample, size in level_jumps(curve.time, values)
@@ -289,41 +279,45 @@ def _jumps(curve: Curve, values: Floats, thawed: list[float]) -> tuple[tuple[int
     )
 
 
-def _is_of_the_specimen(curve: Curve, sample: int, grows: float) -> bool:
-    """Whether a step may be a break, a slip, or what follows a turn at once."""
-    near = [at for branch in curve.branches for at in (branch.start, branch.stop)]
-    if any(abs(sample - at) <= _TURN for at in near):
+def _is_from_specimen(curve: Curve, sample: int, grows: float) -> bool:
+    """Check whether a jump may be a break, a slip, or the effect of a turn."""
+    # Samples beside a turn, where a steep fall belongs to the specimen.
+    turn_reach = 3
+    turn_samples = [at for branch in curve.branches for at in (branch.start, branch.stop)]
+    if any(abs(sample - at) <= turn_reach for at in turn_samples):
         return True
     inside = [branch for branch in curve.branches if branch.start <= sample < branch.stop]
     is_loading = bool(inside) and inside[0].direction is Direction.LOADING
-    held = _held_after_loading(curve, sample)
-    return grows < 0.0 and (is_loading or held)
+    is_held = _held_after_loading(curve, sample)
+    return grows < 0.0 and (is_loading or is_held)
 
 
 def _held_after_loading(curve: Curve, sample: int) -> bool:
-    """Whether the specimen is held at the end of a loading: it may break there as well."""
+    """Check whether the specimen is held after loading, where it may also break."""
     before = [branch for branch in curve.branches if branch.stop <= sample]
     resting = all(not branch.start <= sample < branch.stop for branch in curve.branches)
     return bool(before) and resting and before[-1].direction is Direction.LOADING
 
 
 def _drift(where: str, curve: Curve, share: float) -> Iterator[Finding]:
-    """Compare the force at rest before and after.
+    """Compare the force at rest before and after the test.
 
-    A specimen with friction, or one that stays longer, pushes back when it is home again: a force
-    against the sense of loading is a drift if it grows from cycle to cycle, too.
+    A specimen with friction or permanent set pushes back after unloading: a force against the
+    sense of loading is a drift only if it also grows from cycle to cycle.
     """
     first, last = curve.branches[0], curve.branches[-1]
-    before, after = _known(curve.force[: first.start]), _known(curve.force[last.stop :])
-    if not _came_back(curve, first, last) or min(len(before), len(after)) < _FEWEST:
+    before, after = _finite(curve.force[: first.start]), _finite(curve.force[last.stop :])
+    if not _has_returned(curve, first, last) or min(len(before), len(after)) < MIN_REST_SAMPLES:
         return
     level = median(before)
-    change = median(after[-len(before) :]) - level  # the end of a long rest: a specimen relaxes
+    change = (
+        median(after[-len(before) :]) - level
+    )  # the end of a long rest, because specimens relax
     part = curve.force[first.start : last.stop]
     most = float(np.nanmax(np.abs(part - level)))
     error = noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
-    limit, sense = max(share * most, _SURE * error), sense_of_loading(part)
-    if abs(change) < limit or (sense * change < 0.0 and not _grows(curve, limit)):
+    limit, sense = max(share * most, REST_ERROR_FACTOR * error), sense_of_loading(part)
+    if abs(change) < limit or (sense * change < 0.0 and not _force_grows(curve, limit)):
         return
     message = (
         f"at rest the force is {level:.4g} N before the test and {level + change:.4g} N after it, "
@@ -336,54 +330,59 @@ def _drift(where: str, curve: Curve, share: float) -> Iterator[Finding]:
 def check_break(
     where: str, curve: Curve, failure: FailurePoint | Failure | None, limits: Limits = LIMITS
 ) -> Iterator[Finding]:
-    """Doubt a force that stands below zero once the specimen is broken.
+    """Doubt a force below zero after the specimen broke.
 
     Parameters
     ----------
     where : name of the force
-    curve, failure : of the test. What is left of a specimen may still pull a little, so that a
-        force above zero is left alone, and so is a rebound of a few samples
+    curve, failure : of the test. Remains of a specimen may carry a small force, so that a force
+        above zero is allowed, and so is a rebound of a few samples
     limits : of the lab
     """
+    # Fewer samples may be a rebound.
+    min_tail_samples = 10
     if not isinstance(failure, FailurePoint):
         return
-    after = _known(curve.force[failure.sample + 1 :])
+    after = _finite(curve.force[failure.sample + 1 :])
     sense = sense_of_loading(curve.force[: failure.sample + 1])
-    if len(after) < _TAIL:
+    if len(after) < min_tail_samples:
         return
     level, most = sense * median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
     error = noise_level(curve.force) * sqrt(2.0 / len(after))
-    if level > -max(limits.rest_force_drift * most, _SURE * error):
+    if level > -max(limits.rest_force_drift * most, REST_ERROR_FACTOR * error):
         return
     message = (
-        f"the force stands at {sense * level:.4g} N once the specimen is broken, "
-        f"{-level / most:.0%} of its peak below zero: its zero was taken under load, or drifted"
+        f"the force is {sense * level:.4g} N after the specimen broke, "
+        f"{-level / most:.0%} of its peak below zero: it was zeroed under load, or its zero drifted"
     )
     yield doubtful("zero_drift", where, message, "force")
 
 
-def _grows(curve: Curve, limit: float) -> bool:
-    """Whether the force at the end of unloading changes from the first cycle to the last."""
+def _force_grows(curve: Curve, limit: float) -> bool:
+    """Check whether the force at the end of unloading changes from the first cycle to the last."""
     ends = [branch.stop for branch in curve.branches if branch.direction is Direction.UNLOADING]
     levels = [
-        _known(curve.force[max(end - _FEWEST, 0) : end + _FEWEST]) for end in (ends[0], ends[-1])
+        _finite(curve.force[max(end - MIN_REST_SAMPLES, 0) : end + MIN_REST_SAMPLES])
+        for end in (ends[0], ends[-1])
     ]
     if not all(len(level) for level in levels):
         return False
     # The median of few samples scatters 1.25 times as much as their mean.
     error = 1.25 * noise_level(curve.force) * sqrt(sum(1.0 / len(level) for level in levels))
-    return abs(median(levels[1]) - median(levels[0])) > max(limit, _SURE * error)
+    return abs(median(levels[1]) - median(levels[0])) > max(limit, REST_ERROR_FACTOR * error)
 
 
-def _came_back(curve: Curve, first: Branch, last: Branch) -> bool:
-    """Whether the test ends with an unloading, and where it began."""
+def _has_returned(curve: Curve, first: Branch, last: Branch) -> bool:
+    """Check whether the test ends with an unloading to its first position."""
+    # Share of the stroke.
+    return_share = 0.02
     if last.direction is not Direction.UNLOADING:
         return False
     began, ended = curve.displacement[first.start], curve.displacement[last.stop - 1]
-    return bool(abs(ended - began) <= _RETURNED * float(np.ptp(_known(curve.displacement))))
+    return bool(abs(ended - began) <= return_share * float(np.ptp(_finite(curve.displacement))))
 
 
-def _known(values: Floats) -> Floats:
+def _finite(values: Floats) -> Floats:
     return values[~np.isnan(values)]
 
 
@@ -391,26 +390,13 @@ def _at(curve: Curve, sample: int) -> str:
     return f"{curve.time[sample]:.3f} s" if curve.time_unit == "s" else f"sample {sample + 1}"
 
 
-_NEAR = 0.05
-"""Share of the travel over which the first slope is read."""
-_FEWEST_ROWS = 4
-"""Samples that it is read from at least."""
-_LOADED = 0.02, 0.01
-"""Shares of the ranges of force and displacement that are no offsets if they go together."""
-_TOGETHER = 3.0
-"""Times by which the first slope may say otherwise how far they go together."""
-_SURELY = 0.1
-"""Share of the range of the force that is no offset, whatever the displacement says."""
-_SURE_OF_LOAD = 5.0
-"""Standard deviations of its noise by which the first force is not zero."""
-_SAME = 0.5
-"""Share of the first force by which the force at a lower turn is another one."""
+MIN_SLOPE_SAMPLES = 4
 _CODE = "begins_under_load"
 
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """What was measured, as exported, in the sense of loading, on the clock of the curve."""
+    """Exported force and displacement on the clock of the curve, positive in loading."""
 
     time: Floats
     force: Floats
@@ -418,52 +404,57 @@ class _Record:
 
 
 def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
-    """Doubt what the first rows of a record would have said, where they are missing.
+    """Doubt results that need the beginning of a record that begins under load.
 
     Parameters
     ----------
-    signals : of the test, with what zeros took off
+    signals : of the test, with the levels that zeros subtracted
     motion : with clocks that are joined
-    has_slack : whether the displacement counts from where a line meets zero force
+    has_slack : whether slack was subtracted from the displacement
 
-    Returns
-    -------
-    Doubts of what was zeroed by a line through the first rows, and of the work done before
+    Yields
+    ------
+    Doubts of signals that were zeroed by a line through the first rows, and of the work done before
     (quantity ``start``).
 
     Notes
     -----
-    A record that begins at rest is left alone: its load cell may well have an offset. So is a test
-    in cycles that come back to the load that it began with.
+    A record that begins at rest is not doubted, because its load cell may have an offset; nor is a
+    test in cycles that return to the load at its beginning.
     """
+    # Shares of the ranges of force and displacement.
+    min_load_shares = 0.02, 0.01
+    slope_factor = 3.0
+    min_force_share = 0.1  # a load at any displacement
+    noise_factor = 5.0
     branches = motion.branches
     record = _record(signals, motion.clocks, branches) if branches else None
     if record is None:
         return
-    apart = float(record.time[-1] - record.time[0]) / len(record.time)
-    if branches[0].start_time - float(record.time[0]) > 3.0 * apart:
-        return  # it rests
+    time_step = float(record.time[-1] - record.time[0]) / len(record.time)
+    if branches[0].start_time - float(record.time[0]) > 3.0 * time_step:
+        return  # the record begins at rest
     during = (float(record.time[0]), max(float(record.time[0]), branches[0].start_time))
     first = (record.time >= branches[0].start_time) & (record.time <= branches[0].stop_time)
     force = float(record.force[first][0])
     share = force / float(np.ptp(record.force))
-    if not force > _SURE_OF_LOAD * noise_level(record.force):
+    if not force > noise_factor * noise_level(record.force):
         return
     if share > 0.5 and float(record.force[first][-1]) < 0.5 * force:
         message = (
             f"the record begins at {force:.4g} N, and the force falls over its first stroke: it "
-            "begins under load, with an unloading, so that cycles are counted from the wrong turn"
+            "begins under load, with an unloading, so that the cycle numbers are wrong"
         )
         yield doubtful(_CODE, signals.force, message, "force", "displacement", "start")
         return
-    if _comes_back(record, branches, force):
+    if _returns_to(record, branches, force):
         return
     slope = _first_slope(record.path[first], record.force[first], record.path)
     path, travel = float(record.path[0]), float(np.ptp(record.path))
-    together = force / _TOGETHER <= slope * path <= _TOGETHER * force
-    is_loaded = share >= _LOADED[0] and path >= _LOADED[1] * travel and together
-    if is_loaded or share >= _SURELY:
-        yield from _loaded(signals, (force, share, path), during, has_slack=has_slack)
+    together = force / slope_factor <= slope * path <= slope_factor * force
+    is_loaded = share >= min_load_shares[0] and path >= min_load_shares[1] * travel and together
+    if is_loaded or share >= min_force_share:
+        yield from _loaded_start(signals, (force, share, path), during, has_slack=has_slack)
 
 
 def _record(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -> _Record | None:
@@ -472,10 +463,10 @@ def _record(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -> _
         clocks.sampled(signals.raw[name], time) + signals.taken_off.get(name, 0.0)
         for name in (signals.force, signals.displacement)
     )
-    known = np.isfinite(force) & np.isfinite(path)
-    time, force, path = time[known], force[known], path[known]
+    is_finite = np.isfinite(force) & np.isfinite(path)
+    time, force, path = time[is_finite], force[is_finite], path[is_finite]
     first = (time >= branches[0].start_time) & (time <= branches[0].stop_time)
-    if first.sum() < _FEWEST_ROWS or not np.ptp(force) > 0.0 or not np.ptp(path) > 0.0:
+    if first.sum() < MIN_SLOPE_SAMPLES or not np.ptp(force) > 0.0 or not np.ptp(path) > 0.0:
         return None
     up = float(np.sign(path[first][-1] - path[first][0])) or 1.0
     sense = float(np.sign(force[int(np.argmax(np.abs(force)))]))
@@ -483,34 +474,37 @@ def _record(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -> _
 
 
 def _first_slope(path: Floats, force: Floats, whole: Floats) -> float:
-    """Slope of a straight line through the begin of a branch, N/m."""
-    near = np.abs(path - path[0]) <= _NEAR * float(np.ptp(whole))
-    size = max(_FEWEST_ROWS, len(near) if near.all() else int(np.argmin(near)))
+    """Fit the slope of the beginning of a branch, N/m."""
+    first_share = 0.05
+    near = np.abs(path - path[0]) <= first_share * float(np.ptp(whole))
+    size = max(MIN_SLOPE_SAMPLES, len(near) if near.all() else int(np.argmin(near)))
     d, f = path[:size] - path[:size].mean(), force[:size]
     return float(d @ f) / max(float(d @ d), 1e-300)
 
 
-def _comes_back(record: _Record, branches: tuple[Branch, ...], begin: float) -> bool:
-    """Whether all unloadings end at about the force that the record begins with."""
+def _returns_to(record: _Record, branches: tuple[Branch, ...], begin: float) -> bool:
+    """Check whether all unloadings end at about the first force of the record."""
+    # Share of the first force.
+    max_force_deviation = 0.5
     ends = [branch.stop_time for branch in branches[1::2]]
     forces = np.interp(ends, record.time, record.force)
-    return len(ends) > 0 and bool((np.abs(forces - begin) <= _SAME * begin).all())
+    return len(ends) > 0 and bool((np.abs(forces - begin) <= max_force_deviation * begin).all())
 
 
-def _loaded(
+def _loaded_start(
     signals: Signals, begin: tuple[float, float, float], during: Stretch, *, has_slack: bool
 ) -> Iterator[Finding]:
     force, share, path = begin
     lined = [name for name in (signals.force, signals.displacement) if name in signals.lined]
-    # A line through the linear region finds zero force again, if that of the force is right.
-    found = has_slack and signals.force not in lined
+    # The slack correction finds zero force again, if the zero of the force is right.
+    is_corrected = has_slack and signals.force not in lined
     message = (
         f"the record begins under load and in motion: {force:.4g} N, {1e2 * share:.2g} % of its "
         f"range, at {1e3 * path:.4g} mm in the first sample"
     )
     message += f"; {' and '.join(lined)} zeroed there" if lined else ""
     yield doubtful(_CODE, signals.force, message, "start", during=during)
-    touched = ["force"] if signals.force in lined else []
-    touched += ["displacement"] if signals.displacement in lined and not found else []
-    if touched:
-        yield doubtful(_CODE, signals.force, message, *touched)
+    quantities = ["force"] if signals.force in lined else []
+    quantities += ["displacement"] if signals.displacement in lined and not is_corrected else []
+    if quantities:
+        yield doubtful(_CODE, signals.force, message, *quantities)

@@ -31,12 +31,6 @@ from labpipe.protocol.harness_file import (
 
 _BARELY = 1.0 + 1e-9
 """Times the length: a line may be straight between two clips."""
-_MOST_TURN = 180.0
-"""deg in a step: paths are rows of frames, in which a turn and one less by 360 deg are the same."""
-_MOST_CURL = 90.0
-"""deg: elements are straight, and one that turns by more than half a turn turns the other way."""
-_NEARLY = 1e-9
-"""Of the length: a line may lie on a plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +169,8 @@ def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterato
 
 
 def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
+    # Share of the length.
+    tolerance = 1e-9
     numbers = {boundary.name: number for number, boundary in enumerate(harness.boundaries)}
     radius = 0.5 * (harness.line.section.diameter or 0.0)
     first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
@@ -183,7 +179,7 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
         for tie in ties:
             legs = [leg for leg in tie.legs[first:] if leg.step <= tie.last]
             low = min(legs, key=lambda leg: _height(plane, leg.position), default=None)
-            if low and _height(plane, low.position) < radius - _NEARLY * harness.line.length:
+            if low and _height(plane, low.position) < radius - tolerance * harness.line.length:
                 expected = f"the axis of the line {_mm(radius)} above {plane.name!r}, its radius"
                 found = f"{_mm(_height(plane, low.position))} at step {low.step}"
                 remedy = "Hold it higher, or begin higher ('line.start')."
@@ -205,22 +201,27 @@ def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
+    # deg per step. A path is a row of frames, in which a turn and one 360 deg less are the same.
+    max_turn = 180.0
     for number, boundary in enumerate(harness.boundaries):
         for key, start, end, turn in _turns_of(boundary, harness.steps):
             per_step = math.degrees(abs(turn)) / (end - start)
-            if per_step >= _MOST_TURN:
-                expected = f"less than {_MOST_TURN:g} deg of turn in a step, which has one meaning"
+            if per_step >= max_turn:
+                expected = f"less than {max_turn:g} deg of turn in a step, which has one meaning"
                 found = f"{per_step:.6g} deg in each from step {start} to {end}"
                 remedy = "Take more steps for it: raise 'steps', and 'by' or 'step'."
                 yield Fault(("boundaries", number, *key), expected, found, remedy)
 
 
 def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
+    # deg per element. Elements are straight; one that turns by more than half a turn turns the
+    # other way.
+    max_curl = 90.0
     line, swept = harness.line, harness.sweep.length if harness.sweep else ()
     element = max([line.length, *swept]) / line.elements
     curl = 0.0 if line.spool is None else math.degrees(line.spool.curvature * element)
-    if curl > _MOST_CURL:
-        expected = f"a curl of at most {_MOST_CURL:g} deg over an element of {_mm(element)}"
+    if curl > max_curl:
+        expected = f"a curl of at most {max_curl:g} deg over an element of {_mm(element)}"
         remedy = "Check the unit of the curvature, or take more elements."
         yield Fault(("line", "spool", "curvature"), expected, f"{curl:.6g} deg", remedy)
 

@@ -12,7 +12,6 @@ from labpipe.protocol.wire_rows import Column, Curve
 FIRST_SLOPES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
 """Slopes (Pa) between which the first one is, of strands and insulation by the column that names
 the table: a wrong unit of strain or stress is outside."""
-_ROUNDING = 1e-6  # of the first slope
 
 
 class StressPoint(Block):
@@ -58,6 +57,8 @@ def _step_fault(
     last: tuple[float, float], here: tuple[float, float], first_slope: float
 ) -> Fault | None:
     """What is wrong with a point behind another one, both of strain and stress in MPa."""
+    # Share of the first slope.
+    rounding = 1e-6
     remedy = "Put the rows in order and correct them."
     step, rise = here[0] - last[0], here[1] - last[1]
     if step <= 0.0:
@@ -65,7 +66,7 @@ def _step_fault(
     if rise < 0.0 or not (rise or first_slope):
         expected = f"a stress of {last[1]:g} MPa or more, and more than zero"
         return Fault((), expected, f"{here[1]:g} MPa", remedy)
-    if first_slope and rise / step > first_slope * (1.0 + _ROUNDING):
+    if first_slope and rise / step > first_slope * (1.0 + rounding):
         expected = f"a slope up to the first, {first_slope / 1e3:.4g} GPa"
         return Fault((), expected, f"{rise / step / 1e3:.4g} GPa", remedy)
     return None

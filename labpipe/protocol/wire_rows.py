@@ -28,7 +28,6 @@ AREAS_AGREE = 0.02
 """Share by which a conductor area may differ from that of the strands' diameters."""
 MASSES_AGREE = 4.0 / 3.0
 """Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap."""
-_TOUCHING = 1e-3  # of the bore: less is rounding of the sheet
 _UNITS = {
     "mm": ("_mm", 1e-3),
     "mm^2": ("_mm2", 1e-6),
@@ -46,7 +45,6 @@ _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _NOT_IN_NAMES = re.compile(r'[\\/:*?"<>|\x00-\x1f]|^[. ]|[. ]$')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", flags=re.IGNORECASE)
-_LONGEST_NAME = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,11 +122,12 @@ def _list_remedy(part: str) -> str:
 
 def _name(value: object) -> str:
     """Take a name that a file can have, too."""
+    max_length = 100
     name = str(value)
     if not name:
         raise raised([Fault((), "a name", "a blank cell", "Name the wire.")], value)
-    if _NOT_IN_NAMES.search(name) or _RESERVED.fullmatch(name) or len(name) > _LONGEST_NAME:
-        remedy = f'Leave out \\ / : * ? " < > |, and dots at either end; use {_LONGEST_NAME}'
+    if _NOT_IN_NAMES.search(name) or _RESERVED.fullmatch(name) or len(name) > max_length:
+        remedy = f'Leave out \\ / : * ? " < > |, and dots at either end; use {max_length}'
         remedy += " letters at most."
         raise error_of(expected="a name that a file can have", found=value, remedy=remedy)
     return name
@@ -294,6 +293,8 @@ def _radius_faults(row: WireRow) -> Iterator[Fault]:
 
 def _room_faults(row: WireRow) -> Iterator[Fault]:
     """Find strands that cannot be in the bore, and a bend tighter than the wire."""
+    # Share of the bore.
+    rounding = 1e-3
     outer, wall = row.wire_diameter_mm, row.insulation_thickness_mm
     bore = outer - 2.0 * wall
     if bore <= 0.0:
@@ -304,7 +305,7 @@ def _room_faults(row: WireRow) -> Iterator[Fault]:
     room = f"{bore:.4g} mm ({outer:.4g} mm less two walls of {wall:.4g} mm)"
     remedy = "Correct the wire's diameter, its wall or the strands."
     size = next(name for name in SIZES if getattr(row, name))
-    thickest, widest = max(row.diameters), bore * (1.0 + _TOUCHING)
+    thickest, widest = max(row.diameters), bore * (1.0 + rounding)
     if thickest > widest:
         expected = f"strands in a bore of {room}"
         yield Fault((size,), expected, f"one of {thickest:.4g} mm", remedy)

@@ -23,9 +23,6 @@ from labpipe.protocol.faults import shown
 Mark: TypeAlias = tuple[int, int]
 """Line and column, counted from 1."""
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
-_DEEPEST = 16
-_LARGEST = 1_000_000
-"""Bytes; a person writes a thousandth of it."""
 _NOTHING = ("", "~", "null")
 _READ_TWO_WAYS = re.compile(r"[!?\t\r\x85\u2028\u2029\ufeff]|:\s*[]},]|[|>][-+\d]*#|---\s*\Z")
 """What libyaml and Python's parser take or count differently: some characters, a key without a
@@ -169,9 +166,10 @@ def read_text(path: Path) -> str:
 
 def _require_readable(path: Path) -> None:
     """Refuse what would be read for ever, or for minutes."""
+    max_bytes = 1_000_000
     if path.exists() and not path.is_file() and not path.is_dir():
         raise OSError(errno.EINVAL, "a pipe or a device")
-    if path.is_file() and path.stat().st_size > _LARGEST:
+    if path.is_file() and path.stat().st_size > max_bytes:
         raise OSError(errno.EFBIG, f"one of {path.stat().st_size / 1e6:.0f} megabytes")
 
 
@@ -208,14 +206,15 @@ class _Composer(Composer):
     depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        max_depth = 16
         event: yaml.Event = self.peek_event()  # type: ignore[attr-defined]
         if isinstance(event, yaml.AliasEvent):
             found = f"the alias '*{event.anchor}'"
             raise _AmbiguousYamlError(event, Fault((), "a value", found, "Write it out."))
-        if self.depth >= _DEEPEST:
+        if self.depth >= max_depth:
             remedy = "Write it in fewer levels."
             raise _AmbiguousYamlError(
-                event, Fault((), f"at most {_DEEPEST} levels", "more", remedy)
+                event, Fault((), f"at most {max_depth} levels", "more", remedy)
             )
         self.depth += 1
         node = super().compose_node(parent, index)

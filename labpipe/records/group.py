@@ -231,16 +231,14 @@ class Band(ArrayRecord):
     @property
     def has_area(self) -> bool:
         """Tell whether there is a band to draw, and not intervals at some displacements alone."""
-        return bool(np.isfinite(self.lower).sum() > _MOST_MARKS)
+        max_marks = 3
+        return bool(np.isfinite(self.lower).sum() > max_marks)
 
     @property
     def marks(self) -> Ints:
         """Places of the intervals that are drawn one by one; empty where there is a band."""
         known = np.flatnonzero(np.isfinite(self.lower))
         return known if not self.has_area else known[:0]
-
-
-_MOST_MARKS = 3
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,7 +138,7 @@ def test_slips_are_in_the_ledger_and_repaired(done: Make) -> None:
     np.testing.assert_allclose(before, 0.0)
     np.testing.assert_allclose(between, drops[0])
     np.testing.assert_allclose(behind, sum(drops))
-    assert test.lab.notes["slip_repaired"].endswith(": added back to all that follows")
+    assert test.lab.notes["slip_repaired"].endswith(": added back to the rest of the curve")
 
 
 def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: Make) -> None:
@@ -154,7 +154,7 @@ def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: Make)
         assert corrected[name]["value"] > plain[name]["value"]
         alone = truth[f"specimen_stiffness_{region}"]
         assert corrected[name]["value"] == pytest.approx(alone, rel=0.006)
-    said = f"{1e6 * found:.4g} um/N x force taken off the displacement, "
+    said = f"{1e6 * found:.4g} um/N x force subtracted from the displacement, "
     assert lab.notes["compliance_removed"].startswith(said)
 
 

@@ -46,8 +46,8 @@ def test_a_column_of_noise_is_no_motion() -> None:
     test, results = reduced(time, path + noise, force)
     assert test.curve is None
     assert results["initial_stiffness"].why == (
-        "no_motion: the motion scatters by 1.97 mm from sample to sample, too much to tell strokes "
-        "of min_stroke, 1 mm: is it the right channel?"
+        "no_motion: the noise of the motion is 1.97 mm, too much to distinguish strokes of "
+        "min_stroke, 1 mm: is it the right channel?"
     )
 
 
@@ -90,7 +90,7 @@ def test_give_of_the_frame_is_taken_off() -> None:
     given = plain.curve.displacement - test.curve.displacement
     np.testing.assert_allclose(given, 1e-6 * plain.curve.force, atol=1e-15)
     said = codes(test)["compliance_removed"]
-    assert said == "1 um/N x force taken off the displacement, 99.9 um at the most"
+    assert said == "1 um/N x force subtracted from the displacement, at most 99.9 um"
 
 
 def test_uncertain_give_widens_the_interval() -> None:
@@ -127,7 +127,7 @@ def test_repaired_slips_add_up() -> None:
     assert results["stiffness"].status == "ok"
     message = next(note.message for note in test.findings.notes if note.code == "slip_repaired")
     assert message.startswith("the force falls suddenly by ")
-    assert message.endswith("as when a specimen slips in the grips: added back to all that follows")
+    assert message.endswith(": added back to the rest of the curve")
 
 
 def test_cut_ends_the_curve_before_the_first_slip() -> None:
@@ -175,8 +175,8 @@ def test_slack_moves_all_displacements() -> None:
     assert test.curve is not None
     np.testing.assert_allclose(test.curve.displacement, travel - test.slack.value)
     assert results["failure_displacement"].value == pytest.approx(0.013, abs=2 * STEP)
-    said = f"{1e3 * test.slack.value:.4g} mm of slack taken off: displacement counts from where"
-    assert codes(test)["slack_removed"] == f"{said} it is taut"
+    message = f"{1e3 * test.slack.value:.4g} mm of slack subtracted from the displacement"
+    assert codes(test)["slack_removed"] == message
 
 
 def test_slack_that_cannot_be_found_makes_displacements_doubtful() -> None:
@@ -188,7 +188,7 @@ def test_slack_that_cannot_be_found_makes_displacements_doubtful() -> None:
     assert results["slack"].why.startswith("too_few_samples: ")
     assert results["failure_displacement"].status == "doubtful"
     assert results["failure_displacement"].why.startswith(
-        "slack_unknown: slack not found, so not taken off ("
+        "slack_unknown: slack not found, so not subtracted ("
     )
 
 
@@ -236,12 +236,11 @@ def test_zero_of_the_force_is_in_the_interval_of_the_slack() -> None:
 
 def test_more_give_than_the_test_has_is_refused() -> None:
     """5 N/mm is 200 um/N in all: a frame of 300 um/N would leave the specimen shorter."""
-    said = (
-        r"curve\.compliance: expected a compliance below that of this test, 200\.?\d* um/N on the "
-        r"way up, found 300 um/N, with which the specimen would get shorter\. Look at its unit, "
-        r"and at the test of the stiff bar it comes from\."
+    message = (
+        r"curve\.compliance: expected a compliance below that of this test, 200\.?\d* um/N in "
+        r"loading, found 300 um/N, with which the specimen would get shorter\. Check its unit"
     )
-    with pytest.raises(ProcessingError, match=said):
+    with pytest.raises(ProcessingError, match=message):
         pulled(*pull(), curve="compliance: {value: 300 um/N}")
 
 
@@ -253,8 +252,7 @@ def test_a_bad_sample_is_bridged_and_told() -> None:
         travel, bad, curve="failure: {force_below: 50 %}", results=["peak-force", "failure"]
     )
     assert codes(test)["stray_samples"] == (
-        "1 samples far off their neighbours, the first 1200 N at 50.000 s: put on the line"
-        " between them"
+        "1 outliers of the force, the first 1200 N at 50.000 s: replaced by interpolation"
     )
     assert test.curve is not None
     assert test.curve.force[500] == pytest.approx(50.0, abs=0.2)

@@ -182,7 +182,7 @@ def test_a_stale_pose_of_the_clamp_is_not_believed(
 ) -> None:
     made, found = done(with_clamp(tracks, slice(400, 440), stale=True), protocol)
     assert doubted(found.found)["displacement"].startswith(
-        "clamp_frozen: Clamp holds its last pose in 40"
+        "clamp_frozen: Clamp keeps its last pose for 40"
     )
     assert made.take.clamp is not None
     assert np.isnan(made.take.clamp[400:440]).all()
@@ -195,7 +195,7 @@ def test_short_gaps_of_the_clamp_are_bridged_and_long_ones_left(
     made, found = done(with_clamp(tracks, slice(400, 410), stale=False), protocol)
     assert made.take.clamp is not None
     np.testing.assert_allclose(made.take.clamp[400:410], clamp[400:410], atol=1e-4)
-    assert "Clamp is lost in 10 frames, 10 of them bridged by straight lines" in str(found.notes)
+    assert "Clamp is lost in 10 frames, 10 of them bridged" in str(found.notes)
     made, _ = done(with_clamp(tracks, slice(400, 460), stale=False), protocol)
     assert made.take.clamp is not None
     assert np.isnan(made.take.clamp[400:460]).all()
@@ -209,7 +209,7 @@ def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Pr
     made, said = done(crowded, protocol)
     assert made.take.repaired is not None
     assert "Table:Marker1" not in made.take.repaired.names
-    assert "markers of Table are not the specimen's: name them to use them" in str(said.notes)
+    assert "markers of Table are not used; markers.along can name them" in str(said.notes)
 
 
 def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protocol) -> None:
@@ -220,8 +220,8 @@ def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protoco
     assert "displacement" not in doubted(done(found, protocol)[1].found)
     _, said = done(found, protocol, grip_offset=0.016)
     why = doubted(said.found)["displacement"]
-    assert why.startswith("shape_misfit: markers lie ")
-    assert "look at grip_offset, centre_offset and terms" in why
+    assert why.startswith("shape_misfit: the markers are ")
+    assert "check grip_offset, centre_offset and terms" in why
 
 
 SPAN = "span: 152.4 mm"

@@ -13,15 +13,19 @@ from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
 from labpipe.process.export_metadata import (
     FOLDER,
     Fact,
-    agreed,
+    combine_facts,
     day_in,
     facts_of_export,
     facts_of_folder,
 )
-from labpipe.process.protocol_match import Fit, KnownFacts, all_protocols, fitting
+from labpipe.process.protocol_match import Fit, KnownFacts, all_protocols, match_protocols
 from labpipe.process.raw_folder import InspectedExport
 from labpipe.process.sheet_inference import InferredTest, infer_test, infer_tests
-from labpipe.process.sheet_writing import new_from_sheet, new_seen, write_seen
+from labpipe.process.sheet_writing import (
+    new_from_sheet,
+    write_inferred_sheet,
+    write_inferred_sheets,
+)
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -106,7 +110,7 @@ def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
         tmp_path, {k: v for k, v in values.items() if v}, {"force": ("a;b.mat",)}, open_
     )
 
-    sheet = write_seen(seen)
+    sheet = write_inferred_sheet(seen)
 
     assert sheet.open == open_
     lines = sheet.path.read_text(encoding="utf-8").splitlines()
@@ -136,7 +140,7 @@ def test_a_wrong_value_is_refused_though_others_are_open(
 ) -> None:
     (tmp_path / "x").mkdir()
     with pytest.raises(UsageError, match=message):
-        list(new_seen(tmp_path / "x", values))
+        list(write_inferred_sheets(tmp_path / "x", values))
     assert not (tmp_path / "x" / "test.yaml").exists()
 
 
@@ -144,7 +148,7 @@ def test_an_existing_sheet_is_not_overwritten(tmp_path: Path) -> None:
     sheet = tmp_path / "test.yaml"
     sheet.write_text("mine", encoding="utf-8")
     with pytest.raises(UsageError, match=r"test\.yaml: expected no such file yet"):
-        list(new_seen(tmp_path, {}))
+        list(write_inferred_sheets(tmp_path, {}))
     assert sheet.read_text(encoding="utf-8") == "mine"
 
 
@@ -204,7 +208,7 @@ def wire(lab: Lab) -> Path:
 def page(seen: InferredTest) -> list[str]:
     """What was inferred of a test, and why."""
     files = {role: " ".join(files) for role, files in seen.files.items()}
-    return [f"{seen.values} {files} open: {', '.join(seen.open)}", *seen.said]
+    return [f"{seen.values} {files} open: {', '.join(seen.open)}", *seen.remarks]
 
 
 def test_all_that_can_be_seen(wire: Path, approved: Approve) -> None:
@@ -234,7 +238,7 @@ def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     (tmp_path / "x.txt").write_bytes(mts_suite())
     seen = infer_test(tmp_path, {})
     assert seen.open == ("protocol", "type", "spool", "sample")
-    (first,) = (sentence for sentence in seen.said if sentence.startswith("protocol: "))
+    (first,) = (sentence for sentence in seen.remarks if sentence.startswith("protocol: "))
     for part in ("fit alike; name one with --protocol", "stiff-bar", "tensile", "what would dec"):
         assert part in first
     assert infer_test(tmp_path, {"protocol": "three-point-bend"}).open[-1] == "span"
@@ -245,7 +249,7 @@ def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
     seen = infer_test(wire, given)
     assert given.items() <= seen.values.items()
     assert seen.open == ()
-    assert "operator" not in str(seen.said)
+    assert "operator" not in str(seen.remarks)
 
 
 def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
@@ -323,7 +327,7 @@ def test_the_pattern_of_a_lab(name: str, said: dict[str, str]) -> None:
 
 def test_what_all_say_is_taken_and_what_is_said_twice_is_left_open() -> None:
     doubtful_day = Fact("date", "", "b.csv", "3/4/2026")
-    both = agreed(
+    both = combine_facts(
         [
             Fact("date", "2026-03-04", "a.mat"),
             doubtful_day,
@@ -335,8 +339,8 @@ def test_what_all_say_is_taken_and_what_is_said_twice_is_left_open() -> None:
     )
     assert both.facts["date"].where == "a.mat and take.csv"
     assert list(both.facts) == ["date", "type"]
-    assert both.open == ("operator: jk in a.mat, vl in take.csv; left out, write the right one",)
-    alone = agreed([doubtful_day])
+    assert both.open == ("operator: jk in a.mat, vl in take.csv; left out, write the correct one",)
+    alone = combine_facts([doubtful_day])
     assert dict(alone.facts) == {}
     assert alone.open == (
         "date: '3/4/2026' in b.csv can be read day first or month first; left out",
@@ -408,7 +412,7 @@ def test_the_protocol_that_fits(
     protocols: list[Protocol], exports: list[InspectedExport], facts: KnownFacts, fitted: str
 ) -> None:
     """Facts of the exports count before names, and names before the other tests."""
-    (fit,) = fitting(exports, protocols, facts)
+    (fit,) = match_protocols(exports, protocols, facts)
     assert fit.protocol.name == fitted
     assert fit.faults == ()
     assert {name for files in fit.files.values() for name in files} == {
@@ -418,11 +422,11 @@ def test_the_protocol_that_fits(
 
 def test_one_weak_sign_is_too_little(protocols: list[Protocol]) -> None:
     among = KnownFacts(of_campaign={"corrugated-tube": 20})
-    undecided = names(fitting([frame(0.012, 0.1e-3)], protocols, among))
+    undecided = names(match_protocols([frame(0.012, 0.1e-3)], protocols, among))
     assert "tensile" in undecided
     assert "corrugated-tube" not in undecided, "a short pull is none of a tube"
     tape = frame(0.04, 0.5e-3, peak=400.0)
-    assert "tensile" in names(fitting([tape], protocols, KnownFacts()))
+    assert "tensile" in names(match_protocols([tape], protocols, KnownFacts()))
 
 
 @pytest.mark.parametrize(
@@ -445,7 +449,7 @@ def test_what_fits_alike_is_settled_by_most_of_the_others(
     expected: str,
 ) -> None:
     known = KnownFacts(of_type=of_type, of_campaign=of_campaign)
-    found = fitting([cell(), take(length=0.1)], protocols, known)
+    found = match_protocols([cell(), take(length=0.1)], protocols, known)
     assert names(found) == ([expected] if expected else ["taped-bundle", "wire-cantilever"])
     if expected:
         share = f"{(of_type or of_campaign)[expected]} of " if not of_type.get("") else "9 of 10"
@@ -454,12 +458,12 @@ def test_what_fits_alike_is_settled_by_most_of_the_others(
 
 def test_parts_of_one_recording_are_of_one_role(protocols: list[Protocol]) -> None:
     parts = [frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, start=11.0, name="2.txt")]
-    for fit in fitting(parts, protocols, KnownFacts()):
+    for fit in match_protocols(parts, protocols, KnownFacts()):
         assert fit.files == {"frame": ("1.txt", "2.txt")}
         assert not fit.unclear
 
 
 def test_nothing_fits_what_lacks_a_role(protocols: list[Protocol]) -> None:
     wire = [protocol for protocol in protocols if protocol.name == "wire-cantilever"]
-    assert fitting([cell()], wire, KnownFacts()) == []
-    assert fitting([cell(), take()], wire, KnownFacts(roles={"frame": ("m.txt",)})) == []
+    assert match_protocols([cell()], wire, KnownFacts()) == []
+    assert match_protocols([cell(), take()], wire, KnownFacts(roles={"frame": ("m.txt",)})) == []

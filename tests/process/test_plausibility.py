@@ -16,7 +16,13 @@ from labpipe.process.certificates import (
     instruments_of,
 )
 from labpipe.process.motion import Motion
-from labpipe.process.sanity_checks import check_rest, check_rig, check_signs, cut_at, file_is_cut
+from labpipe.process.sanity_checks import (
+    check_rest,
+    check_rig,
+    check_signs,
+    file_is_cut,
+    find_cut_ends,
+)
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -269,13 +275,13 @@ def test_one_line_turns_a_frame_that_counts_down() -> None:
 
 
 def ended(record: PlainRecord, *codes: str, full: bool = False) -> float:
-    """Where `cut_at` finds the record cut."""
+    """Return the ends that `find_cut_ends` finds."""
     time, displacement, force = record.arrays()
     motion = Signal(time, displacement, "m", "frame")
     signals = Signals(raw={"displacement": motion, "force": Signal(time, force, "N", "frame")})
     read = Findings(tuple(warning(code, "frame: file", "rows are missing") for code in codes))
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
-    ends = cut_at(
+    ends = find_cut_ends(
         signals,
         Motion(motion, branches, Clocks("frame")),
         is_full_stroke=full,
@@ -376,7 +382,7 @@ def test_a_test_after_the_day_is_doubted(text: str, where: str, quantities: set[
     (finding,) = check_due(protocol, AFTER)
     assert (finding.code, finding.note.where) == ("calibration_overdue", where)
     assert finding.note.message == (
-        "calibration LC-7 of 2025-01-10 was due again on 2026-01-10, the test was made on "
+        "calibration LC-7 of 2025-01-10 expired on 2026-01-10, before the test on "
         "2026-01-11: have the instrument calibrated"
     )
     assert {doubt.quantity for doubt in finding.doubts} == quantities

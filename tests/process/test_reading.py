@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError, ReadError
-from labpipe.process.calibrated_signals import calibrated
+from labpipe.process.calibrated_signals import calibrate
 from labpipe.process.reading import join_parts, read_inputs, read_role
 from labpipe.protocol.load import (
     checked,
@@ -156,7 +156,7 @@ def test_a_channel_that_is_spelt_otherwise_is_told(tmp_path: Path) -> None:
     source = protocol("{reader: dspace-mat, channel: [Load, Force, Kraft, out2], unit: N}")
     recording = read_role(export(tmp_path), source.sources["force"])
     assert recording.channels[0].path == "Model/Out2"
-    message = "the export has none called 'Load' or 'Force' or 'Kraft' ...: 'Model/Out2' was taken"
+    message = "the export has none called 'Load' or 'Force' or 'Kraft' ...: 'Model/Out2' was used"
     expected = QualityNote("channel_spelt_otherwise", Severity.INFO, "force", message)
     assert expected in recording.notes
 
@@ -225,7 +225,7 @@ def test_units(tmp_path: Path, stated: str, asked: Source, factor: float, is_not
     """That of the file, unless the protocol states one for a silent or wrong label."""
     recording = recorded(tmp_path, stated, asked)
     np.testing.assert_allclose(recording.channels[0].values, factor * RISING, rtol=1e-14)
-    message = f"the export says '{stated}', the protocol 'N': the protocol was followed"
+    message = f"the export says '{stated}', the protocol 'N': that of the protocol was used"
     note = QualityNote("unit_overridden", Severity.WARNING, "force", message)
     assert [note for note in recording.notes if note.code == "unit_overridden"] == [note] * is_noted
 
@@ -276,7 +276,7 @@ def notes(found: list[Finding]) -> tuple[QualityNote, ...]:
 
 
 def test_calibrated_signal_and_notes() -> None:
-    made, found = calibrated(force_recording(np.arange(10.0)), PROTOCOL)
+    made, found = calibrate(force_recording(np.arange(10.0)), PROTOCOL)
     signal = made.signals.raw["force"]
     np.testing.assert_allclose(signal.values, 0.5 * np.arange(10.0) + 2.0)
     assert (signal.unit, signal.clock, signal.relative_error) == ("N", "force", 0.01)
@@ -289,18 +289,18 @@ def test_calibrated_signal_and_notes() -> None:
 
 
 def test_blanks_are_doubted_unless_they_stand_at_the_ends() -> None:
-    _, found = calibrated(force_recording(with_sample(RAMP, 3, np.nan)), PROTOCOL)
+    _, found = calibrate(force_recording(with_sample(RAMP, 3, np.nan)), PROTOCOL)
     assert doubted(found) == {"force": "missing_samples: 1 of 10 samples are blank or not finite"}
     time = np.arange(100) * 0.1
     values = np.arange(100.0)
     values[0] = values[-1] = np.nan
-    _made, found = calibrated(force_recording(values, time), PROTOCOL)
+    _made, found = calibrate(force_recording(values, time), PROTOCOL)
     assert not Findings(tuple(found)).doubts
     assert [note.message for note in notes(found) if note.code == "missing_samples"] == [
         "2 of 100 samples are blank or not finite"
     ]
     values[1:5] = np.nan
-    _, found = calibrated(force_recording(values, time), PROTOCOL)
+    _, found = calibrate(force_recording(values, time), PROTOCOL)
     assert [doubt.during for doubt in Findings(tuple(found)).doubts] == [
         pytest.approx((0.0, 0.4)),
         pytest.approx((9.9, 9.9)),
@@ -334,7 +334,7 @@ RAMP = np.arange(10.0)
         (force_recording(RAMP[:7], TIME[:7]), "force, time: expected at least 8 samples, found 7"),
         (
             force_recording(RAMP, with_sample(TIME, 4, 0.05)),
-            "force, sample 5: expected a time axis that grows, found 0.050000 s after 0.300000 s",
+            "force, sample 5: expected an increasing time axis, found 0.050000 s after 0.300000 s",
         ),
         (
             force_recording(with_sample(RAMP, 7, -1e200)),
@@ -346,11 +346,11 @@ RAMP = np.arange(10.0)
 )
 def test_recordings_that_are_refused(recordings: dict[str, Recording], message: str) -> None:
     with pytest.raises(ProcessingError, match=f"^{re.escape(message)}"):
-        calibrated(recordings, PROTOCOL)
+        calibrate(recordings, PROTOCOL)
 
 
 def test_the_fewest_samples_that_are_taken() -> None:
-    made, _ = calibrated(force_recording(np.zeros(8), TIME[:8]), PROTOCOL)
+    made, _ = calibrate(force_recording(np.zeros(8), TIME[:8]), PROTOCOL)
     assert len(made.signals.filtered["force"].values) == 8
 
 
@@ -362,7 +362,7 @@ def test_the_fewest_samples_that_are_taken() -> None:
     ],
 )
 def test_a_plausible_peak(peak: float, shown: str) -> None:
-    _, findings = calibrated(force_recording(peak * RAMP / 9.0), PEAK)
+    _, findings = calibrate(force_recording(peak * RAMP / 9.0), PEAK)
     reason = f"implausible_peak: the largest value is {shown}, plausible are 20 to 2000 N: "
     assert doubted(findings).get("force", "").startswith(reason if shown else "")
     assert len(findings) == (2 if shown else 1)
@@ -372,8 +372,8 @@ def test_rows_without_time() -> None:
     recordings = force_recording(np.arange(10.0))
     rows = Clock("time", np.arange(10.0), "1")
     counted = {"force": replace(recordings["force"], clocks=(rows,))}
-    timed, _ = calibrated(recordings, PROTOCOL)
-    made, _ = calibrated(counted, PROTOCOL)
+    timed, _ = calibrate(recordings, PROTOCOL)
+    made, _ = calibrate(counted, PROTOCOL)
     assert timed.signals.raw["force"].has_time
     assert not made.signals.raw["force"].has_time
 

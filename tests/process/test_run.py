@@ -23,7 +23,7 @@ from labpipe.process.output_paths import (
     recording_of,
     refuse_repeated,
 )
-from labpipe.process.raw_folder import folders_of_tests, look_into
+from labpipe.process.raw_folder import folders_of_tests, read_folder
 from labpipe.process.run import Processed, process_test
 from labpipe.process.test_runner import Refused, Task, attempt, refuse
 from labpipe.protocol.load import parse_protocol
@@ -90,7 +90,7 @@ def spoil(error: Exception) -> Callable[..., Any]:
 
 
 FAULT = (
-    r"expected to get through, found a fault of labpipe itself \(ZeroDivisionError: of all\)\."
+    r"expected no error, found a fault of labpipe itself \(ZeroDivisionError: of all\)\."
     r" Report it \(run.py, line \d+\) with the exports of the test; processed alone, it says more"
 )
 
@@ -98,7 +98,7 @@ FAULT = (
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
-        (MemoryError(), "out_of_memory", "expected a test that goes into the memory"),
+        (MemoryError(), "out_of_memory", "expected a test that fits into memory"),
         (OSError(5, "Input/output error"), "system_refused", "a file that can be used"),
         (ZeroDivisionError("of\nall"), "fault_of_labpipe", FAULT),
     ],
@@ -277,7 +277,7 @@ STOPPED = "found one that labpipe was writing when it was stopped. Process the t
             r"found a \.mat file\. An export belongs to a test: `labpipe new` ",
         ),
         (find_results, "empty", r"expected a result.h5, or a folder with .*, found none"),
-        (find_results, "nowhere", r"found nothing of that name\. `labpipe process` makes"),
+        (find_results, "nowhere", r"found nothing of that name\. `labpipe process` writes"),
         (find_results, "T-1/.labpipe.new", STOPPED),
         (find_results, "T-1/.labpipe.new/result.h5", STOPPED),
     ],
@@ -383,7 +383,7 @@ def test_all_but_the_first_are_copies() -> None:
 def test_what_is_no_export_is_said(tmp_path: Path, name: str, content: bytes, why: str) -> None:
     (tmp_path / name).write_bytes(content)
 
-    found = look_into(tmp_path)
+    found = read_folder(tmp_path)
 
     assert found.exports == ()
     said = {**found.unread, **found.others}

@@ -109,7 +109,7 @@ AVERAGE = "step: smooth, channel: force, method: moving-average"
 )
 def test_seconds_where_there_are_only_rows(step: str, message: str) -> None:
     rows = Signal(np.arange(2000.0), VALUES, "N", "frame", time_unit="1")
-    with pytest.raises(ValueError, match=f"{message} needs times, and the export has none$"):
+    with pytest.raises(ValueError, match=f"{message} needs times, but the export has none$"):
         stepped(f"{{{step}}}", rows)
 
 
@@ -130,7 +130,7 @@ def test_few_samples_are_enough_beside_a_record(by: str, error: float) -> None:
     noise = np.random.default_rng(3).normal(0.0, 1.0, len(TIME))
     test = after(f"{{step: zero, channel: force, over: 45 ms, by: {by}}}", noise)
     (note,) = (note for note in test.notes if note.code == "zeroed")
-    assert note.message.endswith(", 5 samples: their noise is judged by the rest of the record")
+    assert note.message.endswith(", 5 samples: their noise is taken from the rest of the record")
     assert test.signals.raw["force"].zero_error == pytest.approx(error, rel=0.1)
 
 
@@ -189,7 +189,7 @@ def test_a_travel_made_from_the_speed_of_the_rig() -> None:
     assert test.clocks.force is None
     (note,) = (note for note in test.findings.notes if note.code == "displacement_from_speed")
     assert note.severity is Severity.INFO
-    assert "0.5 mm/s over 58.8 s up to the force's corner at 61.8" in note.message
+    assert "0.5 mm/s over 58.8 s up to the corner of the force at 61.8" in note.message
     way = test.displacement
     np.testing.assert_allclose(way.moved[SPEED_CAUSE], 1.005 * way.values)
     later = way.moved[TURN] - way.values
@@ -212,7 +212,7 @@ def test_a_zero_that_was_taken_under_load() -> None:
 
     assert doubted(test)["force"] == (
         "start_missed: the record of the force begins 2.02 s after the motion, known to 0.59 s: "
-        "its zero was taken under load, so that forces are too small"
+        "it was zeroed under load, so that forces are too small"
     )
     assert results["peak_force.1"].status is Status.DOUBTFUL
     assert results["peak_displacement.1"].status is Status.OK
@@ -234,5 +234,5 @@ def test_a_force_that_never_turns() -> None:
     assert str(info.value).startswith(
         "steps.4 (travel-from-speed): force: expected a corner where it turns from rising to "
         "falling, which says when the frame turned, found none: look whether it is the right "
-        "channel, and whether the unloading was recorded. Look at the exports with"
+        "channel, and whether the unloading was recorded. Check the exports with"
     )

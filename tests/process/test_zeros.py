@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from labpipe.process.motion import Motion
 from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
-from labpipe.process.zeros import end_level, line_zero, mean_level, needed, use_rest_there_is
+from labpipe.process.zeros import end_level, line_zero, mean_level, required_samples, rezero_at_rest
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
@@ -50,7 +50,7 @@ def zeroed(stretch: tuple[float, float], clock: str = "frame") -> Signals:
 
 
 def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
-    made, found = use_rest_there_is(zeroed((0.0, 2.0)), MOTION)
+    made, found = rezero_at_rest(zeroed((0.0, 2.0)), MOTION)
     assert made.zeroed["force"] == (0.0, 1.0)
     force = made.raw["force"]
     assert abs(float(force.values[TIME <= 1.0].mean())) < 1e-12
@@ -60,7 +60,7 @@ def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
     (note,) = (finding.note for finding in found)
     assert (note.code, note.where, note.severity.value) == ("short_rest", "force", "info")
     assert note.message == (
-        "the machine rests for 1.00 s, less than the 2 s to zero on: the zero is the mean over "
+        "the machine rests for 1.00 s, less than the 2 s of the zero: the zero is the mean over "
         "these 1.00 s"
     )
 
@@ -68,7 +68,7 @@ def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
 def test_on_the_clock_of_the_signal() -> None:
     fit = ClockFit(0.5, 0.0, NOWHERE, NOWHERE, 0.0, TIME, TIME, TIME, "")
     motion = replace(MOTION, clocks=Clocks("frame", fit))
-    made, _ = use_rest_there_is(zeroed((0.0, 2.0), "force"), motion)
+    made, _ = rezero_at_rest(zeroed((0.0, 2.0), "force"), motion)
     assert made.zeroed["force"] == (0.0, 1.5)
 
 
@@ -79,7 +79,7 @@ def test_what_stays(stretch: tuple[float, float]) -> None:
     """At rest all of it, or with less than eight samples at rest: then the zero is doubted."""
     before = zeroed(stretch)
     for branches in (BRANCHES, ()):
-        made, found = use_rest_there_is(before, replace(MOTION, branches=branches))
+        made, found = rezero_at_rest(before, replace(MOTION, branches=branches))
         assert made is before
         assert not found
 
@@ -149,7 +149,7 @@ def test_a_rest_too_short_for_a_zero_is_doubted(repository: Path) -> None:
 
 
 def test_a_short_record_says_nothing_of_its_noise() -> None:
-    assert (needed(TIME[:24]), needed(TIME[:25])) == (8, 3)
+    assert (required_samples(TIME[:24]), required_samples(TIME[:25])) == (8, 3)
 
 
 @pytest.mark.parametrize("rest", [0, 2, 5, 20, 100, 199])
