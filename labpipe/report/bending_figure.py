@@ -130,7 +130,7 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
     axes.set_xscale("log")
     axes.set_xlim(start, float(x[-1]))
     axes.set_ylim(bottom=0.0)
-    axes.xaxis.set_major_formatter(_plain)
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
     axes.set_xlabel(across.label("Curvature"))
     axes.set_ylabel(up.label("Bending stiffness"))
@@ -146,10 +146,6 @@ def _draw_tangents(axes: Axes, law: MeasuredLaw, across: Scale, up: Scale) -> No
         law.curvature[at] * across.factor, middle * up.factor, yerr=ends.clip(0.0) * up.factor,
         **_TANGENT,
     )  # fmt: skip
-
-
-def _plain(value: float, _place: object) -> str:
-    return f"{value:g}"
 
 
 def _branch_styles(result: TestResult, cloud: BendingCloud) -> dict[int, dict[str, Any]]:

@@ -51,11 +51,11 @@ from labpipe.report.figure_page import (
 from labpipe.report.group_plots import count_words
 from labpipe.report.wording import (
     Scale,
+    as_label,
     display_of,
     footnote,
     is_main,
     place_of,
-    result_label,
     rounded,
     shown_in,
     title,
@@ -170,7 +170,7 @@ def _bar(result: Result, display: Mapping[str, str]) -> Bar:
 
 def _bar_name(name: str) -> str:
     """Name a number without its cycle, which is the first in every bar."""
-    return result_label(name.partition(".")[0])
+    return as_label(name.partition(".")[0])
 
 
 def half_width(interval: Interval | None, scale: Scale) -> str:

@@ -20,10 +20,10 @@ from labpipe.records.wire_calibration import (
 from labpipe.report.calibration_summary import (
     BAND,
     DEFLECTION,
+    DISPLAYS,
     FORCE,
     HEADS,
     MODEL,
-    PARAMETER_DISPLAYS,
     SMALL_FORCE,
     length_looks,
     length_words,
@@ -68,10 +68,7 @@ def sample_looks(calibration: Calibration) -> dict[float, Look]:
 
 
 def plot_loadings(
-    calibration: Calibration,
-    axes: Axes,
-    *,
-    predictions: Mapping[float, Prediction] | None = None,
+    calibration: Calibration, axes: Axes, *, predictions: Mapping[float, Prediction] | None = None
 ) -> None:
     """Draw the first loadings of all samples, and the model once for each length.
 
@@ -179,16 +176,12 @@ def plot_profile(parameter: CalibratedParameter, axes: Axes) -> None:
     if not parameter.profiles:
         _write_sentence(axes, typeset(parameter.words))
         return
-    axis = PARAMETER_DISPLAYS[parameter.name]
+    axis = DISPLAYS[parameter.name]
     low, high = panel_range(parameter)
     axes.set_xscale("log")
     _draw_interval(parameter, axes, (low, high))
     minima = sorted(_minimum(profile)[0] for profile in parameter.profiles)
-    borders = [
-        low,
-        *np.sqrt(np.array(minima[1:]) * np.array(minima[:-1])).tolist(),
-        high,
-    ]
+    borders = [low, *np.sqrt(np.array(minima[1:]) * np.array(minima[:-1])).tolist(), high]
     for profile in parameter.profiles:
         side = minima.index(_minimum(profile)[0])
         _draw_solution(profile, axes, axis.scale.factor, (borders[side], borders[side + 1]))
@@ -214,7 +207,7 @@ def _minimum(profile: Profile) -> tuple[float, float]:
 
 
 def _draw_interval(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:
-    factor, last = PARAMETER_DISPLAYS[parameter.name].scale.factor, len(parameter.intervals) - 1
+    factor, last = DISPLAYS[parameter.name].scale.factor, len(parameter.intervals) - 1
     for number, part in enumerate(parameter.intervals):
         low = ends[0] if number == 0 and parameter.is_open_below else part.lower
         high = ends[1] if number == last and parameter.is_open_above else part.upper
@@ -299,7 +292,7 @@ def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, f
     values: Floats = np.geomspace(*ends, 200)
     error = np.log(parameter.conflict.factor) / normal_quantile
     away = np.log(values / parameter.conflict.centre) / error
-    axes.plot(PARAMETER_DISPLAYS[parameter.name].scale.factor * values, away**2, **PRIOR)
+    axes.plot(DISPLAYS[parameter.name].scale.factor * values, away**2, **PRIOR)
 
 
 def _set_ticks(axes: Axes) -> None:
@@ -335,9 +328,7 @@ _RESIDUALS = "Residuals: points faint, means of neighbouring points as lines."
 
 
 def calibration_card(
-    calibration: Calibration,
-    *,
-    predictions: Mapping[float, Prediction] | None = None,
+    calibration: Calibration, *, predictions: Mapping[float, Prediction] | None = None
 ) -> Figure:
     """Draw a calibration on one page, to be printed upright on A4.
 
@@ -377,11 +368,7 @@ def calibration_card(
     return page
 
 
-_HEADINGS = (
-    "first loadings",
-    "residuals",
-    "residuals with each sample's own factor",
-)
+_HEADINGS = ("first loadings", "residuals", "residuals with each sample's own factor")
 _OF_PARAMETERS = ("friction", "insulation", "copper")
 
 
@@ -429,10 +416,7 @@ def _put_text(axes: Axes, text: str, at: float, line: float, **look: Any) -> Non
     ).set_in_layout(False)  # fmt: skip
 
 
-def _keys(
-    calibration: Calibration,
-    predictions: Mapping[float, Prediction] | None,
-) -> list[Artist]:
+def _keys(calibration: Calibration, predictions: Mapping[float, Prediction] | None) -> list[Artist]:
     keys: list[Artist] = [
         line_key(_samples(calibration, length), color=look.colour, linestyle=look.dash, **SAMPLE)
         for length, look in sample_looks(calibration).items()

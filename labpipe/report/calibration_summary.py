@@ -23,7 +23,6 @@ from labpipe.records.wire_calibration import (
     CurveErrors,
     ExternalCurveComparison,
     Prediction,
-    Separability,
 )
 from labpipe.report.figure_page import Look, dash_of
 from labpipe.report.wording import SUPERSCRIPTS, Scale, count_of, write_number
@@ -59,7 +58,7 @@ class ParameterDisplay(NamedTuple):
         return self.scale.label(self.symbol) if self.scale.unit else self.symbol
 
 
-PARAMETER_DISPLAYS: Mapping[str, ParameterDisplay] = {
+DISPLAYS: Mapping[str, ParameterDisplay] = {
     key: ParameterDisplay(name, symbol, Scale(*DISPLAYED[key]))
     for key, name, symbol in (
         (RADIAL_FRICTION, "friction phi", "Friction \u03c6"),
@@ -238,7 +237,7 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
     parameter : an interval open on one side is ``below ...`` or ``above ...``
     """
     open_interval_digits = 2
-    display = PARAMETER_DISPLAYS[parameter.name]
+    display = DISPLAYS[parameter.name]
     factor, is_open = display.scale.factor, parameter.is_open_below or parameter.is_open_above
     interval = next(
         (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper),
@@ -336,12 +335,8 @@ def _noise_sentence(calibration: Calibration) -> str:
 def _separability_sentences(calibration: Calibration) -> Iterator[str]:
     """Describe the separability of friction and of the parameters where some are not identified."""
     for separability in (calibration.friction_separability, calibration.separability):
-        if separability is not None and _is_worth_saying(separability):
+        if separability is not None and not all(separability.are_identified.values()):
             yield typeset(separability.words)
-
-
-def _is_worth_saying(separability: Separability) -> bool:
-    return not all(separability.are_identified.values())
 
 
 def _note_sentences(calibration: Calibration) -> Iterator[str]:

@@ -20,8 +20,8 @@ from labpipe.records.wire_calibration import (
 )
 from labpipe.report.calibration_summary import (
     DEFLECTION,
+    DISPLAYS,
     FORCE,
-    PARAMETER_DISPLAYS,
     CalibrationReport,
     ParameterDisplay,
     ValidationGroup,
@@ -151,11 +151,7 @@ def _summary_sheet(calibration: Calibration) -> Sheet:
 
 
 def _parameter_row(parameter: CalibratedParameter) -> tuple[Value, ...]:
-    display, interval, conflict = (
-        PARAMETER_DISPLAYS[parameter.name],
-        parameter.interval,
-        parameter.conflict,
-    )
+    display, interval, conflict = (DISPLAYS[parameter.name], parameter.interval, parameter.conflict)
     up = display.scale.factor
     ends: tuple[Value, ...] = (None, None, "", "", "", None, None)
     if interval is not None:
@@ -178,7 +174,7 @@ def _parameter_row(parameter: CalibratedParameter) -> tuple[Value, ...]:
 
 def _solutions_sheet(calibration: Calibration) -> Sheet:
     """List the local minima of the objective that are not very unlikely, the best first."""
-    displays = [PARAMETER_DISPLAYS[name] for name in PARAMETERS]
+    displays = [DISPLAYS[name] for name in PARAMETERS]
     heads = (
         "solution", *(f"{display.name} ({display.scale.unit or '1'})" for display in displays),
         "RMSE (N)", "rise of the objective", "likelihood relative to the best",

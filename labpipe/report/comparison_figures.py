@@ -28,7 +28,7 @@ from labpipe.report.group_figures import stems
 from labpipe.report.group_plots import group_scale, interval_key, plot_marks
 from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.saving import FigureToSave
-from labpipe.report.wording import display_of, heading, result_label, shortened, shown_in
+from labpipe.report.wording import as_label, display_of, heading, shortened, shown_in
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -79,7 +79,7 @@ def caption(family: Family) -> str:
     number = main_number(family)
     if number:
         text += (
-            f" ({'c' if _is_scaled(family) else 'b'}) {result_label(number)}: mean of each group"
+            f" ({'c' if _is_scaled(family) else 'b'}) {as_label(number)}: mean of each group"
             " with its 95 % interval, clipped to the panel; small dots: samples."
         )
     lone = [
@@ -163,7 +163,7 @@ def draw_family(family: Family) -> Figure:
     if number:
         axes = next(panels)
         plot_means(family, number, axes)
-        panel_letter(axes, next(letters), result_label(number))
+        panel_letter(axes, next(letters), as_label(number))
     return page
 
 

@@ -12,14 +12,7 @@ from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
 from labpipe.report.group_tables import Cell, Table
 from labpipe.report.issues import sentences
-from labpipe.report.wording import (
-    Written,
-    display_of,
-    heading,
-    shown_in,
-    unit_words,
-    write_number,
-)
+from labpipe.report.wording import Written, display_of, heading, shown_in, unit_words, write_number
 from labpipe.statistics.group_fields import BORE, OF_SECTION, in_order, varying_fields
 
 MAX_COMPARED_GROUPS = 6
@@ -200,7 +193,11 @@ def context_words(groups: Sequence[Group], field: str) -> str:
     ]
     if "composition" not in _field_names(groups[0]):
         return ", ".join(filter(None, [alike.get("type", ""), *other_fields]))
-    spread = {group.fields.get("arrangement", "") for group in groups if _is_mixed(group)}
+    spread = {
+        group.fields.get("arrangement", "")
+        for group in groups
+        if "&" in group.fields.get("wire", "")
+    }
     parts = [
         *_wire_words(alike),
         *sorted(spread),
@@ -209,10 +206,6 @@ def context_words(groups: Sequence[Group], field: str) -> str:
         *other_fields,
     ]
     return ", ".join(filter(None, parts))
-
-
-def _is_mixed(group: Group) -> bool:
-    return "&" in group.fields.get("wire", "")
 
 
 def _wire_words(alike: Mapping[str, str]) -> list[str]:

@@ -26,8 +26,8 @@ from labpipe.report.figure_page import (
 from labpipe.report.plot_thinning import extremes
 from labpipe.report.wording import (
     Scale,
+    as_label,
     footnote,
-    result_label,
     scale,
     title,
     unit_words,
@@ -361,7 +361,7 @@ def _slope_words(result: TestResult, line: FittedLine) -> str:
     value, ends = (fitted.value, fitted.interval) if fitted is not None and is_it else (None, None)
     slope = line.slope if value is None else value
     number = write_number(slope, ends, stiffness.factor).text
-    return f"{result_label(line.result)}: {number} {unit_words(stiffness.unit)}"
+    return f"{as_label(line.result)}: {number} {unit_words(stiffness.unit)}"
 
 
 def mark_points(result: TestResult, axes: Axes) -> None:

@@ -7,30 +7,14 @@ from typing import TypeAlias
 
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.curve import Interval
-from labpipe.records.group import (
-    BundlePlace,
-    Campaign,
-    Difference,
-    Group,
-    Sample,
-)
+from labpipe.records.group import BundlePlace, Campaign, Difference, Group, Sample
 from labpipe.records.quality import worded
 from labpipe.records.result import Result, Status
 from labpipe.report.bundle_figures import place_scales
-from labpipe.report.comparisons import (
-    fields_in_words,
-    multi_field_differences,
-)
+from labpipe.report.comparisons import fields_in_words, multi_field_differences
 from labpipe.report.issue_ranking import Cause, find_causes, find_notes
 from labpipe.report.page_facts import state_of
-from labpipe.report.wording import (
-    Scale,
-    display_of,
-    is_main,
-    result_label,
-    shown_in,
-    unit_words,
-)
+from labpipe.report.wording import Scale, as_label, display_of, is_main, shown_in, unit_words
 from labpipe.report.workbook_cells import Row, Value, interval_cells, number_cell, percent_cell
 from labpipe.report.workbook_file import Sheet
 from labpipe.statistics.group_budgets import SCATTER, group_budget, in_order
@@ -86,7 +70,7 @@ def tests_sheet(campaign: Campaign) -> Sheet:
 
 def _as_column(sample: Sample, result: Result) -> Column:
     scale = shown_in(result.name, result.unit, sample.display)
-    return result_label(result.name), unit_words(scale.unit)
+    return as_label(result.name), unit_words(scale.unit)
 
 
 def _test_row(group: str, sample: Sample, sizes: Sequence[str], columns: Sequence[Column]) -> Row:
@@ -143,7 +127,7 @@ def results_sheet(campaign: Campaign) -> Sheet:
 def _result_row(group: Group, sample: Sample, result: Result) -> Row:
     scale = shown_in(result.name, result.unit, sample.display)
     return (
-        group.name, sample.test, result_label(result.name), unit_words(scale.unit),
+        group.name, sample.test, as_label(result.name), unit_words(scale.unit),
         *interval_cells(result.value, result.interval, scale.factor),
         number_cell(result.estimate, result.interval, scale.factor), str(result.status), result.why,
         result.name, result.how,
@@ -180,7 +164,7 @@ def _comparison_row(difference: Difference, scale: Scale) -> Row:
     corrected = interval_cells(shift.mean, in_unit, up)[1:]
     level = None if difference.interval is None else difference.interval.level
     return (
-        difference.first, difference.second, result_label(difference.name), unit_words(scale.unit),
+        difference.first, difference.second, as_label(difference.name), unit_words(scale.unit),
         *interval_cells(shift.mean, shift.interval, up), percent_cell(difference.share),
         *interval_shares(difference), *corrected, str(difference.verdict), difference.question,
         fields_in_words(difference), percent_cell(level), number_cell(difference.margin, None, up),
@@ -231,7 +215,7 @@ def _budgets_of_group(group: Group) -> Iterator[_Budget]:
         if shares and number.mean is not None:
             scale = shown_in(number.name, number.unit, display_of(group))
             half = _half(number.mean.chosen.interval, scale.factor)
-            labels = (result_label(number.name), "mean of the group", unit_words(scale.unit))
+            labels = (as_label(number.name), "mean of the group", unit_words(scale.unit))
             yield (group.name, *labels, half), dict(shares)
 
 
@@ -240,7 +224,7 @@ def _budgets_of_tests(group: Group) -> Iterator[_Budget]:
     for number in group.numbers:
         shares = group_budget(number).of_tests
         scale = shown_in(number.name, number.unit, display_of(group))
-        head = (group.name, result_label(number.name))
+        head = (group.name, as_label(number.name))
         if shares:
             yield (*head, "median of the tests", unit_words(scale.unit), None), dict(shares)
         for test, result in number.values.items():

@@ -12,12 +12,8 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Group, GroupNumber, MeanInterval
 from labpipe.records.result import Status
 from labpipe.report.figure_page import GREY, limit_to_values, line_key, panel_grid
-from labpipe.report.group_plots import (
-    RED,
-    group_page,
-    spool_looks,
-)
-from labpipe.report.wording import display_of, result_label, shown_in, unit_words
+from labpipe.report.group_plots import RED, group_page, spool_looks
+from labpipe.report.wording import as_label, display_of, shown_in, unit_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -89,7 +85,7 @@ def draw_dots(group: Group) -> Figure:
     ]
     rows = math.ceil(len(numbers) / panel_columns)
     lines = _next_height(dot_rows(group, numbers[0]))
-    note = f"In the tables only: {'; '.join(map(result_label, left_out))}." if left_out else ""
+    note = f"In the tables only: {'; '.join(map(as_label, left_out))}." if left_out else ""
     page = group_page(
         group, _keys(numbers), columns=4, height_mm=rows * (panel_mm + row_mm * lines), note=note
     )
@@ -116,7 +112,7 @@ def plot_dots(group: Group, number: GroupNumber, axes: Axes) -> None:
     axes.set_yticks(list(labels), list(labels.values()))
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(labels) - 0.4, -0.6)
-    axes.set_title(result_label(number.name), loc="left")
+    axes.set_title(as_label(number.name), loc="left")
     axes.set_xlabel(unit_words(unit.unit))
     limit_to_values(
         [unit.factor * row.value for row in rows], axes, _least_width(rows, unit.factor)

@@ -31,14 +31,9 @@ from labpipe.report.group_plots import (
     spool_looks,
     thin,
 )
-from labpipe.report.group_shapes import (
-    draw_group_laws,
-    draw_group_shapes,
-    has_laws,
-    has_shapes,
-)
+from labpipe.report.group_shapes import draw_group_laws, draw_group_shapes, has_laws, has_shapes
 from labpipe.report.saving import FigureToSave
-from labpipe.report.wording import result_label, shortened
+from labpipe.report.wording import as_label, shortened
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -170,7 +165,7 @@ def group_drawings(group: Group) -> Iterator[FigureToSave]:
         yield FigureToSave("lines", partial(draw_lines, group), _LINES, _line_alt(group))
     numbers = numbers_to_draw(group)
     if numbers:
-        names = "; ".join(result_label(number.name) for number in numbers)
+        names = "; ".join(as_label(number.name) for number in numbers)
         yield FigureToSave(
             "numbers", partial(draw_dots, group), _DOTS, f"Each sample's {names}: {about}."
         )
@@ -262,7 +257,7 @@ def _curve_alt(group: Group) -> str:
 
 def _line_alt(group: Group) -> str:
     names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
-    names_text = "; ".join(result_label(name) for name in names)
+    names_text = "; ".join(as_label(name) for name in names)
     return f"Fitted lines on the curves of {group.name}: {names_text}."
 
 

@@ -163,12 +163,12 @@ def _window_lines(drawn: _GroupView) -> Iterator[Line]:
             parts.setdefault(look, []).append(line)
         for look, lines in parts.items():
             x = np.array([part for line in lines for part in (line.start, line.stop, np.nan)])
-            y = np.array([part for line in lines for part in (*_heights(line), np.nan)])
+            rise = [line.slope * (line.stop - line.start) for line in lines]
+            ends = [
+                (one.level, one.level + up, np.nan) for one, up in zip(lines, rise, strict=True)
+            ]
+            y = np.ravel(ends)
             yield Line(look, x * drawn.across.factor, y * drawn.up.factor, test)
-
-
-def _heights(line: FittedLine) -> tuple[float, float]:
-    return line.level, line.level + line.slope * (line.stop - line.start)
 
 
 def _event_lines(drawn: _GroupView, sample: Sample) -> Iterator[Line]:
@@ -258,12 +258,7 @@ def _keys(drawn: _GroupView, lines: Sequence[Line]) -> list[Key]:
     group, looks = drawn.group, {line.look.partition(" ")[0] for line in lines}
     if len(group.samples) <= _MAX_DETAILED_SAMPLES:
         keys = [
-            Key(
-                f"curve {drawn.colour(sample)}",
-                sample.test,
-                "t",
-                str(drawn.number(sample)),
-            )
+            Key(f"curve {drawn.colour(sample)}", sample.test, "t", str(drawn.number(sample)))
             for sample in group.samples
         ]
     else:

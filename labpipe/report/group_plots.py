@@ -24,9 +24,9 @@ from labpipe.report.issues import sentence
 from labpipe.report.plot_thinning import simplify_line
 from labpipe.report.wording import (
     Scale,
+    as_label,
     count_of,
     display_of,
-    result_label,
     shown_in,
     unit_words,
     write_number,
@@ -404,10 +404,10 @@ def _slope_label(group: Group, name: str) -> str:
     """Write the name of a line and its mean slope with the interval."""
     number = next((number for number in group.numbers if number.name == name), None)
     if number is None or number.mean is None:
-        return result_label(name)
+        return as_label(name)
     unit = shown_in(name, number.unit, display_of(group))
     mean = number.mean.chosen
     slope = write_number(mean.mean, mean.interval, unit.factor, apart=mean.apart).text
     over = "samples" if number.mean.is_pooled else "spool means"
     of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
-    return f"{result_label(name)}: {slope} {unit_words(unit.unit)}{of}"
+    return f"{as_label(name)}: {slope} {unit_words(unit.unit)}{of}"

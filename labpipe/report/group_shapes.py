@@ -149,7 +149,10 @@ def plot_laws(group: Group, axes: Axes) -> None:
     axes : to draw on
     """
     display = display_of(group)
-    across, up = _display_scale("1/m", display.get("curvature", "1/m")), _moment_scale(group)
+    across, up = (
+        _display_scale("1/m", display.get("curvature", "1/m")),
+        _display_scale("N*m", display.get("moment", "N*m")),
+    )
     looks = spool_looks(group)
     for sample in group.samples:
         law, look = sample.law, looks[sample.specimen.spool]
@@ -162,10 +165,6 @@ def plot_laws(group: Group, axes: Axes) -> None:
         axes.plot(x, up.factor * law.moment, color=look.colour, linestyle=look.dash, linewidth=0.8)
     axes.set_xlabel(across.label("Curvature"))
     axes.set_ylabel(up.label("Bending moment"))
-
-
-def _moment_scale(group: Group) -> Scale:
-    return _display_scale("N*m", display_of(group).get("moment", "N*m"))
 
 
 def _display_scale(si_unit: str, unit: str) -> Scale:

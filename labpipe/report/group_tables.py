@@ -8,16 +8,12 @@ from typing import TYPE_CHECKING
 
 from labpipe.records.group import Campaign, Decision, Group, GroupNumber, NestedMean, Sample
 from labpipe.report.issue_ranking import Cause, find_notes
-from labpipe.report.issues import (
-    Issue,
-    Kind,
-    decision_words,
-)
+from labpipe.report.issues import Issue, Kind, decision_words
 from labpipe.report.wording import (
+    as_label,
     display_of,
     heading,
     replace_names,
-    result_label,
     shown_in,
     unit_words,
     write_number,
@@ -164,7 +160,7 @@ _NO_METHOD = "No sample has this number."
 _HEADINGS = {
     Kind.UNREADABLE: "Not read",
     Kind.REJECTED: "Rejected",
-    Kind.UNLIKE: "Different",
+    Kind.UNLIKE: "Other processing",
     Kind.FAILED: "Failed",
     Kind.DOUBTFUL: "Doubtful",
     Kind.LEFT_OUT: "Left out",
@@ -260,7 +256,7 @@ def _method_table(protocol: str, samples: Sequence[Sample]) -> Table:
             if result.method:
                 methods_of_number[result.method] = None
     rows = tuple(
-        (Cell(result_label(name), tip=name), Cell(replace_names("; ".join(method)) or _NO_METHOD))
+        (Cell(as_label(name), tip=name), Cell(replace_names("; ".join(method)) or _NO_METHOD))
         for name, method in methods.items()
     )
     return Table(f"Protocol {protocol}: method of each number", ("Number", "Method"), rows)

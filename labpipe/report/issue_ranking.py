@@ -14,7 +14,7 @@ import numpy as np
 
 from labpipe.records.group import Campaign, Group, GroupNumber
 from labpipe.report.issues import Issue, Kind, find_issues
-from labpipe.report.wording import count_of, result_label
+from labpipe.report.wording import as_label, count_of
 from labpipe.statistics.means import t_quantile
 
 _ALL_VALUES_EFFECT = 5.0
@@ -186,7 +186,7 @@ def _excluded_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effe
     lost = len(tests & number.left_out.keys())
     if not lost:
         return None
-    name = f"{result_label(number.name)} of {group.name}"
+    name = f"{as_label(number.name)} of {group.name}"
     if number.mean is None:
         return Effect(inf, f"no value of {name}")
     n = number.mean.chosen.n
@@ -207,7 +207,7 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
     mean = number.mean
     if not touched or mean is None:
         return None
-    name = f"{result_label(number.name)} of {group.name}"
+    name = f"{as_label(number.name)} of {group.name}"
     spools = {sample.test: sample.specimen.spool for sample in group.samples}
     remaining: dict[str, list[float]] = {}
     for test, result in number.values.items():

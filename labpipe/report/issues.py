@@ -11,9 +11,9 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import (
+    as_label,
     display_of,
     replace_names,
-    result_label,
     shown_in,
     unit_words,
     write_number,
@@ -154,7 +154,7 @@ def _result_issues(group: str, sample: Sample) -> Iterator[Issue]:
         if kind is not None:
             results_by_reason.setdefault((kind, result.reasons), []).append(result)
     for (kind, reasons), results in results_by_reason.items():
-        what = "; ".join(result_label(result.name) for result in results)
+        what = "; ".join(as_label(result.name) for result in results)
         names = tuple(result.name for result in results)
         yield Issue(kind, group, sample.test, what, sentences(reasons), codes_of(reasons), names)
 
@@ -174,7 +174,7 @@ def _number_issues(group: Group, number: GroupNumber) -> Iterator[Issue]:
         for result in sample.results
         if result.name == number.name and result.status is Status.FAILED
     }
-    name = result_label(number.name)
+    name = as_label(number.name)
     for test, why in number.left_out.items():
         if test not in failed:  # failed ones have their own heading
             reason_fields = sentences(why), codes_of(why), (number.name,)

@@ -187,6 +187,7 @@ def _other_sections(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
+    spools = {sample.specimen.spool for sample in group.samples}
     return {
         "name": group.name,
         "stem": stem,
@@ -200,13 +201,9 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
         "causes": budget_causes(group),
         "samples": samples_tables(group, tests),
         "slips": slip_table(group),
-        "spools": spool_mean_table(group) if _spools(group) > 1 else None,
+        "spools": spool_mean_table(group) if len(spools) > 1 else None,
         "remarks": _remarks(group),
     }
-
-
-def _spools(group: Group) -> int:
-    return len({sample.specimen.spool for sample in group.samples})
 
 
 def _remarks(group: Group) -> list[str]:

@@ -25,7 +25,7 @@ from labpipe.report.group_panels import COLOURS, band_lines, mean_lines
 from labpipe.report.group_plots import group_scale
 from labpipe.report.group_tables import Table
 from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
-from labpipe.report.wording import count_of, display_of, result_label, shown_in, unit_words
+from labpipe.report.wording import as_label, count_of, display_of, shown_in, unit_words
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ def questions(campaign: Campaign, stems: Mapping[str, str]) -> list[Question]:
 
 def _question(field: str, pairs: Sequence[Pair], drawn: Sequence[Comparison]) -> Question:
     heads = ("Comparison", "Verdict", "Difference (95 %, corrected)", "n")
-    table = Table(f"Answers: {field_words(field)}", heads, tuple(map(answer_cells, pairs)))
+    table = Table(f"Verdicts: {field_words(field)}", heads, tuple(map(answer_cells, pairs)))
     tables = tuple(question_table(pair) for pair in pairs)
     notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
     bare = tuple(replace(table, notes=()) for table in tables)
@@ -157,9 +157,9 @@ def _mean_plot(family: Family, stems: Mapping[str, str]) -> Plot | None:
     tight = axis_over("", "", values)
     room = interval_room * (tight.high - tight.low)
     low, high = max(every.low, tight.low - room), min(every.high, tight.high + room)
-    x = Axis(result_label(name), unit_words(unit.unit), low, high)
+    x = Axis(as_label(name), unit_words(unit.unit), low, high)
     y = Axis("", "", 0.5 - len(numbers), 0.5, is_bare=True)
-    title = f"{result_label(name)} of {count_of(len(numbers), 'group')}, with 95 % intervals."
+    title = f"{as_label(name)} of {count_of(len(numbers), 'group')}, with 95 % intervals."
     return Plot("numbers", "", title, "", x, y, lines, (), (180, 200))
 
 

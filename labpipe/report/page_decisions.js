@@ -97,12 +97,12 @@ function missing() {
   if (open.length) {
     const { test } = open[0];
     focusIn(test, "input");
-    return `${test.test}: a rejection needs its reason.`;
+    return `${test.test}: a rejection requires a reason.`;
   }
-  if (!whole.length && !inFile.length) return "Nothing is decided here that is not saved.";
+  if (!whole.length && !inFile.length) return "All decisions are saved.";
   if (!who.trim()) {
     nameField.focus();
-    return "Whose decisions are these? A name is needed.";
+    return "Enter the name of the person who decides.";
   }
   return "";
 }
@@ -128,7 +128,7 @@ function download() {
   keep();
   showTools();
   say(`${several(own.length, "decision")} saved in decisions.json. `
-    + "Take it in with: labpipe campaign decide FOLDER --from decisions.json; then make the report again.", true);
+    + "Import it with: labpipe campaign decide FOLDER --from decisions.json; then make the report again.", true);
 }
 
 async function post() {
@@ -197,7 +197,7 @@ function decide(test, decision) {
   changed(test);
   const state = drafts.get(test.t)?.decision;
   say(`${test.test}: ${state ? DONE[state] : "not decided here"}`
-    + `${state === "reject" && !draft.because ? "; say why" : ""}`);
+    + `${state === "reject" && !draft.because ? "; enter the reason" : ""}`);
 }
 
 function remark(test, because) {
@@ -300,7 +300,7 @@ const forget = make("button", { type: "button", class: "forget", onclick: () => 
   drafts.clear();
   keep();
   showAll();
-  say("What was decided here and not saved is forgotten.");
+  say("Unsaved decisions are discarded.");
 } }, "Forget");
 const again = make("button", { type: "button", class: "again", hidden: true, onclick: makeAgain },
   "Make the report again");

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import date
 from functools import cached_property
 
-from labpipe.records.group import Campaign, Group, Sample
+from labpipe.records.group import Campaign, Sample
 from labpipe.records.result import Instrument, Status
 from labpipe.report.wording import count_of
 from labpipe.statistics.group_fields import SPOOL, fields_of
@@ -102,13 +102,10 @@ def group_of_rejected(sample: Sample, campaign: Campaign) -> str:
     alike = {
         group.name: sum(fields.get(name) == word for name, word in group.fields.items())
         for group in campaign.groups
-        if group.protocol == sample.protocol and _matches_group(fields, group, campaign.by)
+        if group.protocol == sample.protocol
+        and all(fields.get(name) == group.fields.get(name) for name in campaign.by if name != SPOOL)
     }
     return max(alike, key=lambda name: alike[name], default="")
-
-
-def _matches_group(fields: Mapping[str, str], group: Group, by: Iterable[str]) -> bool:
-    return all(fields.get(name) == group.fields.get(name) for name in by if name != SPOOL)
 
 
 def state_of(sample: Sample) -> str:

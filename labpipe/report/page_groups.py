@@ -18,11 +18,11 @@ from labpipe.report.page_facts import PageTests, days_words, key_of, operators_w
 from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.page_plots import mean_strip
 from labpipe.report.wording import (
+    as_label,
     count_of,
     display_of,
     heading,
     is_main,
-    result_label,
     shown_in,
     unit_words,
     write_number,
@@ -148,9 +148,7 @@ def _table_notes(group: Group) -> Iterator[str]:
     if any(not number.mean.is_pooled for number in group.numbers if number.mean):
         yield "n in spools: the mean is over spool means, each counted once."
     if any(number.is_set_by_rig for number in group.numbers):
-        names = [
-            result_label(number.name).lower() for number in group.numbers if number.is_set_by_rig
-        ]
+        names = [as_label(number.name).lower() for number in group.numbers if number.is_set_by_rig]
         yield f"Set by the rig, not tested for outliers: {'; '.join(names)}."
     spools = {sample.specimen.spool for sample in group.samples}
     if len(spools) == 1 and len(group.samples) > 1:
@@ -165,7 +163,7 @@ def _interval_notes(group: Group) -> Iterator[str]:
     reasons: dict[Reason, list[str]] = {}
     for member in group.numbers:
         if member.mean is not None and member.mean.chosen.reason:
-            reasons.setdefault(member.mean.chosen.reason, []).append(result_label(member.name))
+            reasons.setdefault(member.mean.chosen.reason, []).append(as_label(member.name))
     for why, names in reasons.items():
         of = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
         yield f"No interval of the mean: {sentences([why])} ({of})"
@@ -194,7 +192,7 @@ def _reason_notes(group: Group) -> Iterator[str]:
     outliers: dict[str, list[str]] = {}
     for number in group.numbers:
         for outlier in number.outliers:
-            outliers.setdefault(outlier.sample, []).append(result_label(number.name).lower())
+            outliers.setdefault(outlier.sample, []).append(as_label(number.name).lower())
     for test, numbers in outliers.items():
         yield f"! {test} is an outlier in {'; '.join(numbers)}. It is included in all means."
 
@@ -322,5 +320,5 @@ def _budget_bars(group: Group) -> list[tuple[str, str, Mapping[str, float]]]:
             unit = shown_in(number.name, number.unit, display)
             half = write_number(number.mean.chosen.half, None, unit.factor, digits=2).value
             width_text = f"\u00b1 {half} {unit_words(unit.unit)}" if budget.of_mean else "one test"
-            bars.append((result_label(number.name.partition(".")[0]), width_text, shares))
+            bars.append((as_label(number.name.partition(".")[0]), width_text, shares))
     return bars[:5]

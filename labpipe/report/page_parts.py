@@ -124,13 +124,10 @@ def css_string(text: str) -> str:
     """
     letters = printable(text)
     plain = (
-        letter if letter.isascii() and letter.isalnum() else _escaped(letter) for letter in letters
+        letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
+        for letter in letters
     )
     return f'"{"".join(plain)}"'
-
-
-def _escaped(letter: str) -> str:
-    return f"\\{ord(letter):x} "
 
 
 def allow_own_server(page: str) -> str:

@@ -246,8 +246,8 @@ class Plot {
     this.dots.setAttribute("class", "dots");
     const places = this.note.hidden ? [] : inView.flat().map(([across, up]) => `M${across} ${up}h0`);
     this.dots.setAttribute("d", places.join(""));
-    this.note.textContent = "The page holds at most 150 points of each curve, to 1/65535 of its axes. "
-      + "This close there are few of them, with straight lines between: what happened between two dots is in the result.h5 of the test.";
+    this.note.textContent = "The page has at most 150 points per curve, to 1/65535 of its axes. "
+      + "At this zoom only few points are visible, joined by straight lines: all samples are in the result.h5 of the test.";
   }
 
   listen() {

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from urllib.parse import quote
 
 from labpipe.records.group import Campaign
-from labpipe.records.result import Result
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentences
 from labpipe.report.page_facts import PageTest, PageTests
@@ -115,12 +114,13 @@ def problems_of(test: PageTest) -> str:
     """
     if test.why:
         return f"Rejected: {test.why}"
-    reasons = [reason for result in _problem_results(test) for reason in result.reasons]
+    reasons = [
+        reason
+        for result in test.sample.results
+        if str(result.status) != "ok"
+        for reason in result.reasons
+    ]
     return sentences(reasons)
-
-
-def _problem_results(test: PageTest) -> Iterator[Result]:
-    return (result for result in test.sample.results if str(result.status) != "ok")
 
 
 def export_table(tests: PageTests) -> Table:

@@ -8,20 +8,9 @@ from itertools import count as numbers_from
 from pathlib import Path
 from typing import TypeAlias
 
-from labpipe.records.group import (
-    Band,
-    Campaign,
-    Group,
-    GroupNumber,
-    MeanInterval,
-)
+from labpipe.records.group import Band, Campaign, Group, GroupNumber, MeanInterval
 from labpipe.records.quality import worded
-from labpipe.report.comparisons import (
-    Pair,
-    context_words,
-    field_words,
-    single_field_pairs,
-)
+from labpipe.report.comparisons import Pair, context_words, field_words, single_field_pairs
 from labpipe.report.detail_sheets import (
     Column,
     budgets_sheet,
@@ -42,14 +31,7 @@ from labpipe.report.page_facts import (
     report_id,
     samples_of,
 )
-from labpipe.report.wording import (
-    Scale,
-    count_of,
-    display_of,
-    result_label,
-    shown_in,
-    unit_words,
-)
+from labpipe.report.wording import Scale, as_label, count_of, display_of, shown_in, unit_words
 from labpipe.report.workbook_cells import (
     NumberCell,
     Row,
@@ -157,7 +139,7 @@ def _answer_row(pair: Pair) -> Row:
     counts = difference.contrast.counts if difference.contrast is not None else (None, None)
     return (
         f"{field_words(pair.field)}: {after} against {before}",
-        context_words((pair.first, pair.second), pair.field), result_label(difference.name),
+        context_words((pair.first, pair.second), pair.field), as_label(difference.name),
         str(difference.verdict), percent_cell(difference.share), lower, upper,
         number_cell(difference.difference.mean, difference.difference.interval, scale.factor),
         unit_words(scale.unit), number_cell(difference.margin, None, scale.factor),
@@ -209,7 +191,7 @@ def _key_numbers_of(group: Group) -> dict[Column, _Ends]:
 
 def _key_number(group: Group, number: GroupNumber) -> tuple[Column, _Ends]:
     scale = shown_in(number.name, number.unit, display_of(group))
-    column = result_label(number.name), unit_words(scale.unit)
+    column = as_label(number.name), unit_words(scale.unit)
     if number.mean is None:
         return column, (None, None, None)
     chosen = number.mean.chosen
@@ -260,7 +242,7 @@ def _means_sheet(campaign: Campaign) -> Sheet:
 
 def _mean_row(group: Group, number: GroupNumber) -> Row:
     scale = shown_in(number.name, number.unit, display_of(group))
-    head = (group.name, result_label(number.name), "all", unit_words(scale.unit))
+    head = (group.name, as_label(number.name), "all", unit_words(scale.unit))
     mean = number.mean
     if mean is None:
         why = "; ".join(map(worded, number.left_out.values()))
@@ -280,7 +262,7 @@ def _spool_rows(group: Group, number: GroupNumber) -> Iterator[Row]:
         return
     scale = shown_in(number.name, number.unit, display_of(group))
     for spool, mean in number.mean.spool_means.items():
-        head = (group.name, result_label(number.name), f"spool {spool}", unit_words(scale.unit))
+        head = (group.name, as_label(number.name), f"spool {spool}", unit_words(scale.unit))
         why = str(mean.reason or "")
         nothing = [None] * 5
         on = "log" if mean.is_log else "linear"
@@ -336,11 +318,7 @@ def _curve_rows(group: Group, band: Band, across: Scale, up: Scale) -> Iterator[
 
 
 def _curve_charts(
-    campaign: Campaign,
-    places: dict[str, tuple[int, int]],
-    heads: Sequence[str],
-    *,
-    is_scaled: bool,
+    campaign: Campaign, places: dict[str, tuple[int, int]], heads: Sequence[str], *, is_scaled: bool
 ) -> Iterator[Chart]:
     """Yield a chart for the groups of each protocol."""
     what = "Mean force over peak force" if is_scaled else "Mean force"

@@ -40,7 +40,8 @@ def render_test(result: TestResult, *, report: str = "") -> str:
     drawn = [_inline_figure(result, name) for name in result.figures if name in FIGURES]
     classes = {name: look for figure in drawn for name, look in figure.classes.items()}
     footer = " \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))
-    looks = style_of(css_string(footer), _class_rules(classes))
+    rules = "\n".join(f".{name} {{{look}}}" for name, look in classes.items())
+    looks = style_of(css_string(footer), rules)
     return fill_template(
         _TEMPLATE,
         result=result,
@@ -60,10 +61,6 @@ def _markup(element: str) -> Markup:
     from markupsafe import Markup
 
     return Markup(element)
-
-
-def _class_rules(classes: dict[str, str]) -> str:
-    return "\n".join(f".{name} {{{look}}}" for name, look in classes.items())
 
 
 def _inline_figure(result: TestResult, name: str) -> Inline:

@@ -28,7 +28,6 @@ from labpipe.wire.cantilever_curve import force_at
 
 DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 """Tip deflections at which the end load is reported, m."""
-_AREA = LENGTH.factor**2
 
 
 class Column(NamedTuple):
@@ -44,16 +43,12 @@ class Column(NamedTuple):
     value: Callable[[WireTable], Value]
 
 
-def _layer_counts(table: WireTable, sign: str) -> str:
-    return f" {sign} ".join(str(count) for count in table.spec.layer_counts)
-
-
 def _lay_angles(table: WireTable) -> str:
     return "; ".join(f"{angle:.4g}" for angle in np.degrees(table.spec.lay_angles))
 
 
 def _area(table: WireTable) -> float:
-    return _AREA * float(np.sum(np.pi / 4.0 * table.layout.diameter**2))
+    return LENGTH.factor**2 * float(np.sum(np.pi / 4.0 * table.layout.diameter**2))
 
 
 def _onset(table: WireTable, which: int) -> float | str:
@@ -154,7 +149,7 @@ def _force_column(deflection: float) -> Column:
 
 SUMMARY = (
     Column("strands", lambda table: len(table.layout.layer)),
-    Column("layers", lambda table: _layer_counts(table, "+")),
+    Column("layers", lambda table: " + ".join(map(str, table.spec.layer_counts))),
     Column("lay angles (deg)", _lay_angles),
     Column("layout", lambda table: table.layout.kind),
     Column("wire diameter (mm)", lambda table: 2.0 * LENGTH.factor * table.layout.wire_radius),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -143,7 +143,7 @@ SUPERSCRIPTS = str.maketrans(
 )
 
 
-def result_label(name: str) -> str:
+def as_label(name: str) -> str:
     """Return the label of a result.
 
     Parameters
@@ -156,20 +156,20 @@ def result_label(name: str) -> str:
 
     Examples
     --------
-    >>> result_label("peak_force.2")
+    >>> as_label("peak_force.2")
     'Peak force, cycle 2'
-    >>> result_label("stiffness_first_per_peak_force")
+    >>> as_label("stiffness_first_per_peak_force")
     'Stiffness, first region, per peak force'
-    >>> result_label("bending_stiffness_at_3")
+    >>> as_label("bending_stiffness_at_3")
     'Bending stiffness at 3 1/m'
-    >>> result_label("slip_drop.1")
+    >>> as_label("slip_drop.1")
     'Force lost in slip 1'
     """
     stem, _, part = name.partition(".")
     if stem.endswith(_PER_PEAK):
-        name_text = f"{result_label(stem.removesuffix(_PER_PEAK))}, per peak force"
+        name_text = f"{as_label(stem.removesuffix(_PER_PEAK))}, per peak force"
     elif at := _AT_CURVATURE.fullmatch(stem):
-        name_text = f"{result_label(at[1])} at {at[2]} 1/m"
+        name_text = f"{as_label(at[1])} at {at[2]} 1/m"
     else:
         name_text = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
     if not part:
@@ -199,7 +199,7 @@ def replace_names(sentence: str) -> str:
         stem = match[0].partition(".")[0].removesuffix(_PER_PEAK)
         if stem not in _RESULT_LABELS and not stem.startswith(_FREE_PREFIXES):
             return match[0]
-        text = result_label(match[0])
+        text = as_label(match[0])
         return text if match.start() == 0 else text[0].lower() + text[1:]
 
     return _NAME.sub(word, sentence)
@@ -253,7 +253,7 @@ def unit_words(unit: str) -> str:
 def heading(name: str, unit: str) -> str:
     """Write the label of a result with its unit in brackets, for a column or an axis."""
     unit_text = unit_words(unit)
-    return f"{result_label(name)} ({unit_text})" if unit_text else result_label(name)
+    return f"{as_label(name)} ({unit_text})" if unit_text else as_label(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,7 +307,10 @@ def write_number(
     '1235'
     """
     place = place_of(value, interval, factor, digits)
-    return _written([value, *_ends(interval), *([] if apart is None else [apart])], factor, place)
+    if not math.isfinite(value):
+        return Written("\u2013")
+    numbers = [value, *_ends(interval), *([] if apart is None else [apart])]
+    return Written(*_round_together([factor * number for number in numbers], place))
 
 
 def place_of(
@@ -354,13 +357,6 @@ def plain_numbers(
 
 def _ends(interval: Interval | None) -> tuple[float, ...]:
     return () if interval is None else (interval.lower, interval.upper)
-
-
-def _written(numbers: Sequence[float], factor: float, place: int) -> Written:
-    """Write value, ends and estimate, with a dash for a value that is not finite."""
-    if not math.isfinite(numbers[0]):
-        return Written("\u2013")
-    return Written(*_round_together([factor * number for number in numbers], place))
 
 
 def _last_place(size: float, digits: int) -> int:

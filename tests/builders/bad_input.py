@@ -30,12 +30,12 @@ class Refused(Generic[L]):
         assert state(self.lab.home / "raw") == raw
         _, _, message = ran.err.partition("labpipe process: ")
         after = state(self.lab.home / "processed")
-        told = after.pop(f"c/{self.lab.name}/failure.json")
+        failure_file = after.pop(f"c/{self.lab.name}/failure.json")
         assert after == earlier
-        assert told
-        said = json.loads((self.lab.processed / "failure.json").read_text("utf-8"))
-        assert f"{said['reason']}\n" == message
-        assert said["code"] in CODES
+        assert failure_file
+        failure = json.loads((self.lab.processed / "failure.json").read_text("utf-8"))
+        assert f"{failure['reason']}\n" == message
+        assert failure["code"] in CODES
         # *file, place: expected X, found Y. What to do.*, in one line
         grammar = r"[^\n]+?: expected [^\n]+?, found [^\n]+\. [^\n]+[.?)]\n"
         assert re.fullmatch(f"({grammar}){{{faults}}}", message), message
@@ -53,15 +53,15 @@ class Told(Generic[L]):
         change(self.lab)
         raw = state(self.lab.home / "raw")
         ran = self.run("process", self.lab.raw, "--no-figures")
-        found = self.lab.results.values()
-        failed = any(finding["status"] == "failed" for finding in found)
+        results = self.lab.results.values()
+        failed = any(finding["status"] == "failed" for finding in results)
         assert ran.status == int(failed), ran
         assert status in (None, ran.status)
         assert "Traceback" not in ran.err
         assert state(self.lab.home / "raw") == raw
-        for each in found:
-            assert each["status"] == "ok" or each["reasons"], each
-            for reason in each["reasons"]:
-                assert re.fullmatch(r"[a-z][a-z0-9_]*", reason["code"]), each
-                assert reason["message"].strip(), each
+        for result in results:
+            assert result["status"] == "ok" or result["reasons"], result
+            for reason in result["reasons"]:
+                assert re.fullmatch(r"[a-z][a-z0-9_]*", reason["code"]), result
+                assert reason["message"].strip(), result
         return self.lab

@@ -34,7 +34,7 @@ def bent_bundle() -> TestResult:
     number = np.repeat(np.arange(len(branches)), _POINTS)
     kink = law.slip_curvature * LENGTH**2 / 3.0
     rising = slice(0, _POINTS)
-    found = {
+    values = {
         "kink_displacement": (kink, "m"),
         "kink_force": (float(np.interp(kink, deflection[rising], force[rising])), "N"),
     }
@@ -57,7 +57,7 @@ def bent_bundle() -> TestResult:
             branches=tuple(map(_branch, range(len(branches)))),
         ),
         shape=None,
-        results=tuple(Result(name, value, unit) for name, (value, unit) in found.items()),
+        results=tuple(Result(name, value, unit) for name, (value, unit) in values.items()),
         quality=(),
     )
 

@@ -117,7 +117,7 @@ def bending_test(
     anchor = float(shapes[0].x[-1]) if has_string else 0.0
     if pull is None:
         pull = TipPull(STRING, WEIGHT, 0.0, anchor) if has_string else TipPull(None, 0.0, 0.0, 0.0)
-    force = [each - pull.tension_at_rest for each in force]
+    force = [tension - pull.tension_at_rest for tension in force]
     return BendingTest(
         shape=fit.shape,
         force=np.array(force)[rows],

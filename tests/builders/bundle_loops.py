@@ -64,15 +64,15 @@ def cycles(
     )
 
 
-def width(found: Result) -> float:
+def width(result: Result) -> float:
     """How wide an interval is."""
-    assert found.interval is not None
-    return found.interval.upper - found.interval.lower
+    assert result.interval is not None
+    return result.interval.upper - result.interval.lower
 
 
-def holds(found: Result, true: float, unit: str) -> None:
-    assert found.status is Status.OK
-    assert found.unit == unit
-    assert found.value is not None
-    assert found.value == pytest.approx(true, abs=width(found))
-    assert found.method
+def holds(result: Result, true: float, unit: str) -> None:
+    assert result.status is Status.OK
+    assert result.unit == unit
+    assert result.value is not None
+    assert result.value == pytest.approx(true, abs=width(result))
+    assert result.method

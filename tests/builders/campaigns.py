@@ -190,8 +190,8 @@ def build_difference() -> Difference:
 SPOOLS = {"s1": (58.33, 57.71, 56.28), "s2": (47.09, 48.19, 46.08)}
 
 
-def stiffness(value: float | None, unit: str = "N/m", **said: object) -> Result:
-    return Result("stiffness", value, unit, **said)  # type: ignore[arg-type]
+def stiffness(value: float | None, unit: str = "N/m", **fields: object) -> Result:
+    return Result("stiffness", value, unit, **fields)  # type: ignore[arg-type]
 
 
 def make(spool: str, number: int, slope: float, *, stop: float = 0.02) -> Sample:

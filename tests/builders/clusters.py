@@ -33,8 +33,8 @@ class Cluster:
     @property
     def address(self) -> str:
         """HOST:PORT of the scheduler."""
-        said = json.loads((self.home / "scheduler.json").read_text("utf-8"))
-        return str(said["address"]).removeprefix("tcp://")
+        scheduler_file = json.loads((self.home / "scheduler.json").read_text("utf-8"))
+        return str(scheduler_file["address"]).removeprefix("tcp://")
 
     def add_worker(self, *more: str, folder: Path | None = None) -> None:
         """Start one with one thread, in a working folder."""

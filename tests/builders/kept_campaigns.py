@@ -49,20 +49,22 @@ class StandIn:
 def outcome_of(task: Task, goal: Path, shift: float) -> Outcome:
     goal.mkdir(parents=True, exist_ok=True)
     export = task.sheet.parent / "frame.csv"
-    words = export.read_text(encoding="utf-8").split() if export.is_file() else ["fail", "missing"]
+    outcome = (
+        export.read_text(encoding="utf-8").split() if export.is_file() else ["fail", "missing"]
+    )
     try:
         load_test_sheet(task.sheet)
     except LabpipeError as error:
-        words = ["fail", error.code]
-    if words[0] != "fail" and load_test_sheet(task.sheet).protocol not in known_protocols():
-        words = ["fail", "bad_sheet"]
-    if words[0] == "fail":
-        said = {"code": words[1], "reason": f"a {words[1]} of an export", "run": task.run}
-        if words[1] != "in_use":
-            (goal / "failure.json").write_text(json.dumps(said), encoding="utf-8")
-        return Outcome(task.sheet, goal, "failed", words[1], said["reason"], task.run)
-    doubts = words[0] == "doubt"
-    peak = shift + (1.0 if doubts else float(words[0]))
+        outcome = ["fail", error.code]
+    if outcome[0] != "fail" and load_test_sheet(task.sheet).protocol not in known_protocols():
+        outcome = ["fail", "bad_sheet"]
+    if outcome[0] == "fail":
+        failure = {"code": outcome[1], "reason": f"a {outcome[1]} of an export", "run": task.run}
+        if outcome[1] != "in_use":
+            (goal / "failure.json").write_text(json.dumps(failure), encoding="utf-8")
+        return Outcome(task.sheet, goal, "failed", outcome[1], failure["reason"], task.run)
+    doubts = outcome[0] == "doubt"
+    peak = shift + (1.0 if doubts else float(outcome[0]))
     text = json.dumps(summary_of(task, peak, doubts=doubts))
     (goal / "result.h5").write_text("results", encoding="utf-8")
     (goal / "summary.json").write_text(text, encoding="utf-8")

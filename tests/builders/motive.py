@@ -141,12 +141,12 @@ def _first_line(frames: int, layout: Layout) -> list[str]:
 
 def _labels(columns: Sequence[Column], layout: Layout) -> list[list[str]]:
     front = [""] * (1 + layout.time_code)
-    words = {"Type": [c.type for c in columns], "Name": [c.name for c in columns]}
-    words["ID"] = [c.id for c in columns]
+    labels = {"Type": [c.type for c in columns], "Name": [c.name for c in columns]}
+    labels["ID"] = [c.id for c in columns]
     if layout.version == "1.25":
-        words["Parent"] = ["" for _ in columns]
+        labels["Parent"] = ["" for _ in columns]
     wordless = layout.version == "1.21"
-    rows = [[*front, "" if wordless else word, *cells] for word, cells in words.items()]
+    rows = [[*front, "" if wordless else word, *cells] for word, cells in labels.items()]
     quantities = [*front, "", *(c.quantity for c in columns)]
     axes = [c.axis.lower() if layout.lower_w and c.axis == "W" else c.axis for c in columns]
     time = ["Time" if wordless else "Time (Seconds)", *(["TimeCode"] if layout.time_code else [])]

@@ -108,9 +108,9 @@ def measured(
 ) -> tuple[Measured, ...]:
     """Numbers that are read from a curve the same way whatever it is."""
     reading = Reading(numbers, len(trace.time) if n is None else n)
-    found = measure(replicates_of(trace, *inputs, **more), lambda _: reading)
-    assert isinstance(found, tuple), found
-    return found
+    level = measure(replicates_of(trace, *inputs, **more), lambda _: reading)
+    assert isinstance(level, tuple), level
+    return level
 
 
 RATE = 50.0

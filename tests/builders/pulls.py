@@ -81,9 +81,9 @@ def reduction(
     return reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"), tested=tested)
 
 
-def pulled(travel: Floats, force: Floats, **asked: Any) -> tuple[ReducedTest, dict[str, Result]]:
+def pulled(travel: Floats, force: Floats, **options: Any) -> tuple[ReducedTest, dict[str, Result]]:
     """Evidence and results of a pull, asked for as `reduction` has it."""
-    done = reduction(travel, force, **asked)
+    done = reduction(travel, force, **options)
     return done.reduced_test, {result.name: result for result in done.results}
 
 
@@ -92,13 +92,13 @@ def codes(test: ReducedTest) -> dict[str, str]:
     return {note.code: note.message for note in test.findings.notes}
 
 
-def holds(found: Result, true: float, unit: str) -> None:
-    assert found.status is Status.OK
-    assert found.unit == unit
-    assert found.interval is not None
-    assert found.value is not None
-    half = 0.5 * (found.interval.upper - found.interval.lower)
-    assert found.value == pytest.approx(true, abs=2.0 * half)
-    assert found.value == pytest.approx(true, rel=0.01)
-    assert found.method
-    assert found.n >= 1
+def holds(result: Result, true: float, unit: str) -> None:
+    assert result.status is Status.OK
+    assert result.unit == unit
+    assert result.interval is not None
+    assert result.value is not None
+    half = 0.5 * (result.interval.upper - result.interval.lower)
+    assert result.value == pytest.approx(true, abs=2.0 * half)
+    assert result.value == pytest.approx(true, rel=0.01)
+    assert result.method
+    assert result.n >= 1

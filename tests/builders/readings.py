@@ -38,22 +38,22 @@ def holds(
     """The synthetic pull, force and travel as (name, unit in file, factor from N or mm)."""
     np.testing.assert_allclose(time(recording), TIME, rtol=1e-6)
     for (name, unit, factor), truth in ((force, FORCE), (travel, TRAVEL)):
-        found = channel(recording, name)
-        assert found.unit_in_file == unit
-        np.testing.assert_allclose(found.values, factor * truth, rtol=1e-5, atol=1e-9)
+        column = channel(recording, name)
+        assert column.unit_in_file == unit
+        np.testing.assert_allclose(column.values, factor * truth, rtol=1e-5, atol=1e-9)
 
 
 def codes(recording: Recording) -> set[str]:
     return {note.code for note in recording.notes}
 
 
-def refused(file: Path, *said: str, **how: Any) -> str:
+def refused(file: Path, *parts: str, **how: Any) -> str:
     """Refuse a file in the grammar of the house; give back the message."""
     with pytest.raises(ReadError) as caught:
         read_export(file, "load-frame", **how)
     text = str(caught.value)
     grammar = rf"{re.escape(str(file))}(, [^\n]+?)?: expected [^\n]+, found [^\n]+\. [^\n]+\."
     assert re.fullmatch(grammar, text), text
-    for word in said:
+    for word in parts:
         assert word in text, text
     return text

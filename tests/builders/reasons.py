@@ -15,17 +15,17 @@ from labpipe.store.read import read_run
 
 def codes(result: Mapping[str, Any]) -> list[str]:
     """Codes of the reasons of a result."""
-    return [each["code"] for each in result["reasons"]]
+    return [entry["code"] for entry in result["reasons"]]
 
 
 def why(result: Mapping[str, Any]) -> str:
     """Codes and sentences of the reasons of a result, as the commands print them."""
-    return "; ".join(f"{each['code']}: {each['message']}" for each in result["reasons"])
+    return "; ".join(f"{entry['code']}: {entry['message']}" for entry in result["reasons"])
 
 
-def doubted(found: ReducedTest | Iterable[Finding]) -> dict[str, str]:
+def doubted(reduced: ReducedTest | Iterable[Finding]) -> dict[str, str]:
     """The first reason of each quantity that is in doubt anywhere in the record."""
-    findings = found.findings if isinstance(found, ReducedTest) else Findings() + found
+    findings = reduced.findings if isinstance(reduced, ReducedTest) else Findings() + reduced
     reasons: dict[str, str] = {}
     for doubt in findings.doubts:
         reasons.setdefault(doubt.quantity, str(doubt.reason))
@@ -34,11 +34,11 @@ def doubted(found: ReducedTest | Iterable[Finding]) -> dict[str, str]:
 
 def runs(folder: Path) -> set[str]:
     """Keys of the run that the files of a test show: result, summary, figures as SVG and PNG."""
-    found = {json.loads((folder / "summary.json").read_text("utf-8"))["run"]}
-    found.add(read_run(folder / "result.h5"))
+    keys = {json.loads((folder / "summary.json").read_text("utf-8"))["run"]}
+    keys.add(read_run(folder / "result.h5"))
     for figure in (folder / "figures").iterdir():
         content = figure.read_bytes()
         key = rb"<dc:identifier>(\w{64})</dc" if figure.suffix == ".svg" else rb"run\x00(\w{64})"
-        found |= {each.decode() for each in re.findall(key, content)}
+        keys |= {entry.decode() for entry in re.findall(key, content)}
         assert re.search(key, content), figure
-    return found
+    return keys

@@ -125,7 +125,7 @@ def recorded(
         signals = signals.with_new(name, raw)
         if made:
             cuts = np.searchsorted(stamps, ends, side="right").tolist()
-            stride = int(np.prod([each for _, each in made]))
+            stride = int(np.prod([size for _, size in made]))
             done = in_pieces(values, cuts, made)
             filtered = replace(raw, time=stamps[::stride], values=done)
             signals = signals.with_filtered(name, filtered, *made)

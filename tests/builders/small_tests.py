@@ -45,11 +45,11 @@ class LabFolder:
 
     @property
     def results(self) -> dict[str, dict[str, Any]]:
-        return {each["name"]: each for each in self.summary["results"]}
+        return {entry["name"]: entry for entry in self.summary["results"]}
 
     @property
     def notes(self) -> dict[str, str]:
-        return {each["code"]: each["message"] for each in self.summary["quality"]}
+        return {entry["code"]: entry["message"] for entry in self.summary["quality"]}
 
     @property
     def truth(self) -> dict[str, Any]:
@@ -75,8 +75,8 @@ class LabFolder:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    return found
+    loaded: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return loaded
 
 
 TEST = "T1"
@@ -147,7 +147,7 @@ def runner(capsys: pytest.CaptureFixture[str]) -> Run:
             status = main([str(argument) for argument in arguments])
         except SystemExit as end:
             status = int(end.code or 0)
-        said = capsys.readouterr()
-        return RunSummary(status, said.out, said.err)
+        output = capsys.readouterr()
+        return RunSummary(status, output.out, output.err)
 
     return run

@@ -30,8 +30,8 @@ class TensileLab(LabFolder):
     @property
     def export(self) -> Path:
         """The one export of the test."""
-        (found,) = (path for path in self.raw.iterdir() if path.suffix in {".txt", ".xlsx", ".csv"})
-        return found
+        (match,) = (path for path in self.raw.iterdir() if path.suffix in {".txt", ".xlsx", ".csv"})
+        return match
 
 
 def make_tensile(home: Path, scenario: TensileScenario, seed: int = 1) -> TensileLab:
@@ -140,12 +140,12 @@ def _true_segments(test: TensileObservation, zero: float) -> dict[str, float]:
     grid = np.linspace(x[5], x[-6], 60)
     near = int(np.argmin([fitted(at)[1] for at in grid]))
     bounds = (grid[max(near - 1, 0)], grid[min(near + 1, 59)])
-    found = minimize_scalar(
+    match = minimize_scalar(
         lambda at: fitted(at)[1], bounds=bounds, method="bounded", options={"xatol": 1e-9}
     )
-    _, first, second = fitted(found.x)[0]
+    _, first, second = fitted(match.x)[0]
     return {
-        "break_point": float(found.x),
+        "break_point": float(match.x),
         "segment_stiffness_first": float(first),
         "segment_stiffness_second": float(second),
     }

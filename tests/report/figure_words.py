@@ -15,8 +15,8 @@ MOST_LINES = 12
 NUMBER = re.compile(r"\d[\d.]* × 10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+|\d+\.\d+|[\d.]+(?= %)|\d{2,}")  # noqa: RUF001
 
 
-def _one_line(words: str) -> str:
-    return " ".join(words.split())
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def _of_axes(axes: Axes) -> Iterator[str]:
@@ -69,9 +69,9 @@ def all_words(pages: Mapping[str, Figure]) -> Iterator[str]:
         yield from figure_words(page)
 
 
-def without_digits(words: str) -> str:
+def without_digits(text: str) -> str:
     """Words in which numbers that a solver found are left out."""
-    return NUMBER.sub("#", words)
+    return NUMBER.sub("#", text)
 
 
 def _cell_words(cell: Cell) -> str:

@@ -142,7 +142,7 @@ WIDER = (stats.t.ppf(0.975, 2) / sqrt(3)) / (stats.t.ppf(0.975, 3) / 2)
 
 
 @pytest.mark.parametrize(
-    ("values", "doubtful", "size", "words"),
+    ("values", "doubtful", "size", "text"),
     [
         # mean 12; without 15 it is 10.5, 12.5 % lower
         ((10, 11, 15), "c", 1.5 / HALF,
@@ -155,12 +155,12 @@ WIDER = (stats.t.ppf(0.975, 2) / sqrt(3)) / (stats.t.ppf(0.975, 3) / 2)
     ],
 )  # fmt: skip
 def test_what_a_cause_does_to_a_mean(
-    values: tuple[float | None, ...], doubtful: str, size: float | None, words: str
+    values: tuple[float | None, ...], doubtful: str, size: float | None, text: str
 ) -> None:
     own = group_of(dict(zip("abcd", values, strict=False)), doubtful)
     (cause,) = find_causes(campaign_of(own))
     assert cause.effect is not None
-    assert cause.effect.text == words
+    assert cause.effect.text == text
     assert cause.effect.size > 1.0 if size is None else cause.effect.size == pytest.approx(size)
     assert cause.kind is (Kind.DOUBTFUL if doubtful else Kind.FAILED)
     set_by_rig = tuple(replace(number, is_set_by_rig=True) for number in own.numbers)
@@ -171,7 +171,7 @@ def test_what_a_cause_does_to_a_mean(
 def test_lines_of_causes(approved: Approve) -> None:
     lines = cause_lines(find_causes(build_campaign()))
     heads = [f"{line.head}: {line.reason} {line.subject}: {line.effect}" for line in lines]
-    tables = [words for line in lines for words in table_words(line.details)]
+    tables = [row for line in lines for row in table_words(line.details)]
     (methods,) = method_tables(build_campaign())
     approved([*heads, *tables, *table_words(methods)])
     texts = ("the end.", "no stop", "", "doubtful: peak_force.1 (tt-a)")

@@ -45,8 +45,8 @@ def test_style_is_given_back() -> None:
     assert dict(mpl.rcParams) == before
 
 
-def drawn(words: str) -> bytes:
-    page = titled_page(words, "", width_mm=90, height_mm=20)
+def drawn(heading: str) -> bytes:
+    page = titled_page(heading, "", width_mm=90, height_mm=20)
     page.set_layout_engine("none")
     pixels: Any = FigureCanvasAgg(page)
     pixels.draw()

@@ -152,9 +152,9 @@ def test_figures_told_without_being_seen(approved: Approve) -> None:
     half = np.linspace(0.0, 90.0, len(group.band.mean))
     wide = replace(group.band, lower_all=group.band.mean - half, upper_all=group.band.mean + half)
     lone = build_group("A", [build_sample("s1", "a")])
-    told = [
+    figures = [
         *group_drawings(group),
         next(group_drawings(lone)),
         next(group_drawings(replace(group, band=wide))),
     ]
-    approved(f"{drawing.name}: {drawing.alt}\n  {drawing.caption}" for drawing in told)
+    approved(f"{drawing.name}: {drawing.alt}\n  {drawing.caption}" for drawing in figures)

@@ -72,13 +72,13 @@ def test_an_overdue_calibration_is_said_with_its_tests() -> None:
     one, two, three = (replace(sample, instruments=(cell,)) for sample in six_samples()[:3])
     one, two = replace(one, date=date(2025, 12, 31)), replace(two, date=date(2026, 1, 2))
     undated = replace(one, instruments=(replace(cell, due=None),))
-    for samples, words in (
+    for samples, expected in (
         ([one, three], "calibration due 2026-01-01"),
         ([one, two, three], "calibration OVERDUE since 2026-01-01 in 1 test"),
         ([undated], "no due date stated"),
     ):
         (line,) = instrument_lines(samples)
-        assert (line.due, line.is_overdue) == (words, "OVERDUE" in words)
+        assert (line.due, line.is_overdue) == (expected, "OVERDUE" in expected)
 
 
 def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:

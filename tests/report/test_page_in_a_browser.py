@@ -73,7 +73,7 @@ class Shown:
     """A page in a browser, what it asked of the network, and what the browser complained of."""
 
     page: Page
-    asked: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
 
     def press(self, *keys: str) -> None:
@@ -134,7 +134,7 @@ def shown(browser: Browser, address: str | Path, **wanted: Any) -> Iterator[Show
     context = browser.new_context(**settings)
     context.set_default_timeout(60_000)  # a busy machine is slow, not wrong
     seen = Shown(context.new_page())
-    seen.page.on("request", lambda request: seen.asked.append(request.url))
+    seen.page.on("request", lambda request: seen.requests.append(request.url))
     seen.page.on("console", lambda message: seen.complaints.append(message.text))
     seen.page.on("pageerror", lambda error: seen.complaints.append(str(error)))
     seen.page.goto(address.as_uri() if isinstance(address, Path) else address)
@@ -286,7 +286,7 @@ def test_hostile_names_are_shown_as_text(browser: Browser, tmp_path: Path) -> No
         assert seen.page.evaluate(script) == 1  # the page's own script
         seen.page.locator("#t7 .reject").click()
         seen.button("Save decisions.json").click()
-        assert seen.status() == f"{HOSTILE[7]}: a rejection needs its reason."
+        assert seen.status() == f"{HOSTILE[7]}: a rejection requires a reason."
         assert seen.page.evaluate("document.documentElement.scrollWidth") <= 1400
         for number in range(len(HOSTILE)):
             seen.page.locator(f"#t{number} .reject").click()
@@ -304,9 +304,9 @@ def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, tmp_path: Pat
         figure.locator("svg.frame").focus()
         for _ in range(25):
             seen.press("ArrowRight")
-            words = figure.locator(".readout").text_content() or ""
-            value = re.fullmatch(r"T-3 · ([-\u2212\d.]+) mm · ([-\u2212\d.]+) N", words)
-            assert value, words
+            readout = figure.locator(".readout").text_content() or ""
+            value = re.fullmatch(r"T-3 · ([-\u2212\d.]+) mm · ([-\u2212\d.]+) N", readout)
+            assert value, readout
             read.append([float(number.replace("\u2212", "-")) for number in value.groups()])
     x, force = np.transpose(read)
     assert (np.diff(x) > 0).all()
@@ -348,8 +348,8 @@ def test_page_one_at_every_width(browser: Browser, tmp_path: Path, width: int) -
         end = seen.page.evaluate("document.getElementById('first').getBoundingClientRect().bottom")
         assert width != WIDE["width"] or end <= WIDE["height"]
         assert seen.page.evaluate(FAULTS) == []
-        for words in ("Tested", "Checked", "Date"):
-            assert seen.page.locator(".sign span", has_text=words).first.is_visible()
+        for readout in ("Tested", "Checked", "Date"):
+            assert seen.page.locator(".sign span", has_text=readout).first.is_visible()
         assert seen.page.locator("#to-decide li").first.is_visible()
         assert seen.page.locator("details.answer").count() == 4
         for details in seen.page.locator("#first details").all():
@@ -403,7 +403,7 @@ def test_the_keyboard_alone(browser: Browser, twelve: Path) -> None:
         seen.press("Shift+Tab", "Shift+Tab")
         assert [seen.decided(name) for name in NAMES[2:5]] == [["reject"], ["accept"], ["reject"]]
         seen.button("Save decisions.json").press("Enter")
-        assert "T-5: a rejection needs its reason." in seen.status()
+        assert "T-5: a rejection requires a reason." in seen.status()
         assert seen.focused() == "why, T-5"
         seen.page.keyboard.type("no signal")
         seen.button("Save decisions.json").press("Enter")
@@ -463,7 +463,7 @@ def test_a_served_page_saves_without_a_download(browser: Browser, tmp_path: Path
                 with seen.page.expect_navigation():
                     seen.button("Make the report again").click()
                 assert seen.row("T-3").get_attribute("data-state") == "rejected"
-                hosts = {url.split("/")[2] for url in seen.asked}
+                hosts = {url.split("/")[2] for url in seen.requests}
                 assert hosts == {server.address.split("/")[2]}
         finally:
             server.shutdown()

@@ -70,7 +70,7 @@ def test_a_plot_is_well_formed_and_its_words_are_text() -> None:
     plot = Plot("curves", "g", "<b>", "", Axis('"mm" <', "mm", 0.0, 10.0), Y, [line])
     root = ElementTree.fromstring(str(svg(plot)))
     assert root.get("aria-label") == "<b>"
-    (area,) = (each for each in root.iter() if each.get("class") == "area")
+    (area,) = (element for element in root.iter() if element.get("class") == "area")
     assert [area.get(f"data-{name}") for name in ("x0", "x1", "y0", "y1")] == [
         "0", "10", "-1", "9",
     ]  # fmt: skip

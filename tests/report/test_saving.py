@@ -72,8 +72,8 @@ def test_words_are_as_wide_in_pixels_as_in_an_svg() -> None:
         for canvas in (FigureCanvasAgg, FigureCanvasSVG):
             figure = Figure(dpi=200)
             canvas(figure)
-            words = figure.text(0.0, 0.5, "mean of taping none, wire B1 & B2, number 19", size=7)
-            widths.append(words.get_window_extent().width / figure.dpi)
+            label = figure.text(0.0, 0.5, "mean of taping none, wire B1 & B2, number 19", size=7)
+            widths.append(label.get_window_extent().width / figure.dpi)
     assert widths[0] == pytest.approx(widths[1], rel=3e-3)
 
 

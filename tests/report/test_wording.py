@@ -14,11 +14,11 @@ from labpipe.records.group import MeanInterval
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.wording import (
+    as_label,
     heading,
     is_main,
     printable,
     replace_names,
-    result_label,
     shortened,
     shown_in,
     unit_words,
@@ -105,7 +105,7 @@ def test_rounding_moves_no_number_by_more_than_a_tenth_of_the_half_width(
 
 
 def test_words() -> None:
-    assert result_label("peak_force.1") == "Peak force, cycle 1"
+    assert as_label("peak_force.1") == "Peak force, cycle 1"
     assert heading("stiffness_first", "N/mm") == "Stiffness, first region (N/mm)"
     assert heading("ratio", "1") == "Ratio"
     assert unit_words("N*mm^2") == "N\u00b7mm\u00b2"
@@ -118,7 +118,7 @@ def test_results_are_worded_as_their_kinds_say() -> None:
     assert len(outputs) > 25
     for output in outputs:
         assert output.label, output.name
-        assert result_label(output.name) == output.label
+        assert as_label(output.name) == output.label
 
 
 @pytest.mark.parametrize(
