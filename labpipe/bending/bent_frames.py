@@ -1,7 +1,7 @@
 """Curvature and bending moment along the specimen, from its shape and the force at its tip.
 
-The other way round (PHYSICS 5): markers give the shape, the force gives the moment, and nothing is
-said of the stiffness. The frame is that of the specimen: x along its undeformed axis from the
+The inverse problem (PHYSICS 5): markers give the shape, the force gives the moment, and the
+stiffness is not assumed. The frame is that of the specimen: x along its undeformed axis from the
 clamped end, y in the plane of bending towards the pull.
 """
 
@@ -28,16 +28,16 @@ from labpipe.records.curve import PointFlag, Shape
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipPull:
-    """What pulls at the tip.
+    """Pull at the tip.
 
     Parameters
     ----------
-    string : m, length of the string from the load cell to the tip; None where the force acts normal
-        to the clamped axis
-    weight : N, hanging at the tip
-    tension_at_rest : N, in the string before the loading, which the zero of the force hides
+    string : m, length of the string from the load cell to the tip; None for a force normal to the
+        clamped axis
+    weight : N, at the tip
+    tension_at_rest : N, in the string before the loading, removed by the zero of the force
     anchor : m, place of the load cell along x
-    self_weight : N/m, of the specimen itself, which lies level
+    self_weight : N/m, of the level specimen
     """
 
     string: float | None
@@ -47,7 +47,7 @@ class TipPull:
     self_weight: float = 0.0
 
     def force(self, reading: Floats, tip: Floats) -> Floats:
-        """Force at the tip, N.
+        """Return the force at the tip, N.
 
         Parameters
         ----------
@@ -56,12 +56,12 @@ class TipPull:
 
         Returns
         -------
-        shape (n, 2), N, along x and y; NaN where the tip is farther than the string is long.
+        shape (n, 2), N, along x and y; NaN if the tip is farther than the string is long.
 
         Notes
         -----
-        The load cell hangs above the tip at rest, so the string leans towards the anchor as the
-        tip moves inward: sin(beta) = (anchor - x) / string.
+        The load cell is above the tip at rest, so the string leans towards the anchor as the tip
+        moves inward: sin(beta) = (anchor - x) / string.
         """
         tension = reading + self.tension_at_rest
         lean = np.zeros_like(tip) if self.string is None else (self.anchor - tip) / self.string
@@ -72,13 +72,13 @@ class TipPull:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeanFrames:
-    """Means over consecutive frames of one branch each.
+    """Means over consecutive frames, each of one branch.
 
     Parameters
     ----------
     time, force : shape (n,), s, N
     branch : shape (n,)
-    markers : shape (n, markers, 3), m, from the clamped end; NaN where a marker was not measured in
+    markers : shape (n, markers, 3), m, from the clamped end; NaN if a marker was not measured in
         every frame of the mean
     per_mean : frames
     """
@@ -90,7 +90,7 @@ class MeanFrames:
     per_mean: int
 
     def part(self, chosen: Flags) -> MeanFrames:
-        """Some of the means, by a mask of shape (n,)."""
+        """Select means by a mask of shape (n,)."""
         return MeanFrames(
             self.time[chosen],
             self.force[chosen],
@@ -102,7 +102,7 @@ class MeanFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerLayout:
-    """Where the markers are along the specimen, and the ends of its curve.
+    """Places of the markers along the specimen, and end conditions of its curve.
 
     Parameters
     ----------
@@ -123,19 +123,19 @@ class MarkerLayout:
         return self.ends.length
 
     def fit(self, markers: Floats, *, more: int = 0) -> FrameFits:
-        """Fit the curve through markers of shape (n, markers, 3), with some coefficients more."""
+        """Fit the curve through markers of shape (n, markers, 3), with `more` coefficients."""
         return fit_frames(
             markers, self.arc_length, self.centre_offset, self.ends, terms=self.terms + more
         )
 
 
 def marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) -> MarkerLayout:
-    """Say how a shape was fitted.
+    """Return the layout that a shape was fitted with.
 
     Parameters
     ----------
     shape : with a clamped end and fitted curves
-    centre_offset : m, that it was fitted with
+    centre_offset : m, of its fit
     free_tip : whether its curve has no moment at the last point
 
     Returns
@@ -162,10 +162,10 @@ def mean_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) -> 
 
     Parameters
     ----------
-    shape : its marker positions are averaged where they were measured in every frame of a mean
+    shape : with marker positions, averaged if measured in every frame of a mean
     force : shape (frames,), N; a mean with NaN is NaN
-    branch : shape (frames,); frames of a negative branch are left out
-    per_mean : frames; what is left over at the end of a branch is left out
+    branch : shape (frames,); frames of a negative branch are excluded
+    per_mean : frames; the remainder at the end of a branch is excluded
 
     Returns
     -------
@@ -186,7 +186,7 @@ def mean_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) -> 
 
 
 def _starts(branch: Ints, per_mean: int) -> Ints:
-    """First frames of whole groups of frames that lie within one branch each."""
+    """Return the first frames of complete groups of frames within one branch each."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(branch)) + 1, [len(branch)]])
     groups = [
         np.arange(first, last - per_mean + 1, per_mean)
@@ -197,13 +197,13 @@ def _starts(branch: Ints, per_mean: int) -> Ints:
 
 
 def _markers_of(shape: Shape) -> Flags:
-    """Points of a shape that are markers, not constructed: shape (points,)."""
+    """Flag the points of a shape that are markers, not constructed: shape (points,)."""
     return np.asarray(~(shape.flags == PointFlag.CONSTRUCTED).any(axis=0), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StationCurves:
-    """Curves at some stations; arrays of shape (n, stations).
+    """Curves at stations; arrays of shape (n, stations).
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ class StationCurves:
 
 
 def curves_at(coefficients: Floats, length: float, arc_length: Floats) -> StationCurves:
-    """Look up fitted curves in the plane of bending.
+    """Evaluate fitted curves in the plane of bending.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def curves_at(coefficients: Floats, length: float, arc_length: Floats) -> Statio
 
 
 def _second(u: Floats, terms: int) -> Floats:
-    """Second derivatives of the powers of u; shape (n, terms)."""
+    """Return the second derivatives of the powers of u; shape (n, terms)."""
     rates = np.zeros((len(u), terms))
     rates[:, 2:] = np.arange(2, terms) * np.arange(1, terms - 1) * powers(u, terms)[:, :-2]
     return rates
@@ -257,18 +257,18 @@ def _second(u: Floats, terms: int) -> Floats:
 def curvature_gain(
     layout: MarkerLayout, markers: Floats, shape: StationCurves, arc_length: Floats
 ) -> Floats:
-    """Standard error of curvature per standard deviation of one coordinate of one marker.
+    """Return the standard error of curvature per standard deviation of a marker coordinate.
 
     Parameters
     ----------
     layout : of the markers
-    markers : shape (n, markers, 3), that the curves were fitted to; NaN where not in sight
+    markers : shape (n, markers, 3), of the fitted curves; NaN where not in sight
     shape : the curves at the stations
     arc_length : shape (stations,), m
 
     Returns
     -------
-    shape (n, stations), 1/m^2; NaN where markers are too few.
+    shape (n, stations), 1/m^2; NaN for too few markers.
 
     Notes
     -----
@@ -291,7 +291,7 @@ def curvature_gain(
 
 
 def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floats | None:
-    """x'', y'', x', y' at the stations per marker coordinate: (4, stations, 2 markers)."""
+    """Return x'', y'', x', y' at the stations per marker coordinate: (4, stations, 2 markers)."""
     ends, terms = layout.ends, layout.terms
     basis = curve_basis(
         terms=terms,
@@ -310,7 +310,7 @@ def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floa
 
 
 def held_at_rest(self_weight: float, length: float) -> float:
-    """Force that holds the tip of a level specimen at rest, N: 3 w L / 8.
+    """Return the force that supports the tip of a level specimen at rest, N: 3 w L / 8.
 
     Parameters
     ----------
@@ -319,15 +319,15 @@ def held_at_rest(self_weight: float, length: float) -> float:
 
     Notes
     -----
-    That of a small sag and a straight law; the laws of stranded wires change it by 0.03 % at most
-    (A2 at 85 mm, B1 at 100 mm, A3 at 120 mm). A specimen that hangs freely stands as low at its tip
-    as under this force alone.
+    For a small sag and a linear law; the laws of stranded wires change it by at most 0.03 % (A2 at
+    85 mm, B1 at 100 mm, A3 at 120 mm). A freely hanging specimen has the same tip deflection as
+    under this force alone.
     """
     return 0.375 * self_weight * length
 
 
 def weight_levers(coefficients: Floats, length: float, arc_length: Floats) -> Floats:
-    """Moment of all that lies beyond stations, per weight per length, m^2.
+    """Return the moment of the specimen beyond stations, per weight per length, m^2.
 
     Parameters
     ----------
@@ -346,7 +346,7 @@ def weight_levers(coefficients: Floats, length: float, arc_length: Floats) -> Fl
 
 
 def moments(at: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
-    """Bending moment at stations under a force at the tip.
+    """Return the bending moment at stations under a force at the tip.
 
     Parameters
     ----------
@@ -364,7 +364,7 @@ def moments(at: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class BendingErrors:
-    """What is uncertain of force and places, as standard errors.
+    """Standard errors of force and places.
 
     Parameters
     ----------
@@ -372,8 +372,7 @@ class BendingErrors:
     force_zero : N
     force_scale : a share
     offset : m, of the clamped end and of the pull point along the specimen
-    other_tension_at_rest : N, a tension at rest as likely as the one assumed; None where there is
-        none
+    other_tension_at_rest : N, a tension at rest as probable as the assumed one, or None
     centre : m, of the markers' centres across the specimen
     """
 
@@ -387,19 +386,19 @@ class BendingErrors:
 
 @dataclass(frozen=True, eq=False)
 class BendingTest:
-    """A test as the shape and the curve tell it; arrays of shape (frames,).
+    """A bending test with shape and curve; arrays of shape (frames,).
 
     Parameters
     ----------
     shape : with clamped end and pull point, fitted in every frame
-    force : N, of the curve at the frames; NaN where there is none
+    force : N, of the curve at the frames; NaN without one
     branch, cycle : of the curve at the frames
-    first : branch that is the first loading
+    first : branch of the first loading
     rest : frames before the loading
     centre_offset : m, axis to marker centre
     free_tip : whether the shapes were fitted without a moment at the tip
     pull : at the tip
-    errors : of all this
+    errors : of force and places
     """
 
     shape: Shape
@@ -415,11 +414,11 @@ class BendingTest:
 
     @cached_property
     def layout(self) -> MarkerLayout:
-        """Where the markers are."""
+        """Layout of the markers."""
         return marker_layout(self.shape, centre_offset=self.centre_offset, free_tip=self.free_tip)
 
     @cached_property
-    def standing(self) -> SpecimenAtRest:
+    def specimen_at_rest(self) -> SpecimenAtRest:
         """The specimen at rest.
 
         Raises
@@ -430,8 +429,8 @@ class BendingTest:
         branch = np.where(self.rest, 0, -1)
         frames = mean_frames(self.shape, np.zeros(len(branch)), branch, per_mean=1)
         whole = np.isfinite(frames.markers).all(axis=(1, 2))
-        if whole.sum() < 2:
-            n_frames = int(whole.sum())
+        n_frames = int(whole.sum())
+        if n_frames < 2:
             message = f"rest: expected frames at rest that show all markers, found {n_frames}"
             raise ValueError(message)
         fit = self.layout.fit(frames.markers[whole])
@@ -440,16 +439,16 @@ class BendingTest:
             markers=markers,
             coefficients=fit.coefficients.mean(axis=0)[None],
             finer=self.layout.fit(markers[None], more=min(fit.spare, 1)).coefficients,
-            frames=int(whole.sum()),
+            frames=n_frames,
             noise=fit.noise(slice(None)),
         )
 
     def frames(self, branch: Ints, *, per_mean: int) -> FittedFrames:
-        """Curves through means over consecutive frames.
+        """Fit curves through means over consecutive frames.
 
         Parameters
         ----------
-        branch : shape (frames,); frames of a negative branch are left out
+        branch : shape (frames,); frames of a negative branch are excluded
         per_mean : frames
 
         Raises
@@ -479,14 +478,14 @@ class BendingTest:
         *,
         pull: TipPull | None = None,
     ) -> Floats:
-        """Bending moments along fitted curves.
+        """Return bending moments along fitted curves.
 
         Parameters
         ----------
         coefficients : shape (n, 3, terms), m
         reading : shape (n,), N, tension less that at rest
         places : shape (stations,), m
-        pull : another than that of the test
+        pull : None for that of the test
 
         Returns
         -------
@@ -509,10 +508,9 @@ class SpecimenAtRest:
     ----------
     markers : shape (markers, 3), m, mean places
     coefficients : shape (1, 3, terms), m, of the mean curve
-    finer : the same with one coefficient more where the markers carry it
-    frames : that show all markers
-    noise : m, standard deviation of one coordinate of one marker; NaN where the markers leave no
-        residual
+    finer : the same with one more coefficient, if the markers determine it
+    frames : number of frames with all markers
+    noise : m, standard deviation of a marker coordinate; NaN without residuals
     """
 
     markers: Floats
@@ -524,13 +522,13 @@ class SpecimenAtRest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedFrames:
-    """Means of frames that have a shape and a force, and the curves through them.
+    """Means of frames with shape and force, and the curves through them.
 
     Parameters
     ----------
     means : the means
     coefficients : shape (n, 3, terms), m
-    finer : shape (n, 3, terms + 1), m; None where the markers do not carry one coefficient more
+    finer : shape (n, 3, terms + 1), m; None if the markers do not determine one more coefficient
     tip_gain : shape (n,), standard error of the tip per standard deviation of a marker coordinate
     """
 

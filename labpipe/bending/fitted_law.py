@@ -1,18 +1,18 @@
-"""The moment-curvature law whose shapes explain where the markers of a first loading are.
+"""Fit of the moment-curvature law to the marker positions of a first loading.
 
-Shapes that a law makes are compared with the markers; nothing is differentiated, so that curvatures
-are known far better than from any one frame.
+The shapes of a law are compared with the markers; nothing is differentiated, so that curvatures are
+much more accurate than from single frames.
 
 The wire keeps its length and its direction at the clamp. Its angle in frame f is
 
     theta_f(s) = theta_rest(s) + integral from 0 to s of [kappa(M_f) - kappa(M_rest)] ds'
 
-with one law kappa(M) for all places and frames. Where the specimen's weight or that at its tip had
-bent it the other way, it goes back by Masing's rule until it is bent as much this way:
+with one law kappa(M) for all places and frames. If the weight of the specimen or at its tip had
+bent it the other way, it reverses by Masing's rule until it is bent as much this way:
 
     kappa - kappa(M_rest) = 2 kappa((M_f - M_rest) / 2).
 
-x = integral cos theta, y = integral sin theta, and markers stand off along the normal.
+x = integral cos theta, y = integral sin theta, and markers are offset along the normal.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
-_RECTANGLE = 1.0 / np.sqrt(3.0)
+RECTANGLE = 1.0 / np.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawFit:
-    """A law, and how it hangs on the markers.
+    """A law, and its dependence on the markers.
 
     Parameters
     ----------
     basis : of the law
     compliance : shape (knots,), 1/(N m^2), none negative
-    covariance : shape (knots, knots), from what the markers scatter about the law
-    sensitivity : shape (knots, n, 2 markers), what the compliances gain per metre that a marker
-        coordinate is moved
+    covariance : shape (knots, knots), from the scatter of the markers about the law
+    sensitivity : shape (knots, n, 2 markers), change of the compliances per metre of a marker
+        coordinate
     residual : m, root mean square misfit per coordinate
-    n : marker coordinates seen in all frames together
-    variance : m^2, of independent noise that would scatter the compliances as much on the whole
+    n : number of marker coordinates in all frames
+    variance : m^2, of independent noise with the same overall scatter of the compliances
     """
 
     basis: LawBasis
@@ -51,11 +51,11 @@ class LawFit:
     variance: float
 
     def shift(self, movement: Floats) -> Floats:
-        """Change of the compliances if the law moved the markers otherwise.
+        """Return the change of the compliances for another movement of the markers.
 
         Parameters
         ----------
-        movement : shape (n, 2 markers), m, by how much more with the same law
+        movement : shape (n, 2 markers), m, additional movement with the same law
 
         Returns
         -------
@@ -66,13 +66,13 @@ class LawFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedLaw:
-    """A law with as many knots as the markers can tell of.
+    """A law with as many knots as the markers determine.
 
     Parameters
     ----------
     fit : the law
-    change : shape (knots,), standard error of the compliances for want of more knots, all of them
-        together
+    change : shape (knots,), standard error of the compliances from the number of knots, fully
+        correlated
     """
 
     fit: LawFit
@@ -80,7 +80,7 @@ class RefinedLaw:
 
 
 def refine_law(loaded: Loaded) -> RefinedLaw:
-    """Find a law with enough knots for its bends.
+    """Fit a law with enough knots.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def refine_law(loaded: Loaded) -> RefinedLaw:
 
     Returns
     -------
-    The law and what half as many knots change in it.
+    The law, and its change with half as many knots.
 
     Raises
     ------
@@ -97,9 +97,10 @@ def refine_law(loaded: Loaded) -> RefinedLaw:
 
     Notes
     -----
-    Thirteen knots follow a smooth law to 0.1 % of its moment. A wire whose strands all slip at once
-    has a law with a kink: the number is doubled if that lowers the sum of squares by more than log
-    n times the variance of the noise for each knot on top (Schwarz, Ann. Stat. 6 (1978) 461).
+    Thirteen knots describe a smooth law to 0.1 % of its moment. A wire whose strands all slip at
+    once has a law with a kink: the number is doubled if that reduces the sum of squares by more
+    than log n times the variance of the noise for each added knot (Schwarz, Ann. Stat. 6 (1978)
+    461).
     """
     # Each level has all the knots of the one before.
     level_knots = (7, 13, 25)
@@ -108,16 +109,16 @@ def refine_law(loaded: Loaded) -> RefinedLaw:
     better = fine.n * (fit.residual**2 - fine.residual**2)
     if better > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
         coarse, fit = fit, fine
-    return RefinedLaw(fit, _RECTANGLE * (_at_knots_of(fit, coarse) - fit.compliance))
+    return RefinedLaw(fit, RECTANGLE * (_at_knots_of(fit, coarse) - fit.compliance))
 
 
 def _at_knots_of(fine: LawFit, coarse: LawFit) -> Floats:
-    """Compliances of a law at the knots of another, which hold its own."""
+    """Return the compliances of a law at finer knots, which include its own."""
     return np.asarray(coarse.basis.slopes(fine.basis.knots) @ coarse.compliance, dtype=np.float64)
 
 
 def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
-    """Find the law that explains where the markers are, by least squares.
+    """Fit the law to the marker positions by least squares.
 
     Parameters
     ----------
@@ -131,23 +132,23 @@ def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
     Raises
     ------
     ValueError
-        If the markers do not fix all compliances: too few frames, or moments too small.
+        If the markers do not determine all compliances: too few frames, or moments too small.
 
     Notes
     -----
     Gauss-Newton; the inner step is non-negative least squares (Lawson and Hanson, Solving Least
-    Squares Problems, 1974, chapter 23) where the plain one goes below zero. Every marker coordinate
-    may have an offset of its own, known from the frames at rest: so the noise of the mean at rest,
-    which all frames share, is in the covariance. That is a sandwich with the residuals' long-run
-    covariance between coordinates in the middle (Newey and West, Econometrica 55 (1987) 703): the
-    clamp's pivot and the force move all of them, and a smoothed force for several frames.
+    Squares Problems, 1974, chapter 23) if the unconstrained one is negative. Every marker
+    coordinate has its own offset, known from the frames at rest: so the noise of the mean at rest,
+    common to all frames, is in the covariance. That is a sandwich estimator with the long-run
+    covariance of the residuals between coordinates (Newey and West, Econometrica 55 (1987) 703):
+    the pivot of the clamp and the force move all of them, and a smoothed force for several frames.
     """
     max_rounds = 12
     convergence_share = 1e-7
     seen = np.isfinite(loaded.moved)
     measured = np.where(seen, loaded.moved, 0.0)
     shapes = LawShapes.of(loaded, basis)
-    compliance = _straight(shapes, measured)
+    compliance = _uniform_compliance(shapes, measured)
     for _ in range(max_rounds):
         moved, design = shapes.predict(compliance)
         left = _centred(np.where(seen, measured - moved, 0.0)[..., None], seen, loaded.rest_weight)
@@ -173,8 +174,8 @@ def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
     )
 
 
-def _straight(shapes: LawShapes, measured: Floats) -> Floats:
-    """One compliance for all knots that moves the markers about as far as they moved."""
+def _uniform_compliance(shapes: LawShapes, measured: Floats) -> Floats:
+    """Return one compliance for all knots with about the observed movement of the markers."""
     one = np.ones(shapes.turns.shape[2])
     moved = shapes.predict(0.0 * one)[1] @ one
     scale = float((moved**2).sum())
@@ -185,7 +186,7 @@ def _straight(shapes: LawShapes, measured: Floats) -> Floats:
 
 
 def _centred(values: Floats, seen: Flags, rest_weight: float) -> Floats:
-    """Take out the offset of each marker coordinate; one more row at the end stands for the rest.
+    """Subtract the offset of each marker coordinate; an additional last row is the rest.
 
     Values and result of shape (n, 2 markers, k) and (n + 1, 2 markers, k).
     """
@@ -201,7 +202,7 @@ def _solve(normal: Floats, right: Floats) -> Floats:
     plain: Floats = inverse @ right
     if (plain >= 0.0).all():
         return plain
-    from scipy.optimize import nnls  # pulls need not wait for it
+    from scipy.optimize import nnls  # slow import, not for all tests
 
     triangle = np.linalg.cholesky(normal / np.outer(scale, scale))
     return nnls(triangle.T, np.linalg.solve(triangle, right / scale))[0] / scale
@@ -221,7 +222,7 @@ def _inverse(normal: Floats) -> Floats:
 
 
 def _covariance(pushes: Floats, left: Floats, seen: Flags) -> Floats:
-    """Covariance of the compliances from residuals of shape (n, 2 markers)."""
+    """Return the covariance of the compliances from residuals of shape (n, 2 markers)."""
     freedom = max(float(seen.sum()) - len(pushes) - seen.shape[1], 1.0)
     between = _long_run(left, seen) * float(seen.sum()) / freedom
     middle = np.einsum("knm,ml,jnl->kj", pushes, between, pushes, optimize=True)
@@ -229,7 +230,7 @@ def _covariance(pushes: Floats, left: Floats, seen: Flags) -> Floats:
 
 
 def _long_run(left: Floats, seen: Flags) -> Floats:
-    """Long-run covariance between the columns of residuals along axis 0, Bartlett's weights."""
+    """Return the long-run covariance between columns of residuals, with Bartlett's weights."""
     count = len(left)
     lags = min(round(4.0 * (count / 100.0) ** (2.0 / 9.0)) + 1, count // 4)
     weights = seen.astype(np.float64)
@@ -243,7 +244,7 @@ def _long_run(left: Floats, seen: Flags) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """Points along the wire that its shape is integrated over.
+    """Points along the wire for the integration of its shape.
 
     Parameters
     ----------
@@ -257,8 +258,7 @@ class Line:
     @classmethod
     def through(cls, places: Floats, length: float) -> Line:
         """Divide a wire finely, with points at the markers and at the tip."""
-        # m
-        max_step = 0.0015
+        max_step = 0.0015  # m
         ends = np.concatenate([[0.0], places, [length]])
         ends = ends[np.concatenate([[True], np.diff(ends) > 1e-9])]
         counts = np.maximum(np.ceil(np.diff(ends) / max_step).astype(np.int64), 1)
@@ -270,15 +270,15 @@ class Line:
         return cls(points, np.searchsorted(points, places - 1e-10).astype(np.int64))
 
     def integral(self, values: Floats) -> Floats:
-        """Integral from the clamped end, trapezoids; values of shape (n, points, ...)."""
-        from scipy.integrate import cumulative_trapezoid  # pulls need not wait for it
+        """Integrate values (n, points, ...) from the clamped end by trapezoids."""
+        from scipy.integrate import cumulative_trapezoid  # slow import, not for all tests
 
         return cumulative_trapezoid(values, self.arc_length, axis=1, initial=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loaded:
-    """What a law is found from.
+    """Data for the fit of a law.
 
     Parameters
     ----------
@@ -286,8 +286,8 @@ class Loaded:
     moment : shape (n, points), N m, of the loaded frames
     moment_at_rest : shape (points,), N m
     angle_at_rest : shape (points,), rad
-    markers : shape (n, markers, 2), m, in the plane of bending, from the clamped end; NaN is left
-        out
+    markers : shape (n, markers, 2), m, in the plane of bending, from the clamped end; NaN are
+        ignored
     markers_at_rest : shape (markers, 2), m
     rest_weight : frames of the rest over frames of a mean
     centre_offset : m, axis to marker centre
@@ -304,20 +304,20 @@ class Loaded:
 
     @property
     def moved(self) -> Floats:
-        """How far the markers have moved from rest, shape (n, 2 markers), m: x of all, then y."""
+        """Movement of the markers from rest, shape (n, 2 markers), m: x of all, then y."""
         moved = self.markers - self.markers_at_rest
         return np.concatenate([moved[..., 0], moved[..., 1]], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawShapes:
-    """The shapes that laws of one basis make, with all that their compliances do not change.
+    """Shapes for laws of one basis, with all that is independent of the compliances.
 
     Parameters
     ----------
     loaded : moments and rest
     turns : shape (n, points, knots), rad, of the wire from rest, per unit of compliance
-    still : shape (1, 2 markers), m, where the markers' centres are at rest: x of all, then y
+    still : shape (1, 2 markers), m, marker centres at rest: x of all, then y
     """
 
     loaded: Loaded
@@ -332,11 +332,11 @@ class LawShapes:
         return cls(loaded, turns, _centres(loaded, np.sin(begin), np.cos(begin)))
 
     def movement(self, compliance: Floats) -> Floats:
-        """How far the markers move from rest under a law, shape (n, 2 markers), m."""
+        """Return the movement of the markers from rest for a law, shape (n, 2 markers), m."""
         return _centres(self.loaded, *self._directions(compliance)) - self.still
 
     def predict(self, compliance: Floats) -> tuple[Floats, Floats]:
-        """How far the markers move from rest under a law, and how that changes with the law.
+        """Return the movement of the markers from rest for a law, and its derivatives.
 
         Parameters
         ----------
@@ -357,13 +357,13 @@ class LawShapes:
         return moved, np.concatenate([along, across], axis=1)
 
     def _directions(self, compliance: Floats) -> tuple[Floats, Floats]:
-        """Sine and cosine of the wire's angle, shape (n, points) each."""
+        """Return sine and cosine of the angle of the wire, shape (n, points) each."""
         angle = self.loaded.angle_at_rest + self.turns @ compliance
         return np.sin(angle), np.cos(angle)
 
 
 def _centres(loaded: Loaded, sine: Floats, cosine: Floats) -> Floats:
-    """Places of the markers' centres, shape (n, 2 markers): x of all, then y."""
+    """Return the marker centres, shape (n, 2 markers): x of all, then y."""
     line, height = loaded.line, loaded.centre_offset
     at = line.markers
     x = line.integral(cosine)[:, at] - height * sine[:, at]
@@ -383,7 +383,7 @@ class LawBasis:
     knots: Floats
 
     def slopes(self, moment: Floats) -> Floats:
-        """Slope of the law per unit of compliance at each knot; shape (*moment, knots)."""
+        """Return the slope of the law per unit of compliance at each knot; (*moment, knots)."""
         size = np.clip(np.abs(moment), 0.0, self.knots[-1])
         place = np.searchsorted(self.knots, size, side="right") - 1
         place = np.clip(place, 0, len(self.knots) - 2)
@@ -394,7 +394,7 @@ class LawBasis:
         return slopes
 
     def values(self, moment: Floats) -> Floats:
-        """Curvature per unit of compliance at each knot, odd in the moment; (*moment, knots)."""
+        """Return the curvature per unit of compliance at each knot, odd; (*moment, knots)."""
         widths, size = np.diff(self.knots), np.abs(moment)
         inside = np.clip(np.clip(size, 0.0, self.knots[-1])[..., None] - self.knots[:-1], 0, widths)
         rising = inside**2 / (2.0 * widths)
@@ -405,7 +405,7 @@ class LawBasis:
         return np.asarray(np.sign(moment)[..., None] * values, dtype=np.float64)
 
     def changes(self, rest: Floats, moment: Floats) -> Floats:
-        """Change of curvature from a rest reached by first loading, per unit of compliance.
+        """Return the change of curvature from a rest after first loading, per unit of compliance.
 
         Parameters
         ----------
@@ -424,12 +424,11 @@ class LawBasis:
 
 
 def law_knots(largest: float, count: int) -> LawBasis:
-    """Choose knots: closer towards zero, where every frame has some of its wire.
+    """Choose knots, denser near zero, where every frame has a part of its wire.
 
     Parameters
     ----------
     largest : N m, the largest moment
     count : of knots, at least 2
     """
-    crowding_power = 1.6
-    return LawBasis(largest * (np.arange(count) / (count - 1)) ** crowding_power)
+    return LawBasis(largest * (np.arange(count) / (count - 1)) ** 1.6)

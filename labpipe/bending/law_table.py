@@ -1,4 +1,4 @@
-"""The measured moment-curvature law as a table with intervals, and the points of all branches."""
+"""The measured moment-curvature law as a table with intervals, and points of all branches."""
 
 from __future__ import annotations
 
@@ -15,23 +15,30 @@ from labpipe.bending.bent_frames import (
     curvature_gain,
     curves_at,
 )
-from labpipe.bending.fitted_law import LawBasis, LawFit, LawShapes, Line, Loaded, refine_law
+from labpipe.bending.fitted_law import (
+    RECTANGLE,
+    LawBasis,
+    LawFit,
+    LawShapes,
+    Line,
+    Loaded,
+    refine_law,
+)
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Bending, BendingCloud, MeasuredLaw
 from labpipe.records.quality import Reason
 
-MEANS = 80
-"""Means of consecutive frames that the first loading is fitted by."""
-_RECTANGLE = 1.0 / np.sqrt(3.0)
+N_MEANS = 80
+"""Means over consecutive frames for the fit of the first loading."""
 _NORMAL_95 = 1.959963984540054
-ROWS = 50
+N_CLOUD_ROWS = 50
 """Rows of the cloud in the first loading."""
-STATIONS = 17
+N_STATIONS = 17
 """Places along the specimen."""
 
 
 def measure_bending(test: BendingTest) -> Bending:
-    """Measure moment against curvature: the cloud, and the law through the first loading.
+    """Measure moment against curvature: the cloud, and the law of the first loading.
 
     Parameters
     ----------
@@ -39,7 +46,7 @@ def measure_bending(test: BendingTest) -> Bending:
 
     Returns
     -------
-    Both, or the cloud and why there is no law.
+    Both, or the cloud and the reason of a missing law.
 
     Raises
     ------
@@ -55,34 +62,34 @@ def measure_bending(test: BendingTest) -> Bending:
 
 
 def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
-    """Find the law that all frames of the first loading obey together.
+    """Fit one law to all frames of the first loading.
 
     Parameters
     ----------
     test : shapes and force
-    cloud : of the test; its noise says from which curvature on the law is known
+    cloud : of the test; its noise limits the range of known curvatures
 
     Returns
     -------
-    The law, from about `MEANS` means over consecutive frames.
+    The law, from about `N_MEANS` means over consecutive frames.
 
     Raises
     ------
     ValueError
-        If the first loading has too few means, or they do not fix the law.
+        If the first loading has too few means, or they do not determine the law.
 
     Notes
     -----
-    Moments are those of the fitted shapes. Changes of the compliances from what all frames share
-    (zero of the force, a tension at rest that the zero hides, ends of the specimen, moments of
-    shapes with one coefficient more) are found to first order and added as independent errors; an
-    alternative as good as the one taken counts as a rectangle, 1 / sqrt(3) of the change. So does
-    a law with half as many knots.
+    Moments are those of the fitted shapes. Changes of the compliances from causes common to all
+    frames (zero of the force, a tension at rest removed by the zero, ends of the specimen, moments
+    of shapes with one more coefficient) are computed to first order and added as independent
+    errors; an equally probable alternative counts as a rectangle, 1 / sqrt(3) of the change. So
+    does a law with half as many knots.
     """
     min_points = 24
     count = int((test.branch == test.first).sum())
     branch = np.where(test.branch == test.first, test.branch, -1)
-    frames = test.frames(branch, per_mean=max(1, count // MEANS))
+    frames = test.frames(branch, per_mean=max(1, count // N_MEANS))
     n_means = len(frames.means.force)
     if n_means < min_points:
         message = f"frames of the first loading={n_means}: expected at least {min_points}"
@@ -99,14 +106,14 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
         refined.fit,
         [refined.change, *_Shared(test, frames, loaded, refined.fit).changes()],
         scale_error=test.errors.force_scale,
-        noise=test.standing.noise / np.sqrt(frames.means.per_mean),
+        noise=test.specimen_at_rest.noise / np.sqrt(frames.means.per_mean),
         curvature_noise=float(np.nanmedian(cloud.noise[cloud.branch == test.first])),
         n_frames=n_means * frames.means.per_mean,
     )
 
 
 def _loaded(test: BendingTest, frames: FittedFrames) -> Loaded:
-    layout, rest = test.layout, test.standing
+    layout, rest = test.layout, test.specimen_at_rest
     line = Line.through(layout.arc_length, layout.length)
     still = curves_at(rest.coefficients, layout.length, line.arc_length)
     return Loaded(
@@ -123,7 +130,7 @@ def _loaded(test: BendingTest, frames: FittedFrames) -> Loaded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shared:
-    """A law, and what all the frames that it was found from share."""
+    """A law, with the errors common to all its frames."""
 
     test: BendingTest
     frames: FittedFrames
@@ -131,7 +138,7 @@ class _Shared:
     fit: LawFit
 
     def changes(self) -> Iterator[Floats]:
-        """One standard error each, as changes of the compliances."""
+        """Yield standard errors as changes of the compliances."""
         errors, frames = self.test.errors, self.frames
         before = self.movement(self.loaded)
 
@@ -141,9 +148,9 @@ class _Shared:
         yield change(self.with_reading(frames.means.force + errors.force_zero))
         if errors.other_tension_at_rest is not None:
             pull = replace(self.test.pull, tension_at_rest=errors.other_tension_at_rest)
-            yield change(self.with_moments(pull=pull), _RECTANGLE)
+            yield change(self.with_moments(pull=pull), RECTANGLE)
         if frames.finer is not None:
-            yield change(self.with_moments(finer=True), _RECTANGLE)
+            yield change(self.with_moments(finer=True), RECTANGLE)
         if errors.offset > 0.0:
             yield change(self.longer_at_the_clamp(errors.offset))
             yield change(self.longer_at_the_tip(errors.offset))
@@ -151,18 +158,18 @@ class _Shared:
             yield change(self.with_centres_farther(errors.centre))
 
     def movement(self, loaded: Loaded) -> Floats:
-        """How far the law moves the markers."""
+        """Return the movement of the markers by the law."""
         return LawShapes.of(loaded, self.fit.basis).movement(self.fit.compliance)
 
     def with_reading(self, reading: Floats) -> Loaded:
-        """With another force."""
+        """Return the data with another force."""
         places = self.loaded.line.arc_length
         moment = self.test.moments(self.frames.coefficients, reading, places)
         return replace(self.loaded, moment=moment)
 
     def with_moments(self, *, pull: TipPull | None = None, finer: bool = False) -> Loaded:
-        """With another pull at the tip, or with curves of one coefficient more."""
-        test, frames, rest = self.test, self.frames, self.test.standing
+        """Return the data with another pull at the tip, or curves with one more coefficient."""
+        test, frames, rest = self.test, self.frames, self.test.specimen_at_rest
         places, no_load = self.loaded.line.arc_length, np.zeros(1)
         if finer and frames.finer is not None:
             curves, still = frames.finer, rest.finer
@@ -175,7 +182,7 @@ class _Shared:
         )
 
     def longer_at_the_clamp(self, more: float) -> Loaded:
-        """With the clamped end farther back."""
+        """Return the data with the clamped end farther back."""
         line, frames = self.loaded.line, self.frames
         places = line.arc_length
         first = places[line.markers[0]]
@@ -184,7 +191,7 @@ class _Shared:
         return replace(self.loaded, line=replace(line, arc_length=longer), moment=moment)
 
     def longer_at_the_tip(self, more: float) -> Loaded:
-        """With the pull point farther along the tangent."""
+        """Return the data with the pull point farther along the tangent."""
         length = self.test.layout.length
         tip = curves_at(self.frames.coefficients, length, np.array([length]))
         force = self.test.pull.force(self.frames.means.force, tip.x[:, 0])
@@ -192,8 +199,8 @@ class _Shared:
         return replace(self.loaded, moment=self.loaded.moment + extra)
 
     def with_centres_farther(self, more: float) -> Loaded:
-        """With markers whose centres are farther from the axis: it lies lower under them."""
-        test, rest, places = self.test, self.test.standing, self.loaded.line.arc_length
+        """Return the data with marker centres farther from the axis."""
+        test, rest, places = self.test, self.test.specimen_at_rest, self.loaded.line.arc_length
         layout = replace(test.layout, centre_offset=test.layout.centre_offset + more)
         along = curves_at(rest.coefficients, layout.length, np.zeros(1)).angle[0, 0]
         lift = more * np.array([-np.sin(along), np.cos(along), 0.0])
@@ -212,7 +219,7 @@ class _Shared:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawPoints:
-    """A law at some curvatures; arrays of shape (n,).
+    """A law at curvatures; arrays of shape (n,).
 
     Parameters
     ----------
@@ -236,7 +243,7 @@ def law_points(
     *,
     scale_error: float,
 ) -> LawPoints:
-    """Look up a law at curvatures.
+    """Evaluate a law at curvatures.
 
     Parameters
     ----------
@@ -246,13 +253,12 @@ def law_points(
 
     Returns
     -------
-    Moments and stiffnesses, never extrapolated. Where the law is flat (no compliance) errors are
-    infinite.
+    Moments and stiffnesses, without extrapolation. For zero compliance, errors are infinite.
 
     Notes
     -----
     At a given curvature kappa = k(M) an error dk of the law moves the moment by -dk / k'(M); the
-    scale of the force stretches all moments alike.
+    scale of the force changes all moments in proportion.
     """
     n_fine = 4000
     basis = LawBasis(knots)
@@ -280,7 +286,7 @@ def law_points(
 
 
 def _slope_of_slope(knots: Floats, compliance: Floats, moment: Floats) -> Floats:
-    """Second derivative of curvature by moment, piecewise constant."""
+    """Return the second derivative of curvature by moment, piecewise constant."""
     place = np.clip(np.searchsorted(knots, moment, side="right") - 1, 0, len(knots) - 2)
     return np.asarray((np.diff(compliance) / np.diff(knots))[place], dtype=np.float64)
 
@@ -299,17 +305,17 @@ def tabulate(
     curvature_noise: float,
     n_frames: int,
 ) -> MeasuredLaw:
-    """Make the table of a law.
+    """Build the table of a law.
 
     Parameters
     ----------
     fit : the law with its scatter
-    common : one standard error each of what all frames have in common, as changes of the
-        compliances, shape (knots,)
+    common : standard errors from common causes of all frames, as changes of the compliances, each
+        of shape (knots,)
     scale_error : standard uncertainty of the scale of the force, as a share
-    noise : m, of a marker coordinate, as a mean over as many frames as the law was found from
+    noise : m, of a marker coordinate in a mean of the fit
     curvature_noise : 1/m, standard error of the cloud's curvatures
-    n_frames : that went in
+    n_frames : number of frames used
 
     Returns
     -------
@@ -317,8 +323,8 @@ def tabulate(
 
     Notes
     -----
-    A curvature is known where it is above 1.96 times the noise of the cloud's curvatures, and where
-    the law's own interval does not hold a moment of zero.
+    A curvature is known if it is above 1.96 times the noise of the curvatures of the cloud, and if
+    the interval of the law excludes a moment of zero.
     """
     n_rows = 41
     covariance = fit.covariance + sum(np.outer(change, change) for change in common)
@@ -335,7 +341,7 @@ def tabulate(
         **_with_ends("secant", at.secant, at.secant_error, is_known),
         **_with_ends("tangent", at.tangent, at.tangent_error, is_known),
         is_known=is_known,
-        reason=_why_not(curvature, is_known, floor),
+        reason=_unknown_reason(curvature, is_known, floor),
         floor=floor,
         scale_error=scale_error,
         residual=fit.residual,
@@ -348,13 +354,13 @@ def tabulate(
 
 
 def _with_ends(name: str, value: Floats, error: Floats, is_shown: Flags) -> dict[str, Floats]:
-    """A column with the ends of its interval; the moment itself stays where its ends do not."""
+    """Return a column with the ends of its interval; a moment is kept without its ends."""
     half = _NORMAL_95 * np.where(is_shown, error, np.nan)
     middle = value if name == "moment" else np.where(is_shown, value, np.nan)
     return {name: middle, f"{name}_lower": middle - half, f"{name}_upper": middle + half}
 
 
-def _why_not(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
+def _unknown_reason(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
     unknown = int((~is_known[1:]).sum())
     if not unknown:
         return None
@@ -367,7 +373,7 @@ def _why_not(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
 
 
 def bending_cloud(test: BendingTest) -> BendingCloud:
-    """Curvature and moment, less those at rest.
+    """Compute curvature and moment, less those at rest.
 
     Parameters
     ----------
@@ -375,8 +381,8 @@ def bending_cloud(test: BendingTest) -> BendingCloud:
 
     Returns
     -------
-    One row per mean over consecutive frames of a branch: about `ROWS` in the first loading, over as
-    many frames in the other branches. A mean without shape or force is left out.
+    One row per mean over consecutive frames of a branch: about `N_CLOUD_ROWS` in the first loading,
+    over as many frames in the other branches. A mean without shape or force is left out.
 
     Raises
     ------
@@ -389,9 +395,9 @@ def bending_cloud(test: BendingTest) -> BendingCloud:
     of the curvature from the noise of the markers take it to be independent from frame to frame.
     """
     count = int((test.branch == test.first).sum())
-    frames = test.frames(test.branch, per_mean=max(1, count // ROWS))
-    length, rest, means = test.layout.length, test.standing, frames.means
-    places = np.linspace(0.0, length, STATIONS)
+    frames = test.frames(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
+    length, rest, means = test.layout.length, test.specimen_at_rest, frames.means
+    places = np.linspace(0.0, length, N_STATIONS)
     now = curves_at(frames.coefficients, length, places)
     curvature = now.curvature - curves_at(rest.coefficients, length, places).curvature
     moment = test.moments(frames.coefficients, means.force, places)
@@ -417,23 +423,23 @@ def bending_cloud(test: BendingTest) -> BendingCloud:
 def _systematic(
     test: BendingTest, frames: FittedFrames, places: Floats, curvature: Floats
 ) -> Floats:
-    """What one coefficient more makes of the curvatures, in absolute value."""
+    """Return the absolute change of the curvatures with one more coefficient."""
     if frames.finer is None:
         return np.full(curvature.shape, np.nan)
     finer = curves_at(frames.finer, test.layout.length, places).curvature
-    still = curves_at(test.standing.finer, test.layout.length, places).curvature
+    still = curves_at(test.specimen_at_rest.finer, test.layout.length, places).curvature
     return np.asarray(np.abs(finer - still - curvature), dtype=np.float64)
 
 
 def _moment_errors(
     test: BendingTest, frames: FittedFrames, now: StationCurves, moment: Floats
 ) -> Floats:
-    """Standard errors of moments, shape (n, stations), N m: force, zero, scale, places."""
+    """Return standard errors of moments, shape (n, stations), N m."""
     errors, means = test.errors, frames.means
     lever = now.x[:, -1:] - now.x
     push = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(means.per_mean))
-    noise = test.standing.noise * frames.tip_gain / np.sqrt(means.per_mean)
-    # Markers farther off the axis have it turn about the tip's angle: the lever is shorter.
+    noise = test.specimen_at_rest.noise * frames.tip_gain / np.sqrt(means.per_mean)
+    # With markers farther from the axis, the lever is shorter by the angle of the tip.
     centre = errors.centre * np.sin(now.angle[:, -1])
     place = np.hypot(np.hypot(errors.offset, centre), noise) * means.force
     squares = (push * lever) ** 2 + (errors.force_scale * moment) ** 2 + place[:, None] ** 2

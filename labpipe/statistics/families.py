@@ -1,8 +1,8 @@
-"""Many tests at once: Holm's procedure, so that few reports say something that is not there.
+"""Multiple testing by Holm's procedure.
 
-A test at 5 % finds something in every twentieth number that has nothing in it: in a report of four
-hundred numbers, twenty times. Holm's procedure keeps the chance of any false finding in the whole
-family at 5 %, whatever the numbers have to do with each other.
+A test at 5 % has a false finding in every twentieth number: twenty in a report of four hundred.
+Holm's procedure limits the probability of any false finding in the whole family to 5 %, for any
+dependence between the numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class Corrected:
 
     Parameters
     ----------
-    p : adjusted: below the level of the family exactly where the finding holds; NaN for no test
+    p : adjusted: below the level of the family if the finding is significant; NaN for no test
     divisor : the level of this test is that of the family divided by it
     tests : in the family
     """
@@ -33,14 +33,14 @@ def holm(chances: Sequence[float], level: float = 0.05) -> list[Corrected]:
 
     Parameters
     ----------
-    chances : p-values; NaN where there is no test, which then does not count
-    level : chance of any false finding in the family
+    chances : p-values; NaN without a test, which then does not count
+    level : probability of any false finding in the family
 
     Returns
     -------
     In the order of `chances`. From the first p-value on that is not below its level, all have the
-    divisor of that one: an interval at the level of its test leaves zero out exactly where the
-    test finds something.
+    divisor of that one: an interval at the level of its test excludes zero exactly if the test is
+    significant.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""What the intervals of a group are made of: those of its tests, and that of the mean."""
+"""Budgets of the intervals of a group: of its tests, and of the mean."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from labpipe.records.group import GroupNumber, MeanInterval
 from labpipe.statistics.shared_causes import standard_uncertainty
 
 SCATTER = "scatter of the tests"
-"""What the mean has beside the causes of its tests: how these differ, for any reason."""
+"""Contribution to the mean besides the causes of its tests: their differences, for any reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroupBudget:
-    """What intervals of one number are made of, as shares that add to one.
+    """Contributions to the intervals of one number, as shares that add to one.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class GroupBudget:
 
 
 def group_budget(number: GroupNumber) -> GroupBudget:
-    """Sum up the budgets of the tests of a group, and make that of their mean.
+    """Summarise the budgets of the tests of a group, and compute that of their mean.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def group_budget(number: GroupNumber) -> GroupBudget:
 
     Returns
     -------
-    Causes in the order of `IS_COMMON`. Medians need not add to one and are scaled so that they do;
-    a test that lacks a cause has a share of zero of it.
+    Causes in the order of `IS_COMMON`. Medians are scaled to add to one; a test without a cause has
+    a share of zero.
     """
     tests = [
         {row.cause: share for row, share in zip(value.budget, value.shares, strict=True)}
@@ -55,7 +55,7 @@ def group_budget(number: GroupNumber) -> GroupBudget:
 
 
 def in_order(causes: set[str]) -> list[str]:
-    """Causes as budgets and figures list them; those that are not known here come last."""
+    """Sort causes in the order of budgets and figures; unknown ones come last."""
     return [*(cause for cause in IS_COMMON if cause in causes), *sorted(causes - set(IS_COMMON))]
 
 

@@ -1,7 +1,7 @@
-"""Samples of one type are divided by what else of the specimen differs: a length, a tape, a label.
+"""Division of the samples of one type by all other differences: a length, a tape, a label.
 
-A mean over wires of 85 mm and of 100 mm is the mean of no wire. So the groups of a report are made
-by all that the test sheets tell apart; what is pooled all the same is said in notes of the group.
+A mean over wires of 85 mm and of 100 mm has no meaning. So the groups of a report are divided by
+all differences in the test sheets; what is pooled nevertheless is named in notes of the group.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from dataclasses import dataclass
 from labpipe.records.group import Sample
 from labpipe.statistics.group_fields import BORE, NOT_SAID, fields_of, size_words
 
-NEXT_SIZE = 0.05
-"""Share by which the next size is larger at least. Nominal sizes are further apart (6 % in R 40 of
-ISO 3, the finest series in use); sizes of specimens that were measured one by one are closer."""
+MIN_SIZE_STEP = 0.05
+"""Smallest step between sizes, as a share. Nominal sizes differ by more (6 % in R 40 of ISO 3, the
+finest series in use); measured sizes of single specimens by less."""
 
 _OF_BUNDLES = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
-"""In this order: a field that divides no further than those before it is not named."""
+"""In order: a field that divides no further than those before it is not named."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Samples that have alike what others of their type have otherwise.
+    """Samples of a type that have the same fields.
 
     Parameters
     ----------
-    fields : word by field, such as ``length: 85 mm``; empty where all samples are alike
+    fields : value by field, such as ``length: 85 mm``; empty if all samples are alike
     samples : at least one
     """
 
@@ -36,7 +36,7 @@ class Part:
 
 
 def divide(samples: Sequence[Sample]) -> list[Part]:
-    """Divide samples by every dimension and every word of the specimen that differs.
+    """Divide samples by every dimension and every field of the specimen that differs.
 
     Parameters
     ----------
@@ -44,11 +44,10 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
 
     Returns
     -------
-    In the order in which they come. A dimension divides where two sizes that are next to each other
-    are further apart than `NEXT_SIZE`: specimens that were measured one by one stay together. A
-    word divides unless each test has its own: such a label names specimens and is no treatment.
-    Spools do not divide; means are nested in them. A field that only repeats the division of others
-    is not named.
+    In their first order. A dimension divides between adjacent sizes that differ by more than
+    `MIN_SIZE_STEP`, so that individually measured specimens stay together. A field divides unless
+    each test has its own value: such a label names specimens and is not a treatment. Spools do not
+    divide; means are nested in them. A field that only repeats the division of others is not named.
 
     Examples
     --------
@@ -71,7 +70,7 @@ def divide(samples: Sequence[Sample]) -> list[Part]:
 
 
 def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
-    """Fields that may divide, with the word of each sample."""
+    """Return the fields that may divide, with the value of each sample."""
     all_fields = [fields_of(sample.specimen) for sample in samples]
     specimens = [sample.specimen for sample in samples]
     sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
@@ -90,16 +89,16 @@ def _candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
 
 
 def _names_tests(texts: Sequence[str]) -> bool:
-    """Tell whether each test has a word of its own, such as a serial number."""
+    """Return whether each test has its own value, such as a serial number."""
     return max(Counter(texts).values(), default=0) == 1
 
 
 def _sizes(sizes: Sequence[float | None]) -> list[str]:
-    """Word of each size: the mean of those that are not apart, in mm."""
+    """Return the text of each size: the mean of its cluster, in mm."""
     distinct = sorted({size for size in sizes if size is not None})
     together: list[list[float]] = []
     for size in distinct:
-        if together and size <= (1.0 + NEXT_SIZE) * together[-1][-1]:
+        if together and size <= (1.0 + MIN_SIZE_STEP) * together[-1][-1]:
             together[-1].append(size)
         else:
             together.append([size])

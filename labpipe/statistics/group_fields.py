@@ -1,4 +1,4 @@
-"""What samples can be grouped by, and in what of it two groups differ."""
+"""Fields that samples can be grouped by, and differences of two groups in them."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ BORE = "conduit_bore"
 OF_SECTION = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
 """Sizes of the cross-section; of a conduit they come with its name."""
 NOT_SAID = "not said"
-"""In place of a word that the test sheets of a group lack."""
+"""Text for a field that the test sheets of a group do not state."""
 
 
 def fields_of(specimen: Specimen) -> dict[str, str]:
-    """List all that a specimen can be grouped by, in words.
+    """Return all fields that a specimen can be grouped by, as text.
 
     Parameters
     ----------
-    specimen : its dimensions count too, and the bore of its conduit
+    specimen : the specimen, with its dimensions and the bore of its conduit
 
     Returns
     -------
-    Word by field; type and spool first.
+    Text by field; type and spool first.
 
     Examples
     --------
@@ -49,7 +49,7 @@ def known_fields(specimens: Iterable[Specimen]) -> list[str]:
 
 
 def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
-    """List the fields that all samples of a group have alike.
+    """Return the fields that are the same in all samples of a group.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
 
     Returns
     -------
-    Word by field; of a dimension that varies by 1 % at the most, that of the mean.
+    Text by field; for a dimension that varies by at most 1 %, that of the mean.
     """
     shared_fields: dict[str, str] = {}
     all_fields = [fields_of(sample.specimen) for sample in samples]
@@ -77,16 +77,15 @@ def _sizes(samples: Iterable[Sample], name: str) -> list[float]:
 
 
 def _are_alike(sizes: Sequence[float]) -> bool:
-    max_size_variation = 0.01
-    return max(sizes) - min(sizes) <= max_size_variation * max(map(abs, sizes))
+    return max(sizes) - min(sizes) <= 0.01 * max(map(abs, sizes))
 
 
 def varying_fields(group: Group) -> tuple[str, ...]:
-    """Name the fields that are not the same in all samples of a group, but for the spool.
+    """Return the fields that vary within a group, except for the spool.
 
     Parameters
     ----------
-    group : a composition that varies is named, and not the wires and numbers behind it
+    group : a varying composition is named instead of its wires and numbers
     """
     every = known_fields(sample.specimen for sample in group.samples)
     varying = [name for name in every if name not in group.fields and name != SPOOL]
@@ -98,20 +97,19 @@ def varying_fields(group: Group) -> tuple[str, ...]:
 def differing_fields(
     first: Group, second: Group, by: Sequence[str] = (TYPE,)
 ) -> dict[str, tuple[str, str]]:
-    """Fields in which two groups differ.
+    """Return the fields in which two groups differ.
 
     Parameters
     ----------
-    first, second : what varies within one of them does not count
-    by : fields that the groups were made by; the spool counts only as one of them
+    first, second : groups; fields that vary within one of them do not count
+    by : fields of the grouping; the spool counts only as one of them
 
     Returns
     -------
-    Both words by field. What follows from another field is left out: of bundles, the type; the
-    section of other specimens where the type differs; the composition where wire or number differ;
-    the tape where one of the two has none; the bore and the section of a conduit where the conduits
-    differ; the arrangement where a bundle has wires of one kind only. Dimensions differ by more
-    than 1 %.
+    Both texts by field. Dependent fields are excluded: the type of bundles; the section of other
+    specimens if the type differs; the composition if wire or number differ; the tape if one of the
+    two has none; the bore and the section of a conduit if the conduits differ; the arrangement if a
+    bundle has wires of one kind only. Dimensions differ by more than 1 %.
     """
     varying = {*varying_fields(first), *varying_fields(second)}
     if "composition" in varying:
@@ -146,7 +144,7 @@ def _dependent(
     first: Group,
     second: Group,
 ) -> set[str]:
-    """Fields that follow from others, and are no difference of their own."""
+    """Return the fields that depend on others, and are not a difference themselves."""
     dependent: set[str] = set()
     if all(_has_bundles(group) for group in (first, second)):
         dependent.add(TYPE)
@@ -173,7 +171,7 @@ def _are_of_one_kind(group: Group) -> bool:
 
 
 def in_order(name: str, word: str) -> tuple[object, ...]:
-    """Order words of a field: ``none`` first, more tape later, 7 before 12.
+    """Return a sort key for values of a field: ``none`` first, more tape later, 7 before 12.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a reader of the means of a group must know of the samples and numbers behind them."""
+"""Notes on the samples and numbers of a group, for readers of its means."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from labpipe.records.result import Status
 
 _MIXES = "a mean over them mixes what this changes with scatter"
 _IN_COMPOSITION = ("wire", "number")
-"""Fields that a composition says, too."""
+"""Fields that are part of a composition."""
 PROTOCOLS_DIFFER = "protocols_differ"
 
 
 def sample_keys(samples: Sequence[Sample]) -> list[str]:
-    """Give each sample a name: its test, with the file behind it where two tests share one.
+    """Return a unique name of each sample: its test, with the file if two tests share one.
 
     Parameters
     ----------
@@ -36,12 +36,12 @@ def sample_keys(samples: Sequence[Sample]) -> list[str]:
 
 
 def group_note(code: str, message: str, severity: Severity = Severity.INFO) -> QualityNote:
-    """Make a note on a group as a whole."""
+    """Return a note on a group as a whole."""
     return QualityNote(code, severity, "group", message)
 
 
 def sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
-    """Samples that are none, one, repeated, of several sizes, or unlike bundles.
+    """Return notes on missing, single, repeated and differing samples.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
 
 
 def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
-    """Warn where bundles of a group are not made alike; tell of labels that are not alike."""
+    """Warn of differing bundles of a group; note differing labels."""
     of_bundles = [sample.specimen.bundle for sample in samples]
     made_of = dict.fromkeys(
         name for of_bundle in of_bundles if of_bundle for name in of_bundle.fields
@@ -103,7 +103,7 @@ def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
 
 
 def _unlike(samples: Sequence[Sample], name: str) -> str:
-    """Which samples have which word of a field, where not all have the same; else empty."""
+    """Describe which samples have which value of a field, or return empty for one value."""
     tests_by_value: dict[str, list[str]] = {}
     for key, sample in zip(sample_keys(samples), samples, strict=True):
         tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(key)
@@ -113,12 +113,12 @@ def _unlike(samples: Sequence[Sample], name: str) -> str:
 
 
 def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
-    """What was done to put samples into groups.
+    """Return notes on the grouping of samples.
 
     Parameters
     ----------
-    without : fields that groups were made by and that the sheets of this group do not say
-    renamed : spools that several types have, each one of its own
+    without : grouping fields that the sheets of this group do not state
+    renamed : names of spools of several types
     """
     notes = [
         group_note(
@@ -138,7 +138,7 @@ def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[Quali
 
 
 def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
-    """Which means hold doubtful values, and which were not tested for outliers.
+    """Return notes on means with doubtful values, and on numbers not tested for outliers.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def _doubted(number: GroupNumber) -> list[str]:
 
 
 def too_few_for_outliers(spools: Sequence[str]) -> str:
-    """Say why no sample can be marked; empty where one can.
+    """Return why no sample can be marked as an outlier, or empty.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def _too_few(number: GroupNumber) -> str:
 
 
 def ways_of(number: GroupNumber) -> dict[str, list[str]]:
-    """Tests by the method that their number was made with.
+    """Return the tests by the method of their number.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def ways_of(number: GroupNumber) -> dict[str, list[str]]:
 
 
 def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
-    """Find the numbers that were not made alike, and those that were made of them.
+    """Find numbers with several methods, and those that depend on them.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
 
     Returns
     -------
-    Tests by method, by result; of a number that is made of another one, the ways of that one.
+    Tests by method, by result; for a number that depends on another one, the methods of that one.
     """
     ways_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
@@ -233,7 +233,7 @@ def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
 
 
 def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
-    """List the tests whose number is not averaged with the others, as it was not made alike.
+    """List the tests whose number has another method, and is not averaged with the others.
 
     Parameters
     ----------
@@ -242,8 +242,8 @@ def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
     Returns
     -------
     By result and test, why (``made_otherwise``). A slope from 0 to 10 mm and one from 0 to 8 mm are
-    two quantities, so a mean over both is none. Those stay that are made as in most tests; where
-    two ways are as frequent, the way of the first test.
+    two quantities without a common mean. The most frequent method is averaged, or that of the first
+    test.
     """
     left_out: dict[str, dict[str, Reason]] = {}
     for name, ways in mixed(samples).items():
@@ -261,12 +261,12 @@ def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
 def method_notes(
     made_otherwise: Mapping[str, Mapping[str, Reason]], samples: Sequence[Sample]
 ) -> list[QualityNote]:
-    """Warn of numbers that were not made alike.
+    """Warn of numbers with different methods.
 
     Parameters
     ----------
     made_otherwise : as `otherwise_made` gives them
-    samples : of the group; their slips must have been treated alike
+    samples : of the group, with their decisions on slips
 
     Returns
     -------
@@ -295,7 +295,7 @@ def method_notes(
 
 
 def tests_with_fewer_facts(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """List the tests of which less is said than of the others, as in `parted`.
+    """List the tests outside the largest set of `parted`.
 
     Examples
     --------
@@ -307,7 +307,7 @@ def tests_with_fewer_facts(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...
 
 
 def parted(tests: Mapping[str, Sequence[str]]) -> str:
-    """What is said of which tests, in words; of those that are most at last.
+    """Describe which tests have which value, the most frequent one last.
 
     Examples
     --------
@@ -323,8 +323,8 @@ def parted(tests: Mapping[str, Sequence[str]]) -> str:
     return f"{'; '.join(parts[:-1])} and {parts[-1]}"
 
 
-def apart(one: GroupNumber, two: GroupNumber) -> tuple[str, ...]:
-    """Say that two groups have a number that was not made alike; empty where it was."""
+def method_caveats(one: GroupNumber, two: GroupNumber) -> tuple[str, ...]:
+    """Return a caveat if a number of two groups was computed by different methods."""
     first, second = list(ways_of(one)), list(ways_of(two))
     if sorted(first) == sorted(second) and len(first) == 1:
         return ()

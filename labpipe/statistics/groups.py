@@ -1,4 +1,4 @@
-"""From samples to groups: every result averaged, the mean curve, what was left out and why."""
+"""From samples to groups: means of all results, the mean curve, and notes on exclusions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.statistics.group_fields import shared_fields
 from labpipe.statistics.group_notes import (
-    apart,
+    method_caveats,
     method_notes,
     number_notes,
     otherwise_made,
@@ -22,8 +22,8 @@ from labpipe.statistics.group_notes import (
 )
 from labpipe.statistics.log_scale import can_be_on_a_log_scale, on_log_scale
 from labpipe.statistics.mean_curves import loading_band, scaled_band
-from labpipe.statistics.means import USUAL, PoolingLimits, nested_mean
-from labpipe.statistics.shared_causes import with_shared
+from labpipe.statistics.means import DEFAULT_LIMITS, PoolingLimits, nested_mean
+from labpipe.statistics.shared_causes import add_common_causes
 from labpipe.statistics.two_groups import compare
 
 __all__ = ["PoolingLimits", "build_group", "compare_groups", "group_number"]
@@ -34,29 +34,29 @@ def build_group(
     protocol: str,
     samples: Sequence[Sample],
     *,
-    limits: PoolingLimits = USUAL,
+    limits: PoolingLimits = DEFAULT_LIMITS,
     scaled: bool = False,
     signed: Container[str] = (),
     set_by_rig: Container[str] = (),
 ) -> Group:
-    """Put the samples of one type together.
+    """Build the group of the samples of one type.
 
     Parameters
     ----------
     name : of the group
     protocol : that all samples were tested by
-    samples : in any order; none is a group too, with an empty band
+    samples : in any order; may be empty
     limits : when spools may be pooled
     scaled : whether to average force / peak force as well
     signed : stems of results that can be negative, such as ``slack``; intervals of the means of all
         others are on a log scale
-    set_by_rig : stems of results that say how the rig was driven
+    set_by_rig : stems of results that are set by the rig
 
     Returns
     -------
     Samples in order of spool, sample and test; one number per result that any sample has, in the
-    order in which they first appear; the mean of the first loading branches; and notes on all that
-    was left out.
+    order in which they first appear; the mean of the first loading branches; and notes on all
+    exclusions.
     """
     ordered = tuple(sorted(samples, key=_order))
     names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
@@ -87,7 +87,7 @@ def build_group(
 
 
 def _order(sample: Sample) -> list[list[tuple[int, str]]]:
-    """Sample 2 before sample 10."""
+    """Return a sort key with sample 2 before sample 10."""
     parts = (sample.specimen.spool, sample.specimen.sample, sample.test, sample.source)
     return [
         [
@@ -101,7 +101,7 @@ def _order(sample: Sample) -> list[list[tuple[int, str]]]:
 def group_number(
     name: str,
     samples: Sequence[Sample],
-    limits: PoolingLimits = USUAL,
+    limits: PoolingLimits = DEFAULT_LIMITS,
     *,
     without: Mapping[str, Reason] | None = None,
     is_signed: bool = False,
@@ -113,14 +113,14 @@ def group_number(
     name : of the result
     samples : with or without it
     limits : when spools may be pooled
-    without : samples whose number is not to be averaged with the others, and why
+    without : samples whose number is excluded from the mean, and why
     is_signed : whether it can be negative; else intervals are on a log scale (`on_log_scale`), if
         no value is zero or below
 
     Returns
     -------
-    Doubtful results enter like good ones and keep their status in `values`. Left out, each with
-    its reason: failed results, samples that have no such result (``no_result``), values in another
+    Doubtful results count like good ones and keep their status in `values`. Excluded, each with its
+    reason: failed results, samples that have no such result (``no_result``), values in another
     unit than the first (``other_unit``), and `without`.
     """
     results = {
@@ -169,7 +169,7 @@ def _nested(
     spools: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
 ) -> NestedMean:
     values = {name: [_value(result) for result in results] for name, results in spools.items()}
-    mean = with_shared(nested_mean(values, limits), spools)
+    mean = add_common_causes(nested_mean(values, limits), spools)
     every = [result for results in spools.values() for result in results]
     return mean if is_signed or not can_be_on_a_log_scale(every) else on_log_scale(mean)
 
@@ -177,19 +177,19 @@ def _nested(
 def compare_groups(
     first: Group, second: Group, *, names: Sequence[str] = (), margin: float | None = None
 ) -> tuple[Difference, ...]:
-    """How two groups differ in the results that both have, before it is judged.
+    """Compute the differences of two groups in their common results, before judgement.
 
     Parameters
     ----------
     first, second : tested by one protocol
     names : of the results to compare; all if empty
-    margin : difference that does not matter in practice, as a share of the mean of the first
-        group; None where nobody has said it
+    margin : difference without practical importance, as a share of the mean of the first group, or
+        None
 
     Returns
     -------
     One per result that has a mean in both groups and one unit, in the order of `names`, without a
-    verdict (`judged`). A caveat says so where the numbers of the two were not made alike.
+    verdict (`judged`), with a caveat if the methods of the two differ.
     """
     one = {number.name: number for number in first.numbers}
     two = {number.name: number for number in second.numbers}
@@ -206,4 +206,4 @@ def _difference(
     if one.mean is None or two.mean is None or one.unit != two.unit:
         return None
     difference = compare(one.name, one.unit, (first, one.mean), (second, two.mean), margin)
-    return replace(difference, caveats=(*difference.caveats, *apart(one, two)))
+    return replace(difference, caveats=(*difference.caveats, *method_caveats(one, two)))

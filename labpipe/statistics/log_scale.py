@@ -1,8 +1,8 @@
 """Intervals of means that cannot be negative: on a log scale, about the plain mean.
 
 Over two spools, Student's t is 12.7, and mean -+ t s / sqrt(n) of a stiffness easily begins below
-zero, where no stiffness is. On a log scale the same half width is a factor: the interval lies
-between mean / factor and mean x factor.
+zero. On a log scale the same half width is a factor: the interval is
+from mean / factor to mean x factor.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from labpipe.records.result import Result
 
 
 def can_be_on_a_log_scale(values: list[Result]) -> bool:
-    """Tell whether all values and estimates are above zero.
+    """Return whether all values and estimates are above zero.
 
     Parameters
     ----------
-    values : that are averaged
+    values : of a mean
     """
     return all(
         value.value is not None
@@ -35,7 +35,7 @@ def on_log_scale(mean: NestedMean) -> NestedMean:
 
     Parameters
     ----------
-    mean : with the half widths of Student's t and of what all tests of a rig share
+    mean : with the half widths of Student's t and of the common causes of a rig
 
     Returns
     -------
@@ -43,23 +43,24 @@ def on_log_scale(mean: NestedMean) -> NestedMean:
 
     Notes
     -----
-    The standard error of log(mean) is that of the mean over the mean. So the interval holds the
-    arithmetic mean that stands beside it, not the geometric one, and a spreadsheet gives it:
-    ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. What holds it less often,
-    or more often: docs/explanations/statistics.md.
+    The standard error of log(mean) is that of the mean over the mean. So the interval is for the
+    arithmetic mean, not the geometric one, and can be computed in a spreadsheet:
+    ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. For its
+    coverage see docs/explanations/statistics.md.
     """
     return replace(
         mean,
-        chosen=_put(mean.chosen),
-        over_samples=_put(mean.over_samples),
-        over_spools=mean.over_spools and _put(mean.over_spools),
-        spool_means={name: _put(spool_mean) for name, spool_mean in mean.spool_means.items()},
+        chosen=_log_interval(mean.chosen),
+        over_samples=_log_interval(mean.over_samples),
+        over_spools=mean.over_spools and _log_interval(mean.over_spools),
+        spool_means={
+            name: _log_interval(spool_mean) for name, spool_mean in mean.spool_means.items()
+        },
     )
 
 
-def _put(mean: MeanInterval) -> MeanInterval:
-    # Keeps the ends finite and above zero.
-    max_exponent = 300.0
+def _log_interval(mean: MeanInterval) -> MeanInterval:
+    max_exponent = 300.0  # keeps the ends finite and above zero
     if mean.interval is None or not mean.middle > 0.0:
         return mean
     factor = exp(min(mean.half / mean.middle, max_exponent))

@@ -12,36 +12,36 @@ from labpipe.records.arrays import Floats
 from labpipe.records.group import Band, NestedMean, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.statistics.group_notes import group_note, sample_keys
-from labpipe.statistics.means import LEVEL, USUAL, PoolingLimits, nested_mean, t_quantile
+from labpipe.statistics.means import DEFAULT_LIMITS, LEVEL, PoolingLimits, nested_mean, t_quantile
 
-_POINTS = 500
-"""Points of a curve before it is averaged with others, each the mean of its samples: noise that is
-faster says nothing about the sample and makes the band of the whole curve wide."""
-FEW = 6
-"""Curves from which on a band is drawn: over fewer, c of the band of the whole curve is 4 to 60."""
-POINTS = 201
+_CURVE_POINTS = 500
+"""Points of a curve before averaging, each the mean of its samples: faster noise has no information
+on the sample and widens the band of the whole curve."""
+MIN_BAND_CURVES = 6
+"""Curves needed for a band: over fewer, c of the band of the whole curve is 4 to 60."""
+N_DISPLACEMENTS = 201
 """Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
 
 def loading_band(
     samples: Sequence[Sample],
-    limits: PoolingLimits = USUAL,
+    limits: PoolingLimits = DEFAULT_LIMITS,
     *,
     divisors: Mapping[str, float] | None = None,
 ) -> tuple[Band, list[QualityNote]]:
-    """Mean curve of the first loading branch of each sample.
+    """Average the first loading branches of samples.
 
     Parameters
     ----------
-    samples : those without a loading branch are left out, with a note
+    samples : those without a loading branch are excluded, with a note
     limits : when spools may be pooled
-    divisors : N, by sample: what its force is divided by; samples without one are left out
+    divisors : N, divisor of the force by sample; samples without one are excluded
 
     Returns
     -------
-    The band and notes, of few curves without a band (`without_band`). Over spool means unless the
-    mean forces over the common range say that spools may be pooled: one decision for the whole
-    curve, since the width of a band that decides at every displacement would jump.
+    The band, reduced for few curves (`without_band`), and notes. Over spool means unless the mean
+    forces over the common range allow pooling: one decision for the whole curve, since the width of
+    a band with a decision at every displacement would jump.
     """
     drawn = [
         (key, sample)
@@ -50,8 +50,8 @@ def loading_band(
     ]
     curves = [
         (
-            block_means(sample.loading[0].displacement, _POINTS),
-            block_means(sample.loading[0].force, _POINTS) / (divisors or {}).get(key, 1.0),
+            block_means(sample.loading[0].displacement, _CURVE_POINTS),
+            block_means(sample.loading[0].force, _CURVE_POINTS) / (divisors or {}).get(key, 1.0),
         )
         for key, sample in drawn
     ]
@@ -71,7 +71,7 @@ def loading_band(
 
 
 def without_band(band: Band) -> Band:
-    """Take the bands from a mean over few curves.
+    """Remove the bands of a mean over few curves.
 
     Parameters
     ----------
@@ -79,27 +79,23 @@ def without_band(band: Band) -> Band:
 
     Returns
     -------
-    Over `FEW` curves and more, as it is. Over three to five (``few_curves``) the pointwise interval
-    stays at a quarter, at half and at the end of the displacements, and is NaN elsewhere: an area
-    of intervals looks like a band that holds the curve, and one that does hides the curves. Over
-    two (``two_curves``) there is none: with a t of 12.7 it would say nothing but that.
+    Unchanged over `MIN_BAND_CURVES` curves or more. Over three to five (``few_curves``) the
+    pointwise interval is kept at a quarter, at half and at the end of the displacements, and is NaN
+    elsewhere: an area of intervals looks like a simultaneous band, which would hide the curves.
+    Over two (``two_curves``) there is none, as t is 12.7.
     """
-    # Shares of the displacement at which a mean over few curves has an interval.
-    interval_places = (0.25, 0.5, 1.0)
-    if not 2 <= band.n < FEW or not len(band.displacement):
+    if not 2 <= band.n < MIN_BAND_CURVES or not len(band.displacement):
         return band
     nothing = np.full(len(band.displacement), np.nan)
     lower, upper = nothing.copy(), nothing.copy()
     code, why = "two_curves", f"two {band.over} are too few for any band; the samples are shown"
     if band.n > 2:
-        at = [round(share * (len(nothing) - 1)) for share in interval_places]
+        at = [round(share * (len(nothing) - 1)) for share in (0.25, 0.5, 1.0)]
         lower[at], upper[at] = band.lower[at], band.upper[at]
-        code, why = (
-            "few_curves",
-            (
-                f"{band.n} {band.over} are too few for a band, which needs {FEW}; the mean has its"
-                " interval at three displacements"
-            ),
+        code = "few_curves"
+        why = (
+            f"{band.n} {band.over} are too few for a band, which needs {MIN_BAND_CURVES}; the mean "
+            "has its interval at three displacements"
         )
     return replace(
         band,
@@ -120,18 +116,18 @@ def _curve_decision(
 
 
 def _spool_curves(shared: CommonCurves, spools: Sequence[str]) -> CommonCurves:
-    """Mean curve of each spool."""
+    """Return the mean curve of each spool."""
     labels = np.array(spools)
     means = [shared.force[labels == spool].mean(axis=0) for spool in dict.fromkeys(spools)]
     return CommonCurves(shared.displacement, np.array(means))
 
 
 def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band, list[QualityNote]]:
-    """Mean curve of force over the peak force of the same sample.
+    """Average force over the peak force of the same sample.
 
     Parameters
     ----------
-    samples : those without a positive peak force are left out, with a note
+    samples : those without a positive peak force are excluded, with a note
     limits : when spools may be pooled
 
     Returns
@@ -157,7 +153,7 @@ def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band,
 
 
 def _peak(sample: Sample) -> float:
-    """Peak force of the first cycle, N; its largest force where that is no result; NaN without."""
+    """Return the peak force of the first cycle, N, or else its largest force, or NaN."""
     stated = [result for result in sample.results if result.name == "peak_force.1"]
     if stated:
         return float("nan") if stated[0].value is None else stated[0].value
@@ -182,7 +178,7 @@ def _curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[Qualit
 
 
 def _gaps(displacement: Floats) -> list[str]:
-    """Ranges, in words, where an evenly spaced grid has points missing."""
+    """Describe the ranges in which an evenly spaced grid has missing points."""
     steps = np.diff(displacement)
     if not len(steps):
         return []
@@ -197,7 +193,7 @@ class CommonCurves:
 
     Parameters
     ----------
-    displacement : shape (n,), m, increasing; empty where the curves share no range
+    displacement : shape (n,), m, increasing; empty without a common range
     force : shape (curves, n), N, without NaN
     reason : ``empty_group``, ``no_data`` or ``no_overlap`` with the ranges; else None
     """
@@ -208,21 +204,23 @@ class CommonCurves:
 
 
 def common_curves(
-    curves: Sequence[tuple[Floats, Floats]], names: Sequence[str] = (), points: int = POINTS
+    curves: Sequence[tuple[Floats, Floats]],
+    names: Sequence[str] = (),
+    points: int = N_DISPLACEMENTS,
 ) -> CommonCurves:
-    """Read curves at displacements where every one of them has data.
+    """Interpolate curves at displacements where all of them have data.
 
     Parameters
     ----------
     curves : displacement (m) and force (any unit) of each, both of shape (its own n,)
     names : one per curve, for messages
-    points : evenly spaced displacements from the last beginning to the first end
+    points : number of evenly spaced displacements from the last start to the first end
 
     Returns
     -------
-    Forces by linear interpolation between neighbours, never beyond the data of a curve. A NaN
-    opens a gap from the datum before it to the one after; displacements in a gap of any curve are
-    left out. A curve whose displacement steps back is put in order of displacement.
+    Forces by linear interpolation, without extrapolation. A NaN makes a gap from the datum before
+    it to the one after; displacements in a gap of any curve are excluded. Curves are sorted by
+    displacement.
     """
     nothing = np.zeros(0), np.zeros((len(curves), 0))
     if not curves:
@@ -244,7 +242,7 @@ def common_curves(
 
 
 def _in_order(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
-    """A curve in order of displacement; a point of unknown displacement is a gap in the force."""
+    """Sort a curve by displacement; a point of unknown displacement is a gap in the force."""
     is_finite = ~np.isnan(displacement)
     if not is_finite.any():
         return np.zeros(0), np.zeros(0)
@@ -272,17 +270,17 @@ def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> R
 
 
 def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
-    """Mean of curves with a pointwise and a simultaneous 95 % band.
+    """Compute the mean of curves with a pointwise and a simultaneous 95 % band.
 
     Parameters
     ----------
     curves : independent curves at common displacements
-    over : what one curve is: ``samples`` or ``spool means``
+    over : ``samples`` or ``spool means``
 
     Returns
     -------
-    The pointwise band holds the true mean at any one displacement chosen beforehand in 95 % of
-    groups; the simultaneous band holds the whole true mean curve in at least 95 %. One curve: no
+    The pointwise band covers the true mean at any given displacement in 95 % of groups; the
+    simultaneous band covers the whole true mean curve in at least 95 %. One curve: no
     band, reason ``one_curve``. Two curves: no simultaneous band, reason ``two_curves``.
 
     Notes
@@ -322,7 +320,7 @@ def _bare(displacement: Floats, mean: Floats, n: int, over: str, reason: Reason)
 
 
 def simultaneous_quantile(curves: Floats) -> float:
-    """Multiple of the standard error that holds a whole mean curve with 95 %.
+    """Return the multiple of the standard error that covers a whole mean curve with 95 %.
 
     Parameters
     ----------
@@ -331,18 +329,17 @@ def simultaneous_quantile(curves: Floats) -> float:
     Returns
     -------
     Dimensionless, at least the quantile of t. NaN for fewer than three curves: two that cross
-    have no scatter where they do, and no multiple of it holds anything.
+    have no scatter there.
 
     Notes
     -----
-    The chance that |t| exceeds c anywhere along the curve is at most the chance that it does so at
-    the first point and the expected number of times that it rises through c later:
-    2 [P(t > c) + L / (2 pi) (1 + c^2 / v)^(-(v - 1) / 2)], v = n - 1 (Telschow and Schwartzman,
-    J. Stat. Plan. Inference 216 (2022) 70, the Gaussian kinematic formula of t processes). L, how
-    far the scatter turns along the curve, is measured as the length of the path of the residuals
-    brought to unit norm (Taylor and Worsley, J. Am. Stat. Assoc. 102 (2007) 913), which is
-    unbiased. The union bound over the points (Bonferroni) is taken where it is smaller, as with
-    curves as rough as noise. Measured coverage: docs/explanations/statistics.md.
+    The probability that |t| exceeds c anywhere along the curve is at most the probability at the
+    first point plus the expected number of later upcrossings of c: 2 [P(t > c) + L / (2 pi) (1 +
+    c^2 / v)^(-(v - 1) / 2)], v = n - 1 (Telschow and Schwartzman, J. Stat. Plan. Inference 216
+    (2022) 70, the Gaussian kinematic formula of t processes). L is estimated by the length of the
+    path of the residuals, normalised to unit length (Taylor and Worsley, J. Am. Stat. Assoc. 102
+    (2007) 913), which is unbiased. The union bound over the points (Bonferroni) is used if it is
+    smaller, as for curves as rough as noise. Measured coverage: docs/explanations/statistics.md.
     """
     n, points = curves.shape
     if n < 3:
@@ -361,7 +358,7 @@ def simultaneous_quantile(curves: Floats) -> float:
 
 
 def _turning(residuals: Floats) -> float:
-    """Length of the path of residuals on the unit sphere, past points without scatter."""
+    """Return the path length of residuals on the unit sphere, past points without scatter."""
     norm = np.linalg.norm(residuals, axis=0)
     size = np.abs(residuals).max(initial=0.0)
     unit = residuals[:, norm > 1e-12 * size] / norm[norm > 1e-12 * size]
@@ -370,16 +367,16 @@ def _turning(residuals: Floats) -> float:
 
 
 def block_means(values: Floats, points: int) -> Floats:
-    """Means over consecutive samples, of equal number.
+    """Average blocks of consecutive samples.
 
     Parameters
     ----------
     values : shape (n,); a NaN makes its mean NaN
-    points : how many means there should be at least, where there are as many samples
+    points : smallest number of means, if there are as many samples
 
     Returns
     -------
-    Between `points` and twice as many; what does not fill the last block joins it.
+    Between `points` and twice as many; the last block includes the remainder.
     """
     size = max(1, len(values) // points)
     starts = np.arange(0, max(len(values) - size + 1, 1), size)

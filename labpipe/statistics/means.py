@@ -1,4 +1,4 @@
-"""Means with intervals: of a few values, and of samples that were cut from spools."""
+"""Means with intervals: of a few values, and of samples nested in spools."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from labpipe.records.quality import Reason
 
 LEVEL = 0.95
 """Level of every interval: two-sided."""
-_MOST_PARTITIONS = 100
-"""Up to here the Anderson-Darling test counts every way to deal the samples out to the spools."""
+_MAX_PARTITIONS = 100
+"""Up to this number the Anderson-Darling test counts all assignments of samples to spools."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +29,11 @@ class PoolingLimits:
 
     Parameters
     ----------
-    min_p : smallest p-value of the k-sample Anderson-Darling test that allows it; 0.05 is custom
-    max_spool_share : largest share of the variance that may lie between spools; at 0.1 and three
-        samples a spool the pooled interval is at most 9 % too short
-    confidence : how sure the data must be that the share is below; at 0.999 spools are pooled for
-        want of evidence so rarely that the interval still covers in 95 % of groups
+    min_p : smallest p-value of the k-sample Anderson-Darling test for pooling; usually 0.05
+    max_spool_share : largest share of the variance between spools; at 0.1 and three samples per
+        spool the pooled interval is at most 9 % too short
+    confidence : confidence that the share is below; at 0.999 spools are wrongly pooled so rarely
+        that the interval still covers 95 %
     """
 
     min_p: float = 0.05
@@ -41,33 +41,32 @@ class PoolingLimits:
     confidence: float = 0.999
 
 
-USUAL = PoolingLimits()
+DEFAULT_LIMITS = PoolingLimits()
 
 
 def nested_mean(
-    spools: Mapping[str, Sequence[float] | Floats], limits: PoolingLimits = USUAL
+    spools: Mapping[str, Sequence[float] | Floats], limits: PoolingLimits = DEFAULT_LIMITS
 ) -> NestedMean:
-    """Mean of samples nested in spools, with the interval that holds for the type.
+    """Compute the mean of samples nested in spools, with an interval for the type.
 
     Parameters
     ----------
-    spools : values of the samples, by spool; NaN count as absent, and so does a spool without any
+    spools : values of the samples, by spool; NaN and empty spools are ignored
     limits : when spools may be pooled
 
     Returns
     -------
-    In the unit of the values. `chosen` is over the spool means, as many as there are spools,
-    unless the Anderson-Darling test does not tell the spools apart *and* the upper confidence
-    limit of the share of variance between spools is below the limit. Spools count alike, however
-    many samples they have. One spool: over its samples, and `decision` says what that leaves out.
+    In the unit of the values. `chosen` is over the spool means, unless the Anderson-Darling test
+    finds no difference between the spools *and* the upper confidence limit of the share of variance
+    between spools is below the limit. Spools have equal weight. One spool: over its samples, with
+    the limitation in `decision`.
 
     Notes
     -----
-    A test that finds no difference between two or three spools says next to nothing, since it
-    would hardly find one; so it is the upper limit that decides. Measured coverage of the chosen
-    interval: docs/explanations/statistics.md.
+    A test has little power for two or three spools, so the upper limit decides. Measured coverage
+    of the chosen interval: docs/explanations/statistics.md.
     """
-    finite = {name: _known(values) for name, values in spools.items()}
+    finite = {name: _finite(values) for name, values in spools.items()}
     finite = {name: values for name, values in finite.items() if len(values)}
     values = list(finite.values())
     over_samples = mean_interval(np.concatenate([np.zeros(0), *values]), "sample")
@@ -91,7 +90,7 @@ def nested_mean(
     )
 
 
-def _known(values: Sequence[float] | Floats) -> Floats:
+def _finite(values: Sequence[float] | Floats) -> Floats:
     array = np.asarray(values, dtype=np.float64)
     return array[~np.isnan(array)]
 
@@ -126,7 +125,7 @@ def _decision(
     *,
     is_pooled: bool,
 ) -> Decision:
-    """The decision in words: what was averaged, and the numbers that say so."""
+    """Describe the decision: what was averaged, and the numbers behind it."""
     counts = tuple(len(values) for values in spools)
     done = (
         f"Pooled over {sum(counts)} samples of {len(counts)} spools"
@@ -140,7 +139,7 @@ def _decision(
 
 
 def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
-    """How the variance is shared out, and what is asked of it."""
+    """Describe the shares of the variance, and the limit for pooling."""
     if np.isnan(scatter.within):
         return ("no spool has two samples, so the scatter within spools is not known",)
     upper = f"{100.0 * scatter.share_upper:.3g} %"
@@ -183,7 +182,7 @@ def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str
 
 
 def t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
-    """Quantile of Student's t that leaves a share outside, half of it on each side.
+    """Return the two-sided quantile of Student's t with a share outside.
 
     Parameters
     ----------
@@ -193,18 +192,18 @@ def t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
     Notes
     -----
     12.706, 4.303, 2.776 and 2.571 for 1, 2, 4 and 5 degrees of freedom, which is n = 2, 3, 5, 6.
-    Equation (2.1) of the source prints another quantile; this is the one that covers.
+    Equation (2.1) of the source prints another quantile; this one has the stated coverage.
     """
     return float(special.stdtrit(degrees, 1.0 - 0.5 * outside))
 
 
 def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
-    """Mean of independent values with its 95 % interval.
+    """Compute the mean of independent values with its 95 % interval.
 
     Parameters
     ----------
-    values : in any unit; NaN count as absent
-    what : what one value is, for the sentence that says why there is no interval
+    values : in any unit; NaN are ignored
+    what : name of one value, for the reason of a missing interval
 
     Returns
     -------
@@ -232,11 +231,11 @@ class SpoolScatter:
 
     Parameters
     ----------
-    within : standard deviation of samples of one spool; NaN where no spool has two samples
-    between : standard deviation of the true means of spools; 0 where the spool means scatter no
-        more than their samples make them; NaN where `within` is
+    within : standard deviation of samples of one spool; NaN if no spool has two samples
+    between : standard deviation of the true means of spools; 0 if the scatter of the spool means is
+        explained by that of their samples; NaN if `within` is
     share : between^2 / (between^2 + within^2)
-    share_upper : upper confidence limit of the share; 1 where it is not available
+    share_upper : upper confidence limit of the share; 1 if not available
     """
 
     within: float
@@ -246,7 +245,7 @@ class SpoolScatter:
 
 
 def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
-    """Scatter between spools, apart from the scatter within them.
+    """Estimate the scatter between spools and within spools.
 
     Parameters
     ----------
@@ -283,7 +282,7 @@ def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
 
 
 def _share_at(observed: float, expected: float, harmonic: float) -> float:
-    """Share between spools at which a quantile of the mean square of spools is the observed one."""
+    """Return the share between spools whose quantile of the mean square is the observed one."""
     if expected == 0.0:
         return 1.0
     excess = observed / expected - 1.0
@@ -291,7 +290,7 @@ def _share_at(observed: float, expected: float, harmonic: float) -> float:
 
 
 def equal_spools_p(spools: Sequence[Floats]) -> float:
-    """p-value of the k-sample Anderson-Darling test that all spools are alike.
+    """Return the p-value of the k-sample Anderson-Darling test of equal spools.
 
     Parameters
     ----------
@@ -303,35 +302,35 @@ def equal_spools_p(spools: Sequence[Floats]) -> float:
 
     Notes
     -----
-    Scholz and Stephens, J. Am. Stat. Assoc. 82 (1987) 918, with midranks (scipy). Where there are
-    few ways to deal the samples out to the spools (20 for two spools of three), all are counted
-    and p is exact; else it is read from their table, which ends at 0.001 and 0.25.
+    Scholz and Stephens, J. Am. Stat. Assoc. 82 (1987) 918, with midranks (scipy). For few
+    assignments of samples to spools (20 for two spools of three), all are counted and p is exact;
+    otherwise it is from their table, which ends at 0.001 and 0.25.
     """
     from scipy import stats  # a third of a second that single tests need not wait
 
     counts = [len(values) for values in spools]
     if len(counts) < 2 or min(counts) < 2 or np.ptp(np.concatenate(spools)) == 0.0:
         return float("nan")
-    exact = stats.PermutationMethod(n_resamples=_MOST_PARTITIONS)
+    exact = stats.PermutationMethod(n_resamples=_MAX_PARTITIONS)
     with warnings.catch_warnings():
         # The ends of the table are documented above.
         warnings.filterwarnings("ignore", message="p-value (capped|floored)", category=UserWarning)
         outcome = stats.anderson_ksamp(
             spools,
             variant="midrank",
-            method=exact if _partitions(counts) <= _MOST_PARTITIONS else None,
+            method=exact if _partitions(counts) <= _MAX_PARTITIONS else None,
         )
     return float(outcome.pvalue)
 
 
 def _partitions(counts: Sequence[int]) -> int:
-    """Ways to deal samples out to spools of these sizes."""
+    """Return the number of assignments of samples to spools of these sizes."""
     return factorial(sum(counts)) // prod(factorial(count) for count in counts)
 
 
 @lru_cache(maxsize=64)
 def smallest_p(counts: tuple[int, ...]) -> float:
-    """Smallest p-value that `equal_spools_p` can give, which is that of spools wholly apart.
+    """Return the smallest p-value of `equal_spools_p`, for fully separated spools.
 
     Parameters
     ----------
@@ -339,12 +338,12 @@ def smallest_p(counts: tuple[int, ...]) -> float:
 
     Returns
     -------
-    0.1 for 3 and 3 samples: of the 20 ways to deal six out, two keep them apart. 0.001, the end of
-    the table, where not all ways are counted; NaN where there is no test.
+    0.1 for 3 and 3 samples: two of the 20 assignments separate them. 0.001, the end of the table,
+    if not all assignments are counted; NaN without a test.
     """
     if len(counts) < 2 or min(counts) < 2:
         return float("nan")
-    if _partitions(counts) > _MOST_PARTITIONS:
+    if _partitions(counts) > _MAX_PARTITIONS:
         return 0.001
     orders = set(permutations(sorted(counts)))
     ranks = np.arange(sum(counts), dtype=np.float64)

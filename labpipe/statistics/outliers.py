@@ -1,4 +1,4 @@
-"""Outliers: marked by a named test, rarely by chance in a whole report, and never removed."""
+"""Outliers: marked by a named test with a false-alarm rate per report, and never removed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _METHODS = {
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """The furthest value of those left, its p-value, and the values that lie as far out."""
+    """The furthest of the remaining values, its p-value, and equally far values."""
 
     where: int
     p: float
@@ -37,12 +37,12 @@ class _Step:
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """Values of one number that may be outliers, before the other numbers of a report are known.
+    """Possible outliers of one number, before correction for all numbers of a report.
 
     Parameters
     ----------
     names, values : of the samples
-    steps : the furthest value, then that of the rest, and so on; empty where there is no test
+    steps : the furthest value, then that of the rest, and so on; empty without a test
     method : name of the test
     """
 
@@ -53,17 +53,17 @@ class Suspects:
 
     @property
     def p(self) -> float:
-        """p-value of the surest of them; NaN where there is no test."""
+        """Smallest p-value, or NaN without a test."""
         return min((step.p for step in self.steps), default=float("nan"))
 
     def below(self, level: float) -> tuple[Outlier, ...]:
-        """Mark those whose p-value is below a level, furthest first.
+        """Return the outliers with a p-value below a level, furthest first.
 
         Parameters
         ----------
-        level : chance of marking anything in this number where there is no outlier
+        level : false-alarm rate for this number
         """
-        # A value is as sure as the surest step that it had to be set aside for.
+        # A value has the smallest p-value of its step and all later ones.
         chances = [min(step.p for step in self.steps[at:]) for at in range(len(self.steps))]
         pairs = zip(self.steps, chances, strict=True)
         marked = [(step, chance) for step, chance in pairs if chance < level]
@@ -72,7 +72,7 @@ class Suspects:
             Outlier(
                 self.names[where],
                 self.values[where],
-                self.method + _unless_told(others, self.names),
+                self.method + _equally_suspect(others, self.names),
                 chance,
             )
             for step, chance in marked
@@ -87,24 +87,23 @@ def find_suspects(
 
     Parameters
     ----------
-    values : by sample; NaN are passed over
+    values : by sample; NaN are ignored
     spools : spool of each sample
-    most : how many may be marked; a tenth of the samples, and at least one, if None
+    most : largest number of outliers; a tenth of the samples, and at least one, if None
 
     Returns
     -------
-    None where `too_few_for_outliers` says why there is no test. Values that lie equally far
-    out are all named and the method says so: the two samples of a spool always are, since each lies
-    as far from their mean as the other.
+    Empty if `too_few_for_outliers` gives a reason. Equally far values are all named, also in the
+    method: the two samples of a spool always are, as they are equally far from their mean.
 
     Notes
     -----
     The residual of each sample from the mean of its spool is compared with the scatter of the
     others within their spools: |t| with N - spools - 1 degrees of freedom, p = N P(|t| > found). In
-    one spool this is Grubbs' test (Technometrics 11 (1969) 1). Where several may be marked, the
-    furthest is set aside and the test done again, and all up to the last significant one are
-    marked, so that two outliers cannot hide each other: the generalised ESD test (Rosner,
-    Technometrics 25 (1983) 165), meant for 15 samples or more.
+    one spool this is Grubbs' test (Technometrics 11 (1969) 1). For several outliers, the furthest
+    is removed and the test repeated, and all up to the last significant one are marked, so that two
+    outliers cannot mask each other: the generalised ESD test (Rosner, Technometrics 25 (1983) 165),
+    meant for 15 samples or more.
     """
     names = [name for name, value in values.items() if not np.isnan(value)]
     number = np.array([values[name] for name in names])
@@ -119,16 +118,15 @@ def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
 
     Parameters
     ----------
-    groups : of the report; outliers that they have are replaced. Numbers that the rig sets are not
-        tested
-    level : chance of marking anything in the whole report where there is no outlier
+    groups : of the report; existing outliers are replaced. Numbers set by the rig are not tested
+    level : false-alarm rate for the whole report
 
     Returns
     -------
     The groups with outliers in their numbers. The smallest p-values of all numbers are one family,
-    corrected by `holm`: numbers of one test hang together, which Holm's procedure allows. The steps
-    of the ESD test count as one test each, since it marks more often than its level says (1.14
-    times at 5 % and 20 samples, two steps).
+    corrected by `holm`, which allows for dependent numbers of one test. The steps of the ESD test
+    count as one test each, since its false-alarm rate exceeds its level (1.14 times at 5 % and 20
+    samples, two steps).
     """
     suspects = [[_suspects(group, number) for number in group.numbers] for group in groups]
     chances = [
@@ -162,20 +160,19 @@ def _suspects(group: Group, number: GroupNumber) -> Suspects:
 
 
 def _shared(step: _Step, alone: set[int]) -> list[tuple[int, list[int]]]:
-    """The value of a step and those that the test cannot tell it from, each with the others."""
+    """Return the value of a step and equally suspect ones, each with the others."""
     every = [step.where, *(twin for twin in step.twins if twin not in alone)]
     return [(where, [other for other in every if other != where]) for where in every]
 
 
-def _unless_told(others: Sequence[int], names: Sequence[str]) -> str:
+def _equally_suspect(others: Sequence[int], names: Sequence[str]) -> str:
     other_tests = " and ".join(names[other] for other in others)
     return f", which cannot tell it from {other_tests}" if other_tests else ""
 
 
 def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:
-    """The furthest value, its p-value, then the same without it, and so on."""
-    # p-values whose ratio is lower are equal but for rounding.
-    equal_p_ratio = 1.001
+    """Return the furthest value, its p-value, then the same without it, and so on."""
+    equal_p_ratio = 1.001  # within rounding
     left = np.arange(len(values))
     steps: list[_Step] = []
     for _ in range(most):
@@ -191,7 +188,7 @@ def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:
 
 
 def _chances(values: Floats, spool: NDArray[np.intp]) -> Floats | None:
-    """p-value of each value, Bonferroni over all; None without scatter to compare with."""
+    """Return the p-value of each value with Bonferroni correction, or None without scatter."""
     numbers, spool = np.unique(spool, return_inverse=True)
     free = len(values) - len(numbers) - 1
     if free < 1:

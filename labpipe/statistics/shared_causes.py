@@ -1,8 +1,8 @@
-"""What all tests of a rig share, in the mean of a group: it does not average out.
+"""Common causes of all tests of a rig in the mean of a group, which do not average out.
 
-A load cell that reads 0.3 % too much reads too much in every test. The scatter of the samples does
-not show it, and more samples do not make it smaller; so it is added to the interval of the mean.
-What noise adds to each number on average does not average out either; it is known, and taken off.
+A load cell that reads 0.3 % too high does so in every test. The scatter of the samples does not
+show it, and more samples do not reduce it; so it is added to the interval of the mean. The mean
+effect of noise on each number does not average out either; it is known, and subtracted.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from labpipe.records.result import Contribution, Result
 
 @dataclass(frozen=True, slots=True)
 class _Shared:
-    """What scatter does not show of one result, or of a mean.
+    """Errors of one result, or of a mean, that scatter does not show.
 
     Parameters
     ----------
     off : value less estimate
-    changes : by cause that all tests of a rig share
+    changes : by common cause of all tests of a rig
     """
 
     off: float
     changes: Mapping[str, float]
 
 
-def with_shared(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> NestedMean:
-    """Add to the intervals of a mean what all its tests share.
+def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> NestedMean:
+    """Add the common causes of all tests to the intervals of a mean.
 
     Parameters
     ----------
-    mean : of `spools`, by the scatter alone
-    spools : the results that were averaged, by spool
+    mean : of `spools`, from the scatter alone
+    spools : the averaged results, by spool
 
     Returns
     -------
-    The same means and scatter. Every interval lies about the mean of the estimates, and is wider
-    by what is common (`widened_by`); the decision names the causes.
+    The same means and scatter. Every interval is about the mean of the estimates, and is widened by
+    common causes (`widened_by`), which are named in the decision.
 
     Notes
     -----
@@ -51,12 +51,14 @@ def with_shared(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> Nes
     mean by the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
     """
     results_by_spool = {
-        name: [_of_result(spool) for spool in spools[name]] for name in mean.spool_means
+        name: [_shared_of_result(spool) for spool in spools[name]] for name in mean.spool_means
     }
-    means = {name: _mean_of(results) for name, results in results_by_spool.items()}
-    samples = _mean_of([result for results in results_by_spool.values() for result in results])
-    over_samples = _with(mean.over_samples, samples)
-    over_spools = mean.over_spools and _with(mean.over_spools, _mean_of(list(means.values())))
+    means = {name: _mean_shared(results) for name, results in results_by_spool.items()}
+    samples = _mean_shared([result for results in results_by_spool.values() for result in results])
+    over_samples = _add_shared(mean.over_samples, samples)
+    over_spools = mean.over_spools and _add_shared(
+        mean.over_spools, _mean_shared(list(means.values()))
+    )
     chosen = over_samples if mean.is_pooled or over_spools is None else over_spools
     causes = tuple(contribution.cause for contribution in chosen.common)
     because = (f"its interval holds what all tests of a rig share: {', '.join(causes)}",)
@@ -69,13 +71,14 @@ def with_shared(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> Nes
         over_samples=over_samples,
         over_spools=over_spools,
         spool_means={
-            name: _with(spool_mean, means[name]) for name, spool_mean in mean.spool_means.items()
+            name: _add_shared(spool_mean, means[name])
+            for name, spool_mean in mean.spool_means.items()
         },
         decision=decision,
     )
 
 
-def _of_result(result: Result) -> _Shared:
+def _shared_of_result(result: Result) -> _Shared:
     value = 0.0 if result.value is None else result.value
     estimate = value if result.estimate is None else result.estimate
     changes = {
@@ -86,8 +89,8 @@ def _of_result(result: Result) -> _Shared:
     return _Shared(value - estimate, changes)
 
 
-def _mean_of(several: Sequence[_Shared]) -> _Shared:
-    """Means, a cause that a result does not have counting as no change."""
+def _mean_shared(several: Sequence[_Shared]) -> _Shared:
+    """Average results; a missing cause counts as no change."""
     causes = dict.fromkeys(cause for shared in several for cause in shared.changes)
     if not several:
         return _Shared(0.0, {})
@@ -98,7 +101,7 @@ def _mean_of(several: Sequence[_Shared]) -> _Shared:
     return _Shared(float(np.mean([shared.off for shared in several])), changes)
 
 
-def _with(mean: MeanInterval, shared: _Shared) -> MeanInterval:
+def _add_shared(mean: MeanInterval, shared: _Shared) -> MeanInterval:
     common = tuple(
         Contribution(cause, change, is_common=True) for cause, change in shared.changes.items()
     )
@@ -111,12 +114,12 @@ def _with(mean: MeanInterval, shared: _Shared) -> MeanInterval:
 
 
 def standard_uncertainty(common: Sequence[Contribution]) -> float:
-    """Standard uncertainty that independent causes make together."""
+    """Return the combined standard uncertainty of independent causes."""
     return hypot(*(contribution.change for contribution in common))
 
 
 def widened_by(interval: Interval, common: Sequence[Contribution]) -> Interval:
-    """Widen the t interval of a mean by what is common to all that was averaged.
+    """Widen the t interval of a mean by common causes.
 
     Parameters
     ----------
@@ -129,9 +132,9 @@ def widened_by(interval: Interval, common: Sequence[Contribution]) -> Interval:
 
     Notes
     -----
-    Effective degrees of freedom (GUM, G.4.1) would make the interval of two values *shorter* when
-    a common cause is added, since t falls from 12.7 faster than the uncertainty grows. Half widths
-    in quadrature never do; how often they hold the mean: docs/explanations/statistics.md.
+    With effective degrees of freedom (GUM, G.4.1) a common cause would make the interval of two
+    values *shorter*, since t falls from 12.7 faster than the uncertainty grows. Half widths in
+    quadrature never do; for their coverage see docs/explanations/statistics.md.
     """
     middle = 0.5 * (interval.lower + interval.upper)
     shared = Interval.normal_95(0.0, standard_uncertainty(common)).upper
@@ -142,7 +145,7 @@ def widened_by(interval: Interval, common: Sequence[Contribution]) -> Interval:
 def difference_of(
     first: Sequence[Contribution], second: Sequence[Contribution]
 ) -> tuple[Contribution, ...]:
-    """What common causes change in the difference of two means, second less first.
+    """Return the changes by common causes of the difference of two means, second less first.
 
     Parameters
     ----------

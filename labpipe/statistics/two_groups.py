@@ -18,7 +18,7 @@ from labpipe.statistics.shared_causes import difference_of, standard_uncertainty
 
 
 def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
-    """Second mean minus first with its 95 % interval.
+    """Compute the second mean minus the first with its 95 % interval.
 
     Parameters
     ----------
@@ -26,10 +26,9 @@ def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterv
 
     Returns
     -------
-    n counts the values of both; deviation is NaN, since two scatters stand behind it. No interval
-    where one of the means has none, with its reason. The interval lies about the difference of the
-    estimates. What all tests of a rig share acts on both means alike: what it changes in their
-    difference is in the interval.
+    n counts the values of both; deviation is NaN, as there are two. No interval if one of the means
+    has none, with its reason. The interval is about the difference of the estimates, and includes
+    the effect of common causes on the difference.
 
     Notes
     -----
@@ -52,18 +51,18 @@ def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterv
 def contrast_of(
     first: MeanInterval, second: MeanInterval, margin: float | None = None
 ) -> Contrast | None:
-    """Put the difference of two means on the scale on which it is judged.
+    """Return the difference of two means on the scale of its judgement.
 
     Parameters
     ----------
     first, second : over independent values; their deviations need not be equal
-    margin : difference that does not matter, as a share of the first mean
+    margin : difference without practical importance, as a share of the first mean
 
     Returns
     -------
-    On a log scale where both intervals are: standard errors and what a rig shares are those of the
-    means over the means, and the margin m lies between 1 / (1 + m) and 1 + m. A gain that is off by
-    1 % then cancels wholly. None where a mean has no interval.
+    On a log scale if both intervals are: standard errors and common causes are relative to the
+    means, and the margin m is from 1 / (1 + m) to 1 + m. An error of the gain then cancels. None if
+    a mean has no interval.
     """
     if first.interval is None or second.interval is None:
         return None
@@ -94,23 +93,23 @@ def _over(common: Sequence[Contribution], size: float) -> tuple[Contribution, ..
 
 
 def half_of(contrast: Contrast, outside: float = 1.0 - LEVEL) -> float:
-    """Half the width of the interval of a difference.
+    """Return half the width of the interval of a difference.
 
     Parameters
     ----------
     contrast : of two means
-    outside : chance of a difference outside, half of it on each side
+    outside : probability of a difference outside, half of it on each side
 
     Returns
     -------
-    Scatter and what a rig shares in quadrature, as in the interval of a mean.
+    Scatter and common causes in quadrature, as in the interval of a mean.
     """
     scatter = t_quantile(contrast.degrees, outside) * contrast.error if contrast.error else 0.0
     return hypot(scatter, float(special.ndtri(1.0 - 0.5 * outside)) * contrast.shared)
 
 
 def difference_p(contrast: Contrast) -> float:
-    """p-value that there is no difference: the level at which its interval ends at zero.
+    """Return the p-value of no difference: the level at which its interval ends at zero.
 
     Parameters
     ----------
@@ -120,7 +119,7 @@ def difference_p(contrast: Contrast) -> float:
 
 
 def equivalence_p(contrast: Contrast) -> float:
-    """p-value of the two one-sided tests that two means differ by less than the margin.
+    """Return the p-value of the two one-sided tests of a difference within the margin.
 
     Parameters
     ----------
@@ -128,14 +127,14 @@ def equivalence_p(contrast: Contrast) -> float:
 
     Returns
     -------
-    The larger of the two p-values; below 0.05 the groups are equivalent, which is when the 90 %
-    interval of the difference lies within the margin. NaN without a margin.
+    The larger of the two p-values; below 0.05 the groups are equivalent, which is if the 90 %
+    interval of the difference is within the margin. NaN without a margin.
 
     Notes
     -----
     Schuirmann, J. Pharmacokinetics and Biopharmaceutics 15 (1987) 657, with Welch's degrees of
-    freedom. What all tests share is added as in the interval: p is where the quantiles of scatter
-    and of common causes reach the margin in quadrature.
+    freedom. Common causes are added as in the interval: p is where the quantiles of scatter and of
+    common causes reach the margin in quadrature.
     """
     if contrast.margin is None:
         return float("nan")
@@ -145,9 +144,8 @@ def equivalence_p(contrast: Contrast) -> float:
 
 
 def _tail(room: float, contrast: Contrast) -> float:
-    """Chance that scatter and a normal doubt together go beyond some room on one side."""
-    # A probability of 1e-15 counts as zero.
-    max_deviations = 8.0
+    """Return the probability that scatter and a normal error together exceed a distance."""
+    max_deviations = 8.0  # a probability of 1e-15 counts as zero
     degrees, error, shared = contrast.degrees, contrast.error, contrast.shared
     if shared == 0.0:
         return float(special.stdtr(degrees, -room / error)) if error else 0.0 if room else 0.5
@@ -168,18 +166,18 @@ def compare(
     second: tuple[str, NestedMean],
     margin: float | None = None,
 ) -> Difference:
-    """How two groups differ in one result, before it is judged.
+    """Compute the difference of two groups in one result, before judgement.
 
     Parameters
     ----------
     name, unit : of the result
     first, second : name of the group and its mean; the chosen means are compared, over spool means
-        where spools were not pooled
-    margin : difference that does not matter in practice, as a share of the first mean
+        if spools were not pooled
+    margin : difference without practical importance, as a share of the first mean
 
     Returns
     -------
-    With p-values of its own and no verdict: `judged` gives verdicts to a family of them.
+    With its own p-values and no verdict: see `judged`.
     """
     one, two = first[1].chosen, second[1].chosen
     difference, contrast = difference_of_means(one, two), contrast_of(one, two, margin)
@@ -199,7 +197,7 @@ def compare(
 
 
 def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
-    """Judge comparisons that were asked for together.
+    """Judge a family of comparisons.
 
     Parameters
     ----------
@@ -208,13 +206,13 @@ def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
 
     Returns
     -------
-    In the same order. Any *different* of the family is wrong in 5 % of reports at the most, and so
-    is any *equivalent*: both are corrected for their number by `holm`. The verdict is
+    In the same order. Any *different* of the family is wrong in at most 5 % of reports, and so is
+    any *equivalent*: both are corrected for their number by `holm`. The verdict is
 
-    - ``different`` when zero lies outside of the corrected interval;
-    - ``equivalent`` when the two one-sided tests find the difference within the margin, whether it
-      is real or not;
-    - ``cannot tell`` when neither.
+    - ``different`` if zero is outside the corrected interval;
+    - ``equivalent`` if the two one-sided tests find the difference within the margin, significant
+      or not;
+    - ``cannot tell`` otherwise.
     """
     apart = holm([difference.p for difference in differences])
     alike = holm([difference.p_equivalent for difference in differences])
@@ -225,9 +223,8 @@ def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
 
 
 def _judged(family: str, difference: Difference, apart: Corrected, alike: Corrected) -> Difference:
-    """Give a comparison its verdict."""
-    # Keeps the ends of an interval finite.
-    max_log_ratio = 20.0
+    """Return a comparison with its verdict."""
+    max_log_ratio = 20.0  # keeps the ends of an interval finite
     contrast = difference.contrast
     if contrast is None:
         reason = difference.difference.reason
@@ -264,7 +261,7 @@ def _shortly(p: float) -> str:
 
 
 def _relative(difference: Difference) -> str:
-    """The margin in words: as a share of the first mean, which needs no unit."""
+    """Return the margin in words, as a share of the first mean if possible."""
     contrast = difference.contrast
     if contrast is None or contrast.margin is None:
         return "the margin"
@@ -276,27 +273,27 @@ def _needed(contrast: Contrast, outside: float) -> str:
     return f"; with this scatter n = {n} in each group would tell" if n else ""
 
 
-MOST_SAMPLES = 50
-"""Samples of each group beyond which more tests are not advised."""
+MAX_ADVISED_SAMPLES = 50
+"""Samples per group beyond which more tests are not advised."""
 
 
 def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
-    """Find how many values in each group are enough to tell different from equivalent.
+    """Find how many values per group are enough to distinguish different from equivalent.
 
     Parameters
     ----------
-    contrast : with a margin; its scatter is taken as known
-    outside : chance of a difference outside of the interval
+    contrast : with a margin; its scatter counts as known
+    outside : probability of a difference outside the interval
 
     Returns
     -------
-    Least number at which the interval is no wider than the margin: it then leaves zero out, or lies
-    within the margin. None beyond `MOST_SAMPLES`, without a margin, or without scatter.
+    Smallest number at which the interval is no wider than the margin: it then excludes zero, or is
+    within the margin. None beyond `MAX_ADVISED_SAMPLES`, without a margin, or without scatter.
     """
     if contrast.margin is None or not contrast.error:
         return None
     scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
-    for n in range(max(contrast.counts) + 1, MOST_SAMPLES + 1):
+    for n in range(max(contrast.counts) + 1, MAX_ADVISED_SAMPLES + 1):
         more = replace(contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n))
         if half_of(more, outside) <= 0.5 * contrast.margin:
             return n
@@ -304,7 +301,7 @@ def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | No
 
 
 def _shared(difference: MeanInterval) -> tuple[str, ...]:
-    """Which causes act on both groups alike."""
+    """Return a caveat on causes common to both groups."""
     causes = ", ".join(finding.cause for finding in difference.common)
     message = (
         f"both groups share {causes}: the interval holds what that changes in their difference"
@@ -313,7 +310,7 @@ def _shared(difference: MeanInterval) -> tuple[str, ...]:
 
 
 def _caveats(groups: list[tuple[str, NestedMean]]) -> tuple[str, ...]:
-    """What the comparison cannot know where all samples of a group are from one spool."""
+    """Return a caveat on groups with samples from one spool."""
     single = [name for name, mean in groups if len(mean.spool_means) == 1]
     if not single:
         return ()

@@ -31,13 +31,15 @@ TEST = bending_test(pulled(LinearLaw(5e-3), travel=0.02, frames=12), noise=1e-5)
 
 
 def test_at_rest_it_is_known_from_all_frames_that_show_all_markers() -> None:
-    standing = TEST.standing
+    standing = TEST.specimen_at_rest
     assert standing.frames == RESTING
     assert standing.markers == pytest.approx(TEST.shape.positions[:RESTING, 1:-1].mean(axis=0))
     assert standing.noise == pytest.approx(1e-5, rel=0.35)
     assert standing.finer.shape == (1, 3, 8)
     full = bending_test(pulled(LinearLaw(5e-3), travel=0.01, frames=4), terms=11)
-    assert np.isnan(full.standing.noise), "as many coefficients as markers leave none to try"
+    assert np.isnan(full.specimen_at_rest.noise), (
+        "as many coefficients as markers leave none to try"
+    )
 
 
 def test_frames_without_force_or_without_all_markers_are_left_out() -> None:
@@ -49,7 +51,7 @@ def test_frames_without_force_or_without_all_markers_are_left_out() -> None:
         replace(TEST, force=np.full_like(force, np.nan)).frames(TEST.branch, per_mean=2)
     flags[:RESTING, 2] = PointFlag.FILLED
     with pytest.raises(ValueError, match="frames at rest that show all markers, found 0"):
-        _ = replace(TEST, shape=replace(TEST.shape, flags=flags)).standing
+        _ = replace(TEST, shape=replace(TEST.shape, flags=flags)).specimen_at_rest
 
 
 SHAPES = pulled(LinearLaw(5e-3), travel=0.05, frames=24)
@@ -86,7 +88,7 @@ def test_moments_of_a_wire_with_weight_are_those_of_the_mechanics() -> None:
     coefficients = test.shape.coefficients[frame][None]
     found = test.moments(coefficients, test.force[-1:], last.arc_length)[0]
     assert found == pytest.approx(last.moment, abs=2e-4 * last.moment[0])
-    rest = test.moments(test.standing.coefficients, np.zeros(1), np.zeros(1))[0, 0]
+    rest = test.moments(test.specimen_at_rest.coefficients, np.zeros(1), np.zeros(1))[0, 0]
     assert rest == pytest.approx(-HEAVY * LENGTH**2 / 8.0, rel=1e-3)
 
 

@@ -28,7 +28,7 @@ from labpipe.statistics.group_notes import (
 )
 from labpipe.statistics.groups import build_group, compare_groups
 from labpipe.statistics.means import nested_mean
-from labpipe.statistics.shared_causes import with_shared
+from labpipe.statistics.shared_causes import add_common_causes
 from labpipe.statistics.two_groups import judged
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample
@@ -258,7 +258,7 @@ def measured(value: float, **changes: float) -> Result:
 
 def budgeted(*results: Result) -> GroupNumber:
     values = {f"T{place}": result for place, result in enumerate(results)}
-    mean = with_shared(
+    mean = add_common_causes(
         nested_mean({"s1": [result.value or 0.0 for result in results]}), {"s1": list(results)}
     )
     return GroupNumber("k", "N/m", mean, values, {})

@@ -25,7 +25,7 @@ from labpipe.statistics.means import (
     smallest_p,
     spool_scatter,
 )
-from labpipe.statistics.shared_causes import with_shared
+from labpipe.statistics.shared_causes import add_common_causes
 from labpipe.statistics.two_groups import (
     contrast_of,
     difference_of_means,
@@ -159,7 +159,7 @@ def measured(value: float, *, off: float = 0.0, **changes: float) -> Result:
 
 def averaged(spools: Mapping[str, list[Result]]) -> NestedMean:
     values = {name: [each.value or 0.0 for each in own] for name, own in spools.items()}
-    return with_shared(nested_mean(values), spools)
+    return add_common_causes(nested_mean(values), spools)
 
 
 def test_a_cause_that_all_share_is_added_in_quadrature() -> None:
