@@ -10,7 +10,6 @@ strain the stiffness vanishes. ``GENB`` is a type of its own, beside ``BEAM``, a
 from __future__ import annotations
 
 from labpipe.decks.deck_law import (
-    MAX_ANSYS_COMMENT_NAME,
     ansys_name,
     facts,
     mass_of,
@@ -85,7 +84,7 @@ def _comments(table: WireTable, law: Thinned) -> tuple[str, ...]:
     line_width = 76  # lines of the deck end at 80 characters, those of comments begin with "! "
     loss = isotropic_loss(table, law.error, "isotropic hardening")
     return (
-        *facts(table, on_one_line(table.name, MAX_ANSYS_COMMENT_NAME)),
+        *facts(table, on_one_line(table.name, 32)),
         "Beyond the last point the stiffness is zero: check the curvatures.",
         f"BSM1, BSM2: {len(law.curvature) - 1} points and the origin, at most {MOST_POINTS} "
         f"allowed;",

@@ -161,17 +161,11 @@ def _area(cell: Floats) -> float:
 
 TIP = "TIPHALF"
 """Set of nodes that is printed: the tip of half the bar, which carries half of the force."""
-MAX_TIP_SHARE = 0.6
-"""Largest tip deflection, as a share of the length; less where the law ends before."""
 N_ALONG = 8
 """Bricks along the bar."""
-N_STEPS = 80
-"""Increments of equal size."""
-POISSON = 0.3
-"""Poisson's ratio of the elastic part."""
 
 
-def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = N_STEPS) -> str:
+def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = 80) -> str:
     """Write the cantilever of a wire, of the length in its sheet, which CalculiX runs as it is.
 
     Parameters
@@ -202,7 +196,8 @@ def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = N_
         raise ValueError(message)
     diameter = 2.0 * table.layout.wire_radius
     material = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
-    reach = min(MAX_TIP_SHARE * table.spec.length, float(table.tip_deflection[-1]))
+    max_tip_share = 0.6  # of the length; less where the law ends before
+    reach = min(max_tip_share * table.spec.length, float(table.tip_deflection[-1]))
     lines = [f"** {line}" for line in (*_facts(table, material), *_loading(table, reach))]
     if reach > 0.0:
         mesh = half_bar(0.5 * diameter, table.spec.length, n_along=n_along)
@@ -292,7 +287,7 @@ def _lines(form: str, rows: Floats | Ints) -> str:
 
 def _material(material: EquivalentMaterial, density: float) -> Iterator[str]:
     """Return true stress over plastic strain, constant after the last point; density in kg/m^3."""
-    yield from ("*MATERIAL, NAME=WIRE", "*ELASTIC", f"{material.modulus:.9g}, {POISSON:g}")
+    yield from ("*MATERIAL, NAME=WIRE", "*ELASTIC", f"{material.modulus:.9g}, 0.3")
     yield "*PLASTIC"
     for stress, strain in zip(material.stress, material.plastic_strain, strict=True):
         yield f"{stress:.9g}, {strain:.9g}"

@@ -13,7 +13,6 @@ from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
-UNITS = "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2."
 FIRST_LOADING = "The law is that of the first loading of a wire that was never bent before."
 
 
@@ -31,7 +30,7 @@ def facts(table: WireTable, name: str) -> tuple[str, ...]:
     doubt = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
     return (
         f"Wire {name}, made by labpipe {__version__}.",
-        UNITS,
+        "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2.",
         f"Range: curvature from 0 to {end:.6g} 1/m (bend radius {1.0 / end:.4g} m and more).",
         "The deck is not valid beyond this range.",
         *((doubt,) if limit < end else ()),
@@ -137,16 +136,6 @@ def second_moment(table: WireTable) -> float:
     return float(np.sum(np.pi / 64.0 * layout.diameter**4 + area * arms) + tube)
 
 
-MAX_ABAQUS_LABEL = 80
-"""Characters of an Abaqus label (Abaqus Analysis User's Guide, input syntax rules)."""
-MAX_ANSYS_NAME = 8
-"""Characters of the name of an Ansys section (``SECTYPE``)."""
-MAX_ANSYS_COMMENT_NAME = 32
-"""Characters of a wire's name in a comment of an Ansys deck."""
-MAX_FILE_STEM = 100
-"""Characters of a file's name without its ending."""
-
-
 def abaqus_label(name: str) -> str:
     """Return the label of an element set: begins with a letter, then letters, digits, ``_``, ``-``.
 
@@ -168,7 +157,7 @@ def abaqus_label(name: str) -> str:
     >>> abaqus_label("FLRY-B_0.35")
     'FLRY-B_0_35_f1a89d0a'
     """
-    return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", most=MAX_ABAQUS_LABEL)
+    return _allowed_text(name, allowed="A-Za-z0-9_-", first="A-Za-z", most=80)
 
 
 def ansys_name(name: str) -> str:
@@ -189,7 +178,7 @@ def ansys_name(name: str) -> str:
     'FLRYB035'
     """
     left = re.sub(r"[^A-Za-z0-9]", "", _without_accents(name))
-    return (left if left[:1].isalpha() else f"W{left}")[:MAX_ANSYS_NAME]
+    return (left if left[:1].isalpha() else f"W{left}")[:8]
 
 
 def file_stem(name: str) -> str:
@@ -208,12 +197,11 @@ def file_stem(name: str) -> str:
     >>> file_stem("A2")
     'A2'
     """
-    stem = _allowed_text(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", most=MAX_FILE_STEM)
+    max_length = 100
+    stem = _allowed_text(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", most=max_length)
     is_device = re.fullmatch(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", stem, flags=re.IGNORECASE)
     return (
-        _with_checksum(name, stem, MAX_FILE_STEM)
-        if is_device or stem != stem.rstrip(". ")
-        else stem
+        _with_checksum(name, stem, max_length) if is_device or stem != stem.rstrip(". ") else stem
     )
 
 

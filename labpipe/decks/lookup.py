@@ -12,11 +12,6 @@ from labpipe.records.wire import WireTable
 SCHEMA = 2
 """Version of the JSON table."""
 
-TORSION = (
-    "tension and torque are [EA, C; C, GJ] times strain and twist: axial_stiffness EA is at "
-    "constant twist, torsional_stiffness GJ at constant length, free_torsional_stiffness "
-    "GJ - C^2 / EA at zero tension"
-)
 
 COLUMNS = {
     "curvature": "1/m",
@@ -115,7 +110,11 @@ def lookup_json(table: WireTable) -> str:
         "range": {"curvature": [0.0, float(table.curvature[-1])], "beyond": "not valid"},
         "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
         "law": FIRST_LOADING,
-        "torsion": TORSION,
+        "torsion": (
+            "tension and torque are [EA, C; C, GJ] times strain and twist: axial_stiffness EA is "
+            "at constant twist, torsional_stiffness GJ at constant length, "
+            "free_torsional_stiffness GJ - C^2 / EA at zero tension"
+        ),
         **numbers,
         "loss_card": card_numbers(table),
         "units": {name: _UNITS[name] for name in numbers},

@@ -35,8 +35,6 @@ from labpipe.records.wire import WireTable
 
 CABLE = "wire"
 """Name of the flex; its vertices are bodies ``wire_2`` to ``wire_<edges>``."""
-TIP_SENSOR = "tip"
-"""Name of the sensor of the tip's position."""
 
 MIN_EDGES = 3
 
@@ -209,7 +207,7 @@ def _add_cable(root: Xml.Element, cable: _Cable) -> None:
     _add_elasticity(flex, cable)
     sensors = Xml.SubElement(root, "sensor")
     tip = f"{CABLE}_{cable.edges}"
-    Xml.SubElement(sensors, "framepos", name=TIP_SENSOR, objtype="body", objname=tip)
+    Xml.SubElement(sensors, "framepos", name="tip", objtype="body", objname=tip)
 
 
 def _add_elasticity(flex: Xml.Element, cable: _Cable) -> None:

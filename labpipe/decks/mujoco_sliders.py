@@ -24,7 +24,7 @@ import numpy as np
 
 from labpipe.decks.deck_law import facts, mass_of, on_one_line
 from labpipe.decks.deck_losses import loss_text, percent
-from labpipe.decks.slider_table import no_sliders_text
+from labpipe.decks.slider_table import DIRECTIONS, no_sliders_text
 from labpipe.law.plays import is_within
 from labpipe.law.slider_directions import TURNS, in_directions, turned
 from labpipe.law.sliders import MOST_SLIDERS, SliderLaw, as_plays
@@ -33,9 +33,6 @@ from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.wire.end_load import end_loads
 
-DIRECTIONS = 4
-"""Directions of scalar sliders in space; they differ from node to node."""
-MAX_SLIDERS_PER_DIRECTION = 8
 NODES = 30
 MIN_NODES = 3
 RAMP = 400
@@ -193,7 +190,7 @@ def space_hinges(chain: Chain, directions: int = DIRECTIONS) -> tuple[Hinges, tu
         nothing = np.zeros(0)
         hinges = Hinges(_axes(chain, chain.law.stiffness), np.zeros((1, 0, 2)), nothing, nothing)
         return hinges, (f"Bending stiffness {chain.law.stiffness:.6g} N m2, constant.", twist)
-    few = in_directions(chain.law, directions, most=MAX_SLIDERS_PER_DIRECTION)
+    few = in_directions(chain.law, directions, most=8)
     axes = _axes(chain, few.stiffness * directions / 2.0)
     tendons = np.array([few.turned_normals(share) for share in TURNS])
     hinges = Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)

@@ -16,6 +16,7 @@ from labpipe.records.wire import WireTable
 SCHEMA = 1
 """Version of the JSON."""
 DIRECTIONS = 4
+"""Directions of scalar sliders in space."""
 
 _MEANING = (
     "moment = stiffness * curvature + sum of stiffnesses[j] * stop[j], |stop[j]| <= "

@@ -1,4 +1,4 @@
-"""From a bundle in words, or of a test sheet, to the bounds of its bending, and where tests lie."""
+"""Bounds of the bending stiffness of a bundle, and the place of tests between them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError, error_text
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
-from labpipe.records.arrays import Flags
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Group, Sample
 from labpipe.records.harness_bundle import (
@@ -46,18 +45,12 @@ from labpipe.wire.bundle_packing import (
 from labpipe.wire.wire_table import wire_table
 
 STIFFNESS = "bending_stiffness"
-
-
-@dataclass(frozen=True, slots=True)
-class _Bounds:
-    """Model of a bundle, or why there is none."""
-
-    model: BundleModel | None
-    reasons: tuple[Reason, ...] = ()
+_Bounds = BundleModel | tuple[Reason, ...]
+"""Model of a bundle, or the reasons why there is none."""
 
 
 def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[BundlePlace]:
-    """Place the samples of each group with a bundle, and its mean, between slipping and sticking.
+    """Place the samples and the mean of each group of bundles between slipping and sticking.
 
     Parameters
     ----------
@@ -66,8 +59,8 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
 
     Yields
     ------
-    Group by group: its samples, then its mean. The mean has bounds where all its samples have the
-    same ones. What has no bounds, or no stiffness, says why.
+    Group by group: its samples, then its mean. The mean has bounds where those of all samples are
+    the same. A place without bounds or without a stiffness has the reason.
 
     Notes
     -----
@@ -75,25 +68,27 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
     nothing slips: see `share_of_bounds`.
     """
     with_bundles = [group for group in groups if _bundles(group)]
-    every = dict.fromkeys(chain.from_iterable(map(_bundles, with_bundles)))
-    bounds = _bounds(list(every), {wire.name: wire for wire in wires})
+    bundles = dict.fromkeys(chain.from_iterable(map(_bundles, with_bundles)))
+    bounds = _bounds_by_bundle(list(bundles), {wire.name: wire for wire in wires})
     for group in with_bundles:
         for sample in group.samples:
-            yield _of_sample(group, sample, bounds)
-        yield _of_mean(group, bounds)
+            yield _sample_place(group, sample, bounds)
+        yield _mean_place(group, bounds)
 
 
 def _bundles(group: Group) -> list[Bundle]:
-    return [bundle for sample in group.samples if (bundle := _bundle_of(sample)) is not None]
+    return [bundle for sample in group.samples if (bundle := _bare_bundle(sample)) is not None]
 
 
-def _bundle_of(sample: Sample) -> Bundle | None:
-    """What bounds rest on: the wires and where they lie, whatever holds them together."""
+def _bare_bundle(sample: Sample) -> Bundle | None:
+    """Return the wires and their layout, on which bounds depend, without conduit and tape."""
     bundle = sample.specimen.bundle
     return None if bundle is None else Bundle(bundle.wires, bundle.arrangement, bundle.positions)
 
 
-def _bounds(bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]) -> dict[Bundle, _Bounds]:
+def _bounds_by_bundle(
+    bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]
+) -> dict[Bundle, _Bounds]:
     tables: dict[str, WireTable] = {}
     refused: dict[str, Reason] = {}
     for name in dict.fromkeys(wire.type for bundle in bundles for wire in bundle.wires):
@@ -105,22 +100,22 @@ def _bounds(bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]) -> dict[Bu
         except ValueError as error:
             message = f"no bounds: {name} of the sheet cannot be modelled: {error}"
             refused[name] = Reason("no_law", message)
-    return {bundle: _model(bundle, tables, refused) for bundle in bundles}
+    return {bundle: _bounds(bundle, tables, refused) for bundle in bundles}
 
 
-def _model(
+def _bounds(
     bundle: Bundle, tables: Mapping[str, WireTable], refused: Mapping[str, Reason]
 ) -> _Bounds:
     reasons = tuple(refused[wire.type] for wire in bundle.wires if wire.type in refused)
     if reasons:
-        return _Bounds(None, reasons)
+        return reasons
     try:
-        return _Bounds(bundle_model(bundle, tables))
+        return bundle_model(bundle, tables)
     except ValueError as error:
-        return _Bounds(None, (Reason("no_model", f"no bounds: {error}"),))
+        return (Reason("no_model", f"no bounds: {error}"),)
 
 
-def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+def _sample_place(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
     result = next((result for result in sample.results if result.name == STIFFNESS), None)
     value = None if result is None else result.value
     interval = None if result is None else result.interval
@@ -128,66 +123,63 @@ def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -
     if result is not None:
         reasons = result.reasons if value is None else ()
     place = BundlePlace(group.name, sample.test, value, interval, reasons=reasons)
-    bundle = _bundle_of(sample)
+    bundle = _bare_bundle(sample)
     if bundle is None:
-        return _without(place, "no_bundle", "no bounds: its test sheet says no bundle")
-    return _between(place, bounds[bundle])
+        return _with_reason(place, "no_bundle", "no bounds: its test sheet has no bundle")
+    return _with_share(place, bounds[bundle])
 
 
-def _without(place: BundlePlace, code: str, message: str) -> BundlePlace:
+def _with_reason(place: BundlePlace, code: str, message: str) -> BundlePlace:
     return replace(place, reasons=(Reason(code, message),))
 
 
-def _of_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+def _mean_place(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
     number = next((number for number in group.numbers if number.name == STIFFNESS), None)
     mean = None if number is None or number.mean is None else number.mean.chosen
     value = None if mean is None else mean.mean
     place = BundlePlace(group.name, "", value, mean.interval if mean else None)
     if mean is None:
-        place = _without(place, "no_result", f"no sample has a {STIFFNESS}")
-    shared = list(dict.fromkeys(map(_bundle_of, group.samples)))
+        place = _with_reason(place, "no_result", f"no sample has a {STIFFNESS}")
+    shared = list(dict.fromkeys(map(_bare_bundle, group.samples)))
     if len(shared) > 1 or shared[0] is None:
-        return _without(place, "bundles_differ", "no bounds: its samples differ in them")
-    return _between(place, bounds[shared[0]])
+        return _with_reason(
+            place, "bundles_differ", "no bounds: its samples have different bundles"
+        )
+    return _with_share(place, bounds[shared[0]])
 
 
-def _between(place: BundlePlace, bounds: _Bounds) -> BundlePlace:
-    model = bounds.model
-    if model is None:
-        return replace(place, reasons=bounds.reasons)
-    place = replace(
-        place, low=model.low, free=model.free, high=model.high, principal=model.principal
-    )
+def _with_share(place: BundlePlace, model: _Bounds) -> BundlePlace:
+    if isinstance(model, tuple):
+        return replace(place, reasons=model)
+    numbers = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
+    place = replace(place, **numbers)
     if place.value is None:
         return place
     if not model.high > model.low:
-        return _without(place, "one_bound", "no share: the two bounds are the same")
+        return _with_reason(place, "one_bound", "no share: the two bounds are the same")
     share = partial(share_of_bounds, low=model.low, high=model.high)
     interval = place.interval
-    ends = (
-        None
-        if interval is None
-        else Interval(share(interval.lower), share(interval.upper), interval.level)
-    )
-    return replace(place, share=share(place.value), share_interval=ends)
+    if interval is not None:
+        interval = Interval(share(interval.lower), share(interval.upper), interval.level)
+    return replace(place, share=share(place.value), share_interval=interval)
 
 
 BUNDLE_FILE = "bundle.json"
 FIGURES_FOLDER = "figures"
 SCHEMA = 1
 
-_NOT_IN_A_NAME = re.compile(r"[^\w.-]+")
+_UNSAFE_CHARACTERS = re.compile(r"[^\w.-]+")
 
 
 @dataclass(frozen=True, slots=True)
 class Conduit:
-    """A conduit that was offered.
+    """A conduit to choose from.
 
     Parameters
     ----------
     bore : inner diameter, m
     packing_fraction : of the wires in it
-    holds : whether they fit as they lie
+    holds : whether they fit in their layout
     """
 
     bore: float
@@ -197,18 +189,18 @@ class Conduit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledBundle:
-    """What became of a bundle.
+    """A bundle with its model and files.
 
     Parameters
     ----------
-    name : words of the bundle, or name of its test
+    name : composition of the bundle, or name of its test
     model : bounds of its bending
-    conduits : that were offered, in that order
-    wanted_bore : m, of a conduit that the wires would fill by 0.7
+    conduits : to choose from, in that order
+    wanted_bore : m, of a conduit with a packing fraction of 0.7
     folder : of the results
     files : that were written
     friction : fitted to the cycles of a processed test; None for anything else
-    no_friction : why a processed test has none
+    no_friction : reason why a processed test has none
     """
 
     name: str
@@ -231,29 +223,29 @@ def model_bundle(
     figures: bool = True,
     png: bool = False,
 ) -> ModelledBundle:
-    """Model a bundle and write what was found.
+    """Model a bundle and write the results.
 
     Parameters
     ----------
-    what : a processed test (its folder or ``result.h5``), a test sheet, the folder of one, or words
+    what : a processed test (its folder or ``result.h5``), a test sheet, the folder of one, or text
         such as ``10 B1 + 9 B2``
     wires : wire sheet that has the types of the bundle as its wires
     arrangement : overrides that of the test sheet
     bores : m, inner diameters of conduits to choose from; override that of the test sheet
     out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
     figures : whether to draw
-    png : figures as PNG, too; without it those of an earlier run are taken away
+    png : figures as PNG, too; without it those of an earlier run are removed
 
     Returns
     -------
-    The model, with the bore chosen among those that were offered; of a processed test, with the
-    friction that its first cycle says and the prediction of the others.
+    The model in the best conduit of those to choose from; of a processed test, with the friction
+    fitted to its first cycle and the prediction of the other cycles.
 
     Raises
     ------
     LabpipeError
-        If the words, the test sheet or the wire sheet have faults, a wire is not in the sheet, or
-        the bundle fits no conduit; earlier results are then as they were.
+        If the text, the test sheet or the wire sheet has faults, a wire is not in the sheet, or
+        the bundle fits no conduit; earlier results are then unchanged.
     """
     if arrangement not in (None, *ARRANGEMENTS):
         message = error_text(
@@ -265,21 +257,21 @@ def model_bundle(
         )
         raise UsageError(message)
     test = processed_test(what)
-    name, bundle = _bundle(what, arrangement) if test is None else _of_test(test, what, arrangement)
-    tables = _tables(bundle, wires)
+    name, bundle = _read_bundle(what, test, arrangement)
+    tables = _read_tables(bundle, wires)
     offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
     try:
-        model = _in_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
+        model = _in_best_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
     except ValueError as error:
         message = error_text(
             what,
             "",
-            expected="a bundle whose wires lie beside each other, inside its conduit",
+            expected="a bundle of wires that do not overlap and fit in its conduit",
             found=f"this: {error}",
             remedy="Check the wires, their positions and the bore.",
         )
         raise ProcessingError(message) from error
-    folder = Path("processed/bundles") / _NOT_IN_A_NAME.sub("-", name) if out is None else out
+    folder = Path("processed/bundles") / _UNSAFE_CHARACTERS.sub("-", name) if out is None else out
     diameters = model.layout.diameter
     conduits = [
         Conduit(bore, packing_fraction(diameters, bore), fits(model.smallest_bore, bore))
@@ -291,13 +283,6 @@ def model_bundle(
     return _write(modelled, figures=figures, png=png)
 
 
-def _of_test(test: TestResult, what: str, arrangement: str | None) -> tuple[str, Bundle]:
-    bundle = test.specimen.bundle
-    if bundle is None:
-        raise UsageError(_no_bundle(what))
-    return test.test, replace(bundle, arrangement=arrangement or bundle.arrangement)
-
-
 def _with_friction(
     modelled: ModelledBundle, test: TestResult, tables: Sequence[WireTable]
 ) -> ModelledBundle:
@@ -307,34 +292,34 @@ def _with_friction(
         return replace(modelled, no_friction=str(error))
 
 
-def _bundle(what: str, arrangement: str | None) -> tuple[str, Bundle]:
-    """Name and composition, from a test sheet or from words."""
+def _read_bundle(what: str, test: TestResult | None, arrangement: str | None) -> tuple[str, Bundle]:
+    """Return name and composition, of a processed test, a test sheet or text."""
     path = Path(what)
-    with suppress(OSError):  # words that are too long for a name
+    with suppress(OSError):  # text that is too long for a file name
         path = path / SHEET_NAME if path.is_dir() else path
-    if path.suffix not in (".yaml", ".yml"):
+    if test is not None:
+        name, bundle = test.test, test.specimen.bundle
+    elif path.suffix in (".yaml", ".yml"):
+        sheet = load_test_sheet(path)
+        name, bundle = sheet.test, sheet.specimen.record.bundle
+    else:
         bundle = bundle_in_words(what, arrangement=arrangement or PACKED)
         name = bundle.composition.replace(" + ", " ")
         return (f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name), bundle
-    sheet = load_test_sheet(path)
-    found = sheet.specimen.record.bundle
-    if found is None:
-        raise UsageError(_no_bundle(path))
-    return sheet.test, replace(found, arrangement=arrangement or found.arrangement)
+    if bundle is None:
+        message = error_text(
+            path if test is None else what,
+            "specimen",
+            expected="a bundle",
+            found="none",
+            remedy="State the wires of the bundle, such as 'bundle: {wires: {B1: 7}}'.",
+        )
+        raise UsageError(message)
+    return name, replace(bundle, arrangement=arrangement or bundle.arrangement)
 
 
-def _no_bundle(file: Path | str) -> str:
-    return error_text(
-        file,
-        "specimen",
-        expected="a bundle",
-        found="none",
-        remedy="Write what the bundle is made of, such as 'bundle: {wires: {B1: 7}}'.",
-    )
-
-
-def _tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
-    """Laws of the wires of a bundle."""
+def _read_tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
+    """Compute the laws of the wires of a bundle."""
     specs = {spec.name: spec for spec in read_wire_sheet(wires)}
     missing = [wire.type for wire in bundle.wires if wire.type not in specs]
     if missing:
@@ -346,25 +331,24 @@ def _tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
             remedy="Add the row, or name another wire sheet with --wire.",
         )
         raise UsageError(message)
-    return {wire.type: _table(wires, wire.type, specs) for wire in bundle.wires}
+    tables = {}
+    for name in dict.fromkeys(wire.type for wire in bundle.wires):
+        try:
+            tables[name] = wire_table(specs[name])
+        except ValueError as error:
+            message = error_text(
+                wires,
+                specs[name].place,
+                expected=f"a wire {name!r} that can be modelled",
+                found=f"this: {error}",
+                remedy="Check its row against the wire.",
+            )
+            raise ProcessingError(message) from error
+    return tables
 
 
-def _table(wires: Path, name: str, specs: dict[str, WireSpec]) -> WireTable:
-    try:
-        return wire_table(specs[name])
-    except ValueError as error:
-        message = error_text(
-            wires,
-            specs[name].place,
-            expected=f"a wire {name!r} that can be modelled",
-            found=f"this: {error}",
-            remedy="Check its row against the wire.",
-        )
-        raise ProcessingError(message) from error
-
-
-def _in_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
-    """The model inside the conduit that suits it best of those that are offered."""
+def _in_best_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
+    """Return the model inside the best of the conduits to choose from."""
     if not offered:
         return model
     diameters = model.layout.diameter
@@ -396,13 +380,8 @@ _NUMBERS = (
 )
 
 
-def _within(doubtful: Flags, limit: float) -> float | None:
-    """Where moments begin to be doubtful; None where none are."""
-    return limit if doubtful.any() else None
-
-
 def as_json(modelled: ModelledBundle) -> dict[str, object]:
-    """What ``labpipe bundle --json`` prints: lists and plain numbers in SI units.
+    """Return the content of ``labpipe bundle --json``: lists and numbers in SI units.
 
     Parameters
     ----------
@@ -422,9 +401,9 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
         "curvature": model.curvature.tolist(),
         "moment_slip": model.moment_slip.tolist(),
         "moment_stick": model.moment_stick.tolist(),
-        "doubtful_curvature": _within(model.is_doubtful, model.doubtful_curvature),
-        "doubtful_curvature_stick": _within(
-            model.is_doubtful_stick, model.doubtful_curvature_stick
+        "doubtful_curvature": model.doubtful_curvature if model.is_doubtful.any() else None,
+        "doubtful_curvature_stick": (
+            model.doubtful_curvature_stick if model.is_doubtful_stick.any() else None
         ),
         "doubtful": model.is_doubtful.tolist(),
         "doubtful_stick": model.is_doubtful_stick.tolist(),

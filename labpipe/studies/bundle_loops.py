@@ -1,4 +1,4 @@
-"""Cycles of a processed bundle, as the friction between its bounds is fitted to them."""
+"""Cycles of a processed test of a bundle, for the fit of its friction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labpipe.units import GRAVITY
 
 
 def processed_test(what: str) -> TestResult | None:
-    """Read the processed test that is meant, if one is.
+    """Read a processed test; return None for anything else.
 
     Parameters
     ----------
@@ -30,13 +30,13 @@ def processed_test(what: str) -> TestResult | None:
         If the file cannot be read.
     """
     path = Path(what)
-    with suppress(OSError):  # words that are too long for a name
+    with suppress(OSError):  # text that is too long for a file name
         path = path / RESULT_FILE if path.is_dir() and (path / RESULT_FILE).exists() else path
     return read_outcome(path) if path.suffix == ".h5" else None
 
 
 def bundle_loop(test: TestResult) -> BundleLoop:
-    """Take the cycles of a processed test for those of a cantilever.
+    """Return the cycles of a processed test as those of a cantilever.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def bundle_loop(test: TestResult) -> BundleLoop:
 
     Returns
     -------
-    The loop; of a cantilever with the weight that its sheet says. A span rests on both supports.
+    The loop; of a cantilever with the weight of its test sheet. A span rests on both supports.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def bundle_loop(test: TestResult) -> BundleLoop:
         message = "the test has no curve with branches"
         raise ValueError(message)
     if kink[0] is None or kink[1] is None:
-        message = "the test has no kink (kink_displacement, kink_force): where its wires slip"
+        message = "the test has no kink (kink_displacement, kink_force), where its wires slip"
         raise ValueError(message)
     if "length" not in dimensions and "span" not in dimensions:
         message = "the test sheet has neither length nor span"
@@ -82,22 +82,23 @@ def bundle_loop(test: TestResult) -> BundleLoop:
 
 
 def _self_weight(test: TestResult) -> float:
-    """Weight per length as the sheet of the test says, N/m; 0 where it does not."""
+    """Return the weight per length of the test sheet, N/m; 0 where it has none."""
     specimen = parse_protocol(test.protocol_yaml, test.test).specimen
     return GRAVITY * (specimen.mass_per_length or 0.0)
 
 
-def _thin_branches(curve: Curve, least: float) -> tuple[Ints, Ints]:
-    """Rows of some points of each branch, and the number of its branch."""
-    # of the curve that the friction is fitted to.
+def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
+    """Return the rows of evenly spaced points of all branches, and the number of their branch."""
     points_per_branch = 30
     rows, branches = [], []
     for number, branch in enumerate(curve.branches):
         inside = np.arange(branch.start, branch.stop)
-        inside = inside[(curve.displacement[inside] > least) & np.isfinite(curve.force[inside])]
-        every = np.linspace(0.0, len(inside) - 1.0, min(points_per_branch, len(inside)))
-        rows.append(inside[np.round(every).astype(np.int64)])
-        branches.append(np.full(len(every), number, dtype=np.int64))
+        inside = inside[
+            (curve.displacement[inside] > min_deflection) & np.isfinite(curve.force[inside])
+        ]
+        evenly = np.linspace(0.0, len(inside) - 1.0, min(points_per_branch, len(inside)))
+        rows.append(inside[np.round(evenly).astype(np.int64)])
+        branches.append(np.full(len(evenly), number, dtype=np.int64))
     return np.concatenate(rows), np.concatenate(branches)
 
 
@@ -108,7 +109,7 @@ _FRICTION = (
 
 
 def friction_as_json(fit: FrictionFit) -> dict[str, object]:
-    """Friction of a bundle in lists and plain numbers, SI units.
+    """Return the friction of a bundle as lists and numbers, SI units.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What ``calibration.json`` knows of a wire: its solutions, for predictions made later."""
+"""Reader of the solutions in ``calibration.json``, for later predictions."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ from labpipe.errors import ProcessingError, error_text
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import PARAMETERS, ScatterMixture, Solution
 
-_REMEDY = "Calibrate again with this version of labpipe: labpipe calibrate."
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedFile:
-    """A calibration as far as predictions want it.
+    """A calibration as predictions need it.
 
     Parameters
     ----------
@@ -34,12 +32,12 @@ class CalibratedFile:
     tested_curvature: float
 
     def values(self, number: int = 0) -> dict[str, float]:
-        """Values of `PARAMETERS` of a solution by name; NaN where the wire has no such thing."""
+        """Return values of `PARAMETERS` of a solution by name; NaN where the wire has none."""
         return dict(zip(PARAMETERS, self.solutions[number].values.tolist(), strict=True))
 
 
 def read_calibrated(path: Path) -> CalibratedFile:
-    """Read what ``labpipe calibrate`` wrote.
+    """Read a file of ``labpipe calibrate``.
 
     Parameters
     ----------
@@ -48,22 +46,26 @@ def read_calibrated(path: Path) -> CalibratedFile:
     Raises
     ------
     ProcessingError
-        If it cannot be read, or was written by a version that did not say what predictions want.
+        If it cannot be read, or its version has not all that predictions need.
     """
     try:
-        return _calibrated(json.loads(path.read_text(encoding="utf-8")))
+        return _parse_file(json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
-        found = error.strerror or "no file"
+        fault = error.strerror or "no file"
     except (ValueError, LookupError, TypeError) as error:
-        found = f"something else ({type(error).__name__}: {error})"
-    expected = "a calibration.json with solutions, their mixtures and the tested curvature"
-    raise ProcessingError(
-        error_text(path, "calibration", expected=expected, found=found, remedy=_REMEDY)
+        fault = f"something else ({type(error).__name__}: {error})"
+    message = error_text(
+        path,
+        "calibration",
+        expected="a calibration.json with solutions, their mixtures and the tested curvature",
+        found=fault,
+        remedy="Calibrate again with this version of labpipe: labpipe calibrate.",
     )
+    raise ProcessingError(message)
 
 
-def _calibrated(content: dict[str, Any]) -> CalibratedFile:
-    solutions = tuple(_solution(sentence) for sentence in content["solutions"])
+def _parse_file(content: dict[str, Any]) -> CalibratedFile:
+    solutions = tuple(_parse_solution(entry) for entry in content["solutions"])
     if not solutions:
         message = "no solution"
         raise ValueError(message)
@@ -75,7 +77,7 @@ def _calibrated(content: dict[str, Any]) -> CalibratedFile:
     )
 
 
-def _solution(entry: dict[str, Any]) -> Solution:
+def _parse_solution(entry: dict[str, Any]) -> Solution:
     mixture = entry["mixture"]
     return Solution(
         values=np.array([_float(entry[name]) for name in PARAMETERS]),

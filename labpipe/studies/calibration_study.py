@@ -1,4 +1,4 @@
-"""From processed cantilever tests to a calibrated wire model, and what it predicts of others."""
+"""Calibration of a wire model by processed cantilever tests, with its predictions."""
 
 from __future__ import annotations
 
@@ -64,11 +64,11 @@ from labpipe.wire.wire_table import wire_table
 
 
 def comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
-    """Lay out a comparison in lists and plain SI numbers; None where there is no number.
+    """Return a comparison as lists and SI numbers; None where there is no number.
 
     Parameters
     ----------
-    comparison : an external curve with what it was compared with
+    comparison : of an external curve
     """
     curve = comparison.curve
     return {
@@ -80,24 +80,24 @@ def comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
         "load": "normal" if curve.is_normal else "as tested",
         "deflection": curve.deflection.tolist(),
         "force": curve.force.tolist(),
-        "tests": None if comparison.tests is None else _match(comparison.tests),
-        "model": _match(comparison.model),
+        "tests": None if comparison.tests is None else _match_json(comparison.tests),
+        "model": _match_json(comparison.model),
         "quality": [asdict(note) for note in comparison.notes],
     }
 
 
-def _match(match: CurveMatch) -> dict[str, object]:
+def _match_json(match: CurveMatch) -> dict[str, object]:
     errors = match.errors
     return {
         "n": 0 if errors is None else errors.n,
         "left_out": match.left_out,
-        **_errors(errors),
+        **_errors_json(errors),
         "force": _numbers(match.reference),
         "reason": match.words,
     }
 
 
-def _errors(errors: CurveErrors | None) -> dict[str, float | None]:
+def _errors_json(errors: CurveErrors | None) -> dict[str, float | None]:
     names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
     return {
         key: None if errors is None else _number(getattr(errors, name))
@@ -122,14 +122,14 @@ def calibration_json(
     left_out: Mapping[str, str],
     tested: float = math.nan,
 ) -> dict[str, object]:
-    """Lay out a calibration in lists and plain SI numbers; None where there is no number.
+    """Return a calibration as lists and SI numbers; None where there is no number.
 
     Parameters
     ----------
     calibration : of one wire
-    groups : what it was compared with
-    left_out : by file, why a test was not taken
-    tested : 1/m, largest curvature that the tests reached
+    groups : tests that it is compared with
+    left_out : by file, why a test was not used
+    tested : 1/m, largest curvature in the tests
     """
     friction = calibration.friction_separability
     return {
@@ -137,30 +137,30 @@ def calibration_json(
         "labpipe": __version__,
         "wire": calibration.wire,
         "method": calibration.method,
-        "parameters": [_parameter(parameter) for parameter in calibration.parameters],
-        "solutions": [_solution(solution) for solution in calibration.solutions],
+        "parameters": [_parameter_json(parameter) for parameter in calibration.parameters],
+        "solutions": [_solution_json(solution) for solution in calibration.solutions],
         "widening": calibration.widening,
         "tested_curvature": _number(tested),
         "correlations": {
             "names": list(PARAMETERS),
             "values": [_numbers(row) for row in calibration.correlations],
         },
-        "separability": _separability(calibration.separability),
-        "friction_separability": None if friction is None else _separability(friction),
+        "separability": _separability_json(calibration.separability),
+        "friction_separability": None if friction is None else _separability_json(friction),
         "levels": {key: _number(value) for key, value in asdict(calibration.levels).items()},
         "n_points": calibration.n_points,
         "n_samples": calibration.n_samples,
         "sse": calibration.sse,
         "rmse": calibration.rmse,
         "rmse_share": calibration.rmse_share,
-        "curves": [_curve(curve) for curve in calibration.curves],
-        "groups": [_group(group) for group in groups],
+        "curves": [_curve_json(curve) for curve in calibration.curves],
+        "groups": [_group_json(group) for group in groups],
         "left_out": dict(left_out),
         "quality": [asdict(note) for note in calibration.notes],
     }
 
 
-def _parameter(parameter: CalibratedParameter) -> dict[str, object]:
+def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
     interval, conflict = parameter.interval, parameter.conflict
     return {
         "name": parameter.name,
@@ -197,7 +197,7 @@ def _parameter(parameter: CalibratedParameter) -> dict[str, object]:
 
 
 def _intervals(parameter: CalibratedParameter) -> list[list[float | None]]:
-    """Parts of the interval; None for an end that is open."""
+    """Return the parts of the interval; None for an open end."""
     ends = [[_number(part.lower), _number(part.upper)] for part in parameter.intervals]
     if ends and parameter.is_open_below:
         ends[0][0] = None
@@ -206,7 +206,7 @@ def _intervals(parameter: CalibratedParameter) -> list[list[float | None]]:
     return ends
 
 
-def _solution(solution: Solution) -> dict[str, object]:
+def _solution_json(solution: Solution) -> dict[str, object]:
     return {
         **dict(zip(PARAMETERS, _numbers(solution.values), strict=True)),
         "rise": solution.rise,
@@ -225,7 +225,7 @@ def _solution(solution: Solution) -> dict[str, object]:
     }
 
 
-def _separability(separability: Separability) -> dict[str, object]:
+def _separability_json(separability: Separability) -> dict[str, object]:
     return {
         "names": list(separability.names),
         "singular_values": _numbers(separability.singular_values),
@@ -235,7 +235,7 @@ def _separability(separability: Separability) -> dict[str, object]:
     }
 
 
-def _curve(curve: CurveAgreement) -> dict[str, object]:
+def _curve_json(curve: CurveAgreement) -> dict[str, object]:
     names = ("sample_factor", "sse", "rmse", "rmse_share", "runs_p")
     return {
         "test": curve.test,
@@ -246,7 +246,7 @@ def _curve(curve: CurveAgreement) -> dict[str, object]:
     }
 
 
-def _group(group: ValidationGroup) -> dict[str, object]:
+def _group_json(group: ValidationGroup) -> dict[str, object]:
     errors, prediction = group.errors, group.prediction
     return {
         "wire": group.wire,
@@ -255,7 +255,7 @@ def _group(group: ValidationGroup) -> dict[str, object]:
         "tests": list(group.samples),
         "n": None if errors is None else errors.n,
         "sse": None if errors is None else _number(errors.sse),
-        **_errors(errors),
+        **_errors_json(errors),
         "reasons": [] if group.reason is None else [asdict(group.reason)],
         "prediction": None
         if prediction is None
@@ -269,27 +269,26 @@ def _group(group: ValidationGroup) -> dict[str, object]:
 MODEL_FILE = "calibration.json"
 WORKBOOK_FILE = "calibration.xlsx"
 FIGURES_FOLDER = "figures"
-DEFAULT_FOLDER = "calibration"
 _REMEDY = (
-    "Check the values and units that the plan fixes or believes, and the wire's row in the sheet."
+    "Check the values and units of fixed and prior values in the plan, and the row of the wire."
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """A calibration, and what it was compared with.
+    """A calibration with its comparisons.
 
     Parameters
     ----------
     folder : of the results
     calibration : of the wire that was calibrated
     groups : samples of one wire and length each, those of the calibrated wire first
-    left_out : by file, why a test was not taken
+    left_out : by file, why a test was not used
     files : all that were written
     comparisons : external curves, compared with tests and model
-    tested_curvature : 1/m, largest that the tests of the calibrated wire reached
-    shapes : of one sample of the calibrated wire, and of the model, by what they are of
-    stress_tables : that the sheet names for the calibrated wire, by column
+    tested_curvature : 1/m, largest in the tests of the calibrated wire
+    shapes : of one sample of the calibrated wire and of the model, by test
+    stress_tables : of the calibrated wire in the sheet, by column
     """
 
     folder: Path
@@ -313,7 +312,7 @@ def calibrate_tests(
     png: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> Calibrated:
-    """Calibrate one wire by its tests, and predict the others among them.
+    """Calibrate one wire by its tests and predict the tests of other wires.
 
     Parameters
     ----------
@@ -321,10 +320,10 @@ def calibrate_tests(
     wires : the wire sheet that has the specimen types as its wires; None for ``wires.xlsx`` or
         ``wires.csv`` in the working folder
     plan : calibration YAML; None for all parameters free
-    out : folder of the results; None for ``calibration`` in the folder that all tests share
+    out : folder of the results; None for ``calibration`` in the common folder of all tests
     figures : whether to draw
-    png : figures as PNG, too; without it those of an earlier run are taken away
-    say : is given the name of each test as it is read, then each stage
+    png : figures as PNG, too; without it those of an earlier run are removed
+    say : called with the name of each test as it is read, then with each stage
 
     Returns
     -------
@@ -333,8 +332,8 @@ def calibrate_tests(
     Raises
     ------
     LabpipeError
-        If a file is wrong, no test can be used, two have one name, tests of several wires leave
-        open which to calibrate, or the calibration fails; earlier results are then as they were.
+        If a file has faults, no test can be used, two have the same name, the wire to calibrate is
+        ambiguous, or the calibration fails; earlier results are then unchanged.
     """
     settings = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
     wires = default_sheet() if wires is None else wires
@@ -352,8 +351,8 @@ def calibrate_tests(
     name = wire_to_calibrate(loadings, settings, plan)
     require_wires(loadings, specs, wires)
     tested = {loading.curve.wire for loading in loadings}
-    asked_for = sorted(tested | {curve.wire for curve in curves})
-    built = {wire: built_wire(specs[wire], wires) for wire in asked_for}
+    wires_needed = sorted(tested | {curve.wire for curve in curves})
+    built = {wire: built_wire(specs[wire], wires) for wire in wires_needed}
     unweighted = [loading for loading in loadings if loading.curve.wire == name]
     weight = weight_note(unweighted, built[name].self_weight)
     loadings = [
@@ -371,7 +370,7 @@ def calibrate_tests(
     calibration = replace(calibration, notes=(*calibration.notes, *filter(None, notes)))
     groups = mark_doubtful_parts(groups, calibration, built, specs, loadings)
     done = Calibrated(
-        folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
+        folder=shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,
         groups=groups,
         left_out=left_out | copies,
@@ -390,16 +389,16 @@ def calibrate_tests(
 
 
 def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
-    """A wire with the numbers of a calibration in place of those of its sheet.
+    """Return a wire with the parameters of a calibration instead of those of its sheet.
 
     Parameters
     ----------
     spec : of the calibrated wire, or of another of the same make
-    calibration : what was found; a parameter that does not act is left as it is
+    calibration : a parameter without effect is left unchanged
 
     Returns
     -------
-    The wire; the radial force is what goes with its friction coefficients.
+    The wire; its radial force belongs to its friction coefficients.
     """
     return with_values(
         spec, {parameter.name: parameter.value for parameter in calibration.parameters}
@@ -411,27 +410,27 @@ def _calibration(
 ) -> Calibration:
     settings = Settings(
         choices=_choices(plan),
-        gain=max(first_loading.gain for first_loading in loadings),
+        gain=max(loading.gain for loading in loadings),
         scatter=plan.scatter,
     )
-    outcome = calibrate(wire, [first_loading.curve for first_loading in loadings], settings)
+    outcome = calibrate(wire, [loading.curve for loading in loadings], settings)
     if isinstance(outcome, CalibrationFailure):
         message = (
-            f"the calibration of {loadings[0].curve.wire} failed ({outcome.code}): {outcome.message}. "
-            f"{_REMEDY}"
+            f"the calibration of {loadings[0].curve.wire} failed ({outcome.code}): "
+            f"{outcome.message}. {_REMEDY}"
         )
         if tables and outcome.code == "model_cannot_follow":
             message += (
-                f" If a stress table ends too early ({', '.join(tables)}), give it the points that "
-                f"are missing, or the plan a smaller up_to."
+                f" If a stress table ends too early ({', '.join(tables)}), add the missing points "
+                f"to it, or a smaller up_to to the plan."
             )
         raise ProcessingError(message)
-    notes = (*outcome.notes, *(note for first_loading in loadings for note in first_loading.notes))
+    notes = (*outcome.notes, *(note for loading in loadings for note in loading.notes))
     return replace(outcome, notes=notes)
 
 
 def _shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:
-    """Shapes of the first test of the calibrated wire."""
+    """Return the shapes of the first test of the calibrated wire."""
     curve = loading.curve
     deepest = float(np.max(curve.deflection))
     shapes = bent_shapes(loading.file, wire, curve.length, curve.rig, deepest)
@@ -439,7 +438,7 @@ def _shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...
 
 
 def _choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
-    """What the plan says of parameters; one that it does not name is free if it acts."""
+    """Return the choices of the plan; a parameter without one is free if it has an effect."""
     settings = {
         name: getattr(plan.parameters, name)
         for name in PARAMETERS
@@ -464,7 +463,7 @@ def _write(
     figures: bool,
     png: bool,
 ) -> tuple[Path, ...]:
-    """Write the files of a calibration together."""
+    """Write all files of a calibration together."""
     folder = done.folder
     report = CalibrationReport(done.calibration, done.groups, done.shapes, done.comparisons)
     owned = pngs_of(calibration_drawings(report), FIGURES_FOLDER) if figures else []
@@ -481,7 +480,7 @@ def _write(
 
 
 def as_json(done: Calibrated) -> dict[str, object]:
-    """What ``labpipe calibrate --json`` prints: lists and plain numbers in SI units.
+    """Return the content of ``labpipe calibrate --json``: lists and numbers in SI units.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""External curves that a plan names: read, then compared with tests and model."""
+"""External curves of a calibration plan, compared with tests and model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from labpipe.wire.cantilever import StringRig
 def read_external_curves(
     settings: CalibrationPlan, plan: Path | None, specs: Mapping[str, WireSpec], wires: Path
 ) -> tuple[ExternalCurve, ...]:
-    """Read all curves that a plan names.
+    """Read all external curves of a plan.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ def read_external_curves(
     Raises
     ------
     UsageError
-        If curves cannot be read, or are of a wire that the sheet does not have: all that is wrong,
-        in one message.
+        If curves cannot be read, or are of a wire that is not in the sheet: all faults in one
+        message.
     """
     folder = Path() if plan is None else plan.parent
     external_curves, faults = [], []
@@ -59,7 +59,7 @@ def read_external_curves(
             )
             faults.append(message)
         try:
-            external_curves.append(_read(comparison, folder))
+            external_curves.append(_read_external(comparison, folder))
         except ReadError as error:
             faults.append(str(error))
     if faults:
@@ -67,11 +67,17 @@ def read_external_curves(
     return tuple(external_curves)
 
 
-def _read(comparison: Comparison, folder: Path) -> ExternalCurve:
+def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
-        expected, found = "a file inside the folder of the plan", "a link out of it"
-        raise ReadError(error_text(path, "", expected=expected, found=found, remedy=COPY_IT))
+        message = error_text(
+            path,
+            "",
+            expected="a file inside the folder of the plan",
+            found="a link out of it",
+            remedy=COPY_IT,
+        )
+        raise ReadError(message)
     across, up = comparison.deflection, comparison.force
     deflection, force = read_curve(
         path,
@@ -106,31 +112,34 @@ def compare_external_curves(
     calibration : of the model
     wires : by name, those of the curves among them
     groups : tests by wire and length
-    loadings : all tests; the first is of the rig that is taken where none has the wire and length
+    loadings : all tests; the rig of the first is used where no test has the wire and length
     """
     return tuple(
-        _compared(
+        _compare(
             curve,
             calibration,
             wires[curve.wire],
-            next((group for group in groups if _is_of(curve, group.wire, group.length)), None),
+            next(
+                (group for group in groups if _is_same_specimen(curve, group.wire, group.length)),
+                None,
+            ),
             loadings,
         )
         for curve in curves
     )
 
 
-def _is_of(curve: ExternalCurve, wire: str, length: float) -> bool:
+def _is_same_specimen(curve: ExternalCurve, wire: str, length: float) -> bool:
     max_length_difference = 1e-6  # m
     return curve.wire == wire and abs(curve.length - length) < max_length_difference
 
 
 def _string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
-    """String of the tests of that wire and length, else that of the first test, over the tip."""
+    """Return the string of the tests of that wire and length, else of the first test."""
     same_specimen = [
         loading.curve
         for loading in loadings
-        if _is_of(curve, loading.curve.wire, loading.curve.length)
+        if _is_same_specimen(curve, loading.curve.wire, loading.curve.length)
     ]
     if same_specimen:
         return same_specimen[0].rig
@@ -138,7 +147,7 @@ def _string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig
     return None if rig is None else replace(rig, anchor_x=curve.length)
 
 
-def _compared(
+def _compare(
     curve: ExternalCurve,
     calibration: Calibration,
     wire: Wire,
@@ -158,8 +167,8 @@ def _compared(
     except ValueError as error:
         reason = f"the model has no such curve: {error}"
     if prediction is None:
-        nothing = np.full(len(curve.deflection), np.nan)
-        model = CurveMatch(nothing, None, len(nothing), reason)
+        no_force = np.full(len(curve.deflection), np.nan)
+        model = CurveMatch(no_force, None, len(no_force), reason)
     else:
         ends = (prediction.lower_mean, prediction.upper_mean)
         model = compare_curves(curve, prediction.deflection, prediction.force, ends, "the model")
@@ -176,30 +185,27 @@ def _prediction(
     group: ValidationGroup | None,
     rig: StringRig | None,
 ) -> Prediction:
-    """The model as far as curve and tests go, and a first loading is followed."""
-    grid_points = 200
+    """Predict as far as curve and tests go, up to `DEEPEST` of the length."""
     tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
-    goal = max(tested, float(curve.deflection[-1]))
-    deepest = min(goal, DEEPEST * curve.length)
-    return predict(calibration, wire, curve.length, np.linspace(0.0, deepest, grid_points), rig=rig)
+    deepest = min(max(tested, float(curve.deflection[-1])), DEEPEST * curve.length)
+    return predict(calibration, wire, curve.length, np.linspace(0.0, deepest, 200), rig=rig)
 
 
 def _load_notes(
     curve: ExternalCurve, group: ValidationGroup | None, prediction: Prediction | None
 ) -> Iterator[QualityNote]:
-    """Say what a load that is not that of the tests makes, by the model."""
+    """Note by how much the force depends on the direction of the load, by the model."""
     pulled = None if group is None else group.prediction
     if pulled is None or prediction is None:
         return
     ends = (curve.deflection, pulled.deflection, prediction.deflection)
     at = min(float(end[-1]) for end in ends)
-    one, other = (
-        float(np.interp(at, curve_of_model.deflection, curve_of_model.force))
-        for curve_of_model in (pulled, prediction)
-    )
+    as_tested = float(np.interp(at, pulled.deflection, pulled.force))
+    normal = float(np.interp(at, prediction.deflection, prediction.force))
     message = (
-        f"its load stays normal to the axis, the tests' does not: at {1e3 * at:.4g} mm the model's "
-        f"force is {1e3 * one:.4g} mN as tested and {1e3 * other:.4g} mN normal to the axis"
+        f"its load is normal to the axis, unlike that of the tests: at {1e3 * at:.4g} mm the force "
+        f"of the model is {1e3 * as_tested:.4g} mN as tested and {1e3 * normal:.4g} mN normal to "
+        f"the axis"
     )
     yield QualityNote("external_curve_load", Severity.INFO, curve.name, message)
 

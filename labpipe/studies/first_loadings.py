@@ -1,8 +1,8 @@
-"""First loadings of processed cantilever tests, as a calibration takes them, with their errors.
+"""First loadings of processed cantilever tests for a calibration, with their systematic errors.
 
-They do not average out over the points as noise does. The zero of the force moves a whole curve
-up; the zero of the deflection, and a clock that is off, move it sideways; the shape that is put
-through the markers is off in proportion to the deflection, and in all tests of a rig alike.
+These errors do not average out over the points as noise does. An error of the force zero shifts the
+curve in force; errors of the deflection zero and of the clock shift it in deflection; an error of
+the fitted shape is proportional to the deflection and the same in all tests of a rig.
 """
 
 from __future__ import annotations
@@ -35,12 +35,9 @@ from labpipe.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.wire_table import straight_range
 
-_ALIKE, _OWN = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
-"""Causes that stretch deflections in proportion: of all tests of a rig, and of each its own."""
-
 
 def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
-    """Standard error of the zero of the force, N.
+    """Return the standard error of the force zero, N.
 
     Parameters
     ----------
@@ -49,16 +46,16 @@ def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
 
     Returns
     -------
-    By how the force scatters at rest; 0 where the test has no rest before its loading.
+    From the scatter of the force at rest; 0 where the test has no rest before its loading.
     """
     rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
     zeroed = (step for step in protocol.steps if isinstance(step, Zero) and step.channel == force)
-    over = next((step.over for step in zeroed), None)  # the stretch that it is the mean of
+    over = next((step.over for step in zeroed), None)  # duration of the mean, s
     return zero_error(curve.time[rest], curve.force[rest], over)
 
 
 def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Branch) -> float:
-    """Standard error of what all deflections are off by, m.
+    """Return the standard error of the shift of all deflections, m.
 
     Parameters
     ----------
@@ -67,12 +64,12 @@ def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Bra
 
     Returns
     -------
-    Of the zero of the deflection, as `force_zero_error`, and of the force's clock times the speed
-    of the deflection; the clock's is 0 where there is but one.
+    That of the deflection zero, as `force_zero_error`, combined with that of the clock of the force
+    times the speed of the deflection; the latter is 0 where there is one clock only.
     """
     rest = slice(0, first.start)
     frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
-    over = next((step.over for step in frames), None)  # that deflections are counted from
+    over = next((step.over for step in frames), None)  # duration of the reference, s
     zero = zero_error(curve.time[rest], curve.displacement[rest], over)
     fit = None if result.aligned is None else result.aligned.clock_fit
     clock = 0.0 if fit is None else fit.offset_interval.standard_error
@@ -80,7 +77,7 @@ def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Bra
 
 
 def scale_errors(result: TestResult) -> tuple[float, float]:
-    """Standard errors of the deflection's scale, as ratios.
+    """Return the standard errors of the scale of the deflection, as ratios.
 
     Parameters
     ----------
@@ -88,14 +85,14 @@ def scale_errors(result: TestResult) -> tuple[float, float]:
 
     Returns
     -------
-    common : alike in all tests: scale of the cameras, and what another shape through the markers
-        would make of the first peak
-    own : of this test, whose markers sit where they do
+    common : the same in all tests: scale of the cameras, and effect of another fitted shape on the
+        first peak
+    test_error : of this test alone, by the places of its markers
 
     Notes
     -----
-    From the budget of the first peak. Of a peak without one, as earlier versions stored it, all of
-    its interval counts as common; without an interval nothing is known, and both are 0.
+    From the budget of the first peak. Without a budget, as in files of earlier versions, the whole
+    interval counts as common; without an interval both are 0.
     """
     peak = next((result for result in result.results if result.name == "peak_displacement.1"), None)
     if peak is None or peak.interval is None or not peak.value:
@@ -105,18 +102,19 @@ def scale_errors(result: TestResult) -> tuple[float, float]:
         return peak.interval.standard_error / size, 0.0
     changes = {contribution.cause: contribution.change / size for contribution in peak.budget}
     common, test_error = (
-        hypot(*(changes.get(cause, 0.0) for cause in causes)) for causes in (_ALIKE, _OWN)
+        hypot(*(changes.get(cause, 0.0) for cause in causes))
+        for causes in ((SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE))
     )
     return common, test_error
 
 
 def zero_error(time: Floats, values: Floats, over: float | None) -> float:
-    """Standard error of a zero that is the mean over part of a rest, in the unit of the values.
+    """Return the standard error of a zero, the mean over part of a rest, in the unit of values.
 
     Parameters
     ----------
     time : shape (n,), s, evenly sampled
-    values : shape (n,), at rest; NaN count as absent
+    values : shape (n,), at rest; NaN are ignored
     over : s, of the part; None for all of it
 
     Returns
@@ -137,7 +135,7 @@ def zero_error(time: Floats, values: Floats, over: float | None) -> float:
 
 
 def _speed(curve: Curve, first: Branch) -> float:
-    """Mean speed of the deflection over the branch, m/s."""
+    """Return the mean speed of the deflection over the branch, m/s."""
     part = slice(first.start, first.stop)
     valid = np.flatnonzero(np.isfinite(curve.displacement[part]))
     if len(valid) < 2:
@@ -147,19 +145,15 @@ def _speed(curve: Curve, first: Branch) -> float:
     return float(moved / (curve.time[end] - curve.time[begin]))
 
 
-_SECOND_DIFFERENCE = np.sqrt(6.0)
-"""Standard deviation of a second difference of white noise, over that of the noise."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstLoading:
     """The first loading of a processed test.
 
     Parameters
     ----------
-    curve : as calibrations take it
+    curve : for a calibration
     gain : standard uncertainty of the load cell's gain, as a ratio
-    notes : what is doubtful about it, or was cut off
+    notes : doubts, and what was cut off
     file : that it was read from
     """
 
@@ -170,7 +164,7 @@ class FirstLoading:
 
 
 class NotUsableError(LabpipeError):
-    """A test has no first loading that a calibration could take; the message says why."""
+    """A test without a first loading for a calibration; the message has the reason."""
 
 
 def read_first_loadings(
@@ -180,14 +174,14 @@ def read_first_loadings(
     up_to: float | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[list[FirstLoading], dict[str, str]]:
-    """Read first loadings, test after test.
+    """Read the first loadings of tests.
 
     Parameters
     ----------
     files : result.h5 files
-    points : of each curve, about; each is the mean of consecutive samples
-    up_to : m, largest deflection that is taken; None for as far as a first loading is followed
-    say : is given the name of each test as it is read
+    points : of each curve, approximately; each is the mean of consecutive samples
+    up_to : m, largest deflection to use; None for `DEEPEST` of the length
+    say : called with the name of each test as it is read
 
     Returns
     -------
@@ -211,31 +205,31 @@ def read_first_loadings(
 def first_loading(
     result: TestResult, protocol: Protocol, *, points: int, up_to: float | None = None
 ) -> FirstLoading:
-    """Take the first loading out of a processed test.
+    """Return the first loading of a processed test.
 
     Parameters
     ----------
     result : of a cantilever test
-    protocol : that it was processed by
+    protocol : of its processing
     points, up_to : as for `read_first_loadings`
 
     Returns
     -------
-    The curve up to its largest deflection. The string held the wire straight at rest, so that the
-    load cell, zeroed then, reads what comes on top of the counterweight; a test that knows nothing
-    of this is taken to be such, with a note.
+    The curve up to its largest deflection. The string is assumed to hold the wire straight at rest,
+    so that the load cell, zeroed then, reads the force beyond the counterweight; a test that does
+    not show whether it did has a note.
 
     Raises
     ------
     NotUsableError
-        If it is no cantilever, or has no zero of force and deflection, no curve, no first loading,
-        no free length, too few points, or a wire that hung at rest.
+        If it is no cantilever test, or has no zero of force and deflection, no curve, no first
+        loading, no free length, too few points, or a wire that sagged at rest.
 
     Notes
     -----
     The noise of a point is that of the second differences of the block means: of the force, and of
-    the deflection times the slope of the curve. What all points are off by together is apart from
-    it: `force_zero_error`, `place_error`, `scale_errors`.
+    the deflection times the slope of the curve. Errors common to all points are separate:
+    `force_zero_error`, `place_error`, `scale_errors`.
     """
     min_points = 20
     _require_cantilever(protocol)
@@ -244,7 +238,7 @@ def first_loading(
     rest_notes = _rest_notes(result, curve, branch, protocol)
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
     if length is None:
-        message = "the free length is not known: give it in the test sheet (specimen.length)"
+        message = "the free length is unknown: state it in the test sheet (specimen.length)"
         raise NotUsableError(message)
     limit = min(up_to or np.inf, DEEPEST * length)
     part = slice(branch.start, branch.stop)
@@ -255,8 +249,8 @@ def first_loading(
     if taken.sum() < min_points:
         message = (
             f"{int(taken.sum())} points of the first loading lie between 0 and "
-            f"{1e3 * limit:.3g} mm: {min_points} at least are needed; ask for more points, or for "
-            "deeper ones"
+            f"{1e3 * limit:.3g} mm, at least {min_points} are required: increase the number of "
+            "points or up_to"
         )
         raise NotUsableError(message)
     sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
@@ -276,25 +270,30 @@ def first_loading(
         own_scale_error=test_scale_error,
         self_weight=_self_weight(protocol),
     )
-    notes = (*_doubts(result), *rest_notes, *_cut(result.test, deflection[usable], limit))
+    notes = (
+        *_doubt_notes(result),
+        *rest_notes,
+        *_cut_notes(result.test, deflection[usable], limit),
+    )
     return FirstLoading(measured, _gain(protocol), notes)
 
 
 def noise_of(values: Floats) -> float:
-    """Standard deviation of the noise of consecutive values on a smooth curve, in their unit.
+    """Return the standard deviation of the noise of consecutive values on a smooth curve.
 
     Parameters
     ----------
     values : shape (n,), without NaN
     """
-    return float(np.std(np.diff(values, 2)) / _SECOND_DIFFERENCE)
+    # the second difference of white noise has sqrt(6) times its standard deviation
+    return float(np.std(np.diff(values, 2)) / np.sqrt(6.0))
 
 
 def _noise(deflection: Floats, force: Floats) -> Floats:
-    """Noise of the force at each point, that of the deflection in it, N.
+    """Return the noise of the force at each point, with that of the deflection, N.
 
-    The slope is that of a polynomial in the root of the deflection: strands that still stick make
-    the first points several times as steep as the next, and what they say of friction as doubtful.
+    The slope is that of a polynomial in the root of the deflection, as the first points, where
+    strands still stick, are several times as steep as the next.
     """
     polynomial_degree = 7
     first = float(np.ptp(deflection)) / len(deflection)
@@ -303,16 +302,16 @@ def _noise(deflection: Floats, force: Floats) -> Floats:
     return np.hypot(noise_of(force), slope * noise_of(deflection))
 
 
-_HELD = (
-    "For the next test shorten the string until it holds the wire straight; if it did hold this "
-    "one, say so in the test sheet (rig.string.at_rest: taut) and process it again"
+_STRING_REMEDY = (
+    "For the next test shorten the string until it holds the wire straight; if it did in this "
+    "test, state so in the test sheet (rig.string.at_rest: taut) and process it again"
 )
 
 
 def _rest_notes(
     result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
 ) -> tuple[QualityNote, ...]:
-    """Refuse a wire that hung at rest; say what is not known of it."""
+    """Refuse a wire that sagged at rest; return notes where that is unknown."""
     string = protocol.rig.string
     if string is None or string.at_rest == "taut":
         return ()
@@ -322,29 +321,28 @@ def _rest_notes(
         return ()
     rest = at_rest(result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight)
     if rest.why_not_straight:
-        message = f"{rest.why_not_straight}. {_HELD}"
+        message = f"{rest.why_not_straight}. {_STRING_REMEDY}"
         raise NotUsableError(message)
     return tuple(notes_of(result.test, rest))
 
 
 def _self_weight(protocol: Protocol) -> float:
-    """Weight per length as protocol or test sheet says, N/m; 0 where they do not."""
+    """Return the weight per length of protocol or test sheet, N/m; 0 where they have none."""
     return GRAVITY * (protocol.specimen.mass_per_length or 0.0)
 
 
 def with_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
-    """Give a test the weight of its wire where its own sheet does not say one.
+    """Set the weight of a wire where its test sheet does not state one.
 
     Parameters
     ----------
     loading : of a test
-    self_weight : N/m, of the wire by its row in the sheet of wires
+    self_weight : N/m, of the wire in the wire sheet
 
     Returns
     -------
-    The same with a note ``mass_contradicts`` where both are said and differ by more than a third.
+    The same, with a note ``mass_contradicts`` if both are stated and differ by more than a third.
     """
-    # between two statements of one mass; beyond it one of them is a slip.
     max_mass_ratio = 4.0 / 3.0
     stated_weight, curve = loading.curve.self_weight, loading.curve
     if stated_weight == 0.0:
@@ -352,54 +350,55 @@ def with_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
     if 1.0 / max_mass_ratio <= stated_weight / self_weight <= max_mass_ratio:
         return loading
     message = (
-        f"its sheet says {1e3 * stated_weight / GRAVITY:.4g} g/m (specimen.mass_per_length), the sheet of "
-        f"wires {1e3 * self_weight / GRAVITY:.4g} g/m for {curve.wire}: that of the test is taken"
+        f"its test sheet states {1e3 * stated_weight / GRAVITY:.4g} g/m "
+        f"(specimen.mass_per_length), the wire sheet {1e3 * self_weight / GRAVITY:.4g} g/m for "
+        f"{curve.wire}: the former is used"
     )
     note = QualityNote("mass_contradicts", Severity.WARNING, curve.test, message)
     return replace(loading, notes=(*loading.notes, note))
 
 
 def weight_note(loadings: Sequence[FirstLoading], self_weight: float) -> QualityNote | None:
-    """Say which weight tests have whose own sheets say none.
+    """Return a note on the weight of tests whose test sheets do not state one.
 
     Parameters
     ----------
     loadings : of one wire, as they were read
-    self_weight : N/m, of the wire by its row in the sheet of wires
+    self_weight : N/m, of the wire in the wire sheet
     """
     without = [loading.curve.test for loading in loadings if loading.curve.self_weight == 0.0]
     if not without:
         return None
-    count = f"{len(without)} of {len(loadings)} test sheets do not say"
-    which = "no test sheet says" if len(without) == len(loadings) else count
+    count = f"{len(without)} of {len(loadings)} test sheets do not state"
+    which = "no test sheet states" if len(without) == len(loadings) else count
     message = (
-        f"{which} a mass per length (specimen.mass_per_length): the weight is that of the sheet of "
-        f"wires, {1e3 * self_weight / GRAVITY:.4g} g/m, stated there or from copper and insulation"
+        f"{which} a mass per length (specimen.mass_per_length): the weight is that of the wire "
+        f"sheet, {1e3 * self_weight / GRAVITY:.4g} g/m, stated there or from copper and insulation"
     )
     return QualityNote("weight_of_sheet", Severity.INFO, loadings[0].curve.wire, message)
 
 
 def insulation_note(spec: WireSpec, tested: float, *, of: str = "") -> QualityNote | None:
-    """Say when tests bent a wire beyond what the straight line of its insulation is taken for.
+    """Return a note if tests bent a wire beyond the linear range of its insulation.
 
     Parameters
     ----------
     spec : of the wire
     tested : 1/m, largest curvature of its tests
-    of : the wire whose calibration predicts them; empty for that wire itself
+    of : the calibrated wire; empty for that wire itself
     """
     limit = straight_range(spec)
     if tested <= limit:
         return None
-    by = "parameters make up for an insulation that gives way"
-    remedy = "Give the sheet an insulation_table, or the plan a smaller up_to"
+    effect = "the parameters compensate for the softer insulation"
+    remedy = "Add an insulation_table to the sheet, or a smaller up_to to the plan"
     if of:
-        by = f"what the calibration of {of} predicts is doubtful beyond"
-        remedy = "Give the sheet an insulation_table"
+        effect = f"predictions by the calibration of {of} are doubtful beyond"
+        remedy = "Add an insulation_table to the sheet"
     message = (
         f"the tests bend {spec.name} to {tested:.3g} 1/m; from {limit:.3g} 1/m on its insulation "
-        f"is strained by more than {100.0 * spec.insulation_strain:.3g} %, where its straight line "
-        f"is not taken to hold: {by}. {remedy}"
+        f"is strained by more than {100.0 * spec.insulation_strain:.3g} %, beyond its linear "
+        f"range: {effect}. {remedy}"
     )
     return QualityNote("insulation_doubtful", Severity.WARNING, spec.name, message)
 
@@ -415,28 +414,28 @@ def _require_cantilever(protocol: Protocol) -> None:
 
 
 _NO_ZERO = ("zero_not_at_rest", "begins_under_load")
-"""Codes of notes on a test whose force or deflection is not counted from rest."""
+"""Codes of notes on a test whose force or deflection does not start at rest."""
 
 
 def _require_zeros(result: TestResult) -> None:
-    """Refuse a test that is not counted from rest: friction is in its first part of a millimetre.
+    """Refuse a test without a zero at rest.
 
     Notes
     -----
-    A calibration cannot see it by itself: a curve that is shifted fits nearly as well, with more
-    than twice the friction.
+    A calibration cannot detect it: a shifted curve fits nearly as well, with more than twice the
+    friction, which acts in the first part of a millimetre.
     """
     lost = [note for note in result.quality if note.code in _NO_ZERO]
     if lost:
         reasons = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in lost)
-        message = f"its zero is lost, and with it the begin of the first loading: {reasons}"
+        message = f"its zero is lost, and with it the start of the first loading: {reasons}"
         raise NotUsableError(message)
 
 
 def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
     curve = result.curve
     if curve is None:
-        message = "it has no curve: look at its summary"
+        message = "it has no curve: see its summary"
         raise NotUsableError(message)
     first = [
         branch
@@ -454,7 +453,7 @@ def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
 
 
 def _rig(protocol: Protocol, length: float) -> StringRig | None:
-    """String and counterweight as the protocol says; none where it names no string."""
+    """Return string and counterweight of the protocol; None without a string."""
     string = protocol.rig.string
     if string is None:
         return None
@@ -467,8 +466,8 @@ def _gain(protocol: Protocol) -> float:
     return 0.0 if channel is None else channel.gain_uncertainty
 
 
-def _doubts(result: TestResult) -> list[QualityNote]:
-    """Say what of the curve is doubtful: results of the first cycle that rest on all of it."""
+def _doubt_notes(result: TestResult) -> list[QualityNote]:
+    """Return notes on doubtful results of the first cycle that depend on the whole curve."""
     reasons = {
         result.why
         for result in result.results
@@ -476,17 +475,17 @@ def _doubts(result: TestResult) -> list[QualityNote]:
         and result.name in ("peak_force.1", "peak_displacement.1", "energy.1")
     }
     return [
-        QualityNote("test_doubtful", Severity.WARNING, result.test, f"taken as it is: {reason}")
+        QualityNote("test_doubtful", Severity.WARNING, result.test, f"used unchanged: {reason}")
         for reason in sorted(reasons)
     ]
 
 
-def _cut(test: str, deflection: Floats, limit: float) -> list[QualityNote]:
+def _cut_notes(test: str, deflection: Floats, limit: float) -> list[QualityNote]:
     beyond = deflection > limit
     if not beyond.any():
         return []
     message = (
-        f"the first loading goes to {1e3 * deflection.max():.4g} mm; what lies beyond "
-        f"{1e3 * limit:.4g} mm was left out"
+        f"the first loading goes to {1e3 * deflection.max():.4g} mm; points beyond "
+        f"{1e3 * limit:.4g} mm were left out"
     )
     return [QualityNote("loading_cut", Severity.INFO, test, message)]

@@ -1,7 +1,7 @@
-"""Bands of a harness: what a calibration, or the file, does not know, in shape and numbers.
+"""Bands of a harness: uncertainty of shape and numbers by that of its inputs.
 
-A line responds in vectors (`harness_fields`), and its numbers are taken of them in every draw. That
-the causes of a draw add up is checked by a few draws that are solved with all their causes at once.
+The response of a line is linear in vectors (`harness_responses`), from which its numbers are
+computed in every draw. A few draws are solved with all causes at once to check that these add up.
 """
 
 from __future__ import annotations
@@ -33,12 +33,9 @@ from labpipe.studies.harness_section import Material
 
 Followed = tuple[RodPath, PreparedLine]
 FollowLine = Callable[[int, Inputs], Followed]
-"""Lay a line and follow it: number of the belief, and inputs."""
-MAX_CAUSE_ERROR = 0.5
-"""Of the way from the middle of a band to its end, by which causes together may differ from their
-sum, root mean square of all draws that are solved."""
+"""Prepare and solve a line: number of the distribution, and inputs."""
 _ROUNDING = 1e-6
-"""Of a number, or of what a line gives its unit: less is what the solver leaves."""
+"""Rounding error of the solver, over a number or its `reference_size`."""
 _SHAPE = "shape"
 
 
@@ -50,7 +47,7 @@ class HarnessBands:
     ----------
     line : pointwise bands of the steps that are shown
     intervals : of the numbers of the last step, by name
-    doubt : why they are doubtful; None where the causes of a draw add up
+    doubt : reason why they are doubtful; None where the causes of a draw add up
     """
 
     line: LineBands
@@ -65,13 +62,13 @@ def harness_bands(
 
     Parameters
     ----------
-    follow_line : follows the line for some inputs; each is followed once
-    material : of the line, with what is believed of it
-    steps : that are looked at
+    follow_line : solves the line for inputs
+    material : of the line, with the distributions of its inputs
+    steps : with bands of the shape
 
     Returns
     -------
-    None where nothing is believed, or the line cannot be followed at the best inputs.
+    None without distributions, or if the line cannot be solved at the best inputs.
     """
     solves = [_Solver(follow_line, number) for number in range(len(material.distributions))]
     if not solves:
@@ -98,7 +95,7 @@ def _band(draws: Sequence[_DrawnNumbers], name: str) -> Band:
 
 
 def _interval(name: str, band: Band) -> Interval:
-    """Interval of a number; of a radius, from that of its curvature."""
+    """Return the interval of a number; of a radius, from that of its curvature."""
     level = 0.95
     lower, upper = float(band.lower), float(band.upper)
     if name in (RADIUS, RADIUS_ON_PATH):
@@ -108,42 +105,42 @@ def _interval(name: str, band: Band) -> Interval:
 
 
 class _Solver:
-    """Follows a line for inputs of one belief, each once."""
+    """Solves a line for inputs of one distribution, each of them once."""
 
     def __init__(self, follow_line: FollowLine, number: int) -> None:
         self.follow_line, self.number = follow_line, number
-        self.known: dict[tuple[tuple[str, float], ...], Followed] = {}
+        self.solutions: dict[tuple[tuple[str, float], ...], Followed] = {}
 
-    def both(self, inputs: Inputs) -> Followed:
+    def solve(self, inputs: Inputs) -> Followed:
         """Path and line."""
         key = tuple(sorted(inputs.items()))
-        if key not in self.known:
-            self.known[key] = self.follow_line(self.number, inputs)
-        return self.known[key]
+        if key not in self.solutions:
+            self.solutions[key] = self.follow_line(self.number, inputs)
+        return self.solutions[key]
 
     @property
     def first(self) -> Followed:
-        """Path and line at the best inputs, which are followed first."""
-        return next(iter(self.known.values()))
+        """Path and line at the best inputs, which are solved first."""
+        return next(iter(self.solutions.values()))
 
     def path(self, inputs: Inputs) -> RodPath:
         """Path alone."""
-        return self.both(inputs)[0]
+        return self.solve(inputs)[0]
 
     def fields(self, inputs: Inputs) -> Fields | None:
-        """What all numbers are made of; None of a line that cannot be followed."""
-        path, prepared = self.both(inputs)
+        """Fields of all numbers; None of a line that cannot be solved."""
+        path, prepared = self.solve(inputs)
         return None if path.status == "failed" else fields_of(path, prepared)
 
 
 class _DrawnNumbers:
-    """Numbers at the best inputs of a belief, and in its draws; radii as curvatures.
+    """Numbers at the best inputs of a distribution, and in its draws; radii as curvatures.
 
-    The shape counts as one more: where each node is, shape (n + 1, 3).
+    The shape is one of them: positions of the nodes, shape (n + 1, 3).
     """
 
     def __init__(self, solve: _Solver, response: Response | None) -> None:
-        assert response is not None, "the line was followed at the best inputs before"
+        assert response is not None, "the line was solved at the best inputs before"
         self.solve, self.response = solve, response
         self.names = number_names(response.value)
         self.value = self.numbers(response.value.__getitem__)
@@ -157,7 +154,7 @@ class _DrawnNumbers:
         return numbers | {_SHAPE: field(POSITIONS)}
 
     def solved_draws(self) -> Iterator[tuple[int, dict[str, Floats] | None]]:
-        """Draws that are solved with all their causes at once; None of one without equilibrium."""
+        """Solve draws with all their causes at once; None for one without equilibrium."""
         belief = self.response.distribution
         for row in check_draws(belief):
             fields = self.solve.fields(belief.inputs(belief.amounts[row]))
@@ -165,15 +162,13 @@ class _DrawnNumbers:
 
 
 def check_draws(belief: InputDistribution) -> tuple[int, ...]:
-    """Rows of draws that stand for all: of some sizes, in whatever direction they lie.
-
-    None where there is but one cause: then nothing is added.
+    """Return rows of draws of different sizes; none for a single cause, where nothing is added.
 
     Parameters
     ----------
     belief : that is drawn from
     """
-    # by size of the draw: large draws show best whether causes add up.
+    # by size of the draw: large draws show best whether causes add up
     rank_shares = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
     amounts = belief.amounts
     if amounts.shape[1] < 2:
@@ -183,7 +178,8 @@ def check_draws(belief: InputDistribution) -> tuple[int, ...]:
 
 
 def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason | None:
-    """Why bands are doubtful: the causes do not add up. None where they do."""
+    """Return the reason why bands are doubtful; None where the causes add up."""
+    max_cause_error = 0.5  # of half the width of a band
     path, prepared = draws[0].solve.first
     scales = _scales(path, prepared)
     squares: dict[str, list[float]] = {}
@@ -197,34 +193,34 @@ def _doubt(draws: Sequence[_DrawnNumbers], bands: Mapping[str, Band]) -> Reason 
                 squares.setdefault(name, []).append(times**2)
     off = {name: math.sqrt(sum(square) / len(square)) for name, square in squares.items()}
     most = max(off, key=lambda name: off[name], default=_SHAPE)
-    if not lost and off.get(most, 0.0) <= MAX_CAUSE_ERROR:
+    if not lost and off.get(most, 0.0) <= max_cause_error:
         return None
     faults = [f"{lost} have no equilibrium"] if lost else []
-    if off.get(most, 0.0) > MAX_CAUSE_ERROR:
+    if off.get(most, 0.0) > max_cause_error:
         faults.append(
-            f"{most} is off by {off[most]:.2g} times the way from the middle of its band to the "
-            f"end, root mean square (allowed is {MAX_CAUSE_ERROR:g})"
+            f"{most} differs by {off[most]:.2g} times half the width of its band, "
+            f"root mean square (allowed is {max_cause_error:g})"
         )
     message = (
-        f"the causes of the bands do not add up: of {count} draws that were solved whole, "
-        f"{' and '.join(faults)}; bands may be too narrow, or beside the truth"
+        f"the causes of the bands do not add up: of {count} draws with all causes "
+        f"at once, {' and '.join(faults)}; bands may be too narrow or shifted"
     )
     return Reason("causes_do_not_add", message)
 
 
 def _scales(path: RodPath, prepared: PreparedLine) -> dict[str, float]:
-    """Of each number and the shape, how little of it is rounding."""
+    """Return the rounding error of each number and of the shape."""
     units = {number.name: number.unit for number in numbers_of(path, prepared)} | {_SHAPE: "m"}
     units |= dict.fromkeys((RADIUS, RADIUS_ON_PATH), "1/m")
     return {name: _ROUNDING * reference_size(unit, prepared.line) for name, unit in units.items()}
 
 
 def _relative_error(number: Floats, drawn: Floats, row: int, band: Band, scale: float) -> float:
-    """How far a draw is off, of the way from the middle of its band to the end on its side.
+    """Return the error of a draw over the distance from the median to the end of its band.
 
-    Of the shape, the largest of both along the line.
+    Of the shape, both are the largest along the line.
     """
     middle = np.median(drawn, axis=0)
-    ways = np.where(number > middle, band.upper - middle, middle - band.lower)
+    distances = np.where(number > middle, band.upper - middle, middle - band.lower)
     least = scale + _ROUNDING * float(np.max(np.abs(number)))
-    return float(np.max(np.abs(number - drawn[row])) / max(float(np.max(ways)), least))
+    return float(np.max(np.abs(number - drawn[row])) / max(float(np.max(distances)), least))

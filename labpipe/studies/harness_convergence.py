@@ -1,9 +1,9 @@
-"""Whether steps and elements of a harness are fine enough: the same line in half as many.
+"""Convergence of a harness in steps and elements, by a solution with half as many.
 
-Sliders and friction remember the way, and a step is a straight piece of it. The error of that falls
-at least as fast as the steps, so that what half as many steps change is what they may still be off.
-Steps that the corners of a path need are kept; where that is most of them, each is halved instead.
-The error of elements falls with the square of their length: a third of what half as many change.
+Sliders and friction depend on the path, which is straight in each step. The error of steps falls at
+least linearly with their size, so that it is at most the change by half as many steps. Steps at
+corners of a path are kept; where these are most of the steps, all are halved instead. The error of
+elements falls with the square of their length: it is a third of the change by half as many.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import Doubt, Number, numbers_of, reference_size
 
 MAX_CHANGE = 0.02
-"""Of a number, by which half as many steps may change it."""
+"""Largest change of a number by half as many steps, relative."""
 MAX_CHANGE_OF_BAND = 0.1
-"""Of the width of its band, by which they may, where that is more."""
+"""The same over the width of its band; the larger of both is allowed."""
 _PATHS = ("position", "frame", "anchor", "force", "moment", "vector")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConvergenceWalk:
-    """A line in other steps.
+    """A line solved in another number of steps.
 
     Parameters
     ----------
-    times : in steps of the first walk, of each of its steps
+    times : of its steps, in steps of the first solution
     prepared : the line with paths at these times
     path : as followed
     """
@@ -48,12 +48,12 @@ class ConvergenceWalk:
 
     @property
     def steps_text(self) -> str:
-        """How many steps it has."""
+        """Number of steps, as text."""
         return "twice as many" if np.any(self.times % 1.0 > 0.0) else "half as many"
 
 
 def depends_on_history(prepared: PreparedLine) -> bool:
-    """Whether anything of a line hangs on its way: sliders, or friction of a plane.
+    """Whether a line depends on its history: by sliders, or friction of a plane.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ def depends_on_history(prepared: PreparedLine) -> bool:
 
 
 def coarse_steps(boundaries: Sequence[rod.Boundary], steps: int) -> Ints:
-    """Every other step, and those in which a path has a corner or something lets go.
+    """Return every other step, and steps with a corner of a path or a release.
 
     Parameters
     ----------
-    boundaries : of the walk
-    steps : of it
+    boundaries : of the line
+    steps : their number
     """
     wanted = {0, steps}
     for boundary in boundaries:
@@ -88,8 +88,7 @@ def coarse_steps(boundaries: Sequence[rod.Boundary], steps: int) -> Ints:
 
 
 def _corners(path: Floats | None, *, is_frame: bool) -> Iterator[int]:
-    # of the largest move: a change of the move by more than this is a corner.
-    min_corner_share = 0.05
+    min_corner_share = 0.05  # change of the move at a corner, over the largest move
     if path is None or path.ndim != 2 or len(path) < 3:
         return
     moves = np.diff(path, axis=0)
@@ -100,17 +99,15 @@ def _corners(path: Floats | None, *, is_frame: bool) -> Iterator[int]:
 
 
 def walk_with_other_steps(prepared: PreparedLine, steps: int) -> ConvergenceWalk:
-    """Follow a line in about half as many steps, or in twice as many where corners need them.
+    """Solve a line in about half as many steps, or in twice as many if it has many corners.
 
     Parameters
     ----------
     prepared : line and boundaries
-    steps : of its walk
+    steps : of its first solution
     """
-    # of the steps; with more the walk is hardly coarser.
-    max_kept_share = 0.75
     times = np.asarray(coarse_steps(prepared.boundaries, steps), dtype=np.float64)
-    if len(times) - 1 > max_kept_share * steps:
+    if len(times) - 1 > 0.75 * steps:  # hardly coarser
         times = np.linspace(0.0, steps, 2 * steps + 1, dtype=np.float64)
     other = replace(
         prepared, boundaries=tuple(_resampled(boundary, times) for boundary in prepared.boundaries)
@@ -135,11 +132,11 @@ def _resampled(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
 def coarse_doubt(
     path: RodPath, prepared: PreparedLine, other: ConvergenceWalk, intervals: Mapping[str, Interval]
 ) -> Doubt | None:
-    """Why numbers are doubtful that other steps would change; None where there are none.
+    """Return the doubt about numbers that depend on the number of steps, if any.
 
     Parameters
     ----------
-    path, prepared : of the walk
+    path, prepared : of the solution
     other : the same line in other steps
     intervals : by name, of those numbers that have one
     """
@@ -153,8 +150,8 @@ def coarse_doubt(
         return None
     wanted = steps * math.ceil(max(too_far.values()))
     message = (
-        f"{_change_text(f'{other.steps_text} steps', 'it', 1.0)}, most at {_worst_place(path, prepared, other)}: "
-        f"{steps} steps are too few; {wanted} should do"
+        f"{_change_text(f'{other.steps_text} steps', 'it', 1.0)}, most at "
+        f"{_worst_place(path, prepared, other)}: {steps} steps are too few; take {wanted}"
     )
     return Doubt(Reason("too_coarse", message), tuple(too_far))
 
@@ -162,16 +159,15 @@ def coarse_doubt(
 def few_elements_doubt(
     path: RodPath, prepared: PreparedLine, half: PreparedLine, intervals: Mapping[str, Interval]
 ) -> Doubt | None:
-    """Why numbers are doubtful that more elements would change; None where there are none.
+    """Return the doubt about numbers that depend on the number of elements, if any.
 
     Parameters
     ----------
-    path, prepared : of the walk
+    path, prepared : of the solution
     half : the same line, of half as many elements
     intervals : by name, of those numbers that have one
     """
-    # error of the line over the change by half as many elements: the method is of second order.
-    error_share = 1.0 / 3.0
+    error_share = 1.0 / 3.0  # of the change by half as many elements: a method of second order
     numbers, steps = numbers_of(path, prepared), len(path.states) - 1
     count, other = len(prepared.line.lengths), follow(half.line, half.boundaries, steps=steps)
     if other.status == "failed":
@@ -184,8 +180,8 @@ def few_elements_doubt(
     wanted = max(2 * count, math.ceil(count * math.sqrt(max(too_far.values()))))
     changed = _change_text("half as many elements", "a number", 1.0 / error_share)
     most = max(too_far, key=lambda name: too_far[name])
-    message = f"{changed}, most {most}: {count} elements are too few; {wanted} should do"
-    # where so few are not enough for one number, another may be the same by chance
+    message = f"{changed}, most {most}: {count} elements are too few; take {wanted}"
+    # another number may be unchanged by chance
     return Doubt(Reason("coarse_elements", message), tuple(number.name for number in numbers))
 
 
@@ -193,8 +189,8 @@ def _unsolved_doubt(
     code: str, numbers: Sequence[Number], other: RodPath, change: str, count: int
 ) -> Doubt:
     message = (
-        f"in {change} the line cannot be followed ({other.reasons[0].code}), so that nothing says "
-        f"whether {count} are enough: take {2 * count}"
+        f"with {change} the line cannot be solved ({other.reasons[0].code}), so that {count} "
+        f"cannot be checked: take {2 * count}"
     )
     return Doubt(Reason(code, message), tuple(number.name for number in numbers))
 
@@ -213,10 +209,7 @@ def _excess_changes(
     intervals: Mapping[str, Interval],
     share: float = 1.0,
 ) -> dict[str, float]:
-    """Numbers that are off by more than is allowed, and by how many times that.
-
-    They are off by a share of the change.
-    """
+    """Return numbers whose error, a share of their change, is too large: error over allowed."""
     other_values = {other.name: other.value for other in others}
     ratios = {
         number.name: share
@@ -225,7 +218,7 @@ def _excess_changes(
         for number in numbers
         if math.isfinite(number.value) and math.isfinite(other_values[number.name])
     }
-    return {name: times for name, times in ratios.items() if times > 1.0}
+    return {name: ratio for name, ratio in ratios.items() if ratio > 1.0}
 
 
 def _allowed_change(
@@ -234,13 +227,9 @@ def _allowed_change(
     prepared: PreparedLine,
     intervals: Mapping[str, Interval],
 ) -> float:
-    """By how much a number may change; one that is nothing beside its like counts as that.
-
-    So does one that is nothing beside what the line gives its unit: the rounding of all that is 0.
-    """
+    """Return the allowed change of a number; its size has a minimum, given by similar numbers."""
     min_coordinate_share = 0.05  # of the length of the line
-    # of the largest number of the same unit.
-    min_size_share = 1e-3
+    min_size_share = 1e-3  # of the largest number of the same unit
     like = [abs(other.value) for other in numbers if other.unit == number.unit]
     like.append(reference_size(number.unit, prepared.line))
     size = max(
@@ -254,7 +243,7 @@ def _allowed_change(
 
 
 def _worst_place(path: RodPath, prepared: PreparedLine, other: ConvergenceWalk) -> str:
-    """Step and place where the bending moments of both walks part most."""
+    """Return step and place where the bending moments of both solutions begin to differ most."""
     at = np.flatnonzero(other.times % 1.0 == 0.0)
     steps = other.times[at].astype(int)
     first = np.array([path.states[step].moments for step in steps])

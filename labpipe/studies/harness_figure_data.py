@@ -1,4 +1,4 @@
-"""What the figures of a harness show of it."""
+"""Data of the figures of a harness."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from labpipe.studies.harness_solution import FAILED, FollowedHarness, SweepRun
 
 
 def drawn_harness(solution: FollowedHarness) -> DrawnHarness:
-    """What the figure of a harness shows.
+    """Return the data of the figure of a harness.
 
     Parameters
     ----------
-    solution : a harness that was followed
+    solution : of a harness
     """
     line, states = solution.prepared.line, solution.path.states
     bands = (
@@ -70,18 +70,18 @@ def _caption(solution: FollowedHarness) -> str:
 
 
 def _marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
-    """Clips, grips and what else is drawn as a sign, where they are at the last step."""
+    """Return the symbols of clips, grips and other boundaries at the last step."""
     marks = []
     last, steps = solution.path.last, solution.harness.steps
     pairs = zip(solution.harness.boundaries, solution.prepared.boundaries, strict=False)
-    for stated, boundary in pairs:  # the weight, which comes last, has no sign
+    for stated, boundary in pairs:  # the weight, which comes last, has no symbol
         path, direction, holds = np.zeros((0, 3)), None, True
         match boundary:
             case rod.Held():
                 holds = boundary.release is None or boundary.release > steps
                 removed = boundary.position[: boundary.release]
                 place: Floats = last.positions[boundary.node] if not holds else removed[-1]
-                if stated.kind == "grip":  # how a clip is brought to its place says nothing of it
+                if stated.kind == "grip":  # the path of a clip is of no interest
                     path = removed
                 if boundary.frame is not None and holds:
                     direction = matrices(boundary.frame[-1])[:, 2]
@@ -99,11 +99,11 @@ def _marks(solution: FollowedHarness) -> tuple[DrawnMark, ...]:
 
 
 def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
-    """What the figure of a sweep shows; None without one.
+    """Return the data of the figure of a sweep; None without one.
 
     Parameters
     ----------
-    solution : a harness that was followed
+    solution : of a harness
     """
     if not solution.sweep:
         return None
@@ -125,7 +125,7 @@ def drawn_sweep(solution: FollowedHarness) -> DrawnSweep | None:
 
 
 def _radius_band(sweep: Sequence[SweepRun]) -> tuple[Floats, Floats] | None:
-    """Ends of the smallest bend radius, length by length; None where no length has any."""
+    """Return the bands of the smallest bend radius by length; None where no length has one."""
     intervals = [None if run.bands is None else run.bands.intervals[RADIUS] for run in sweep]
     if not any(intervals):
         return None

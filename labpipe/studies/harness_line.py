@@ -1,10 +1,10 @@
-"""From a harness YAML to a rod: where its nodes are, how it lies at rest, and what holds it when.
+"""Rod and boundaries of a harness YAML: nodes, natural shape, and paths of all boundaries.
 
-Paths have a row per step and one before: the start, where all that holds the line is where the line
-at rest would be, and its weight bends it. Every place that the file names is a node. What holds the
-line goes straight from one pose to the next; its direction turns about the axis across both, and
-the line's own turn is added. A ring comes from the place of the line that is nearest to its own,
-and so does the anchor of a string that is too short at the start, as far as the string lets it.
+Paths have a row per step and one for the start, where all boundaries are at the places of the
+line at rest, bent by its weight alone. Every place that the file names is a node. Boundaries move
+straight from one pose to the next; their direction turns about the axis across both, and their turn
+about the line is added. A ring starts at the nearest place of the line, and the anchor of a string
+that is too short at the start as near to it as the string allows.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ from labpipe.rod.rotations import (
 )
 
 LENGTH_FACTOR = "length_factor"
-"""Logarithm of what the length of the line is multiplied by."""
+"""Logarithm of the factor on the length of the line."""
 FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
-"""Added to the curvature at rest, 1/m: towards the spool's side, and across it."""
+"""Additions to the natural curvature, 1/m: towards the side of the spool, and across it."""
 Inputs = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedLine:
-    """A line with all that holds and moves it, ready to be followed.
+    """A line with all its boundaries, ready to be solved.
 
     Parameters
     ----------
     line : at the start
-    boundaries : in the order of the file, and the weight last where there is any
-    nodes : by name of a boundary, the node that it is at; rings and planes have none
+    boundaries : in the order of the file; the weight, if any, last
+    nodes : by name of a boundary; rings and planes have none
     """
 
     line: Line
@@ -70,19 +70,19 @@ class PreparedLine:
 def prepare_line(
     harness: HarnessFile, section: Section, inputs: Inputs, *, length: float | None = None
 ) -> PreparedLine:
-    """Lay a line as a harness says.
+    """Prepare the line of a harness.
 
     Parameters
     ----------
     harness : as read
-    section : what the line is made of
-    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`, 0 where left out; other names are not looked at
+    section : of the line
+    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`, 0 for a missing one; others are ignored
     length : m, of a sweep; None for that of the file
 
     Raises
     ------
     ValueError
-        If the line has no such length or section.
+        If length or section is out of its range.
     """
     stations = _stations(harness, harness.line.length if length is None else length)
     places = {
@@ -101,7 +101,7 @@ def prepare_line(
 
 
 def _bend_axes(line: Line, spool: Spool | None) -> Floats:
-    """Bendings about d1 and d2 of a curl to the spool's side, and of one across it, shape (2, 2).
+    """Return bendings about d1 and d2 of a curl to the side of the spool and across it, (2, 2).
 
     A line curls to a side t when it turns about d3 x t. Without a spool the side is that of d1.
     """
@@ -113,7 +113,7 @@ def _bend_axes(line: Line, spool: Spool | None) -> Floats:
 
 
 def _stations(harness: HarnessFile, length: float) -> Floats:
-    """Where the nodes are, m: elements of one length between any two places that are named."""
+    """Return the nodes, m: elements of equal length between any two named places."""
     named = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
     marks = sorted({0.0, length, *(min(place, length) for place in named)})
     count = harness.line.elements
@@ -129,7 +129,9 @@ def _line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
     spool = harness.line.spool
     if spool is None:
         positions = begin + stations[:, None] * direction
-        return line_along(positions, section, up=_up_direction(direction))
+        is_steep = abs(direction[2]) > 0.9
+        up = (1.0, 0.0, 0.0) if is_steep else (0.0, 0.0, 1.0)
+        return line_along(positions, section, up=up)
     towards = _towards(spool, direction)
     middles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
     steps = np.cos(middles)[:, None] * direction + np.sin(middles)[:, None] * towards
@@ -140,19 +142,13 @@ def _line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
 
 
 def _towards(spool: Spool, direction: Floats) -> Floats:
-    """Unit vector across a direction, to the side that a spool names."""
+    """Return the unit vector across a direction to the side of a spool."""
     towards = np.array(spool.towards)
     across = towards - (towards @ direction) * direction
     if np.linalg.norm(across) < 1e-6:
         message = f"towards={spool.towards}: allowed is a side of the line, not its direction"
         raise ValueError(message)
     return np.asarray(unit(across))
-
-
-def _up_direction(direction: Floats) -> Vector3:
-    # of a unit vector; beyond it z is too near to the direction of the line.
-    max_z_share = 0.9
-    return (1.0, 0.0, 0.0) if abs(direction[2]) > max_z_share else (0.0, 0.0, 1.0)
 
 
 def _as_tuple(vector: Floats) -> Vector3:
@@ -189,16 +185,16 @@ def _boundaries(
 
 
 def _nearest_point(line: Line, ring: Ring) -> Floats:
-    """Where a ring is at the start: on the line, at the place that is nearest to its own."""
+    """Return the place of the line that is nearest to a ring."""
     goal = np.array(ring.position)
     near = int(np.argmin(np.linalg.norm(line.positions - goal, axis=1)))
     return point_at(line.positions, nearest_place(line.positions, goal, float(near)))
 
 
 def _straight_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
-    """From where something is at the start straight to its goal, shape (steps + 1, 3) or (3,).
+    """Return the straight path from the start to a goal, (steps + 1, 3); (3,) if it is there.
 
-    What is there already stays to the last bit: a path that trembles would have corners.
+    The latter is exactly constant: rounding errors would look like corners of a path.
     """
     min_distance = 1e-9  # m
     displacement = np.array(goal) - begin
@@ -208,21 +204,19 @@ def _straight_path(begin: Floats, goal: Vector3, by: int, steps: int) -> Floats:
 
 
 def _gravity_path(harness: HarnessFile) -> Floats:
-    """Acceleration step by step; it grows where the line begins taut between two places.
+    """Return the acceleration, step by step where the line starts taut between two places.
 
-    A taut line that keeps its length has no tension that its weight could give it.
+    Weight cannot give an inextensible taut line its tension at once.
     """
-    # the weight grows over this part of the steps.
-    steps_over_ramp = 5
     full = np.array(harness.gravity)
     if sum(isinstance(boundary, HELD) for boundary in harness.boundaries) < 2:
         return full
-    share = _ramp(max(1, harness.steps // steps_over_ramp), harness.steps)
+    share = _ramp(max(1, harness.steps // 5), harness.steps)
     return np.asarray(share[:, None] * full)
 
 
 def _ramp(by: int, steps: int) -> Floats:
-    """From 0 at the start to 1 at a step, and so on to the last: shape (steps + 1,)."""
+    """Return a ramp from 0 at the start to 1 at a step, then constant: shape (steps + 1,)."""
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
@@ -238,7 +232,7 @@ def _held_boundary(boundary: Held, line: Line, node: int, steps: int) -> rod.Hel
 
 
 def _frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
-    """Frames of a path: from direction to direction without twist, then the turns."""
+    """Return the frames of a path: from direction to direction without twist, then the turns."""
     frames, turns = [start], {0: 0.0}
     points = boundary.path if isinstance(boundary, Grip) else (boundary,)
     for point in points:

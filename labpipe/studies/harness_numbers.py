@@ -1,4 +1,4 @@
-"""What a followed harness says: bend radii, forces of clips and grips, what it keeps, doubts."""
+"""Numbers of a solved harness and their doubts: bend radii, forces, curvature after release."""
 
 from __future__ import annotations
 
@@ -41,27 +41,16 @@ from labpipe.studies.residual_curvature import (
     unloading_reason,
 )
 
-DEFAULT_BEND_DIAMETERS = 5.0
-"""Outer diameters that the allowed bend radius is assumed to be where it is not stated."""
-MAX_JUMP_SHARE = 0.1
-"""Of the energy that is lost, above which what remembers the way is doubtful."""
-MAX_UNBENDING = 0.1
-"""Of its sharpest bend, by which a line may have gone back before forces hang on how it unloads."""
-_LET_GO = "what the line would keep, let go (Masing)"
-MAX_TURN_PER_ELEMENT, EXCESSIVE_TURN = float(np.radians(30.0)), float(np.radians(90.0))
-"""Of one element. The smallest bend radius of a heavy line is then off by 0.3 %, of a chain that is
-lifted by 1 %; with 90 degrees by up to 7 %, forces by 1 %, the shape by 0.3 % of the length."""
-
 
 @dataclass(frozen=True, slots=True)
 class BendLimit:
-    """The bend radius that is allowed.
+    """The allowed bend radius.
 
     Parameters
     ----------
     radius : m
-    source : where it comes from
-    is_assumed : whether nobody said it
+    source : of the number
+    is_assumed : whether it is not stated
     """
 
     radius: float
@@ -76,7 +65,7 @@ class Bend:
     Parameters
     ----------
     radius : m; infinite for a straight line
-    step : in which
+    step : number
     place : m along the line
     """
 
@@ -86,51 +75,49 @@ class Bend:
 
 
 def bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
-    """The allowed bend radius, or what is assumed of it.
+    """Return the allowed bend radius, stated or assumed.
 
     Parameters
     ----------
-    harness : may say it
-    material : of the line, whose diameter it is assumed by
+    harness : may state it
+    material : of the line, with its diameter
     """
     if harness.allowed_bend_radius is not None:
         return BendLimit(harness.allowed_bend_radius, "stated in the file", is_assumed=False)
-    source = (
-        f"assumed: {DEFAULT_BEND_DIAMETERS:g} times the outer diameter of {_mm(material.diameter)}"
-    )
-    return BendLimit(DEFAULT_BEND_DIAMETERS * material.diameter, source, is_assumed=True)
+    diameters = 5.0
+    source = f"assumed: {diameters:g} times the outer diameter of {_mm(material.diameter)}"
+    return BendLimit(diameters * material.diameter, source, is_assumed=True)
 
 
 def curvature_of(state: RodState, line: Line) -> Floats:
-    """Curvature across the line as it lies, 1/m, shape (n + 1,); what it has at rest included.
+    """Return the curvature of the line, 1/m, shape (n + 1,), natural curvature included.
 
     Parameters
     ----------
     state : of the line
-    line : that it is a state of
+    line : in this state
 
     Notes
     -----
-    The larger one where a clip parts both sides of a node.
+    The larger one where both sides of a node differ at a clip.
     """
     return largest_of_sides(curvature_vectors(state, line))
 
 
 def turns_of(state: RodState, line: Line) -> Floats:
-    """By how much the line turns at each node over the longer element beside it, rad, (n + 1,)."""
+    """Return the turn at each node over its longer element, rad, shape (n + 1,)."""
     lengths = np.maximum(np.append(line.lengths, 0.0), np.append(0.0, line.lengths))
     return np.asarray(lengths * curvature_of(state, line))
 
 
 def radius_of(curvature: Floats) -> Floats:
-    """Bend radius, m; infinite where the line is straight.
+    """Return the bend radius, m; infinite where the line is straight.
 
     Parameters
     ----------
     curvature : 1/m, any shape
     """
-    # 1/m; below it the line counts as straight.
-    min_curvature = 1e-6
+    min_curvature = 1e-6  # 1/m
     is_bent = curvature > min_curvature
     return np.asarray(np.where(is_bent, 1.0 / np.where(is_bent, curvature, 1.0), np.inf))
 
@@ -141,7 +128,7 @@ def sharpest(path: RodPath, line: Line, steps: Sequence[int]) -> Bend:
     Parameters
     ----------
     path : of the line
-    line : that was followed
+    line : of the path
     steps : at least one
     """
     curvature = np.array([curvature_of(path.states[step], line) for step in steps])
@@ -151,13 +138,13 @@ def sharpest(path: RodPath, line: Line, steps: Sequence[int]) -> Bend:
 
 
 def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, ...]:
-    """Why the numbers of a harness are doubtful, or why there are none.
+    """Return the reasons why all numbers of a harness are doubtful or missing.
 
     Parameters
     ----------
-    path : as followed
-    line : that was followed
-    material : with the curvature and the stretch up to which its law is backed
+    path : of the line
+    line : of the path
+    material : with the limits of curvature and stretch of its law
     """
     reasons = [
         Reason(reason.code, _nodes_to_places(reason.sentence, line)) for reason in path.reasons
@@ -170,7 +157,7 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     if bent[row, node] > material.limit and "beyond_law" not in codes:
         message = (
             f"step {row}, {_mm(line.stations[node])} from the start: the line is bent to "
-            f"{bent[row, node]:.4g} 1/m, its law is backed up to {material.limit:.4g} 1/m by "
+            f"{bent[row, node]:.4g} 1/m, its law is supported up to {material.limit:.4g} 1/m by "
             f"{material.limit_source}"
         )
         reasons.append(Reason("beyond_backed", message))
@@ -179,7 +166,7 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
     if stretches[row, element] > material.stretch_limit:
         message = (
             f"step {row}, {_mm(line.stations[element])} from the start: the line is stretched by "
-            f"{100.0 * stretches[row, element]:.2g} %, its axial stiffness is backed up to "
+            f"{100.0 * stretches[row, element]:.2g} %, its axial stiffness is supported up to "
             f"{100.0 * material.stretch_limit:.2g} %, where copper yields"
         )
         reasons.append(Reason("beyond_stretch", message))
@@ -187,34 +174,30 @@ def reasons_of(path: RodPath, line: Line, material: Material) -> tuple[Reason, .
 
 
 def _nodes_to_places(sentence: str, line: Line) -> str:
-    """A sentence of the rod, which counts nodes, in places along the line."""
+    """Replace numbers of nodes in a sentence of the rod by places along the line."""
 
     def place(node: str) -> str:
         return _mm(line.stations[int(node)])
 
-    said = re.sub(
-        r"between nodes (\d+) and (\d+)",
-        lambda each: f"between {place(each[1])} and {place(each[2])} from the start",
-        sentence,
-    )
-    said = re.sub(
-        r"with its node (\d+)",
-        lambda sentence: (
-            f"with its end {place(sentence[1])} from the start: put it further in, or move less"
-        ),
-        said,
-    )
-    return re.sub(r"\bnode (\d+)", lambda sentence: f"{place(sentence[1])} from the start", said)
+    def at_nodes(match: re.Match[str]) -> str:
+        return f"between {place(match[1])} and {place(match[2])} from the start"
+
+    def with_end(match: re.Match[str]) -> str:
+        return f"with its end {place(match[1])} from the start: put it further in, or move less"
+
+    sentence = re.sub(r"between nodes (\d+) and (\d+)", at_nodes, sentence)
+    sentence = re.sub(r"with its node (\d+)", with_end, sentence)
+    return re.sub(r"\bnode (\d+)", lambda match: f"{place(match[1])} from the start", sentence)
 
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """Why some of the numbers are doubtful.
+    """The reason why some of the numbers are doubtful.
 
     Parameters
     ----------
-    reason : why
-    names : how the names of these numbers begin
+    reason : of the doubt
+    names : beginnings of the names of these numbers
     """
 
     reason: Reason
@@ -222,29 +205,29 @@ class Doubt:
 
 
 def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
-    """Why numbers that remember the way are doubtful, if they are: much was lost in jumps.
+    """Return the doubt about history-dependent numbers if much energy was lost in jumps.
 
     Parameters
     ----------
-    path : as followed
-    prepared : that was followed
+    path : of the line
+    prepared : line and boundaries
 
     Notes
     -----
-    A line that buckles, or is let go, comes down through states that are no equilibria. How it does
-    so is not known, and sliders remember it. One that was let go may swing, so that its shape hangs
-    on it, too: with little damping MuJoCo has it elsewhere by 0.5 % of its length where 7 % of the
-    energy is lost on its way, 2 % where it is 17 %, and 6 % where it is 33 %.
+    A line that buckles or is released passes through states that are no equilibria. Its motion
+    there is unknown, and the state of the sliders depends on it. A released line may swing, so
+    that its shape depends on it, too: with little damping the shape in MuJoCo differs by 0.5 % of
+    the length where 7 % of the energy is lost in jumps, 2 % where it is 17 %, and 6 % where it is
+    33 %.
     """
     share = float(path.lost_in_jumps[-1] / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
-    if share <= MAX_JUMP_SHARE:
+    if share <= 0.1:  # of the energy lost
         return None
     fell = np.diff(path.lost_in_jumps, prepend=0.0)
     at = ", ".join(map(str, np.flatnonzero(fell > 0.1 * np.max(fell))))
     message = (
-        f"step {at}: the line jumped (it snapped, or was let go), and {100.0 * share:.0f} % of the "
-        "energy was lost on its way down; what remembers it depends on how it came down and swung "
-        "out, which is not known"
+        f"step {at}: the line jumped (it snapped or was released) and lost {100.0 * share:.0f} % "
+        "of the energy; history-dependent results depend on its motion, which is unknown"
     )
     return Doubt(
         Reason("jumped", message), (ENERGY_LOST, RESIDUAL, MOMENT, *_names_after_release(prepared))
@@ -252,59 +235,66 @@ def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
 
 
 def element_doubt(path: RodPath, line: Line) -> Doubt | None:
-    """Why numbers are doubtful, if they are: elements are too long for the bend that they follow.
+    """Return the doubt about numbers if elements are too long for the bends of the line.
 
     Parameters
     ----------
-    path : as followed
-    line : that was followed
+    path : of the line
+    line : of the path
+
+    Notes
+    -----
+    With turns of 30 degrees over an element the error of the smallest bend radius is 0.3 % for a
+    heavy line and 1 % for a lifted chain. With 90 degrees it is up to 7 %, that of forces 1 %, and
+    that of the shape 0.3 % of the length.
     """
+    max_turn, excessive_turn = float(np.radians(30.0)), float(np.radians(90.0))
     turns = np.array([turns_of(state, line) for state in path.states])
     row, node = divmod(int(np.argmax(turns)), turns.shape[1])
     turn, count = float(turns[row, node]), len(line.lengths)
-    if turn <= MAX_TURN_PER_ELEMENT:
+    if turn <= max_turn:
         return None
     message = (
         f"step {row}, {_mm(line.stations[node])} from the start: the line turns by "
-        f"{np.degrees(turn):.0f} deg over one of its {count} elements, and its bend is not "
-        f"followed within 1 %: take {math.ceil(count * turn / MAX_TURN_PER_ELEMENT)} elements or more"
+        f"{np.degrees(turn):.0f} deg over one of its {count} elements; the error of its bend "
+        f"exceeds 1 %: take {math.ceil(count * turn / max_turn)} elements or more"
     )
     has_memory = len(line.section.law.stiffnesses) > 0
     names: tuple[str, ...] = (
         (RADIUS_ON_PATH, RESIDUAL, ENERGY_LOST) if has_memory else (RADIUS_ON_PATH,)
     )
-    if turn > EXCESSIVE_TURN:
+    if turn > excessive_turn:
         names = ("", RADIUS_ON_PATH)
-    elif turns[-1].max() > MAX_TURN_PER_ELEMENT:
+    elif turns[-1].max() > max_turn:
         names = (RADIUS, MOMENT, *names)
     return Doubt(Reason("coarse_elements", message), names)
 
 
 def unloading_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
-    """Why numbers that hang on the way back are doubtful, if they are.
+    """Return the doubt about numbers that depend on unloading, if any.
 
     Parameters
     ----------
-    path : as followed
-    prepared : that was followed
+    path : of the line
+    prepared : line and boundaries
 
     Notes
     -----
-    Shape, where the line was let go; forces and moments, where it was unbent and is held by more
-    than one thing, so that they hang on its law. See `unloading_reason`.
+    These are the shape of a released line, and forces and moments of a line that was unbent and has
+    more than one support, so that they depend on its law. See `unloading_reason`.
     """
     reason = unloading_reason(path, prepared.line)
     if reason is None:
         return None
     names = [ENERGY_LOST, RESIDUAL, *_names_after_release(prepared)]
-    left = [e for e in prepared.boundaries if isinstance(e, HOLDS) and not _is_released(e)]
-    if len(left) > 1 and largest_unbending(path) > MAX_UNBENDING:
+    holding = [e for e in prepared.boundaries if isinstance(e, HOLDS) and not _is_released(e)]
+    if len(holding) > 1 and largest_unbending(path) > 0.1:  # of the sharpest bend
         names += [FORCE, MOMENT]
     return Doubt(reason, tuple(names))
 
 
 def _names_after_release(prepared: PreparedLine) -> tuple[str, ...]:
-    """Names of what is its shape where a line was let go."""
+    """Return the names of numbers of the shape of a released line."""
     return (SPRINGBACK, RADIUS, LOWEST_POINT) if any(map(_is_released, prepared.boundaries)) else ()
 
 
@@ -321,7 +311,7 @@ class Number:
     name : of the result
     value : in `unit`; infinite for the bend radius of a straight line
     unit : SI
-    remark : where and when
+    remark : place and step
     """
 
     name: str
@@ -331,17 +321,17 @@ class Number:
 
     @property
     def is_signed(self) -> bool:
-        """Whether it may be below zero: a coordinate, not a size."""
+        """Whether it may be negative: a coordinate, not a size."""
         return self.name == LOWEST_POINT
 
 
 def reference_size(unit: str, line: Line) -> float:
-    """What a line bent over its own length has of a unit; far less is nothing.
+    """Return the order of magnitude of a unit for a line bent over its length.
 
     Parameters
     ----------
     unit : of a number: m, 1/m, N, N*m or J
-    line : its length, and the stiffness that it begins with
+    line : with its length and first stiffness
     """
     length, stiffness = line.length, line.section.law.first_stiffness
     moment = stiffness / length
@@ -351,12 +341,12 @@ def reference_size(unit: str, line: Line) -> float:
 
 
 def numbers_of(path: RodPath, prepared: PreparedLine) -> tuple[Number, ...]:
-    """The numbers of a harness at its last step, and of the whole way.
+    """Return the numbers of a harness at its last step and over the whole path.
 
     Parameters
     ----------
-    path : as followed, to the last step
-    prepared : that was followed
+    path : of the line, to the last step
+    prepared : line and boundaries
     """
     fields, steps = fields_of(path, prepared), len(path.states) - 1
 
@@ -377,14 +367,14 @@ def results_of(
     intervals: Mapping[str, Interval],
     doubts: Sequence[Doubt] = (),
 ) -> tuple[Result, ...]:
-    """Numbers as results.
+    """Return numbers as results.
 
     Parameters
     ----------
     numbers : of a harness
-    reasons : why all of them are doubtful; empty where they are not
+    reasons : of a doubt about all of them
     intervals : by name, of those that have one
-    doubts : why some of them are
+    doubts : about some of them
     """
     return tuple(
         _result(number, (*reasons, *_reasons_for(number, doubts)), intervals.get(number.name))
@@ -393,23 +383,22 @@ def results_of(
 
 
 def _reasons_for(number: Number, doubts: Sequence[Doubt]) -> Iterator[Reason]:
-    """Why this number is doubtful, of the doubts that touch some."""
+    """Yield the reasons of the doubts about this number."""
     for doubt in doubts:
-        is_meant = number.name != RADIUS_ON_PATH or RADIUS_ON_PATH in doubt.names
-        if number.name.startswith(doubt.names) and is_meant:
+        # its name begins with that of another number
+        is_named = number.name != RADIUS_ON_PATH or RADIUS_ON_PATH in doubt.names
+        if number.name.startswith(doubt.names) and is_named:
             yield doubt.reason
 
 
 def _result(number: Number, reasons: tuple[Reason, ...], interval: Interval | None) -> Result:
     if not np.isfinite(number.value):
-        return Result(number.name, None, number.unit, None, Status.FAILED, (_STRAIGHT,))
+        reason = Reason("straight", "the line is straight and has no bend radius")
+        return Result(number.name, None, number.unit, None, Status.FAILED, (reason,))
     status = Status.DOUBTFUL if reasons else Status.OK
     return Result(
         *(number.name, number.value, number.unit, interval, status, reasons), remark=number.remark
     )
-
-
-_STRAIGHT = Reason("straight", "the line is straight: it has no bend radius")
 
 
 def _bend_numbers(path: RodPath, prepared: PreparedLine, lowest: float) -> Iterator[Number]:
@@ -441,18 +430,12 @@ def _release_numbers(
 ) -> Iterator[Number]:
     for boundary in prepared.boundaries:
         if isinstance(boundary, rod.Held) and boundary.release is not None:
-            remark = (
-                f"of its place, from step {boundary.release - 1}, the last in which it was held"
-            )
-            yield Number(
-                f"{SPRINGBACK}{boundary.name}",
-                value(f"{SPRINGBACK}{boundary.name}"),
-                "m",
-                remark,
-            )
+            remark = f"against step {boundary.release - 1}, the last one before its release"
+            name = f"{SPRINGBACK}{boundary.name}"
+            yield Number(name, value(name), "m", remark)
     residual = residual_curvature(path.last, prepared.line.section.law)
     node = int(np.argmax(residual))
-    where = f"{_mm(prepared.line.stations[node])} from the start; {_LET_GO}"
+    where = f"{_mm(prepared.line.stations[node])} from the start; if released, by Masing's rule"
     yield Number(RESIDUAL, value(RESIDUAL), "1/m", where if residual[node] else "")
     yield Number(ENERGY_LOST, value(ENERGY_LOST), "J", "in bending, since the start")
 

@@ -1,8 +1,8 @@
-"""What the numbers of a harness are made of: vectors that answer smoothly to what moves a line.
+"""Fields from which the numbers of a harness are computed: vectors that respond smoothly to inputs.
 
-A norm, a least or a largest value has corners where what it is of goes through nothing or changes
-its place. So bands respond in these fields, and each number is taken of them draw by draw, by the
-function that takes it of a line that was solved.
+A norm, a minimum or a maximum is not smooth at zero or where its place changes. Therefore the
+response is linear in these fields, and each number is computed from them in every draw as from a
+solved line.
 """
 
 from __future__ import annotations
@@ -27,24 +27,23 @@ ENERGY_LOST, RESIDUAL = "energy_lost", "kept_curvature"
 FORCE, MOMENT, SPRINGBACK = "force.", "moment.", "springback."
 POSITIONS, CURVATURES = "places", "bent "
 HOLDS = rod.Held | rod.Ring | rod.String | rod.Plane
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 def curvature_vectors(state: RodState, line: Line) -> Floats:
-    """Curvature vectors across the line as it lies, 1/m, shape (n + 1, 2, 2).
+    """Return the curvature vectors of the line, 1/m, shape (n + 1, 2, 2).
 
-    What it has at rest included; before and behind every node, which a clip may part.
+    Natural curvature included; on both sides of every node, which differ at a clip.
 
     Parameters
     ----------
     state : of the line
-    line : that it is a state of
+    line : in this state
     """
     return np.asarray(state.node_curvatures[:, :, :2] + line.natural_at_nodes[:, None, :2])
 
 
 def largest_of_sides(bent: Floats) -> Floats:
-    """Curvature at the nodes, 1/m, shape (..., n + 1): the larger one of both sides.
+    """Return the curvature at the nodes, 1/m, shape (..., n + 1): the larger one of both sides.
 
     Parameters
     ----------
@@ -54,47 +53,45 @@ def largest_of_sides(bent: Floats) -> Floats:
 
 
 def heights_of(places: Floats, prepared: PreparedLine) -> Floats:
-    """Heights above the origin, against gravity, m, shape (..., n + 1); z of a line without weight.
+    """Return heights against gravity, m, shape (..., n + 1); z of a line without weight.
 
     Parameters
     ----------
     places : positions, shape (..., n + 1, 3)
-    prepared : line and what pulls it
+    prepared : line and boundaries
     """
     weights = [
         boundary.vector[-1] for boundary in prepared.boundaries if isinstance(boundary, rod.Gravity)
     ]
-    return np.asarray(places @ (-unit(weights[0]) if weights else _UP))
+    return np.asarray(places @ (-unit(weights[0]) if weights else [0.0, 0.0, 1.0]))
 
 
 def fields_of(path: RodPath, prepared: PreparedLine) -> dict[str, Floats]:
-    """Fields of a path that came to its end, by name.
+    """Return the fields of a complete path, by name.
 
     Parameters
     ----------
-    path : as followed
-    prepared : that was followed
+    path : of the line
+    prepared : line and boundaries
 
     Returns
     -------
-    `POSITIONS` of the nodes at the last step (n + 1, 3); ``bent 0`` and so on, one for each step, as
-    of `curvature_vectors`; forces, moments and springback as vectors (3,), by the names of the numbers;
-    `RESIDUAL`, curvature vectors as `curvature_after_release` has them; `ENERGY_LOST`.
+    `POSITIONS` of the nodes at the last step (n + 1, 3); `curvature_vectors` of each step under
+    ``bent 0`` and so on; forces, moments and springback as vectors (3,), by the names of the
+    numbers; `RESIDUAL`, the vectors of `curvature_after_release`; `ENERGY_LOST`.
     """
     last, line = path.last, prepared.line
     bent = {
         f"{CURVATURES}{step}": curvature_vectors(state, line)
         for step, state in enumerate(path.states)
     }
-    return (
-        bent
-        | dict(_boundary_fields(path, prepared))
-        | {
-            POSITIONS: last.positions,
-            RESIDUAL: curvature_after_release(line.section.law, last.rests),
-            ENERGY_LOST: np.asarray(path.lost[-1]),
-        }
-    )
+    return {
+        **bent,
+        **dict(_boundary_fields(path, prepared)),
+        POSITIONS: last.positions,
+        RESIDUAL: curvature_after_release(line.section.law, last.rests),
+        ENERGY_LOST: np.asarray(path.lost[-1]),
+    }
 
 
 def _boundary_fields(path: RodPath, prepared: PreparedLine) -> Iterator[tuple[str, Floats]]:
@@ -111,7 +108,7 @@ def _boundary_fields(path: RodPath, prepared: PreparedLine) -> Iterator[tuple[st
 
 
 def number_names(fields: Fields) -> tuple[str, ...]:
-    """Names of the numbers that fields give.
+    """Return the names of the numbers of fields.
 
     Parameters
     ----------
@@ -126,20 +123,18 @@ def number_names(fields: Fields) -> tuple[str, ...]:
 def evaluate_number(
     name: str, field: Callable[[str], Floats], prepared: PreparedLine, steps: int
 ) -> Floats:
-    """A number of some fields; of a bend radius, its curvature, 1/m, which a straight line has.
+    """Compute a number from fields; instead of a bend radius its curvature, 1/m.
 
     Parameters
     ----------
     name : of the number
-    field : gives a field by its name; with leading axes where it is drawn, which the number keeps
-    prepared : line and what pulls it
-    steps : the last of them
+    field : returns a field by its name; leading axes, of draws, are kept
+    prepared : line and boundaries
+    steps : number of the last one
     """
     if name == RADIUS:
         return _max_curvature(field(f"{CURVATURES}{steps}"))
-    if (
-        name == RADIUS_ON_PATH
-    ):  # one step after the other: draws of all at once would fill the memory
+    if name == RADIUS_ON_PATH:  # step by step, to limit the memory for draws
         return reduce(
             np.maximum, (_max_curvature(field(f"{CURVATURES}{step}")) for step in range(steps + 1))
         )

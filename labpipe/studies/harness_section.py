@@ -1,4 +1,4 @@
-"""What the line of a harness is made of: laws by the numbers that bands move, with their range."""
+"""Material of the line of a harness: sections as functions of uncertain inputs, and their range."""
 
 from __future__ import annotations
 
@@ -41,27 +41,27 @@ from labpipe.wire.law_family import (
 from labpipe.wire.wire_table import wire_table
 
 FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
-"""Inputs: logarithms of what moments, torsional stiffness and mass are multiplied by."""
+"""Inputs: logarithms of factors on moments, torsional stiffness and mass."""
 DEFAULT_SHEET = "wires.xlsx"
 _INSULATION_LIMIT = "the straight line of its insulation"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Material:
-    """What a line is made of.
+    """Material of a line.
 
     Parameters
     ----------
-    name : of the wire, or in words
-    sections : for named inputs, such as ``law_factor``; 0 for one that is left out. One for each
-        solution of a calibration, the best first: a law keeps the slips that were chosen for it
-    limit : 1/m, up to which the law is backed
-    limit_source : by what
-    stretch_limit : strain along the line, up to which its axial stiffness is backed
+    name : of the wire, or a description
+    sections : functions of named inputs, such as ``law_factor``, with 0 for a missing one; one for
+        each solution of a calibration, the best first
+    limit : 1/m, largest curvature for which the law is supported
+    limit_source : of this limit
+    stretch_limit : largest strain along the line for which its axial stiffness is supported
     files : that it was read from
-    notes : what a careful person would want to know
-    distributions : what is known of the inputs, one for each solution of a calibration; empty where
-        nothing says how well the law is known
+    notes : quality notes of the law
+    distributions : of the inputs, one for each solution of a calibration; empty without any
+        information on the uncertainty of the law
     """
 
     name: str
@@ -75,7 +75,7 @@ class Material:
 
     @property
     def diameter(self) -> float:
-        """Over all, m."""
+        """Outer diameter, m."""
         return self.sections[0](self.best).diameter
 
     @property
@@ -85,13 +85,13 @@ class Material:
 
 
 def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
-    """Read what the line of a harness is made of.
+    """Read the material of the line of a harness.
 
     Parameters
     ----------
     harness : as read
-    file : its YAML, for the places of files beside it
-    wires : wire sheet in place of the one that the file names
+    file : its YAML; other files are relative to its folder
+    wires : wire sheet instead of that in the file
 
     Raises
     ------
@@ -111,32 +111,31 @@ def material_of(harness: HarnessFile, file: Path, wires: Path | None = None) -> 
 def _add_stated(
     distributions: tuple[InputDistribution, ...], harness: HarnessFile
 ) -> tuple[InputDistribution, ...]:
-    """Beliefs of a calibration with what the file states beside them."""
-    stated = {LAW_FACTOR: harness.line.section.stiffness_uncertainty or 0.0}
+    """Join the distributions of a calibration with those that the file states."""
+    inputs = {
+        LAW_FACTOR: (harness.line.section.stiffness_uncertainty or 0.0, "stiffness as stated")
+    }
     if harness.line.spool is not None:
-        stated |= dict.fromkeys(FREE_CURVATURES, harness.line.spool.spread)
-    stated_distributions = [
-        stated_distribution(name, deviation, cause=_CAUSES[name])
-        for name, deviation in stated.items()
+        inputs |= dict.fromkeys(FREE_CURVATURES, (harness.line.spool.spread, "curl of the spool"))
+    stated = [
+        stated_distribution(name, deviation, cause=cause)
+        for name, (deviation, cause) in inputs.items()
         if deviation > 0.0
     ]
-    if not stated_distributions:
+    if not stated:
         return distributions
     if not distributions:
-        return (join_distributions(stated_distributions),)
-    return tuple(join_distributions([calibrated, *stated_distributions]) for calibrated in distributions)
-
-
-_CAUSES = {LAW_FACTOR: "stiffness as stated"} | dict.fromkeys(FREE_CURVATURES, "curl of the spool")
+        return (join_distributions(stated),)
+    return tuple(join_distributions([calibrated, *stated]) for calibrated in distributions)
 
 
 def input_file(role: str, path: Path) -> InputFile:
-    """A file with its hash, for the record.
+    """Return a file with its hash, for the record.
 
     Parameters
     ----------
-    role : what it is for
-    path : that can be read
+    role : of the file
+    path : of the file
     """
     content = path.read_bytes()
     return InputFile(role, path.name, hashlib.sha256(content).hexdigest(), len(content))
@@ -148,8 +147,8 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
     Parameters
     ----------
     name : of the wire
-    sheet : that has it as a row
-    where : what asks for it, for the message
+    sheet : of wires
+    where : place that names the wire, for the message
 
     Raises
     ------
@@ -170,7 +169,6 @@ def wire_of(name: str, sheet: Path, *, where: str) -> WireSpec:
 
 
 def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
-    max_elastic_strain = 1e-3  # copper yields beyond it
     sheet = wires or file_beside(block.sheet or DEFAULT_SHEET, file)
     spec = wire_of(str(block.wire), sheet, where=f"{file}, line.section.wire")
     files = [input_file("wires", sheet)]
@@ -185,7 +183,7 @@ def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Mater
     except ValueError as error:
         message = error_text(
             *(sheet, f"{spec.place}, wire {spec.name!r}"),
-            expected="a wire whose law can be put into sliders",
+            expected="a wire whose law can be fitted by sliders",
             found=f"this: {error}",
             remedy="Check its row against the wire.",
         )
@@ -203,13 +201,17 @@ def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Mater
         *(limits[source], source),
         files=tuple(files),
         notes=table.notes,
-        distributions=() if calibrated is None else _beliefs(calibrated),
-        stretch_limit=max_elastic_strain,
+        distributions=()
+        if calibrated is None
+        else calibrated_distributions(
+            calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
+        ),
+        stretch_limit=1e-3,  # copper yields beyond it
     )
 
 
 def _solution_specs(spec: WireSpec, calibrated: CalibratedFile | None) -> list[WireSpec]:
-    """The wire with the numbers of each solution that a calibration allows; alone without one."""
+    """Return the wire with the parameters of each allowed solution of a calibration, if any."""
     if calibrated is None:
         return [spec]
     return [
@@ -228,19 +230,15 @@ def _family_section(family: LawFamily, diameter: float, inputs: Mapping[str, flo
     )
 
 
-def _beliefs(calibrated: CalibratedFile) -> tuple[InputDistribution, ...]:
-    return calibrated_distributions(calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR)
-
-
 def _name(spec: WireSpec, calibrated: CalibratedFile | None) -> str:
-    """Name of a wire, and of the one that it was calibrated by where that is another."""
+    """Return the name of a wire, with that of the calibrated wire if it is another."""
     if calibrated is None or calibrated.wire == spec.name:
         return spec.name
     return f"{spec.name} (calibrated as {calibrated.wire})"
 
 
 def _scaled_section(section: Section, inputs: Mapping[str, float]) -> Section:
-    """A section with moments, torsion and mass multiplied as the inputs say."""
+    """Multiply moments, torsion and mass of a section by the factors of the inputs."""
     bending, torsion, mass = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
     law = section.law
     return replace(
@@ -286,8 +284,8 @@ def _deck_material(block: SectionBlock, path: Path) -> Material:
             diameter=block.diameter or 0.0,
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        found = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
-        raise _deck_error(path, "the law of a wire with its range", found) from error
+        fault = f"none under {error}" if isinstance(error, KeyError) else f"this: {error}"
+        raise _deck_error(path, "the law of a wire with its range", fault) from error
     limits = {"the range of the deck": law.last, _INSULATION_LIMIT: doubtful}
     source = min(limits, key=lambda limit: limits[limit])
     return Material(
@@ -302,16 +300,16 @@ def _read_deck(path: Path) -> dict[str, Any]:
     try:
         deck = json.loads(path.read_bytes()) if path.stat().st_size < max_bytes else None
     except (OSError, ValueError, RecursionError) as error:
-        raise _deck_error(path, "a deck that labpipe wrote", f"a damaged one ({error})") from error
+        raise _deck_error(path, "a deck of labpipe", f"a damaged one ({error})") from error
     if not isinstance(deck, dict):
-        raise _deck_error(path, "a deck that labpipe wrote", "something else")
+        raise _deck_error(path, "a deck of labpipe", "something else")
     if "reason" in deck:
         raise _deck_error(
-            path, "the law of a wire as sliders", f"why there is none: {deck['reason']}"
+            path, "the law of a wire as sliders", f"the reason why there is none: {deck['reason']}"
         )
     return deck
 
 
-def _deck_error(path: Path, expected: str, found: str) -> ReadError:
+def _deck_error(path: Path, expected: str, fault: str) -> ReadError:
     remedy = "`labpipe model` writes <wire>.sliders.json."
-    return ReadError(error_text(path, "", expected=expected, found=found, remedy=remedy))
+    return ReadError(error_text(path, "", expected=expected, found=fault, remedy=remedy))

@@ -1,4 +1,4 @@
-"""A harness, followed: its path, its numbers with their bands, and the lengths of its sweep."""
+"""Solution of a harness: its path, its numbers with their bands, and the lengths of its sweep."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class SweepRun:
     Parameters
     ----------
     length : m
-    path : as followed
-    prepared : that was followed
-    reasons : why its bend is doubtful, or was not found
-    bands : of the last step; None without
+    path : of the line
+    prepared : line and boundaries
+    reasons : why its bend is doubtful or missing
+    bands : of the last step, if any
     """
 
     length: float
@@ -69,12 +69,12 @@ class SweepRun:
 
     @property
     def bend(self) -> Bend:
-        """The sharpest bend at the last step; NaN for a line that could not be followed there."""
+        """The sharpest bend at the last step; NaN for a failed line."""
         return self._sharpest([len(self.path.states) - 1])
 
     @property
     def bend_on_path(self) -> Bend:
-        """The sharpest bend on the way; NaN for a line that could not be followed to its end."""
+        """The sharpest bend of all steps; NaN for a failed line."""
         return self._sharpest(range(len(self.path.states)))
 
     def _sharpest(self, steps: Sequence[int]) -> Bend:
@@ -85,24 +85,24 @@ class SweepRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowedHarness:
-    """What became of a harness.
+    """A harness with its solution.
 
     Parameters
     ----------
     file : its YAML
     harness : as read
     material : of its line
-    prepared : line and boundaries that were followed
-    path : as followed
-    status : ``failed`` where the line cannot be followed to the last step; nothing is written then
-        but the reason
+    prepared : line and boundaries
+    path : of the line
+    status : ``failed`` where the line cannot be solved to the last step; then only the reason is
+        written
     reasons : why it is doubtful or failed
     results : numbers; none of a failed one
     limit : allowed bend radius
     folder : of the results
     files : that were written
     sweep : other lengths
-    bands : of the steps that are shown; None where nothing says how well the line is known
+    bands : of the steps that are shown; None without information on the uncertainty of the line
     """
 
     file: Path
@@ -121,23 +121,23 @@ class FollowedHarness:
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """Steps that are shown: those that were asked for, and the last."""
+        """Steps that are shown: those of the file, and the last."""
         return shown_steps(self.harness)
 
     @property
     def sharpest(self) -> Bend:
-        """The sharpest bend on the whole way."""
+        """The sharpest bend of all steps."""
         return sharpest(self.path, self.prepared.line, range(len(self.path.states)))
 
     @property
     def is_bend_doubtful(self) -> bool:
-        """Whether the sharpest bend on the whole way is."""
+        """Whether the sharpest bend of all steps is doubtful."""
         numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
         return any(result.status is Status.DOUBTFUL for result in numbers)
 
 
 def shown_steps(harness: HarnessFile) -> tuple[int, ...]:
-    """Steps that were asked for, and the last.
+    """Return the steps of the file that are shown, and the last.
 
     Parameters
     ----------
@@ -155,21 +155,21 @@ def solve_harness(
     *,
     length: float | None = None,
 ) -> FollowedHarness:
-    """Follow a harness, without its sweep.
+    """Solve a harness, without its sweep.
 
     Parameters
     ----------
     harness : as read
     file : its YAML
     material : of its line
-    folder : of the results, which is not touched
+    folder : of the results; nothing is written
     on_step : called after each step of the line
     length : m, of a sweep, which shows the last step only; None for that of the file
 
     Raises
     ------
     ProcessingError
-        If the line cannot be laid as its boundaries say.
+        If the line does not fit its boundaries.
     """
     steps = shown_steps(harness) if length is None else (harness.steps,)
     path, prepared, bands = _follow_with_bands(
@@ -202,7 +202,7 @@ def _results_with_doubts(
     solution: tuple[RodPath, PreparedLine, HarnessBands | None],
     length: float | None = None,
 ) -> tuple[Result, ...]:
-    """Numbers of a line that was followed to its end, each with all its doubts."""
+    """Return the numbers of a complete path, each with all its doubts."""
     path, prepared, bands = solution
     intervals = {} if bands is None else bands.intervals
     doubts = _doubts(path, prepared, _with_half_elements(harness, material, length), intervals)
@@ -213,7 +213,7 @@ def _results_with_doubts(
 def _doubts(
     path: RodPath, prepared: PreparedLine, half: PreparedLine, intervals: Mapping[str, Interval]
 ) -> list[Doubt]:
-    """Why some numbers of a line that was followed to its end are doubtful."""
+    """Return the doubts about some numbers of a complete path."""
     doubts = [
         element_doubt(path, prepared.line),
         few_elements_doubt(path, prepared, half, intervals),
@@ -229,30 +229,24 @@ def _doubts(
 def _all_reasons(
     path: RodPath, prepared: PreparedLine, material: Material, bands: HarnessBands | None
 ) -> tuple[Reason, ...]:
-    """Why all numbers are doubtful, or why there are none; what the bands say included."""
+    """Return the reasons why all numbers are doubtful or missing, with those of the bands."""
     reasons = reasons_of(path, prepared.line, material)
     if bands is None:
         return reasons
-    codes = {reason.code for reason in reasons} | _COVERED_CODES
+    codes = {reason.code for reason in reasons} | {"beyond_tested"}
     notes = [Reason(note.code, note.message) for note in bands.line.notes]
     notes += [] if bands.doubt is None else [bands.doubt]
     return reasons + tuple(note for note in notes if note.code not in codes)
 
 
-_COVERED_CODES = {"beyond_tested"}
-"""Codes of notes of bands that `reasons_of` has a word for."""
-_SWEEP_NUMBERS = (RADIUS, RADIUS_ON_PATH, LOWEST_POINT)
-"""Numbers that a sweep lists for each length."""
-
-
 def solve_sweep_length(
     stated: FollowedHarness, length: float, on_step: Callable[[], object] = lambda: None
 ) -> SweepRun:
-    """Follow a harness with another length of its line.
+    """Solve a harness with another length of its line.
 
     Parameters
     ----------
-    stated : the harness with its own length, which is not followed again
+    stated : the harness with its own length, which is not solved again
     length : m
     on_step : called after each step of the line
 
@@ -270,7 +264,7 @@ def solve_sweep_length(
         listed = [
             result.reasons
             for result in other.results
-            if result.name in _SWEEP_NUMBERS and result.value is not None
+            if result.name in (RADIUS, RADIUS_ON_PATH, LOWEST_POINT) and result.value is not None
         ]
         reasons = tuple(dict.fromkeys(reason for result in listed for reason in result))
     return SweepRun(length, other.path, other.prepared, reasons, other.bands)
@@ -285,16 +279,15 @@ def _follow_with_bands(
     *,
     on_step: Callable[[], object],
 ) -> tuple[RodPath, PreparedLine, HarnessBands | None]:
-    """Follow a line at its best inputs, and beside them where something is believed of them."""
+    """Solve a line at its best inputs, and at others where these have distributions."""
     solutions: list[Followed] = []
 
     def follow_line(number: int, inputs: Inputs) -> Followed:
         prepared = prepare_line(harness, material.sections[number](inputs), inputs, length=length)
-        with np.errstate(over="ignore", invalid="ignore"):  # it then fails, and says so
+        with np.errstate(over="ignore", invalid="ignore"):  # it then has the status failed
             path = follow(prepared.line, prepared.boundaries, steps=harness.steps, on_step=on_step)
-        found = path, prepared
-        solutions.append(found)
-        return found
+        solutions.append((path, prepared))
+        return solutions[-1]
 
     try:
         bands = harness_bands(follow_line, material, steps)
@@ -302,9 +295,9 @@ def _follow_with_bands(
     except ValueError as error:
         message = error_text(
             *(file, "line"),
-            expected="a line that can be laid as its boundaries say",
+            expected="a line that fits its boundaries",
             found=f"this: {error}",
-            remedy="Check the line and what holds it.",
+            remedy="Check the line and its boundaries.",
         )
         raise ProcessingError(message) from error
     return path, prepared, bands

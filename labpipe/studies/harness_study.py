@@ -1,4 +1,4 @@
-"""From a harness YAML to a shape: followed, judged, written, and drawn."""
+"""Harness files from YAML to results: solution, tables, figures."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True)
 class Watcher:
-    """Who is told how far a harness is.
+    """Callbacks for progress.
 
     Parameters
     ----------
     begin : called with the number of lines and of the steps of each
-    line : called with the words for each line that begins
+    line : called with the name of each line before it is solved
     step : called after each step
     """
 
@@ -68,27 +68,27 @@ def follow_harness(
     png: bool = False,
     watcher: Watcher | None = None,
 ) -> FollowedHarness:
-    """Follow the line of a harness, and write what was found.
+    """Solve the line of a harness and write the results.
 
     Parameters
     ----------
     file : harness YAML
-    wires : wire sheet in place of the one that the file names
+    wires : wire sheet instead of that in the file
     out : folder of the results; None for ``processed/harness/<name of the file>`` in the working
         folder
     figures : whether to draw
-    png : figures as PNG, too; without it those of an earlier run are taken away
-    watcher : is given what begins and ends
+    png : figures as PNG, too; without it those of an earlier run are removed
+    watcher : of the progress
 
     Returns
     -------
-    The harness with its numbers and files. Of one whose line cannot be followed to the last step
-    only ``failure.json`` is written; earlier results are then as they were.
+    The harness with its numbers and files. If the line cannot be solved to the last step, only
+    ``failure.json`` is written; earlier results are then unchanged.
 
     Raises
     ------
     LabpipeError
-        If the file or one that it names has faults; earlier results are then as they were.
+        If the file or one that it names has faults; earlier results are then unchanged.
     """
     harness = load_harness(file)
     material = material_of(harness, file, wires)
@@ -98,20 +98,20 @@ def follow_harness(
     others = [length for length in lengths if length != harness.line.length]
     watcher.begin(len(others) + 1, harness.steps + 1)
     watcher.line("as stated")
-    follow_harness = solve_harness(harness, file, material, folder, watcher.step)
-    if follow_harness.status is Status.FAILED:
-        _write_failure(follow_harness)
-        return follow_harness
+    solution = solve_harness(harness, file, material, folder, watcher.step)
+    if solution.status is Status.FAILED:
+        _write_failure(solution)
+        return solution
     sweep = []
     for length in lengths:
         if length in others:
             watcher.line(f"length {1e3 * length:.6g} mm")
-        sweep.append(solve_sweep_length(follow_harness, length, watcher.step))
-    return _write(replace(follow_harness, sweep=tuple(sweep)), figures=figures, png=png)
+        sweep.append(solve_sweep_length(solution, length, watcher.step))
+    return _write(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)
 
 
 def _write_failure(solution: FollowedHarness) -> None:
-    """Say why beside earlier results, which stay."""
+    """Write the reason beside earlier results, which are unchanged."""
     first, states = solution.reasons[0], solution.path.states
     reached = states[-1].positions if states else solution.prepared.line.positions
     content = {
@@ -155,7 +155,7 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
 
 
 def _bands_by_step(solution: FollowedHarness) -> Mapping[int, StateBands]:
-    """Bands by step; none where there are none."""
+    """Return bands by step."""
     return (
         {}
         if solution.bands is None
@@ -225,11 +225,11 @@ def _files(solution: FollowedHarness) -> tuple[InputFile, ...]:
 
 
 def as_json(solution: FollowedHarness) -> dict[str, object]:
-    """What ``summary.json`` holds: plain SI numbers; None for one that is not available.
+    """Return the content of ``summary.json``: SI numbers; None for one that is not available.
 
     Parameters
     ----------
-    solution : a harness that was followed
+    solution : of a harness
     """
     section, line = solution.prepared.line.section, solution.prepared.line
     bend, limit = solution.sharpest, solution.limit
@@ -277,7 +277,7 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
 
 
 def _band_ends(run: SweepRun) -> dict[str, float | None]:
-    """Ends of the band of the smallest bend radius; None without one."""
+    """Return the ends of the band of the smallest bend radius; None without one."""
     if run.bands is None:
         return {"lower": None, "upper": None}
     interval = run.bands.intervals[RADIUS]
@@ -285,9 +285,9 @@ def _band_ends(run: SweepRun) -> dict[str, float | None]:
 
 
 def _bands_json(solution: FollowedHarness) -> dict[str, object]:
-    """What the bands are, and what each cause has in them; or why there are none."""
+    """Return the kind of the bands and the share of each cause, or why there are none."""
     if solution.bands is None:
-        reason = "nothing says how well the law is known: name a calibration, or an uncertainty"
+        reason = "the uncertainty of the law is unknown: name a calibration or an uncertainty"
         return {"kind": None, "reason": reason}
     shares = solution.bands.line.states[-1].shares
     return {

@@ -1,4 +1,4 @@
-"""Shape and forces of a followed harness as text: CSV for spreadsheets, VTK for viewers."""
+"""Shape and forces of a solved harness as text: CSV for spreadsheets, VTK for viewers."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _AXES = "xyz"
 
 
 def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
-    """What is said of every node of a state, by column; each of shape (n + 1,).
+    """Return the columns of all nodes of a state; each of shape (n + 1,).
 
     Parameters
     ----------
     state : of the line
-    line : that was followed
+    line : in this state
 
     Notes
     -----
@@ -56,7 +56,7 @@ def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
 
 
 def _at_nodes(of_elements: Floats) -> Floats:
-    """Mean of both sides at the nodes, shape (n + 1,)."""
+    """Return the mean of both sides at the nodes, shape (n + 1,)."""
     before, behind = (
         np.insert(of_elements, 0, of_elements[0]),
         np.append(of_elements, of_elements[-1]),
@@ -69,10 +69,10 @@ def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> 
 
     Parameters
     ----------
-    path : as followed
-    line : that was followed
+    path : of the line
+    line : of the path
     steps : one after the other
-    bands : of some of them; a step without has empty cells
+    bands : of some steps; others have empty cells
     """
     names = [f"{name.split()[0]}_{end} {name.split()[1]}" for name in BANDED for end in _ENDS]
     head = ["step", "node", *shape_columns(path.states[steps[0]], line)]
@@ -90,30 +90,30 @@ _ENDS = ("lower", "upper")
 
 
 def _band_ends(band: tuple[Floats, Floats] | None, nodes: int) -> list[Floats]:
-    """Columns of a band, lower and upper in turn; NaN without one."""
+    """Return the columns of a band, lower and upper in turn; NaN without one."""
     if band is None:
         return [np.full(nodes, np.nan)] * (2 * len(BANDED))
     return [end[:, column] for column in range(len(BANDED)) for end in band]
 
 
 def _cell(value: float) -> str:
-    """Nine digits; an empty cell for what is not available, ``inf`` for a straight line."""
+    """Format a number with nine digits; empty for NaN, ``inf`` for a straight line."""
     return "" if math.isnan(value) else f"{value:.9g}"
 
 
 def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
-    """Write what each boundary does to the line in every step.
+    """Write forces and moments of each boundary on the line in every step.
 
     Parameters
     ----------
-    path : as followed
-    prepared : that was followed
+    path : of the line
+    prepared : line and boundaries
     bands : by step, lower and upper ends of the forces, shape (boundaries, 3) each; other steps
         have empty cells
 
     Notes
     -----
-    The weight is no boundary here: in each step it is what all the others carry.
+    The weight is left out: in each step it is minus the sum of the others.
     """
     names = [
         f"{boundary}{axis} [{unit}]"
@@ -142,7 +142,7 @@ def forces_csv(path: RodPath, prepared: PreparedLine, bands: Bands) -> str:
 
 
 def _quoted(name: str) -> str:
-    """A name as a cell of a CSV."""
+    """Quote a name for a cell of a CSV, if necessary."""
     return '"' + name.replace('"', '""') + '"' if set(name) & set('",\n') else name
 
 
@@ -151,15 +151,15 @@ def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> st
 
     Parameters
     ----------
-    path : as followed
-    line : that was followed
+    path : of the line
+    line : of the path
     steps : one line for each
     title : of one line
 
     Notes
     -----
-    Bend radii of a straight line, which are infinite, are written as 0: VTK's text has no word that
-    all readers take.
+    Infinite bend radii of a straight line are written as 0: legacy VTK has no infinity that all
+    readers accept.
     """
     states = [path.states[step] for step in steps]
     count = len(line.stations)

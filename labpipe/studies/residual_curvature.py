@@ -1,4 +1,4 @@
-"""What a line keeps of its bends: by the rule that its law unloads by, and at most."""
+"""Residual curvature of a released line, by Masing's rule and at most."""
 
 from __future__ import annotations
 
@@ -10,26 +10,24 @@ from labpipe.records.quality import Reason
 from labpipe.rod.line import Line
 from labpipe.rod.path import RodPath, RodState
 
-MAX_RESIDUAL_RATIO = 1.1
-"""At most kept over kept by the rule, above which what hangs on the way back is doubtful."""
 _MIN_CURVATURE = 1e-3
-"""1/m: who keeps less is straight."""
+"""1/m; below it a line is straight."""
 
 
 def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
-    """Curvature to which each station goes straight when nothing holds it, 1/m, shape (..., 2).
+    """Return the curvature of each station after release, 1/m, shape (..., 2).
 
     Parameters
     ----------
     law : of every station
-    rests : 1/m, shape (..., sliders, 2): where its sliders rest
+    rests : 1/m, shape (..., sliders, 2): rest curvatures of its sliders
 
     Notes
     -----
-    The curvature without moment, where sliders slide the other way as they do: EI_0 kappa + sum of
+    The curvature at zero moment, where sliders slide in the other direction: EI_0 kappa + sum of
     w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), solved for kappa with the
-    w_j of the step before (Weiszfeld's iteration, which descends on a convex energy). It begins at
-    the curvature that is reached if no slider slides. A law without sliders keeps nothing.
+    w_j of the step before (Weiszfeld's iteration, which descends on a convex energy). It starts
+    at the curvature reached if no slider slides. Without sliders it is 0.
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
@@ -50,32 +48,32 @@ def curvature_after_release(law: SliderLaw, rests: Floats) -> Floats:
 
 
 def residual_curvature(state: RodState, law: SliderLaw) -> Floats:
-    """Curvature that the line would keep if nothing held it any more, 1/m, shape (n + 1,).
+    """Return the curvature of the line if it were released, 1/m, shape (n + 1,).
 
     Parameters
     ----------
-    state : with the memory of its sliders
+    state : with the state of its sliders
     law : of the line
 
     Notes
     -----
-    Less that at rest. See `curvature_after_release`; the larger one where a clip parts both sides
-    of a node.
+    Without natural curvature. See `curvature_after_release`; the larger one where both sides of a
+    node differ at a clip.
     """
     return np.asarray(np.linalg.norm(curvature_after_release(law, state.rests), axis=2).max(axis=1))
 
 
 def max_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
-    """Curvature that it would keep if nothing slid on the way back, 1/m, shape (n + 1,).
+    """Return the residual curvature if no slider slid on unloading, 1/m, shape (n + 1,).
 
     Parameters
     ----------
-    path : as followed
+    path : of the line
     law : of the line
 
     Notes
     -----
-    From where each node was bent most: sum of K_j a_j over the first stiffness.
+    From the largest bend of each node: sum of K_j a_j over the first stiffness.
     """
     if not len(law.stiffnesses):
         return np.zeros(len(path.last.positions))
@@ -87,11 +85,11 @@ def max_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
 
 
 def largest_unbending(path: RodPath) -> float:
-    """How far a node went back from where it was bent most, as a share of the line's sharpest bend.
+    """Return the largest decrease of curvature at a node over the sharpest bend of the line.
 
     Parameters
     ----------
-    path : as followed
+    path : of the line
     """
     bent = np.array([state.bendings for state in path.states])
     most = bent.max(axis=0)
@@ -99,28 +97,28 @@ def largest_unbending(path: RodPath) -> float:
 
 
 def unloading_reason(path: RodPath, line: Line) -> Reason | None:
-    """Why numbers that hang on the way back are doubtful, if they are.
+    """Return the reason why numbers that depend on unloading are doubtful, if they are.
 
     Parameters
     ----------
-    path : as followed
-    line : that was followed
+    path : of the line
+    line : of the path
 
     Notes
     -----
-    The law of a wire is that of first loading; on the way back it follows Masing's rule, by which
-    copper alone springs back two to four times as far as standards of annealed wire allow.
+    The law of a wire is that of first loading; on unloading it follows Masing's rule, by which
+    copper springs back two to four times as far as standards of annealed wire allow.
     """
     law = line.section.law
     largest = max_residual_curvature(path, law)
     node = int(np.argmax(largest))
     residual = float(residual_curvature(path.last, law)[node])
-    if largest[node] <= max(_MIN_CURVATURE, MAX_RESIDUAL_RATIO * residual):
+    if largest[node] <= max(_MIN_CURVATURE, 1.1 * residual):
         return None
     message = (
-        "how the wire unloads is taken from its first loading (Masing's rule), by which copper "
-        f"springs back too far: {1e3 * line.stations[node]:.4g} mm from the start it keeps "
-        f"{residual:.3g} 1/m by the rule, and if nothing slid on its way back it would be "
-        f"{largest[node]:.3g} 1/m"
+        "unloading is computed from the first loading by Masing's rule, which overestimates the "
+        f"springback of copper: {1e3 * line.stations[node]:.4g} mm from the start the residual "
+        f"curvature is {residual:.3g} 1/m by the rule and {largest[node]:.3g} 1/m without sliding "
+        "on unloading"
     )
     return Reason("unloading_assumed", message)

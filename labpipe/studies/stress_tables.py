@@ -1,6 +1,6 @@
-"""Stress-strain curves that a wire sheet names: points, or the numbers of Ramberg and Osgood.
+"""Stress-strain curves of a wire sheet: points, or the numbers of Ramberg and Osgood.
 
-Either may say at which strain rate and temperature it was measured.
+Strain rate and temperature of the measurement are optional.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ PROOF_STRAIN = 0.002
 _MEGA = 1e6
 _CONDITION = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
 PlacedFault: TypeAlias = tuple[str, Fault]
-"""A fault and the place of its cell."""
+"""A fault with the place of its cell."""
 _B = TypeVar("_B", bound=Block)
 
 
 class ProofStress(Block):
-    """Strain = s / E + 0.002 (s / Rp0.2)^n, and how far it holds; in the units of the columns."""
+    """Strain = s / E + 0.002 (s / Rp0.2)^n, with its range; in the units of the columns."""
 
     modulus_mpa: Annotated[float, Column("MPa", 0.1, 1e6)]
     proof_stress_mpa: Annotated[float, Column("MPa", 1e-3, 1e5)]
@@ -42,7 +42,7 @@ class ProofStress(Block):
 
 
 class Conditions(Block):
-    """At what a curve was measured."""
+    """Conditions of a measurement."""
 
     strain_rate_per_s: Annotated[float | None, Column("1/s", 1e-9, 1e4)] = None
     temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
@@ -62,9 +62,8 @@ class StatedCurve:
     ----------
     table : name of the sheet, or of the csv
     curve : strains and stresses, Pa
-    numbers : of Ramberg and Osgood that it was made from, in the units of the columns; None where
-        the table has points
-    conditions : strain rate, 1/s, and temperature, degrees Celsius, where the table says them
+    numbers : of Ramberg and Osgood, in the units of the columns; None for a table of points
+    conditions : strain rate, 1/s, and temperature, degrees Celsius, where stated
     """
 
     table: str
@@ -74,7 +73,7 @@ class StatedCurve:
 
     @property
     def description(self) -> str:
-        """Say where the curve comes from, in one line."""
+        """The origin of the curve, in one line."""
         strains, _ = self.curve
         numbers, conditions = self.numbers, self.conditions
         form = f"{len(strains)} point{'s' * (len(strains) > 1)}"
@@ -99,7 +98,7 @@ class StatedCurve:
         return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
 
     def as_json(self) -> dict[str, object]:
-        """What the table states, in SI units; None for what it does not state."""
+        """Return the content of the table in SI units; None for what it does not state."""
         zero_celsius = 273.15  # K
         numbers, celsius = self.numbers, self.conditions.temperature_c
         return {
@@ -115,17 +114,17 @@ class StatedCurve:
 
 
 def describe_stress_tables(curves: Mapping[str, StatedCurve]) -> str:
-    """Say what the stress tables of a wire are, in one line.
+    """Describe the stress tables of a wire in one line.
 
     Parameters
     ----------
-    curves : by the column of the wire sheet that names them
+    curves : by column of the wire sheet
     """
     return "; ".join(f"{column} {curve.description}" for column, curve in curves.items())
 
 
 def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
-    """Turn the numbers of Ramberg and Osgood into a stress table.
+    """Compute a stress table from the numbers of Ramberg and Osgood.
 
     Parameters
     ----------
@@ -134,8 +133,8 @@ def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
     Returns
     -------
     Strains, the last of them `largest_strain`, and stresses, Pa: at most 60 points. Straight lines
-    between them lie below the curve, by less than 0.1 % of the stress for exponents to 5 and by
-    less for others; so does the first slope, which is the modulus of the table.
+    between them are below the curve, by less than 0.1 % of the stress for exponents to 5 and by
+    less for others; so is the first slope, the modulus of the table.
 
     Notes
     -----
@@ -144,10 +143,8 @@ def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
     curve of `wire.materials.RambergOsgood` with K = Rp0.2 / 0.002^(1 / n), whose exponent is 1 / n.
     """
     table_points = 60
-    # the points of the table are chosen from these.
-    dense_points = 4000
-    # of the strain, at the first point beyond zero.
-    first_plastic_share = 1e-4
+    dense_points = 4000  # from which those of the table are chosen
+    first_plastic_share = 1e-4  # of the strain, at the first point beyond zero
     modulus, proof = numbers.modulus_mpa * _MEGA, numbers.proof_stress_mpa * _MEGA
     power, last = numbers.exponent, numbers.largest_strain
     law = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
@@ -174,7 +171,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     Raises
     ------
     ReadError
-        If there is no such table, or anything in it is wrong: each fault with its cell.
+        If there is no such table or it has faults: all of them, each with its cell.
     """
     table, file = _table(column, name, path)
     names = [column_name(cell.text) for cell in table.heading]
@@ -185,8 +182,8 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         numbers = _numbers(rows, column, file)
         return StatedCurve(name.text, ramberg_osgood_curve(numbers), numbers, conditions)
     points = _blocks(StressPoint, rows, file)
-    if found := curve_fault(points, column):
-        number, fault = found
+    if curve_error := curve_fault(points, column):
+        number, fault = curve_error
         before = points[number - 1].strain if number else 0.0
         wrong = "strain" if points[number].strain <= before else "stress_mpa"
         raise_faults(file, [(f"{rows[number][wrong].place} ({wrong})", fault)])
@@ -194,13 +191,13 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
 
 def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
-    """Find columns that are missing, come twice, deny each other, or say a condition otherwise."""
+    """Find missing, repeated, contradicting and misspelt columns."""
     numbers, points = ([name for name in names if name in kind] for kind in (_PROOF, _POINT))
     needed = _PROOF if numbers else _POINT
     for column in needed:
         if column not in names:
-            found = ", ".join(repr(cell.text) for cell in heading)
-            yield heading[0].place, Fault((), f"a column {column!r}", found, _NAME_COLUMNS)
+            actual = ", ".join(repr(cell.text) for cell in heading)
+            yield heading[0].place, Fault((), f"a column {column!r}", actual, _NAME_COLUMNS)
     if numbers and points:
         expected = f"either points or numbers, so no column {points[0]!r} beside {numbers[0]!r}"
         place = heading[names.index(points[0])].place
@@ -215,7 +212,7 @@ def _heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[P
 
 
 def _conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
-    """Rate and temperature, which are the same in all rows that say them."""
+    """Read rate and temperature, which are the same in all rows that state them."""
     stated: dict[str, Cell] = {}
     for column in _CONDITIONS:
         cells = [row[column] for row in rows if column in row and row[column].text]
@@ -230,11 +227,11 @@ def _conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
 
 
 def _numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> ProofStress:
-    """The numbers of the one row, if they make a curve."""
+    """Read the numbers of the single row, which must define a curve."""
     if len(rows) > 1:
-        expected, found = "one row of numbers", f"{len(rows)}"
+        expected, actual = "one row of numbers", f"{len(rows)}"
         place = next(iter(rows[1].values())).place
-        raise_faults(file, [(place, Fault((), expected, found, "Make a table of each."))])
+        raise_faults(file, [(place, Fault((), expected, actual, "Make a table of each."))])
     cells = [{key: row[key] for key in _PROOF} for row in rows]
     [numbers] = _blocks(ProofStress, cells, file)
     raise_faults(file, place_faults(_number_faults(numbers, column), rows[0]))
@@ -246,8 +243,8 @@ def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
     if not low <= numbers.modulus_mpa <= high:
         what = "insulation" if column == "insulation_table" else "strands"
         expected = f"a modulus of {what} of {low:g} to {high:g} MPa"
-        found, remedy = f"{numbers.modulus_mpa:g} MPa", "Is the unit right?"
-        yield Fault(("modulus_mpa",), expected, found, remedy)
+        actual, remedy = f"{numbers.modulus_mpa:g} MPa", "Is the unit right?"
+        yield Fault(("modulus_mpa",), expected, actual, remedy)
     yields = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
     if yields > numbers.largest_strain:
         expected = f"a largest strain of {yields:.4g} or more, where the proof stress is reached"
@@ -256,7 +253,7 @@ def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
 
 
 def _blocks(kind: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
-    """Read what a kind of row says; other columns are left out."""
+    """Parse rows of a kind; other columns are ignored."""
     rows_of_kind = [
         {key: cell for key, cell in row.items() if key in kind.model_fields} for row in rows
     ]
@@ -271,7 +268,7 @@ def _blocks(kind: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> l
 
 
 def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
-    """The table, and its file: another sheet of the workbook, or a csv beside the csv."""
+    """Return the table and its file: another sheet of the workbook, or a csv beside the csv."""
     rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
     if not is_workbook(path):
         if Path(name.text).name != name.text:
@@ -293,16 +290,16 @@ def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
 
 
 def texts(row: Mapping[str, Cell]) -> dict[str, str]:
-    """Text of each cell of a row, by column."""
+    """Return the text of each cell of a row, by column."""
     return {name: cell.text for name, cell in row.items()}
 
 
 def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[PlacedFault]:
-    """Put each fault at the cell that it comes from; at the first one if its column is not there.
+    """Add to each fault the place of its cell, or of the first cell if its column is missing.
 
     Parameters
     ----------
-    faults : whose paths begin with a column
+    faults : with a column as the first part of their path
     row : cells by column
     """
     for fault in faults:
@@ -312,7 +309,7 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
 
 
 def fault_messages(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
-    """Word faults of a file, one message each."""
+    """Return the messages of faults of a file."""
     return [
         error_text(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
         for place, fault in faults
@@ -320,12 +317,12 @@ def fault_messages(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
 
 
 def raise_faults(path: Path, faults: Iterable[PlacedFault]) -> None:
-    """Refuse a file that has faults.
+    """Raise the faults of a file, if any.
 
     Raises
     ------
     ReadError
-        With a line for each fault, if there is one.
+        With a line for each fault.
     """
     if messages := fault_messages(path, faults):
         raise ReadError("\n".join(messages))

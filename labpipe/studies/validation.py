@@ -1,4 +1,4 @@
-"""Tests by wire and length beside what a calibrated model predicts of them, shapes included."""
+"""Comparison of tests by wire and length with the predictions of a calibrated model."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import build, mass_per_length, straight_range
 
 STEPS = 6
-"""Deflections that are shown."""
+"""Number of shapes, at even steps of deflection."""
 
 
 def bent_shapes(
     file: Path, wire: Wire, length: float, rig: StringRig | None, deepest: float
 ) -> tuple[BentShape, ...]:
-    """Take a sample's shapes at even steps of deflection, and bend the model as far.
+    """Return shapes of a sample and of the model at even steps of deflection.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ def bent_shapes(
     wire : with the calibrated numbers
     length : free length, m
     rig : the string; None for an end load normal to the axis
-    deepest : m, deflection up to which the first loading was taken
+    deepest : m, largest deflection of the first loading
 
     Returns
     -------
-    `STEPS` shapes in the frame of the clamp; none for a test without a fitted shape. Markers stand
-    where they were seen, on the surface; fit and model are the axis.
+    `STEPS` shapes in the frame of the clamp; none for a test without a fitted shape. Markers are
+    on the surface, as measured; fit and model are the axis.
 
     Raises
     ------
@@ -77,17 +77,22 @@ def bent_shapes(
             frame = int(reached[0])
             model = _model_shape(wire, length, rig, float(rise[frame]), largest_curvature)
             bent_shapes.append(
-                BentShape(float(rise[frame]), _markers(shape, frame), _fit(shape, frame), model)
+                BentShape(
+                    float(rise[frame]),
+                    _marker_positions(shape, frame),
+                    _fitted_axis(shape, frame),
+                    model,
+                )
             )
     return tuple(bent_shapes)
 
 
-def _markers(shape: Shape, frame: int) -> Floats:
+def _marker_positions(shape: Shape, frame: int) -> Floats:
     seen = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
     return shape.positions[frame, seen, :2]
 
 
-def _fit(shape: Shape, frame: int) -> Floats:
+def _fitted_axis(shape: Shape, frame: int) -> Floats:
     points_on_axis = 60
     powers = np.vander(
         np.linspace(0.0, 1.0, points_on_axis), shape.coefficients.shape[2], increasing=True
@@ -98,7 +103,7 @@ def _fit(shape: Shape, frame: int) -> Floats:
 def _model_shape(
     wire: Wire, length: float, rig: StringRig | None, deflection: float, largest_curvature: float
 ) -> Floats:
-    """Axis of the model with its tip at a deflection, from rest."""
+    """Bend the model from rest to a deflection of its tip; return its axis."""
     tip_tolerance = 1e-6  # m
     max_iterations = 8
     share = min(deflection / length, 0.9)
@@ -114,7 +119,7 @@ def _model_shape(
         return np.column_stack([bent.x, bent.y])
     travel, level = deflection, straight(law, self_weight=weight)
     rest = bend_to_travel(law, level, length, rig, 0.0).state
-    for _ in range(max_iterations):  # the string leans, so that the tip follows the clamp not quite
+    for _ in range(max_iterations):  # as the string leans, the tip moves less than the clamp
         bent = bend_to_travel(law, rest, length, rig, travel)
         missing = deflection - float(bent.y[-1])
         if abs(missing) < tip_tolerance:
@@ -124,11 +129,11 @@ def _model_shape(
 
 
 DEFAULT_SHEETS = ("wires.xlsx", "wires.csv")
-"""What is looked for where no sheet is named."""
+"""Names of the wire sheet in the working folder."""
 
 
 def default_sheet() -> Path:
-    """The sheet of the working folder.
+    """Return the wire sheet of the working folder.
 
     Raises
     ------
@@ -151,7 +156,7 @@ def default_sheet() -> Path:
 def wire_to_calibrate(
     loadings: Sequence[FirstLoading], settings: CalibrationPlan, plan: Path | None
 ) -> str:
-    """The wire of the plan, or the only one there is.
+    """Return the wire of the plan, or the only one with tests.
 
     Parameters
     ----------
@@ -162,7 +167,7 @@ def wire_to_calibrate(
     Raises
     ------
     UsageError
-        If the plan's wire has no tests, or it names none and there are several.
+        If the wire of the plan has no tests, or it names none and several have tests.
     """
     tested = sorted({loading.curve.wire for loading in loadings})
     if settings.wire is None and len(tested) == 1:
@@ -170,19 +175,19 @@ def wire_to_calibrate(
     if settings.wire in tested:
         return str(settings.wire)
     if settings.wire is None:
-        found = f"tests of {len(tested)} wires: {', '.join(tested)}"
+        actual = f"tests of {len(tested)} wires: {', '.join(tested)}"
         remedy = "Name the one to calibrate, in the plan ('wire: A2'); the others are predicted."
         message = error_text(
-            plan or "tests", "", expected="tests of one wire", found=found, remedy=remedy
+            plan or "tests", "", expected="tests of one wire", found=actual, remedy=remedy
         )
     else:
         remedy = "Name a specimen type of the tests, or give its tests, too."
-        found = f"usable tests of {', '.join(nearest(settings.wire, tested))} alone"
+        actual = f"usable tests of {', '.join(nearest(settings.wire, tested))} alone"
         message = error_text(
             plan or "plan",
             "wire",
             expected=f"tests of '{settings.wire}'",
-            found=found,
+            found=actual,
             remedy=remedy,
         )
     raise UsageError(message)
@@ -191,7 +196,7 @@ def wire_to_calibrate(
 def drop_copies(
     loadings: Sequence[FirstLoading],
 ) -> tuple[list[FirstLoading], dict[str, str]]:
-    """Take each first loading once: a copy of a test would count as one more.
+    """Drop copies of first loadings, which would count as further tests.
 
     Parameters
     ----------
@@ -199,7 +204,7 @@ def drop_copies(
 
     Returns
     -------
-    Those that differ, the first of its copies each, and by file why a copy was left out.
+    The first of all copies each, and by file why a copy was left out.
     """
     first: dict[tuple[bytes, bytes], FirstLoading] = {}
     left_out: dict[str, str] = {}
@@ -213,7 +218,7 @@ def drop_copies(
                 "",
                 expected="each test once",
                 found=f"the same first loading as in {original.file}",
-                remedy="Leave the copy away.",
+                remedy="Remove the copy.",
             )
     return list(first.values()), left_out
 
@@ -221,7 +226,7 @@ def drop_copies(
 def require_wires(
     loadings: Sequence[FirstLoading], specs: Mapping[str, WireSpec], wires: Path
 ) -> None:
-    """Refuse tests of wires that the sheet does not have.
+    """Refuse tests of wires that are not in the sheet.
 
     Parameters
     ----------
@@ -241,7 +246,7 @@ def require_wires(
             "column wire",
             expected=f"a row for '{wire}', the specimen type of test {test}",
             found=f"rows for {', '.join(nearest(wire, list(specs)))}",
-            remedy="Add the wire, or call it as the tests do.",
+            remedy="Add the wire, or use the name of the tests.",
         )
         raise UsageError(message)
 
@@ -275,17 +280,17 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
 
 
 _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
-"""Deflections of a prediction, over the deepest: closer where the curve begins, and is bent."""
+"""Deflections of a prediction over the largest, closer at the start of the curve."""
 
 
 def compare(
     calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
 ) -> tuple[ValidationGroup, ...]:
-    """Compare a calibration with tests, those that it rests on and others.
+    """Compare a calibration with its own tests and with others.
 
     Parameters
     ----------
-    calibration : what was found
+    calibration : of one wire
     wires : by name
     loadings : all tests
 
@@ -302,7 +307,7 @@ def compare(
         )
         groups.setdefault(key, []).append(loading)
     return tuple(
-        _compared(calibration, wires[wire], groups[other, wire, length])
+        _compare_group(calibration, wires[wire], groups[other, wire, length])
         for other, wire, length in sorted(groups)
     )
 
@@ -313,20 +318,20 @@ def insulation_notes(
     specs: Mapping[str, WireSpec],
     loadings: Sequence[FirstLoading],
 ) -> tuple[QualityNote, ...]:
-    """Say which wires the tests bend beyond the straight line of their insulation.
+    """Return notes on wires that tests bend beyond the linear range of their insulation.
 
     Parameters
     ----------
-    calibration : what was found
+    calibration : of one wire
     wires, specs : by name
     loadings : all tests
 
     Returns
     -------
-    A note for each of them. A predicted wire that the model cannot follow as far as its tests went
-    has none: its group says so.
+    A note for each of them. A predicted wire for which the model has no solution in the range of
+    the tests has none: its group has the reason.
     """
-    insulation_notes, values = [], calibration.solutions[0].values
+    notes, values = [], calibration.solutions[0].values
     for name in sorted({loading.curve.wire for loading in loadings}):
         curves = [loading.curve for loading in loadings if loading.curve.wire == name]
         try:
@@ -334,12 +339,12 @@ def insulation_notes(
         except ValueError:
             continue
         of = "" if name == calibration.wire else calibration.wire
-        insulation_notes.append(insulation_note(specs[name], reach, of=of))
-    return tuple(finding for finding in insulation_notes if finding is not None)
+        notes.append(insulation_note(specs[name], reach, of=of))
+    return tuple(note for note in notes if note is not None)
 
 
 def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
-    """Say which calibrating tests lie outside of the 95 % band of what was made of them.
+    """Return notes on calibrating tests outside of the 95 % band of their calibration.
 
     Parameters
     ----------
@@ -347,10 +352,9 @@ def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
 
     Returns
     -------
-    A note for each group of which less than `_FOLLOWED` of the points lie inside: of campaigns with
-    the right wire hardly any had less than 95 %.
+    A note for each group with less than 80 % of the points inside: of campaigns with the right wire
+    hardly any had less than 95 %.
     """
-    # of the points, in the 95 % band.
     min_share_inside = 0.8
     return tuple(
         QualityNote(
@@ -358,9 +362,9 @@ def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
             Severity.WARNING,
             f"{group.wire}, {1e3 * group.length:.4g} mm",
             f"{100.0 * group.errors.inside:.2g} % of the points of the calibrating tests lie in "
-            f"the 95 % band made of them: the model does not follow these tests, and what it "
-            f"says is identified holds for another wire. Check the wire's row in the sheet "
-            f"(strands, diameters, lay, wall) and the tests' length and string",
+            f"their 95 % band: the model does not represent these tests, and identified "
+            f"parameters are those of another wire. Check the row of the wire in the sheet "
+            f"(strands, diameters, lay, wall), and length and string of the tests",
         )
         for group in groups
         if group.is_calibrated
@@ -376,7 +380,7 @@ def mark_doubtful_parts(
     specs: Mapping[str, WireSpec],
     loadings: Sequence[FirstLoading],
 ) -> tuple[ValidationGroup, ...]:
-    """Say from which deflection on each prediction is beyond the straight line of the insulation.
+    """Set the deflection at which each prediction leaves the linear range of the insulation.
 
     Parameters
     ----------
@@ -388,20 +392,20 @@ def mark_doubtful_parts(
         (loading.curve.wire, round(loading.curve.length, 6)): loading.curve for loading in loadings
     }
     return tuple(
-        replace(group, doubtful_deflection=_straight_up_to(group, calibration, wires, specs, curve))
+        replace(group, doubtful_deflection=_linear_up_to(group, calibration, wires, specs, curve))
         for group in groups
         for curve in [curves[group.wire, round(group.length, 6)]]
     )
 
 
-def _straight_up_to(
+def _linear_up_to(
     group: ValidationGroup,
     calibration: Calibration,
     wires: Mapping[str, Wire],
     specs: Mapping[str, WireSpec],
     curve: MeasuredCurve,
 ) -> float:
-    """Deflection, m, at which the clamp, where a wire is bent most, reaches the curvature."""
+    """Return the deflection, m, at which the curvature at the clamp reaches that limit."""
     if group.prediction is None:
         return np.inf
     wire, calibrated = wires[group.wire], calibration.solutions[0].values
@@ -415,7 +419,7 @@ def _straight_up_to(
     return float(np.interp(limit, bent.clamp_curvature, bent.deflection, right=np.inf))
 
 
-def _compared(
+def _compare_group(
     calibration: Calibration, wire: Wire, loadings: Sequence[FirstLoading]
 ) -> ValidationGroup:
     curves = [loading.curve for loading in loadings]
@@ -446,13 +450,12 @@ def _compared(
 
 
 def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Band:
-    """Mean of some curves, each of block means.
+    """Return the mean of curves, each of block means.
 
-    A block mean of a curve that is bent lies beside it, near the start by 8 % of the force. So the
-    model is taken off first and put back last; where there is none, the curve is taken as it is.
+    A block mean of a curved line has a bias, near the start 8 % of the force. Therefore the model
+    is subtracted first and added last, where there is one.
     """
-    # means of blocks: a band of single points would show their noise, not how samples differ.
-    blocks_per_curve = 50
+    blocks_per_curve = 50  # a band of single points would show noise, not the scatter of samples
 
     def shape(deflection: Floats) -> Floats:
         if prediction is None:
@@ -471,7 +474,7 @@ def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Ban
 
 
 def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
-    """Errors of all points of some curves, and the share of them inside the band."""
+    """Return the errors of all points of curves, and their share inside the band."""
     deflection = np.concatenate([curve.deflection for curve in curves])
     model, lower, upper = (
         np.interp(deflection, prediction.deflection, values)

@@ -1,4 +1,4 @@
-"""From a sheet of wires to their laws: tables, simulation decks, figures, a workbook."""
+"""Laws of the wires of a wire sheet: tables, simulation decks, figures, a workbook."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ FIGURES_FOLDER = "figures"
 SCHEMA = 1
 
 _MIN_PARALLEL_WIRES = 24
-"""Wires beyond which a second process starts sooner than one alone is done."""
+"""Number of wires above which a second process saves time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledWires:
-    """What became of the wires of a sheet.
+    """The modelled wires of a sheet.
 
     Parameters
     ----------
-    sheet, folder : what was read, where the files are
+    sheet, folder : wire sheet, folder of the results
     tables : of the wires that could be modelled, in the order of the sheet
-    refused : name -> why, of those that could not
+    refused : name -> reason, of the other wires
     files : all that were written, the workbook first
-    removed : wires of an earlier run that the sheet has no more; their files were taken away
+    removed : wires of an earlier run that are no longer in the sheet; their files were removed
     curves : wire -> column of the sheet -> the stress table that it names there
     """
 
@@ -66,26 +66,26 @@ def model_wires(
     png: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> ModelledWires:
-    """Model every wire of a sheet and write what was found.
+    """Model every wire of a sheet and write the results.
 
     Parameters
     ----------
     sheet : xlsx or csv, one row per wire
     out : folder of the results; None for ``processed/<name of the sheet>`` in the working folder
-    figures : whether to draw; those drawn before stay otherwise
-    png : figures as PNG, too; without it those of an earlier run are taken away
-    say : is given the name of each wire as it is done, then each stage
+    figures : whether to draw; otherwise those of an earlier run are kept
+    png : figures as PNG, too; without it those of an earlier run are removed
+    say : called with the name of each wire when it is done, then with each stage
 
     Returns
     -------
-    Tables, refusals and files. The files of a wire that is refused now, or is no longer in the
-    sheet, are taken away.
+    Tables, refusals and files. The files of a wire that is refused or no longer in the sheet are
+    removed.
 
     Raises
     ------
     LabpipeError
         If the sheet has faults (all are reported at once), no wire can be modelled, or the results
-        cannot be written; earlier results are then as they were.
+        cannot be written; earlier results are then unchanged.
     """
     folder = Path("processed") / sheet.stem if out is None else out
     _refuse_overwriting(sheet, folder)
@@ -131,25 +131,22 @@ def make_tables(
     say: Callable[[str], None] = lambda _: None,
     pool: Executor | None = None,
 ) -> tuple[tuple[ModelledWire, ...], dict[str, str]]:
-    """Model wires and word their decks.
+    """Model wires and compute the texts of their decks.
 
     Parameters
     ----------
     specs : rows of the sheet
-    sheet : where they come from, for messages
-    say : is given the name of each wire as it is done
-    pool : processes that do it; None for this one
+    sheet : of the wires, for messages
+    say : called with the name of each wire when it is done
+    pool : of processes; None for this process alone
 
     Returns
     -------
     The wires in the order of the sheet, and by name why a wire could not be modelled.
     """
-    wires_per_task = 4
     modelled_wires: list[ModelledWire] = []
     refused: dict[str, str] = {}
-    outcomes = (
-        pool.map(_model_wire, specs, chunksize=wires_per_task) if pool else map(_model_wire, specs)
-    )
+    outcomes = pool.map(_model_wire, specs, chunksize=4) if pool else map(_model_wire, specs)
     for spec, outcome in zip(specs, outcomes, strict=True):
         say(spec.name)
         if isinstance(outcome, ModelledWire):
@@ -167,7 +164,7 @@ def make_tables(
 
 @contextmanager
 def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
-    """Two processes for many wires, none for a few; what ends them from outside is reported."""
+    """Start two processes for many wires, none for a few; report one that is killed."""
     if count <= _MIN_PARALLEL_WIRES:
         yield None
         return
@@ -178,8 +175,8 @@ def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
         message = error_text(
             sheet,
             "",
-            expected="processes that model its wires to the end",
-            found="that one of them was ended from outside, as for want of memory",
+            expected="processes that run to the end",
+            found="one that was killed, perhaps out of memory",
             remedy="Close other programs, or split the sheet, and run the model again.",
         )
         raise ProcessingError(message) from error
@@ -188,20 +185,19 @@ def _worker_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
 
 
 def _init_worker() -> None:
-    """Let the process that was started by a person answer to the keyboard, and end this one.
+    """Leave interrupts to the parent process, and avoid work on memory.
 
-    A wire leaves nothing behind that refers to itself, so that the collector has nothing to find.
-    Blocks of memory as large as one that was freed are kept by the C library for the next wire; it
-    gives them back to the system otherwise, twenty times in each wire.
+    The model of a wire has no reference cycles, so that garbage collection is not needed. After a
+    large block was freed, the C library reuses blocks up to this size; otherwise it would return
+    them to the system twenty times for each wire.
     """
-    block_bytes = 30_000_000
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
-    bytearray(block_bytes)
+    bytearray(30_000_000)
 
 
 def _model_wire(spec: WireSpec) -> ModelledWire | str:
-    """A wire with its decks, or why it is not available."""
+    """Return a wire with its decks, or the reason why it cannot be modelled."""
     try:
         table = wire_table(spec)
         return ModelledWire(table, deck_texts(table))
@@ -212,7 +208,7 @@ def _model_wire(spec: WireSpec) -> ModelledWire | str:
 def _write(
     modelled: ModelledWires, decks: Sequence[Sequence[str]], stage: Path, pool: Executor | None
 ) -> list[Path]:
-    """Write workbook, model and decks; the workbook in another process while the rest is."""
+    """Write workbook, model and decks, the workbook in another process if there is one."""
     workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
     stated = {name: describe_stress_tables(curves) for name, curves in modelled.curves.items()}
     save = partial(
@@ -230,30 +226,30 @@ def _write(
 
 
 def _refuse_overwriting(sheet: Path, folder: Path) -> None:
-    """Refuse to write over the sheet itself."""
+    """Refuse to overwrite the wire sheet."""
     for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
         if file.resolve() == sheet.resolve():
             message = error_text(
                 sheet,
                 "",
-                expected="a folder for the results in which this sheet is not one of them",
-                found=f"that {file} would be written over it",
+                expected="a folder of the results without this sheet",
+                found=f"{file}, which would overwrite it",
                 remedy="Choose another folder with --out.",
             )
             raise UsageError(message)
 
 
 def _removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Wires of the model that stands in a folder and are not among some names."""
+    """Return the wires of an earlier model in a folder that are not among the names."""
     try:
         earlier = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
         return tuple(name for name in earlier if name not in names)
     except (OSError, ValueError, KeyError, TypeError):
-        return ()  # no model, or not one of labpipe's: nothing that this command wrote
+        return ()  # no model, or not one of labpipe
 
 
 def _wire_files(names: Iterable[str]) -> list[str]:
-    """Files of wires below the folder; of one that is refused now they would speak otherwise."""
+    """Return the files of wires below the folder, to be removed for a refused wire."""
     files: list[str] = []
     for name in names:
         files += [path.as_posix() for path in deck_paths(name, Path())]
@@ -263,7 +259,7 @@ def _wire_files(names: Iterable[str]) -> list[str]:
 
 
 def as_json(modelled: ModelledWires) -> dict[str, object]:
-    """What ``labpipe model --json`` prints: lists and plain numbers in SI units.
+    """Return the content of ``labpipe model --json``: lists and numbers in SI units.
 
     Parameters
     ----------

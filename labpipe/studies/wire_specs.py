@@ -1,4 +1,4 @@
-"""The wires of a wire sheet: cells from the reader, checked by the grammar, faults placed."""
+"""Reader of wire sheets: checked cells, faults with their places."""
 
 from __future__ import annotations
 
@@ -32,19 +32,18 @@ from labpipe.studies.stress_tables import (
     texts,
 )
 
-WIRES_SHEET = "wires"
 _UNITS = {column.unit.casefold() for column in COLUMNS.values() if column.unit}
 _UNITS |= {"mm2", "mm\u00b2", "\u00b0", "-", "m^-1", "n/mm2", "n/mm^2", "n/mm\u00b2"}
 
 
 @dataclass(frozen=True, slots=True)
 class WireSheet:
-    """A wire sheet and the stress tables that it names.
+    """A wire sheet with its stress tables.
 
     Parameters
     ----------
     specs : the wires, in the order of the rows
-    curves : wire -> column of the sheet -> the stress table that it names there, if it names any
+    curves : wire -> column of the sheet -> stress table, if there is one
     """
 
     specs: tuple[WireSpec, ...]
@@ -56,7 +55,7 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
 
     Parameters
     ----------
-    path : an xlsx workbook (the sheet named ``wires``, else the first that is shown), or a csv
+    path : an xlsx workbook (the sheet named ``wires``, else the first visible one), or a csv
 
     Returns
     -------
@@ -65,14 +64,13 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
     Raises
     ------
     ReadError
-        If the file is damaged or holds no wires, or anything in it is wrong: all faults are in one
-        message, each with its cell.
+        If the file is damaged, has no wires, or has faults: all in one message, each with its cell.
     """
     return read_wires(path).specs
 
 
 def read_wires(path: Path) -> WireSheet:
-    """Read the wires of a sheet as `read_wire_sheet` does, and what their stress tables state."""
+    """Read the wires of a sheet as `read_wire_sheet`, with their stress tables."""
     cells, where = _cells(path)
     raise_faults(path, _first_row_faults(cells))
     table = as_table(cells, path, rows_of="one row per wire", place=where)
@@ -80,27 +78,33 @@ def read_wires(path: Path) -> WireSheet:
     raise_faults(path, ((table.heading[number].place, fault) for number, fault in wrong))
     names = [column_name(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
-    messages = fault_messages(path, _repeated([row["wire"] for row in rows]))
+    messages = fault_messages(path, _repeated_name_faults([row["wire"] for row in rows]))
     curves: dict[tuple[str, str], StatedCurve] = {}
-    specs = [_spec(row, path, curves, messages) for row in rows]
+    specs = [_read_spec(row, path, curves, messages) for row in rows]
     if messages:
         raise ReadError("\n".join(dict.fromkeys(messages)))
     return WireSheet(
         tuple(spec for spec in specs if spec is not None),
-        {row["wire"].text: _named(row, curves) for row in rows},
+        {row["wire"].text: _stress_tables(row, curves) for row in rows},
     )
 
 
 def _cells(path: Path) -> tuple[list[list[Cell]], str]:
-    """Cells of the sheet, and its place in the file: empty for a csv."""
+    """Read the cells of the sheet; return them with its place in the file, empty for a csv."""
     if not is_workbook(path):
         return csv_cells(path), ""
     sheets = sheets_of(path)
     if not sheets:
-        found, remedy = "a workbook without sheets", "Name the wire sheet."
-        raise ReadError(error_text(path, "", expected="a wire sheet", found=found, remedy=remedy))
+        message = error_text(
+            path,
+            "",
+            expected="a wire sheet",
+            found="a workbook without sheets",
+            remedy="Name the wire sheet.",
+        )
+        raise ReadError(message)
     visible = [name for name, is_shown in sheets.items() if is_shown]
-    usual = [name for name in sheets if name.casefold() == WIRES_SHEET]
+    usual = [name for name in sheets if name.casefold() == "wires"]
     name = [*usual, *visible, *sheets][0]
     where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
     return workbook_cells(path, name, where), where
@@ -121,34 +125,34 @@ def _first_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
     below = [cell for cell in chain(*filled[heading + 1 : heading + 2]) if cell.text]
     units = [cell for cell in below if cell.text.casefold().strip("[]() ") in _UNITS]
     if len(units) > 1 and len(units) >= len(below) - 1:
-        found = f"a row of units ({', '.join(cell.text for cell in units[:3])}, ...)"
+        actual = f"a row of units ({', '.join(cell.text for cell in units[:3])}, ...)"
         remedy = "Remove it: the unit is part of a column's name."
-        yield units[0].place, Fault((), "a wire", found, remedy)
+        yield units[0].place, Fault((), "a wire", actual, remedy)
 
 
-def _repeated(names: Sequence[Cell]) -> Iterator[PlacedFault]:
-    """Find names that come again, or that files and labels take for the same."""
+def _repeated_name_faults(names: Sequence[Cell]) -> Iterator[PlacedFault]:
+    """Find repeated names, and names that are the same in files or labels."""
     seen: dict[str, Cell] = {}
     for cell in names:
-        # Some systems ignore the case of letters and how an accent is written, Abaqus the case.
+        # some systems ignore case and the encoding of accents, Abaqus ignores case
         bare = unicodedata.normalize("NFC", unicodedata.normalize("NFC", cell.text).casefold())
         first = seen.setdefault(bare, cell)
         if first is not cell and cell.text:
-            expected, found = "each wire once", f"{cell.text!r} again, as in {first.place}"
+            expected, actual = "each wire once", f"{cell.text!r} again, as in {first.place}"
             if cell.text != first.text:
                 expected = "names that differ in more than the case of letters"
-                found = f"{cell.text!r}, and {first.text!r} in {first.place}"
-            fault = Fault((), expected, found, "Give each wire a name of its own.")
+                actual = f"{cell.text!r}, and {first.text!r} in {first.place}"
+            fault = Fault((), expected, actual, "Give each wire a name of its own.")
             yield f"{cell.place} (wire)", fault
 
 
-def _spec(
+def _read_spec(
     row: Mapping[str, Cell],
     path: Path,
     curves: dict[tuple[str, str], StatedCurve],
     messages: list[str],
 ) -> WireSpec | None:
-    """One wire; none where anything is wrong, which is added to the messages."""
+    """Read one wire; return None for one with faults, which are added to the messages."""
     before = len(messages)
     read = parse_row(WireRow, texts(row))
     messages += fault_messages(path, place_faults(read, row)) if isinstance(read, list) else []
@@ -164,17 +168,17 @@ def _spec(
     blank = [name for name, cell in row.items() if not cell.text]
     place = re.sub(r", column \d+$", "", row["wire"].place)
     place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
-    named = _named(row, curves)
+    named = _stress_tables(row, curves)
     tables = [
         named[first_slope].curve if first_slope in named else None for first_slope in FIRST_SLOPES
     ]
     return wire_spec(read, blank, place, *tables)
 
 
-def _named(
+def _stress_tables(
     row: Mapping[str, Cell], curves: Mapping[tuple[str, str], StatedCurve]
 ) -> dict[str, StatedCurve]:
-    """The stress tables that a row names, by column."""
+    """Return the stress tables of a row, by column."""
     curves_by_column = {
         column: curves.get((column, row[column].text)) for column in FIRST_SLOPES if column in row
     }

@@ -18,14 +18,14 @@ from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.statics import follow
-from labpipe.studies.harness_line import PreparedLine, laid
+from labpipe.studies.harness_line import PreparedLine, prepare_line
 from labpipe.studies.harness_section import material_of
 from labpipe.wire.cantilever import bend_under_force, straight
 from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 from tests.builders.wire_tables import LENGTH, wire_table
 
 
-def settled(deck: str, load: float) -> tuple[Floats, Any]:
+def outcome_of_call(deck: str, load: float) -> tuple[Floats, Any]:
     """Hang a load on the tip, wait, and give back where the tip is."""
     import mujoco
 
@@ -57,7 +57,7 @@ def test_a_small_load_bends_the_cable_as_the_wire_model_says(
     close = linear_range(table, stiffness)
     assert close is not None
     load = 0.5 * close[1] * stiffness / length
-    tip, _ = settled(mujoco_deck(table, length=length, edges=edges), load)
+    tip, _ = outcome_of_call(mujoco_deck(table, length=length, edges=edges), load)
     _, deflection = bent(stiffness, length, load)
     assert tip[1] == pytest.approx(deflection, rel=0.005)
     assert tip[1] == pytest.approx(load * length**3 / (3.0 * stiffness), rel=0.005)
@@ -69,7 +69,7 @@ def test_a_large_load_bends_it_along_the_elastica() -> None:
     table = wire_table("A2")
     stiffness = 1.2e-3
     load = 2.0 * stiffness / LENGTH**2
-    tip, _ = settled(mujoco_deck(table, stiffness=stiffness), load)
+    tip, _ = outcome_of_call(mujoco_deck(table, stiffness=stiffness), load)
     x, y = bent(stiffness, LENGTH, load)
     assert tip[:2] == pytest.approx([x, y], rel=0.01)
     assert tip[2] == pytest.approx(0.0, abs=1e-9)
@@ -81,7 +81,7 @@ def test_a_large_load_bends_it_along_the_elastica() -> None:
 def test_the_cable_keeps_its_length(edges: int) -> None:
     table = wire_table("A2")
     load = 5.0 * table.stick_stiffness / LENGTH**2
-    tip, data = settled(mujoco_deck(table, edges=edges), load)
+    tip, data = outcome_of_call(mujoco_deck(table, edges=edges), load)
     vertices = np.array(data.flexvert_xpos)
     length = np.sum(np.linalg.norm(np.diff(vertices, axis=0), axis=1))
     assert length * (edges - 0.5) / edges == pytest.approx(LENGTH, rel=2e-3)
@@ -91,7 +91,7 @@ def test_the_cable_keeps_its_length(edges: int) -> None:
 
 def test_the_deflection_does_not_depend_on_the_mass() -> None:
     load, tables = 1e-3, [replace(wire_table("A2"), mass_per_length=mass) for mass in (2e-3, 50e-3)]
-    tips = [settled(mujoco_deck(table), load)[0][1] for table in tables]
+    tips = [outcome_of_call(mujoco_deck(table), load)[0][1] for table in tables]
     assert tips[0] == pytest.approx(tips[1], rel=1e-6)
 
 
@@ -161,7 +161,7 @@ def test_refused(changes: dict[str, Any], message: str) -> None:
 def ready(folder: Path, text: str) -> PreparedLine:
     file = written(folder, text)
     harness = load_harness(file)
-    return laid(harness, material_of(harness, file).sections[0]({}), {})
+    return prepare_line(harness, material_of(harness, file).sections[0]({}), {})
 
 
 def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 600) -> Floats:

@@ -170,7 +170,7 @@ def test_a_curve_from_elsewhere_is_compared_with_tests_and_model(
         assert point["n"] + point["left_out"] == 26
         assert point["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
     assert "elements tests of A2, 85 mm" in " ".join(done.out.split())
-    assert "its load stays normal to the axis, the tests' does not" in done.out
+    assert "its load is normal to the axis, unlike that of the tests" in done.out
     assert (out / "figures" / "external-curves.svg").is_file()
 
 

@@ -193,7 +193,7 @@ def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calib
     assert not pulled.notes
     (note,) = normal.notes
     assert note.code == "external_curve_load"
-    assert "normal to the axis, the tests' does not: at 45 mm the model's force is" in note.message
+    assert "unlike that of the tests: at 45 mm the force of the model is" in note.message
     exact = (exact_curve("A2", 0.085)(0.045), exact_curve("A2", 0.085, has_string=False)(0.045))
     ratio = normal.model.reference[-1] / pulled.model.reference[-1]
     assert ratio == pytest.approx(exact[1] / exact[0], abs=1e-3)

@@ -41,8 +41,8 @@ from tests.builders.harness_files import (
     SLACK,
     STIFFNESS,
     arch,
-    pushed,
     followed,
+    pushed,
     written,
 )
 
@@ -318,7 +318,7 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     law = prepared.line.section.law
     reason = unloading_reason(path, prepared.line)
     assert reason is not None
-    assert "85 mm from the start it keeps 1.49 1/m by the rule" in reason.message
+    assert "85 mm from the start the residual curvature is 1.49 1/m by the rule" in reason.message
     residual, largest = residual_curvature(path.last, law), max_residual_curvature(path, law)
     bends = np.array([state.bendings for state in path.states])
     node = int(np.argmax(largest))

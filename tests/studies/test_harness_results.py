@@ -43,7 +43,7 @@ from labpipe.studies.harness_solution import FollowedHarness
 from labpipe.studies.harness_study import follow_harness
 from labpipe.studies.harness_tables import forces_csv, shape_columns, shape_csv, shape_vtk
 from labpipe.studies.residual_curvature import residual_curvature
-from tests.builders.harness_files import SLACK, STIFFNESS, arch, pushed, followed, written
+from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
 
 ALONE = pushed(STIFFNESS).partition("  - kind: grip")[0] + "steps: 2\n"
 """A cantilever under its own weight."""
@@ -199,7 +199,7 @@ def test_what_a_gripper_leaves() -> None:
     node = prepared.nodes["gripper"]
     moved = np.linalg.norm(path.states[-1].positions[node] - path.states[8].positions[node])
     assert numbers["springback.gripper"].value == pytest.approx(moved)
-    assert "from step 8, the last in which it was held" in numbers["springback.gripper"].remark
+    assert "against step 8, the last one before its release" in numbers["springback.gripper"].remark
     assert numbers["force.gripper"].value == pytest.approx(0.0, abs=1e-9)
     assert numbers["energy_lost"].value > 0.0
     bend_on_path, end = (
@@ -266,7 +266,9 @@ def test_beyond_what_backs_the_law() -> None:
     half = replace(material, limit=0.5 * most)
     (reason,) = reasons_of(path, prepared.line, half)
     assert reason.code == "beyond_backed"
-    message = f"the line is bent to {most:.4g} 1/m, its law is backed up to {most / 2:.4g} 1/m by "
+    message = (
+        f"the line is bent to {most:.4g} 1/m, its law is supported up to {most / 2:.4g} 1/m by "
+    )
     assert message in reason.message
     assert reason.message.startswith("step ")
     beyond = replace(path, reasons=(RodReason("beyond_law", "step 3: too far", 3),))

@@ -138,8 +138,8 @@ def test_what_is_odd_is_taken_and_told(protocol: Protocol) -> None:
         ("rest_unknown", "T1"),
         ("loading_cut", "T1"),
     ]
-    assert loading.notes[0].message == "taken as it is: gap: a marker was lost"
-    assert loading.notes[2].message.endswith("what lies beyond 20 mm was left out")
+    assert loading.notes[0].message == "used unchanged: gap: a marker was lost"
+    assert loading.notes[2].message.endswith("points beyond 20 mm were left out")
 
 
 def test_tests_that_cannot_be_used(protocol: Protocol, repository: Path, approved: Approve) -> None:

@@ -115,8 +115,8 @@ def test_predictions_beyond_the_line_of_the_insulation_are_said(calibration: Cal
     assert {predicted.code, calibrating.code} == {"insulation_doubtful"}
     assert (predicted.where, calibrating.where) == ("A1", "A2")
     assert "from 14.3 1/m on" in predicted.message
-    assert "what the calibration of A2 predicts is doubtful" in predicted.message
-    assert "parameters make up for an insulation that gives way" in calibrating.message
+    assert "predictions by the calibration of A2 are doubtful" in predicted.message
+    assert "the parameters compensate for the softer insulation" in calibrating.message
 
 
 def test_from_where_on_a_prediction_is_doubtful(
@@ -214,5 +214,5 @@ def test_a_copy_of_a_test_does_not_count() -> None:
     assert originals == [one, other]
     assert left_out == {
         str(two.file): f"{two.file}: expected each test once, found the same first loading as in "
-        f"{one.file}. Leave the copy away."
+        f"{one.file}. Remove the copy."
     }

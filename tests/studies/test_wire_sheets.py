@@ -83,7 +83,7 @@ def fail(error: Exception) -> Callable[..., object]:
     ("name", "failing", "error", "message"),
     [
         ("studies.wire_models.wire_table", lambda _: os._exit(9), ProcessingError,
-         "processes that model its wires to the end, found that one of them was ended from out"),
+         "processes that run to the end, found one that was killed"),
         ("studies.wire_models.wire_table", lambda _: [].pop(), IndexError, "pop from empty list"),
         ("report.wire_workbook._sheets", fail(StoreError("no room")), StoreError, "^no room$"),
         ("studies.wire_models.write_texts", fail(OSError(28, "No space left on device")),
