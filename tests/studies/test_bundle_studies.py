@@ -216,7 +216,7 @@ def test_a_span_is_two_cantilevers() -> None:
 
 def test_bounds_without_a_loop(tmp_path: Path) -> None:
     whole = bent_bundle()
-    no_kink = "the test has no kink (kink_displacement, kink_force): where its wires slip"
+    no_kink = "the test has no kink (kink_displacement, kink_force), where its wires slip"
     for name, result, reason in (
         ("curve", replace(whole, curve=None), "the test has no curve with branches"),
         ("kink", replace(whole, results=()), no_kink),
