@@ -148,9 +148,11 @@ def code_of(error: Exception) -> str:
     """
     if isinstance(error, LabpipeError):
         return error.code
-    said = str(error).casefold()
+    message = str(error).casefold()
     refused = isinstance(error, ImportError | RuntimeError | OSError)
-    if isinstance(error, MemoryError) or (refused and any(words in said for words in _NO_MEMORY)):
+    if isinstance(error, MemoryError) or (
+        refused and any(phrase in message for phrase in _NO_MEMORY)
+    ):
         return "out_of_memory"
     is_of_system = isinstance(error, OSError | UnicodeEncodeError)
     return "system_refused" if is_of_system else "fault_of_labpipe"

@@ -285,8 +285,8 @@ def _signs(
 
 def _names_protocol(name: str, protocol: str) -> bool:
     """Check whether the words of a protocol's name follow each other in another name."""
-    words = "-".join(re.findall(r"[^\W_]+", name.casefold()))
-    return f"-{protocol.casefold()}-" in f"-{words}-"
+    name_words = "-".join(re.findall(r"[^\W_]+", name.casefold()))
+    return f"-{protocol.casefold()}-" in f"-{name_words}-"
 
 
 def _motion_signs(protocol: Protocol, recording: Recording) -> Iterator[Sign]:

@@ -230,19 +230,19 @@ def new_from_sheet(
     faults += _repeated(tests, sheet)
     if faults:
         raise ReadError("\n".join(faults))
-    written, kept = [], []
+    written, existing = [], []
     absent: dict[Path, tuple[str, ...]] = {}
     for test in tests:
         path = folder / test.values["test"] / SHEET_NAME
         if path.exists() and not overwrite:
-            kept.append(path)
+            existing.append(path)
         else:
             _write(path, write_test_sheet(_sheet_data(test.values)))
             written.append(path)
             file_names = [name for role in ROLES for name in _names(test.values.get(role, ""))]
             missing = tuple(name for name in file_names if not (path.parent / name).exists())
             absent |= {path: missing} if missing else {}
-    return NewTests(tuple(written), tuple(kept), absent)
+    return NewTests(tuple(written), tuple(existing), absent)
 
 
 def _column(cell: Cell) -> tuple[str, str]:

@@ -77,13 +77,13 @@ class ByName(Block):
                 return []  # reported where the pattern stands
         faults = []
         first = next(iter(fields.items()), ("", ()))
-        for role, own in fields.items():
-            if not own:
+        for role, role_fields in fields.items():
+            if not role_fields:
                 remedy = "Name what tells the tests apart, such as {test}."
                 faults.append(Fault(("exports", role), "a field at least", "none", remedy))
-            elif own != first[1]:
+            elif role_fields != first[1]:
                 expected = f"the fields of {first[0]!r}: {', '.join(first[1])}"
-                faults.append(Fault(("exports", role), expected, ", ".join(own)))
+                faults.append(Fault(("exports", role), expected, ", ".join(role_fields)))
         return faults
 
 
@@ -126,8 +126,8 @@ class CampaignPlan(Block):
         """Check what goes into every test sheet as the sheet would be checked."""
         if not isinstance(data, Mapping):
             return []
-        said = data.get("specimen")
-        specimen = dict(said) if isinstance(said, Mapping) else {}
+        shared = data.get("specimen")
+        specimen = dict(shared) if isinstance(shared, Mapping) else {}
         sheet = {
             "test": "x",
             "protocol": "x",
@@ -138,6 +138,6 @@ class CampaignPlan(Block):
         try:
             TestSheet.model_validate(sheet)
         except ValidationError as error:
-            found = faults_of(error, data=sheet, keys=())
-            return [fault for fault in found if fault.path[:1] in {("specimen",), ("overrides",)}]
+            faults = faults_of(error, data=sheet, keys=())
+            return [fault for fault in faults if fault.path[:1] in {("specimen",), ("overrides",)}]
         return []

@@ -71,19 +71,21 @@ def _dimension_faults(outline: Outline) -> Faults:
 
 
 def _step_faults(outline: Outline) -> Faults:
-    known = [channel.name for channel in outline.channels]
-    before: list[str] = []
+    channel_names = [channel.name for channel in outline.channels]
+    earlier_tags: list[str] = []
     for step in outline.steps:
         kind = STEPS.get(step.tag)
         if kind is not None and kind.on_markers:
-            yield from _marker_step_faults(outline, step, before)
+            yield from _marker_step_faults(outline, step, earlier_tags)
         for key in existing_in(kind, "channel") if kind is not None else ("channel",):
-            yield from _channel_faults(step.values, ("steps", step.number, key), known, outline)
+            yield from _channel_faults(
+                step.values, ("steps", step.number, key), channel_names, outline
+            )
         if step.tag == "travel-from-speed":
             yield from _from_speed_faults(outline, step)
         yield from _span_faults(outline, step)
-        known = [*known, *step.makes]
-        before.append(step.tag)
+        channel_names = [*channel_names, *step.makes]
+        earlier_tags.append(step.tag)
 
 
 def _marker_step_faults(outline: Outline, step: Entry, before: list[str]) -> Faults:
@@ -106,8 +108,8 @@ def _from_speed_faults(outline: Outline, step: Entry) -> Faults:
     rig = outline.block("rig")
     if rig.get("cycles") not in (None, "1", 1):
         remedy = "Remove the step, or set 'rig.cycles' to 1."
-        found = f"{rig.get('cycles')}"
-        yield Fault(("rig", "cycles"), "one cycle for 'travel-from-speed'", found, remedy)
+        cycles = f"{rig.get('cycles')}"
+        yield Fault(("rig", "cycles"), "one cycle for 'travel-from-speed'", cycles, remedy)
     if any(channel.name == step.values.get("channel") for channel in outline.channels):
         return
     for key in ("crosshead_speed", "stroke"):
@@ -121,18 +123,18 @@ _ADD_MARKERS = "Add the source 'markers'."
 
 
 def _channel_faults(
-    block: Values, path: KeyPath, known: list[str], outline: Outline | None = None
+    block: Values, path: KeyPath, valid_names: list[str], outline: Outline | None = None
 ) -> Faults:
     """Find a channel that does not exist, or not yet."""
     name = block.get(str(path[-1]))
-    if not isinstance(name, str) or name in known:
+    if not isinstance(name, str) or name in valid_names:
         return
     if outline is not None and name in outline.made:
         remedy = "Move it behind the step that makes this channel."
         yield Fault(path, "a channel that exists at this step", repr(name), remedy)
         return
-    expected = f"one of the channels {one_of(name, known)}" if known else "a channel"
-    remedy = did_you_mean(name, known) or "No source gives a channel."
+    expected = f"one of the channels {one_of(name, valid_names)}" if valid_names else "a channel"
+    remedy = did_you_mean(name, valid_names) or "No source gives a channel."
     yield Fault(path, expected, repr(name), remedy)
 
 
@@ -163,10 +165,12 @@ def _curve_faults(outline: Outline) -> Faults:
     for key, unit in (("force", "N"), ("displacement", "m")):
         name = curve.get(key)
         yield from _channel_faults(curve, ("curve", key), outline.names)
-        found = outline.unit_of(name) if isinstance(name, str) else None
-        if found not in (None, unit):
+        channel_unit = outline.unit_of(name) if isinstance(name, str) else None
+        if channel_unit not in (None, unit):
             expected = f"a channel in {unit}"
-            yield Fault(("curve", key), expected, f"{name!r} in {found}", "Name another channel.")
+            yield Fault(
+                ("curve", key), expected, f"{name!r} in {channel_unit}", "Name another channel."
+            )
     yield from _reverse_faults(outline, curve)
     names = (curve.get("force"), curve.get("displacement"))
     clocks = {outline.clock_of(str(name)) for name in names} - {None}
@@ -178,14 +182,14 @@ def _curve_faults(outline: Outline) -> Faults:
 
 def _reverse_faults(outline: Outline, curve: Values) -> Faults:
     """Find a sign to be turned of a channel that labpipe makes itself."""
-    said = curve.get("reverse")
-    measured, made = [channel.name for channel in outline.channels], outline.made
-    for word in said if isinstance(said, list) else []:
-        name = curve.get(word) if isinstance(word, str) else None
-        if name in made and name not in measured:
+    quantities = curve.get("reverse")
+    measured, step_channels = [channel.name for channel in outline.channels], outline.made
+    for quantity in quantities if isinstance(quantities, list) else []:
+        name = curve.get(quantity) if isinstance(quantity, str) else None
+        if name in step_channels and name not in measured:
             remedy = "Its sign is that of the specimen frame: take it out of 'curve.reverse'."
-            found = f"{name!r}, which a step makes"
-            yield Fault(("curve", "reverse"), "a channel that a source gives", found, remedy)
+            channel = f"{name!r}, which a step makes"
+            yield Fault(("curve", "reverse"), "a channel that a source gives", channel, remedy)
 
 
 def _branch_faults(outline: Outline) -> Faults:
@@ -204,41 +208,43 @@ def _result_faults(outline: Outline) -> Faults:
         if kind is None:
             continue
         yield from _need_faults(outline, tag, kind.needs, path)
-        said = {**defaults_of(kind), **entry.values}
+        settings = {**defaults_of(kind), **entry.values}
         for key in existing_in(kind, "stiffness"):
-            yield from _of_faults(said.get(key), (*path[:2], key), stiffnesses)
+            yield from _of_faults(settings.get(key), (*path[:2], key), stiffnesses)
         names = result_names(tag, entry.values)
         yield from _twice_faults(names, tag, seen, path)
         seen |= dict.fromkeys(names, tag)
-        made = zip(names, kind.outputs, strict=True)
-        stiffnesses += [name for name, of in made if of.unit == "N/m" and of.first is None]
+        named_outputs = zip(names, kind.outputs, strict=True)
+        stiffnesses += [
+            name for name, output in named_outputs if output.unit == "N/m" and output.first is None
+        ]
 
 
 def _twice_faults(names: tuple[str, ...], tag: str, seen: dict[str, str], path: KeyPath) -> Faults:
     """Find a result whose name in the summary another one has."""
-    again = next((name for name in names if name in seen), None)
-    if again is None:
+    repeated_name = next((name for name in names if name in seen), None)
+    if repeated_name is None:
         return
-    found = again
+    repeated = repeated_name
     if "name" in defaults_of(RESULTS[tag]):
         remedy = "Give it another 'name'."
-    elif "name" in defaults_of(RESULTS[seen[again]]):
-        remedy = f"Give the {seen[again]} of that name another 'name'."
+    elif "name" in defaults_of(RESULTS[seen[repeated_name]]):
+        remedy = f"Give the {seen[repeated_name]} of that name another 'name'."
     else:
         remedy = "Remove one of them."
-        found = again if tag == "normalised-stiffness" else tag
-    yield Fault(path, "each result once", f"a second {found!r}", remedy)
+        repeated = repeated_name if tag == "normalised-stiffness" else tag
+    yield Fault(path, "each result once", f"a second {repeated!r}", remedy)
 
 
-def _of_faults(of: object, path: KeyPath, stiffnesses: list[str]) -> Faults:
+def _of_faults(stiffness: object, path: KeyPath, stiffnesses: list[str]) -> Faults:
     """Find a result that is to be made of a stiffness that does not stand above it."""
-    if not isinstance(of, str) or of in stiffnesses:
+    if not isinstance(stiffness, str) or stiffness in stiffnesses:
         return
     expected = "a stiffness above it in the list"
     if stiffnesses:
-        expected = f"one of the stiffnesses above, {one_of(of, stiffnesses)}"
-    remedy = did_you_mean(of, stiffnesses) or "Add a result 'stiffness' before it."
-    yield Fault(path, expected, repr(of), remedy)
+        expected = f"one of the stiffnesses above, {one_of(stiffness, stiffnesses)}"
+    remedy = did_you_mean(stiffness, stiffnesses) or "Add a result 'stiffness' before it."
+    yield Fault(path, expected, repr(stiffness), remedy)
 
 
 def _need_faults(outline: Outline, tag: str, needs: Needs, path: KeyPath) -> Faults:
@@ -279,8 +285,8 @@ def _clamp_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
 
 
 def _figure_faults(outline: Outline) -> Faults:
-    said = outline.block("report").get("figures")
-    names = said if isinstance(said, list) else []
+    figures = outline.block("report").get("figures")
+    names = figures if isinstance(figures, list) else []
     for number, name in enumerate(names):
         path: KeyPath = ("report", "figures", number)
         if name in ("force-displacement", "stiffness-lines", "timeline") and not outline.block(
@@ -316,12 +322,14 @@ def _display_faults(outline: Outline) -> Faults:
 def _group_faults(outline: Outline) -> Faults:
     """Find a number that the report is to show first and that no result gives."""
     entries = outline.results
-    known = [name for entry in entries for name in result_names(entry.tag, entry.values)]
-    said = outline.block("groups").get("main")
-    for number, name in enumerate(said if isinstance(said, list) else []):
-        if isinstance(name, str) and _of_any_cycle(name) not in map(_of_any_cycle, known):
-            expected = f"one of the results {one_of(name, known)}" if known else "a result"
-            remedy = did_you_mean(name, known) or "The protocol asks for none."
+    result_names_ = [name for entry in entries for name in result_names(entry.tag, entry.values)]
+    main = outline.block("groups").get("main")
+    for number, name in enumerate(main if isinstance(main, list) else []):
+        if isinstance(name, str) and _of_any_cycle(name) not in map(_of_any_cycle, result_names_):
+            expected = (
+                f"one of the results {one_of(name, result_names_)}" if result_names_ else "a result"
+            )
+            remedy = did_you_mean(name, result_names_) or "The protocol asks for none."
             yield Fault(("groups", "main", number), expected, repr(name), remedy)
 
 

@@ -27,23 +27,23 @@ _EXPECTED = {
 }
 
 
-def one_of(word: str, known: Iterable[str]) -> str:
+def one_of(word: str, valid: Iterable[str]) -> str:
     """List what would have been valid, nearest first.
 
     Parameters
     ----------
     word : what was written
-    known : what would have been valid
+    valid : what would have been valid
     """
-    words = sorted(set(known))
-    listed = nearest(word, words, most=6)
-    more = ", ..." if len(words) > len(listed) else ""
-    return f"{', '.join(repr(each) for each in listed)}{more}"
+    valid_words = sorted(set(valid))
+    listed = nearest(word, valid_words, most=6)
+    more = ", ..." if len(valid_words) > len(listed) else ""
+    return f"{', '.join(repr(valid_word) for valid_word in listed)}{more}"
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, valid: Iterable[str]) -> str:
     """Offer the valid word that is most like the one written; empty if nothing is valid."""
-    best = nearest(word, sorted(set(known)), most=1)
+    best = nearest(word, sorted(set(valid)), most=1)
     return f"Did you mean {best[0]!r}?" if best else ""
 
 
@@ -92,8 +92,8 @@ def faults_of(error: ValidationError, *, data: object, keys: Iterable[str]) -> l
     data : the block as it was validated
     keys : the valid keys of the block
     """
-    known = list(keys)
-    return [_worded(line, data, known) for line in error.errors(include_url=False)]
+    valid_keys = list(keys)
+    return [_worded(line, data, valid_keys) for line in error.errors(include_url=False)]
 
 
 def _error(fault: Fault) -> PydanticCustomError:
@@ -126,19 +126,19 @@ def _worded(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
             tag = _quoted(context["discriminator"])[0]
             return _not_one_of((*path, tag), context["tag"], _quoted(context["expected_tags"]))
         case "literal_error":
-            known = _quoted(context["expected"])
+            valid_words = _quoted(context["expected"])
             at: At = "key" if line["loc"][-1] == "[key]" else "value"
-            return _not_one_of(path, line["input"], known, at)
+            return _not_one_of(path, line["input"], valid_words, at)
         case other:
             expected = _EXPECTED.get(other, line["msg"])
             remedy = "Fill it in." if line["input"] is None else ""
             return Fault(path, expected, shown(line["input"]), remedy)
 
 
-def _not_one_of(path: KeyPath, found: object, known: list[str], at: At = "value") -> Fault:
-    word = str(found)
-    remedy = did_you_mean(word, known)
-    return Fault(path, f"one of {one_of(word, known)}", shown(found), remedy, at)
+def _not_one_of(path: KeyPath, value: object, valid: list[str], at: At = "value") -> Fault:
+    word = str(value)
+    remedy = did_you_mean(word, valid)
+    return Fault(path, f"one of {one_of(word, valid)}", shown(value), remedy, at)
 
 
 def _quoted(text: str) -> list[str]:

@@ -155,24 +155,24 @@ def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
 
 def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) -> Any:
     """Type with validators in place of its markers; a text among them is the description."""
-    made: list[Any] = []
+    annotations: list[Any] = []
     for marker in markers:
         match marker:
             case Quantity() | WholeNumber() | PatternText():
-                made += _reading(marker)
+                annotations += _reading(marker)
             case TaggedChoice():
                 kinds = (Annotated[arg, _Settings(arg, marker.key)] for arg in get_args(inner))
                 return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
             case LargerThan():
-                of = next(marker for marker in markers if isinstance(marker, Quantity))
-                made.append(_above(marker.field, keys[marker.field], QuantityText(of)))
+                quantity = next(marker for marker in markers if isinstance(marker, Quantity))
+                annotations.append(_above(marker.field, keys[marker.field], QuantityText(quantity)))
             case Key():
-                made.append(Field(alias=marker.name))
+                annotations.append(Field(alias=marker.name))
             case str():
-                made.append(Field(description=marker))
+                annotations.append(Field(description=marker))
             case _:
-                made.append(marker)
-    return Annotated[(validated(inner), *made)]
+                annotations.append(marker)
+    return Annotated[(validated(inner), *annotations)]
 
 
 def _reading(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
@@ -259,12 +259,14 @@ class _Settings:
         block = block_of(self.kind, self.tag)
         names = list(block.model_fields)
 
-        def plain(found: Block) -> object:
-            return self.kind(**{name: getattr(found, name) for name in names if name != self.tag})
+        def plain(block_value: Block) -> object:
+            return self.kind(
+                **{name: getattr(block_value, name) for name in names if name != self.tag}
+            )
 
         def written(settings: object, write: SerializerFunctionWrapHandler) -> object:
-            said = {name: getattr(settings, name) for name in names}
-            return write(block.model_construct(**said))
+            values = {name: getattr(settings, name) for name in names}
+            return write(block.model_construct(**values))
 
         return core_schema.no_info_after_validator_function(
             plain,

@@ -52,17 +52,17 @@ def _vector(text: QuantityText) -> Callable[[object], Vector3]:
 
     def parse(value: object) -> Vector3:
         if not isinstance(value, list | tuple) or len(value) != 3:
-            found = f"a list of {len(value)}" if isinstance(value, list | tuple) else value
+            actual = f"a list of {len(value)}" if isinstance(value, list | tuple) else value
             remedy = f"Write x, y and z, such as {example}."
-            raise error_of(expected="a list of three quantities", found=found, remedy=remedy)
-        x, y, z = (text.parse(each) for each in value)
+            raise error_of(expected="a list of three quantities", found=actual, remedy=remedy)
+        x, y, z = (text.parse(component) for component in value)
         return x, y, z
 
     return parse
 
 
 def _written(text: QuantityText) -> PlainSerializer:
-    return PlainSerializer(lambda vector: [text.written(each) for each in vector])
+    return PlainSerializer(lambda vector: [text.written(component) for component in vector])
 
 
 def _three_of(text: QuantityText) -> WithJsonSchema:
@@ -192,9 +192,9 @@ class SectionBlock(Block):
             return []
         kinds = [name for name in _KINDS if data.get(name) is not None]
         if len(kinds) != 1:
-            found = " and ".join(map(repr, kinds)) or "none of them"
+            actual = " and ".join(map(repr, kinds)) or "none of them"
             expected = "one of the keys 'wire', 'sliders' and 'bending_stiffness'"
-            return [Fault((), expected, found, "Say once what the line is made of.")]
+            return [Fault((), expected, actual, "Say once what the line is made of.")]
         kind = kinds[0]
         faults = [
             Fault((), f"the key {key!r} beside {kind!r}", "no such key", _why(key), missing=key)
@@ -305,9 +305,9 @@ class Grip(Block):
         if data.get("holds") == "position":
             turned = [(i, key) for i, point in enumerate(points) for key in _OF_POSES & {*point}]
             for number, key in sorted(turned):
-                found, remedy = f"the key {key!r}", "Take it away, or write 'holds: pose'."
+                actual, remedy = f"the key {key!r}", "Take it away, or write 'holds: pose'."
                 expected = "positions alone, of a grip that the line may turn in"
-                faults.append(Fault(("path", number, key), expected, found, remedy, "key"))
+                faults.append(Fault(("path", number, key), expected, actual, remedy, "key"))
         return faults
 
 
@@ -408,64 +408,68 @@ class HarnessFile(Block):
         faults = [*plausible_faults(data, ("line", "boundaries", "sweep"), in_file=True)]
         if not isinstance(data.get("boundaries"), list):
             return faults
-        listed = [datum if isinstance(datum, Mapping) else {} for datum in data["boundaries"]]
-        kinds = [each.get("kind") for each in listed]
-        faults += [*_late_steps(data, listed), *_same_names(listed), *_same_places(listed)]
+        boundaries = [datum if isinstance(datum, Mapping) else {} for datum in data["boundaries"]]
+        kinds = [boundary.get("kind") for boundary in boundaries]
+        faults += [
+            *_late_steps(data, boundaries),
+            *_same_names(boundaries),
+            *_same_places(boundaries),
+        ]
         if not any(kind in (*_HOLDING, None) for kind in kinds):
             expected = "a boundary that holds the line: clip, pin, grip or string"
             faults.append(Fault(("boundaries",), expected, "none", "Add one."))
         return faults
 
 
-def _late_steps(data: Mapping[str, object], listed: list[Mapping[str, object]]) -> list[Fault]:
+def _late_steps(data: Mapping[str, object], boundaries: list[Mapping[str, object]]) -> list[Fault]:
     """Find steps after the last one."""
     last = str(data.get("steps", HarnessFile.model_fields["steps"].default))
-    shown = data.get("show")
-    said: list[tuple[KeyPath, object]] = [
-        (("show", i), each) for i, each in enumerate(shown if isinstance(shown, list) else [])
+    show = data.get("show")
+    steps: list[tuple[KeyPath, object]] = [
+        (("show", i), boundary) for i, boundary in enumerate(show if isinstance(show, list) else [])
     ]
-    for number, each in enumerate(listed):
-        said += [(("boundaries", number, key), each.get(key)) for key in ("by", "release")]
-        points = each.get("path")
+    for number, boundary in enumerate(boundaries):
+        steps += [(("boundaries", number, key), boundary.get(key)) for key in ("by", "release")]
+        points = boundary.get("path")
         for i, point in enumerate(points if isinstance(points, list) else []):
             step = point.get("step") if isinstance(point, Mapping) else None
-            said.append((("boundaries", number, "path", i, "step"), step))
+            steps.append((("boundaries", number, "path", i, "step"), step))
     return [
         Fault(path, f"a step from 1 to {last}, the last", repr(str(step)), "Or raise 'steps'.")
-        for path, step in said
+        for path, step in steps
         if last.isdecimal() and str(step).isdecimal() and int(str(step)) > int(last)
     ]
 
 
-def _same_names(listed: list[Mapping[str, object]]) -> list[Fault]:
+def _same_names(boundaries: list[Mapping[str, object]]) -> list[Fault]:
     """Find boundaries that are called as an earlier one."""
     first: dict[str, int] = {}
     faults = []
-    for number, each in enumerate(listed):
-        name = str(each.get("name", f"- {number}"))
+    for number, boundary in enumerate(boundaries):
+        name = str(boundary.get("name", f"- {number}"))
         if name in first:
             path = ("boundaries", number, "name")
-            found = f"{name!r}, as boundary {first[name] + 1}"
-            faults.append(Fault(path, "a name of its own", found, "Call it something else."))
+            actual = f"{name!r}, as boundary {first[name] + 1}"
+            faults.append(Fault(path, "a name of its own", actual, "Call it something else."))
         first.setdefault(name, number)
     return faults
 
 
-def _same_places(listed: list[Mapping[str, object]]) -> list[Fault]:
+def _same_places(boundaries: list[Mapping[str, object]]) -> list[Fault]:
     """Find two boundaries that hold one place of the line."""
     first: dict[float, object] = {}
     faults = []
-    for number, each in enumerate(listed):
-        if each.get("kind") not in _HELD_KINDS or each.get("at") is None:
+    for number, boundary in enumerate(boundaries):
+        if boundary.get("kind") not in _HELD_KINDS or boundary.get("at") is None:
             continue
         try:
-            place = round(_place(each["at"]), 12)
+            place = round(_place(boundary["at"]), 12)
         except ValueError:  # which is a fault of its own
             continue
         if place in first:
             path = ("boundaries", number, "at")
-            found = f"{each['at']!r}, which {first[place]!r} holds"
+            actual = f"{boundary['at']!r}, which {first[place]!r} holds"
             expected, remedy = "a place that nothing else holds", "Take one of them away."
-            faults.append(Fault(path, expected, found, remedy))
-        first.setdefault(place, each.get("name"))
+            faults.append(Fault(path, expected, actual, remedy))
+        first.setdefault(place, boundary.get("name"))
     return faults

@@ -82,7 +82,7 @@ def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
     harness : whose line may leave both to the clip at its start
     """
     line = harness.line
-    first = next((each for each in _held(harness) if each.at == START), None)
+    first = next((boundary for boundary in _held(harness) if boundary.at == START), None)
     position, direction = line.start, line.direction
     if position is None:
         position = (0.0, 0.0, 0.0) if first is None or isinstance(first, Grip) else first.position
@@ -174,16 +174,19 @@ def _in_planes(harness: HarnessFile) -> Iterator[Fault]:
     numbers = {boundary.name: number for number, boundary in enumerate(harness.boundaries)}
     radius = 0.5 * (harness.line.section.diameter or 0.0)
     first = 0 if harness.line.spool is None else 1  # where a curled line begins is not known here
-    ties = [_tie_of(harness, each, harness.line.length) for each in _held(harness)]
+    ties = [_tie_of(harness, boundary, harness.line.length) for boundary in _held(harness)]
     for plane in (boundary for boundary in harness.boundaries if isinstance(boundary, Plane)):
         for tie in ties:
             legs = [leg for leg in tie.legs[first:] if leg.step <= tie.last]
-            low = min(legs, key=lambda leg: _height(plane, leg.position), default=None)
-            if low and _height(plane, low.position) < radius - tolerance * harness.line.length:
+            lowest = min(legs, key=lambda leg: _height(plane, leg.position), default=None)
+            if (
+                lowest
+                and _height(plane, lowest.position) < radius - tolerance * harness.line.length
+            ):
                 expected = f"the axis of the line {_mm(radius)} above {plane.name!r}, its radius"
-                found = f"{_mm(_height(plane, low.position))} at step {low.step}"
+                actual = f"{_mm(_height(plane, lowest.position))} at step {lowest.step}"
                 remedy = "Hold it higher, or begin higher ('line.start')."
-                yield Fault(_path(tie, numbers), expected, found, remedy)
+                yield Fault(_path(tie, numbers), expected, actual, remedy)
 
 
 def _released_too_early(harness: HarnessFile) -> Iterator[Fault]:
@@ -208,9 +211,9 @@ def _turned_too_far(harness: HarnessFile) -> Iterator[Fault]:
             per_step = math.degrees(abs(turn)) / (end - start)
             if per_step >= max_turn:
                 expected = f"less than {max_turn:g} deg of turn in a step, which has one meaning"
-                found = f"{per_step:.6g} deg in each from step {start} to {end}"
+                actual = f"{per_step:.6g} deg in each from step {start} to {end}"
                 remedy = "Take more steps for it: raise 'steps', and 'by' or 'step'."
-                yield Fault(("boundaries", number, *key), expected, found, remedy)
+                yield Fault(("boundaries", number, *key), expected, actual, remedy)
 
 
 def _curled_too_far(harness: HarnessFile) -> Iterator[Fault]:
@@ -262,7 +265,7 @@ def _height(plane: Plane, position: Vector3) -> float:
 
 def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
     numbers = {boundary.name: number for number, boundary in enumerate(harness.boundaries)}
-    ties = [_tie_of(harness, each, length) for each in _held(harness)]
+    ties = [_tie_of(harness, boundary, length) for boundary in _held(harness)]
     ties.sort(key=lambda tie: tie.along)
     strings = [boundary for boundary in harness.boundaries if isinstance(boundary, String)]
     for one, other in combinations(ties, 2):
@@ -303,7 +306,7 @@ class _HeldPlace:
 def _tie_of(harness: HarnessFile, boundary: Held | String, length: float) -> _HeldPlace:
     along = min(boundary.at, length)
     start, direction = start_of(harness)
-    x, y, z = (begin + along * each for begin, each in zip(start, direction, strict=True))
+    x, y, z = (begin + along * component for begin, component in zip(start, direction, strict=True))
     if isinstance(boundary, String):
         first, by = Leg(0, first_anchor(boundary, (x, y, z))), boundary.by or harness.steps
         return _HeldPlace(boundary.name, along, (first, Leg(by, boundary.anchor)), harness.steps)
@@ -319,8 +322,8 @@ def _apart(one: _HeldPlace, other: _HeldPlace, reach: float, path: KeyPath) -> I
         distance = math.dist(one.position(step), other.position(step))
         if distance > reach * _BARELY:
             expected = f"at most the {_mm(reach)} that lie between {one.name!r} and {other.name!r}"
-            found = f"{_mm(distance)} between them at step {step}"
-            yield Fault(path, expected, found, "Bring them nearer, or make the line longer.")
+            actual = f"{_mm(distance)} between them at step {step}"
+            yield Fault(path, expected, actual, "Bring them nearer, or make the line longer.")
             return
 
 
@@ -337,8 +340,8 @@ def _out_of_reach(
     if rooms and not any(needed <= reach * _BARELY for reach, needed in rooms):
         reach, needed = min(rooms, key=lambda room: room[1] - room[0])
         expected = f"a ring that the line comes to: {_mm(reach)} of it are there"
-        found = f"a way of {_mm(needed)} by {ring.name!r}"
-        yield Fault(path, expected, found, "Bring it nearer, or make the line longer.")
+        actual = f"a way of {_mm(needed)} by {ring.name!r}"
+        yield Fault(path, expected, actual, "Bring it nearer, or make the line longer.")
 
 
 def _mm(length: float) -> str:

@@ -48,9 +48,9 @@ def protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
     -------
     The lab's folder, and that of labpipe, as far as they exist.
     """
-    own = Path("protocols") if protocols is None else protocols
-    both = (shipped_folder("protocols"), own)
-    unique = {folder.resolve(): folder for folder in both if folder.is_dir()}
+    lab_folder = Path("protocols") if protocols is None else protocols
+    folders = (shipped_folder("protocols"), lab_folder)
+    unique = {folder.resolve(): folder for folder in folders if folder.is_dir()}
     return tuple(reversed(unique.values()))
 
 
@@ -103,11 +103,13 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
         files = [place for place in places if is_there(place)]
         remedy = f"There is none at {' or '.join(map(str, places))}."
         return files[0] if files else Fault(("protocol",), "a protocol", repr(wanted), remedy)
-    known = known_protocols(protocols)
-    if wanted in known:
-        return known[wanted]
-    expected = f"one of the protocols {one_of(wanted, known)}" if known else "a protocol"
-    remedy = did_you_mean(wanted, known) or "There is no folder 'protocols' here."
+    protocol_files = known_protocols(protocols)
+    if wanted in protocol_files:
+        return protocol_files[wanted]
+    expected = (
+        f"one of the protocols {one_of(wanted, protocol_files)}" if protocol_files else "a protocol"
+    )
+    remedy = did_you_mean(wanted, protocol_files) or "There is no folder 'protocols' here."
     return Fault(("protocol",), expected, repr(wanted), remedy)
 
 
@@ -288,16 +290,20 @@ def resolve(
         files are not those of its sources, or an export is a link that may not be followed; the
         message has one line per fault.
     """
-    said = parse_yaml(read_text(sheet_path), str(sheet_path))
-    found = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
-    if isinstance(found, Fault):
-        raise error_of_faults([said.place(found)])
-    plain = parse_yaml(read_text(found), str(found))
-    merged = with_overrides(plain, said)
+    sheet_document = parse_yaml(read_text(sheet_path), str(sheet_path))
+    protocol_file = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
+    if isinstance(protocol_file, Fault):
+        raise error_of_faults([sheet_document.place(protocol_file)])
+    plain = parse_yaml(read_text(protocol_file), str(protocol_file))
+    merged = with_overrides(plain, sheet_document)
     followed = follow_links or are_followed(plain)
     links = link_faults(sheet, sheet_path.parent, followed=followed)
-    own = (*_role_faults(sheet, merged), *links, *_implausible_sizes(sheet, said, merged))
-    placed = [*merged.faults, *map(said.place, own)]
+    sheet_faults = (
+        *_role_faults(sheet, merged),
+        *links,
+        *_implausible_sizes(sheet, sheet_document, merged),
+    )
+    placed = [*merged.faults, *map(sheet_document.place, sheet_faults)]
     try:
         protocol = Protocol.model_validate(merged.data)
     except ValidationError as error:
@@ -312,11 +318,11 @@ def resolve(
     protocol = protocol.model_copy(
         update={"steps": tuple(step.numbered(number) for step, number in steps)}
     )
-    kept = without_absent(protocol, sheet.files)
-    placed += [said.place(fault) for fault in absent_faults(kept, protocol)]
+    reduced = without_absent(protocol, sheet.files)
+    placed += [sheet_document.place(fault) for fault in absent_faults(reduced, protocol)]
     if placed:
         raise error_of_faults(placed)
-    return kept
+    return reduced
 
 
 def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
@@ -338,8 +344,8 @@ def missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
         for name in names
         if not is_there(folder / name)
     ]
-    said = parse_yaml(read_text(sheet_path), str(sheet_path)) if faults else None
-    placed = [] if said is None else [said.place(fault) for fault in faults]
+    document = parse_yaml(read_text(sheet_path), str(sheet_path)) if faults else None
+    placed = [] if document is None else [document.place(fault) for fault in faults]
     return error_of_faults(placed, code="missing_export") if placed else None
 
 
@@ -404,9 +410,9 @@ def _is_sound(document: Document) -> bool:
     return True
 
 
-def _implausible_sizes(sheet: TestSheet, said: Document, merged: Document) -> Iterator[Fault]:
+def _implausible_sizes(sheet: TestSheet, document: Document, merged: Document) -> Iterator[Fault]:
     """Find sizes of the specimen that are outside the ranges of protocol and overrides."""
-    specimen: Any = said.at(("specimen",))
+    specimen: Any = document.at(("specimen",))
     if isinstance(bundle := specimen.get("bundle"), dict):
         wires = wires_in_words(bundle.get("wires"))
         specimen = {**specimen, "bundle": {**bundle, "wires": wires}}

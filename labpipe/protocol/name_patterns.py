@@ -57,10 +57,10 @@ class NamePattern:
         >>> parse_name_pattern("{type}-{length mm}-{sample}_force.mat").match("A2-085-1_Force.MAT")
         {'type': 'A2', 'length': '85 mm', 'sample': '1'}
         """
-        found = self.compiled.fullmatch(name) if len(name) <= _LONGEST else None
-        if found is None:
+        match = self.compiled.fullmatch(name) if len(name) <= _LONGEST else None
+        if match is None:
             return None
-        texts = {field: found[f"f{place}"] for place, field in enumerate(self.fields)}
+        texts = {field: match[f"f{place}"] for place, field in enumerate(self.fields)}
         return {field: self._value(field, text) for field, text in texts.items()}
 
     def stem(self, name: str) -> str:
@@ -105,14 +105,14 @@ def parse_name_pattern(text: str) -> NamePattern:
         raise ValueError(message)
     units: dict[str, str] = {}
     fields: list[str] = []
-    parts, at = [], 0
-    for found in _PART.finditer(text):
-        parts.append(re.escape(text[at : found.start()]))
-        at = found.end()
-        if found[2]:
+    parts, end = [], 0
+    for field_match in _PART.finditer(text):
+        parts.append(re.escape(text[end : field_match.start()]))
+        end = field_match.end()
+        if field_match[2]:
             parts.append(r"[^/\\]*")
             continue
-        name, unit = _field("{" if found[1] is None else found[1])
+        name, unit = _field("{" if field_match[1] is None else field_match[1])
         if name in fields:
             parts.append(f"(?P=f{fields.index(name)})")
             continue
@@ -120,7 +120,7 @@ def parse_name_pattern(text: str) -> NamePattern:
         parts.append(f"(?P<f{len(fields)}>{kind})")
         fields.append(name)
         units |= {name: unit} if unit else {}
-    parts.append(re.escape(text[at:]))
+    parts.append(re.escape(text[end:]))
     compiled = re.compile("".join(parts), re.IGNORECASE)
     return NamePattern(text, tuple(fields), MappingProxyType(units), compiled)
 
@@ -138,6 +138,8 @@ def _field(written: str) -> tuple[str, str]:
             message = f"a dimension with a unit of length, such as {{{match[1]} mm}}"
             raise ValueError(message) from None
         return match[1], match[2]
-    words = ", ".join(f"{{{word}}}" for word in WORDS)
-    message = f"one of {words}, a dimension with its unit such as {{length mm}}, or {{labels.name}}"
+    fields = ", ".join(f"{{{word}}}" for word in WORDS)
+    message = (
+        f"one of {fields}, a dimension with its unit such as {{length mm}}, or {{labels.name}}"
+    )
     raise ValueError(message)

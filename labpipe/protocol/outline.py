@@ -141,7 +141,7 @@ class Outline:
         """SI unit of a channel; None where it is not known."""
         if channel in self.made:
             return "m"
-        return next((each.unit for each in self.channels if each.name == channel), None)
+        return next((outline.unit for outline in self.channels if outline.name == channel), None)
 
 
 def outline_of(data: Values) -> Outline:
@@ -155,9 +155,9 @@ def outline_of(data: Values) -> Outline:
     readers: dict[str, list[str]] = {}
     channels: list[ChannelOutline] = []
     for role, source in sources.items():
-        said = source.get("reader")
-        words = said if isinstance(said, list) else [said]
-        readers[role] = [word for word in words if word in READERS]
+        reader = source.get("reader")
+        reader_names = reader if isinstance(reader, list) else [reader]
+        readers[role] = [word for word in reader_names if word in READERS]
         if channel_keys(role, source):
             name = role if role in ROLES else nearest(role, list(ROLES), most=1)[0]
             channels.append(_channel(name, role, ("sources", role), source))
@@ -172,7 +172,8 @@ def outline_of(data: Values) -> Outline:
         channels,
         [_with_channels(step, has_clamp=has_clamp) for step in _entries(data, "steps", "step")],
         _entries(data, "results", "result"),
-        "markers" in sources or any(MARKER_READERS & {*known} for known in readers.values()),
+        "markers" in sources
+        or any(MARKER_READERS & {*known_readers} for known_readers in readers.values()),
         has_clamp,
     )
 
@@ -215,8 +216,8 @@ def _with_channels(step: Entry, *, has_clamp: bool) -> Entry:
 
 
 def _channel(name: str, role: str, path: KeyPath, values: Values) -> ChannelOutline:
-    said = values.get("quantity")
-    quantity = said if isinstance(said, str) else name if name in SI_UNITS else None
+    stated = values.get("quantity")
+    quantity = stated if isinstance(stated, str) else name if name in SI_UNITS else None
     return ChannelOutline(name, role, path, values, quantity, SI_UNITS.get(quantity or ""))
 
 
@@ -256,9 +257,9 @@ def _content_faults(outline: Outline, role: str) -> Iterator[Fault]:
     if (role == "markers" and has_channels) or (role != "markers" and has_markers):
         valid = MARKER_READERS if role == "markers" else set(READERS) - MARKER_READERS
         expected = f"a reader of {'marker tracks' if role == 'markers' else 'channels'}"
-        found = ", ".join(repr(word) for word in outline.readers[role])
+        actual = ", ".join(repr(word) for word in outline.readers[role])
         remedy = f"Use one of {one_of('', valid)}."
-        yield Fault((*path, "reader"), expected, found, remedy)
+        yield Fault((*path, "reader"), expected, actual, remedy)
         return
     short = channel_keys(role, source)
     if role == "markers" and (short or "channels" in source):
@@ -337,17 +338,21 @@ def _unit_faults(channel: ChannelOutline) -> Iterator[Fault]:
 def _drift_faults(channel: ChannelOutline) -> Iterator[Fault]:
     """Find a drift of a zero that no interval would hold: only that of the force is an input."""
     if channel.quantity != "force" and "zero_drift" in channel.values:
-        found = f"the key 'zero_drift' of a {channel.quantity}"
-        yield Fault((*channel.path, "zero_drift"), "this key for a force alone", found, _OUT, "key")
+        actual = f"the key 'zero_drift' of a {channel.quantity}"
+        yield Fault(
+            (*channel.path, "zero_drift"), "this key for a force alone", actual, _OUT, "key"
+        )
 
 
 def _unknown_quantity(channel: ChannelOutline) -> Fault:
-    said = channel.quantity
-    if said is None:
+    quantity = channel.quantity
+    if quantity is None:
         remedy = f"Add 'quantity', one of {one_of(channel.name, SI_UNITS)}."
         return Fault(channel.path, "to know what the channel measures", "no 'quantity'", remedy)
-    expected = f"one of the quantities {one_of(said, SI_UNITS)}"
-    return Fault((*channel.path, "quantity"), expected, repr(said), did_you_mean(said, SI_UNITS))
+    expected = f"one of the quantities {one_of(quantity, SI_UNITS)}"
+    return Fault(
+        (*channel.path, "quantity"), expected, repr(quantity), did_you_mean(quantity, SI_UNITS)
+    )
 
 
 def _calibration_faults(
@@ -355,9 +360,9 @@ def _calibration_faults(
 ) -> Iterator[Fault]:
     """Find a gain or an offset in the wrong unit, or a gain that loses the signal."""
     path = (*channel.path, "calibration")
-    shown = gain_unit.replace("(", "").replace(")", "")
+    unit_text = gain_unit.replace("(", "").replace(")", "")
     for key, unit, such in (
-        ("gain", gain_unit, shown),
+        ("gain", gain_unit, unit_text),
         ("offset", channel.unit or "", channel.unit),
     ):
         text = calibration.get(key)

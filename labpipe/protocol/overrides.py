@@ -43,20 +43,20 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
         protocol.file, copy.deepcopy(protocol.data), dict(protocol.spots), list(protocol.faults)
     )
     gone: dict[KeyPath, object] = {}
-    said = sheet.data if isinstance(sheet.data, Mapping) else {}
-    specimen, overrides = said.get("specimen") or {}, said.get("overrides") or {}
-    own = _own_sizes(specimen)
-    for key, path in own.items():
+    sheet_data = sheet.data if isinstance(sheet.data, Mapping) else {}
+    specimen, overrides = sheet_data.get("specimen") or {}, sheet_data.get("overrides") or {}
+    sizes = _own_sizes(specimen)
+    for key, path in sizes.items():
         _put(merged, key, sheet, path, gone)
     for key, override in overrides.items():
         place = ("overrides", key, "value")
-        if key in own:
-            found = f"{override['value']!r} beside {sheet.at(own[key])!r} in 'specimen'"
-            fault = Fault(place, f"{key!r} once", found, "Keep the one in 'specimen'.")
+        if key in sizes:
+            actual = f"{override['value']!r} beside {sheet.at(sizes[key])!r} in 'specimen'"
+            fault = Fault(place, f"{key!r} once", actual, "Keep the one in 'specimen'.")
             merged.faults.append(sheet.place(fault))
         elif key in _LEFT:
-            expected, found = "a key that a test may change", repr(key)
-            merged.faults.append(sheet.place(Fault(place[:2], expected, found, _LEFT[key], "key")))
+            expected, actual = "a key that a test may change", repr(key)
+            merged.faults.append(sheet.place(Fault(place[:2], expected, actual, _LEFT[key], "key")))
         else:
             _put(merged, key, sheet, place, gone)
     align = merged.data.get("align") if isinstance(merged.data, Mapping) else None
@@ -68,12 +68,12 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
 
 def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
     """Where a sheet's own specimen says what the protocol's does, by dotted key of the protocol."""
-    own: dict[str, KeyPath] = {
+    sizes: dict[str, KeyPath] = {
         f"specimen.{key}": ("specimen", key)
         for key in SHEET_DIMENSIONS
         if specimen.get(key) is not None
     }
-    return own | {
+    return sizes | {
         f"specimen.uncertainty.{key}": ("specimen", "uncertainty", key)
         for key in specimen.get("uncertainty") or ()
     }
@@ -105,11 +105,11 @@ def _moved(
 ) -> Iterator[tuple[KeyPath, YamlPosition]]:
     """Spots after items of the list at a path were taken out."""
     depth = len(path)
-    for known, spot in spots.items():
-        if known[:depth] != path or len(known) == depth:
-            yield known, spot
-        elif known[depth] in left:
-            yield (*path, left.index(int(known[depth])), *known[depth + 1 :]), spot
+    for old_path, spot in spots.items():
+        if old_path[:depth] != path or len(old_path) == depth:
+            yield old_path, spot
+        elif old_path[depth] in left:
+            yield (*path, left.index(int(old_path[depth])), *old_path[depth + 1 :]), spot
 
 
 def _put(
@@ -174,17 +174,17 @@ def _key_in(node: object, part: str) -> str | int | None:
         number = whole_number(part)
         return number if number is not None and number < len(node) else None
     # The name of a result first, then its kind: one stiffness of several may be `stiffness`.
-    for called in (_names, _words):
-        found = [i for i, item in enumerate(node) if part in called(item)]
-        if len(found) == 1:
-            return found[0]
+    for names_of in (_names, _words):
+        matches = [i for i, item in enumerate(node) if part in names_of(item)]
+        if len(matches) == 1:
+            return matches[0]
     return None
 
 
 def _words(item: object) -> list[str]:
     """What kind of step or result an item is."""
-    said = [item.get(tag) for tag in ("step", "result")] if isinstance(item, Mapping) else []
-    return [word for word in said if isinstance(word, str)]
+    tags = [item.get(tag) for tag in ("step", "result")] if isinstance(item, Mapping) else []
+    return [tag_value for tag_value in tags if isinstance(tag_value, str)]
 
 
 def _names(item: object) -> list[str]:
@@ -198,9 +198,9 @@ def _astray(node: object, part: str, path: KeyPath) -> Fault:
     """Word a dotted key that leads nowhere."""
     if not isinstance(node, list):
         return Fault(path, "a key of the protocol", f"{part!r} below a plain value", at="key")
-    known = [word for item in node for word in dict.fromkeys([*_words(item), *_names(item)])]
+    valid = [word for item in node for word in dict.fromkeys([*_words(item), *_names(item)])]
     expected = f"a number from 0 to {len(node) - 1}, or a name that one item of the list has"
-    remedy = "Use its number." if known.count(part) > 1 else did_you_mean(part, known)
+    remedy = "Use its number." if valid.count(part) > 1 else did_you_mean(part, valid)
     return Fault(path, expected, repr(part), remedy, "key")
 
 
@@ -242,13 +242,13 @@ def link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[F
             try:
                 is_inside = (folder / name).resolve().is_relative_to(home)
             except (OSError, RuntimeError):  # Python 3.12 and before call a loop a RuntimeError
-                found = f"{name!r}, a link that leads back to itself"
-                yield Fault(("files", role), "a file", found, "Make the link anew.")
+                actual = f"{name!r}, a link that leads back to itself"
+                yield Fault(("files", role), "a file", actual, "Make the link anew.")
                 continue
             if not (is_inside or followed):
                 expected = "a file inside the folder of the test"
-                found = f"{name!r}, a link out of it"
-                yield Fault(("files", role), expected, found, f"{COPY_IT}{_OR_FOLLOW}")
+                actual = f"{name!r}, a link out of it"
+                yield Fault(("files", role), expected, actual, f"{COPY_IT}{_OR_FOLLOW}")
 
 
 _MARKER_FIGURES: Final = frozenset({"wire-shapes", "moment-curvature", "marker-quality"})
@@ -274,28 +274,28 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
         for role, source in protocol.sources.items()
         if role in roles or not source.optional
     }
-    kept = protocol.model_copy(update={"sources": sources})
+    reduced = protocol.model_copy(update={"sources": sources})
     no_markers = "markers" in protocol.sources and "markers" not in sources
-    one_clock = _is_made_from_speed(kept)
+    one_clock = _is_made_from_speed(reduced)
     results = tuple(
         result
-        for result in kept.results
+        for result in reduced.results
         if not (result.needs.shape and no_markers) and not (result.needs.clocks and one_clock)
     )
-    left = _result_names(protocol.results) - _result_names(results)
-    main = tuple(name for name in kept.groups.main if name not in left)
+    removed_names = _result_names(protocol.results) - _result_names(results)
+    main = tuple(name for name in reduced.groups.main if name not in removed_names)
     update: dict[str, object] = {
-        "steps": tuple(_kept_steps(kept, set(protocol.channels) - set(kept.channels))),
+        "steps": tuple(_kept_steps(reduced, set(protocol.channels) - set(reduced.channels))),
         "results": results,
-        "groups": kept.groups.model_copy(update={"main": main}),
+        "groups": reduced.groups.model_copy(update={"main": main}),
     }
     if one_clock:
         update["align"] = AlignNone()
     if no_markers:
-        drawn = tuple(x for x in kept.report.figures if x not in _MARKER_FIGURES)
-        update["report"] = kept.report.model_copy(update={"figures": drawn})
+        figures = tuple(x for x in reduced.report.figures if x not in _MARKER_FIGURES)
+        update["report"] = reduced.report.model_copy(update={"figures": figures})
         update["markers"] = None
-    return kept.model_copy(update=update)
+    return reduced.model_copy(update=update)
 
 
 def absent_faults(protocol: Protocol, whole: Protocol) -> Iterator[Fault]:
@@ -310,15 +310,15 @@ def absent_faults(protocol: Protocol, whole: Protocol) -> Iterator[Fault]:
     -------
     Faults at the key ``files`` of the test sheet.
     """
-    made = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
     for role, source in whole.sources.items():
         if role in protocol.sources:
             continue
-        for name in sorted(set(source.all_channels) & _needed(protocol) - made):
+        for name in sorted(set(source.all_channels) & _needed(protocol) - step_channels):
             expected = f"a file in the role {role!r}, which gives {name!r}"
             remedy = "Add it to 'files', or add the step 'travel-from-speed' to the protocol."
             yield Fault(("files",), expected, "none", remedy)
-        for name in sorted(set(source.all_channels) & made):
+        for name in sorted(set(source.all_channels) & step_channels):
             yield from _speed_faults(protocol, role, name)
 
 
@@ -343,25 +343,25 @@ def _needed(protocol: Protocol) -> set[str]:
     return names
 
 
-def _kept_steps(kept: Protocol, lost: set[str]) -> Iterator[Step]:
+def _kept_steps(protocol: Protocol, lost: set[str]) -> Iterator[Step]:
     """Steps that still have a channel; one that is made from speed exists behind its step."""
-    for step in kept.steps:
-        if "markers" not in kept.sources and step.on_markers:
+    for step in protocol.steps:
+        if "markers" not in protocol.sources and step.on_markers:
             continue
         if isinstance(step, TravelFromSpeed):
-            if step.channel not in kept.channels:
+            if step.channel not in protocol.channels:
                 lost = lost - {step.channel}
                 yield step
         elif getattr(step, "channel", None) not in lost:
             yield step
 
 
-def _is_made_from_speed(kept: Protocol) -> bool:
+def _is_made_from_speed(protocol: Protocol) -> bool:
     """Whether the displacement of the curve is made on the clock of the force."""
-    if kept.curve is None or kept.curve.displacement in kept.channels:
+    if protocol.curve is None or protocol.curve.displacement in protocol.channels:
         return False
-    made = {step.channel for step in kept.steps if isinstance(step, TravelFromSpeed)}
-    return kept.curve.displacement in made
+    step_channels = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    return protocol.curve.displacement in step_channels
 
 
 def _result_names(entries: tuple[ResultEntry, ...]) -> set[str]:

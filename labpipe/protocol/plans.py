@@ -94,9 +94,9 @@ def same_names(comparisons: object) -> list[Fault]:
         if not isinstance(name, str):
             continue
         if name in first:
-            found = f"{name!r}, as comparison {first[name] + 1}"
+            actual = f"{name!r}, as comparison {first[name] + 1}"
             path = ("comparisons", number, "name")
-            faults.append(Fault(path, "a name of its own", found, "Call it something else."))
+            faults.append(Fault(path, "a name of its own", actual, "Call it something else."))
         first.setdefault(name, number)
     return faults
 

@@ -54,18 +54,18 @@ class PlausibleRange(Block):
     stop: Text = Field(alias="to", description="Such as 2 kN")
 
 
-def range_faults(said: object, path: KeyPath, unit: str) -> Iterator[Fault]:
+def range_faults(stated: object, path: KeyPath, unit: str) -> Iterator[Fault]:
     """Find a plausible range without a unit, or with its ends the wrong way round.
 
     Parameters
     ----------
-    said : the range as written
+    stated : the range as written
     path : way to it
     unit : SI unit of its ends
     """
     ends: list[float] = []
     for key in ("from", "to"):
-        text = said.get(key) if isinstance(said, Mapping) else None
+        text = stated.get(key) if isinstance(stated, Mapping) else None
         if not isinstance(text, str):
             continue
         try:
@@ -84,16 +84,16 @@ else:
     _Kind = Literal[tuple(PLAUSIBLE)]
 
 
-def _filled(said: object) -> object:
+def _filled(stated: object) -> object:
     """Put the shipped ranges, and ends of ranges, where some are left out."""
-    if not isinstance(said, Mapping):
-        return said
+    if not isinstance(stated, Mapping):
+        return stated
     shipped = {kind: {"from": least, "to": most} for kind, (_, least, most) in PLAUSIBLE.items()}
-    own = {
+    ranges = {
         kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
-        for kind, ends in said.items()
+        for kind, ends in stated.items()
     }
-    return shipped | own
+    return shipped | ranges
 
 
 def _schema_of(least: str, most: str) -> dict[str, object]:
@@ -127,8 +127,8 @@ def ranges_in(data: Mapping[str, object]) -> Ranges:
     The range of each kind of dimension that has one; its ends may be wrong, a fault of its own.
     """
     ranges: Any = _filled(data.get("plausible") or {})
-    known = PLAUSIBLE.items() if isinstance(ranges, Mapping) else ()
-    return {kind: ranges[kind] for kind, _ in known if isinstance(ranges[kind], Mapping)}
+    kinds = PLAUSIBLE.items() if isinstance(ranges, Mapping) else ()
+    return {kind: ranges[kind] for kind, _ in kinds if isinstance(ranges[kind], Mapping)}
 
 
 def plausible_faults(
@@ -142,8 +142,8 @@ def plausible_faults(
     blocks : keys of the blocks
     in_file : whether a range is widened in the file itself, which no test sheet can override
     """
-    said = data.get("plausible")
-    for kind, ends in said.items() if isinstance(said, Mapping) else ():
+    stated = data.get("plausible")
+    for kind, ends in stated.items() if isinstance(stated, Mapping) else ():
         if kind in PLAUSIBLE:
             yield from range_faults(ends, ("plausible", kind), PLAUSIBLE[kind][0])
     for block in blocks:
@@ -193,10 +193,10 @@ def _outside(
     if least <= size <= most or least >= most:
         return
     end = "from" if size < least else "to"
-    widened = in_test_sheet(f"plausible.{kind}.{end}", text)
+    override = in_test_sheet(f"plausible.{kind}.{end}", text)
     if in_file:
-        widened = f"'plausible: {{{kind}: {{{end}: {text}}}}}'"
+        override = f"'plausible: {{{kind}: {{{end}: {text}}}}}'"
     name = kind.replace("_", " ") if kind != "other" else "dimension"
     expected = f"a plausible {name}, {ends['from']} to {ends['to']}"
-    remedy = f"Correct number or unit; if both are right, write {widened}."
+    remedy = f"Correct number or unit; if both are right, write {override}."
     yield Fault(path, expected, repr(text), remedy)

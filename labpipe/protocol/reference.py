@@ -80,16 +80,16 @@ def kinds_of_notes() -> tuple[KindOfNote, ...]:
     """
     text = (files("labpipe.records") / "quality_notes.toml").read_text(encoding="utf-8")
     return tuple(
-        KindOfNote(origin, code, _severities(said), said["meaning"], said.get("doubts", ""))
+        KindOfNote(origin, code, _severities(entry), entry["meaning"], entry.get("doubts", ""))
         for origin, notes in tomllib.loads(text).items()
-        for code, said in notes.items()
+        for code, entry in notes.items()
     )
 
 
-def _severities(said: dict[str, str | list[str]]) -> tuple[Severity, ...]:
-    one_or_more = said["severity"]
-    words = [one_or_more] if isinstance(one_or_more, str) else one_or_more
-    return tuple(map(Severity, words))
+def _severities(entry: dict[str, str | list[str]]) -> tuple[Severity, ...]:
+    severity = entry["severity"]
+    names = [severity] if isinstance(severity, str) else severity
+    return tuple(map(Severity, names))
 
 
 def tables() -> dict[str, str]:
@@ -159,8 +159,8 @@ def _numbers(kind: type[Kind]) -> Iterable[str]:
     """Link each number to its section, with its unit."""
     for output in kind.outputs:
         stem, _, first = output.name_in(kind, {"of": "<stiffness>"}).partition(".")
-        each = "n" if stem.startswith("slip_") else "cycle"
-        name = f"{stem}.<{each}>" if first else stem
+        index = "n" if stem.startswith("slip_") else "cycle"
+        name = f"{stem}.<{index}>" if first else stem
         anchor = re.sub(r"\W", "", name)
         yield f"[`{name}`](#{anchor}) ({output.unit.replace('*', ' ')})"
 
@@ -173,7 +173,7 @@ def _meaning(kind: type[Kind]) -> str:
 def _needs(kind: Any) -> Iterable[str]:
     """Say in words what of a test a kind of result is read from."""
     needs: Needs = kind.needs
-    words = {
+    descriptions = {
         "the curve": needs.branches,
         f"`curve.{needs.correction}`": needs.correction,
         "two clocks": needs.clocks,
@@ -181,7 +181,7 @@ def _needs(kind: Any) -> Iterable[str]:
         "a clamped end": needs.clamp,
         "the stiffness `of`": existing_in(kind, "stiffness"),
     }
-    return [word for word, is_needed in words.items() if is_needed]
+    return [word for word, is_needed in descriptions.items() if is_needed]
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
@@ -205,10 +205,10 @@ def with_tables(page: str) -> str:
     KeyError
         A marker names no table that derives from the code.
     """
-    known = tables()
+    table_by_name = tables()
     return re.sub(
         r"(?<=<!-- table: )(\w+) -->\n.*?(?=<!-- end of table -->)",
-        lambda found: f"{found[1]} -->\n{known[found[1]]}\n",
+        lambda match: f"{match[1]} -->\n{table_by_name[match[1]]}\n",
         page,
         flags=re.DOTALL,
     )

@@ -220,10 +220,14 @@ class Slack(Block):
 
 
 def _words_once(value: object) -> object:
-    words = value if isinstance(value, list | tuple) else None
-    if words is None or set(words) - {"force", "displacement"} or len(set(words)) < len(words):
+    quantities = value if isinstance(value, list | tuple) else None
+    if (
+        quantities is None
+        or set(quantities) - {"force", "displacement"}
+        or len(set(quantities)) < len(quantities)
+    ):
         raise error_of(expected="a list of 'force' and 'displacement', or of neither", found=value)
-    return tuple(words)
+    return tuple(quantities)
 
 
 Reverse: TypeAlias = Annotated[

@@ -107,14 +107,16 @@ def wires_in_words(value: object) -> object:
         return value
     wires: dict[str, object] = {}
     for part in re.split(r"(?<!\s)\s+\+\s+", value.strip()):
-        words = _WORDS.fullmatch(part)
-        if words is None:
+        match = _WORDS.fullmatch(part)
+        if match is None:
             raise error_of(expected=_SAID, found=value)
-        if words[2] in wires:
-            remedy = f"Add the numbers of {words[2]!r}."
+        if match[2] in wires:
+            remedy = f"Add the numbers of {match[2]!r}."
             raise error_of(expected="each type once", found=value, remedy=remedy)
-        given = {"number": words[1], "diameter": words[3]}
-        wires[words[2]] = {key: word for key, word in given.items() if word is not None}
+        parts = {"number": match[1], "diameter": match[3]}
+        wires[match[2]] = {
+            key: value_text for key, value_text in parts.items() if value_text is not None
+        }
     return wires
 
 
@@ -173,8 +175,8 @@ class SheetBundle(Block):
         wires = info.data.get("wires")
         if wires is None or number in (None, _number_of(wires)):
             return number
-        said = " + ".join(f"{of.number} {kind}" for kind, of in wires.items())
-        expected = f"{_number_of(wires)}, the number of the wires ({said})"
+        numbers = " + ".join(f"{of.number} {kind}" for kind, of in wires.items())
+        expected = f"{_number_of(wires)}, the number of the wires ({numbers})"
         raise error_of(expected=expected, found=number, remedy="Correct one of the two.")
 
     @field_validator("arrangement")
@@ -211,9 +213,9 @@ class SheetBundle(Block):
         least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
         if bore < least:
             expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
-            found = f"{bore * 1e3:.4g} mm"
+            actual = f"{bore * 1e3:.4g} mm"
             remedy = "Check the bore, the diameters and the number of wires."
-            raise raised([Fault((), expected, found, remedy)], bore)
+            raise raised([Fault((), expected, actual, remedy)], bore)
         return bore
 
 
@@ -228,8 +230,8 @@ def _contradictions(data: Mapping[Any, Any]) -> Iterator[Fault]:
         yield Fault(("tape",), "'none' where 'taping' is 'none'", repr(str(tape)), remedy)
     if conduit == NONE and data.get("conduit_bore") is not None:
         remedy = "Write what conduit it is, or leave the bore out."
-        found = repr(str(data["conduit_bore"]))
-        yield Fault(("conduit_bore",), "no bore where there is no conduit", found, remedy)
+        actual = repr(str(data["conduit_bore"]))
+        yield Fault(("conduit_bore",), "no bore where there is no conduit", actual, remedy)
 
 
 def _number_of(wires: Mapping[str, SheetWires]) -> int:
@@ -238,10 +240,10 @@ def _number_of(wires: Mapping[str, SheetWires]) -> int:
 
 def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
     """Diameter of every wire, m; nothing where one is not known."""
-    given = [(of.number, of.diameter) for of in wires.values()]
-    known = [(number, diameter) for number, diameter in given if diameter is not None]
-    each = [diameter for number, diameter in known for _ in range(number)]
-    return each if len(known) == len(given) else []
+    stated = [(of.number, of.diameter) for of in wires.values()]
+    complete = [(number, diameter) for number, diameter in stated if diameter is not None]
+    diameters = [diameter for number, diameter in complete for _ in range(number)]
+    return diameters if len(complete) == len(stated) else []
 
 
 def _position_faults(positions: Places, wires: Mapping[str, SheetWires]) -> Iterator[Fault]:
@@ -261,15 +263,15 @@ def _position_faults(positions: Places, wires: Mapping[str, SheetWires]) -> Iter
         yield from _overlaps(circles, [f"wire {i + 1} ({kind})" for i, kind in enumerate(kinds)])
 
 
-def _overlaps(circles: Sequence[Circle], called: Sequence[str]) -> Iterator[Fault]:
+def _overlaps(circles: Sequence[Circle], names: Sequence[str]) -> Iterator[Fault]:
     """Find wires that lie inside an earlier one; the first such pair of each wire."""
     for later, circle in enumerate(circles):
         depths = [_overlap(circle, other) for other in circles[:later]]
         earlier = next((number for number, depth in enumerate(depths) if depth > 0.0), None)
         if earlier is not None:
-            found = f"{called[later]} {depths[earlier] * 1e3:.3g} mm inside {called[earlier]}"
+            actual = f"{names[later]} {depths[earlier] * 1e3:.3g} mm inside {names[earlier]}"
             remedy = "Check both positions and the diameters."
-            yield Fault((later,), "wires beside each other", found, remedy)
+            yield Fault((later,), "wires beside each other", actual, remedy)
 
 
 def _overlap(one: Circle, other: Circle) -> float:
@@ -279,12 +281,12 @@ def _overlap(one: Circle, other: Circle) -> float:
     return depth if depth > TOLERANCE * min(one[2], other[2]) else 0.0
 
 
-def bundle_in_words(words: str, *, arrangement: str = PACKED) -> Bundle:
+def bundle_in_words(text: str, *, arrangement: str = PACKED) -> Bundle:
     """Read a bundle such as ``10 B1 + 9 B2``.
 
     Parameters
     ----------
-    words : numbers and types of the wires, with a diameter in brackets where one is known
+    text : numbers and types of the wires, with a diameter in brackets where one is known
     arrangement : one of `labpipe.records.harness_bundle.ARRANGEMENTS`
 
     Returns
@@ -296,18 +298,18 @@ def bundle_in_words(words: str, *, arrangement: str = PACKED) -> Bundle:
     UsageError
         If the words are not those of a bundle, or have no such arrangement.
     """
-    data = {"wires": words, "arrangement": arrangement}
+    data = {"wires": text, "arrangement": arrangement}
     try:
         return SheetBundle.model_validate(data).record
     except ValidationError as error:
         faults = faults_of(error, data=data, keys=())
-        raise UsageError("\n".join(_worded(fault, words) for fault in faults)) from None
+        raise UsageError("\n".join(_worded(fault, text) for fault in faults)) from None
 
 
-def _worded(fault: Fault, words: str) -> str:
+def _worded(fault: Fault, text: str) -> str:
     place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
     remedy = fault.remedy or 'Write it like "10 B1 + 9 B2 (1.25 mm)", or give a test.yaml.'
-    return error_text(words, place, expected=fault.expected, found=fault.found, remedy=remedy)
+    return error_text(text, place, expected=fault.expected, found=fault.found, remedy=remedy)
 
 
 SHEET_NAME = "test.yaml"
@@ -359,30 +361,30 @@ class SheetSpecimen(Block):
         """Refuse dimensions that look like a misspelt key, and labels that are called like keys."""
         if not isinstance(data, Mapping):
             return []
-        known = [*cls.keys(), "span"]
-        faults = [_misspelt(str(key), known) for key in data if _is_misspelt(str(key), known)]
+        keys = [*cls.keys(), "span"]
+        faults = [_misspelt(str(key), keys) for key in data if _is_misspelt(str(key), keys)]
         misspelt = {fault.path[0] for fault in faults}
         faults += [
             _no_dimension(str(key), value)
             for key, value in data.items()
-            if key not in misspelt and key not in known and _is_no_length(value)
+            if key not in misspelt and key not in keys and _is_no_length(value)
         ]
         labels = data.get("labels")
-        taken = [key for key in labels if key in known] if isinstance(labels, Mapping) else []
+        taken = [key for key in labels if key in keys] if isinstance(labels, Mapping) else []
         return faults + [_taken(key) for key in taken]
 
 
-def _is_misspelt(key: str, known: list[str]) -> bool:
-    if key in known:
+def _is_misspelt(key: str, keys: list[str]) -> bool:
+    if key in keys:
         return False
     if re.fullmatch(_NAME, key) is None:
         return True
-    return bool(difflib.get_close_matches(key, known, n=1, cutoff=0.8))
+    return bool(difflib.get_close_matches(key, keys, n=1, cutoff=0.8))
 
 
-def _misspelt(key: str, known: list[str]) -> Fault:
+def _misspelt(key: str, keys: list[str]) -> Fault:
     small = re.sub(r"\W+", "_", key.casefold())
-    remedy = did_you_mean(key, known)
+    remedy = did_you_mean(key, keys)
     if small != key and re.fullmatch(_NAME, small):
         remedy = f"Write it as {small!r}."
     expected = "a known key, or the name of a dimension in small letters"

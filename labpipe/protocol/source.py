@@ -204,7 +204,7 @@ class Source(Block):
             )
             return {self._role: single.named(self._role, key)}
         several = (self.channels or {}).items()
-        return {name: each.named(name, f"{key}.channels.{name}") for name, each in several}
+        return {name: channel.named(name, f"{key}.channels.{name}") for name, channel in several}
 
     @property
     def camera_uncertainty(self) -> float:

@@ -76,4 +76,6 @@ def curve_of(points: Sequence[StressPoint]) -> Curve:
     """Strains and stresses (Pa) beyond zero."""
     stress = StressPoint.model_fields["stress_mpa"].metadata[0].in_si
     beyond = [point for point in points if point.strain > 0.0]
-    return tuple(each.strain for each in beyond), tuple(stress(each.stress_mpa) for each in beyond)
+    return tuple(point.strain for point in beyond), tuple(
+        stress(point.stress_mpa) for point in beyond
+    )

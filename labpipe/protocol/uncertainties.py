@@ -54,11 +54,11 @@ class Certificate(Block):
     @classmethod
     def between(cls, data: object) -> list[Fault]:
         """Refuse a calibration that was due before it was made."""
-        said = data if isinstance(data, Mapping) else {}
-        made, due = (_day(said.get(key)) for key in ("date", "due"))
-        if made is None or due is None or due > made:
+        values = data if isinstance(data, Mapping) else {}
+        calibrated, due = (_day(values.get(key)) for key in ("date", "due"))
+        if calibrated is None or due is None or due > calibrated:
             return []
-        expected = f"a day after 'date', {made}"
+        expected = f"a day after 'date', {calibrated}"
         return [Fault(("due",), expected, str(due), "Correct the one that is wrong.")]
 
 
@@ -77,28 +77,28 @@ def certificate_faults(values: Mapping[str, object], path: KeyPath) -> Iterator[
     values : block of a channel or source as written
     path : way to it
     """
-    said = values.get("certificate")
+    certificate = values.get("certificate")
     calibration = values.get("calibration")
-    if not isinstance(said, Mapping) or said.get("uncertainty") is None:
+    if not isinstance(certificate, Mapping) or certificate.get("uncertainty") is None:
         return
     gain = calibration if isinstance(calibration, Mapping) else {}
     stated = {
         (*path, "calibration", "gain_uncertainty"): gain.get("gain_uncertainty"),
         (*path, "scale_uncertainty"): values.get("scale_uncertainty"),
     }
-    known = {place: _ratio(text) for place, text in stated.items() if text is not None}
-    expanded, k = _ratio(said["uncertainty"]), _ratio(said.get("k", 2))
-    if expanded is None or not k or None in known.values():
+    uncertainties = {place: _ratio(text) for place, text in stated.items() if text is not None}
+    expanded, k = _ratio(certificate["uncertainty"]), _ratio(certificate.get("k", 2))
+    if expanded is None or not k or None in uncertainties.values():
         return  # each is a fault of its own
     standard = expanded / k
-    together = sum(value**2 for value in known.values() if value is not None) ** 0.5
+    together = sum(value**2 for value in uncertainties.values() if value is not None) ** 0.5
     if not together or abs(together - standard) <= 1e-9 * standard:
         return
-    place = next(place for place, value in known.items() if value)
+    place = next(place for place, value in uncertainties.items() if value)
     expected = f"{100.0 * standard:.4g} %, as 'certificate' has it"
-    found = f"{100.0 * together:.4g} %"
+    actual = f"{100.0 * together:.4g} %"
     remedy = f"Take {place[-1]!r} out, or 'uncertainty' out of the certificate."
-    yield Fault(place, expected, found, remedy)
+    yield Fault(place, expected, actual, remedy)
 
 
 def size_faults(specimen: Mapping[str, object]) -> Iterator[Fault]:
@@ -108,11 +108,11 @@ def size_faults(specimen: Mapping[str, object]) -> Iterator[Fault]:
     ----------
     specimen : block as written
     """
-    said, section = specimen.get("uncertainty"), specimen.get("section")
+    uncertainties, section = specimen.get("uncertainty"), specimen.get("section")
     sizes = {**(section if isinstance(section, Mapping) else {}), **specimen}
-    for key, text in said.items() if isinstance(said, Mapping) else ():
+    for key, text in uncertainties.items() if isinstance(uncertainties, Mapping) else ():
         unit = "m^2" if key == "area" else "m"
-        size, uncertainty = (_quantity(character, unit) for character in (sizes.get(key), text))
+        size, uncertainty = (_quantity(value, unit) for value in (sizes.get(key), text))
         if size is not None and uncertainty is not None and uncertainty >= size > 0.0:
             expected = f"less than the {key} itself, {sizes[key]}"
             yield Fault(
@@ -139,9 +139,9 @@ def length_faults(
     if None in values or values[0] == values[1]:
         return
     expected = f"the uncertainty of the {key} once"
-    found = f"{here!r} beside {there!r} in 'specimen.uncertainty.{key}'"
+    actual = f"{here!r} beside {there!r} in 'specimen.uncertainty.{key}'"
     remedy = f"Write it as 'specimen.uncertainty.{key}' alone."
-    yield Fault((*path, "length_uncertainty"), expected, found, remedy)
+    yield Fault((*path, "length_uncertainty"), expected, actual, remedy)
 
 
 def _day(value: object) -> date | None:

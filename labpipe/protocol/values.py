@@ -97,10 +97,10 @@ def unit_remedy(unit: str, si_unit: str) -> str:
     try:
         si_factor(unit or si_unit, si_unit)
     except DimensionError:
-        own = si_unit_like(unit)
-        if (own, si_unit) == ("kg", "N"):
+        own_unit = si_unit_like(unit)
+        if (own_unit, si_unit) == ("kg", "N"):
             return f"{unit} is a unit of mass: write mass x 9.81 m/s^2 in N, or kgf for kg."
-        return f"{unit} is a unit of {_DIMENSIONS[own]}." if own else ""
+        return f"{unit} is a unit of {_DIMENSIONS[own_unit]}." if own_unit else ""
     except ValueError:
         return f"labpipe knows no unit {unit!r}."
     return ""
@@ -185,8 +185,8 @@ class QuantityText:
         ----------
         value : in SI
         """
-        if math.isfinite(shown := value / si_factor(self.of.shown, self.of.unit)):
-            return _with_unit(shown, self.of.shown)
+        if math.isfinite(number := value / si_factor(self.of.shown, self.of.unit)):
+            return _with_unit(number, self.of.shown)
         return _with_unit(value, self.of.unit)
 
     @property
@@ -268,16 +268,16 @@ def parse_span(text: object) -> Span:
     """
     if isinstance(text, Span):
         return text
-    words = str(text)
-    if count := re.fullmatch(r"\s*([0-9]{1,9})\s*samples\s*", words):
+    span_text = str(text)
+    if count := re.fullmatch(r"\s*([0-9]{1,9})\s*samples\s*", span_text):
         if int(count[1]) < 1:
             raise error_of(expected="a span of at least 1 sample", found=text)
         return Span("samples", float(count[1]))
-    if words.strip().endswith("%"):
+    if span_text.strip().endswith("%"):
         return Span("branch", _SPANS["branch"].parse(text))
     for kind in ("time", "travel"):
         try:
-            parse_quantity(words, _SPANS[kind].of.unit)
+            parse_quantity(span_text, _SPANS[kind].of.unit)
         except ValueError:
             continue
         return Span("time" if kind == "time" else "travel", _SPANS[kind].parse(text))

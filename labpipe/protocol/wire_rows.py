@@ -176,11 +176,14 @@ class WireRow(Block):
         """Refuse stress tables beside the numbers that they stand for."""
         row, faults = data if isinstance(data, Mapping) else {}, []
         for table, numbers in _NUMBERS_OF.items():
-            given = [name for name in numbers if row.get(name)]
-            if row.get(table) and given:
+            stated = [name for name in numbers if row.get(name)]
+            if row.get(table) and stated:
                 expected = "either a stress table, whose first slope is the modulus, or the numbers"
-                found, remedy = f"a stress table and {', '.join(given)}", "Empty one or the other."
-                faults.append(Fault((table,), expected, found, remedy))
+                actual, remedy = (
+                    f"a stress table and {', '.join(stated)}",
+                    "Empty one or the other.",
+                )
+                faults.append(Fault((table,), expected, actual, remedy))
         return faults
 
     @model_validator(mode="before")
@@ -244,17 +247,17 @@ _ALWAYS_THERE = (*NEEDED, "lay_angles_deg")
 def _layer_faults(row: WireRow) -> Iterator[Fault]:
     """Find what does not agree among strands, layers, angles, diameters and radii."""
     counts, angles = row.counts, len(row.lay_angles_deg)
-    shown = " + ".join(map(str, counts))
+    sum_text = " + ".join(map(str, counts))
     if sum(counts) != row.strands:
         by = "1 lay angle gives" if angles == 1 else f"{angles} lay angles give"
         by = "the layer counts give" if row.layer_counts else by
-        expected = f"{sum(counts)} strands as {by} ({shown})"
+        expected = f"{sum(counts)} strands as {by} ({sum_text})"
         remedy = "Correct the number of strands or the layers, or fill in layer_counts."
         yield Fault(("strands",), expected, str(row.strands), remedy)
         return
     rings = len(counts) - int(counts[0] == 1)
     if angles != rings:
-        expected = f"one lay angle for each ring of {shown}, {rings}"
+        expected = f"one lay angle for each ring of {sum_text}, {rings}"
         remedy = "Give one angle per ring; the core has none."
         yield Fault(("lay_angles_deg",), expected, str(angles), remedy)
     yield from _size_faults(row)
@@ -262,14 +265,14 @@ def _layer_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _size_faults(row: WireRow) -> Iterator[Fault]:
-    one, each, area = row.strand_diameter_mm, row.strand_diameters_mm, row.conductor_area_mm2
-    if one and each:
-        found = "strand_diameter_mm and strand_diameters_mm"
-        yield Fault(("strand_diameters_mm",), "one of both", found, "Empty one of the cells.")
-    elif each and len(each) != len(row.counts):
+    one, per_layer, area = row.strand_diameter_mm, row.strand_diameters_mm, row.conductor_area_mm2
+    if one and per_layer:
+        actual = "strand_diameter_mm and strand_diameters_mm"
+        yield Fault(("strand_diameters_mm",), "one of both", actual, "Empty one of the cells.")
+    elif per_layer and len(per_layer) != len(row.counts):
         expected = f"{len(row.counts)} diameters, one per layer"
-        yield Fault(("strand_diameters_mm",), expected, str(len(each)), "Correct the list.")
-    elif not (one or each or area):
+        yield Fault(("strand_diameters_mm",), expected, str(len(per_layer)), "Correct the list.")
+    elif not (one or per_layer or area):
         expected = "a conductor area or a strand diameter"
         remedy = "Fill in conductor_area_mm2 or strand_diameter_mm."
         yield Fault(("strand_diameter_mm",), expected, "blank cells", remedy)
@@ -282,13 +285,13 @@ def _size_faults(row: WireRow) -> Iterator[Fault]:
 def _radius_faults(row: WireRow) -> Iterator[Fault]:
     radii, layers = row.layer_radii_mm, len(row.counts)
     if radii and row.layout != "compressed":
-        found = f"radii, for the layout {row.layout!r} that sets its own"
+        actual = f"radii, for the layout {row.layout!r} that sets its own"
         remedy = "Say compressed as the layout, or empty the cell."
-        yield Fault(("layer_radii_mm",), "a blank cell", found, remedy)
+        yield Fault(("layer_radii_mm",), "a blank cell", actual, remedy)
     elif radii and (len(radii) != layers or any(a >= b for a, b in pairwise(radii))):
         expected = f"{layers} radii that grow, one per layer"
-        found = repr(";".join(f"{radius:g}" for radius in radii))
-        yield Fault(("layer_radii_mm",), expected, found, "Correct the list.")
+        actual = repr(";".join(f"{radius:g}" for radius in radii))
+        yield Fault(("layer_radii_mm",), expected, actual, "Correct the list.")
 
 
 def _room_faults(row: WireRow) -> Iterator[Fault]:
@@ -322,8 +325,8 @@ def _room_faults(row: WireRow) -> Iterator[Fault]:
 
 def _mass_faults(row: WireRow) -> Iterator[Fault]:
     """Find a mass that cannot be that of the strands and the wall."""
-    said = row.mass_per_length_g_per_m
-    if said is None:
+    stated = row.mass_per_length_g_per_m
+    if stated is None:
         return
     angles = (0.0,) * int(row.counts[0] == 1) + row.lay_angles_deg
     layers = zip(row.counts, row.diameters, angles, strict=True)
@@ -332,20 +335,20 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
     conductor = _density(row.conductor_density_kg_per_m3, "conductor_density")
     insulation = _density(row.insulation_density_kg_per_m3, "insulation_density")
     whole = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
-    if 1.0 / MASSES_AGREE <= said / whole <= MASSES_AGREE:
+    if 1.0 / MASSES_AGREE <= stated / whole <= MASSES_AGREE:
         return
     expected = f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} "
     expected += f"kg/m^3, wall of {insulation:.4g} kg/m^3)"
     remedy = "Correct the mass, the sizes or the densities; the unit is g/m, which is kg/km."
-    yield Fault(("mass_per_length_g_per_m",), expected, f"{said:.4g} g/m", remedy)
+    yield Fault(("mass_per_length_g_per_m",), expected, f"{stated:.4g} g/m", remedy)
 
 
-def _density(said: float | None, field: str) -> float:
-    return said if said is not None else float(_default_of(field))
+def _density(stated: float | None, field: str) -> float:
+    return stated if stated is not None else float(_default_of(field))
 
 
 def _default_of(field: str) -> Any:
-    return next(each.default for each in fields(WireSpec) if each.name == field)
+    return next(spec_field.default for spec_field in fields(WireSpec) if spec_field.name == field)
 
 
 def wire_spec(
@@ -420,8 +423,8 @@ def default_words(name: str) -> str:
         message = f"{name}: allowed are columns with a default"
         raise ValueError(message)
     column = COLUMNS.get(name)
-    shown = f"{value}" if column is None else f"{value / column.factor:.6g} {column.unit}"
-    return f"{field.replace('_', ' ')} {shown}".rstrip()
+    value_text = f"{value}" if column is None else f"{value / column.factor:.6g} {column.unit}"
+    return f"{field.replace('_', ' ')} {value_text}".rstrip()
 
 
 def parse_row(kind: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
@@ -455,38 +458,38 @@ def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     The number of the column, counted from 0, and what is wrong with it.
     """
     names = [column_name(heading) for heading in headings]
-    meant = set(names)
+    intended = set(names)
     for number, name in enumerate(names):
         if name not in WireRow.model_fields:
             column, fault = _unknown(name, headings[number])
-            meant.add(column)
+            intended.add(column)
             yield number, fault
         elif name in names[:number]:
             remedy = "Remove or rename one of them."
             yield number, Fault((), "each column once", f"{name!r} again", remedy)
     for name in _ALWAYS_THERE:
-        if name not in meant:
+        if name not in intended:
             yield 0, Fault((), f"a column {name!r}", "none", "Add it.")
-    if not meant & set(SIZES):
+    if not intended & set(SIZES):
         expected = f"a column {SIZES[2]!r}, {SIZES[0]!r} or {SIZES[1]!r}"
         yield 0, Fault((), expected, "none of them", "Add one.")
 
 
 def _unknown(name: str, heading: str) -> tuple[str, Fault]:
     """The column that an unknown one may mean, empty if none is like it, and words for it."""
-    known = list(WireRow.model_fields)
+    columns = list(WireRow.model_fields)
     same = [column for column in COLUMNS if _is_in_another_unit(name, column)]
-    like = same or difflib.get_close_matches(name, known, n=1)
+    like = same or difflib.get_close_matches(name, columns, n=1)
     if not like:
         expected = f"a column of a wire sheet, such as {', '.join(map(repr, _ALWAYS_THERE))}"
         return "", Fault((), expected, repr(heading), "Correct its name, or remove the column.")
-    meant = like[0]
-    remedy = f"Did you mean {meant!r}?"
-    if same and COLUMNS[meant].unit:
-        remedy = f"Give it in {COLUMNS[meant].unit} as {meant!r}."
-    listed = dict.fromkeys([meant, *nearest(name, known, most=3)])
+    nearest_column = like[0]
+    remedy = f"Did you mean {nearest_column!r}?"
+    if same and COLUMNS[nearest_column].unit:
+        remedy = f"Give it in {COLUMNS[nearest_column].unit} as {nearest_column!r}."
+    listed = dict.fromkeys([nearest_column, *nearest(name, columns, most=3)])
     expected = f"one of {', '.join(map(repr, listed))}, ..."
-    return meant, Fault((), expected, repr(heading), remedy)
+    return nearest_column, Fault((), expected, repr(heading), remedy)
 
 
 def _is_in_another_unit(name: str, column: str) -> bool:

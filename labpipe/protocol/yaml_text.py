@@ -113,8 +113,8 @@ class Document:
         """Give items of lists the numbers that they have where they were written."""
         numbers = ((part, self.numbers.get(path[:i])) for i, part in enumerate(path))
         return tuple(
-            known[part] if known is not None and isinstance(part, int) else part
-            for part, known in numbers
+            written[part] if written is not None and isinstance(part, int) else part
+            for part, written in numbers
         )
 
 
@@ -151,16 +151,16 @@ def read_text(path: Path) -> str:
         _require_readable(path)
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"the byte 0x{error.object[error.start]:02x}"
+        actual = f"the byte 0x{error.object[error.start]:02x}"
         remedy = "Save it as UTF-8."
         text = error_text(
-            path, f"byte {error.start}", expected="UTF-8 text", found=found, remedy=remedy
+            path, f"byte {error.start}", expected="UTF-8 text", found=actual, remedy=remedy
         )
         raise ProtocolError(text) from error
     except OSError as error:
-        found = (error.strerror or str(error)).lower()
+        actual = (error.strerror or str(error)).lower()
         remedy = "Check the name and the folder."
-        text = error_text(path, "", expected="a YAML file", found=found, remedy=remedy)
+        text = error_text(path, "", expected="a YAML file", found=actual, remedy=remedy)
         raise ProtocolError(text) from error
 
 
@@ -209,8 +209,8 @@ class _Composer(Composer):
         max_depth = 16
         event: yaml.Event = self.peek_event()  # type: ignore[attr-defined]
         if isinstance(event, yaml.AliasEvent):
-            found = f"the alias '*{event.anchor}'"
-            raise _AmbiguousYamlError(event, Fault((), "a value", found, "Write it out."))
+            actual = f"the alias '*{event.anchor}'"
+            raise _AmbiguousYamlError(event, Fault((), "a value", actual, "Write it out."))
         if self.depth >= max_depth:
             remedy = "Write it in fewer levels."
             raise _AmbiguousYamlError(
@@ -276,9 +276,9 @@ def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
         place = f"line {before.count(chr(10)) + 1}, column {len(before) - before.rfind(chr(10))}"
     problem = getattr(error, "problem", None) or getattr(error, "reason", "") or "something else"
     context = getattr(error, "context", None)
-    found = f"text that is none ({problem}{f' {context}' if context else ''})"
+    actual = f"text that is none ({problem}{f' {context}' if context else ''})"
     remedy = "Look at this line and the one before it: indentation, ':' and brackets."
-    return error_text(file, place, expected="YAML", found=found, remedy=remedy)
+    return error_text(file, place, expected="YAML", found=actual, remedy=remedy)
 
 
 def _value(node: yaml.Node, path: KeyPath, document: Document) -> object:
@@ -289,10 +289,10 @@ def _value(node: yaml.Node, path: KeyPath, document: Document) -> object:
         return _block(node, path, document)
     if isinstance(node, yaml.SequenceNode):
         items = []
-        for number, each in enumerate(node.value):
+        for number, item in enumerate(node.value):
             here = (*path, number)
-            document.spots[here] = YamlPosition(document.file, _mark(each), _mark(each))
-            items.append(_value(each, here, document))
+            document.spots[here] = YamlPosition(document.file, _mark(item), _mark(item))
+            items.append(_value(item, here, document))
         return items
     is_plain = isinstance(node, yaml.ScalarNode) and not node.style
     return None if is_plain and node.value in _NOTHING else node.value

@@ -140,9 +140,9 @@ def ratio(over: Floats, under: Floats) -> Floats:
     over, under : shape (...), of shapes that go together
     """
     shape = np.broadcast_shapes(np.shape(over), np.shape(under))
-    known: Floats = np.full(shape, np.nan)
-    np.divide(over, under, out=known, where=np.not_equal(under, 0.0))
-    return known
+    quotient: Floats = np.full(shape, np.nan)
+    np.divide(over, under, out=quotient, where=np.not_equal(under, 0.0))
+    return quotient
 
 
 def stretches_of(flags: Flags) -> list[tuple[int, int]]:

@@ -237,8 +237,8 @@ class Band(ArrayRecord):
     @property
     def marks(self) -> Ints:
         """Places of the intervals that are drawn one by one; empty where there is a band."""
-        known = np.flatnonzero(np.isfinite(self.lower))
-        return known if not self.has_area else known[:0]
+        places = np.flatnonzero(np.isfinite(self.lower))
+        return places if not self.has_area else places[:0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,7 +304,7 @@ class Contrast:
         """Degrees of freedom after Satterthwaite (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         free = [count - 1 for count in self.counts]
-        spread = sum(square**2 / own for square, own in zip(squares, free, strict=True))
+        spread = sum(square**2 / degrees for square, degrees in zip(squares, free, strict=True))
         return sum(squares) ** 2 / spread if spread > 0.0 else float(sum(free))
 
 
@@ -360,8 +360,8 @@ class Difference:
     @property
     def words(self) -> str:
         """The verdict with its reason and caveats."""
-        said = f"{self.verdict}: {self.why}" if self.why else str(self.verdict)
-        return "; ".join((said, *self.caveats))
+        verdict = f"{self.verdict}: {self.why}" if self.why else str(self.verdict)
+        return "; ".join((verdict, *self.caveats))
 
     @property
     def question(self) -> str:

@@ -154,11 +154,13 @@ def doubtful_stretches(quantity: str, note: QualityNote, clock: str, *, most: in
     clock : role of the recording
     most : stretches; more of them are taken as one, from the first to the last
     """
-    when = note.stretches
-    if len(when) > most:
-        when = ((when[0][0], when[-1][1]),)
+    stretches = note.stretches
+    if len(stretches) > most:
+        stretches = ((stretches[0][0], stretches[-1][1]),)
     note, reason = replace(note, severity=Severity.WARNING), Reason(note.code, note.message)
-    return Finding(note, tuple(Doubt(quantity, reason, each, clock) for each in when or (None,)))
+    return Finding(
+        note, tuple(Doubt(quantity, reason, stretch, clock) for stretch in stretches or (None,))
+    )
 
 
 def blocking(code: str, where: str, message: str) -> Finding:

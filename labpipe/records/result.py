@@ -72,8 +72,8 @@ def seal_of(name: str, unit: str, status: str, numbers: Sequence[float | None]) 
     >>> seal_of("slack", "m", "ok", (1e-3, 9e-4, 1.1e-3, 0.95, 1e-3))[:8]
     'a69d6053'
     """
-    known = (None if x is None or not isfinite(x) else repr(float(x)) for x in numbers)
-    return sha256(repr((name, unit, str(status), *known)).encode()).hexdigest()
+    finite = (None if x is None or not isfinite(x) else repr(float(x)) for x in numbers)
+    return sha256(repr((name, unit, str(status), *finite)).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +137,8 @@ class Result:
     def largest_share(self) -> tuple[str, float] | None:
         """Cause with the largest share of the variance, and that share; None without a budget."""
         rows = zip(self.budget, self.shares, strict=True)
-        found = max(rows, key=lambda row: row[1], default=None)
-        return None if found is None or found[1] == 0.0 else (found[0].cause, found[1])
+        largest = max(rows, key=lambda row: row[1], default=None)
+        return None if largest is None or largest[1] == 0.0 else (largest[0].cause, largest[1])
 
     @property
     def apart(self) -> float | None:
@@ -190,8 +190,8 @@ class Specimen:
     @property
     def fields(self) -> Mapping[str, str]:
         """What groups can be made by, in words; labels go before the words of a bundle."""
-        own = {"type": self.type, "spool": self.spool}
-        return own | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
+        names = {"type": self.type, "spool": self.spool}
+        return names | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,7 +108,7 @@ class Signals:
             self, raw={**self.raw, name: signal}, filtered={**self.filtered, name: signal}
         )
 
-    def with_filtered(self, name: str, signal: Signal, *made: Filter) -> Signals:
+    def with_filtered(self, name: str, signal: Signal, *filter_steps: Filter) -> Signals:
         """Replace what was filtered of a signal.
 
         Parameters
@@ -116,11 +116,11 @@ class Signals:
         name, signal : of it
         made : the filter that did it, if it is one more
         """
-        filters = {**self.filters, name: (*self.filters.get(name, ()), *made)}
+        filters = {**self.filters, name: (*self.filters.get(name, ()), *filter_steps)}
         return replace(
             self,
             filtered={**self.filtered, name: signal},
-            filters=filters if made else self.filters,
+            filters=filters if filter_steps else self.filters,
         )
 
     def without_level(self, name: str, level: float, error: float) -> Signals:
@@ -200,11 +200,11 @@ class Clocks:
         if fit is None:
             return {}
         later = replace(fit, offset=fit.offset + self.error)
-        found = {CLOCK_OFFSET: replace(self, force=later)}
+        variants = {CLOCK_OFFSET: replace(self, force=later)}
         if turn := self.drift_error:
             faster = replace(fit, offset=fit.offset - turn * self.middle, drift=fit.drift + turn)
-            found[CLOCK_DRIFT] = replace(self, force=faster)
-        return found
+            variants[CLOCK_DRIFT] = replace(self, force=faster)
+        return variants
 
     def to_curve(self, at: float, clock: str) -> float:
         """Put a time of a clock on that of the curve; as it is while they are not joined."""

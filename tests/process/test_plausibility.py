@@ -255,8 +255,8 @@ def test_what_has_no_wrong_sign() -> None:
 def test_a_sign_turned_by_mistake() -> None:
     """The signals are turned already."""
     assert doubted(checked(turned(up_and_down()), DOWN))["force_sign"].endswith(
-        "while the specimen is loaded: 'curve.reverse' turns force and displacement, which counts "
-        "the right way without"
+        "while the specimen is loaded: 'curve.reverse' turns force and displacement, which have "
+        "the right sign without it"
     )
 
 
