@@ -80,7 +80,7 @@ def _specimen(specimen: Specimen) -> dict[str, object]:
         "type": specimen.type,
         "spool": specimen.spool,
         "sample": specimen.sample,
-        **{name: _number(value) for name, value in specimen.dimensions.items()},
+        **{name: finite_or_none(value) for name, value in specimen.dimensions.items()},
     }
     if specimen.bundle is not None:
         content["bundle"] = _bundle(specimen.bundle)
@@ -94,7 +94,7 @@ def _bundle(bundle: Bundle) -> dict[str, object]:
         "composition": bundle.composition,
         "number": bundle.number,
         "wires": [
-            {"type": wire.type, "number": wire.number, "diameter": _number(wire.diameter)}
+            {"type": wire.type, "number": wire.number, "diameter": finite_or_none(wire.diameter)}
             for wire in bundle.wires
         ],
         "arrangement": bundle.arrangement,
@@ -102,7 +102,7 @@ def _bundle(bundle: Bundle) -> dict[str, object]:
         "tape": bundle.tape,
         "taping": bundle.taping,
         "conduit": bundle.conduit,
-        "conduit_bore": _number(bundle.conduit_bore),
+        "conduit_bore": finite_or_none(bundle.conduit_bore),
     }
 
 
@@ -114,7 +114,7 @@ def _instrument(instrument: Instrument) -> dict[str, object]:
         "certificate": instrument.certificate,
         "calibrated": str(instrument.calibrated),
         "due": None if due is None else str(due),
-        "uncertainty": _number(instrument.uncertainty),
+        "uncertainty": finite_or_none(instrument.uncertainty),
         "k": instrument.k,
     }
 
@@ -129,12 +129,12 @@ def result_entry(result: Result) -> dict[str, object]:
     interval = result.interval
     return {
         "name": result.name,
-        "value": _number(result.value),
+        "value": finite_or_none(result.value),
         "unit": result.unit,
-        "lower": _number(interval.lower) if interval else None,
-        "upper": _number(interval.upper) if interval else None,
-        "level": _number(interval.level) if interval else None,
-        "estimate": _number(result.likely),
+        "lower": finite_or_none(interval.lower) if interval else None,
+        "upper": finite_or_none(interval.upper) if interval else None,
+        "level": finite_or_none(interval.level) if interval else None,
+        "estimate": finite_or_none(result.likely),
         "status": str(result.status),
         "seal": result.seal,
         "code": ", ".join(result.codes),
@@ -144,8 +144,8 @@ def result_entry(result: Result) -> dict[str, object]:
         "budget": [
             {
                 "cause": contribution.cause,
-                "change": _number(contribution.change),
-                "share": _number(share),
+                "change": finite_or_none(contribution.change),
+                "share": finite_or_none(share),
                 "common": contribution.is_common,
             }
             for contribution, share in zip(result.budget, result.shares, strict=True)
@@ -194,7 +194,7 @@ def sealed(entry: Mapping[str, Any]) -> str:
     return seal_of(entry["name"], entry["unit"], entry["status"], numbers)
 
 
-def _number(value: float | None) -> float | None:
+def finite_or_none(value: float | None) -> float | None:
     """Return the number; None for NaN and infinities, which JSON does not have."""
     return float(value) if value is not None and isfinite(value) else None
 

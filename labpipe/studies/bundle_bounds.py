@@ -17,13 +17,7 @@ from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Group, Sample
-from labpipe.records.harness_bundle import (
-    ARRANGEMENTS,
-    PACKED,
-    Bundle,
-    BundleModel,
-    FrictionFit,
-)
+from labpipe.records.harness_bundle import ARRANGEMENTS, PACKED, Bundle, BundleModel, FrictionFit
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
@@ -279,17 +273,12 @@ def model_bundle(
     ]
     modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
     if test is not None:
-        modelled = _with_friction(modelled, test, [tables[wire.type] for wire in bundle.wires])
+        laws = [tables[wire.type] for wire in bundle.wires]
+        try:
+            modelled = replace(modelled, friction=fit_friction(model, laws, bundle_loop(test)))
+        except ValueError as error:
+            modelled = replace(modelled, no_friction=str(error))
     return _write(modelled, figures=figures, png=png)
-
-
-def _with_friction(
-    modelled: ModelledBundle, test: TestResult, tables: Sequence[WireTable]
-) -> ModelledBundle:
-    try:
-        return replace(modelled, friction=fit_friction(modelled.model, tables, bundle_loop(test)))
-    except ValueError as error:
-        return replace(modelled, no_friction=str(error))
 
 
 def _read_bundle(what: str, test: TestResult | None, arrangement: str | None) -> tuple[str, Bundle]:

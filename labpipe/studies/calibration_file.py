@@ -54,13 +54,9 @@ def read_calibrated(path: Path) -> CalibratedFile:
         fault = error.strerror or "no file"
     except (ValueError, LookupError, TypeError) as error:
         fault = f"something else ({type(error).__name__}: {error})"
-    message = error_text(
-        path,
-        "calibration",
-        expected="a calibration.json with solutions, their mixtures and the tested curvature",
-        found=fault,
-        remedy="Calibrate again with this version of labpipe: labpipe calibrate.",
-    )
+    expected = "a calibration.json with solutions, their mixtures and the tested curvature"
+    remedy = "Calibrate again with this version of labpipe: labpipe calibrate."
+    message = error_text(path, "calibration", expected=expected, found=fault, remedy=remedy)
     raise ProcessingError(message)
 
 

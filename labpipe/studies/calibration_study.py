@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -16,7 +16,6 @@ from labpipe.errors import ProcessingError
 from labpipe.process.output_paths import find_results, refuse_repeated, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
-from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -36,6 +35,7 @@ from labpipe.report.calibration_summary import BentShape, CalibrationReport, Val
 from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.report.saving import pngs_of
 from labpipe.store.replace import locked, replacing_together
+from labpipe.store.summaries import finite_or_none
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import (
     FirstLoading,
@@ -100,17 +100,13 @@ def _match_json(match: CurveMatch) -> dict[str, object]:
 def _errors_json(errors: CurveErrors | None) -> dict[str, float | None]:
     names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
     return {
-        key: None if errors is None else _number(getattr(errors, name))
+        key: None if errors is None else finite_or_none(getattr(errors, name))
         for key, name in names.items()
     }
 
 
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _numbers(values: Floats) -> list[float | None]:
-    return [_number(value) for value in values]
+def _numbers(values: Iterable[float]) -> list[float | None]:
+    return [finite_or_none(value) for value in values]
 
 
 SCHEMA = 2
@@ -140,14 +136,14 @@ def calibration_json(
         "parameters": [_parameter_json(parameter) for parameter in calibration.parameters],
         "solutions": [_solution_json(solution) for solution in calibration.solutions],
         "widening": calibration.widening,
-        "tested_curvature": _number(tested),
+        "tested_curvature": finite_or_none(tested),
         "correlations": {
             "names": list(PARAMETERS),
             "values": [_numbers(row) for row in calibration.correlations],
         },
         "separability": _separability_json(calibration.separability),
         "friction_separability": None if friction is None else _separability_json(friction),
-        "levels": {key: _number(value) for key, value in asdict(calibration.levels).items()},
+        "levels": {key: finite_or_none(value) for key, value in asdict(calibration.levels).items()},
         "n_points": calibration.n_points,
         "n_samples": calibration.n_samples,
         "sse": calibration.sse,
@@ -162,12 +158,18 @@ def calibration_json(
 
 def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
     interval, conflict = parameter.interval, parameter.conflict
+    ends = () if interval is None else (interval.lower, interval.upper)
+    lower, upper = map(finite_or_none, ends or (None, None))
     return {
         "name": parameter.name,
-        "value": _number(parameter.value),
+        "value": finite_or_none(parameter.value),
         "unit": parameter.unit,
-        "lower": None if interval is None or parameter.is_open_below else _number(interval.lower),
-        "upper": None if interval is None or parameter.is_open_above else _number(interval.upper),
+        "lower": None
+        if interval is None or parameter.is_open_below
+        else finite_or_none(interval.lower),
+        "upper": None
+        if interval is None or parameter.is_open_above
+        else finite_or_none(interval.upper),
         "level": None if interval is None else interval.level,
         "intervals": _intervals(parameter),
         "verdict": str(parameter.verdict),
@@ -176,19 +178,19 @@ def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
             {
                 "value": _numbers(profile.value),
                 "deviance": _numbers(profile.deviance),
-                "threshold_below": _number(profile.threshold_below),
-                "threshold_above": _number(profile.threshold_above),
+                "threshold_below": finite_or_none(profile.threshold_below),
+                "threshold_above": finite_or_none(profile.threshold_above),
             }
             for profile in parameter.profiles
         ],
         "prior": None
         if conflict is None
         else {
-            "value": _number(conflict.centre),
-            "factor": _number(conflict.factor),
+            "value": finite_or_none(conflict.centre),
+            "factor": finite_or_none(conflict.factor),
             "source": conflict.source,
-            "without": _number(conflict.alone),
-            "size": _number(conflict.size),
+            "without": finite_or_none(conflict.alone),
+            "size": finite_or_none(conflict.size),
             "contradicts": conflict.contradicts,
             "message": conflict.message,
         },
@@ -198,7 +200,9 @@ def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
 
 def _intervals(parameter: CalibratedParameter) -> list[list[float | None]]:
     """Return the parts of the interval; None for an open end."""
-    ends = [[_number(part.lower), _number(part.upper)] for part in parameter.intervals]
+    ends = [
+        [finite_or_none(part.lower), finite_or_none(part.upper)] for part in parameter.intervals
+    ]
     if ends and parameter.is_open_below:
         ends[0][0] = None
     if ends and parameter.is_open_above:
@@ -220,7 +224,7 @@ def _solution_json(solution: Solution) -> dict[str, object]:
             "scatter": solution.mixture.scatter.tolist(),
             "shift": solution.mixture.shift.tolist(),
             "covariance": solution.mixture.covariance.tolist(),
-            "freedom": _number(solution.mixture.freedom),
+            "freedom": finite_or_none(solution.mixture.freedom),
         },
     }
 
@@ -241,8 +245,8 @@ def _curve_json(curve: CurveAgreement) -> dict[str, object]:
         "test": curve.test,
         "sample": curve.sample,
         "length": curve.length,
-        **{name: _number(getattr(curve, name)) for name in names},
-        "lag_one": _number(curve.lag_one_correlation),
+        **{name: finite_or_none(getattr(curve, name)) for name in names},
+        "lag_one": finite_or_none(curve.lag_one_correlation),
     }
 
 
@@ -254,7 +258,7 @@ def _group_json(group: ValidationGroup) -> dict[str, object]:
         "calibrating": group.is_calibrated,
         "tests": list(group.samples),
         "n": None if errors is None else errors.n,
-        "sse": None if errors is None else _number(errors.sse),
+        "sse": None if errors is None else finite_or_none(errors.sse),
         **_errors_json(errors),
         "reasons": [] if group.reason is None else [asdict(group.reason)],
         "prediction": None
@@ -409,9 +413,7 @@ def _calibration(
     wire: Wire, loadings: Sequence[FirstLoading], plan: CalibrationPlan, tables: Sequence[str]
 ) -> Calibration:
     settings = Settings(
-        choices=_choices(plan),
-        gain=max(loading.gain for loading in loadings),
-        scatter=plan.scatter,
+        choices=_choices(plan), gain=max(loading.gain for loading in loadings), scatter=plan.scatter
     )
     outcome = calibrate(wire, [loading.curve for loading in loadings], settings)
     if isinstance(outcome, CalibrationFailure):

@@ -70,14 +70,8 @@ def read_external_curves(
 def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
-        message = error_text(
-            path,
-            "",
-            expected="a file inside the folder of the plan",
-            found="a link out of it",
-            remedy=COPY_IT,
-        )
-        raise ReadError(message)
+        expected, actual = "a file inside the folder of the plan", "a link out of it"
+        raise ReadError(error_text(path, "", expected=expected, found=actual, remedy=COPY_IT))
     across, up = comparison.deflection, comparison.force
     deflection, force = read_curve(
         path,
@@ -163,7 +157,10 @@ def _compare(
             curve, band.displacement, band.mean, (band.lower, band.upper), "the tests"
         )
     try:
-        prediction = _prediction(curve, calibration, wire, group, rig)
+        tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
+        deepest = min(max(tested, float(curve.deflection[-1])), DEEPEST * curve.length)
+        grid = np.linspace(0.0, deepest, 200)
+        prediction = predict(calibration, wire, curve.length, grid, rig=rig)
     except ValueError as error:
         reason = f"the model has no such curve: {error}"
     if prediction is None:
@@ -176,19 +173,6 @@ def _compare(
     if rig is not string:
         notes += _load_notes(curve, group, prediction)
     return ExternalCurveComparison(curve, tests, model, prediction, tuple(notes))
-
-
-def _prediction(
-    curve: ExternalCurve,
-    calibration: Calibration,
-    wire: Wire,
-    group: ValidationGroup | None,
-    rig: StringRig | None,
-) -> Prediction:
-    """Predict as far as curve and tests go, up to `DEEPEST` of the length."""
-    tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
-    deepest = min(max(tested, float(curve.deflection[-1])), DEEPEST * curve.length)
-    return predict(calibration, wire, curve.length, np.linspace(0.0, deepest, 200), rig=rig)
 
 
 def _load_notes(

@@ -275,7 +275,9 @@ def first_loading(
         *rest_notes,
         *_cut_notes(result.test, deflection[usable], limit),
     )
-    return FirstLoading(measured, _gain(protocol), notes)
+    channel = None if protocol.curve is None else protocol.channels.get(protocol.curve.force)
+    gain = 0.0 if channel is None else channel.gain_uncertainty
+    return FirstLoading(measured, gain, notes)
 
 
 def noise_of(values: Floats) -> float:
@@ -458,12 +460,6 @@ def _rig(protocol: Protocol, length: float) -> StringRig | None:
     if string is None:
         return None
     return StringRig(string.length, GRAVITY * string.counterweight, length, string.length)
-
-
-def _gain(protocol: Protocol) -> float:
-    curve = protocol.curve
-    channel = None if curve is None else protocol.channels.get(curve.force)
-    return 0.0 if channel is None else channel.gain_uncertainty
 
 
 def _doubt_notes(result: TestResult) -> list[QualityNote]:

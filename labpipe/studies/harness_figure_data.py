@@ -28,11 +28,7 @@ def drawn_harness(solution: FollowedHarness) -> DrawnHarness:
     solution : of a harness
     """
     line, states = solution.prepared.line, solution.path.states
-    bands = (
-        {}
-        if solution.bands is None
-        else {state.step: state for state in solution.bands.line.states}
-    )
+    bands = solution.bands_by_step
     shapes = tuple(_shape(step, states[step], line, bands.get(step)) for step in solution.steps)
     planes = [
         boundary for boundary in solution.prepared.boundaries if isinstance(boundary, rod.Plane)

@@ -188,10 +188,7 @@ def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Mater
             remedy="Check its row against the wire.",
         )
         raise ProcessingError(message) from error
-    limits = {
-        "its table": float(table.curvature[-1]),
-        _INSULATION_LIMIT: table.doubtful_curvature,
-    }
+    limits = {"its table": float(table.curvature[-1]), _INSULATION_LIMIT: table.doubtful_curvature}
     if calibrated is not None and np.isfinite(calibrated.tested_curvature):
         limits["the tests of its calibration"] = calibrated.tested_curvature
     source = min(limits, key=lambda limit: limits[limit])

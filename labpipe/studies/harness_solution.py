@@ -14,6 +14,7 @@ from labpipe.protocol.harness_file import HarnessFile
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+from labpipe.rod.bands import StateBands
 from labpipe.rod.path import RodPath
 from labpipe.rod.statics import follow
 from labpipe.studies.harness_bands import Followed, HarnessBands, harness_bands
@@ -123,6 +124,12 @@ class FollowedHarness:
     def steps(self) -> tuple[int, ...]:
         """Steps that are shown: those of the file, and the last."""
         return shown_steps(self.harness)
+
+    @property
+    def bands_by_step(self) -> Mapping[int, StateBands]:
+        """Bands of the steps that are shown."""
+        states = () if self.bands is None else self.bands.line.states
+        return {state.step: state for state in states}
 
     @property
     def sharpest(self) -> Bend:

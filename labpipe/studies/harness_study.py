@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,17 +13,11 @@ import numpy as np
 from labpipe import __version__
 from labpipe.decks.mujoco_line import line_deck
 from labpipe.protocol.load import load_harness
-from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile, Status
-from labpipe.report.harness_figure import (
-    FIGURE,
-    SWEEP_FIGURE,
-    save_harness_figure,
-)
-from labpipe.rod.bands import StateBands
+from labpipe.report.harness_figure import FIGURE, SWEEP_FIGURE, save_harness_figure
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
-from labpipe.store.summaries import SUMMARY_FILE, result_entry
+from labpipe.store.summaries import SUMMARY_FILE, finite_or_none, result_entry
 from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
 from labpipe.studies.harness_responses import RADIUS, heights_of
 from labpipe.studies.harness_section import input_file, material_of
@@ -154,29 +147,20 @@ def _write(solution: FollowedHarness, *, figures: bool, png: bool) -> FollowedHa
     return replace(solution, files=files)
 
 
-def _bands_by_step(solution: FollowedHarness) -> Mapping[int, StateBands]:
-    """Return bands by step."""
-    return (
-        {}
-        if solution.bands is None
-        else {state.step: state for state in solution.bands.line.states}
-    )
-
-
 def _shape_bands(solution: FollowedHarness) -> Bands:
     return {
         step: (
             np.column_stack([state.positions.lower, state.curvature.lower]),
             np.column_stack([state.positions.upper, state.curvature.upper]),
         )
-        for step, state in _bands_by_step(solution).items()
+        for step, state in solution.bands_by_step.items()
     }
 
 
 def _force_bands(solution: FollowedHarness) -> Bands:
     return {
         step: (state.reaction_forces.lower, state.reaction_forces.upper)
-        for step, state in _bands_by_step(solution).items()
+        for step, state in solution.bands_by_step.items()
     }
 
 
@@ -245,7 +229,7 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
             "first_bending_stiffness": section.law.first_stiffness,
             "sliders": len(section.law.stiffnesses),
             "torsional_stiffness": section.torsional_stiffness,
-            "axial_stiffness": _finite_or_none(section.axial_stiffness),
+            "axial_stiffness": finite_or_none(section.axial_stiffness),
             "backed_curvature": solution.material.limit,
             "backed_by": solution.material.limit_source,
         },
@@ -253,7 +237,7 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
             "allowed": limit.radius,
             "allowed_from": limit.source,
             "assumed": limit.is_assumed,
-            "smallest": _finite_or_none(bend.radius),
+            "smallest": finite_or_none(bend.radius),
             "step": bend.step,
             "place": bend.place,
             "kept": bend.radius >= limit.radius,
@@ -264,14 +248,17 @@ def as_json(solution: FollowedHarness) -> dict[str, object]:
             {
                 "length": run.length,
                 "status": run.status,
-                "smallest_bend_radius": _finite_or_none(run.bend.radius),
+                "smallest_bend_radius": finite_or_none(run.bend.radius),
                 **_band_ends(run),
-                "smallest_bend_radius_on_the_way": _finite_or_none(run.bend_on_path.radius),
+                "smallest_bend_radius_on_the_way": finite_or_none(run.bend_on_path.radius),
             }
             for run in solution.sweep
         ],
         "bands": _bands_json(solution),
-        "quality": [_note_json(note) for note in solution.material.notes],
+        "quality": [
+            {"code": note.code, "severity": str(note.severity), "message": note.message}
+            for note in solution.material.notes
+        ],
         "units": dict(_UNITS),
     }
 
@@ -281,7 +268,7 @@ def _band_ends(run: SweepRun) -> dict[str, float | None]:
     if run.bands is None:
         return {"lower": None, "upper": None}
     interval = run.bands.intervals[RADIUS]
-    return {"lower": _finite_or_none(interval.lower), "upper": _finite_or_none(interval.upper)}
+    return {"lower": finite_or_none(interval.lower), "upper": finite_or_none(interval.upper)}
 
 
 def _bands_json(solution: FollowedHarness) -> dict[str, object]:
@@ -306,11 +293,3 @@ _UNITS: Mapping[str, str] = {
     "stiffness": "N*m^2",
     "axial_stiffness": "N",
 }
-
-
-def _finite_or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _note_json(note: QualityNote) -> dict[str, str]:
-    return {"code": note.code, "severity": str(note.severity), "message": note.message}

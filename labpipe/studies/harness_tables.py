@@ -164,6 +164,7 @@ def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> st
     states = [path.states[step] for step in steps]
     count = len(line.stations)
     points = np.vstack([state.positions for state in states])
+    nodes_of_lines = np.arange(len(points)).reshape(len(states), count).tolist()
     return (
         "\n".join(
             [
@@ -172,9 +173,12 @@ def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> st
                 "ASCII",
                 "DATASET POLYDATA",
                 f"POINTS {len(points)} double",
-                *_rows(points),
+                *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
                 f"LINES {len(states)} {len(states) * (count + 1)}",
-                *(_line_of(number * count, count) for number in range(len(states))),
+                *(
+                    " ".join(map(str, [count, *row]))
+                    for row in np.arange(len(points)).reshape(-1, count)
+                ),
                 f"CELL_DATA {len(states)}",
                 *_scalars("step", [float(step) for step in steps]),
                 f"POINT_DATA {len(points)}",
@@ -183,14 +187,6 @@ def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> st
         )
         + "\n"
     )
-
-
-def _line_of(first: int, count: int) -> str:
-    return " ".join(map(str, [count, *range(first, first + count)]))
-
-
-def _rows(points: Floats) -> Iterator[str]:
-    return (" ".join(f"{value:.9g}" for value in row) for row in points.tolist())
 
 
 def _point_data(columns: Sequence[Mapping[str, Floats]]) -> Iterator[str]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Annotated, TypeAlias, TypeVar
 
@@ -82,24 +81,13 @@ class StatedCurve:
                 f"Ramberg-Osgood, modulus {numbers.modulus_mpa:.6g} MPa, proof stress "
                 f"{numbers.proof_stress_mpa:.6g} MPa, exponent {numbers.exponent:.6g}"
             )
-        at = [
-            *(
-                []
-                if conditions.strain_rate_per_s is None
-                else [f"{conditions.strain_rate_per_s:.6g} 1/s"]
-            ),
-            *(
-                []
-                if conditions.temperature_c is None
-                else [f"{conditions.temperature_c:.6g} \u00b0C"]
-            ),
-        ]
+        stated = (conditions.strain_rate_per_s, "1/s"), (conditions.temperature_c, "\u00b0C")
+        at = [f"{value:.6g} {unit}" for value, unit in stated if value is not None]
         measured = f", at {' and '.join(at)}" if at else ", rate and temperature not stated"
         return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
 
     def as_json(self) -> dict[str, object]:
         """Return the content of the table in SI units; None for what it does not state."""
-        zero_celsius = 273.15  # K
         numbers, celsius = self.numbers, self.conditions.temperature_c
         return {
             "table": self.table,
@@ -109,7 +97,7 @@ class StatedCurve:
             "proof_stress": None if numbers is None else numbers.proof_stress_mpa * _MEGA,
             "exponent": None if numbers is None else numbers.exponent,
             "strain_rate": self.conditions.strain_rate_per_s,
-            "temperature": None if celsius is None else celsius + zero_celsius,
+            "temperature": None if celsius is None else celsius + 273.15,
         }
 
 
@@ -142,16 +130,14 @@ def ramberg_osgood_curve(numbers: ProofStress) -> Curve:
     NACA TN 902, 1943, with the offset of Hill, NACA TN 927, 1944; EN 1999-1-1, annex E). It is the
     curve of `wire.materials.RambergOsgood` with K = Rp0.2 / 0.002^(1 / n), whose exponent is 1 / n.
     """
-    table_points = 60
-    dense_points = 4000  # from which those of the table are chosen
-    first_plastic_share = 1e-4  # of the strain, at the first point beyond zero
+    table_points, dense_points = 60, 4000
+    plastic_share = 1e-4  # of the strain, at the first point beyond zero
     modulus, proof = numbers.modulus_mpa * _MEGA, numbers.proof_stress_mpa * _MEGA
     power, last = numbers.exponent, numbers.largest_strain
     law = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
     end = float(law.stress(np.array([last]))[0])
-    yields = proof * (first_plastic_share * proof / (PROOF_STRAIN * modulus)) ** (
-        1.0 / (power - 1.0)
-    )
+    ratio = plastic_share * proof / (PROOF_STRAIN * modulus)
+    yields = proof * ratio ** (1.0 / (power - 1.0))
     stress = np.concatenate([[0.0], np.geomspace(min(yields, end / 2.0), end, dense_points)])
     strain = law.strain(stress)
     strain[-1] = last
@@ -229,9 +215,8 @@ def _conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
 def _numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> ProofStress:
     """Read the numbers of the single row, which must define a curve."""
     if len(rows) > 1:
-        expected, actual = "one row of numbers", f"{len(rows)}"
-        place = next(iter(rows[1].values())).place
-        raise_faults(file, [(place, Fault((), expected, actual, "Make a table of each."))])
+        fault = Fault((), "one row of numbers", f"{len(rows)}", "Make a table of each.")
+        raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
     cells = [{key: row[key] for key in _PROOF} for row in rows]
     [numbers] = _blocks(ProofStress, cells, file)
     raise_faults(file, place_faults(_number_faults(numbers, column), rows[0]))
@@ -254,17 +239,17 @@ def _number_faults(numbers: ProofStress, column: str) -> Iterator[Fault]:
 
 def _blocks(kind: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
     """Parse rows of a kind; other columns are ignored."""
-    rows_of_kind = [
-        {key: cell for key, cell in row.items() if key in kind.model_fields} for row in rows
-    ]
-    outcomes = [parse_row(kind, texts(row)) for row in rows_of_kind]
-    wrong = (
-        (row, outcome)
-        for row, outcome in zip(rows_of_kind, outcomes, strict=True)
-        if isinstance(outcome, list)
-    )
-    raise_faults(file, chain.from_iterable(place_faults(outcome, row) for row, outcome in wrong))
-    return [outcome for outcome in outcomes if not isinstance(outcome, list)]
+    blocks: list[_B] = []
+    faults: list[PlacedFault] = []
+    for row in rows:
+        cells = {key: cell for key, cell in row.items() if key in kind.model_fields}
+        block = parse_row(kind, texts(cells))
+        if isinstance(block, list):
+            faults += place_faults(block, cells)
+        else:
+            blocks.append(block)
+    raise_faults(file, faults)
+    return blocks
 
 
 def _table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:

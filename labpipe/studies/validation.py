@@ -70,21 +70,15 @@ def bent_shapes(
     rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
     parts = split_wire(wire.section, wire.contacts, orientation=wire.orientation)
     largest_curvature, _ = parts.reach(parts.given)
-    bent_shapes = []
+    shapes = []
     for wanted in deepest * np.arange(1, STEPS + 1) / STEPS:
         reached = np.flatnonzero(rise >= wanted)
         if len(reached):
             frame = int(reached[0])
             model = _model_shape(wire, length, rig, float(rise[frame]), largest_curvature)
-            bent_shapes.append(
-                BentShape(
-                    float(rise[frame]),
-                    _marker_positions(shape, frame),
-                    _fitted_axis(shape, frame),
-                    model,
-                )
-            )
-    return tuple(bent_shapes)
+            markers, axis = _marker_positions(shape, frame), _fitted_axis(shape, frame)
+            shapes.append(BentShape(float(rise[frame]), markers, axis, model))
+    return tuple(shapes)
 
 
 def _marker_positions(shape: Shape, frame: int) -> Floats:
@@ -93,10 +87,8 @@ def _marker_positions(shape: Shape, frame: int) -> Floats:
 
 
 def _fitted_axis(shape: Shape, frame: int) -> Floats:
-    points_on_axis = 60
-    powers = np.vander(
-        np.linspace(0.0, 1.0, points_on_axis), shape.coefficients.shape[2], increasing=True
-    )
+    places = np.linspace(0.0, 1.0, 60)
+    powers = np.vander(places, shape.coefficients.shape[2], increasing=True)
     return np.asarray(powers @ shape.coefficients[frame, :2].T, dtype=np.float64)
 
 
@@ -104,8 +96,7 @@ def _model_shape(
     wire: Wire, length: float, rig: StringRig | None, deflection: float, largest_curvature: float
 ) -> Floats:
     """Bend the model from rest to a deflection of its tip; return its axis."""
-    tip_tolerance = 1e-6  # m
-    max_iterations = 8
+    tip_tolerance, max_iterations = 1e-6, 8
     share = min(deflection / length, 0.9)
     law = play_law(
         wire.section,
@@ -177,25 +168,15 @@ def wire_to_calibrate(
     if settings.wire is None:
         actual = f"tests of {len(tested)} wires: {', '.join(tested)}"
         remedy = "Name the one to calibrate, in the plan ('wire: A2'); the others are predicted."
-        message = error_text(
-            plan or "tests", "", expected="tests of one wire", found=actual, remedy=remedy
-        )
+        place, key, expected = plan or "tests", "", "tests of one wire"
     else:
         remedy = "Name a specimen type of the tests, or give its tests, too."
         actual = f"usable tests of {', '.join(nearest(settings.wire, tested))} alone"
-        message = error_text(
-            plan or "plan",
-            "wire",
-            expected=f"tests of '{settings.wire}'",
-            found=actual,
-            remedy=remedy,
-        )
-    raise UsageError(message)
+        place, key, expected = plan or "plan", "wire", f"tests of '{settings.wire}'"
+    raise UsageError(error_text(place, key, expected=expected, found=actual, remedy=remedy))
 
 
-def drop_copies(
-    loadings: Sequence[FirstLoading],
-) -> tuple[list[FirstLoading], dict[str, str]]:
+def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], dict[str, str]]:
     """Drop copies of first loadings, which would count as further tests.
 
     Parameters
@@ -355,7 +336,6 @@ def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
     A note for each group with less than 80 % of the points inside: of campaigns with the right wire
     hardly any had less than 95 %.
     """
-    min_share_inside = 0.8
     return tuple(
         QualityNote(
             "model_misses_tests",
@@ -367,9 +347,7 @@ def misfit_notes(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
             f"(strands, diameters, lay, wall), and length and string of the tests",
         )
         for group in groups
-        if group.is_calibrated
-        and group.errors is not None
-        and group.errors.inside < min_share_inside
+        if group.is_calibrated and group.errors is not None and group.errors.inside < 0.8
     )
 
 
@@ -429,10 +407,9 @@ def _compare_group(
     prediction, errors, reason = None, None, None
     try:
         deflection = deepest * _GRID
-        weighted = replace(wire, self_weight=first.self_weight)
-        prediction = predict(
-            calibration, weighted, first.length, deflection, rig=first.rig, noise=noise
-        )
+        wire = replace(wire, self_weight=first.self_weight)
+        rig = first.rig
+        prediction = predict(calibration, wire, first.length, deflection, rig=rig, noise=noise)
     except ValueError as error:
         reason = Reason("no_prediction", str(error))
     else:
@@ -455,7 +432,7 @@ def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Ban
     A block mean of a curved line has a bias, near the start 8 % of the force. Therefore the model
     is subtracted first and added last, where there is one.
     """
-    blocks_per_curve = 50  # a band of single points would show noise, not the scatter of samples
+    blocks = 50  # a band of single points would show noise, not the scatter of samples
 
     def shape(deflection: Floats) -> Floats:
         if prediction is None:
@@ -463,10 +440,7 @@ def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Ban
         return np.interp(deflection, prediction.deflection, prediction.force)
 
     means = [
-        (
-            block_means(c.deflection, blocks_per_curve),
-            block_means(c.force - shape(c.deflection), blocks_per_curve),
-        )
+        (block_means(c.deflection, blocks), block_means(c.force - shape(c.deflection), blocks))
         for c in curves
     ]
     common = common_curves(means, [curve.test for curve in curves])

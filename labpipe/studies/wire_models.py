@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import json
-import math
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -22,6 +21,7 @@ from labpipe.report.saving import pngs_of
 from labpipe.report.wire_figures import figure_names, save_wire_figures, wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.store.summaries import finite_or_none
 from labpipe.studies.stress_tables import StatedCurve, describe_stress_tables
 from labpipe.studies.wire_specs import read_wires
 from labpipe.wire.wire_table import wire_table
@@ -284,10 +284,6 @@ _ARRAYS = (
 )
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _wire(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
     layout = table.layout
     return {
@@ -304,7 +300,7 @@ def _wire(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, obje
             "length": table.spec.length,
             "tip_deflection": table.tip_deflection.tolist(),
             "force": table.tip_force.tolist(),
-            "doubtful_deflection": _finite(table.doubtful_deflection),
+            "doubtful_deflection": finite_or_none(table.doubtful_deflection),
             "rest": None if table.rest is None else asdict(table.rest),
         },
         "layout": {

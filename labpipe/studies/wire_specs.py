@@ -95,14 +95,8 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
         return csv_cells(path), ""
     sheets = sheets_of(path)
     if not sheets:
-        message = error_text(
-            path,
-            "",
-            expected="a wire sheet",
-            found="a workbook without sheets",
-            remedy="Name the wire sheet.",
-        )
-        raise ReadError(message)
+        actual, remedy = "a workbook without sheets", "Name the wire sheet."
+        raise ReadError(error_text(path, "", expected="a wire sheet", found=actual, remedy=remedy))
     visible = [name for name, is_shown in sheets.items() if is_shown]
     usual = [name for name in sheets if name.casefold() == "wires"]
     name = [*usual, *visible, *sheets][0]
