@@ -96,9 +96,7 @@ def name_chains(
     """
     named = [not is_unlabelled(name) for name in names]
     anonymous = not any(named)
-    chains = _collect(
-        tracklets, links, time, [anonymous or is_named for is_named in named], settled
-    )
+    chains = _collect(tracklets, links, time, [anonymous or flag for flag in named], settled)
     doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, apart)]
     markers, rejected = _assign_by_label(chains, doubles)
     single = [
@@ -107,7 +105,7 @@ def name_chains(
         if time[chain.stop - 1] - time[chain.start] >= settled and chain not in doubles
     ]
     short = [chain for chain in rejected if chain not in single]
-    eliminated, doubtful = _assign_by_elimination(markers, single)
+    eliminated, doubtful = _eliminate(markers, single)
     leftover = short + [chain for chain in chains if chain.label < 0]
     if anonymous:
         leftover += _remove_short(markers)
@@ -129,11 +127,9 @@ def _collect(
     column = tracklets.column
 
     def label(pieces: list[int]) -> int:
-        named_pieces = [piece for piece in pieces if named[column[piece]]]
-        first = next((piece for piece in named_pieces if lasting[piece]), None)
-        best = (
-            first if first is not None else max(named_pieces, key=lambda p: length[p], default=None)
-        )
+        with_name = [piece for piece in pieces if named[column[piece]]]
+        first = next((piece for piece in with_name if lasting[piece]), None)
+        best = max(with_name, key=lambda p: length[p], default=None) if first is None else first
         return -1 if best is None else int(column[best])
 
     return [
@@ -171,7 +167,7 @@ def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, apart: floa
     return bool((distance < apart).any())
 
 
-def _assign_by_elimination(
+def _eliminate(
     markers: dict[int, list[Chain]], rejected: list[Chain]
 ) -> tuple[list[tuple[int, Chain]], list[Chain]]:
     """Assign rejected chains to the only marker that is missing during them, if any."""
@@ -194,9 +190,7 @@ def _assign_by_elimination(
 
 def _remove_short(markers: dict[int, list[Chain]]) -> list[Chain]:
     """Remove markers with less than half the frames of the longest one."""
-    frames_by_label = {
-        label: sum(chain.frames for chain in held) for label, held in markers.items()
-    }
-    longest = max(frames_by_label.values(), default=0)
-    short = [label for label, frames in frames_by_label.items() if 2 * frames < longest]
+    totals = {label: sum(chain.frames for chain in held) for label, held in markers.items()}
+    longest = max(totals.values(), default=0)
+    short = [label for label, frames in totals.items() if 2 * frames < longest]
     return [chain for label in short for chain in markers.pop(label)]

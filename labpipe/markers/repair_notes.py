@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -117,9 +117,8 @@ def _relabel_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
             text = f"{take.names[label]} was labelled as {take.names[column]}"
             if is_unlabelled(take.names[column]):
                 span = take.span(start, stop)
-                apart = _distance_text(
-                    measured[:, label], measured[start:stop, column], start, stop
-                )
+                track, other = measured[:, label], measured[start:stop, column]
+                apart = _distance_text(track, other, start, stop)
                 message = f"{text}, {span}; merged{apart}"
                 where = f"{take.names[label]}, {span}"
                 yield QualityNote("unlabelled_merged", Severity.WARNING, where, message)
@@ -183,7 +182,7 @@ def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[Quali
     for one, two in links.ambiguous[:_MAX_NOTES]:
         span = take.span(int(pieces.stop[one]) - 1, int(pieces.start[two]) + 1)
         names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
-        message = f"{names}: may have exchanged labels, {span}; too close, kept as labelled"
+        message = f"{names}: may have exchanged labels, {span}; too close, left as labelled"
         # From there on the two may be exchanged.
         after = ((float(take.time[pieces.stop[one] - 1]), float(take.time[-1])),)
         yield QualityNote("label_ambiguous", Severity.WARNING, f"{names}, {span}", message, after)
@@ -197,7 +196,8 @@ def _ambiguity_notes(take: Take, links: Links, naming: Naming) -> Iterator[Quali
 def _dropped_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
     chains = sorted(naming.leftover, key=lambda chain: (chain.start, chain.stop))
     for chain in chains[:_MAX_NOTES]:
-        names = ", ".join(_columns(take, chain))
+        columns = take.pieces.column[list(chain.tracklets)]
+        names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
         span, extent = take.span(chain.start, chain.stop), _extent(take.pieces, chain, measured)
         message = f"{names}: track of no marker dropped, {span}, within {extent * 1e3:.1f} mm"
         yield QualityNote("track_dropped", Severity.WARNING, f"{names}, {span}", message)
@@ -206,10 +206,6 @@ def _dropped_notes(take: Take, naming: Naming, measured: Floats) -> Iterator[Qua
         frames = sum(chain.frames for chain in rest)
         message = f"{len(rest)} more tracks of no marker dropped, {frames} samples in all"
         yield QualityNote("track_dropped", Severity.WARNING, "markers", message)
-
-
-def _columns(take: Take, chain: Chain) -> Iterable[str]:
-    return dict.fromkeys(take.names[take.pieces.column[piece]] for piece in chain.tracklets)
 
 
 def _extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:

@@ -135,14 +135,8 @@ def _notes(ring: str, members: Sequence[str], flags: NDArray[np.uint8]) -> Itera
     missing = flags == PointFlag.MISSING
     built = missing.any(axis=1) & ~missing.all(axis=1)
     if built.any():
-        missing_names = [
-            name
-            for name, is_missing in zip(members, missing[built].any(axis=0), strict=True)
-            if is_missing
-        ]
-        message = (
-            f"{ring}: centre built without {', '.join(missing_names)} in {int(built.sum())} frames"
-        )
+        absent = [members[i] for i in np.flatnonzero(missing[built].any(axis=0)).tolist()]
+        message = f"{ring}: centre built without {', '.join(absent)} in {int(built.sum())} frames"
         yield QualityNote("ring_incomplete", Severity.WARNING, ring, message)
     if not missing.any(axis=1).all():
         return
@@ -245,9 +239,7 @@ def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:
     if not far.max() > min_motion or not len(path):
         message = "the markers do not move: expected a specimen that is bent"
         raise ValueError(message)
-    main = np.linalg.svd(path, full_matrices=False)[2][
-        0
-    ]  # a unit vector, perpendicular to x like the path
+    main = np.linalg.svd(path, full_matrices=False)[2][0]  # a unit vector perpendicular to x
     sign = np.sign(float(path[np.argmax(np.abs(path @ main))] @ main))
     return np.asarray(sign * main, dtype=np.float64)
 

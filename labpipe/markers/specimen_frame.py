@@ -98,7 +98,8 @@ def specimen_frame(
     across = relative - (relative @ travel)[..., None] * travel
     x, out_of_plane = _spread(across.reshape(-1, 3), travel)
     rotation = np.stack([x, -travel, np.cross(x, -travel)])
-    order = _order(_distances(relative, rest), _reach(relative, rest))
+    from_clamp = [_typical(relative[:, marker], rest) for marker in range(relative.shape[1])]
+    order = _order(_distances(relative, rest), np.array(from_clamp))
     notes = _notes(out_of_plane, out_of_plane_limit)
     return SpecimenFrame(rotation, origin, order, out_of_plane, travel_residual, notes)
 
@@ -158,11 +159,6 @@ def _distances(positions: Floats, rest: Selection) -> Floats:
             apart = _typical(positions[:, one] - positions[:, two], rest)
             distances[one, two] = distances[two, one] = apart
     return distances
-
-
-def _reach(relative: Floats, rest: Selection) -> Floats:
-    """Return the distance of every marker from the clamp, m."""
-    return np.array([_typical(relative[:, marker], rest) for marker in range(relative.shape[1])])
 
 
 def _typical(offsets: Floats, rest: Selection) -> float:

@@ -257,19 +257,15 @@ def fit_bent_axis(
     first power describes the elastic beam in its bent state, and higher powers the nonlinearity of
     the specimen. No moment at the supports; overhangs are straight.
     """
-    chunk_frames = 400
+    size = 400
     first = np.zeros((len(points), terms + 2))
     if start is not None:
         first = np.column_stack([start.curvature, start.tilt, start.height])
     steps = 3 if start is None else 1
+    first = np.nan_to_num(first)
     parts = [
-        _fit_chunk(
-            points[at : at + chunk_frames],
-            span,
-            np.nan_to_num(first[at : at + chunk_frames]),
-            steps,
-        )
-        for at in range(0, len(points), chunk_frames)
+        _fit_chunk(points[at : at + size], span, first[at : at + size], steps)
+        for at in range(0, len(points), size)
     ]
     curvature, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*parts, strict=True)

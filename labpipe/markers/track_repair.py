@@ -87,9 +87,7 @@ def repair_tracks(
     double_share = 0.25
     _check(max_gap=max_gap, max_jump=max_jump, frozen=frozen)
     measured, names = _copy_tracks(tracks, along), tuple(along)
-    base = (
-        np.zeros((len(measured), 3)) if reference is None else _bridge_gaps(reference, tracks.time)
-    )
+    base = np.zeros((len(measured), 3)) if reference is None else _bridged(reference, tracks.time)
     stale = frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
     measured[stale] = np.nan
     relative = measured - base[:, None]
@@ -132,7 +130,7 @@ def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
     return measured
 
 
-def _bridge_gaps(reference: Floats, time: Floats) -> Floats:
+def _bridged(reference: Floats, time: Floats) -> Floats:
     """Fill gaps of the clamp's path linearly; extend its ends."""
     present = np.isfinite(reference).all(axis=1)
     if not present.any():

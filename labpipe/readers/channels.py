@@ -105,9 +105,7 @@ def find_in_parts(
 
 def _has_channel(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]) -> bool:
     names = [(channel.name, channel.name) for channel in channels if channel.clock == part]
-    return any(
-        matches(name, names) for matches in (_exact_matches, _loose_matches) for name in wanted
-    )
+    return any(matches(name, names) for matches in (_exact, _loose) for name in wanted)
 
 
 def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: object) -> int:
@@ -130,16 +128,14 @@ def find_channel(wanted: ReportOptions, pairs: Sequence[tuple[str, str]], file: 
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
     paths = [path for _, path in pairs]
-    for matches in (_exact_matches, _loose_matches):
+    for matches in (_exact, _loose):
         for name in names:
             indices = matches(name, pairs)
             if len(indices) == 1:
                 return indices[0]
             if indices:
-                raise NoChannelError(
-                    _ambiguous_text(name, [paths[i] for i in indices], file), names
-                )
-    raise NoChannelError(_unknown_text(names, paths, file), names)
+                raise NoChannelError(_ambiguous(name, [paths[i] for i in indices], file), names)
+    raise NoChannelError(_unknown(names, paths, file), names)
 
 
 def is_exact_name(wanted: ReportOptions, channel: Channel) -> bool:
@@ -151,7 +147,7 @@ def is_exact_name(wanted: ReportOptions, channel: Channel) -> bool:
     channel : of the export
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
-    return any(_exact_matches(name, [(channel.name, channel.path)]) for name in names)
+    return any(_exact(name, [(channel.name, channel.path)]) for name in names)
 
 
 def plain_name(name: str) -> str:
@@ -173,7 +169,7 @@ def plain_name(name: str) -> str:
     return " ".join(rest.replace("_", " ").rstrip(" .").split())
 
 
-def _exact_matches(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+def _exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
     """Return the (name, path) pairs that a name matches."""
     exact = [i for i, (_, path) in enumerate(pairs) if path == wanted]
     spelt = [i for i, (_, path) in enumerate(pairs) if _spellings(path) & _spellings(wanted)]
@@ -181,7 +177,7 @@ def _exact_matches(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
     return exact or spelt or named
 
 
-def _loose_matches(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+def _loose(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
     """Return the (name, path) pairs that a name matches apart from prefix and spelling."""
     plain = plain_name(wanted)
     return [i for i, (name, _) in enumerate(pairs) if plain and plain_name(name) == plain]
@@ -194,7 +190,7 @@ def _spellings(path: str) -> set[str]:
     return {path, plain} | unbroken
 
 
-def _ambiguous_text(wanted: str, paths: list[str], file: object) -> str:
+def _ambiguous(wanted: str, paths: list[str], file: object) -> str:
     return error_text(
         file,
         f"channel {wanted!r}",
@@ -204,13 +200,11 @@ def _ambiguous_text(wanted: str, paths: list[str], file: object) -> str:
     )
 
 
-def _unknown_text(names: tuple[str, ...], paths: list[str], file: object) -> str:
+def _unknown(names: tuple[str, ...], paths: list[str], file: object) -> str:
     close = list(dict.fromkeys(near for name in names for near in nearest(name, paths)))[:5]
-    remedy = (
-        f"Nearest: {_quoted_list(close)}. `labpipe inspect` lists them all."
-        if close
-        else "The file holds no channels."
-    )
+    remedy = "The file holds no channels."
+    if close:
+        remedy = f"Nearest: {_quoted_list(close)}. `labpipe inspect` lists them all."
     expected = f"one of the {len(paths)} channels of the file"
     place = f"channel {' or '.join(map(repr, names[:6]))}"
     if len(names) > 6:

@@ -95,10 +95,11 @@ def load_export(
     used = range(len(names)) if channels is None else sorted({t.clock for t in traces})
     clocks = {i: Clock(names[i], _samples(export.axes[i][1]())) for i in used}
     loaded = [_channel(trace, clocks[trace.clock], path) for trace in traces]
+    version = _PROGRAM_VERSION.search(export.origin)
     return Recording(
         reader=reader,
         program="ControlDesk",
-        program_version=_program_version(export.origin),
+        program_version=version[1].rstrip(".") if version else "",
         clocks=tuple(clocks.values()),
         channels=tuple(loaded),
         metadata={**export.metadata, "channels": {t.path: dict(t.about) for t in traces}},
@@ -126,11 +127,6 @@ def to_json(value: object) -> object:
     if isinstance(value, float) and not np.isfinite(value):
         return str(value)
     return value if isinstance(value, str | int | float | bool | None) else str(value)
-
-
-def _program_version(origin: str) -> str:
-    match = _PROGRAM_VERSION.search(origin)
-    return match.group(1).rstrip(".") if match else ""
 
 
 def _clock_names(rasters: Sequence[str]) -> list[str]:

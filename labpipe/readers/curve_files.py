@@ -158,9 +158,7 @@ def _text_cells(path: Path) -> list[list[Cell]]:
     if is_calculix(lines):
         return tip_rows(lines, path)
     for separator in _SEPARATORS:
-        rows = (
-            _place_cells(split_line(line, separator), i) for i, line in enumerate(lines, start=1)
-        )
+        rows = (_cells(split_line(line, separator), i) for i, line in enumerate(lines, start=1))
         head = list(islice(rows, head_lines))
         first = next((i for i, row in enumerate(head) if _is_sample(row)), None)
         if first is not None:
@@ -176,7 +174,7 @@ def _text_cells(path: Path) -> list[list[Cell]]:
     return []
 
 
-def _place_cells(cells: Sequence[str], line: int) -> list[Cell]:
+def _cells(cells: Sequence[str], line: int) -> list[Cell]:
     return [Cell(text.strip(), f"line {line}, column {i}") for i, text in enumerate(cells, start=1)]
 
 
@@ -325,9 +323,8 @@ def find_column(table: CurveTable, wanted: CurveColumn) -> int:
 
 def _no_column(table: CurveTable, wanted: CurveColumn, name: str) -> ReadError:
     place = head_of(table)
-    remedy = (
-        f"Name it in the plan, such as {wanted.what}: {{column: U2, unit: {_example(wanted)}}}."
-    )
+    example = f"{wanted.what}: {{column: U2, unit: {_example(wanted)}}}"
+    remedy = f"Name it in the plan, such as {example}."
     if not table.names:
         remedy = f"Number it in the plan, such as {wanted.what}: {{column: 1, unit: mm}}."
         expected = f"a row of names above the numbers, with a column {name!r}"

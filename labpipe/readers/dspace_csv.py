@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import csv
 import io
+from codecs import BOM_UTF8
 from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -35,7 +36,6 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
 from labpipe.units import whole_number
 
-_BOM = b"\xef\xbb\xbf"
 _SAMPLES_MARK = b"trace_values"
 _NAMES = "trace_names"
 _EXPORT_AGAIN = "Export the recording from ControlDesk as CSV again."
@@ -47,7 +47,7 @@ _TRACE_PROPERTIES = (
 
 def recognise(path: Path) -> bool:
     """Return whether a file is a ControlDesk CSV, by its first cells."""
-    lines = read_head(path).removeprefix(_BOM).splitlines()
+    lines = read_head(path).removeprefix(BOM_UTF8).splitlines()
     return any(line.startswith((b"descriptions,", b"trace_")) for line in lines)
 
 
@@ -70,7 +70,7 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     """
     read_head(path)
     with reading(path, "a readable file"):
-        content = path.read_bytes().removeprefix(_BOM)
+        content = path.read_bytes().removeprefix(BOM_UTF8)
     start = _samples_offset(content, path)
     with reading(path, "rows of properties"):
         text = content[:start].decode("utf-8", errors="replace")

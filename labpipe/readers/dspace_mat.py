@@ -56,9 +56,8 @@ _MAX_EAGER = 64
 def recognise(path: Path) -> bool:
     """Return whether a file is a MAT file of version 5 or 7.3, by its first bytes."""
     head = read_head(path, 1024)
-    return (
-        head.startswith((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")) or head[512:520] == _HDF5
-    )
+    headers = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
+    return head.startswith(headers) or head[512:520] == _HDF5
 
 
 def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Recording:
@@ -90,7 +89,9 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
     head = read_head(path, 1024)
     created = head[:116].decode("latin-1").strip(" \0")
     if head[512:520] != _HDF5:
-        yield _read_v5(path), created
+        with reading(path, "a whole MAT v5 file"):
+            variables = parse_mat5(path.read_bytes())
+        yield variables, created
         return
     import h5py
 
@@ -102,11 +103,6 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
             size = path.stat().st_size
             nodes = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
         yield nodes, created
-
-
-def _read_v5(path: Path) -> dict[str, Node]:
-    with reading(path, "a whole MAT v5 file"):
-        return parse_mat5(path.read_bytes())
 
 
 def _from_hdf5(node: Any, file: h5py.File, size: int) -> Node:

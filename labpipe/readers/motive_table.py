@@ -459,12 +459,10 @@ def _leading_columns(row: Cells) -> tuple[int, int | None]:
 def _labels(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[str, Cells]:
     """Return rows of labels by their name; by their order if the names are missing (1.21)."""
     filled = [row for row in rows if any(cell.strip() for cell in row)]
-    row_labels = [
-        next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled
-    ]
-    named = {word: row for word, row in zip(row_labels, filled, strict=True) if word}
+    heads = [next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled]
+    named = {word: row for word, row in zip(heads, filled, strict=True) if word}
     if named:
-        quantity = [row for word, row in zip(row_labels, filled, strict=True) if not word]
+        quantity = [row for word, row in zip(heads, filled, strict=True) if not word]
         labels: dict[str, Cells] = {**named, "Quantity": quantity[-1] if quantity else []}
     else:
         labels = dict(zip((*_LABELS, "Quantity"), filled, strict=False))

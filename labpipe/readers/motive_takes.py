@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import csv
 import zipfile
+from codecs import BOM_UTF8
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -44,7 +45,6 @@ from labpipe.readers.workbooks import is_workbook, open_workbook
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock, MarkerTracks, Recording
 
-_BOM = b"\xef\xbb\xbf"
 _TABLE_STARTS = (b"Format Version", b'"Format Version')
 _ROW_STARTS = (b"comment,", b'"comment",')
 _SHEETS = ("xl/sharedStrings.xml", "xl/worksheets/sheet1.xml")
@@ -56,7 +56,7 @@ def recognise(path: Path) -> bool:
     """Return whether a file is a Motive export of either style, or a workbook with one."""
     if is_workbook(path):
         return _is_saved_take(path)
-    return read_head(path, 64).removeprefix(_BOM).startswith(_TABLE_STARTS + _ROW_STARTS)
+    return read_head(path, 64).removeprefix(BOM_UTF8).startswith(_TABLE_STARTS + _ROW_STARTS)
 
 
 def _is_saved_take(path: Path) -> bool:
@@ -92,7 +92,7 @@ def read(path: Path, *, channels: Sequence[ReportOptions] | None = None) -> Reco
     if is_workbook(path):
         return _read_workbook(path)
     with reading(path, "a readable file"):
-        content = path.read_bytes().removeprefix(_BOM)
+        content = path.read_bytes().removeprefix(BOM_UTF8)
     if content.startswith(_ROW_STARTS):
         return _read_row_style(content.decode("utf-8", errors="replace"), path)
     return _read_table_style(content, path)

@@ -169,10 +169,8 @@ def _missing_words(extent: Extent) -> tuple[list[str], list[QualityNote]]:
     texts = _read_csv(extent, io.BytesIO(extent.data), 0, list(body.columns), None)
     all_missing, notes = list[str](), []
     for column in body.columns:
-        cell_counts = texts[column].value_counts()
-        missing = {
-            str(word): int(cell_counts[word]) for word in cell_counts.index if is_missing(str(word))
-        }
+        counts = texts[column].value_counts()
+        missing = {str(word): int(counts[word]) for word in counts.index if is_missing(str(word))}
         if missing:
             first = body.first_line + int(np.flatnonzero(texts[column].isin(list(missing)))[0])
             all_missing += missing

@@ -76,9 +76,8 @@ def reading(
     try:
         yield
     except FileNotFoundError as error:
-        message = error_text(
-            path, "", expected="a file", found="none of that name", remedy=_CHECK_NAME
-        )
+        found = "none of that name"
+        message = error_text(path, "", expected="a file", found=found, remedy=_CHECK_NAME)
         raise ReadError(message, code="missing_export") from error
     except PermissionError as error:
         found = "one that may not be read"

@@ -229,7 +229,8 @@ def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = 
         expected, remedy = f"a heading and {rows_of}", "Fill in the table."
         found = f"{len(filled)} rows"
         raise unreadable(path, place, expected, found, remedy)
-    heading = _without_tail(filled[0])
+    width = max(i for i, cell in enumerate(filled[0], start=1) if cell.text)
+    heading = tuple(filled[0][:width])
     return Table(heading, tuple(_fit_row(row, len(heading), path) for row in filled[1:]))
 
 
@@ -253,11 +254,6 @@ def _cell_text(value: object) -> str:
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return str(value).strip()
-
-
-def _without_tail(row: list[Cell]) -> Row:
-    filled = [number for number, cell in enumerate(row) if cell.text]
-    return tuple(row[: filled[-1] + 1])
 
 
 def _fit_row(row: list[Cell], width: int, path: Path) -> Row:

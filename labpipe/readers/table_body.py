@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from operator import le
 
 import numpy as np
 
@@ -203,17 +204,14 @@ def _is_whole(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
     cut = last[-1].strip()
     if is_missing(cut):
         return cut in above
-    decimals, digits, exponent = _number_lengths(cut)
+    lengths = decimals, digits, exponent = _number_lengths(cut)
     its_decimals, its_digits, its_exponent = _number_lengths(above[0])
     by_digits = digits >= its_digits and not body.as_exported
     is_as_long = exponent >= its_exponent and (decimals >= its_decimals or by_digits)
     if is_as_long or body.as_exported:
         return is_as_long
-    return cut[-1:].isdigit() and any(_is_as_short(cell, cut) for cell in above if cell)
-
-
-def _is_as_short(cell: str, cut: str) -> bool:
-    return all(a <= b for a, b in zip(_number_lengths(cell), _number_lengths(cut), strict=True))
+    others = (_number_lengths(cell) for cell in above if cell)
+    return cut[-1:].isdigit() and any(all(map(le, other, lengths)) for other in others)
 
 
 def _number_lengths(cell: str) -> tuple[int, int, int]:

@@ -158,9 +158,8 @@ def is_unit(text: str) -> bool:
 
 def hold_units(cells: Sequence[str]) -> bool:
     """Return whether at least one cell is a unit; common units are tried first."""
-    return any(cell in _COMMON_UNITS for cell in cells) or any(
-        is_unit(cell) for cell in cells if cell
-    )
+    filled = [cell for cell in cells if cell]
+    return any(cell in _COMMON_UNITS for cell in filled) or any(map(is_unit, filled))
 
 
 def has_dimension_of(text: str, unit: str) -> bool:
@@ -285,9 +284,8 @@ def _first_jump(values: Floats, factor: float) -> int | None:
     smaller, larger = np.minimum(size[:-1], size[1:]), np.maximum(size[:-1], size[1:])
     same_sign = values[:-1] * values[1:] > 0.0
     ratio = larger / np.maximum(smaller, min_size)
-    near: Flags = (
-        (ratio > factor / tolerance) & (ratio < factor * tolerance) & (smaller >= min_size)
-    )
+    near: Flags = (ratio > factor / tolerance) & (ratio < factor * tolerance)
+    near &= smaller >= min_size
     jumps = np.flatnonzero(near & same_sign & (larger % 1000.0 != 0.0))
     for up, down in pairwise(jumps):
         if down - up <= max_samples and _is_scaled_between(size[up : down + 2], factor):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, stretches_of
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks
 
@@ -47,9 +47,7 @@ def runs(flags: Flags) -> list[Run]:
     >>> runs(np.array([True, True, False, True]))
     [Run(first=0, last=1), Run(first=3, last=3)]
     """
-    edges = np.diff(np.concatenate(([0], flags.astype(np.int8), [0])))
-    starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [Run(int(a), int(b) - 1) for a, b in zip(starts, stops, strict=True)]
+    return [Run(start, stop - 1) for start, stop in stretches_of(flags)]
 
 
 def blank(positions: Floats) -> Flags:
@@ -165,9 +163,8 @@ def _switch_notes(markers: dict[str, Floats]) -> list[QualityNote]:
         if is_unlabelled(name) or not others or not missing.any():
             continue
         where = ", ".join(f"{run.first}-{run.last}" for run in runs(missing)[:3])
-        message = (
-            f"missing in rows {where}, exactly where {', '.join(others)} is seen: label switch?"
-        )
+        seen = ", ".join(others)
+        message = f"missing in rows {where}, exactly where {seen} is seen: label switch?"
         notes.append(QualityNote("label_switch", Severity.WARNING, name, message))
     return notes
 

@@ -96,9 +96,8 @@ def _table(lines: Sequence[str]) -> UnknownFile | None:
         first = next((i for i in range(len(rows)) if _are_samples(rows[i : i + _MIN_ROWS])), None)
         if first is not None:
             above = next((row for row in reversed(rows[:first]) if any(row)), [])
-            what = (
-                f"a table of {len(rows[first])} columns separated by {marks}, {_names_text(above)}"
-            )
+            columns = f"{len(rows[first])} columns separated by {marks}"
+            what = f"a table of {columns}, {_names_text(above)}"
             return UnknownFile(what, f"{_KNOWN_BY} {_CARD_REMEDY}")
     return None
 

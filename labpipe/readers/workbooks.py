@@ -233,9 +233,7 @@ def _read_in_child(path: Path) -> Sheets:
         raise _ChildError(message) from error
     if child.returncode:
         lines = child.stderr.decode(errors="replace").strip().splitlines() or ["no reason"]
-        message = lines[
-            -1 if child.returncode == 1 else 0
-        ]  # its error, or the message of the crash
+        message = lines[-1 if child.returncode == 1 else 0]  # its error, or the crash message
         if message.startswith("python_calamine.PasswordError"):
             raise _password_error(path)
         if message.startswith(_REFUSED):

@@ -234,7 +234,8 @@ def fit_lag(
     share of the sum of squares that is not noise (Fuller, Measurement Error Models,
     1987, sec. 1.2).
     """
-    bins = _bin_count(time, start, stop)
+    samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
+    bins = max(0, min(2000, samples // 2))
     if bins < _MIN_BINS:
         return Failure("too_few_samples", f"{bins} bins in the cycle, {_MIN_BINS} are needed")
     edges = np.linspace(start, stop, bins + 1)
@@ -287,11 +288,6 @@ def _slope_noise(time: Floats, residuals: Floats) -> float:
     """
     step = float(time[1] - time[0])
     return float(residuals @ residuals) / (8.0 * step**2)
-
-
-def _bin_count(time: Floats, start: float, stop: float) -> int:
-    samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
-    return max(0, min(2000, samples // 2))
 
 
 def _bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:

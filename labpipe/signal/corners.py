@@ -125,22 +125,11 @@ def fit_stop(
     misfit = y - level - slopes[0] * sides[0] - slopes[1] * sides[1]
     moves = [-slope * (side != 0.0) for slope, side in zip(slopes, sides, strict=True)]
     columns = [np.ones_like(t), *sides]
-    return (
-        _corner(
-            np.column_stack([*columns, moves[1], moves[0]]),
-            misfit,
-            np.array([level, ends[0]]),
-            middle,
-            len(t),
-        ),
-        _corner(
-            np.column_stack([*columns, moves[0], moves[1]]),
-            misfit,
-            np.array([level, ends[1]]),
-            middle,
-            len(t),
-        ),
+    stop, start = (
+        _corner(np.column_stack([*columns, *pair]), misfit, np.array([level, end]), middle, len(t))
+        for pair, end in zip((moves[::-1], moves), ends, strict=True)
     )
+    return stop, start
 
 
 def _corner(

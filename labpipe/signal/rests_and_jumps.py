@@ -115,7 +115,8 @@ def samples_at_rest(values: Floats) -> int:
         return 0
     number = np.arange(count, dtype=np.float64)
     centred = values - values.mean()
-    line = float(centred @ centred) - _explained(number - number.mean(), centred)
+    ramp = number - number.mean()
+    line = float(centred @ centred) - float(ramp @ centred) ** 2 / float(ramp @ ramp)
     corners = np.unique(np.linspace(1, count - 2, min(count - 2, max_corners)).astype(np.int64))
     ramps = np.clip(number - corners[:, None], 0.0, None)
     ramps -= ramps.mean(axis=1, keepdims=True)
@@ -125,10 +126,6 @@ def samples_at_rest(values: Floats) -> int:
     variance = max(float(left[best]), 0.0) / (count - 3)
     gain = line - float(left[best])
     return int(corners[best]) if gain > max(min_variances * variance, min_share * line) else 0
-
-
-def _explained(direction: Floats, values: Floats) -> float:
-    return float(direction @ values) ** 2 / float(direction @ direction)
 
 
 def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:

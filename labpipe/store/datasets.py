@@ -271,7 +271,7 @@ class Target:
         set_texts(self.group, name, values)
 
 
-_PROCESS_AGAIN = "Process the test again from its exports."
+_REMEDY = "Process the test again from its exports."
 
 
 _DAMAGE_ERRORS = (
@@ -295,7 +295,7 @@ def opened(path: Path) -> Iterator[Any]:
             remedy = f"Wait until it is done, or finish it: `labpipe process {path}`."
             raise _fault(path, "", "a result with all its files", found, remedy)
         if not h5py.is_hdf5(path):
-            raise _fault(path, "", "a result file", _instead_of_hdf5(path), _PROCESS_AGAIN)
+            raise _fault(path, "", "a result file", _instead_of_hdf5(path), _REMEDY)
         with h5py.File(path, "r") as root:
             _check_schema(path, root)
             _check_links(path, root)
@@ -306,7 +306,7 @@ def opened(path: Path) -> Iterator[Any]:
         raise _fault(path, "", "a result file that fits into the memory", found, remedy) from error
     except _DAMAGE_ERRORS as error:
         found = f"a damaged one ({' '.join(str(error).split())})"
-        raise _fault(path, "", "a whole result file", found, _PROCESS_AGAIN) from error
+        raise _fault(path, "", "a whole result file", found, _REMEDY) from error
 
 
 def _fault(file: object, place: str, expected: str, found: str, remedy: str) -> StoreError:
@@ -327,14 +327,12 @@ def _check_schema(path: Path, root: Any) -> None:
     place = layout.SCHEMA_ATTRIBUTE
     expected = f"{layout.SCHEMA}, the schema that this version reads"
     if schema is None:
-        raise _fault(
-            path, place, expected, "an HDF5 file that labpipe did not make", _PROCESS_AGAIN
-        )
+        raise _fault(path, place, expected, "an HDF5 file that labpipe did not make", _REMEDY)
     if schema > layout.SCHEMA:
         found = f"a file made by a newer labpipe, schema {schema}"
         raise _fault(path, place, expected, found, "Update labpipe.")
     if schema < 1:
-        raise _fault(path, place, expected, f"schema {schema}", _PROCESS_AGAIN)
+        raise _fault(path, place, expected, f"schema {schema}", _REMEDY)
 
 
 def _check_links(path: Path, root: Any) -> None:
@@ -349,7 +347,7 @@ def _check_links(path: Path, root: Any) -> None:
 
 
 def _elsewhere(path: object, place: str, found: str) -> StoreError:
-    return _fault(path, place, "all of the result in its own file", found, _PROCESS_AGAIN)
+    return _fault(path, place, "all of the result in its own file", found, _REMEDY)
 
 
 def text(group: Any, name: str) -> str:
@@ -359,9 +357,7 @@ def text(group: Any, name: str) -> str:
 
 def texts(group: Any, name: str) -> tuple[str, ...]:
     """Read an attribute that is a list of strings."""
-    return (
-        () if is_empty(group, name) else tuple(_utf8_text(string) for string in group.attrs[name])
-    )
+    return () if is_empty(group, name) else tuple(map(_utf8_text, group.attrs[name]))
 
 
 def _utf8_text(value: object) -> str:
@@ -462,11 +458,11 @@ def _check_storage(dataset: Any) -> None:
         has_all = dataset.id.get_num_chunks() >= prod(ceil(all_ / one) for all_, one in sizes)
     if not has_all:
         claimed = f"the {dataset.size} numbers that it claims"
-        raise _fault(dataset.file.filename, dataset.name, claimed, "a part of them", _PROCESS_AGAIN)
+        raise _fault(dataset.file.filename, dataset.name, claimed, "a part of them", _REMEDY)
 
 
 def _check(dataset: Any, what: str, expected: str, found: str) -> None:
     if expected != found:
         raise _fault(
-            dataset.file.filename, dataset.name, f"{what} {expected!r}", repr(found), _PROCESS_AGAIN
+            dataset.file.filename, dataset.name, f"{what} {expected!r}", repr(found), _REMEDY
         )

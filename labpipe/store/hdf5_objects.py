@@ -39,10 +39,8 @@ def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, 
     """
     max_shape = tuple(size or h5s.UNLIMITED for size in values.shape)
     space = h5s.create_simple(values.shape, max_shape)
-    created = h5d.create(
-        group.id, name.encode(), _type(values.dtype.str), space, _properties(chunk)
-    )
-    return h5py.Dataset(created)
+    kind, properties = _type(values.dtype.str), _properties(chunk)
+    return h5py.Dataset(h5d.create(group.id, name.encode(), kind, space, properties))
 
 
 def open_dataset(group: Any, name: str) -> Any:
@@ -108,10 +106,8 @@ def get_text(owner: Any, name: str) -> Any:
     """
     attribute = h5a.open(owner.id, name.encode())
     kind = attribute.get_type()
-    is_text = (
-        isinstance(kind, h5t.TypeStringID) and kind.is_variable_str() and attribute.shape == ()
-    )
-    if not is_text:
+    is_variable = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str()
+    if not is_variable or attribute.shape != ():
         return owner.attrs[name]
     text = np.array("", dtype=_STRING)
     attribute.read(text, mtype=_IN_MEMORY)

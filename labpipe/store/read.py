@@ -280,12 +280,12 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
 
 def _outcome(root: Any) -> dict[str, Any]:
     """Read the outcome of processing: curve and numbers."""
-    curve = root.get(layout.CURVE)
+    curve, display = root.get(layout.CURVE), json.loads(text(root, layout.DISPLAY))
     return {
         "curve": None if curve is None else _curve(curve),
         "results": _results(root),
         "quality": read_notes(root[layout.QUALITY]),
-        "display": _display(root),
+        "display": {str(key): str(unit) for key, unit in display.items()},
         "run": _run(root),
         "figures": texts(root, layout.FIGURES),
         "slips": _records(Slip, rows(curve or {}, layout.SLIPS, layout.SLIP_TABLE)),
@@ -317,11 +317,6 @@ def _instrument(row: Mapping[str, Any]) -> Instrument:
         uncertainty=None if isnan(row["uncertainty"]) else row["uncertainty"],
         k=row["k"],
     )
-
-
-def _display(root: Any) -> dict[str, str]:
-    units = json.loads(text(root, layout.DISPLAY))
-    return {str(quantity): str(unit) for quantity, unit in units.items()}
 
 
 def _inputs(raw: Any) -> tuple[InputFile, ...]:

@@ -177,7 +177,7 @@ def test_parts_of_one_test_sort_by_time(realdata: Path, tmp_path: Path) -> None:
     assert steps.max() == pytest.approx(0.033, abs=0.001)
     force = next(channel for channel in whole.channels if channel.name == "force")
     assert (force.unit, force.values[523]) == ("N", pytest.approx(6.82898899e-05))
-    assert any("no sample" in note.message for note in whole.notes)
+    assert any("without samples" in note.message for note in whole.notes)
 
 
 @pytest.mark.parametrize(

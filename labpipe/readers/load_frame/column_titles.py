@@ -24,7 +24,7 @@ from labpipe.readers.text_cells import (
 MAX_HEADER_LINES = 400
 """Lines searched for the header; the longest real one has 56."""
 
-_EXPORT_AGAIN = "Export the test again with names and units, or name another dialect."
+_REMEDY = "Export the test again with names and units, or name another dialect."
 _CARD_REMEDY = (
     "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
 )
@@ -60,9 +60,7 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
         if _first_sample_row(rows, card) is not None:
             return header_of_rows(rows, card, path, first_line, separator=separator)
     place = f"lines {first_line} to {first_line + len(head) - 1}"
-    raise unreadable(
-        path, place, "a row of names and rows of numbers below it", "none", _EXPORT_AGAIN
-    )
+    raise unreadable(path, place, "a row of names and rows of numbers below it", "none", _REMEDY)
 
 
 def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
@@ -96,7 +94,7 @@ def header_of_rows(
     if first is None:
         where = f"{place} {first_line}"
         raise unreadable(
-            path, where, "a row of names and rows of numbers below it", "none", _EXPORT_AGAIN
+            path, where, "a row of names and rows of numbers below it", "none", _REMEDY
         )
 
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
@@ -112,7 +110,7 @@ def header_of_rows(
     rows = [*(rows[i] for i in filled), *rows[first:]]
     if separator == " ":
         rows = join_names(rows, len(filled), card, fault_with(_CARD_REMEDY))
-    header = parse_titles(rows, len(filled), card, fault_with(_EXPORT_AGAIN))
+    header = parse_titles(rows, len(filled), card, fault_with(_REMEDY))
     return replace(header, separator=separator, first=first)
 
 
@@ -129,17 +127,17 @@ def _first_sample_row(rows: Rows, card: Card) -> int | None:
 def _listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
     """Read names on separate lines, with the samples after a start line."""
     if card.listed is None or card.start is None:  # a card without them is refused earlier
-        raise unreadable(path, "", "a card with `listed` and `start`", card.name, _EXPORT_AGAIN)
+        raise unreadable(path, "", "a card with `listed` and `start`", card.name, _REMEDY)
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
         found = f"none in {len(lines)} lines"
         raise unreadable(
-            path, "", f"a line '{card.start.pattern}' before the numbers", found, _EXPORT_AGAIN
+            path, "", f"a line '{card.start.pattern}' before the numbers", found, _REMEDY
         )
     named = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
     if not named:
         expected = f"names in lines '{card.listed.pattern}'"
-        raise unreadable(path, f"lines 1 to {start}", expected, "none", _EXPORT_AGAIN)
+        raise unreadable(path, f"lines 1 to {start}", expected, "none", _REMEDY)
     above = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in named), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
@@ -183,7 +181,9 @@ def parse_titles(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
         If there is no row of names, or required units are missing.
     """
     if card.names == "alone":
-        return _names_alone(rows, first, card)
+        names = _stripped(rows[first - 1])
+        units = tuple(card.units.get(name, "") for name in names)
+        return Header(names, units, first, rows[: first - 1])
     if card.names == "any":
         return _any_titles(rows, first, fault)
     if card.names == "with units":
@@ -227,12 +227,6 @@ def _stripped(row: Sequence[str]) -> tuple[str, ...]:
 
 def _padded(cells: tuple[str, ...], width: int) -> tuple[str, ...]:
     return cells + ("",) * (width - len(cells))
-
-
-def _names_alone(rows: Rows, first: int, card: Card) -> Header:
-    names = _stripped(rows[first - 1])
-    units = tuple(card.units.get(name, "") for name in names)
-    return Header(names, units, first, rows[: first - 1])
 
 
 def _titles_with_units(rows: Rows, first: int, brackets: str, fault: Fault) -> Header:

@@ -69,7 +69,10 @@ def assemble(
     several = len(export.tables) > 1
     parts = [_part(table, card, path, several=several) for table in export.tables]
     all_channels = [channel for part in parts for channel in part.channels]
-    chosen = all_channels if channels is None else _chosen(all_channels, channels, path)
+    chosen = all_channels
+    if channels is not None and all_channels:
+        indices = sorted(set(find_in_parts(channels, all_channels, path)))
+        chosen = [all_channels[i] for i in indices]
     clocks = {channel.clock for channel in chosen} if channels is not None else None
     kept = [part for part in parts if clocks is None or part.clock.name in clocks]
     notes = [note for part in kept for note in part.notes]
@@ -79,29 +82,18 @@ def assemble(
         program_version=_match_group(card.version, export.head),
         clocks=tuple(part.clock for part in kept),
         channels=tuple(chosen),
-        metadata=_metadata(export, card, kept),
+        metadata={
+            "dialect": card.name,
+            **export.about,
+            "clocks": {part.clock.name: part.about for part in kept},
+        },
         notes=(*export.notes, *notes, *_channel_notes(chosen, card)),
     )
 
 
-def _match_group(pattern: object, head: str) -> str:
-    import re
-
-    match = pattern.search(head) if isinstance(pattern, re.Pattern) else None
+def _match_group(pattern: re.Pattern[str] | None, head: str) -> str:
+    match = pattern.search(head) if pattern is not None else None
     return match[1].strip() if match else ""
-
-
-def _metadata(export: Export, card: Card, parts: Sequence[_Part]) -> dict[str, object]:
-    times = {part.clock.name: part.about for part in parts}
-    return {"dialect": card.name, **export.about, "clocks": times}
-
-
-def _chosen(
-    all_channels: list[Channel], wanted: Sequence[ReportOptions], path: object
-) -> list[Channel]:
-    if not all_channels:
-        return []
-    return [all_channels[i] for i in sorted(set(find_in_parts(wanted, all_channels, path)))]
 
 
 def _part(table: Table, card: Card, path: object, *, several: bool) -> _Part:

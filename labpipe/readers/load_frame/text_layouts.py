@@ -86,21 +86,15 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
     several = len(groups) > 1
     tables = []
     for group, part in zip(groups, _parts(header, groups), strict=True):
-        part_columns = {
-            i - group[0]: columns[i] for i in group if i in columns and _is_column(header, i)
-        }
+        filled = (i for i in group if header.names[i] or header.units[i])  # a blank one separates
+        chosen = {i - group[0]: columns[i] for i in filled if i in columns}
         if several:
-            part_columns = _without_padding(part_columns)
+            chosen = _without_padding(chosen)
         names = tuple(header.names[i] for i in group)
         units = tuple(header.units[i] for i in group)
-        tables.append(Table(part, names, units, part_columns))
+        tables.append(Table(part, names, units, chosen))
     about = preamble(header.above) | _word_values(content.data, start, header, card)
     return Export(tuple(tables), about, tuple(notes), head)
-
-
-def _is_column(header: Header, i: int) -> bool:
-    """Return whether a column is not the blank one between two specimens."""
-    return bool(header.names[i] or header.units[i])
 
 
 def _groups(header: Header) -> list[range]:
