@@ -125,18 +125,14 @@ def draw_budget(result: TestResult) -> Figure:
 
     Numbers of later cycles, of single slips and of the clocks are left out.
     """
-    results_with_budget = [result for result in result.results if result.largest_share is not None]
-    shown_results = [
-        number for number in results_with_budget if is_main(number.name) and _is_first(number.name)
-    ][:MOST_BARS]
-    if not shown_results:
+    budgeted = [result for result in result.results if result.largest_share is not None]
+    numbers = [one for one in budgeted if is_main(one.name) and _is_first(one.name)][:MOST_BARS]
+    if not numbers:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=40)
         write_reason(page.subplots(), "No number of this test has a budget of its interval.")
         return page
-    bars = [_bar(number, result.display) for number in shown_results]
-    cycle = (
-        "Numbers per cycle: first cycle only." if any("." in x.name for x in shown_results) else ""
-    )
+    bars = [_bar(number, result.display) for number in numbers]
+    cycle = "Numbers per cycle: first cycle only." if any("." in x.name for x in numbers) else ""
     note = " ".join(filter(None, (cycle, footnote(result))))
     texts = PageTexts(title(result), note, _keys(bars))
     height = _FRAME_MM + _ROW_MM * len(bars)
@@ -180,11 +176,8 @@ def half_width(interval: Interval | None, scale: Scale) -> str:
         return ""
     half = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
     place = place_of(half, None, digits=2)
-    text = (
-        write_number(half, None, digits=2).value
-        if place < last_plain_place
-        else rounded(half, place)
-    )
+    is_plain = place >= last_plain_place
+    text = rounded(half, place) if is_plain else write_number(half, None, digits=2).value
     return f"\u00b1 {text} {unit_words(scale.unit)}".strip()
 
 
@@ -246,13 +239,14 @@ def bar_parts(shares: Mapping[str, float], named: set[str]) -> dict[str, float]:
     shares : by cause
     named : causes that have a colour of their own
     """
-    ordered = {cause: shares[cause] for cause in _sort_causes(shares)}
+    ordered = {cause: shares[cause] for cause in sort_causes(shares)}
     parts = {cause: share for cause, share in ordered.items() if cause in named}
     rest = sum(share for cause, share in ordered.items() if cause not in named)
     return {**parts, **({SMALLER: rest} if rest > 0.0 else {})}
 
 
-def _sort_causes(causes: Iterable[str]) -> list[str]:
+def sort_causes(causes: Iterable[str]) -> list[str]:
+    """Sort causes as in the key: scatter first."""
     every = set(causes)
     return [*([SCATTER] if SCATTER in every else []), *in_order(every - {SCATTER})]
 
@@ -265,10 +259,8 @@ def named_causes(bars: Sequence[Mapping[str, float]]) -> list[str]:
     bars : shares by cause
     """
     min_named_share = 0.02
-    every = {
-        cause for shares in bars for cause, share in shares.items() if share >= min_named_share
-    }
-    return _sort_causes(every)
+    every = {cause for bar in bars for cause, share in bar.items() if share >= min_named_share}
+    return sort_causes(every)
 
 
 def _bar_style(cause: str) -> dict[str, Any]:
@@ -299,9 +291,7 @@ def budgets_to_draw(group: Group) -> list[GroupNumber]:
     ----------
     group : with or without samples
     """
-    numbers = [
-        number for number in group.numbers if is_main(number.name) and _is_first(number.name)
-    ]
+    numbers = [one for one in group.numbers if is_main(one.name) and _is_first(one.name)]
     return [number for number in numbers if group_budget(number).of_tests][:MOST_BARS]
 
 
@@ -325,9 +315,8 @@ def draw_group_budgets(group: Group) -> Figure:
     heading = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
     texts = PageTexts(heading, "", _keys([*of_tests, *of_means]))
     has_means = any(bar.shares for bar in of_means)
-    height = _FRAME_MM + (
-        2.0 * _ROW_MM * len(numbers) + 18.0 if has_means else _ROW_MM * len(numbers) + 4.0
-    )
+    rows_mm = _ROW_MM * len(numbers)
+    height = _FRAME_MM + (2.0 * rows_mm + 18.0 if has_means else rows_mm + 4.0)
     page = keyed_page(texts, height_mm=height)
     _set_side_margins(page)
     panels = page.subplots(2 if has_means else 1, squeeze=False).ravel()

@@ -197,14 +197,9 @@ def _plain(value: float, _: object = None) -> str:
 
 def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
     """Return the ends of the axis for all positive bounds, values and ends of intervals."""
-    every = [
-        stiffness for place in places for stiffness in (place.low, place.high, place.value or 0.0)
-    ]
+    every = [ei for place in places for ei in (place.low, place.high, place.value or 0.0)]
     every += [place.interval.upper for place in places if place.interval is not None]
-    values = [factor * stiffness for stiffness in every if stiffness > 0.0] or [
-        1.0,
-        10.0,
-    ]  # not NaN either
+    values = [factor * ei for ei in every if ei > 0.0] or [1.0, 10.0]  # not NaN either
     return 0.7 * min(values), 1.4 * max(values)
 
 
@@ -284,9 +279,8 @@ def bundle_figure(model: BundleModel) -> Figure:
     A page. The arms of the principal axes end at the edge of the wires; bending is along y,
     upwards. Both axes of the moments are logarithmic.
     """
-    height_mm = 84.0
     texts = PageTexts(_title(model), _note(model), _bundle_keys(model))
-    page = keyed_page(texts, height_mm=height_mm, width_mm=DOUBLE_COLUMN)
+    page = keyed_page(texts, height_mm=84.0, width_mm=DOUBLE_COLUMN)
     section, moments = page.subplots(1, 2, width_ratios=(0.8, 1.0))
     plot_bundle_section(model, section)
     plot_bounds(model, moments)
@@ -389,13 +383,11 @@ def _bundle_keys(model: BundleModel) -> list[Artist]:
 
 
 def _title(model: BundleModel) -> str:
-    heading = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
+    text = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
     if model.packing_fraction is None:
-        return heading
+        return text
     bore = LENGTH.factor * (model.bundle.conduit_bore or 0.0)
-    return (
-        f"{heading}  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
-    )
+    return f"{text}  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH.unit}"
 
 
 def _note(model: BundleModel) -> str:
@@ -430,6 +422,5 @@ def _is_isotropic(model: BundleModel) -> bool:
 
 def _colours() -> list[str]:
     colours = style_colours()
-    return (
-        colours[-1:] + colours[-2:-1] + colours[2:4]
-    )  # light colours first: lines are drawn over them
+    # light colours first: lines are drawn over them
+    return colours[-1:] + colours[-2:-1] + colours[2:4]

@@ -57,14 +57,13 @@ def loop_figure(name: str, fit: FrictionFit) -> Figure:
     name : of the test
     fit : of its friction
     """
-    height_mm = 82.0
     keys = [
         line_key("measured", **_MEASURED),
         line_key("fitted (one parameter)", **_FITTED),
         line_key("predicted", **_PREDICTED),
     ]
     texts = PageTexts(f"{name}  ·  friction between the wires", _note(fit), keys)
-    page = keyed_page(texts, height_mm=height_mm, width_mm=DOUBLE_COLUMN)
+    page = keyed_page(texts, height_mm=82.0, width_mm=DOUBLE_COLUMN)
     fitted, predicted = page.subplots(1, 2, sharex=True, sharey=True)
     plot_loop(fit, ~fit.is_held_out, _FITTED, fitted)
     plot_loop(fit, fit.is_held_out, _PREDICTED, predicted)

@@ -243,9 +243,7 @@ class ExternalPanel(NamedTuple):
             for comparison in self.comparisons
             if comparison.prediction is not None
         ]
-        return max(
-            predictions, key=lambda prediction: float(prediction.deflection[-1]), default=None
-        )
+        return max(predictions, key=lambda one: float(one.deflection[-1]), default=None)
 
 
 def external_pages(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
@@ -312,10 +310,7 @@ def plot_external(panel: ExternalPanel, axes: Axes) -> None:
         edges = (FORCE.factor * model.lower_mean, FORCE.factor * model.upper_mean)
         axes.fill_between(across, *edges, **PREDICTED_LOOK)
         axes.plot(across, FORCE.factor * model.force, **MODEL_LOOK)
-    lines = [
-        _draw_comparison(comparison, number, axes)
-        for number, comparison in enumerate(panel.comparisons)
-    ]
+    lines = [_draw_comparison(one, number, axes) for number, one in enumerate(panel.comparisons)]
     axes.set_xlim(left=0.0)
     room = _HEADROOM + 0.06 * max(0, _key_rows(panel) - _FREE_KEY_ROWS)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
@@ -345,18 +340,16 @@ def _draw_comparison(comparison: ExternalCurveComparison, number: int, axes: Axe
     return line
 
 
-def match_words(comparison: ExternalCurveComparison) -> str:
+def match_words(match: ExternalCurveComparison) -> str:
     """Name an external curve and write its RMSE to the tests and to the model.
 
     Parameters
     ----------
     comparison : with tests and model
     """
-    lines = textwrap.wrap(comparison.curve.name, 44)
-    lines.append(
-        "no tests to compare" if comparison.tests is None else _rmse("tests", comparison.tests)
-    )
-    label = "\n".join([*lines, _rmse("model", comparison.model)])
+    lines = textwrap.wrap(match.curve.name, 44)
+    lines.append("no tests to compare" if match.tests is None else _rmse("tests", match.tests))
+    label = "\n".join([*lines, _rmse("model", match.model)])
     return f" {label}" if label.startswith("_") else label  # matplotlib hides such a label
 
 
@@ -381,9 +374,7 @@ def _external_note(panels: Sequence[ExternalPanel]) -> str:
         note for panel in panels for comparison in panel.comparisons for note in comparison.notes
     ]
     if any(note.code == "external_curve_load" for note in notes):
-        lines.append(
-            "In panels with a load normal to the axis, the load of the tests is not normal."
-        )
+        lines.append("Where the load is normal to the axis, the load of the tests is not.")
     for panel in panels:
         for comparison in panel.comparisons:
             other_notes = [note for note in comparison.notes if note.code != "external_curve_load"]

@@ -236,7 +236,6 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
     ----------
     parameter : an interval open on one side is ``below ...`` or ``above ...``
     """
-    open_interval_digits = 2
     display = DISPLAYS[parameter.name]
     factor, is_open = display.scale.factor, parameter.is_open_below or parameter.is_open_above
     interval = next(
@@ -244,11 +243,7 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
         parameter.interval,
     )
     written = write_number(parameter.value, interval, factor)
-    value = (
-        write_number(parameter.value, None, factor, digits=open_interval_digits)
-        if is_open
-        else written
-    )
+    value = write_number(parameter.value, None, factor, digits=2) if is_open else written
     between = " or ".join(_interval_parts(parameter, factor))
     unit = display.scale.unit or "1"
     return (

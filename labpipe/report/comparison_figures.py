@@ -143,13 +143,10 @@ def draw_family(family: Family) -> Figure:
     ----------
     family : at most six groups
     """
-    height_mm = 66.0
     scaled = _is_scaled(family)
     number = main_number(family)
     title = f"{field_words(family.field)}  \u00b7  {context_words(family.groups, family.field)}"
-    page = keyed_page(
-        PageTexts(title, keys=_keys(family)), height_mm=height_mm, width_mm=DOUBLE_COLUMN
-    )
+    page = keyed_page(PageTexts(title, keys=_keys(family)), height_mm=66.0, width_mm=DOUBLE_COLUMN)
     count = 1 + scaled + bool(number)
     panels = iter(page.subplots(1, count, squeeze=False).ravel())
     letters = iter("abc")
@@ -176,7 +173,6 @@ def plot_bands(family: Family, axes: Axes, *, is_scaled: bool = False) -> None:
     axes : to draw on
     is_scaled : draw force / peak force
     """
-    interval_shift = 0.008  # between intervals of two groups, of the largest displacement
     first = family.groups[0]
     across = group_scale(first, "displacement")
     up = 1.0 if is_scaled else group_scale(first, "force").factor
@@ -193,7 +189,8 @@ def plot_bands(family: Family, axes: Axes, *, is_scaled: bool = False) -> None:
     for look, band in drawn:
         x, rows = across.factor * band.displacement, _line_points(band, band.mean)
         axes.plot(x[rows], up * band.mean[rows], color=look.colour, linestyle=look.dash, zorder=3)
-        shift = interval_shift * band.displacement[-1] * places.pop(0)
+        # between intervals of two groups, of the largest displacement
+        shift = 0.008 * band.displacement[-1] * places.pop(0)
         plot_marks(band, axes, across.factor, up, color=look.colour, shift=shift)
         if band.has_area:
             rows = np.union1d(_line_points(band, band.lower), _line_points(band, band.upper))

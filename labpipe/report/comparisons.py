@@ -95,9 +95,7 @@ def families(campaign: Campaign) -> list[Family]:
     families: list[Family] = []
     for name, pairs in groupby(single_field_pairs(campaign), key=lambda pair: pair.field):
         linked = {(pair.first.name, pair.second.name): pair for pair in pairs}
-        groups = {
-            group.name: group for pair in linked.values() for group in (pair.first, pair.second)
-        }
+        groups = {one.name: one for pair in linked.values() for one in (pair.first, pair.second)}
         whole = [groups[key] for key in _sort_names(groups, name)]
         families += [
             Family(name, part) for clique in _cliques(whole, set(linked)) for part in _parts(clique)
@@ -119,9 +117,7 @@ def _cliques(groups: Sequence[Group], linked: set[tuple[str, str]]) -> Iterator[
                 continue
             members = [first, second]
             for other in groups:
-                if other not in members and all(
-                    (other.name, member.name) in both for member in members
-                ):
+                if other not in members and all((other.name, one.name) in both for one in members):
                     members.append(other)
             covered |= {(one.name, two.name) for one in members for two in members}
             yield [group for group in groups if group in members]

@@ -10,6 +10,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign, Difference, Group, Sample
 from labpipe.records.quality import worded
 from labpipe.records.result import Result, Status
+from labpipe.report.budget_figures import sort_causes
 from labpipe.report.bundle_figures import place_scales
 from labpipe.report.comparisons import fields_in_words, multi_field_differences
 from labpipe.report.issue_ranking import Cause, find_causes, find_notes
@@ -17,7 +18,7 @@ from labpipe.report.page_facts import state_of
 from labpipe.report.wording import Scale, as_label, display_of, is_main, shown_in, unit_words
 from labpipe.report.workbook_cells import Row, Value, interval_cells, number_cell, percent_cell
 from labpipe.report.workbook_file import Sheet
-from labpipe.statistics.group_budgets import SCATTER, group_budget, in_order
+from labpipe.statistics.group_budgets import group_budget
 
 Column: TypeAlias = tuple[str, str]
 """Name and unit of a number."""
@@ -180,7 +181,7 @@ def budgets_sheet(campaign: Campaign) -> Sheet:
     tests = [row for group in campaign.groups for row in _budgets_of_tests(group)]
     of_means = {cause for _, shares in means for cause in shares}
     others = {cause for _, shares in tests for cause in shares} - of_means
-    causes = [*_in_order(of_means), *_in_order(others)]
+    causes = [*sort_causes(of_means), *sort_causes(others)]
     marks = {cause: "*" for cause in causes if IS_COMMON.get(cause, False)}
     heads = (
         "group", "number", "of", "unit", "half of the 95 % interval",
@@ -199,10 +200,6 @@ def budgets_sheet(campaign: Campaign) -> Sheet:
     return Sheet(
         "budgets", heads, rows, 2, question=question, printed=last, printed_rows=len(means) or None
     )
-
-
-def _in_order(causes: set[str]) -> list[str]:
-    return [*([SCATTER] if SCATTER in causes else []), *in_order(causes - {SCATTER})]
 
 
 _Budget: TypeAlias = tuple[Row, dict[str, float]]

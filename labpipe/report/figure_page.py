@@ -13,6 +13,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+import numpy as np
+
 from labpipe.records.result import TestResult
 from labpipe.report.wording import footnote, printable, shortened, title
 
@@ -223,7 +225,6 @@ def with_own_fonts(page: Figure) -> Figure:
     -------
     The same page, with named fonts, and an image for notebooks.
     """
-    notebook_dpi = 120
     import matplotlib as mpl
     from matplotlib.font_manager import fontManager
     from matplotlib.text import Text
@@ -233,7 +234,7 @@ def with_own_fonts(page: Figure) -> Figure:
     fonts = [font for font in wanted if font in installed]
     for text in page.findobj(Text):
         text.set_fontfamily(fonts)
-    page.set_dpi(notebook_dpi)
+    page.set_dpi(120)
     vars(page)["_repr_png_"] = partial(_as_png, page)
     return page
 
@@ -373,6 +374,15 @@ def style_colours() -> list[str]:
 
     colours: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
     return colours
+
+
+def step_colours(count: int) -> list[str]:
+    """Return colours of the style's colour map for steps in order."""
+    import matplotlib as mpl
+    from matplotlib.colors import to_hex
+
+    colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
+    return [to_hex(colour_map(0.85 * place)) for place in np.linspace(0, 1, count)]
 
 
 def line_looks(count: int) -> list[Look]:

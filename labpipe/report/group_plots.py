@@ -353,8 +353,7 @@ def draw_lines(group: Group) -> Figure:
     ----------
     group : one with lines
     """
-    height_mm = 82.0
-    page = group_page(group, _line_keys(group), height_mm=height_mm, columns=1)
+    page = group_page(group, _line_keys(group), height_mm=82.0, columns=1)
     axes = page.subplots()
     plot_lines(group, axes)
     label_axes(group, axes)
@@ -374,11 +373,11 @@ def plot_lines(group: Group, axes: Axes) -> None:
     group : lines of one result have the same style
     axes : to draw on
     """
-    axis_extension = 1.5  # end of the curves, of the end of the last window
     looks = line_looks_of_fits(_names_of_lines(group))
     across = group_scale(group, "displacement").factor
     up = group_scale(group, "force").factor
-    end = axis_extension * max(line.stop for sample in group.samples for line in sample.lines)
+    # of the end of the last window
+    end = 1.5 * max(line.stop for sample in group.samples for line in sample.lines)
     for sample in group.samples:
         curve = first_loading(sample)
         if curve is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.records.figure_data import DrawnShapes
 from labpipe.records.group import Group
-from labpipe.report.figure_page import GREY, area_key, line_key, write_reason
+from labpipe.report.figure_page import GREY, area_key, line_key, step_colours, write_reason
 from labpipe.report.group_plots import group_page, group_scale, spool_looks
 from labpipe.report.wording import Scale, display_of, place_of, rounded, unit_words
 from labpipe.units import si_factor
@@ -73,21 +73,15 @@ def plot_group_shapes(group: Group, axes: Axes) -> None:
         if shapes is None:
             continue
         dash = looks[sample.specimen.spool].dash
-        for points, colour in zip(shapes.positions, _colours(shapes), strict=True):
+        for points, colour in zip(
+            shapes.positions, step_colours(len(shapes.deflection)), strict=True
+        ):
             x, y = points[np.isfinite(points).all(axis=1)].T * along.factor
             axes.plot(x, y, color=colour, linestyle=dash, linewidth=0.4, alpha=0.6)
             axes.plot(x, y, color=colour, linestyle="", marker="o", markersize=2.0)
     axes.set_aspect("equal", adjustable="box", anchor="W")
     axes.set_xlabel(along.label("Along the undeformed axis"))
     axes.set_ylabel(along.label("Deflection"))
-
-
-def _colours(shapes: DrawnShapes) -> list[str]:
-    import matplotlib as mpl
-    from matplotlib.colors import to_hex
-
-    colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
-    return [to_hex(colour_map(0.85 * place)) for place in np.linspace(0, 1, len(shapes.deflection))]
 
 
 def _step_keys(group: Group, shapes: DrawnShapes) -> list[Artist]:
@@ -97,7 +91,9 @@ def _step_keys(group: Group, shapes: DrawnShapes) -> list[Artist]:
         line_key(
             f"{rounded(along.factor * deflection, place)} {along.unit}", color=colour, marker="o"
         )
-        for deflection, colour in zip(shapes.deflection.tolist(), _colours(shapes), strict=True)
+        for deflection, colour in zip(
+            shapes.deflection.tolist(), step_colours(len(shapes.deflection)), strict=True
+        )
     ]
     looks = spool_looks(group)
     spools = [

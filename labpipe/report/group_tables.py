@@ -91,18 +91,9 @@ def _decisions(means: Sequence[NestedMean]) -> tuple[list[str], tuple[str, ...]]
     """Split decisions into the clauses of each and those common to all."""
     clauses = [_clauses(mean.decision) for mean in means]
     shared = (
-        [
-            clause
-            for clause in clauses[0]
-            if all(clause in decision_clauses for decision_clauses in clauses)
-        ]
-        if means
-        else []
+        [clause for clause in clauses[0] if all(clause in one for one in clauses)] if means else []
     )
-    special = [
-        _join_clauses([clause for clause in decision_clauses if clause not in shared])
-        for decision_clauses in clauses
-    ]
+    special = [_join_clauses([clause for clause in one if clause not in shared]) for one in clauses]
     if not any(special):
         return special, (_join_clauses(shared),) if shared else ()
     every = "; ".join(clause.removesuffix(":") for clause in shared)
@@ -241,11 +232,7 @@ def method_tables(campaign: Campaign) -> list[Table]:
     samples: dict[str, list[Sample]] = {}
     for group in campaign.groups:
         samples.setdefault(group.protocol, []).extend(group.samples)
-    return [
-        _method_table(protocol, group_samples)
-        for protocol, group_samples in samples.items()
-        if group_samples
-    ]
+    return [_method_table(protocol, chosen) for protocol, chosen in samples.items() if chosen]
 
 
 def _method_table(protocol: str, samples: Sequence[Sample]) -> Table:

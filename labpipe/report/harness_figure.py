@@ -201,9 +201,7 @@ def plot_view(drawn: DrawnHarness, across: int, up: int, axes: Axes) -> LineColl
         _draw_line(axes, shape.positions[:, pair], **_EARLIER, zorder=2)
     if last.band is not None:
         low, high = (LENGTH.factor * end[:, pair] for end in last.band)
-        axes.add_collection(
-            PolyCollection(_band_outlines(low, high), **_BAND, zorder=1), autolim=False
-        )
+        axes.add_collection(PolyCollection(_outlines(low, high), **_BAND, zorder=1), autolim=False)
     points = LENGTH.factor * last.positions[:, pair]
     ends = np.stack([points[:-1], points[1:]], axis=1)
     colours = mpl.colormaps[_COLOURS].with_extremes(under=_BELOW)
@@ -232,7 +230,7 @@ def _colour_norm(drawn: DrawnHarness) -> Any:
     return LogNorm(allowed, straight_radius_factor * allowed, clip=False)
 
 
-def _band_outlines(low: Floats, high: Floats) -> list[Floats]:
+def _outlines(low: Floats, high: Floats) -> list[Floats]:
     """Return the outlines of a band between neighbouring nodes."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -257,27 +255,21 @@ def _plot_plane(
     drawn: DrawnHarness, plane: tuple[Floats, Floats], pair: list[int], axes: Axes
 ) -> None:
     point, normal = plane
-    normal_in_view = normal[pair]
-    if np.linalg.norm(normal_in_view) < 0.5:  # seen from above
+    flat = normal[pair]
+    if np.linalg.norm(flat) < 0.5:  # seen from above
         return
-    reach = (
-        10.0
-        * _extent(drawn)
-        / np.linalg.norm(normal_in_view)
-        * np.array([-normal_in_view[1], normal_in_view[0]])
-    )
+    reach = 10.0 * _extent(drawn) / np.linalg.norm(flat) * np.array([-flat[1], flat[0]])
     ends = np.array([point[pair] - reach, point[pair] + reach])
     _draw_line(axes, ends, color=GREY, linewidth=1.2, zorder=0)
 
 
 def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], axes: Axes) -> None:
-    arrow_share = 0.06
     place = mark.position[pair]
     colour = "black" if mark.holds else "#bbbbbb"
     _draw_line(axes, mark.way[:, pair], **_WAY, zorder=0)
     _draw_line(axes, place[None], color=colour, linestyle="", zorder=4, **_SIGNS[mark.kind])
     if mark.direction is not None:
-        reach = arrow_share * extent * mark.direction[pair]
+        reach = 0.06 * extent * mark.direction[pair]
         ends = np.array([place - reach, place + reach])
         _draw_line(axes, ends, color=colour, linewidth=0.8, zorder=4)
 

@@ -79,9 +79,7 @@ class Cause:
             places = dict.fromkeys(
                 place for concern in self.concerns for place in concern.what.split("; ")
             )
-            return (
-                f"Processed differently from the other tests of their group: {', '.join(places)}."
-            )
+            return f"Processed differently from other tests of their group: {', '.join(places)}."
         reasons = list(dict.fromkeys(concern.reason for concern in self.concerns))
         more = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
         return f"{reasons[0]}{more}"
@@ -119,8 +117,7 @@ def find_notes(campaign: Campaign) -> list[Cause]:
     """
     notes = [concern for concern in find_issues(campaign) if concern.kind is Kind.NOTE]
     causes = [
-        Cause(related[0].kind, related[0].code, tuple(related), None)
-        for related in _cluster_concerns(notes)
+        Cause(same[0].kind, same[0].code, tuple(same), None) for same in _cluster_concerns(notes)
     ]
     return sorted(causes, key=lambda cause: len(cause.concerns), reverse=True)
 
@@ -212,9 +209,8 @@ def _shift_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect 
     remaining: dict[str, list[float]] = {}
     for test, result in number.values.items():
         if test not in touched and result.value is not None:
-            remaining.setdefault("" if mean.is_pooled else spools.get(test, ""), []).append(
-                result.value
-            )
+            spool = "" if mean.is_pooled else spools.get(test, "")
+            remaining.setdefault(spool, []).append(result.value)
     if not remaining:
         return Effect(_ALL_VALUES_EFFECT, f"all values of {name}")
     before, half = mean.chosen.mean, mean.chosen.half

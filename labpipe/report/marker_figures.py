@@ -22,6 +22,7 @@ from labpipe.report.figure_page import (
     new_page,
     panel_letter,
     side_key,
+    step_colours,
     write_reason,
 )
 from labpipe.report.plot_thinning import extremes, worst
@@ -231,7 +232,7 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     way = scale(result, "displacement", "m")
     if plane == 1:
         _draw_rollers(axes, shape, steps, rig, way.factor)
-    for frame, colour in zip(steps.frames, _colours(len(steps.frames)), strict=True):
+    for frame, colour in zip(steps.frames, step_colours(len(steps.frames)), strict=True):
         x, up = _fitted_curve(shape, int(frame))[[0, plane]] * way.factor
         axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
         for flag in _LOOKS:
@@ -266,14 +267,6 @@ def _marker_style(flag: PointFlag, colour: str) -> dict[str, Any]:
     }
 
 
-def _colours(count: int) -> list[str]:
-    import matplotlib as mpl
-    from matplotlib.colors import to_hex
-
-    colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
-    return [to_hex(colour_map(0.85 * place)) for place in np.linspace(0, 1, count)]
-
-
 def _sign_keys(shape: Shape, steps: Steps, rig: Rig) -> list[Artist]:
     """Return the key of the drawn points and rollers."""
     from matplotlib.lines import Line2D
@@ -297,7 +290,7 @@ def _draw_step_key(result: TestResult, axes: Axes, steps: Steps) -> None:
     way = scale(result, "displacement", "m")
     levels = [
         line_key(f"{level * way.factor:g} {way.unit}", color=colour, linewidth=1.6)
-        for level, colour in zip(steps.levels, _colours(len(steps.levels)), strict=True)
+        for level, colour in zip(steps.levels, step_colours(len(steps.levels)), strict=True)
     ]
     axes.legend(
         handles=levels,

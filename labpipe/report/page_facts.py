@@ -122,7 +122,6 @@ def report_id(campaign: Campaign) -> str:
     ----------
     campaign : the same tests, decisions and groups give the same identifier
     """
-    id_length = 10
     digest = hashlib.sha256()
     for group in campaign.groups:
         for sample in group.samples:
@@ -130,7 +129,7 @@ def report_id(campaign: Campaign) -> str:
     for why in campaign.rejected.items():
         digest.update("\n".join(why).encode(errors="replace"))
     digest.update(f"{campaign.title}\n{campaign.labpipe_version}".encode(errors="replace"))
-    return digest.hexdigest()[:id_length]
+    return digest.hexdigest()[:10]
 
 
 def samples_of(campaign: Campaign) -> list[Sample]:

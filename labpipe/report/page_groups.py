@@ -11,6 +11,7 @@ from labpipe.records.group import Group, GroupNumber, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import COLOURS_OF_CAUSES, SMALLER, bar_parts, named_causes
+from labpipe.report.figure_page import split_pages
 from labpipe.report.group_plots import count_words
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.issues import sentences
@@ -179,15 +180,14 @@ def _interval_notes(group: Group) -> Iterator[str]:
 def _reason_notes(group: Group) -> Iterator[str]:
     """Yield the reasons of doubtful (?), missing and outlying (!) numbers with their tests."""
     names = {number.name for number in group.numbers}
-    tests_by_reason: dict[str, dict[str, None]] = {}
+    named: dict[str, dict[str, None]] = {}
     for sample in group.samples:
         for result in sample.results:
             if result.name in names and result.status is not Status.OK:
                 sign = DASH if result.status is Status.FAILED else "?"
-                tests_by_reason.setdefault(f"{sign} {sentences(result.reasons)}", {})[
-                    sample.test
-                ] = None
-    for reason, tests in tests_by_reason.items():
+                reason = f"{sign} {sentences(result.reasons)}"
+                named.setdefault(reason, {})[sample.test] = None
+    for reason, tests in named.items():
         yield f"{reason} ({', '.join(tests)})"
     outliers: dict[str, list[str]] = {}
     for number in group.numbers:
@@ -209,9 +209,7 @@ def samples_tables(group: Group, tests: PageTests) -> list[Table]:
     if len(group.samples) <= MAX_SAMPLE_COLUMNS:
         return []
     numbers = [number for number in group.numbers if is_main(number.name)]
-    parts = [
-        numbers[at : at + numbers_per_table] for at in range(0, len(numbers), numbers_per_table)
-    ]
+    parts = split_pages(numbers, numbers_per_table)
     return [_samples_table(group, part, tests, at > 0) for at, part in enumerate(parts)]
 
 

@@ -140,9 +140,8 @@ def split_doubtful(sure: Flags) -> Iterator[tuple[Flags, float]]:
     ------
     The points of a part, shape (n,), and its opacity.
     """
-    faded_opacity = 0.35
     yield sure, 1.0
     if not sure.all():
         doubtful = ~sure
         doubtful[int(sure.sum()) - 1] = True
-        yield doubtful, faded_opacity
+        yield doubtful, 0.35

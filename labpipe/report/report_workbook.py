@@ -180,13 +180,12 @@ _Ends: TypeAlias = tuple[NumberCell | None, NumberCell | None, NumberCell | None
 
 def _key_numbers_of(group: Group) -> dict[Column, _Ends]:
     """Return the first numbers of the specimen and of its first cycle."""
-    key_numbers = 3
     numbers = [
         number
         for number in group.numbers
         if not number.is_set_by_rig and number.name.partition(".")[2] in {"", "1"}
     ]
-    return dict(_key_number(group, number) for number in numbers[:key_numbers])
+    return dict(_key_number(group, number) for number in numbers[:3])
 
 
 def _key_number(group: Group, number: GroupNumber) -> tuple[Column, _Ends]:

@@ -116,19 +116,17 @@ def _numbers(result: TestResult) -> Table:
     return Table("Numbers of this test", heads, rows)
 
 
-def _number_row(result: TestResult, row_result: Result, why: str) -> tuple[Cell, ...]:
-    unit = shown_in(row_result.name, row_result.unit, result.display)
+def _number_row(result: TestResult, number: Result, why: str) -> tuple[Cell, ...]:
+    unit = shown_in(number.name, number.unit, result.display)
     value = DASH
-    if row_result.value is not None:
-        value = with_interval(
-            row_result.value, row_result.interval, unit.factor, apart=row_result.apart
-        )
+    if number.value is not None:
+        value = with_interval(number.value, number.interval, unit.factor, apart=number.apart)
     return (
-        Cell(heading(row_result.name, unit.unit), tip=row_result.name),
-        Cell(value, mark="?" if row_result.status is Status.DOUBTFUL else ""),
-        Cell(str(row_result.status), tip=", ".join(row_result.codes)),
+        Cell(heading(number.name, unit.unit), tip=number.name),
+        Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
+        Cell(str(number.status), tip=", ".join(number.codes)),
         Cell(why),
-        Cell("; ".join(_largest_parts(row_result))),
+        Cell("; ".join(_largest_parts(number))),
     )
 
 
@@ -155,7 +153,5 @@ def _notes(result: TestResult) -> Table:
 
 
 def _exports(result: TestResult) -> Table:
-    rows = tuple(
-        (Cell(source.role), Cell(source.file), Cell(source.sha256)) for source in result.inputs
-    )
+    rows = tuple((Cell(one.role), Cell(one.file), Cell(one.sha256)) for one in result.inputs)
     return Table("Exports", ("Role", "File", "SHA-256"), rows)

@@ -142,18 +142,11 @@ def key_blocks(campaign: Campaign, stems: Sequence[str]) -> list[KeyBlock]:
 
 
 def _key_block(groups: Sequence[tuple[Group, str]]) -> KeyBlock:
-    key_numbers = 3
     every = [(number, group) for group, _ in groups for number in group.numbers if _is_key(number)]
     numbers_by_name = {number.name: (number, group) for number, group in reversed(every)}
-    names = list(dict.fromkeys(number.name for number, _ in every))[:key_numbers]
+    names = list(dict.fromkeys(number.name for number, _ in every))[:3]
     heads = tuple(_heading(*numbers_by_name[name]) for name in names)
-    ends = _ends(
-        [
-            first_number
-            for group, _ in groups
-            if (first_number := _number(group, names[:1])) is not None
-        ]
-    )
+    ends = _ends([first for group, _ in groups if (first := _number(group, names[:1])) is not None])
     rows = tuple(_key_row(group, stem, names, ends) for group, stem in groups)
     return KeyBlock(heads, rows)
 
@@ -186,8 +179,8 @@ def _key_row(group: Group, stem: str, names: Sequence[str], ends: tuple[float, f
     first = _number(group, names[:1])
     drawn = None
     if first is not None and first.mean is not None:
-        interval_source, _ = _interval_source(first.mean.chosen, first)
-        drawn = mean_strip(ends, interval_source.interval, first.mean.chosen.mean)
+        source, _ = _interval_source(first.mean.chosen, first)
+        drawn = mean_strip(ends, source.interval, first.mean.chosen.mean)
     numbers = tuple(_key_cell(group, name) for name in names)
     return KeyRow(group.name, stem, len(group.samples), drawn, numbers, _group_sparkline(group))
 
@@ -198,13 +191,9 @@ def _key_cell(group: Group, name: str) -> Cell:
         return Cell(DASH, tip="no sample has this number")
     factor = shown_in(name, number.unit, display_of(group)).factor
     chosen = number.mean.chosen
-    interval_source, whose = _interval_source(chosen, number)
-    tip = (
-        whose
-        if interval_source.apart is None
-        else f"interval of the {_estimate_text(chosen, factor)}"
-    )
-    return Cell(with_interval(chosen.mean, interval_source.interval, factor), tip=tip)
+    source, whose = _interval_source(chosen, number)
+    tip = whose if source.apart is None else f"interval of the {_estimate_text(chosen, factor)}"
+    return Cell(with_interval(chosen.mean, source.interval, factor), tip=tip)
 
 
 def _interval_source(mean: MeanInterval, number: GroupNumber) -> tuple[MeanInterval | Result, str]:
@@ -230,8 +219,7 @@ def _group_sparkline(group: Group) -> Markup | None:
 
 
 def _spark_points(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    spark_points = 24
-    rows = simplify_line(x, y, points=spark_points, tolerance=0.01)
+    rows = simplify_line(x, y, points=24, tolerance=0.01)
     return np.asarray(x[rows]), np.asarray(y[rows])
 
 
@@ -312,9 +300,7 @@ def fold(answered: int, blocks: Sequence[KeyBlock], decisions: int) -> Folds:
     max_answers, max_decisions = 8, 4
     # pixels, of a screen of 900
     screen_height, row_height, group_height, decision_height = 690, 24, 21, 54
-    answer_lines, open_ones = min(answered, max_answers), min(decisions, max_decisions)
-    other_lines = (
-        1 + len(blocks) + (answered > answer_lines) + (decisions > 0) + (decisions > open_ones)
-    )
-    room = screen_height - row_height * (answer_lines + other_lines) - decision_height * open_ones
-    return Folds(answer_lines, max(room // group_height, 3), open_ones)
+    answers, open_ones = min(answered, max_answers), min(decisions, max_decisions)
+    other_lines = 1 + len(blocks) + (answered > answers) + (decisions > 0) + (decisions > open_ones)
+    room = screen_height - row_height * (answers + other_lines) - decision_height * open_ones
+    return Folds(answers, max(room // group_height, 3), open_ones)

@@ -281,13 +281,12 @@ def cantilever_figure(table: WireTable) -> Figure:
     A page with the curve and the two straight lines of small deflections: all strands stick, all
     slip without friction.
     """
-    height_mm = 70.0
     note = " ".join([*_setting_note(table), warnings_of(table)]).strip()
     if len(table.tip_deflection) < 2:  # rest alone
         page = keyed_page(PageTexts(wire_title(table), note), height_mm=40.0)
         write_reason(page.subplots(), "There is no cantilever curve to draw.")
         return page
-    page = keyed_page(PageTexts(wire_title(table), note, _keys()), height_mm=height_mm)
+    page = keyed_page(PageTexts(wire_title(table), note, _keys()), height_mm=70.0)
     plot_cantilever(table, page.subplots())
     return page
 
@@ -361,10 +360,9 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     ValueError
         If there is no wire, or more than fit in one figure.
     """
-    height_mm = 76.0
     require_room(len(tables), MAX_WIRES, "wires")
     texts = PageTexts("Wires compared  ·  wire model", _RANGES, _wire_keys(tables))
-    page = keyed_page(texts, height_mm=height_mm)
+    page = keyed_page(texts, height_mm=76.0)
     left, right = page.subplots(1, 2)
     unit = stiffness_scale(tables)
     for table, look in zip(tables, line_looks(len(tables)), strict=True):

@@ -285,9 +285,8 @@ class _WorkbookWriter:
             page.insert_chart(top, left, drawn, offset)
 
     def _set_up_print(self, page: Any) -> None:
-        a4_paper = 9
         page.set_landscape()
-        page.set_paper(a4_paper)
+        page.set_paper(9)  # A4
         page.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
         page.set_footer(self.footer)
 

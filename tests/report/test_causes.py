@@ -119,7 +119,7 @@ def test_tests_that_a_note_of_the_group_names_are_left_out_for_its_effect() -> N
     assert cause.effect is not None
     assert cause.effect.text.startswith("without it, Stiffness of A would be 12 % lower")
     assert cause.subject == "c (A)"
-    assert cause.sentence == "Processed differently from the other tests of their group: align."
+    assert cause.sentence == "Processed differently from other tests of their group: align."
 
 
 def test_a_note_that_no_number_rests_on_is_no_cause() -> None:
