@@ -129,7 +129,7 @@ def window_slope(
     travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     if not (travelled > high).any():
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
-        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
+        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is needed")
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
     samples = samples_of(finite_samples(displacement, force))
     fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)

@@ -1,7 +1,7 @@
-"""Every kind of result that a protocol can ask for, as one record each.
+"""All kinds of results of a protocol, as one record each.
 
 A new one is a dataclass in the module of its family, and its name in the list at the end of that
-module; grammar, checks, JSON Schema, words and reference page derive from `KINDS`.
+module; grammar, checks, JSON Schema, descriptions and reference page derive from `KINDS`.
 """
 
 from __future__ import annotations

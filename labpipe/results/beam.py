@@ -49,15 +49,15 @@ from labpipe.uncertainty.replicates import Input, Replicates
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Corner:
-    """What tangents change that are shorter, and what noise does to that.
+    """Change with shorter tangents, and its noise.
 
-    Half of it is in the estimate, so half of the noise in it is in the interval.
+    Half of it is in the estimate, so half of its noise is in the interval.
 
     Parameters
     ----------
-    size : shape (2,), m and N, as far as it is more than noise
-    share : shape (2,), of what was seen
-    base : shape (2,), of the smooth curve, with what noise adds on average
+    size : shape (2,), m and N, less noise
+    share : shape (2,), of the observed change
+    base : shape (2,), of the smooth curve, plus the mean effect of noise
     """
 
     size: Floats
@@ -66,22 +66,22 @@ class _Corner:
 
     @classmethod
     def none(cls) -> _Corner:
-        """No corner at all."""
+        """Return no corner."""
         return cls(np.zeros(2), np.zeros(2), np.zeros(2))
 
     @classmethod
     def of(cls, seen: Floats, base: Floats, noise: Floats) -> _Corner:
-        """What is left of a corner when noise is taken off.
+        """Remove noise from a corner.
 
         Parameters
         ----------
         seen, base : shape (2,), of the measured and of the smooth curve
-        noise : shape (2, replicates), what noise adds to it
+        noise : shape (2, replicates), effect of noise on it
 
         Notes
         -----
-        On average noise adds its variance to the square of what is seen, so that is taken off:
-        s = sqrt(1 - v / c^2) of a corner c is left, and none where noise explains all of it.
+        On average noise adds its variance to the square of a corner, which is subtracted: a share
+        s = sqrt(1 - v / c^2) of a corner c remains, or none if noise explains all of it.
         """
         average, variance = np.nanmean(noise, axis=1), np.nanvar(noise, axis=1)
         clear = seen - average
@@ -90,7 +90,7 @@ class _Corner:
         return cls(share * clear, share, base + average)
 
     def in_noise(self, corners: Floats) -> Floats:
-        """What noise adds to the estimate by way of the corner, shape (2, ...)."""
+        """Return the effect of noise on the estimate through the corner, shape (2, ...)."""
         return 0.5 * self.share[:, None] * (corners - self.base[:, None])
 
 
@@ -111,7 +111,7 @@ class Plateau(Kind):
     over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Slope at the end of the first loading, and where it levels off."""
+        """Compute the slope at the end of the first loading, and the onset of a plateau."""
         initial = test.stiffnesses.get(self.of)
         method = f"slope over the last {1e3 * self.over:g} mm of first loading / {self.of}"
         if initial is None:
@@ -127,7 +127,7 @@ class Plateau(Kind):
         doubts = (
             marked_slips(test, initial.bends_with)
             or cut_short(test, first, CURVE)
-            or _unseen_end(test, first[0])
+            or _missing_end(test, first[0])
         )
         number = self.number(outcome[0], method, during=test.while_loading(), doubts=doubts)
         onset, findings = self._onset(test, initial, to_result(test, number))
@@ -138,7 +138,7 @@ class Plateau(Kind):
         return Computed((number, *onset), lines=(line,), findings=findings)
 
     def _begun(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading] | Failure:
-        """Tangents of the first loading, and the slope at its start."""
+        """Return the tangents of the first loading, and the slope at its start."""
         slope = initial(trace)
         if isinstance(slope, Failure):
             return slope
@@ -149,7 +149,7 @@ class Plateau(Kind):
         return tangents if isinstance(tangents, Failure) else (tangents, slope)
 
     def _decide_end(self, trace: Trace, *, initial: Decide) -> Reading | Failure:
-        """Decide on the slope at the end over that at the start."""
+        """Choose the samples for the slope at the end over that at the start."""
         begun = self._begun(trace, initial)
         if isinstance(begun, Failure):
             return begun
@@ -163,9 +163,9 @@ class Plateau(Kind):
         return Reading(numbers, len(tangents.last), is_cut=slope.is_cut)
 
     def _one_step_on(self, trace: Trace, tangents: Tangents) -> float:
-        """What the slope at the end would be more if the loading went on for a sampling step, N/m.
+        """Return the change of the slope at the end with one more sampling step, N/m.
 
-        What it was less a step before: the machine turned somewhere between two samples.
+        From the step before: the machine turned somewhere between two samples.
         """
         d, f = _loading(trace)
         before = Tangents.of(d[:-1], f[:-1], over=self.over)
@@ -176,9 +176,9 @@ class Plateau(Kind):
     def _decide_onset(
         self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
     ) -> Reading | Failure:
-        """Decide on the place from which on the curve is flat, and the force there.
+        """Choose the samples for the onset of the plateau and its force.
 
-        With how far off the truth may lie for the length of the tangents.
+        With the error from the length of the tangents.
         """
         begun = self._begun(trace, initial)
         if isinstance(begun, Failure):
@@ -190,7 +190,7 @@ class Plateau(Kind):
             return tangents.onset(f, begin, d, slope_below=self.slope_below)
 
         if np.isnan(plain(trace)[1]):
-            return Failure("no_plateau", "nowhere steeper, or too few samples about the onset")
+            return Failure("no_plateau", "never steeper, or too few samples around the onset")
         if corner is None:
             return Reading(plain, len(tangents.last))
 
@@ -205,13 +205,12 @@ class Plateau(Kind):
         return Reading(numbers, len(tangents.last), in_noise)
 
     def _corners(self, trace: Trace, begun: tuple[Tangents, Reading]) -> Floats:
-        """How far off the onset may lie for the length of the tangents, m and N, (2, ...)."""
-        # Bounds of the corner, in multiples of the change from tangents of half the length. A
-        # corner is smeared in proportion to the length, so it is twice that change away; a smooth
-        # bend in proportion to its square, so it is 4/3 of it away.
+        """Return the largest error of the onset from the length of tangents, m and N, (2, ...)."""
+        # In multiples of the change with tangents of half the length. A corner is smeared in
+        # proportion to the length, so it is twice that change away; a smooth bend in proportion to
+        # its square, so it is 4/3 of it away.
         smearing_factor = 3.0
-        # The force read from half the length cuts off once or a third of its change.
-        cut_factor = 2.0
+        cut_factor = 2.0  # the force from half the length loses once or a third of its change
         (tangents, slope), (d, f) = begun, _loading(trace)
         initial = slope.numbers(trace)[0]
         place, _ = tangents.onset(f, initial, d, slope_below=self.slope_below)
@@ -220,9 +219,9 @@ class Plateau(Kind):
         return np.stack([moved, cut_factor * cut + moved * beyond])
 
     def _corner(self, replicates: Replicates, initial: Decide) -> _Corner:
-        """The same of the measured curve, as far as it is more than noise.
+        """Return that error for the measured curve, less noise.
 
-        By the measured curve: the smooth one may have no corners of this size.
+        The smooth curve may have no corners of this size.
         """
         begun, smooth = (
             self._begun(curve, initial) for curve in (replicates.measured, replicates.smooth)
@@ -239,14 +238,14 @@ class Plateau(Kind):
     def _onset(
         self, test: ReducedTest, initial: Stiffness, end: Result
     ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
-        """Where the plateau begins; a note where there is none, which is a finding, no failure."""
+        """Return the onset of the plateau, or a note if there is none, which is not a failure."""
         surely = end.interval is not None and end.interval.upper < self.slope_below
         outcomes = self._measured_onset(test, initial) if surely else None
         if outcomes is None or isinstance(outcomes, Failure):
             return (), (self._no_plateau(test, end),)
         below = f"{1e2 * self.slope_below:g} % of {self.of}"
         method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
-        doubts = marked_slips(test, initial.bends_with) or _unseen_end(test, test.cycles[0][0])
+        doubts = marked_slips(test, initial.bends_with) or _missing_end(test, test.cycles[0][0])
         during, method = test.while_loading(), f"{method} loading"
         return tuple(
             self.number(finding, method, output=place, during=during, doubts=doubts)
@@ -256,7 +255,7 @@ class Plateau(Kind):
     def _measured_onset(
         self, test: ReducedTest, initial: Stiffness
     ) -> tuple[Measured, ...] | Failure:
-        """The onset, with the length of the tangents as one more input."""
+        """Measure the onset, with the length of the tangents as a further input."""
         replicates = test.replicates
         if replicates is None:
             return NO_LOADING
@@ -282,24 +281,22 @@ class Plateau(Kind):
 
 
 def _loading(trace: Trace) -> tuple[Floats, Floats]:
-    """Displacement and force of the first loading."""
+    """Return displacement and force of the first loading."""
     stretch = loading_of(trace)
     return trace.displacement[..., stretch], trace.force[..., stretch]
 
 
 def _shortened(trace: Trace, x: float) -> Trace:
-    """A trace to be read with tangents that are shorter by a share of their length."""
+    """Mark a trace for tangents shorter by a share of their length."""
     return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
 
-def _unseen_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
-    """Why the end of a loading branch is doubtful: its force was not recorded up to there."""
-    # Samples at the end of a branch that joining two clocks may cost.
-    joining_samples = 3
+def _missing_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
+    """Return a doubt if the force was not recorded up to the end of a loading branch."""
     curve = test.known_curve
     d, f = (point[branch.start : branch.stop] for point in (curve.displacement, curve.force))
     finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
-    if not len(finite) or finite[-1] >= len(d) - joining_samples:
+    if not len(finite) or finite[-1] >= len(d) - 3:  # lost when two clocks are joined
         return ()
     end = 1e3 * float(d[finite[-1]])
     message = (
@@ -345,12 +342,12 @@ class BendingStiffness(OfStiffness):
 
     @property
     def length(self) -> str:
-        """Key of the specimen's size that the formula takes."""
+        """Key of the length in the formula."""
         return _FORMULAS[self.support][0]
 
     @staticmethod
     def between(entry: Mapping[str, object]) -> Iterator[Fault]:
-        """Refuse a correction without what it is made of."""
+        """Refuse a correction without its inputs."""
         corrections = entry.get("corrections")
         names = corrections if isinstance(corrections, list | tuple) else []
         if names and entry.get("support") == "cantilever":
@@ -370,7 +367,7 @@ class BendingStiffness(OfStiffness):
                 yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Beam formula, corrected for large deflection and rollers where asked."""
+        """Apply the beam formula, with optional corrections for large deflection and rollers."""
         key, formula = _FORMULAS[self.support]
         method = f"{self.of} x {formula}, L = specimen.{key}"
         stiffness = test.stiffnesses.get(self.of)
@@ -392,18 +389,16 @@ class BendingStiffness(OfStiffness):
         return Computed((number,))
 
     def _measured(self, test: ReducedTest, stiffness: Stiffness) -> tuple[CalibrationFit, str]:
-        """Measure, with what each correction changed, in words."""
+        """Measure, with the effect of each correction in words."""
         ratio, remark = self._ratio(test.setup.span, test.setup.section, stiffness.window)
         if isinstance(ratio, Failure):
             return ratio, ""
-        decide = combine(
-            partial(self._of_trace, window=stiffness.window), stiffness.decide
-        )
+        decide = combine(partial(self._of_trace, window=stiffness.window), stiffness.decide)
         outcome = test.measure(decide)
         return outcome if isinstance(outcome, Failure) else outcome[0], remark
 
     def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
-        """Bending stiffness of curves, from their stiffnesses; NaN where no beam bends so far."""
+        """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
         ratio, _ = self._ratio(trace.sizes.get("span"), trace.sizes, window)
         length = trace.sizes[_FORMULAS[self.support][0]]
         whole = stiffness * beam_factor(length, self.support)
@@ -412,10 +407,10 @@ class BendingStiffness(OfStiffness):
     def _ratio(
         self, span: float | None, section: Mapping[str, float], window: tuple[float, float]
     ) -> tuple[float | Failure, str]:
-        """What the supports make of 48 EI / span^3 over the window of the stiffness.
+        """Return the effect of the supports on 48 EI / span^3 over the window of the stiffness.
 
-        With what each correction changed, in words; a failure where the window is beyond what an
-        elastic beam can do.
+        With the effect of each correction in words; a failure if the window is beyond the
+        deflection of an elastic beam.
         """
         if not self.corrections or span is None:
             return 1.0, ""

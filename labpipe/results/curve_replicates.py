@@ -1,4 +1,4 @@
-"""The curve of a test, and those that it may have been by the noise and the inputs of the test."""
+"""The curve of a test, and its replicates from noise and uncertain inputs."""
 
 from __future__ import annotations
 
@@ -43,16 +43,12 @@ from labpipe.uncertainty.replicates import (
 )
 from labpipe.uncertainty.zero_drift import drift_modes
 
-_STANDS, _LEVELS = 0.5, 10
-"""Share of the samples that stand where a converter is too coarse, and times that they do."""
 _BY_FRAMES = (SHAPE, GRIP, PULL, CENTRE)
-"""Causes whose change is found frame by frame, from markers with noise."""
-_PULSE = np.eye(1, 101, 50)[0]
-"""A single sample, to see what a filter does to it."""
+"""Causes whose effect is computed frame by frame, from markers with noise."""
 
 
 def replicate_curves(test: ReducedTest) -> Replicates | None:
-    """Draw the curves that the curve of a test may have been.
+    """Draw replicates of the curve of a test.
 
     Parameters
     ----------
@@ -60,7 +56,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
 
     Returns
     -------
-    Numbers are measured from them; None where there is no curve.
+    The replicates, or None without a curve.
     """
     curve, unfiltered = test.curve, test.unfiltered
     if curve is None or unfiltered is None or not curve.branches:
@@ -69,12 +65,12 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     both = test.signals.displacement, test.signals.force
     starts = _starts(_corners(test), len(curve.time))
     grid_time = _means(curve.time, starts)
-    acts = [_acts(test, name, grid_time) for name in both]
-    signals = _machine(test, curve), _force(test, unfiltered, curve)
+    acts = [_filters_on_grid(test, name, grid_time) for name in both]
+    signals = _displacements(test, curve), _forces(test, unfiltered, curve)
     cuts = [int(np.searchsorted(starts, corner)) for corner in _corners(test)]
     records = [
-        _singles(curve.time, filtered, _corners(test), starts)
-        if _does_nothing(act)
+        _single_samples(curve.time, filtered, _corners(test), starts)
+        if _have_no_effect(act)
         else _means(raw, starts)
         for (filtered, raw), act in zip(signals, acts, strict=True)
     ]
@@ -83,14 +79,14 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     )
     first, second = (partial(_filtered, acts=act, cuts=cuts) for act in acts)
     inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
-    made_so = draw_replicates(
+    replicates = draw_replicates(
         measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
     )
-    return replace(made_so, before_filters=None) if _does_nothing(acts[1]) else made_so
+    return replace(replicates, before_filters=None) if _have_no_effect(acts[1]) else replicates
 
 
 def traced(test: ReducedTest) -> Trace:
-    """The curve of a test as numbers are read from it.
+    """Return the trace of the curve of a test.
 
     Parameters
     ----------
@@ -109,7 +105,7 @@ def traced(test: ReducedTest) -> Trace:
 
 
 def loading_of(trace: Trace) -> slice:
-    """Samples of the first loading, up to the failure if it lies there; may be empty.
+    """Return the samples of the first loading, up to a failure in it; may be empty.
 
     Parameters
     ----------
@@ -126,7 +122,7 @@ def loading_of(trace: Trace) -> slice:
 
 
 def _corners(test: ReducedTest) -> list[int]:
-    """Samples of the curve at which a new piece of the record begins: turns, failure, slips."""
+    """Return the samples at which a new piece of the record begins: turns, failure, slips."""
     curve, failure = test.known_curve, test.failure
     cuts = [end for branch in curve.branches for end in (branch.start, branch.stop)]
     if isinstance(failure, FailurePoint):
@@ -136,37 +132,33 @@ def _corners(test: ReducedTest) -> list[int]:
 
 
 def _starts(corners: Sequence[int], count: int) -> Ints:
-    """First samples of the blocks of a grid, none of which lies over a corner.
+    """Return the first samples of the blocks of a grid, which do not cross corners.
 
-    What is left over at the end of a piece joins its last block.
+    The last block of a piece includes the remainder.
     """
-    # Samples of longer curves are averaged in blocks.
-    max_samples = 20_000
-    block = -(-count // max_samples)
+    block = -(-count // 20_000)
     pieces = pairwise([0, *corners, count])
     starts = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
     return np.concatenate(starts)
 
 
 def _means(values: Floats, starts: Ints) -> Floats:
-    """Means of the blocks of a grid."""
+    """Return the means of the blocks of a grid."""
     if len(starts) == len(values):
         return values
     means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
     return means
 
 
-def _singles(time: Floats, values: Floats, corners: Sequence[int], starts: Ints) -> Floats:
-    """Values of a grid with the noise of single samples.
+def _single_samples(time: Floats, values: Floats, corners: Sequence[int], starts: Ints) -> Floats:
+    """Return values of a grid with the noise of single samples.
 
-    A largest sample is one sample, and a mean of many has far less noise. One of each block lends
-    its noise, by chance: evenly taken ones would fold hum. The curve is that of the means.
+    The largest sample is a single one, and a mean has far less noise. The noise is that of a random
+    sample of each block, as evenly spaced ones would alias hum. The curve is that of the means.
     """
-    # The spline separates the noise of single samples from the curve.
-    spline_intervals = 40
     if len(starts) == len(values):
         return values
-    smooth = smooth_curve(time, values, corners, spline_intervals)
+    smooth = smooth_curve(time, values, corners, 40)
     lengths = np.diff(np.append(starts, len(values)))
     one = starts + np.random.default_rng(0).integers(0, lengths)
     noise: Floats = (values - smooth)[one]
@@ -174,7 +166,7 @@ def _singles(time: Floats, values: Floats, corners: Sequence[int], starts: Ints)
 
 
 def _on_grid(trace: Trace, starts: Ints) -> Trace:
-    """A trace that counts its samples on a grid."""
+    """Convert the sample numbers of a trace to a grid."""
     failed = trace.failed_at
     branches = tuple(
         replace(
@@ -189,8 +181,8 @@ def _on_grid(trace: Trace, starts: Ints) -> Trace:
     return replace(trace, branches=branches, failed_at=failed)
 
 
-def _machine(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
-    """The displacement of the curve with what its frame gave way, filtered and unfiltered."""
+def _displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
+    """Return the displacement including that of the frame, filtered and unfiltered."""
     filtered = curve.displacement + test.compliance * np.nan_to_num(curve.force)
     raw = test.signals.raw[test.signals.displacement].values
     if len(raw) != len(filtered):
@@ -198,21 +190,21 @@ def _machine(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
     return filtered, raw + float(np.nanmean(filtered - raw))
 
 
-def _force(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
-    """The force of the curve, and as it is without filters, what slips lost added back."""
+def _forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
+    """Return the force of the curve, and the unfiltered one with slips added back."""
     from labpipe.fits.grip_slips import add_back
 
     force = _on_curve(test, unfiltered, curve.time)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     if repaired:
         force = add_back(force, repaired)
-    # Where no sample was recorded the filter reached across, and the curve has a force.
+    # The filter bridges missing samples.
     force = np.where(np.isnan(force), curve.force, force)
     return curve.force, np.where(np.isnan(curve.force), np.nan, force)
 
 
 def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
-    """A signal at times of the curve: of a faster one the mean around each of them."""
+    """Sample a signal at the times of the curve, a faster one by means around them."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.sampled(signal, time)
     is_finite = ~np.isnan(signal.values)
@@ -231,8 +223,8 @@ def _on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     return np.where(np.isnan(mean), test.clocks.sampled(signal, time), mean)
 
 
-def _acts(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
-    """The filters of a signal for samples of the grid; none where it has been thinned."""
+def _filters_on_grid(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
+    """Return the filters of a signal for the grid; none if it was thinned."""
     signals = test.signals
     filters, raw = signals.filters.get(name, ()), signals.raw[name].time
     if name == signals.displacement and len(raw) != len(test.known_curve.time):
@@ -244,13 +236,14 @@ def _acts(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
     return acts
 
 
-def _does_nothing(acts: Sequence[FilterFunction]) -> bool:
-    """Whether filters leave single samples as they are."""
-    return all(np.array_equal(act(_PULSE), _PULSE) for act in acts)
+def _have_no_effect(acts: Sequence[FilterFunction]) -> bool:
+    """Return whether filters do not change a single-sample pulse."""
+    pulse = np.eye(1, 101, 50)[0]
+    return all(np.array_equal(act(pulse), pulse) for act in acts)
 
 
 def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[int]) -> Floats:
-    """Records (..., n) after all filters, piece by piece; nothing is known beyond their ends."""
+    """Apply all filters to records (..., n), piece by piece."""
     finite = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
     if not acts or not len(finite):
         return values
@@ -263,16 +256,16 @@ def _filtered(values: Floats, *, acts: Sequence[FilterFunction], cuts: Sequence[
 
 
 def _without_noise(change: Floats, *, grid: Trace, cuts: Sequence[int]) -> Floats:
-    """What an input changes a record by, without the noise of the record in it.
+    """Smooth the effect of an input on a record.
 
-    The largest of many samples would be raised by that noise, whichever way the input is moved.
+    Its noise would raise the largest of many samples, for either sign of the input.
     """
     parts = spline_intervals_of(grid)
     return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
 
 
 def _inputs(test: ReducedTest, starts: Ints, smooth: Filter) -> Iterator[Input]:
-    """What is the same for the whole record, and known with an uncertainty."""
+    """Yield the uncertain inputs of the whole record."""
     force, displacement = test.raw_force, test.displacement
     gain, raised, scaled = (
         partial(effect, compliance=test.compliance) for effect in (_gain, _raised, _scaled)
@@ -288,12 +281,12 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Filter) -> Iterator[Input]:
     if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
         half = partial(raised, by=coarse / np.sqrt(12.0))
         yield Input(RESOLUTION, half, law="uniform")
-    yield from _wanders(test, _means(test.known_curve.time, starts))
+    yield from _drift_inputs(test, _means(test.known_curve.time, starts))
     for cause, signal in displacement.moved.items():
         change = _means(signal - displacement.values, starts)
         change = smooth(change) if cause in _BY_FRAMES else change
         law: Law = "uniform" if cause == SHAPE else "normal"
-        yield Input(cause, partial(_bent, by=change), law=law)
+        yield Input(cause, partial(_moved_by, by=change), law=law)
     for cause, clocks in test.clocks.moved.items():
         time = test.known_curve.time
         later = clocks.sampled_at(time) - test.clocks.sampled_at(time)
@@ -312,21 +305,23 @@ def _inputs(test: ReducedTest, starts: Ints, smooth: Filter) -> Iterator[Input]:
 
 
 def _coarse_step(values: Floats) -> float:
-    """Step of a converter that is coarser than the noise; 0 for any other.
+    """Return the step of a converter that is coarser than the noise, or else 0.
 
-    Such a record stands more often than it moves, on many levels one after the other. Where it
-    stands, noise does not tell how far between two levels the truth lies.
+    Such a record is constant for most samples, on at least ten levels, and noise does not show the
+    values between two levels.
     """
+    min_constant_share = 0.5
+    min_levels = 10
     moves = np.abs(np.diff(values[~np.isnan(values)]))
-    stands = moves == 0.0
-    if not _STANDS * len(stands) < stands.sum() < len(stands):
+    constant = moves == 0.0
+    if not min_constant_share * len(constant) < constant.sum() < len(constant):
         return 0.0
-    times = int(np.sum(stands[1:] & ~stands[:-1]))
-    return float(np.median(moves[~stands])) if times >= _LEVELS else 0.0
+    times = int(np.sum(constant[1:] & ~constant[:-1]))
+    return float(np.median(moves[~constant])) if times >= min_levels else 0.0
 
 
-def _wanders(test: ReducedTest, time: Floats) -> Iterator[Input]:
-    """How the zero of the force wanders from where it was taken."""
+def _drift_inputs(test: ReducedTest, time: Floats) -> Iterator[Input]:
+    """Yield the modes of the drift of the zero of the force."""
     by = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
     for number, wave in enumerate(drift_modes(np.abs(time - _zeroed_at(test)), by), start=1):
         drifted = partial(_drifted, by=wave, compliance=test.compliance)
@@ -334,9 +329,9 @@ def _wanders(test: ReducedTest, time: Floats) -> Iterator[Input]:
 
 
 def _zeroed_at(test: ReducedTest) -> float:
-    """When the zero of the force was taken last, s on the clock of the curve.
+    """Return when the zero of the force was taken last, s on the clock of the curve.
 
-    The middle of a mean, the outer end of a line; the first sample where it came as it was.
+    The middle of a mean, or the outer end of a line; else the first sample.
     """
     signals, time = test.signals, test.known_curve.time
     name, clock = signals.force, signals.raw[signals.force].clock
@@ -361,30 +356,30 @@ def _drifted(trace: Trace, x: float, *, by: Floats, compliance: float) -> Trace:
 
 
 def _more_force(trace: Trace, more: Floats, compliance: float) -> Trace:
-    """A trace with more force, and so with less displacement where the frame gives way."""
+    """Add force to a trace, and subtract the displacement of the frame."""
     displacement = trace.displacement - compliance * np.nan_to_num(more)
     return replace(trace, force=trace.force + more, displacement=displacement)
 
 
 def _scaled(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
-    """A trace with more of the displacement that was measured, that of the frame with it."""
+    """Scale the measured displacement of a trace, including that of the frame."""
     measured = trace.displacement + compliance * np.nan_to_num(trace.force)
     return replace(trace, displacement=trace.displacement + x * by * measured)
 
 
 def displaced(trace: Trace, x: float, *, by: float) -> Trace:
-    """A trace with its displacement higher by a share of a length.
+    """Shift the displacement of a trace by a share of a length.
 
     Parameters
     ----------
-    trace : to be moved
+    trace : the trace
     x : share
     by : m
     """
     return replace(trace, displacement=trace.displacement + x * by)
 
 
-def _bent(trace: Trace, x: float, *, by: Floats) -> Trace:
+def _moved_by(trace: Trace, x: float, *, by: Floats) -> Trace:
     return replace(trace, displacement=trace.displacement + x * by)
 
 
@@ -399,7 +394,7 @@ def _later(trace: Trace, x: float, *, by: Floats) -> Trace:
 
 
 def _beyond(trace: Trace, x: float, *, step: float) -> Trace:
-    """A trace that ends a step of the curve later, which is a share of one of the grid."""
+    """End a trace a step of the curve later, a share of a step of the grid."""
     return replace(trace, beyond=x * step)
 
 

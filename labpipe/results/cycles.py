@@ -43,34 +43,34 @@ NO_UNLOADING = Failure("partial_cycle", "the cycle has no unloading branch")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfCycle(Kind):
-    """A kind of result of one number for every cycle that is read from the curve."""
+    """A kind of result with one number per cycle of the curve."""
 
     whole: ClassVar[int] = 0
-    """Branches of a cycle that must have been recorded to their end."""
+    """Branches of a cycle that must be complete."""
     reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
-    """What of a cycle the number is read from, from and to, counted in branches: 0.9 is when nine
-    tenths of the loading are over, 1 its end, 2 the end of unloading."""
+    """Range of a cycle that the number depends on, counted in branches: 0.9 is after nine tenths of
+    the loading, 1 its end, 2 the end of unloading."""
     gap: ClassVar[str] = ""
-    """Quantity whose samples beside its largest one must be known; empty for none."""
+    """Quantity whose samples next to its largest one must not be missing; empty for none."""
 
     @property
     @abstractmethod
     def method(self) -> str:
-        """How the number is made, in words."""
+        """How the number is computed, in words."""
 
     @abstractmethod
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
-        """Decide from where the number of a cycle is read, or say why it cannot be.
+        """Choose the samples for the number of a cycle, or return why there are none.
 
         Parameters
         ----------
-        test : for what does not depend on the curve
+        test : for facts that do not depend on the curve
         trace : one curve
         number : of the cycle, from 1
         """
 
-    def deciding(self, test: ReducedTest, number: int) -> Decide:
-        """How it is decided on a curve from where the number of a cycle is read.
+    def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
+        """Return the function that chooses the samples of a cycle on a curve.
 
         Parameters
         ----------
@@ -79,21 +79,21 @@ class OfCycle(Kind):
         return partial(self.read, test, number=number)
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
-        """The same for all cycles of a test, which may share what takes long to make."""
-        return partial(self.deciding, test)
+        """Return that function for all cycles of a test, which may share expensive data."""
+        return partial(self.decide_cycle, test)
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
-        """The plain number where it is read from more samples than the curve has."""
+        """Return the number if it is read from more samples than the curve has."""
         del test, branches
         return None
 
     def doubts(self, test: ReducedTest, number: int) -> tuple[Reason, ...]:
-        """Why the number of a cycle is doubtful, beside what all are doubtful for."""
+        """Return further doubts about the number of a cycle."""
         del test, number
         return ()
 
     def compute(self, test: ReducedTest) -> Computed:
-        """A number for every cycle; one failure where there is no cycle."""
+        """Compute a number per cycle, or one failure without cycles."""
         if not test.cycles:
             return self.not_available(blocked_or(test, NO_CYCLE), self.method)
         decider = self.decider(test)
@@ -111,19 +111,19 @@ class OfCycle(Kind):
         return self.number(
             outcome if isinstance(outcome, Failure) else outcome[0],
             self.method,
-            during=_when(branches, self.reads),
+            during=_time_of_part(branches, self.reads),
             doubts=doubts,
             part=f".{number}",
         )
 
 
 def rectangle(estimate: Estimate, other: Estimate) -> Errors:
-    """Error of a rectangle whose half width is what another assumption changes."""
+    """Return the error of a rectangle with the change by another assumption as half width."""
     return {SHAPE: abs(other.value - estimate.value) / math.sqrt(3.0)}
 
 
 def gap_at_peak(test: ReducedTest, branches: list[Branch], what: str) -> tuple[Reason, ...]:
-    """Why the largest sample of a cycle is doubtful: those beside it are missing.
+    """Return a doubt if samples next to the largest one of a cycle are missing.
 
     Parameters
     ----------
@@ -142,8 +142,8 @@ def gap_at_peak(test: ReducedTest, branches: list[Branch], what: str) -> tuple[R
     return (Reason("gap_at_peak", message),)
 
 
-def _when(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
-    """Stretch of time of a part of a cycle, counted in branches; None where there is none."""
+def _time_of_part(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
+    """Return the time of a part of a cycle, counted in branches, or None."""
     if reads[0] >= len(branches):
         return None
     ends = []
@@ -157,13 +157,13 @@ def _when(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
 def cut_short(
     test: ReducedTest, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
 ) -> tuple[Reason, ...]:
-    """Why a number is doubtful whose branches the record does not hold to their end.
+    """Return a doubt if the record ends before the branches of a number.
 
     Parameters
     ----------
-    test : knows where the record was cut
-    branches : that the number needs, to their end
-    quantities : that it rests on
+    test : with the ends of its records
+    branches : that must be complete
+    quantities : that the number depends on
     """
     ends = min((test.cut_at.get(quantity, np.inf) for quantity in quantities), default=np.inf)
     if not branches or ends == np.inf:
@@ -172,28 +172,26 @@ def cut_short(
     if ends >= part.stop_time and part is not curve.branches[-1]:
         return ()
     if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
-        return ()  # it broke, so there is no more to come
-    if quantities == ("force",) and _is_past_its_peak(test, part):
+        return ()  # it broke, so the record is complete
+    if quantities == ("force",) and _is_past_peak(test, part):
         return ()
     at = f"{ends:.3f} s" if curve.time_unit == "s" else f"sample {round(ends) + 1}"
     return (Reason("partial_cycle", f"the record ends at {at}, while still {part.direction}"),)
 
 
-def _is_past_its_peak(test: ReducedTest, part: Branch) -> bool:
-    """Whether the force had surely fallen again when the record ended."""
-    # The peak is over where the force has fallen below this share of it.
-    past_peak_share = 0.9
+def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
+    """Return whether the force had fallen below 90 % of its peak when the record ended."""
     force = test.known_curve.force
     values = (test.sense_of(force) * force)[part.start : part.stop]
     values = values[~np.isnan(values)]
-    return len(values) > 0 and bool(values[-3:].max() < past_peak_share * values.max())
+    return len(values) > 0 and bool(values[-3:].max() < 0.9 * values.max())
 
 
 def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
-    """Samples of a curve from the turn where a cycle begins to that where it ends, both included.
+    """Return the samples of a cycle from its first turn to its last one, both included.
 
-    Where the motion rests between two cycles, they part at its extreme. A last loading without an
-    unloading lasts as long as force is known: what is held belongs to it.
+    A rest between two cycles is divided at its extreme. A last loading without unloading includes
+    the hold after it, as long as there is a force.
     """
     last = branches[-1]
     first, behind = (curve.branches.index(branch) for branch in (branches[0], last))
@@ -207,7 +205,7 @@ def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
 
 
 def _turn_before(curve: Curve | Trace, number: int) -> int:
-    """Sample at which the motion turns before a branch that is not the first one."""
+    """Return the sample of the turn before a branch that is not the first one."""
     rest = slice(curve.branches[number - 1].stop, curve.branches[number].start + 1)
     seen = sense_of(curve, curve.displacement) * curve.displacement[rest]
     if np.isnan(seen).all():
@@ -217,7 +215,7 @@ def _turn_before(curve: Curve | Trace, number: int) -> int:
 
 
 def sense_of(curve: Curve | Trace, values: Floats) -> float:
-    """Which way a quantity of a curve goes when the specimen is loaded for the first time.
+    """Return the sign of a quantity of a curve during the first loading.
 
     Parameters
     ----------
@@ -229,7 +227,7 @@ def sense_of(curve: Curve | Trace, values: Floats) -> float:
 
 
 def cycle_of(trace: Trace, number: int) -> list[Branch]:
-    """The branches of a cycle of a curve, in order.
+    """Return the branches of a cycle of a curve, in order.
 
     Parameters
     ----------
@@ -258,11 +256,11 @@ class Energy(OfCycle):
 
     @property
     def method(self) -> str:
-        """Of all cycles."""
+        """The same for all cycles."""
         return "integral of force, trapezoids"
 
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
-        """Integral of the force over a cycle."""
+        """Choose the samples for the integral of the force over a cycle."""
         del test
         branches = cycle_of(trace, number)
         if len(branches) < 2:
@@ -271,7 +269,7 @@ class Energy(OfCycle):
 
 
 def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
-    """Decide on the work done over a stretch of a curve, J: trapezoids.
+    """Choose the samples for the work over a part of a curve, J: trapezoids.
 
     Parameters
     ----------
@@ -280,7 +278,7 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
 
     Returns
     -------
-    With one number, or a failure: ``gap`` where samples are missing, ``too_few_samples``.
+    One number, or a failure: ``gap`` if samples are missing, ``too_few_samples``.
     """
     force, displacement = trace.force[stretch], trace.displacement[stretch]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
@@ -319,11 +317,11 @@ class ResidualDisplacement(OfCycle):
 
     @property
     def method(self) -> str:
-        """With the force below which it is read."""
+        """With the limit of the force."""
         return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
 
-    def deciding(self, test: ReducedTest, number: int) -> Decide:
-        """The measured curve says what passes for zero, and which way the unloading ends."""
+    def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
+        """Use the limit of zero force, and the kind of end, of the measured curve."""
         measured = self._ends(traced(test), number)
         like = None if isinstance(measured, Failure) else measured
         return partial(self.read, test, number=number, like=like)
@@ -331,7 +329,7 @@ class ResidualDisplacement(OfCycle):
     def read(
         self, test: ReducedTest, trace: Trace, number: int, like: Unloaded | None = None
     ) -> Reading | Failure:
-        """Displacement at zero force after unloading."""
+        """Choose the samples for the displacement at zero force after unloading."""
         del test
         ending = self._ends(trace, number, like)
         if isinstance(ending, Failure):
@@ -360,7 +358,7 @@ class ResidualDisplacement(OfCycle):
 
 
 def on_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
-    """Time (s), displacement (m) and force (N) of a branch.
+    """Return time (s), displacement (m) and force (N) of a branch.
 
     Parameters
     ----------
@@ -371,15 +369,14 @@ def on_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     return trace.time[branch], trace.displacement[branch], trace.force[branch]
 
 
-def _reach(seen: Floats, travel: Floats) -> float:
-    """How far a curve may reach beyond its largest sample before the next one.
+def _reach_beyond_top(seen: Floats, travel: Floats) -> float:
+    """Return how far a curve may rise beyond its largest sample before the next one.
 
-    Where the motion turns, up to where the lines through two samples on either side meet, and half
-    a step at most: the corner lies nearer to this sample than to the next. Where the force falls
-    while the motion goes on, the specimen breaks: up to a whole step.
+    At a turn of the motion, up to the crossing of the lines through two samples on each side, and
+    at most half a step, as the corner is closer to this sample than to the next. If the force falls
+    while the motion continues, the specimen breaks: up to a whole step.
     """
-    # Fall after the largest sample over the rise before it, from which a specimen breaks.
-    break_ratio = 3.0
+    break_ratio = 3.0  # of the fall after the largest sample to the rise before it
     top = int(np.nanargmax(seen))
     if not 0 < top < len(seen) - 1:
         return 0.0
@@ -396,7 +393,7 @@ def _reach(seen: Floats, travel: Floats) -> float:
 def _largest(
     trace: Trace, name: Literal["force", "displacement"], number: int, steps: float = 1.0
 ) -> Reading | Failure:
-    """Decide on the largest sample of a cycle in the sense of loading.
+    """Choose the largest sample of a cycle in the direction of loading.
 
     Parameters
     ----------
@@ -410,7 +407,7 @@ def _largest(
     if np.isnan(seen).all():
         return Failure("no_sample", "every sample of the stretch is blank")
     travel = sense_of(trace, trace.displacement) * trace.displacement[stretch]
-    reach = _reach(seen, travel) / steps
+    reach = _reach_beyond_top(seen, travel) / steps
 
     def numbers(trace: Trace) -> tuple[Floats]:
         over = sense * getattr(trace, name)[..., stretch]
@@ -437,7 +434,7 @@ class PeakForce(OfCycle):
         return "largest force of the cycle after the filter, in the sense of loading"
 
     def decider(self, test: ReducedTest) -> Callable[[int], Decide]:
-        """All cycles are read from the same samples of the force."""
+        """Use the same samples of the force for all cycles."""
         samples = cache(partial(ForceSamples.of, test))
         return lambda number: partial(self.read, test, number=number, samples=samples)
 
@@ -448,7 +445,7 @@ class PeakForce(OfCycle):
         number: int,
         samples: Callable[[Trace], ForceSamples | None] | None = None,
     ) -> Reading | Failure:
-        """Largest sample of the force; in noise, of all that it has."""
+        """Choose the largest sample of the force; with noise, among all its samples."""
         reading = peak_of(test, trace, number)
         if isinstance(reading, Failure) or test.force.clock == test.clocks.curve:
             return reading
@@ -471,7 +468,7 @@ class PeakForce(OfCycle):
         return replace(reading, in_noise=in_noise)
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
-        """Of all samples of the force: on its own clock where that is another one."""
+        """Return the largest of all samples of a force on another clock than the curve."""
         signal, curve = test.force, test.known_curve
         if signal.clock == test.clocks.curve:
             return None
@@ -484,11 +481,11 @@ class PeakForce(OfCycle):
 
 
 def peak_of(test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
-    """Decide on the largest force of a cycle, N.
+    """Choose the sample of the largest force of a cycle, N.
 
     Parameters
     ----------
-    test : knows how often the force was sampled
+    test : with the sampling of the force
     trace, number : one curve, and a cycle of it
     """
     curve_step, force_step = (
@@ -522,7 +519,7 @@ class PeakDisplacement(OfCycle):
         return "largest displacement of the cycle, in the sense of loading"
 
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
-        """Largest sample of the displacement."""
+        """Choose the largest sample of the displacement."""
         del test
         return _largest(trace, "displacement", number)
 

@@ -1,6 +1,6 @@
-"""What happened in a tensile test: failure, energy up to it, slips, slack.
+"""Events of a tensile test: failure, energy up to it, slips, slack.
 
-Failure and energy are read from the loading branch in which it broke, all else from the first one.
+Failure and energy are read from the loading branch of the failure, all else from the first one.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class FailureResult(Kind):
     needs: ClassVar = Needs(branches=True, correction="failure")
 
     def compute(self, test: ReducedTest) -> Computed:
-        """The last point before the final loss of force."""
+        """Compute displacement and force at the last sample before the final loss of force."""
         failure = _failure(test)
         methods = (
             "first sample of the final loss of force; the interval reaches to the next one",
@@ -60,7 +60,7 @@ class FailureResult(Kind):
         outcome = test.measure(partial(_at_failure, test))
         if isinstance(outcome, Failure):
             return self.not_available(outcome, *methods)
-        doubts, during = _in_steps(failure), _up_to(test, failure)
+        doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
         at_end = (during[1], during[1])
         place = self.number(outcome[0], methods[0], during=at_end, doubts=doubts)
         force = self.number(outcome[1], methods[1], output=1, during=during, doubts=doubts)
@@ -68,18 +68,18 @@ class FailureResult(Kind):
 
 
 def _at_failure(test: ReducedTest, trace: Trace) -> Reading | Failure:
-    """Decide on displacement and force at the failure; it lies up to a step behind its sample.
+    """Choose the samples for displacement and force at the failure, up to a step after its sample.
 
-    Where that sample has already lost force, the specimen failed in the step before it: the force
-    was that of the sample before, or up to a step more.
+    If that sample has already lost force, the specimen failed in the step before it: the force was
+    that of the sample before, or up to a step more.
     """
     sample = trace.failed_at
     if sample is None:
         return blocked_or(test, NO_LOADING)
     if isinstance(test.failure, FailurePoint) and test.failure.slow_below is not None:
-        return _slowly_below(test.failure.slow_below, trace)
+        return _at_slow_loss(test.failure.slow_below, trace)
     step, rise = _next_step(trace, sample)
-    fall, is_clear = _lost_before(test)
+    fall, is_clear = _loss_before(test)
     ahead, lost = (rise, fall) if is_clear else (rise + fall, 0.0)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
@@ -93,8 +93,8 @@ def _at_failure(test: ReducedTest, trace: Trace) -> Reading | Failure:
     return Reading(numbers, 1, in_noise)
 
 
-def _slowly_below(share: float, trace: Trace) -> Reading:
-    """Decide on the place and the force at which each curve falls below a share of its peak."""
+def _at_slow_loss(share: float, trace: Trace) -> Reading:
+    """Choose the sample at which each curve falls below a share of its peak."""
     sense = sense_of(trace, trace.force)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
@@ -110,14 +110,11 @@ def _slowly_below(share: float, trace: Trace) -> Reading:
     return Reading(numbers, 1)
 
 
-def _lost_before(test: ReducedTest) -> tuple[float, bool]:
-    """Force that the measured curve lost in the step before the failure, N.
+def _loss_before(test: ReducedTest) -> tuple[float, bool]:
+    """Return the force lost in the step before the failure, N, and whether it is above noise.
 
-    With whether it is more than noise: a loss of several samples surely began there.
+    A loss above noise is the start of a loss over several samples.
     """
-    # Standard deviations of noise by which one sample is below the one before.
-    noise_deviations = 6.0
-    min_noise_samples = 8
     failure, curve = test.failure, test.known_curve
     if not isinstance(failure, FailurePoint) or failure.sample == 0:
         return 0.0, False
@@ -127,14 +124,12 @@ def _lost_before(test: ReducedTest) -> tuple[float, bool]:
         return 0.0, False
     before = curve.force[: failure.sample]
     before = before[~np.isnan(before)]
-    is_clear = len(before) >= min_noise_samples and fall > noise_deviations * float(
-        fast_noise(before)
-    )
+    is_clear = len(before) >= 8 and fall > 6.0 * float(fast_noise(before))
     return sense * fall, bool(is_clear)
 
 
 def _next_step(trace: Trace, sample: int) -> tuple[float, float]:
-    """What displacement (m) and force (N) would have been more of, one step behind a sample."""
+    """Return the changes of displacement (m) and force (N) in one step after a sample."""
     ahead = trace.displacement[sample + 1 :]
     ahead = ahead[~np.isnan(ahead)]
     step = max(float(ahead[0] - trace.displacement[sample]), 0.0) if len(ahead) else 0.0
@@ -147,26 +142,24 @@ def _failure(test: ReducedTest) -> FailurePoint | Failure:
     return test.failure or blocked_or(test, NO_LOADING)
 
 
-def _up_to(test: ReducedTest, failure: FailurePoint) -> Stretch:
-    """From the begin of the loading in which it broke to the failure, s."""
+def _until_failure(test: ReducedTest, failure: FailurePoint) -> Stretch:
+    """Return the time from the start of the loading of the failure to the failure, s."""
     curve = test.known_curve
     start = loading_before(curve, failure.sample).start
     return float(curve.time[start]), float(curve.time[failure.sample])
 
 
 def loading_before(curve: Curve | Trace, sample: int) -> Branch:
-    """The last loading branch that begins at a sample or before it; the first one before all."""
+    """Return the last loading branch that begins by a sample, or else the first one."""
     loading = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
     return [part for part in loading if part.start <= sample or part is loading[0]][-1]
 
 
-def _in_steps(failure: FailurePoint) -> tuple[Reason, ...]:
-    """Why a failure is doubtful that was not the first sudden loss of force."""
+def _doubts_of_steps(failure: FailurePoint) -> tuple[Reason, ...]:
+    """Return a doubt if the failure was not the first sudden loss of force."""
     if failure.lost_before == 0.0:
         return ()
-    message = (
-        "some of the force was suddenly lost before, and it never came back to where it had been"
-    )
+    message = "a part of the force was suddenly lost before, and never recovered"
     return (Reason("lost_in_steps", message),)
 
 
@@ -183,7 +176,7 @@ class EnergyToBreak(Kind):
     needs: ClassVar = Needs(branches=True, correction="failure")
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Integral of the force up to the failure."""
+        """Integrate the force up to the failure."""
         method = "integral of force up to the failure, trapezoids"
         failure = _failure(test)
         if isinstance(failure, Failure):
@@ -191,12 +184,12 @@ class EnergyToBreak(Kind):
         outcome = test.measure(partial(_work, test))
         if isinstance(outcome, Failure):
             return self.not_available(outcome, method)
-        doubts, during = _in_steps(failure), _up_to(test, failure)
+        doubts, during = _doubts_of_steps(failure), _until_failure(test, failure)
         return Computed((self.number(outcome[0], method, during=during, doubts=doubts),))
 
 
 def _work(test: ReducedTest, trace: Trace) -> Reading | Failure:
-    """Decide on the work done up to the failure."""
+    """Choose the samples for the work up to the failure."""
     sample = trace.failed_at
     if sample is None:
         return blocked_or(test, NO_LOADING)
@@ -224,7 +217,7 @@ class SlipResults(Kind):
     needs: ClassVar = Needs(branches=True, correction="slips")
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Two parallel lines around each sudden fall of the force, from the slip ledger."""
+        """Return position and drop of each slip of the ledger."""
         numbers = []
         for count, slip in enumerate(test.slips, start=1):
             method = f"two parallel lines around a sudden fall of the force; {slip.decision}"
@@ -252,7 +245,7 @@ class SlackResult(Kind):
     needs: ClassVar = Needs(branches=True, correction="slack")
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Displacement at which the line of the linear region meets zero force."""
+        """Return the displacement at which the line of the linear region meets zero force."""
         number = self.number(
             test.slack or blocked_or(test, NO_LOADING),
             "toe compensation, ASTM D638 annex A1",

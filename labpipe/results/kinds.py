@@ -1,9 +1,9 @@
-"""What a result is: one record that names its settings, its numbers, what it needs, and how.
+"""A kind of result: one record of its settings, its outputs, its needs, and its computation.
 
 A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
-class variables say what it is called, which numbers it gives and what it needs, and `compute` makes
-the numbers of a test. Grammar, cross-checks, JSON Schema, words for people and the reference page
-derive from the list `labpipe.results.KINDS`.
+class variables are its name, outputs and needs, and `compute` returns the numbers of a test.
+Grammar, cross-checks, JSON Schema, descriptions and the reference page derive from the list
+`labpipe.results.KINDS`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from labpipe.uncertainty.intervals import Measured
 Outcome: TypeAlias = Estimate | Failure
 CalibrationFit: TypeAlias = Measured | Estimate | Failure
 Errors: TypeAlias = Mapping[str, float]
-"""Standard errors from outside the fit, in the unit of the number, by what they come from."""
+"""Standard errors from outside the fit, in the unit of the number, by cause."""
 NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
 NO_CYCLE = Failure("no_cycle", "the motion has no branch")
 
@@ -39,15 +39,15 @@ class Number:
 
     Parameters
     ----------
-    output : which one
+    output : its declaration
     outcome : the value with the standard error of its fit, or why it is not available
     method : in words
-    errors : standard errors that come on top
-    during : s, on the clock of the curve, the stretch that it was read from; None for all
-    doubts : more reasons to doubt it
+    errors : further standard errors
+    during : s, on the clock of the curve, the interval that it was read from; None for all
+    doubts : further reasons to doubt it
     part : of the name, such as ``.1``
-    made_of : name of the result that it is made of; empty for none
-    remark : what is to be said of the number of this test alone
+    made_of : name of the result that it depends on; empty for none
+    remark : on the number of this test
     """
 
     output: Output
@@ -63,14 +63,14 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """What an entry of a protocol comes to.
+    """Results of one entry of a protocol.
 
     Parameters
     ----------
     numbers : in the order of the summary
-    stiffnesses : by name, for the entries that follow
-    lines : the straight lines that stiffnesses were read from
-    findings : notes that belong to the test
+    stiffnesses : by name, for later entries
+    lines : straight lines of the stiffnesses
+    findings : notes on the test
     """
 
     numbers: tuple[Number, ...]
@@ -93,7 +93,7 @@ class Kind(ABC):
 
         Parameters
         ----------
-        test : what they are computed from, with the stiffnesses of the entries before
+        test : the test, with the stiffnesses of earlier entries
         """
 
     def number(
@@ -108,7 +108,7 @@ class Kind(ABC):
         part: str = "",
         remark: str = "",
     ) -> Number:
-        """Make the number of an output, with the settings in its name.
+        """Return the number of an output, with the settings in its name.
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class Kind(ABC):
         return Number(named, outcome, method, errors or {}, during, doubts, part, made_of, remark)
 
     def not_available(self, why: Failure, *methods: str) -> Computed:
-        """Give every output the same reason why it is not available.
+        """Return all outputs as not available, for the same reason.
 
         Parameters
         ----------
@@ -139,30 +139,30 @@ class Kind(ABC):
 
 
 def blocked_or(test: ReducedTest, otherwise: Failure) -> Failure:
-    """Why no number is available: what stopped the test, or else what is given."""
+    """Return the failure that stopped the test, or else another one."""
     blocked = test.findings.blocked
     return otherwise if blocked is None else Failure(blocked.code, blocked.message)
 
 
 def force_scale(test: ReducedTest, outcome: Outcome) -> Errors:
-    """Error from the scale of the force, of a number in proportion to it; none of a failure."""
+    """Return the error from the scale of the force, of a number in proportion to it."""
     if isinstance(outcome, Failure):
         return {}
     return {"scale of the force": test.raw_force.relative_error * abs(outcome.value)}
 
 
 _BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
-_SIGNED = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}
-"""What more a number rests on that changes its sign when force and displacement both do."""
-_MAY_BE_WHY = frozenset(
+_SIGNS_OF_UNIT = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}
+"""Signs that a number of a unit depends on."""
+_CURVE_ERRORS = frozenset(
     {
         *("frozen_channel", "saturation", "force_reversed", "displacement_reversed"),
         "begins_under_load",
     }
 )
-"""Doubts that may well be why there is no number: the curve itself is wrong."""
-_CUT_SHORT = frozenset({"not_reached", "no_travel"})
-"""Failures that such a doubt explains: it comes first."""
+"""Doubts that may explain a failure: the curve itself is wrong."""
+_TOO_SHORT = frozenset({"not_reached", "no_travel"})
+"""Failures that such a doubt explains, so that it comes first."""
 
 
 def to_result(test: ReducedTest, number: Number) -> Result:
@@ -170,8 +170,8 @@ def to_result(test: ReducedTest, number: Number) -> Result:
 
     Parameters
     ----------
-    test : knows the doubts
-    number : without an interval of its own it gets the normal one
+    test : with its doubts
+    number : one without an interval gets the normal one
     """
     output, outcome = number.output, number.outcome
     name, number_doubts = output.name + number.part, tuple[Reason, ...]()
@@ -186,14 +186,14 @@ def to_result(test: ReducedTest, number: Number) -> Result:
     if not isinstance(outcome, Failure) and not np.isfinite([outcome.value, outcome.error]).all():
         message = f"value {outcome.value}, standard error {outcome.error}"
         outcome = Failure("not_finite", message)
-    signs = _BOTH_SIGNS if isinstance(outcome, Failure) else _SIGNED.get(output.unit, ())
+    signs = _BOTH_SIGNS if isinstance(outcome, Failure) else _SIGNS_OF_UNIT.get(output.unit, ())
     doubts = [
         why for sign in (*output.rests_on, *signs) for why in test.why_doubtful(sign, number.during)
     ]
     if isinstance(outcome, Failure):
-        why = [doubt for doubt in doubts if doubt.code in _MAY_BE_WHY]
+        why = [doubt for doubt in doubts if doubt.code in _CURVE_ERRORS]
         what = [Reason(outcome.code, outcome.message)]
-        reasons = tuple(dict.fromkeys(why + what if outcome.code in _CUT_SHORT else what + why))
+        reasons = tuple(dict.fromkeys(why + what if outcome.code in _TOO_SHORT else what + why))
         return Result(
             name,
             value=None,
@@ -224,7 +224,7 @@ def to_result(test: ReducedTest, number: Number) -> Result:
 
 
 def _budget(outcome: Estimate, errors: Errors) -> tuple[Contribution, ...]:
-    """What the interval is made of: the error of the fit, and what comes on top."""
+    """Return the contributions to an interval: the error of the fit, and further errors."""
     fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
     changes = {FIT: fit, **errors}
     if not np.isfinite(list(changes.values())).all():
@@ -233,12 +233,12 @@ def _budget(outcome: Estimate, errors: Errors) -> tuple[Contribution, ...]:
 
 
 def marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
-    """Why a number over a stretch is doubtful in which a slip was only marked.
+    """Return a doubt for a stretch with a slip that was only marked.
 
     Parameters
     ----------
     test : with its slip ledger
-    stretch : m, its ends; None where slips do not matter
+    stretch : m, its ends; None if slips have no effect
     """
     marked = [slip for slip in test.slips if slip.decision is SlipDecision.MARKED]
     inside = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
@@ -261,7 +261,7 @@ class ClockResult(Kind):
     needs: ClassVar = Needs(clocks=True)
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Force time against marker time, as the clocks were joined."""
+        """Return offset and drift of force time against marker time."""
         fit = test.clocks.force
         if fit is None:
             why = blocked_or(test, Failure("one_clock", "there is only one clock"))

@@ -1,10 +1,9 @@
-"""The largest force in noise on the clock of the force, which has more samples than the curve.
+"""Noise of the largest force on the clock of the force, which has more samples than the curve.
 
-A curve whose displacement cameras see has a sample a frame; the force has several, and its filter
-acts on those. The largest of more samples lies higher, and a line through the end of a branch is
-less sure where the filter has four times as many: so the noise of a peak is that of the force's own
-samples. Slow waves are those of the replicates, a level for each frame; what single samples have
-beside the level of their frame is taken from the record itself, a stretch from anywhere in it.
+A curve with a displacement from cameras has one sample per frame; the force has several, and its
+filter acts on those. The largest of more samples is higher, so the noise of a peak is that of the
+samples of the force. Its slow part is that of the replicates, one level per frame; deviations of
+single samples from the level of their frame are taken from a random part of the record itself.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ from labpipe.uncertainty.replicates import random_stream
 
 
 def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
-    """Samples of a signal at which a new piece begins.
+    """Return the samples of a signal at which a new piece begins.
 
     Parameters
     ----------
     clocks : of the test
     ends : s on the clock of the curve, of branches, and of the failure
-    signal : of which
+    signal : the signal
     """
     at = [clocks.from_curve(end, signal.clock) for end in ends]
     cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
@@ -39,14 +38,14 @@ def cuts_of(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceSamples:
-    """The force of a curve without noise on its own clock, and what single samples add to it.
+    """The force of a curve without noise on its own clock, and deviations of single samples.
 
     Parameters
     ----------
     time : shape (n,), s on the clock of the curve, increasing
     smooth : shape (n,), N, without noise
-    left : shape (n,), N, what single samples of the record have beside the mean of their frame
-    frames : shape (n,), sample of the curve that each belongs to
+    left : shape (n,), N, deviations of single samples from the mean of their frame
+    frames : shape (n,), sample of the curve of each
     filters : of the force
     cuts : at which a new piece begins
     reach : samples on either side that the filters need
@@ -64,7 +63,7 @@ class ForceSamples:
 
     @classmethod
     def of(cls, test: ReducedTest, trace: Trace) -> ForceSamples | None:
-        """Samples of a whole test.
+        """Prepare the samples of a test.
 
         Parameters
         ----------
@@ -73,37 +72,35 @@ class ForceSamples:
 
         Returns
         -------
-        None where the force has hardly more samples than the curve, or no filter acts on them.
+        None if the force has hardly more samples than the curve, or no filter.
         """
-        # Samples of the force per sample of the curve from which they are used themselves.
-        min_rate_ratio = 2.0
         signal, filters = test.unfiltered, test.signals.filters.get(test.signals.force, ())
         if signal is None or not filters or any(stride != 1 for _, stride in filters):
             return None
-        reach = _reach_of(filters)
-        if reach is None or len(signal.time) < min_rate_ratio * len(trace.time):
+        reach = _filter_reach(filters)
+        if reach is None or len(signal.time) < 2.0 * len(trace.time):
             return None
         time = test.clocks.times_on_curve(signal)
         frames = _frames_of(time, trace.time)
         ends = [at for branch in trace.branches for at in (branch.start_time, branch.stop_time)]
         cuts = cuts_of(test.clocks, ends, signal)
         smooth = _between_frames(trace, time, cuts, reach)
-        left = _beside_frames(signal.values - smooth, frames)
+        left = _less_frame_means(signal.values - smooth, frames)
         np.nan_to_num(left, copy=False)
         return cls(time, smooth, left, frames, filters, tuple(cuts), reach, test.seed)
 
     def of_cycle(self, trace: Trace, stretch: slice, sense: float) -> PeakSamples | None:
-        """The samples of a cycle.
+        """Select the samples of a cycle.
 
         Parameters
         ----------
         trace : the curve without noise
-        stretch : of it, the cycle
-        sense : which way loading goes
+        stretch : its samples of the cycle
+        sense : sign of loading
 
         Returns
         -------
-        None where the cycle has none, or the curve has gaps there.
+        None if the cycle has none, or the curve has gaps there.
         """
         if np.isnan(trace.force[stretch]).any():
             return None
@@ -119,16 +116,16 @@ class ForceSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeakSamples:
-    """Samples of a cycle, of which the largest is looked for.
+    """Samples of a cycle, for their largest one.
 
     Parameters
     ----------
     samples : of the whole test
-    sense : which way loading goes
+    sense : sign of loading
     start : the first one of the cycle
-    over : shape (n,), N in that sense, without noise; NaN where not known
+    over : shape (n,), N in that sense, without noise; NaN where unknown
     top : N, the largest of them
-    spread : N, standard deviation of what single samples add
+    spread : N, standard deviation of single samples
     """
 
     samples: ForceSamples
@@ -139,7 +136,7 @@ class PeakSamples:
     spread: float
 
     def raised(self, noise: Floats | Singles) -> Floats | None:
-        """What noise adds to the largest sample of the cycle.
+        """Return the effect of noise on the largest sample of the cycle.
 
         Parameters
         ----------
@@ -147,18 +144,17 @@ class PeakSamples:
 
         Returns
         -------
-        N in the sense of loading, shape (replicates,). None where too many samples may be the
+        N in the direction of loading, shape (replicates,). None if too many samples may be the
         largest.
         """
         # Standard deviations of noise below the peak up to which a sample may be the largest.
         max_deviations = 8.0
-        # The curve has enough samples of a longer plateau.
-        max_samples = 20_000
+        max_samples = 20_000  # the curve has enough samples of a longer plateau
         size = float(np.hypot(noise.std(), self.spread))
         near = np.flatnonzero(self.over >= self.top - max_deviations * size) + self.start
         if len(near) > max_samples:
             return None
-        # Which stretch of the record goes with a replicate is drawn alike every time.
+        # The parts of the record are reproducible draws.
         chance = random_stream(self.samples.seed, "samples of the force")
         largest, apart = np.full(len(noise), -np.inf), 2 * self.samples.reach
         for run in np.split(near, np.flatnonzero(np.diff(near) > apart) + 1):
@@ -170,7 +166,7 @@ class PeakSamples:
     def _filtered(
         self, noise: Floats | Singles, first: int, stop: int, chance: np.random.Generator
     ) -> Floats:
-        """Some samples of the force with noise, filtered, shape (replicates, samples)."""
+        """Return a range of the force with noise, filtered, shape (replicates, samples)."""
         samples = self.samples
         part = slice(max(first - samples.reach, 0), min(stop + samples.reach, len(samples.smooth)))
         count = part.stop - part.start
@@ -182,39 +178,39 @@ class PeakSamples:
 
 
 def _frames_of(time: Floats, frames: Floats) -> Ints:
-    """Number of the nearest frame for each of many times, both increasing: shape (n,)."""
+    """Return the nearest frame of each time, both increasing: shape (n,)."""
     ends = np.searchsorted(time, 0.5 * (frames[1:] + frames[:-1]), side="right")
     return np.repeat(np.arange(len(frames)), np.diff(ends, prepend=0, append=len(time)))
 
 
 def _between_frames(trace: Trace, time: Floats, cuts: Sequence[int], reach: int) -> Floats:
-    """Force of a curve at other times: straight lines, carried on to where the next piece begins.
+    """Interpolate the force of a curve, with extrapolation to the start of the next piece.
 
     Parameters
     ----------
     trace : the curve
     time : shape (n,), s on its clock
     cuts : samples of `time` at which branches begin and end
-    reach : samples that the filter of the force feels, over which a piece joins the one before
+    reach : samples within the reach of the filter, over which a piece joins the one before
     """
     frames = [at for branch in trace.branches for at in (branch.start, branch.stop)]
     between_frames = np.empty(len(time))
     ends = sorted({(0, 0), *zip(cuts, frames, strict=True), (len(time), len(trace.time))})
     for (low, begin), (high, end) in pairwise(ends):
         if end - begin > 1:
-            between_frames[low:high] = _carried_on(
+            between_frames[low:high] = _extrapolated(
                 time[low:high], trace.time[begin:end], trace.force[begin:end]
             )
-            _join(between_frames, low, min(reach, high - low))
+            _join_at_cut(between_frames, low, min(reach, high - low))
         else:
             between_frames[low:high] = np.interp(time[low:high], trace.time, trace.force)
     return between_frames
 
 
-def _join(values: Floats, cut: int, over: int) -> None:
-    """Let a piece begin where the one before it ends, but for what a step of either explains.
+def _join_at_cut(values: Floats, cut: int, over: int) -> None:
+    """Remove a jump between two pieces beyond a step of either.
 
-    A force does not jump where the motion turns, while a spline may be off at its end.
+    A force does not jump at a turn of the motion, but a spline may be inaccurate at its end.
     """
     if not 1 < cut < len(values) - 1 or over < 2:
         return
@@ -224,8 +220,8 @@ def _join(values: Floats, cut: int, over: int) -> None:
     values[cut : cut + over] += (gap - np.clip(gap, -step, step)) * ramp
 
 
-def _carried_on(at: Floats, time: Floats, values: Floats) -> Floats:
-    """Values at other times, beyond both ends on the line through the last two samples."""
+def _extrapolated(at: Floats, time: Floats, values: Floats) -> Floats:
+    """Interpolate values, with linear extrapolation at both ends."""
     interpolated = np.interp(at, time, values)
     for pair, there in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
         (before, after), (low, high) = time[pair], values[pair]
@@ -233,21 +229,19 @@ def _carried_on(at: Floats, time: Floats, values: Floats) -> Floats:
     return interpolated
 
 
-def _beside_frames(values: Floats, frames: Ints) -> Floats:
-    """Values less the mean of their frame."""
+def _less_frame_means(values: Floats, frames: Ints) -> Floats:
+    """Subtract the mean of each frame."""
     count = np.bincount(frames)
     mean = np.bincount(frames, values) / np.maximum(count, 1)
     return values - mean[frames]
 
 
-def _reach_of(filters: Sequence[Filter]) -> int | None:
-    """Samples on either side that a filter feels; None for one that reaches farther than looked."""
+def _filter_reach(filters: Sequence[Filter]) -> int | None:
+    """Return twice the samples on each side that a filter reaches, or None for too many."""
     pulse_samples = 4001
-    # Share of the height of the response that counts.
-    min_response = 1e-3
     pulse = np.zeros(pulse_samples)
     pulse[pulse_samples // 2] = 1.0
-    felt = in_pieces(pulse, (), filters)
-    far = np.flatnonzero(np.abs(felt) > min_response * np.abs(felt).max())
+    response = in_pieces(pulse, (), filters)
+    far = np.flatnonzero(np.abs(response) > 1e-3 * np.abs(response).max())
     reach = int(np.abs(far - pulse_samples // 2).max()) + 1
     return 2 * reach if 4 * reach < pulse_samples else None

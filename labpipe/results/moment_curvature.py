@@ -1,15 +1,14 @@
-"""The moment-curvature law that a test shows, and what its string held at rest.
+"""The moment-curvature law of a test, and the state of its string at rest.
 
-A string that is taut at rest carries the counterweight, and of the wire's own weight what a prop at
-the tip carries, 3/8: the load at the tip. One that is slack, or only just spans, leaves that load
-to the wire: it hangs, and has been bent one way before it is bent the other. The test itself tells,
-in four ways:
+A string that is taut at rest carries the load at the tip: the counterweight, and 3/8 of the weight
+of the wire, as a prop at the tip would. A slack one leaves that load to the wire, which then hangs,
+and is bent one way before it is bent the other. The test shows which, in four ways:
 
-- the string goes slack in a later cycle: the clamp moves and the tip moves with it. What the force
-  then lies below that at rest is what the string carried at rest;
-- the force falls below that at rest: a string that carried nothing cannot;
-- the clamp is ahead of the tip once the string pulls: the string was slack by as much;
-- the tip stands below the axis of the clamp at rest by as much as that load bends the wire.
+- the string becomes slack in a later cycle, where the tip moves with the clamp. The force there,
+  below that at rest, is the tension at rest;
+- the force falls below that at rest, which is not possible for a slack string;
+- the clamp is ahead of the tip once the string pulls: the string was slack by that much;
+- the tip is below the axis of the clamp at rest by the deflection under that load.
 """
 
 from __future__ import annotations
@@ -38,42 +37,33 @@ from labpipe.results.reduced_test import ReducedTest
 from labpipe.statistics.mean_curves import block_means
 from labpipe.units import GRAVITY
 
-EARLY = (0.5e-3, 3e-3)
-"""Deflections, m, over which it is seen how far the clamp is ahead of the tip."""
-SLACK = 0.2e-3
-"""m; a clamp that is ahead by more had travelled before the string pulled."""
-HANGS, LEANS = 0.5, 0.1
-"""Shares of the deflection that the load gives the wire: a tip that stands lower than the
-first hung, one that stands lower than the second is reported, for wires are not quite straight."""
-STRAIGHT, LEAST_REACH = 0.25, 0.5e-3
-"""Share of that deflection within which a wire is straight, for wires are curled; and m that it is
-at least, to differ from the direction of the clamp."""
-NOTHING, ALL = 0.25, 0.75
-"""Shares of the load at the tip: a string that carried less carried nothing, one that carried more
-carried all of it."""
-_FEW = 50
-"""Samples that a mean of a force is taken over to differ from another."""
-_STRETCH, _FOLLOWS, _LEAST_SLACK = 0.25e-3, 0.3, 2
-"""m of travel that are looked at together, how much of it the deflection follows where the string
-is slack, and how many stretches of a stroke there are at least."""
+EARLY_DEFLECTIONS = (0.5e-3, 3e-3)
+"""Deflections, m, for the distance by which the clamp is ahead of the tip."""
+MIN_SLACK_TRAVEL = 0.2e-3
+"""m, by which the clamp is ahead of the tip, from which the string was slack."""
+HANGING_SHARE, LEANING_SHARE = 0.5, 0.1
+"""Shares of the deflection under the load: a tip below the first hung; one below the second is
+reported, as wires are not quite straight."""
+_MEAN_SAMPLES = 50
+"""Samples of a mean force."""
 
 State: TypeAlias = Literal["taut", "slack", "off the wire", "part", "unknown"]
 
 
 @dataclass(frozen=True, slots=True)
 class AtRest:
-    """What a test says of its string and wire at rest.
+    """Evidence of a test on its string and wire at rest.
 
     Parameters
     ----------
-    ahead : m, by which the clamp is ahead of the tip early in the first loading; NaN where the
-        test has no travel of the clamp
-    sag : m, of the tip below the axis of the clamp at rest; NaN where the test has no shape
+    ahead : m, by which the clamp is ahead of the tip early in the first loading; NaN without a
+        travel of the clamp
+    sag : m, of the tip below the axis of the clamp at rest; NaN without a shape
     reach : m, deflection at which the force is the load at the tip, or the largest
     weight : N, load at the tip: the counterweight and 3/8 of the wire's weight
-    lowest : N, lowest force after the first loading, against that at rest; NaN where not seen
-    slackened : N, force while the string is slack after the first loading, against that at rest;
-        NaN where it never is
+    lowest : N, lowest force after the first loading, less that at rest; NaN if unknown
+    slackened : N, force while the string is slack after the first loading, less that at rest; NaN
+        if it never is
     error : N, standard error of these two
     own_weight : N, part of the load that is the wire's weight
     """
@@ -100,50 +90,50 @@ class AtRest:
 
     @property
     def load_alone(self) -> str:
-        """What the load is called once it has been said."""
+        """Short name of the load."""
         return "the counterweight" if self.own_weight == 0.0 else "that load"
 
     @property
     def is_known(self) -> bool:
-        """Whether anything is known."""
+        """Whether there is any evidence."""
         return bool(np.isfinite(self.ahead) or np.isfinite(self.sag))
 
     @property
     def share(self) -> float:
-        """Sag as a share of that under the load at the tip; NaN where this is unknown."""
-        return self.sag / self.reach if self.reach >= LEAST_REACH else float("nan")
+        """Sag as a share of the deflection under the load at the tip, or NaN."""
+        min_reach = 0.5e-3  # m, to differ from the direction of the clamp
+        return self.sag / self.reach if self.reach >= min_reach else float("nan")
 
     @property
     def carries(self) -> float:
-        """Tension at rest, N, by the force of the slack string; NaN where it never was slack."""
+        """Tension at rest, N, from the force of the slack string, or NaN."""
         return -self.slackened
 
     @property
     def was_pulled(self) -> bool:
-        """Whether the force falls below that at rest, so that the string carried something then."""
-        # A string held the tip if a force is below that at rest by this share of the load at the
-        # tip.
-        pulled_share = 0.05
-        min_standard_errors = 5.0
-        return self.lowest < -max(pulled_share * self.weight, min_standard_errors * self.error)
+        """Whether the force falls below that at rest, so that the string carried a load then."""
+        return self.lowest < -max(0.05 * self.weight, 5.0 * self.error)
 
     @property
     def state(self) -> State:
-        """What the evidence says, the most direct first."""
-        carried_nothing = self.ahead > SLACK and not self.was_pulled
+        """State by the evidence, the most direct first."""
+        all_share, none_share, straight_share = 0.75, 0.25, 0.25  # wires are curled
+        carried_nothing = self.ahead > MIN_SLACK_TRAVEL and not self.was_pulled
         if np.isfinite(self.slackened):
-            if self.carries >= ALL * self.weight:
+            if self.carries >= all_share * self.weight:
                 return "taut"
-            if self.carries > NOTHING * self.weight:
+            if self.carries > none_share * self.weight:
                 return "part"
             carried_nothing = True
         if carried_nothing:
-            if self.share > HANGS:
+            if self.share > HANGING_SHARE:
                 return "slack"
-            return "off the wire" if abs(self.share) <= LEANS else "unknown"
-        if self.share > HANGS:  # the string just spans to a wire that hangs, or the wire is curled
+            return "off the wire" if abs(self.share) <= LEANING_SHARE else "unknown"
+        if (
+            self.share > HANGING_SHARE
+        ):  # the string just spans to a wire that hangs, or the wire is curled
             return "unknown" if self.was_pulled else "slack"
-        return "taut" if self.was_pulled or abs(self.share) <= STRAIGHT else "unknown"
+        return "taut" if self.was_pulled or abs(self.share) <= straight_share else "unknown"
 
     @property
     def facts(self) -> str:
@@ -169,18 +159,18 @@ class AtRest:
 
     @property
     def why_not_straight(self) -> str:
-        """Why the test is no first loading from straight, with the numbers; empty where it is."""
+        """Why the test is not a first loading from straight, with the numbers, or empty."""
         state = self.state
         if state in ("taut", "off the wire"):
             return ""
         below = "" if np.isnan(self.sag) else f", its tip {1e3 * self.sag:.3g} mm below"
-        if self.ahead > SLACK:
+        if self.ahead > MIN_SLACK_TRAVEL:
             return (
                 f"its string was slack at rest: the clamp travels {1e3 * self.ahead:.3g} mm before "
                 f"the tip follows, and until then the wire hung under {self.load}{below}; a first "
                 "loading begins with a straight wire that the string holds"
             )
-        if state != "unknown" or self.share > HANGS:
+        if state != "unknown" or self.share > HANGING_SHARE:
             return (
                 f"its wire hung at rest: the tip stood {1e3 * self.sag:.3g} mm below the axis of "
                 f"the clamp, where {self.load} bends the wire by about {1e3 * self.reach:.3g} mm; "
@@ -198,14 +188,14 @@ def at_rest(
     *,
     own_weight: float = 0.0,
 ) -> AtRest:
-    """Look at the string and the wire before a test, and at what the force tells of it later.
+    """Collect the evidence of a test on its string and wire at rest.
 
     Parameters
     ----------
-    aligned, shape : None where the test has none
+    aligned, shape : of the test, or None
     curve, first : of the test, and its first loading branch
     weight : N, of the counterweight
-    own_weight : N, of the wire's weight, what a prop at its tip carries: `held_at_rest`
+    own_weight : N, part of the wire's weight on a prop at its tip: `held_at_rest`
     """
     n_blocks = 100
     weight += own_weight
@@ -218,7 +208,9 @@ def at_rest(
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
         behind = curve.displacement[part]
-        is_early = (behind > EARLY[0]) & (behind < EARLY[1])  # the string has begun to pull
+        is_early = (behind > EARLY_DEFLECTIONS[0]) & (
+            behind < EARLY_DEFLECTIONS[1]
+        )  # the string has begun to pull
         ahead = _median((travel.values[part] - behind)[is_early])
         slackened = _while_slack(travel.values, curve, first)
     rest = curve.force[: first.start]
@@ -231,20 +223,20 @@ def at_rest(
         weight=weight,
         lowest=_lowest(curve.force[first.stop :]),
         slackened=_median(slackened),
-        error=scatter / float(np.sqrt(min(len(rest), _FEW) or 1)),
+        error=scatter / float(np.sqrt(min(len(rest), _MEAN_SAMPLES) or 1)),
         own_weight=own_weight,
     )
 
 
 def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
-    """Say what is doubtful about a wire at rest that is taken to have been straight."""
+    """Yield notes on a wire that is assumed to have been straight at rest."""
     if not rest.is_known:
         message = (
             "the test has neither the travel of the clamp nor a shape, so it is not known whether "
             "the string held the wire straight at rest; it is taken to have done so"
         )
         yield QualityNote("rest_unknown", Severity.WARNING, test, message)
-    elif rest.sag > LEANS * rest.reach:
+    elif rest.sag > LEANING_SHARE * rest.reach:
         message = (
             f"at rest the tip stood {1e3 * rest.sag:.3g} mm below the axis of the clamp: the wire "
             f"is taken as straight, and its string as carrying all of {rest.load_alone}"
@@ -253,40 +245,41 @@ def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
 
 
 def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
-    """Forces of stretches after the first loading in which the tip stays with the clamp, N."""
+    """Return forces after the first loading while the tip moves with the clamp, N."""
+    max_following_share, min_stretches = 0.3, 2
     forces: list[float] = []
     for branch in curve.branches:
         if branch.start < first.stop:
             continue
         means = _stretches(travel, curve, branch)
         moved = np.abs(np.diff(means, axis=0))
-        slack = means[1:, 2][moved[:, 1] < _FOLLOWS * moved[:, 0]].tolist()
-        if len(slack) >= _LEAST_SLACK:  # where it goes slack or taut it may still pull a little
+        slack = means[1:, 2][moved[:, 1] < max_following_share * moved[:, 0]].tolist()
+        if len(slack) >= min_stretches:  # the string may still pull in the first or last one
             forces += slack[1:] if branch.direction is Direction.UNLOADING else slack[:-1]
     return np.array(forces, dtype=np.float64)
 
 
 def _stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
-    """Means of travel, deflection and force over stretches of travel, shape (n, 3)."""
+    """Return means of travel, deflection and force over 0.25 mm of travel, shape (n, 3)."""
     part = slice(branch.start, branch.stop)
     columns = np.column_stack([travel[part], curve.displacement[part], curve.force[part]])
     columns = columns[np.isfinite(columns).all(axis=1)]
-    count = int(np.ptp(columns[:, 0]) / _STRETCH) if len(columns) else 0
+    count = int(np.ptp(columns[:, 0]) / 0.25e-3) if len(columns) else 0
     if count < 2 or len(columns) < 2 * count:
         return np.zeros((1, 3))
     return np.array([block.mean(axis=0) for block in np.array_split(columns, count)])
 
 
 def _lowest(force: Floats) -> float:
-    """Lowest of the means over `_FEW` samples, N."""
+    """Return the lowest of the means over `_MEAN_SAMPLES` samples, N."""
     finite = force[np.isfinite(force)]
-    if len(finite) < _FEW:
+    if len(finite) < _MEAN_SAMPLES:
         return float("nan")
-    return float(block_means(finite, len(finite) // _FEW).min())
+    return float(block_means(finite, len(finite) // _MEAN_SAMPLES).min())
 
 
 def _sag(shape: Shape | None, first: Branch) -> float:
-    """How far the pull point stands below the clamped end before the first loading, m."""
+    """Return how far the pull point is below the clamped end before the first loading, m."""
     if shape is None or not len(shape.names):
         return float("nan")
     is_rest: Flags = np.asarray(shape.time < first.start_time, dtype=np.bool_)
@@ -300,16 +293,16 @@ def _median(values: Floats) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What is taken of the string at rest.
+    """Assumed state of the string at rest.
 
     Parameters
     ----------
     state : ``taut``: it carried all of the load; ``slack``: nothing, and the wire hung;
-        ``off the wire``: nothing, and the wire did not hang all the same; ``part``: some of it, as
-        measured; ``unknown``: the test does not tell
+        ``off the wire``: nothing, yet the wire did not hang; ``part``: a part of it, as measured;
+        ``unknown``: not known from the test
     tension : N, in the string at rest
-    weight : N, that hangs at the tip
-    other : N, another tension at rest that is in the intervals; None where there is none
+    weight : N, at the tip
+    other : N, alternative tension at rest that is in the intervals, or None
     why : in words, with the numbers
     """
 
@@ -321,21 +314,21 @@ class Held:
 
     @property
     def note(self) -> QualityNote:
-        """To be kept with the results."""
+        """Note for the results."""
         severity = Severity.WARNING if self.state == "unknown" else Severity.INFO
         return QualityNote("string_at_rest", severity, "rig.string", self.why)
 
 
 def held(rest: AtRest) -> Held:
-    """Decide by the evidence what the string carried at rest.
+    """Decide from the evidence what the string carried at rest.
 
     Parameters
     ----------
-    rest : what the test says
+    rest : the evidence
 
     Returns
     -------
-    Tension, weight, and the alternative where the evidence does not tell.
+    Tension, weight, and the alternative if the evidence is not sufficient.
     """
     load, state = rest.weight, rest.state
     weight = load - rest.own_weight
@@ -356,7 +349,7 @@ def held(rest: AtRest) -> Held:
         why = f"the string carried {1e3 * tension:.3g} mN of {rest.load} at rest"
         other = tension - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         return Held(state, tension, weight, other, f"{why}: {rest.facts}")
-    taken, other = (0.0, load) if rest.ahead > SLACK else (load, 0.0)
+    taken, other = (0.0, load) if rest.ahead > MIN_SLACK_TRAVEL else (load, 0.0)
     why = (
         f"it is not known whether the string carried {rest.load} at rest; it is "
         f"taken to have carried {'nothing' if taken == 0.0 else 'all of it'}, and the other is in "
@@ -367,13 +360,13 @@ def held(rest: AtRest) -> Held:
 
 
 def stated(at_rest: Literal["taut", "slack"], weight: float, own_weight: float = 0.0) -> Held:
-    """Take a string at rest as the protocol states it.
+    """Return the state of a string at rest as stated in the protocol.
 
     Parameters
     ----------
     at_rest : key of ``rig.string``
     weight : N, of the counterweight
-    own_weight : N, of the wire's weight, what a prop at its tip carries
+    own_weight : N, part of the wire's weight on a prop at its tip
     """
     tension = weight + own_weight if at_rest == "taut" else 0.0
     held_up = "the counterweight" + " and 3/8 of the wire's weight" * (own_weight > 0.0)
@@ -401,7 +394,7 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
         return Failure("no_moment_curvature", "expected a block markers:"), []
     start, stop = test.signals.zeroed["deflection"]
     rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
-    pull, other, notes = _pull(test, curve, shape, first, rest)
+    pull, other, notes = _tip_pull(test, curve, shape, first, rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
     branch, cycle = _numbers(curve, shape.time)
     frames = BendingTest(
@@ -415,7 +408,7 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
         free_tip=test.setup.free_tip,
         pull=pull,
         errors=BendingErrors(
-            force_noise=_scatter(force[rest]),
+            force_noise=_deviation(force[rest]),
             force_zero=test.force.zero_error,
             force_scale=test.force.relative_error,
             offset=test.setup.offset_uncertainty,
@@ -427,7 +420,7 @@ def measured(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
         bending = measure_bending(frames)
     except ValueError as error:
         return Failure("no_moment_curvature", str(error)), notes
-    return bending, [*notes, *_weight_notes(test), _measured_law(bending)]
+    return bending, [*notes, *_weight_notes(test), _law_note(bending)]
 
 
 def _weight_notes(test: ReducedTest) -> list[Finding]:
@@ -441,7 +434,7 @@ def _weight_notes(test: ReducedTest) -> list[Finding]:
 
 
 def _numbers(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
-    """Branch and cycle of every frame."""
+    """Return branch and cycle of every frame."""
     branch: Ints = np.full(len(time), AT_REST, dtype=np.int64)
     cycle: Ints = np.zeros(len(time), dtype=np.int64)
     for number, part in enumerate(curve.branches):
@@ -450,15 +443,15 @@ def _numbers(curve: Curve, time: Floats) -> tuple[Ints, Ints]:
     return branch, cycle
 
 
-def _scatter(values: Floats) -> float:
+def _deviation(values: Floats) -> float:
     finite = values[~np.isnan(values)]
     return float(finite.std()) if len(finite) else 0.0
 
 
-def _pull(
+def _tip_pull(
     test: ReducedTest, curve: Curve, shape: Shape, first: Branch, rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
-    """What pulls at the tip, and another tension at rest that is as likely."""
+    """Return the pull at the tip, and an equally probable tension at rest."""
     still, string = np.nanmean(shape.coefficients[rest], axis=0)[None], test.setup.string
     tip = float(curves_at(still, shape.length, np.array([shape.length])).x[0, 0])
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
@@ -483,7 +476,7 @@ def _pull(
     return pull, before.other, [Finding(before.note)]
 
 
-def _measured_law(bending: Bending) -> Finding:
+def _law_note(bending: Bending) -> Finding:
     cloud, law = bending.cloud, bending.law
     message = (
         f"{cloud.curvature.size} points, each a mean over {cloud.frames_per_mean} frames, at "

@@ -1,4 +1,4 @@
-"""What results are computed from: the corrected curve of a test, and what is known beside it."""
+"""The reduced test: the corrected curve of a test, and further facts for its results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpanBend:
-    """The bent axis between two supports, as the cameras saw it.
+    """The bent axis between two supports, from cameras.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class LoadString:
     Parameters
     ----------
     length : m
-    counterweight : kg, hangs at the tip
+    counterweight : kg, at the tip
     at_rest : whether it carried the counterweight before the test
     """
 
@@ -66,20 +66,20 @@ class LoadString:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What protocol and test sheet say of specimen and rig, as far as results need it.
+    """Facts of protocol and test sheet on specimen and rig.
 
     Parameters
     ----------
-    length, span : m, of the specimen, and between its supports; None where not given
-    mass_per_length : kg/m; None where not given
+    length, span : m, of the specimen, and between its supports; None if not stated
+    mass_per_length : kg/m; None if not stated
     section : m (the area m^2), sizes of the cross-section by the keys of the protocol
     uncertainties : m (of the area m^2), standard uncertainties of length, span and section by the
-        keys of the protocol; what is not there is taken as exact
-    string : that loads the specimen; None where there is none
+        keys of the protocol; others are exact
+    string : that loads the specimen, or None
     has_markers : whether the specimen carries markers
     centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
     free_tip : whether the shape may bend up to its tip
-    compliance_stated : whether the protocol says how far frame and grips give way
+    compliance_stated : whether the protocol states the compliance of frame and grips
     limits : of the lab
     """
 
@@ -100,15 +100,15 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class Stiffness:
-    """A stiffness that other results can be made of.
+    """A stiffness for other results.
 
     Parameters
     ----------
-    decide : how it is read from a curve
+    decide : chooses its samples on a curve
     estimate : N/m
-    during : s, the stretch that it was read from
+    during : s, the time interval that it was read from
     window : m, displacements that it was read between
-    bends_with : m, stretch in which a slip would bend it; None where slips are not looked at
+    bends_with : m, range in which a slip would affect it; None if slips are ignored
     """
 
     decide: Decide
@@ -120,27 +120,27 @@ class Stiffness:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedTest:
-    """A test from which results can be computed.
+    """A test with all data for its results.
 
     Parameters
     ----------
     signals, clocks : of the test
-    setup : what is said of specimen and rig
-    aligned : the raw signals at the times of the displacement; None while there is no curve
-    curve : corrected; None where there is none
-    replicates : curves that the curve may have been, by noise and inputs; None where there is none
-    unfiltered : the force that makes the curve, outliers bridged, before any filter
-    shape : of the specimen; None where no step fits one
-    span : the bent axis between two supports, or why there is none; None where not asked for
-    bending : measured moment-curvature, or why there is none; None where not asked for
-    failure : where the specimen broke; None where it did not, or is not asked for
+    setup : facts on specimen and rig
+    aligned : the raw signals at the times of the displacement; None without a curve
+    curve : corrected, or None
+    replicates : of the curve, or None
+    unfiltered : the force of the curve, outliers bridged, before any filter
+    shape : of the specimen; None if no step fits one
+    span : the bent axis between two supports, or why there is none; None if not requested
+    bending : measured moment-curvature, or why there is none; None if not requested
+    failure : where the specimen broke; None if it did not, or if not requested
     slips : the slip ledger
-    compliance : m/N, of frame and grips, times the force taken off the displacement
-    slack : displacement before the specimen was taut, m; None where not asked for
-    cut_at : by quantity, s on the clock of the curve, where its record ends in mid-branch
-    stiffnesses : by name, of the results so far
+    compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement
+    slack : displacement before the specimen was taut, m; None if not requested
+    cut_at : by quantity, s on the clock of the curve, where its record ends within a branch
+    stiffnesses : by name, of earlier results
     findings : so far
-    seed : of draws, by what was recorded
+    seed : of draws, from the recorded data
     """
 
     signals: Signals
@@ -164,22 +164,22 @@ class ReducedTest:
 
     @property
     def force(self) -> Signal:
-        """The force that makes the curve, filtered."""
+        """The force of the curve, filtered."""
         return self.signals.filtered[self.signals.force]
 
     @property
     def displacement(self) -> Signal:
-        """The displacement that makes the curve, filtered."""
+        """The displacement of the curve, filtered."""
         return self.signals.filtered[self.signals.displacement]
 
     @property
     def raw_force(self) -> Signal:
-        """The force that makes the curve, calibrated and zeroed but not filtered."""
+        """The force of the curve, calibrated and zeroed but not filtered."""
         return self.signals.raw[self.signals.force]
 
     @property
     def known_curve(self) -> Curve:
-        """The curve, of which there is one where there are cycles.
+        """The curve, which exists if there are cycles.
 
         Raises
         ------
@@ -187,14 +187,14 @@ class ReducedTest:
             If there is none.
         """
         if self.curve is None:
-            message = "a number of a cycle was asked for before there is a curve"
+            message = "expected a curve for a number of a cycle, found none"
             raise ValueError(message)
         return self.curve
 
     def measure(
         self, decide: Decide, values: Sequence[float] | None = None
     ) -> tuple[Measured, ...] | Failure:
-        """Measure numbers of the curve, with all that they rest on.
+        """Measure numbers of the curve with their uncertainty.
 
         Parameters
         ----------
@@ -206,26 +206,26 @@ class ReducedTest:
             If there is no curve.
         """
         if self.replicates is None:
-            message = "a number was to be measured before there is a curve"
+            message = "expected a curve to be measured, found none"
             raise ValueError(message)
         return measure(self.replicates, decide, values)
 
     @property
     def cycles(self) -> list[list[Branch]]:
-        """The branches of the curve, cycle by cycle."""
+        """The branches of the curve by cycle."""
         branches = self.curve.branches if self.curve else ()
         numbers = sorted({branch.cycle for branch in branches})
         return [[branch for branch in branches if branch.cycle == number] for number in numbers]
 
     @property
     def first_loading(self) -> Branch | None:
-        """The first loading branch of the curve; None where there is none."""
+        """The first loading branch of the curve, or None."""
         branches = self.curve.branches if self.curve is not None else ()
         return next((branch for branch in branches if branch.direction is Direction.LOADING), None)
 
     @property
     def loading_stretch(self) -> slice:
-        """Samples of the first loading, up to the failure if it lies there; may be empty."""
+        """Samples of the first loading, up to a failure in it; may be empty."""
         branch = self.first_loading
         if branch is None:
             return slice(0, 0)
@@ -235,16 +235,16 @@ class ReducedTest:
 
     @property
     def slack_error(self) -> float:
-        """Standard error of the slack that was taken off the displacement, m; 0 for none."""
+        """Standard error of the slack subtracted from the displacement, m; 0 without slack."""
         return self.slack.error if isinstance(self.slack, Measured) else 0.0
 
     def sense_of(self, values: Floats) -> float:
-        """Which way a quantity of the curve goes when the specimen is loaded for the first time."""
+        """Return the sign of a quantity of the curve during the first loading."""
         branch = self.known_curve.branches[0]
         return sense_of_loading(values[branch.start : branch.stop])
 
     def while_loading(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
-        """Tell when the first loading went from one displacement to another.
+        """Return when the first loading went from one displacement to another.
 
         Parameters
         ----------
@@ -252,8 +252,8 @@ class ReducedTest:
 
         Returns
         -------
-        s, on the clock of the curve: when it first was at `low`, and when it first was beyond
-        `high`, which is its end where it never was. None without a curve or a branch.
+        s, on the clock of the curve: when it first reached `low`, and when it first exceeded
+        `high`, or its end. None without a curve or a branch.
         """
         curve = self.curve
         if curve is None or not curve.branches:
@@ -266,17 +266,17 @@ class ReducedTest:
         return float(start), float(stop)
 
     def why_doubtful(self, quantity: str, during: Stretch | None = None) -> tuple[Reason, ...]:
-        """Tell why a number is doubtful that rests on a stretch of a quantity.
+        """Return the doubts about a number from a time interval of a quantity.
 
         Parameters
         ----------
         quantity : as `Doubt` has it
-        during : s, on the clock of the curve; None where the number rests on the whole record
+        during : s, on the clock of the curve; None for the whole record
 
         Returns
         -------
-        Of each code the first reason that touches the stretch, or the stretch that the zero of the
-        quantity was taken from.
+        The first reason of each code that overlaps the interval, or that of the zero of the
+        quantity.
         """
         reasons: dict[str, Reason] = {}
         for doubt in self.findings.doubts:

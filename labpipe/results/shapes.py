@@ -1,4 +1,4 @@
-"""Results that are read from a shape: tip travel, measured bending law, three-point bending."""
+"""Results from a shape: tip travel, measured bending law, three-point bending."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from labpipe.uncertainty.replicates import N_REPLICATES, random_stream, smooth_c
 from labpipe.units import GRAVITY
 
 _SPAN = "mid_span"
-"""Signal of what cameras see of mid-span, and what rests on them alone."""
-_AT_TURN, _LEAST = 2.0, 5
-"""s on each side of the turn that a value there is read from; frames that each side needs."""
+"""Signal of mid-span from cameras, and quantity of numbers from them alone."""
+_TURN_WINDOW, _MIN_SIDE_FRAMES = 2.0, 5
+"""s on each side of a turn for a value there; frames needed on each side."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class TipTravel(Kind):
     needs: ClassVar = Needs(shape="fit-shape")
 
     def compute(self, test: ReducedTest) -> Computed:
-        """How far the last point of the shape gets from where it began."""
+        """Measure the largest distance of the last point of the shape from its start."""
         method = "largest distance of the last point of the shape from its mean over five frames"
         return Computed((self.number(_tip_travel(test), method),))
 
@@ -82,7 +82,7 @@ class MomentCurvature(Kind):
     name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Secant or tangent stiffness of the measured law at a curvature."""
+        """Compute the secant or tangent stiffness of the measured law at a curvature."""
         method = (
             f"{self.kind} at {self.at:g} 1/m of the monotone law that the shapes of the first "
             "loading obey together"
@@ -103,7 +103,7 @@ class MomentCurvature(Kind):
             {SCALE_OF_FORCE: scale},
             during=test.while_loading(),
             doubts=_misfit(test, law)
-            or _bent_before(bending, law, self) + _not_weighed(test, law, self),
+            or _bent_before(bending, law, self) + _no_weight(test, law, self),
         )
         return Computed((number,))
 
@@ -112,13 +112,13 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Outcome:
     largest = float(law.curvature[-1])
     if entry.at > largest:
         message = (
-            f"the first loading bends the wire to {largest:.3g} 1/m, {entry.at:g} 1/m is asked for"
+            f"the first loading bends the wire to {largest:.3g} 1/m, {entry.at:g} 1/m is needed"
         )
         return Failure("not_reached", message)
     if entry.at <= law.floor:
         message = (
             f"curvatures up to {law.floor:.3g} 1/m are not distinct from their noise, "
-            f"{entry.at:g} 1/m is asked for"
+            f"{entry.at:g} 1/m is needed"
         )
         return Failure("below_noise", message)
     at = law_points(
@@ -135,7 +135,7 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Outcome:
 
 
 def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
-    """Why a number is doubtful: the wire had been bent as far the other way before the test."""
+    """Return a doubt if the wire had been bent as far the other way before the test."""
     resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
     moment = float(np.interp(entry.at, law.curvature, law.moment))
     if resting <= moment:
@@ -148,8 +148,8 @@ def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> 
     return (Reason("bent_before", message),)
 
 
-def _not_weighed(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
-    """Why a number is doubtful: the specimen may weigh so much that its weight matters."""
+def _no_weight(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
+    """Return a doubt if the weight of the specimen is unknown and may matter."""
     if test.setup.mass_per_length is not None or test.shape is None:
         return ()
     moment = float(np.interp(entry.at, law.curvature, law.moment))
@@ -166,10 +166,8 @@ def _not_weighed(test: ReducedTest, law: MeasuredLaw, entry: MomentCurvature) ->
 
 
 def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
-    """Why the law is doubtful: markers lie farther off its shapes than their noise."""
-    # Markers may be off the shapes of the law by this multiple of the noise, plus m.
-    noise_factor_and_offset = (3.0, 2e-5)
-    limit = noise_factor_and_offset[0] * law.noise + noise_factor_and_offset[1]
+    """Return a doubt if markers deviate from the shapes of the law by more than their noise."""
+    limit = 3.0 * law.noise + 2e-5  # m
     if test.shape is None or not law.residual > limit:
         return ()
     message = (
@@ -183,8 +181,8 @@ def _misfit(test: ReducedTest, law: MeasuredLaw) -> tuple[Reason, ...]:
 _Parts: TypeAlias = tuple[SpanBend, Curve, Branch, Floats]
 
 
-def _at_hand(test: ReducedTest) -> _Parts | Failure:
-    """Axis, curve, first loading, and the times of the frames on the clock of the curve."""
+def _span_parts(test: ReducedTest) -> _Parts | Failure:
+    """Return axis, curve, first loading, and times of the frames on the clock of the curve."""
     bend, curve, branch = test.span, test.curve, test.first_loading
     if isinstance(bend, Failure):
         return bend
@@ -212,7 +210,7 @@ class MidSpan(Window):
     ] = ()
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Slope of the moment against the curvature at mid-span, and the largest curvature."""
+        """Compute the slope of moment against curvature at mid-span, and the largest curvature."""
         large = "large-deflection" in self.corrections
         moment = "P L / 4 + P tan(slope at the supports) x deflection / 2" if large else "P L / 4"
         methods = (
@@ -220,7 +218,7 @@ class MidSpan(Window):
             "the first loading, time as instrument",
             "curvature at mid-span where the motion turns, against rest",
         )
-        parts = _at_hand(test)
+        parts = _span_parts(test)
         if isinstance(parts, Failure):
             return self.not_available(parts, *methods)
         bend, frames = parts[0], _Frames.of(test, parts)
@@ -246,7 +244,7 @@ class MidSpan(Window):
         travelled = np.interp(time, curve.time, curve.displacement)
         if not (travelled[inside] > self.stop).any():
             reached = 1e3 * float(np.max(travelled[inside], initial=0.0))
-            required = f"{1e3 * self.stop:.4g} mm is asked"
+            required = f"{1e3 * self.stop:.4g} mm is needed"
             return Failure("not_reached", f"the first loading reaches {reached:.4g} mm, {required}")
         inside &= (travelled >= self.start) & (travelled <= self.stop)
         bent = bend.shape.bent
@@ -259,7 +257,7 @@ class MidSpan(Window):
 
 
 def _shape_errors(bend: SpanBend, outcome: Outcome, other: Outcome) -> Errors:
-    """What a shape of fewer terms changes, and what the side of the markers hides."""
+    """Return the changes with fewer terms of the shape, and from the side of the markers."""
     if isinstance(outcome, Failure) or isinstance(other, Failure):
         return {}
     side = bend.shape.side_share * abs(outcome.value) / sqrt(3.0)
@@ -268,10 +266,10 @@ def _shape_errors(bend: SpanBend, outcome: Outcome, other: Outcome) -> Errors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frames:
-    """When cameras saw a test: all that they see is judged by it.
+    """Times of the frames of a test.
 
     time : shape (frames,), s, on the clock of the curve; rest : shape (frames,), before the
-    loading; cuts : first frames of the branches, and behind the last one; seed : of draws
+    loading; cuts : first frames of the branches, and after the last one; seed : of draws
     """
 
     time: Floats
@@ -288,12 +286,11 @@ class _Frames:
         return cls(time, bend.rest, branch, cuts, test.seed)
 
     def drawn(self, values: Sequence[Floats], weights: Floats, name: str) -> Floats:
-        """What a sum over the first of the values is off by, shape (replicates,).
+        """Draw errors of a weighted sum over the first of the values, shape (replicates,).
 
-        In noise like that of all the values, which cameras see alike but for its size.
+        With a noise process common to all the values but for its size.
         """
-        # Of the smooth curve through what cameras see of a branch.
-        spline_intervals = 40
+        spline_intervals = 40  # per branch
         batch_records = 50
         smooth = [smooth_curve(self.time, value, self.cuts, spline_intervals) for value in values]
         spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
@@ -310,43 +307,41 @@ class _Frames:
             [value[self.cuts[-1] :] for value in values],
             copies=len(values),
         )
-        chance = random_stream(self.seed, name)
+        rng = random_stream(self.seed, name)
         records = [
-            noise.draw(len(values[0]), batch_records, chance) @ weights
+            noise.draw(len(values[0]), batch_records, rng) @ weights
             for _ in range(N_REPLICATES // batch_records)
         ]
         return np.concatenate(records).astype(np.float64)
 
 
 def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()) -> Outcome:
-    """What a quantity is at the end of loading, less what it is at rest.
+    """Estimate a quantity at the end of loading, less that at rest.
 
-    Its noise is judged together with that of others that cameras see alike.
+    Its noise is estimated together with that of similar ones.
     """
-    low_quantile = 0.025
-    high_quantile = 0.975
     still = frames.rest & np.isfinite(values)
     if still.sum() < 8:
         n_frames = int(still.sum())
         return Failure("no_rest", f"{n_frames} frames before the loading show it, 8 are needed")
     branch = frames.loading
-    window = min(_AT_TURN, 0.4 * (branch.stop_time - branch.start_time))
-    weights = _of_turn(frames.time - branch.stop_time, values, window)
+    window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
+    weights = _turn_weights(frames.time - branch.stop_time, values, window)
     if isinstance(weights, Failure):
         return weights
     count = int((weights != 0.0).sum())
     weights = weights - still / still.sum()
     value = float(weights @ np.nan_to_num(values))
     off = frames.drawn([values, *alike], weights, name)
-    low, high = np.quantile(off, (low_quantile, high_quantile)).tolist()
+    low, high = np.quantile(off, (0.025, 0.975)).tolist()
     return Estimate(value, float(off.std()), count, Interval(value - high, value - low))
 
 
-def _of_turn(time: Floats, values: Floats, window: float) -> Floats | Failure:
-    """Weights of the frames in the value at which two parabolas meet at time zero."""
+def _turn_weights(time: Floats, values: Floats, window: float) -> Floats | Failure:
+    """Return the weights of frames in the value of two parabolas that meet at time zero."""
     near = np.isfinite(values) & (np.abs(time) <= window)
     t = time[near]
-    if min((t <= 0.0).sum(), (t > 0.0).sum()) < _LEAST:
+    if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
         return Failure("too_few_samples", f"{len(t)} frames within {window:.3g} s of the turn")
     ahead, behind = np.maximum(t, 0.0), np.minimum(t, 0.0)
     design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
@@ -364,12 +359,12 @@ class Twist(Kind):
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Turn of the section nearest to mid-span, where the motion turns."""
+        """Compute the twist of the section nearest to mid-span at the turn of the motion."""
         method = (
             "size of the turn of the markers of the section nearest to mid-span about the axis, "
             "where the motion turns"
         )
-        parts = _at_hand(test)
+        parts = _span_parts(test)
         if isinstance(parts, Failure):
             return self.not_available(parts, method)
         bend = parts[0]
@@ -389,7 +384,7 @@ class Twist(Kind):
         alike = [other for other in others if np.isfinite(other).any()]
         turned = _at_turn(shape.twist[:, section], frames, "twist", alike)
         if isinstance(turned, Estimate) and turned.value < 0.0:
-            # which way it turns is only a matter of which end of the conduit is called the first
+            # its sign only depends on which end of the conduit is called the first
             turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
         number = self.number(turned, method, during=test.while_loading())
         note = info_note("twist_section", "markers", text)

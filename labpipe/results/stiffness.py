@@ -62,9 +62,6 @@ from labpipe.results.reduced_test import ReducedTest, Stiffness
 from labpipe.uncertainty.extractors import Decide, Reading, Trace, combine
 from labpipe.uncertainty.intervals import Measured
 
-_AT_REST = 0.1
-"""Share of the samples of a window that may lie in its first fiftieth."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnloadingStiffness(OfCycle):
@@ -79,13 +76,13 @@ class UnloadingStiffness(OfCycle):
 
     @property
     def method(self) -> str:
-        """With the stretch that it is read from."""
+        """With its range."""
         return (
             f"line from {0.1 * self.over:g} m to {self.over:g} m off the peak, time as instrument"
         )
 
     def read(self, test: ReducedTest, trace: Trace, number: int) -> Reading | Failure:
-        """Slope over the first stretch of the unloading branch, but for its first tenth."""
+        """Choose the samples at the start of the unloading branch, without its first tenth."""
         del test
         branches, d = cycle_of(trace, number), trace.displacement
         if len(branches) < 2:
@@ -112,15 +109,15 @@ class LoadingStiffness(OfCycle):
 
     @property
     def method(self) -> str:
-        """With the stretch that it is read from."""
+        """With its range."""
         return f"line over {1e3 * self.over:g} mm from where the force takes up, time as instrument"
 
-    def deciding(self, test: ReducedTest, number: int) -> Decide:
-        """The noise of the measured force says what passes for zero."""
+    def decide_cycle(self, test: ReducedTest, number: int) -> Decide:
+        """Use the limit of zero force of the measured curve."""
         return partial(self.read, test, number=number, like=self._measured(test, number))
 
     def plain(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
-        """The number of the measured curve, whose first taut sample is the first beyond noise."""
+        """Return the number of the measured curve, taut from the first sample above noise."""
         fit = self._measured(test, branches[0].cycle)
         if fit is None:
             return None
@@ -128,9 +125,9 @@ class LoadingStiffness(OfCycle):
         return [float(fit.of(d, f))]
 
     def doubts(self, test: ReducedTest, number: int) -> tuple[Reason, ...]:
-        """Samples at rest in the window: what passes for zero force is not what it is there."""
+        """Return a doubt about samples at rest in the window, more than 10 %."""
         fit = self._measured(test, number)
-        if fit is None or fit.share_at_rest <= _AT_REST:
+        if fit is None or fit.share_at_rest <= 0.1:
             return ()
         message = (
             f"{fit.share_at_rest:.0%} of the samples were taken before the motion, as the force "
@@ -146,7 +143,7 @@ class LoadingStiffness(OfCycle):
     def read(
         self, test: ReducedTest, trace: Trace, number: int, like: LoadingSlope | None = None
     ) -> Reading | Failure:
-        """Slope over the first stretch behind the take-up."""
+        """Choose the samples of the range after the take-up."""
         del test
         part = cycle_of(trace, number)[0]
         parts, steps = on_branch(trace, part), trace.steps
@@ -173,23 +170,21 @@ class Hardening(Kind):
     over: Length
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Ratio to the first cycle; the scale cancels."""
+        """Compute the ratio to the first cycle; the scale cancels."""
         method = (
             f"slope over {1e3 * self.over:g} mm from the take-up / that of cycle 1, scale cancelled"
         )
         if not test.cycles:
             return self.not_available(blocked_or(test, NO_LOADING), method)
         stiffness, numbers = LoadingStiffness(over=self.over), []
-        before = stiffness.deciding(test, 1)
+        before = stiffness.decide_cycle(test, 1)
         first = test.measure(before)
         for later in test.cycles[1:]:
             number = later[0].cycle
-            after = stiffness.deciding(test, number)
+            after = stiffness.decide_cycle(test, number)
             plain = [stiffness.plain(test, cycle) for cycle in (later, test.cycles[0])]
             values = [plain[0][0] / plain[1][0]] if plain[0] and plain[1] else None
-            outcome = test.measure(
-                combine(_hardened, after, partial(_first, before)), values
-            )
+            outcome = test.measure(combine(_hardened, after, partial(_first, before)), values)
             numbers.append(
                 self.number(
                     _above_noise(first, outcome),
@@ -208,7 +203,7 @@ def _hardened(trace: Trace, after: Floats, before: Floats) -> Floats:
 
 
 def _first(before: Decide, trace: Trace) -> Reading | Failure:
-    """Decide on the stiffness of the first cycle, or say what lacks without it."""
+    """Choose the samples for the stiffness of the first cycle, or name it as missing."""
     reading = before(trace)
     if isinstance(reading, Failure):
         message = f"that of cycle 1 is not available: {reading.message}"
@@ -219,7 +214,7 @@ def _first(before: Decide, trace: Trace) -> Reading | Failure:
 def _above_noise(
     first: tuple[Measured, ...] | Failure, outcome: tuple[Measured, ...] | Failure
 ) -> Measured | Failure:
-    """A ratio, where the stiffness of the first cycle is more than noise."""
+    """Return a ratio if the stiffness of the first cycle is above noise."""
     if isinstance(outcome, Failure):
         return outcome
     if isinstance(first, Failure):
@@ -232,18 +227,18 @@ def _above_noise(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Window(Kind):
-    """A kind of result that is read from a stretch of displacement."""
+    """A kind of result from a range of displacement."""
 
     start: Annotated[Distance, Key("from")]
     stop: Annotated[Distance, Key("to"), LargerThan("start")]
 
     @property
     def in_words(self) -> str:
-        """The stretch in millimetres."""
+        """The range in millimetres."""
         return f"from {1e3 * self.start:g} mm to {1e3 * self.stop:g} mm"
 
     def inside(self, displacement: Floats) -> slice | Failure:
-        """Samples from the first one at the begin to the last one before the end, in time order.
+        """Return the samples from the first one at `start` to the last one before `stop`.
 
         Parameters
         ----------
@@ -251,23 +246,23 @@ class Window(Kind):
 
         Returns
         -------
-        Where they are, or a failure ``not_reached``.
+        The samples, or a failure ``not_reached``.
         """
         low, high = self.start, self.stop
         finite = displacement[~np.isnan(displacement)]
         if not len(finite) or finite.max() < high:
             reached = float(finite.max()) if len(finite) else float("nan")
-            message = f"the branch reaches {1e3 * reached:.4g} mm, {1e3 * high:.4g} mm is asked"
+            message = f"the branch reaches {1e3 * reached:.4g} mm, {1e3 * high:.4g} mm is needed"
             return Failure("not_reached", message)
         if finite[0] > low + 0.02 * (high - low):
-            message = f"the branch begins at {1e3 * finite[0]:.4g} mm, {1e3 * low:.4g} mm is asked"
+            message = f"the branch begins at {1e3 * finite[0]:.4g} mm, {1e3 * low:.4g} mm is needed"
             return Failure("not_reached", message)
         stop = int(np.argmax(displacement > high)) or None
         return slice(int(np.argmax(displacement >= low)), stop)
 
 
-def _seen_by_cameras(kind: Window, test: ReducedTest, name: str) -> Computed:
-    """Slope between two displacements that come from a shape, time as instrument."""
+def _secant_from_shape(kind: Window, test: ReducedTest, name: str) -> Computed:
+    """Compute the slope between two displacements of a shape, with time as instrument."""
     method = (
         f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
     )
@@ -286,7 +281,7 @@ def _seen_by_cameras(kind: Window, test: ReducedTest, name: str) -> Computed:
 
 
 def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
-    """Decide on the stiffness between two displacements of the first loading."""
+    """Choose the samples for the stiffness between two displacements of the first loading."""
     part = trace.branches[0]
     branch, (time, path, force) = slice(part.start, part.stop), on_branch(trace, part)
     fit = window_slope(time, path, force, path, low=low, high=high)
@@ -314,8 +309,8 @@ class InitialStiffness(Window):
     outputs: ClassVar = (Output("initial_stiffness", "N/m", "Initial stiffness"),)
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Slope between two displacements, time as instrument."""
-        return _seen_by_cameras(self, test, "initial_stiffness")
+        """Compute the slope between two displacements, with time as instrument."""
+        return _secant_from_shape(self, test, "initial_stiffness")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -327,9 +322,9 @@ class LineStiffness(Window):
     name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Straight line by least squares, its interval for correlated noise."""
+        """Fit a least-squares line, with an interval for correlated noise."""
         if test.shape is not None:
-            return _seen_by_cameras(self, test, self.name)
+            return _secant_from_shape(self, test, self.name)
         method = (
             f"straight line {self.in_words} of the first loading, interval for correlated noise"
         )
@@ -356,7 +351,7 @@ class LineStiffness(Window):
         return Computed((number,), {self.name: made_of}, (drawn,))
 
     def samples(self, trace: Trace) -> Ints | Failure:
-        """Numbers of the samples in the window of the first loading, up to the failure.
+        """Return the samples in the window of the first loading, up to the failure.
 
         Parameters
         ----------
@@ -371,7 +366,7 @@ class LineStiffness(Window):
         return part[is_finite]
 
     def decide(self, trace: Trace) -> Reading | Failure:
-        """Decide on the slope of the straight line over the window.
+        """Choose the samples for the slope of the line over the window.
 
         Parameters
         ----------
@@ -395,12 +390,12 @@ class LineStiffness(Window):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfStiffness(Kind):
-    """A kind of result that is made of a stiffness above it in the list."""
+    """A kind of result that depends on a stiffness above it in the list."""
 
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
 
     def missing(self, test: ReducedTest) -> Failure:
-        """Why there is no number where there is no stiffness."""
+        """Return the failure for a missing stiffness."""
         return blocked_or(test, Failure("no_stiffness", f"{self.of} is not available"))
 
 
@@ -413,7 +408,7 @@ class NormalisedStiffness(OfStiffness):
     needs: ClassVar = Needs()
 
     def compute(self, test: ReducedTest) -> Computed:
-        """A gain error cancels."""
+        """Compute the ratio, in which a gain error cancels."""
         method = (
             f"{self.of} / peak force of the same sample, errors independent, scale error cancelled"
         )
@@ -428,7 +423,7 @@ class NormalisedStiffness(OfStiffness):
 
 
 def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
-    """A stiffness over the largest force of all cycles."""
+    """Measure a stiffness over the largest force of all cycles."""
     trace = traced(test)
     peaks = {cycle[0].cycle: peak_of(test, trace, cycle[0].cycle) for cycle in test.cycles}
     readings = {key: peak for key, peak in peaks.items() if isinstance(peak, Reading)}
@@ -442,9 +437,7 @@ def _per_peak(test: ReducedTest, stiffness: Stiffness) -> CalibrationFit:
         return peak
     if peak.value <= 3.0 * peak.error:
         return Failure("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
-    share = combine(
-        _quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest)
-    )
+    share = combine(_quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest))
     ratio = test.measure(share)
     return ratio if isinstance(ratio, Failure) else ratio[0]
 
@@ -468,7 +461,7 @@ class Modulus(OfStiffness):
     name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Stiffness, gauge length and area with their uncertainties."""
+        """Compute the modulus with the uncertainties of stiffness, gauge length and area."""
         method = f"{self.of} x specimen.length / area ({self.area})"
         stiffness, area = test.stiffnesses.get(self.of), _area(self.area, test.setup.section)
         if stiffness is None:
@@ -491,7 +484,7 @@ class Modulus(OfStiffness):
 
 
 def _of_the_machine(test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ...]:
-    """Why a modulus is doubtful whose displacement may be that of frame and grips."""
+    """Return a doubt if the displacement may be that of frame and grips."""
     limits = test.setup.limits
     share = limits.machine_compliance * stiffness.estimate.value
     if test.setup.compliance_stated or not share > limits.machine_share:
@@ -505,7 +498,7 @@ def _of_the_machine(test: ReducedTest, stiffness: Stiffness) -> tuple[Reason, ..
 
 
 def _area(kind: str, section: Mapping[str, float]) -> float | Failure:
-    """Area of a name from the sizes that it takes."""
+    """Compute an area from its sizes."""
     needs = {
         "stated": ("area",),
         "rectangle": ("width", "thickness"),
@@ -533,7 +526,7 @@ class ComplianceResult(Kind):
     stop: Annotated[Force, Key("to"), LargerThan("start")]
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Displacement against force, the bar taken for rigid."""
+        """Fit displacement against force, with a rigid bar."""
         method = (
             f"displacement against force from {self.start:g} N to {self.stop:g} N, the bar taken "
             "for rigid"
@@ -546,7 +539,7 @@ class ComplianceResult(Kind):
         return Computed((self.number(outcome[0], method, during=test.while_loading()),))
 
     def decide(self, trace: Trace) -> Reading | Failure:
-        """Decide on the slope of the line of displacement against force over the window.
+        """Choose the samples for the slope of displacement against force over the window.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Results of two straight lines that meet: their slopes, and the place where they do."""
+"""Results of two straight lines that meet: slopes and break point."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from labpipe.uncertainty.intervals import Measured
 
 
 @dataclass(frozen=True, slots=True)
-class _Fitted:
-    """Two lines of a test, with all that is known of their doubt."""
+class _TwoLineFit:
+    """Two lines of a test, with their uncertainty."""
 
     first: Measured
     second: Measured
@@ -40,37 +40,37 @@ class _Fitted:
     smooth: Segments
 
     @property
-    def found(self) -> Segments:
+    def measured(self) -> Segments:
         """The lines of the curve itself."""
-        return Segments(*(np.asarray(number.value) for number in self._each))
+        return Segments(*(np.asarray(number.value) for number in self._numbers))
 
     @property
     def drawn(self) -> Segments:
-        """Those of its replicates, around those of the smooth curve."""
+        """The lines of its replicates, around those of the smooth curve."""
         smooth = self.smooth
         base = (smooth.break_point, smooth.first, smooth.second, smooth.level)
-        return Segments(*(at + number.off for at, number in zip(base, self._each, strict=True)))
+        return Segments(*(at + number.off for at, number in zip(base, self._numbers, strict=True)))
 
     @property
-    def _each(self) -> tuple[Measured, ...]:
+    def _numbers(self) -> tuple[Measured, ...]:
         return self.break_point, self.first, self.second, self.level
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TwoLines(Window):
-    """A kind of result that is read from two lines through a stretch of the first loading."""
+    """A kind of result from two lines through a range of the first loading."""
 
     @property
     def method(self) -> str:
-        """With the stretch."""
+        """With the range."""
         return f"two segments that meet, {self.in_words}, all breaks tried"
 
-    def fit(self, test: ReducedTest) -> _Fitted | Failure:
+    def fit(self, test: ReducedTest) -> _TwoLineFit | Failure:
         """Fit two lines to the curve of a test.
 
         Parameters
         ----------
-        test : with a curve, or without
+        test : the test
         """
         if not test.cycles:
             return blocked_or(test, NO_LOADING)
@@ -80,10 +80,10 @@ class _TwoLines(Window):
         if isinstance(places, Failure):
             return places
         first, second, at, level = numbers
-        return _Fitted(first, second, at, level, places[1], self._smooth(test, numbers))
+        return _TwoLineFit(first, second, at, level, places[1], self._smooth(test, numbers))
 
     def _smooth(self, test: ReducedTest, numbers: tuple[Measured, ...]) -> Segments:
-        """The lines of the smooth curve; those of the curve itself where it has none."""
+        """Return the lines of the smooth curve, or else those of the curve itself."""
         trace = None if test.replicates is None else test.replicates.smooth
         reading = None if trace is None else self.decide(trace)
         if trace is None or not isinstance(reading, Reading):
@@ -93,7 +93,7 @@ class _TwoLines(Window):
         return Segments(at, first, second, level)
 
     def decide(self, trace: Trace) -> Reading | Failure:
-        """Decide on the places at which the lines may meet.
+        """Choose the places at which the lines may meet.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class _TwoLines(Window):
 
         Returns
         -------
-        Of first and second slope, break, and force there.
+        A reading of first and second slope, break, and force there.
         """
         places = self._places(trace)
         if isinstance(places, Failure):
@@ -115,12 +115,12 @@ class _TwoLines(Window):
         return Reading(numbers, len(hinges.scan.d), is_cut=True, feels_corners=True)
 
     def one_of(self, trace: Trace, *, number: int) -> Reading | Failure:
-        """Decide on one of the numbers alone.
+        """Choose the places for one of the numbers.
 
         Parameters
         ----------
         trace : one curve
-        number : place in what `decide` gives
+        number : place in the reading of `decide`
         """
         reading = self.decide(trace)
         if isinstance(reading, Failure):
@@ -128,7 +128,7 @@ class _TwoLines(Window):
         return replace(reading, numbers=lambda trace: (reading.numbers(trace)[number],))
 
     def _places(self, trace: Trace) -> tuple[slice, Hinges] | Failure:
-        """Samples of the stretch, and the places there."""
+        """Return the samples of the range, and the places in it."""
         stretch = loading_of(trace)
         window = self.inside(trace.displacement[stretch])
         if isinstance(window, Failure):
@@ -151,11 +151,11 @@ class TwoSegments(_TwoLines):
     )
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Best two segments that meet."""
+        """Fit the best two segments that meet."""
         fit = self.fit(test)
         if isinstance(fit, Failure):
             return self.not_available(fit, self.method)
-        straight = why_no_bend(fit.found, fit.smooth, fit.drawn, fit.hinges)
+        straight = why_no_bend(fit.measured, fit.smooth, fit.drawn, fit.hinges)
         if straight is not None:
             return self.not_available(straight, self.method)
         start, stop = read = fit.hinges.ends
@@ -191,7 +191,7 @@ class TwoSegments(_TwoLines):
         window: tuple[float, float],
         read: tuple[float, float],
     ) -> Stiffness:
-        """One of the slopes for the entries that follow."""
+        """Return one of the slopes for later entries."""
         return Stiffness(
             partial(self.one_of, number=number), slope.as_estimate, during, window, read
         )
@@ -208,11 +208,11 @@ class Kink(_TwoLines):
     )
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Where the slope of the first loading falls."""
+        """Find the decrease of the slope of the first loading."""
         fit = self.fit(test)
         if isinstance(fit, Failure):
             return self.not_available(fit, self.method)
-        none = why_no_kink(fit.found, fit.smooth, fit.drawn, fit.hinges)
+        none = why_no_kink(fit.measured, fit.smooth, fit.drawn, fit.hinges)
         if none is not None:
             return self.not_available(none, self.method)
         start, stop = fit.hinges.ends

@@ -97,7 +97,7 @@ def test_too_few_samples_for_a_row_are_no_number() -> None:
 
 def test_slope_says_why_not() -> None:
     wanted = window_slope(TIME, UP, UP, UP, low=0.005, high=0.05)
-    message = "the branch reaches 0.03995 m, 0.05 m is asked"
+    message = "the branch reaches 0.03995 m, 0.05 m is needed"
     assert wanted == Failure("not_reached", message)
     few = window_slope(TIME, UP, UP, UP, low=0.00501, high=0.0053)
     assert few == Failure("too_few_samples", "5 samples in the stretch, 8 are needed")

@@ -11,7 +11,7 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curve_replicates import replicate_curves
-from labpipe.results.cycles import PeakForce, _when, stretch_of_cycle
+from labpipe.results.cycles import PeakForce, _time_of_part, stretch_of_cycle
 from labpipe.results.kinds import to_result
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
@@ -121,7 +121,7 @@ def test_parts_of_a_cycle_counted_in_branches() -> None:
         **{(0.0, 1.0): (0.0, 2.0), (1.0, 2.0): (2.0, 5.0), (0.5, 1.5): (1.0, 3.5)},
         **{(0.0, 2.0): (0.0, 5.0), (0.0, 3.0): (0.0, 5.0), (2.0, 3.0): None},
     }
-    assert {reads: _when([up, down], reads) for reads in stretches} == stretches
+    assert {reads: _time_of_part([up, down], reads) for reads in stretches} == stretches
 
 
 PEAKS = "results:\n  - {result: peak-force}\n  - {result: peak-displacement}\n"

@@ -187,7 +187,7 @@ def test_without_a_curve() -> None:
     assert test.first_loading is None
     assert test.loading_stretch == slice(0, 0)
     assert test.while_loading() is None
-    with pytest.raises(ValueError, match="before there is a curve"):
+    with pytest.raises(ValueError, match="found none"):
         _ = test.known_curve
 
 

@@ -21,7 +21,7 @@ from labpipe.records.curve import (
 )
 from labpipe.records.result import Result, Status
 from labpipe.results.moment_curvature import (
-    SLACK,
+    MIN_SLACK_TRAVEL,
     AtRest,
     _while_slack,
     at_rest,
@@ -30,7 +30,7 @@ from labpipe.results.moment_curvature import (
     stated,
 )
 from labpipe.results.reduced_test import ReducedTest
-from labpipe.results.shapes import MomentCurvature, _not_weighed
+from labpipe.results.shapes import MomentCurvature, _no_weight
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.specimens import WireModel
@@ -81,7 +81,7 @@ def check_weight(test: ReducedTest, result: Result) -> None:
     assert law is not None
     for factor, codes in ((0.8, []), (0.5, ["weight_not_stated"])):
         soft = replace(law, moment=factor * law.moment)
-        doubts = _not_weighed(test, soft, MomentCurvature(at=1.0))
+        doubts = _no_weight(test, soft, MomentCurvature(at=1.0))
         assert [reason.code for reason in doubts] == codes
 
 
@@ -112,9 +112,9 @@ def test_curvatures_that_are_not_in_the_test(repository: Path) -> None:
     results = reduced(repository, ("at: 3 1/m", "at: 40 1/m"), ("at: 1 1/m", "at: 0.01 1/m"))[1]
     far, near = results["bending_stiffness_at_3"].why, results["bending_stiffness_at_1"].why
     assert far.startswith("not_reached: the first loading bends the wire to 4.")
-    assert far.endswith("1/m, 40 1/m is asked for")
+    assert far.endswith("1/m, 40 1/m is needed")
     assert near.startswith("below_noise: curvatures up to 0.")
-    assert near.endswith("1/m are not distinct from their noise, 0.01 1/m is asked for")
+    assert near.endswith("1/m are not distinct from their noise, 0.01 1/m is needed")
 
 
 def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None:
@@ -367,7 +367,9 @@ def test_what_the_evidence_says(state: str) -> None:
 TAUT_REST = AtRest(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.0084, error=1e-4)
 
 
-@pytest.mark.parametrize(("ahead", "tension"), [(SLACK, WEIGHT), (1.01 * SLACK, 0.0)])
+@pytest.mark.parametrize(
+    ("ahead", "tension"), [(MIN_SLACK_TRAVEL, WEIGHT), (1.01 * MIN_SLACK_TRAVEL, 0.0)]
+)
 def test_where_it_is_not_known_a_clamp_that_is_ahead_tells_what_is_likelier(
     ahead: float, tension: float
 ) -> None:

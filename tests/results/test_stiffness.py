@@ -118,13 +118,13 @@ def test_a_window_that_is_not_in_the_record() -> None:
     ]
     _, results = pulled(*pull(), results=asked, specimen=SECTION)
     why = results["stiffness"].why
-    assert why.startswith("not_reached: the branch reaches 19.98 mm, 30 mm is asked; ")
+    assert why.startswith("not_reached: the branch reaches 19.98 mm, 30 mm is needed; ")
     assert "'results.stiffness.to: {value: 19.9 mm" in why
     for name in ("stiffness_per_peak_force", "modulus"):
         assert results[name].why.startswith("no_stiffness: stiffness ")
     travel, force = pull()
     why = pulled(travel + 0.004, force, results=[LINE])[1]["stiffness"].why
-    assert why.startswith("not_reached: the branch begins at 4 mm, 2 mm is asked; ")
+    assert why.startswith("not_reached: the branch begins at 4 mm, 2 mm is needed; ")
     assert "'results.stiffness.from: {value: 4 mm" in why
 
 
