@@ -1,4 +1,4 @@
-"""A test in a notebook: a few lines of HTML, every text escaped."""
+"""Show a test in a notebook as a few lines of HTML, with all text escaped."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from html import escape
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.report.wording import (
+    as_label,
     count_of,
-    in_words,
     is_main,
     printable,
     shown_in,
@@ -17,24 +17,24 @@ from labpipe.report.wording import (
     write_number,
 )
 
-_MOST = 10
-"""Results that are shown; the rest are counted."""
 _CELL = "text-align:left;padding:1px 12px 1px 0"
 
 
 def page_of(result: TestResult) -> str:
-    """Show a test in a notebook.
+    """Return the HTML of a test for a notebook.
 
     Parameters
     ----------
-    result : its outcome
+    result : the processed test
 
     Returns
     -------
-    HTML: a heading, the first results in display units with intervals, and what needs a look.
+    A heading, the first results in display units with intervals, and counts of problems.
     """
+    # Results that are shown; the rest are counted.
+    max_rows = 10
     main = [result for result in result.results if is_main(result.name)] or list(result.results)
-    rows = [_row(each, result) for each in main[:_MOST]]
+    rows = [_row(shown, result) for shown in main[:max_rows]]
     more = len(result.results) - len(rows)
     lines = [
         f"<strong>{_safe(result.test)}</strong> {_safe(_what(result))}",
@@ -55,13 +55,13 @@ def _what(result: TestResult) -> str:
     return " · ".join([*parts, *filter(None, [result.operator])])
 
 
-def _row(each: Result, result: TestResult) -> str:
-    factor, unit = shown_in(each.name, each.unit, result.display)
-    value = float("nan") if each.value is None else each.value
-    written = write_number(value, each.interval, factor, apart=each.apart)
-    number = f"{written.value} {unit_words(unit)}" if each.value is not None else written.value
-    state = "" if each.status is Status.OK else f"{each.status}: {each.why}"
-    cells = [in_words(each.name), number, written.interval, state]
+def _row(result: Result, test: TestResult) -> str:
+    factor, unit = shown_in(result.name, result.unit, test.display)
+    value = float("nan") if result.value is None else result.value
+    written = write_number(value, result.interval, factor, apart=result.apart)
+    number = f"{written.value} {unit_words(unit)}" if result.value is not None else written.value
+    state = "" if result.status is Status.OK else f"{result.status}: {result.why}"
+    cells = [as_label(result.name), number, written.interval, state]
     inner = "".join(f'<td style="{_CELL}">{_safe(cell)}</td>' for cell in cells)
     return f"<tr>{inner}</tr>"
 
@@ -70,8 +70,8 @@ def _rest(result: TestResult, more: int) -> str:
     severities = Counter(note.severity for note in result.quality)
     parts = [f"95 % intervals; {more} more in .results" if more > 0 else "95 % intervals"]
     parts += [
-        count_of(severities[each], each.value)
-        for each in (Severity.ERROR, Severity.WARNING)
-        if severities[each]
+        count_of(severities[severity], severity.value)
+        for severity in (Severity.ERROR, Severity.WARNING)
+        if severities[severity]
     ]
     return ", ".join(parts) + (" in .quality" if len(parts) > 1 else "")

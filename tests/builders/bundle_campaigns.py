@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.campaign.grouping import find_differences, group_names, in_turn, key_of
+from labpipe.campaign.grouping import find_differences, group_names, key_of, sort_keys
 from labpipe.protocol.schema import Groups
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve
@@ -33,8 +33,8 @@ def bundle_of(wires: str, **more: object) -> Bundle:
     """A bundle from words such as ``10 B1 + 9 B2``."""
     parts = [part.split() for part in wires.split(" + ")]
     kinds = tuple(BundleWire(name, int(number)) for number, name in parts)
-    said = {"tape": "PVC", "taping": "half-lap"} | more
-    return Bundle(kinds, **said)  # type: ignore[arg-type]
+    options = {"tape": "PVC", "taping": "half-lap"} | more
+    return Bundle(kinds, **options)  # type: ignore[arg-type]
 
 
 def bundle_sample(
@@ -66,8 +66,8 @@ def bundle_sample(
 
 
 def _type(bundle: Bundle) -> str:
-    words = [bundle.composition, bundle.arrangement, bundle.tape, bundle.taping, bundle.conduit]
-    return "-".join(word.replace(" ", "") for word in words)
+    tags = [bundle.composition, bundle.arrangement, bundle.tape, bundle.taping, bundle.conduit]
+    return "-".join(word.replace(" ", "") for word in tags)
 
 
 def _result(name: str, value: float, unit: str) -> Result:
@@ -85,7 +85,7 @@ def grouped(samples: Sequence[Sample], *by: str) -> list[Group]:
     members: dict[object, list[Sample]] = {}
     for sample in samples:
         members.setdefault(key_of(sample, fields), []).append(sample)
-    keys = in_turn(dict.fromkeys(key_of(sample, fields) for sample in samples), fields)
+    keys = sort_keys(dict.fromkeys(key_of(sample, fields) for sample in samples), fields)
     names = group_names(keys, fields)
     return [build_group(name, PROTOCOL, members[key], scaled=True) for key, name in names.items()]
 
@@ -97,24 +97,26 @@ def bundle_campaign(
     groups = grouped(samples, *by)
     wishes = {PROTOCOL: Groups(main=MAIN, margin=margin)}
     settings: dict[str, dict[str, str]] = {sample.source: {} for sample in samples}
-    found = find_differences(groups, wishes, settings, by=by or (TYPE,), alone=alone)
-    campaign = Campaign("Synthetic bundles", tuple(groups), found.shown, labpipe_version="0.0")
+    differences = find_differences(groups, wishes, settings, by=by or (TYPE,), alone=alone)
+    campaign = Campaign(
+        "Synthetic bundles", tuple(groups), differences.listed, labpipe_version="0.0"
+    )
     return replace(
-        campaign, by=by or (TYPE,), compared=alone, pairs_not_shown=found.pairs_not_shown
+        campaign, by=by or (TYPE,), compared=alone, pairs_not_shown=differences.pairs_not_shown
     )
 
 
 def conduit_cases() -> list[Sample]:
     """The cases of a conduit campaign: wire, number, conduit and taping differ."""
-    told = {"conduit": "corrugated-tube", "taping": "none", "tape": "none"}
-    twist = told | {"conduit": "twist-tube"}
+    tube = {"conduit": "corrugated-tube", "taping": "none", "tape": "none"}
+    twist = tube | {"conduit": "twist-tube"}
     bundles = [
-        bundle_of("19 B1", **told),
-        bundle_of("19 B2", **told),
-        bundle_of("19 B2", **told | {"taping": "coarse", "tape": "PVC"}),
-        bundle_of("19 B2", **told | {"taping": "half-lap", "tape": "PVC"}),
-        bundle_of("12 B2", **told),
-        bundle_of("10 B1 + 9 B2", **told),
+        bundle_of("19 B1", **tube),
+        bundle_of("19 B2", **tube),
+        bundle_of("19 B2", **tube | {"taping": "coarse", "tape": "PVC"}),
+        bundle_of("19 B2", **tube | {"taping": "half-lap", "tape": "PVC"}),
+        bundle_of("12 B2", **tube),
+        bundle_of("10 B1 + 9 B2", **tube),
         bundle_of("19 B1", **twist),
         bundle_of("19 B2", **twist),
     ]
