@@ -78,16 +78,18 @@ def fit_linear(
     ValueError
         For fewer than p + 4 samples; with stretches beside, for fewer than p + 1.
 
-    Notes ----- The noise is modelled as a first-order autoregressive process of unknown correlation
-    time, up to a fifth of the window, or its mirror image, with more or less white noise below. In
-    cosines over the window such noise is uncorrelated to a good approximation (Ahmed, Natarajan and
-    Rao, IEEE Trans. Comput. C-23 (1974) 90), with the variance of its spectrum, so that each
-    spectrum has a restricted likelihood in closed form (Harville, J. Am. Stat. Assoc. 72 (1977)
-    320). Given the spectrum a coefficient follows Student's t; the interval is that of the mixture
-    over spectra, weighted by their likelihood and a prior: of power -0.4 over the logarithm of the
-    correlation time, half without and half with white noise, plus one share for white noise alone.
-    Only the 128 slowest cosines enter (all of them with `weighted`): hum, filters and rounding have
-    no information on the mean over a window (as in the equal-weighted cosine estimator: Lazarus et
+    Notes
+    -----
+    The noise is modelled as a first-order autoregressive process of unknown correlation time, up to
+    a fifth of the window, or its mirror image, with more or less white noise below. In cosines over
+    the window such noise is uncorrelated to a good approximation (Ahmed, Natarajan and Rao, IEEE
+    Trans. Comput. C-23 (1974) 90), with the variance of its spectrum, so that each spectrum has a
+    restricted likelihood in closed form (Harville, J. Am. Stat. Assoc. 72 (1977) 320). Given the
+    spectrum a coefficient follows Student's t; the interval is that of the mixture over spectra,
+    weighted by their likelihood and a prior: of power -0.4 over the logarithm of the correlation
+    time, half without and half with white noise, plus one share for white noise alone. Only the 128
+    slowest cosines enter (all of them with `weighted`): hum, filters and rounding have no
+    information on the mean over a window (as in the equal-weighted cosine estimator: Lazarus et
     al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that is not of the model's shape looks like
     slow noise and widens the interval. Stretches beside the fit multiply the likelihood of each
     spectrum by theirs, all of one variance; the longest of all stretches sets the range of

@@ -109,7 +109,9 @@ def _processes(longest: int, count: int) -> _Processes:
             crossing,
         ),
     ]
-    return _Processes(*map(np.concatenate, zip(*families, strict=True)), lowest=lowest)
+    columns = [np.concatenate(parts) for parts in zip(*families, strict=True)]
+    factor, floor, is_mirrored, chance, time, power, cross = columns
+    return _Processes(factor, floor, is_mirrored, chance, time, power, cross, lowest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,7 +305,8 @@ def _chances(processes: _Processes, likelihood: Floats) -> Floats:
     """Return the probability of each process; improbable ones have none."""
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < 1e-4 * chances.max()] = 0.0
-    return chances / chances.sum()
+    normalised: Floats = chances / chances.sum()
+    return normalised
 
 
 def _add_rests(
