@@ -1,7 +1,7 @@
 """The API for Python and notebooks: open, process, table, groups, inspect.
 
-Everything is in SI units, as it is stored, unless it comes through `Test.display`. What cannot be
-done is said in a `LabpipeError`, in one sentence.
+Everything is in SI units, as stored, unless it comes through `Test.display`. Errors are
+`LabpipeError` with a message of one sentence.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ def open(path: PathLike) -> Test:
 
     Returns
     -------
-    The test. Numbers and curve are read at once, shapes and recordings when they are asked for.
+    The test. Numbers and curve are read at once, shapes and recordings on first use.
 
     Raises
     ------
     UsageError
         If there is no processed test, or more than one.
     StoreError
-        If the file is damaged, none of labpipe's, or of a newer schema.
+        If the file is damaged, not from labpipe, or of a newer schema.
 
     Examples
     --------
     >>> labpipe.open("processed/A2/A2-085-1").results  # doctest: +SKIP
     """
-    file = _only_one(path_of(path), find_results, "labpipe.table(path) puts many tests together.")
+    file = _only_one(path_of(path), find_results, "labpipe.table(path) reads many tests.")
     return Test(read_outcome(file), whole=lambda: read_result(file), folder=file.parent)
 
 
@@ -54,22 +54,22 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
     ----------
     source : folder of a test, its ``test.yaml``, or a ``result.h5`` whose recordings are processed
         again
-    follow_links : whether exports may be links out of the folder of the test
+    follow_links : whether exports may be links to files outside the test folder
 
     Returns
     -------
-    The test, as `open` gives it after ``labpipe process``.
+    The test, as `open` returns it after ``labpipe process``.
 
     Raises
     ------
     LabpipeError
-        If the source is no test, or more than one, or an input is bad.
+        If the source is not exactly one test, or an input is faulty.
 
     Examples
     --------
     >>> labpipe.process("raw/A2/A2-085-1").results  # doctest: +SKIP
     """
-    from labpipe.process.run import read_source, reduce_test  # as heavy as processing is
+    from labpipe.process.run import read_source, reduce_test  # imports all of processing
 
     file = _only_one(path_of(source), _sources, "Name the folder of one test.")
     result = reduce_test(*read_source(file, follow_links=follow_links))
@@ -77,7 +77,7 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
 
 
 def _sources(targets: Sequence[Path]) -> list[Path]:
-    """Tests to process; in a folder with results and no sheet, these."""
+    """Find tests to process; a folder with a result and no sheet is processed from the result."""
     (target,) = targets
     is_result = target.is_dir() and (target / RESULT_FILE).is_file()
     if is_result and not (target / SHEET_NAME).is_file():
@@ -86,10 +86,10 @@ def _sources(targets: Sequence[Path]) -> list[Path]:
 
 
 def _only_one(path: Path, find: Callable[[Sequence[Path]], list[Path]], remedy: str) -> Path:
-    found = find([path])
-    if len(found) > 1:
+    files = find([path])
+    if len(files) > 1:
         message = error_text(
-            path, "", expected="one test", found=f"{len(found)} of them", remedy=remedy
+            path, "", expected="one test", found=f"{len(files)} of them", remedy=remedy
         )
         raise UsageError(message)
-    return found[0]
+    return files[0]

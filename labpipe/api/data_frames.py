@@ -1,6 +1,6 @@
 """Records as pandas tables: index, columns, types and units as the contract of the API states.
 
-Units stand in ``frame.attrs["units"]`` by column, or in a column ``unit``.
+Units are in ``frame.attrs["units"]`` by column, or in a column ``unit``.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The units that numbers are given in.
+    """The units of numbers in tables.
 
     Parameters
     ----------
-    display : unit by quantity, as a protocol has them; None for SI
+    display : unit by quantity, from a protocol; None for SI
     """
 
     display: Mapping[str, str] | None = None
 
     def of_result(self, name: str, unit: str) -> Scale:
-        """Find factor and unit of a result, or of a change of it."""
+        """Return factor and unit of a result, or of a change of it."""
         return Scale(1.0, unit) if self.display is None else shown_in(name, unit, self.display)
 
     def of(self, quantity: str, unit: str) -> Scale:
-        """Find factor and unit of a quantity such as ``force``."""
-        wanted = unit if self.display is None else self.display.get(quantity, unit)
-        return Scale(1.0 / si_factor(wanted, unit), wanted)
+        """Return factor and unit of a quantity such as ``force``."""
+        target = unit if self.display is None else self.display.get(quantity, unit)
+        return Scale(1.0 / si_factor(target, unit), target)
 
 
-def _texts(words: Iterable[str]) -> pd.Series:
-    return pd.Series(list(words), dtype="str")
+def _texts(texts: Iterable[str]) -> pd.Series:
+    return pd.Series(list(texts), dtype="str")
 
 
 def _numbers(values: Iterable[float | None]) -> pd.Series:
@@ -59,24 +59,24 @@ def _numbers(values: Iterable[float | None]) -> pd.Series:
 
 
 def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
-    """Lay out results.
+    """Make a table of results.
 
     Parameters
     ----------
     results : of one test
-    units : to give them in
+    units : of the numbers
 
     Returns
     -------
     By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (float64, NaN where not available),
     ``unit``, ``status``, ``code``, ``reason`` (text, the last two empty where there is none).
     """
-    given = list(results)
-    scales = [units.of_result(each.name, each.unit) for each in given]
-    ends = [(each.interval.lower, each.interval.upper) if each.interval else () for each in given]
+    rows = list(results)
+    scales = [units.of_result(row.name, row.unit) for row in rows]
+    ends = [(row.interval.lower, row.interval.upper) if row.interval else () for row in rows]
     numbers = {
-        "value": [each.value for each in given],
-        "estimate": [each.likely for each in given],
+        "value": [row.value for row in rows],
+        "estimate": [row.likely for row in rows],
         "lower": [end[0] if end else None for end in ends],
         "upper": [end[1] if end else None for end in ends],
     }
@@ -84,27 +84,27 @@ def results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     columns = {name: _numbers(values) * factors for name, values in numbers.items()}
     columns |= {
         "unit": _texts(scale.unit for scale in scales),
-        "status": _texts(str(each.status) for each in given),
-        "code": _texts(", ".join(each.codes) for each in given),
-        "reason": _texts(each.why for each in given),
+        "status": _texts(str(row.status) for row in rows),
+        "code": _texts(", ".join(row.codes) for row in rows),
+        "reason": _texts(row.why for row in rows),
     }
     frame = pd.DataFrame(columns)
-    frame.index = pd.Index(_texts(each.name for each in given), name="name")
+    frame.index = pd.Index(_texts(row.name for row in rows), name="name")
     return frame
 
 
 def budget_frame(result: Result, units: Units) -> pd.DataFrame:
-    """Lay out what the interval of a result is made of.
+    """Make a table of the contributions to the interval of a result.
 
     Parameters
     ----------
     result : with or without a budget
-    units : to give it in
+    units : of the numbers
 
     Returns
     -------
     By ``cause``: ``change`` by one standard uncertainty of the cause, in the unit of the result,
-    ``share`` of the variance, ``is_common`` to all tests of a rig. No rows where it is not known.
+    ``share`` of the variance, ``is_common`` to all tests of a rig. Empty if not known.
     """
     factor, unit = units.of_result(result.name, result.unit)
     frame = pd.DataFrame(
@@ -124,12 +124,12 @@ def budget_frame(result: Result, units: Units) -> pd.DataFrame:
 
 
 def curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
-    """Lay out a curve.
+    """Make a table of a curve.
 
     Parameters
     ----------
     curve : of one test
-    units : to give it in
+    units : of the numbers
 
     Returns
     -------
@@ -148,12 +148,12 @@ def curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
 
 
 def shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
-    """Lay out the positions along the specimen.
+    """Make a table of positions along the specimen.
 
     Parameters
     ----------
     shape : of one test
-    units : to give it in
+    units : of the numbers
 
     Returns
     -------
@@ -175,19 +175,19 @@ def _positions(
 
 
 def quality_frame(notes: Iterable[QualityNote]) -> pd.DataFrame:
-    """Lay out quality notes: ``code``, ``severity``, ``where``, ``message``, all text."""
-    given = list(notes)
+    """Make a table of quality notes: ``code``, ``severity``, ``where``, ``message``, all text."""
+    rows = list(notes)
     columns = ("code", "severity", "where", "message")
     return pd.DataFrame(
-        {name: _texts(str(getattr(note, name)) for note in given) for name in columns}
+        {name: _texts(str(getattr(note, name)) for note in rows) for name in columns}
     )
 
 
 class Recordings:
-    """What the instruments of a test recorded, as tables by name.
+    """Recordings of a test as tables by name.
 
-    A name is a role, such as ``force``: its channels by time. Where an export has several clocks
-    there is a table for each, ``<role>/<clock>``. Markers are a table of (marker, axis), and each
+    A name is a role, such as ``force``: its channels by time. An export with several clocks
+    has a table for each, ``<role>/<clock>``. Markers are a table of (marker, axis), and each
     rigid body has one, ``<role>/<body>``: x, y, z, quaternion qx, qy, qz, qw and error.
 
     Parameters
@@ -204,14 +204,14 @@ class Recordings:
 
     def __getitem__(self, name: str) -> pd.DataFrame:
         if name not in self._tables:
-            known = list(self._tables)
+            names = list(self._tables)
             raise UsageError(
                 error_text(
                     "raw",
                     "",
-                    expected=f"one of {', '.join(nearest(name, known))}" if known else "recordings",
-                    found=repr(name) if known else "none",
-                    remedy="`list(test.raw)` lists them." if known else "Process the test again.",
+                    expected=f"one of {', '.join(nearest(name, names))}" if names else "recordings",
+                    found=repr(name) if names else "none",
+                    remedy="`list(test.raw)` lists them." if names else "Process the test again.",
                 )
             )
         return self._tables[name]()
@@ -233,7 +233,7 @@ class Recordings:
 
 
 def _tables(role: str, recording: Recording) -> Iterator[tuple[str, Callable[[], pd.DataFrame]]]:
-    """Tables of a recording, by name, each made when it is asked for."""
+    """Yield names of a recording's tables with functions that make them."""
     tracks = recording.markers
     is_alone = len(recording.clocks) == 1 and tracks is None
     for clock in recording.clocks:

@@ -1,4 +1,4 @@
-"""Parts of a test as xarray Datasets: dimensions and units as `store.layout` has them."""
+"""Parts of a test as xarray Datasets, with dimensions and units of `store.layout`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def dataset_of(result: TestResult, part: str) -> Dataset | None:
 
     Returns
     -------
-    The part; None if the test did not come to it.
+    The part; None if the test has none.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def dataset_of(result: TestResult, part: str) -> Dataset | None:
 
 
 def _record(result: TestResult, part: str) -> tuple[object, Mapping[str, Field], Mapping[str, str]]:
-    """Find a part, its arrays and their dimensions; the part is None where there is none."""
+    """Return a part (None if missing), its arrays and their dimensions."""
     bending, curve = result.bending, result.curve
     if part == "curve":
         time = Field(("sample",), "s" if curve is None else curve.time_unit)
@@ -70,58 +70,56 @@ def _of_record(record: object, fields: Mapping[str, Field], scales: Mapping[str,
 def _dataset(
     arrays: Mapping[str, np.ndarray], fields: Mapping[str, Field], scales: Mapping[str, str]
 ) -> Dataset:
-    """Name dimensions as the dimension scales of a result file are named."""
-    made: dict[str, Any] = {}
+    """Make a Dataset whose dimensions have the names of the scales in a result file."""
+    variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
     for name, values in arrays.items():
         axes = [
             scales.get(axis, axis) + ("_2" if axis in fields[name].axes[:place] else "")
             for place, axis in enumerate(fields[name].axes)
         ]
-        made[name] = (axes, values, {"units": fields[name].unit})
-        for axis, own in zip(fields[name].axes, axes, strict=True):
+        variables[name] = (axes, values, {"units": fields[name].unit})
+        for axis, dimension in zip(fields[name].axes, axes, strict=True):
             if axis in layout.COORDINATES:
-                coordinates[own] = list(layout.COORDINATES[axis])
-            if own.endswith("_2"):
-                coordinates[own] = arrays[scales[axis]]
-    dataset: Dataset = _xarray().Dataset(made, coords=coordinates)
+                coordinates[dimension] = list(layout.COORDINATES[axis])
+            if dimension.endswith("_2"):
+                coordinates[dimension] = arrays[scales[axis]]
+    dataset: Dataset = _xarray().Dataset(variables, coords=coordinates)
     return dataset
 
 
 def _of_aligned(aligned: Aligned) -> Dataset:
     arrays = {
         "time": aligned.time,
-        **{name: series_item.values for name, series_item in aligned.series.items()},
+        **{name: series.values for name, series in aligned.series.items()},
     }
     fields = {"time": Field(("sample",), aligned.time_unit)}
-    fields |= {
-        name: Field(("sample",), series_item.unit) for name, series_item in aligned.series.items()
-    }
+    fields |= {name: Field(("sample",), series.unit) for name, series in aligned.series.items()}
     return _dataset(arrays, fields, layout.SAMPLE_SCALES)
 
 
 def _of_recording(recording: Recording) -> Dataset:
-    """Channels along the times of their clocks, markers along those of the frames."""
-    made: dict[str, Any] = {}
+    """Make a Dataset: channels by the time of their clock, markers by the time of frames."""
+    variables: dict[str, Any] = {}
     of_clock = {
         clock.name: "time" if len(recording.clocks) == 1 else f"time_{clock.name}"
         for clock in recording.clocks
     }
     for clock in recording.clocks:
-        own = of_clock[clock.name]
-        made[own] = ([own], clock.time, {"units": clock.unit})
+        dimension = of_clock[clock.name]
+        variables[dimension] = ([dimension], clock.time, {"units": clock.unit})
     for channel in recording.channels:
-        name = layout.link_name(channel.name, made)
+        name = layout.link_name(channel.name, variables)
         about = {"units": channel.unit or layout.NO_UNIT, "name_in_file": channel.path}
-        made[name] = ([of_clock[channel.clock]], channel.values, about)
+        variables[name] = ([of_clock[channel.clock]], channel.values, about)
     tracks = recording.markers
     if tracks is not None:
         frame = "time_markers" if recording.clocks else "time"
-        made[frame] = ([frame], tracks.time, {"units": "s"})
-        made["marker"] = (["marker"], list(tracks.names))
-        made["xyz"] = (["xyz"], list(layout.COORDINATES["xyz"]))
-        made["positions"] = ([frame, "marker", "xyz"], tracks.positions, {"units": "m"})
-    dataset: Dataset = _xarray().Dataset(made)
+        variables[frame] = ([frame], tracks.time, {"units": "s"})
+        variables["marker"] = (["marker"], list(tracks.names))
+        variables["xyz"] = (["xyz"], list(layout.COORDINATES["xyz"]))
+        variables["positions"] = ([frame, "marker", "xyz"], tracks.positions, {"units": "m"})
+    dataset: Dataset = _xarray().Dataset(variables)
     return dataset
 
 
@@ -134,7 +132,7 @@ def _xarray() -> Any:
             "",
             expected="the package",
             found="none",
-            remedy='Install it: pip install "labpipe[xarray]". The tables of pandas work without.',
+            remedy='Install it: pip install "labpipe[xarray]". pandas tables need no xarray.',
         )
         raise UsageError(message) from error
     return xarray

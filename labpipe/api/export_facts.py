@@ -1,4 +1,4 @@
-"""What an export holds, as an object: what ``labpipe inspect`` prints."""
+"""Facts about an export, as ``labpipe inspect`` prints them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labpipe.process.inspection import Inspection, as_json, as_text, inspect_exp
 
 
 def inspect(file: str | os.PathLike[str]) -> Export:
-    """Say what an export holds: program, channels, rates, gaps, oddities; nothing is processed.
+    """Read facts about an export: program, channels, rates, gaps, oddities.
 
     Parameters
     ----------
@@ -22,12 +22,12 @@ def inspect(file: str | os.PathLike[str]) -> Export:
 
     Returns
     -------
-    The facts; printed, they are what ``labpipe inspect`` prints.
+    The facts; ``print`` shows them as ``labpipe inspect`` does.
 
     Raises
     ------
     ReadError
-        If the file is of no known format, or too damaged to be read at all.
+        If the format is unknown, or the file is too damaged to read.
 
     Examples
     --------
@@ -37,7 +37,7 @@ def inspect(file: str | os.PathLike[str]) -> Export:
 
 
 class Export:
-    """An export and what its reader made of it.
+    """An export as its reader understands it.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ class Export:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """What ``labpipe inspect --json`` prints."""
+        """The output of ``labpipe inspect --json``."""
         return dict(as_json(self._inspection))
 
     @property
     def channels(self) -> pd.DataFrame:
         """The channels of all clocks.
 
-        ``clock``, ``name``, ``path``, ``unit`` (SI where the export says one, else none),
+        ``clock``, ``name``, ``path``, ``unit`` (SI if the export states one, else none),
         ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing`` (samples).
         """
         rows = [
@@ -77,7 +77,7 @@ class Export:
 
     @property
     def notes(self) -> pd.DataFrame:
-        """What the reader noticed: ``code``, ``severity``, ``where``, ``message``."""
+        """Quality notes of the reader: ``code``, ``severity``, ``where``, ``message``."""
         return quality_frame(self._inspection.recording.notes)
 
     @property

@@ -1,4 +1,4 @@
-"""Paths and fields as people give them: one or several, of any kind, some of them impossible."""
+"""Check and convert path and field arguments: one or several, of any kind."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ PathLike: TypeAlias = str | os.PathLike[str]
 Paths: TypeAlias = PathLike | Iterable[PathLike]
 
 
-def path_of(given: PathLike) -> Path:
-    """Take a path that the system can be asked about; there need not be anything.
+def path_of(location: PathLike) -> Path:
+    """Convert to a path, and check that the system accepts it; it need not exist.
 
     Parameters
     ----------
-    given : of a file or a folder
+    location : of a file or a folder
 
     Raises
     ------
     UsageError
-        If there can be no such path: too long, with a zero byte, in a folder that is closed.
+        If the path is impossible: too long, with a zero byte, in a folder without access.
     """
-    path = Path(given)
+    path = Path(location)
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        return path  # what is missing is said by whoever needs it
+        return path  # the caller reports missing files
     except OSError as error:
         raise UsageError(refusal(error)) from error
     except ValueError as error:
         text = error_text(
-            repr(os.fspath(given)),
+            repr(os.fspath(location)),
             "",
             expected="a path",
             found=str(error),
@@ -44,19 +44,19 @@ def path_of(given: PathLike) -> Path:
     return path
 
 
-def paths_of(given: Paths) -> list[Path]:
-    """Take one path, or several.
+def paths_of(locations: Paths) -> list[Path]:
+    """Convert one path, or several.
 
     Parameters
     ----------
-    given : as `path_of`, or a list of them
+    locations : as `path_of`, or a list of them
 
     Raises
     ------
     UsageError
-        If there is none, or one cannot be.
+        If the list is empty, or a path is impossible.
     """
-    several = [given] if isinstance(given, str | os.PathLike) else list(given)
+    several = [locations] if isinstance(locations, str | os.PathLike) else list(locations)
     if not several:
         text = error_text(
             "folder",
@@ -66,9 +66,9 @@ def paths_of(given: Paths) -> list[Path]:
             remedy="Name one.",
         )
         raise UsageError(text)
-    return [path_of(each) for each in several]
+    return [path_of(location) for location in several]
 
 
 def fields_of(by: str | Sequence[str]) -> tuple[str, ...]:
-    """Take the name of one field, or of several."""
+    """Convert the name of one field, or of several, to a tuple."""
     return (by,) if isinstance(by, str) else tuple(by)

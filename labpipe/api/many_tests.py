@@ -26,7 +26,7 @@ _OF_TEST = ("protocol", "date", "operator", "folder")
 
 
 class LeftOutWarning(UserWarning):
-    """Some tests are not in a table, as they could not be read."""
+    """Some tests are left out of a table because they cannot be read."""
 
 
 def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
@@ -35,16 +35,16 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     Parameters
     ----------
     folder : with processed tests at any depth, or several such folders
-    by : field or fields of the test sheets that come first and that rows are sorted by
+    by : field or fields of the test sheets; these columns come first, rows are sorted by them
 
     Returns
     -------
     A row per test and result: ``test``; the fields of the sheets (``type``, ``spool``, ``sample``,
-    dimensions in m as float64, words of a bundle, labels; a label that would take the name of
-    another column is ``label_<name>``); ``protocol``, ``date`` (datetime64), ``operator``,
+    dimensions in m as float64, texts of a bundle, labels; a label with the name of another
+    column is ``label_<name>``); ``protocol``, ``date`` (datetime64), ``operator``,
     ``folder``; ``result`` (its name), ``value``, ``estimate``, ``lower``, ``upper`` (SI, float64,
-    NaN where not available), ``unit``, ``status``, ``code``, ``reason``. What a sheet does not say
-    is NaN. ``attrs["left_out"]`` says by folder why a test is not in it.
+    NaN where not available), ``unit``, ``status``, ``code``, ``reason``. Missing fields are
+    NaN. ``attrs["left_out"]`` has the reason for each test that is left out, by folder.
 
     Raises
     ------
@@ -82,12 +82,12 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
 
 
 def _summaries(places: Sequence[Path]) -> list[Path]:
-    """Summaries of processed tests: those beside a result file."""
+    """Find the summaries of processed tests: those beside a result file."""
     summaries: dict[Path, None] = {}
     for place in places:
         below = files_below(place, SUMMARY_FILE) if place.is_dir() else []
-        own = [each for each in below if (each.parent / RESULT_FILE).exists()]
-        if not own:
+        files = [file for file in below if (file.parent / RESULT_FILE).exists()]
+        if not files:
             missing = "none" if place.is_dir() else "a file" if place.exists() else "nothing there"
             message = error_text(
                 place,
@@ -97,7 +97,7 @@ def _summaries(places: Sequence[Path]) -> list[Path]:
                 remedy="`labpipe process` makes them from the exports of a test.",
             )
             raise UsageError(message)
-        summaries |= dict.fromkeys(own)
+        summaries |= dict.fromkeys(files)
     return list(summaries)
 
 
@@ -120,24 +120,24 @@ def _read(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
 
 
 def _row(file: Path) -> _Row:
-    """What a summary says of the test, and its results."""
+    """Read the fields of a test, and its results, from a summary."""
     if is_cut_off(file.parent):
-        found = "one whose files are being replaced, or were when a process was killed"
+        state = "one whose files are being replaced, or were when a process was killed"
         remedy = f"Wait until it is done, or finish it: `labpipe process {file.parent}`."
-        text = error_text(file, "", expected="a whole result", found=found, remedy=remedy)
+        text = error_text(file, "", expected="a whole result", found=state, remedy=remedy)
         raise StoreError(text)
-    said = read_summary(file)
+    content = read_summary(file)
     try:
-        day = said.get("date")
+        day = content.get("date")
         test = {
-            "test": str(said["test"]),
-            **_fields(said["specimen"]),
-            "protocol": str(said["protocol"]),
+            "test": str(content["test"]),
+            **_fields(content["specimen"]),
+            "protocol": str(content["protocol"]),
             "date": date.fromisoformat(day) if day else None,
-            "operator": str(said.get("operator") or ""),
+            "operator": str(content.get("operator") or ""),
             "folder": str(file.parent),
         }
-        return test, [_result(sentence) for sentence in said["results"]]
+        return test, [_result(entry) for entry in content["results"]]
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         text = error_text(
             file,
@@ -150,7 +150,7 @@ def _row(file: Path) -> _Row:
 
 
 def _fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a sheet by name; of a bundle its words and sizes, not the list of wires."""
+    """Return fields of a sheet by name; of a bundle without the list of wires."""
     plain = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
     bundle = {
         name: value
@@ -187,18 +187,18 @@ def _result(entry: Mapping[str, Any]) -> dict[str, Any]:
 def _column(name: str, values: Sequence[Any]) -> pd.Series:
     if name == "date":
         return pd.Series(pd.to_datetime(pd.Series(values, dtype="object")))
-    given = [value for value in values if value is not None]
-    is_number = bool(given) and all(isinstance(each, int | float) for each in given)
+    present = [value for value in values if value is not None]
+    is_number = bool(present) and all(isinstance(value, int | float) for value in present)
     return pd.Series(values, dtype="float64" if is_number else "str")
 
 
-def _check(by: Sequence[str], known: list[str]) -> None:
+def _check(by: Sequence[str], fields: list[str]) -> None:
     for name in by:
-        if name not in known:
+        if name not in fields:
             text = error_text(
                 "by",
                 "",
-                expected=f"a field of the test sheets: {', '.join(nearest(name, known))}",
+                expected=f"a field of the test sheets: {', '.join(nearest(name, fields))}",
                 found=repr(name),
                 remedy="Choose one of these.",
             )
@@ -208,33 +208,31 @@ def _check(by: Sequence[str], known: list[str]) -> None:
 def groups(
     folder: Paths, *, by: str | Sequence[str] = (), say: Callable[[str], None] = lambda _: None
 ) -> pd.DataFrame:
-    """Put processed tests into groups, as ``labpipe report`` does, with means and intervals.
+    """Group processed tests as ``labpipe report`` does, with means and intervals.
 
     Parameters
     ----------
     folder : with processed tests at any depth, or several such folders
-    by : field or fields that groups are made by; those that a report takes if empty
-    say : is given the name of each test as it is read
+    by : field or fields to group by; if empty, those of a report
+    say : called with the name of each test when it is read
 
     Returns
     -------
     A row per group and result: ``group``, ``protocol``, ``result``, ``mean``, ``estimate`` (the
     mean less what noise adds to it), ``lower``, ``upper`` (95 % interval of the estimate),
     ``deviation`` (standard deviation of what was averaged; all in SI, float64), ``n`` (values
-    averaged: samples, or means of spools), ``tests`` (that have the result), ``unit``, ``how``
+    averaged: samples, or means of spools), ``tests`` (with the result), ``unit``, ``how``
     (what was averaged, and why), ``reason`` (why there is no interval; empty otherwise).
-    ``attrs["left_out"]`` says by file why a test is not in it.
+    ``attrs["left_out"]`` has the reason for each test that is left out, by file.
 
     Raises
     ------
     LabpipeError
-        If there is no processed test, none can be read, two have one name, or no test sheet has
-        a field of `by`.
+        If there is no processed test, none can be read, two have the same name, or no test sheet
+        has a field of `by`.
     """
-    from labpipe.campaign.reporting import (
-        ReportOptions,
-        make_campaign,
-    )  # half a second, for this alone
+    # takes half a second, and only this function needs it
+    from labpipe.campaign.reporting import ReportOptions, make_campaign
 
     campaign = make_campaign(
         find_results(paths_of(folder)), "", say, ReportOptions(by=fields_of(by))

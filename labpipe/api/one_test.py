@@ -1,4 +1,4 @@
-"""One processed test, for Python and notebooks."""
+"""A processed test for Python and notebooks."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ _RESULT, _FIGURE, _PART, _CURVE, _SHAPE = "result", "figure", "part", "curve", "
 class Test:
     """A processed test: numbers, curve, shapes, recordings, notes and figures.
 
-    `labpipe.open` and `labpipe.process` make it. All numbers are in SI units; the same test with
-    those of its protocol (mm, mJ ...) is `display`.
+    `labpipe.open` and `labpipe.process` make it. All numbers are in SI units; `display` is
+    the same test in the units of its protocol (mm, mJ ...).
 
     Parameters
     ----------
-    outcome : the processed test; it may lack shapes and recordings if `whole` has them
-    whole : gives the test with everything, when it is asked for
-    folder : of its files; None where there are none
-    units : to give numbers in
+    outcome : the processed test; shapes and recordings may be missing if `whole` has them
+    whole : reads the complete test on first use
+    folder : of its files; None if there are none
+    units : of the numbers
     """
 
-    __test__ = False  # not a test of this project, whatever its name suggests to pytest
+    __test__ = False  # pytest must not collect it
 
     def __init__(
         self,
@@ -80,17 +80,17 @@ class Test:
 
     @property
     def specimen(self) -> Specimen:
-        """What was tested; dimensions in m."""
+        """The specimen; dimensions in m."""
         return self._outcome.specimen
 
     @property
     def date(self) -> datetime.date | None:
-        """Day of the test; None where neither sheet nor exports say it."""
+        """Day of the test; None if neither sheet nor exports state it."""
         return self._outcome.date
 
     @property
     def operator(self) -> str:
-        """Who made the test; empty where the sheet does not say it."""
+        """Person who ran the test; empty if the sheet does not state it."""
         return self._outcome.operator
 
     @property
@@ -100,7 +100,7 @@ class Test:
 
     @property
     def summary(self) -> dict[str, object]:
-        """What stands in ``summary.json``, in SI units."""
+        """The content of ``summary.json``, in SI units."""
         return summary(self._outcome)
 
     @property
@@ -123,7 +123,7 @@ class Test:
         return results_frame(self._outcome.results, self._units)
 
     def budget(self, name: str) -> pd.DataFrame:
-        """Say what the interval of a result is made of.
+        """Return the contributions to the interval of a result.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class Test:
         Returns
         -------
         By ``cause``: ``change`` of the result by one standard uncertainty of the cause, ``share``
-        of the variance, ``is_common`` (to all tests of a rig). Empty where it is not known.
+        of the variance, ``is_common`` (to all tests of a rig). Empty if not known.
 
         Raises
         ------
@@ -142,10 +142,10 @@ class Test:
         return budget_frame(self._result(name), self._units)
 
     def _result(self, name: str) -> Result:
-        found = {result.name: result for result in self._outcome.results}
-        if name not in found:
-            raise self._unknown(_RESULT, name, list(found))
-        return found[name]
+        results = {result.name: result for result in self._outcome.results}
+        if name not in results:
+            raise self._unknown(_RESULT, name, list(results))
+        return results[name]
 
     @property
     def curve(self) -> pd.DataFrame:
@@ -157,7 +157,7 @@ class Test:
         Raises
         ------
         ProcessingError
-            If the test came to no curve.
+            If the test has no curve.
         """
         if self._outcome.curve is None:
             raise self._missing(_CURVE)
@@ -174,14 +174,14 @@ class Test:
         ProcessingError
             If the test has no shapes.
         """
-        found = self._whole.shape
-        if found is None:
+        shape = self._whole.shape
+        if shape is None:
             raise self._missing(_SHAPE)
-        return shape_frame(found, self._units)
+        return shape_frame(shape, self._units)
 
     @property
     def raw(self) -> Recordings:
-        """What was recorded, as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
+        """The recordings as tables by role: ``test.raw["force"]``; in SI, not calibrated."""
         return Recordings(self._whole.recordings)
 
     @property
@@ -191,7 +191,7 @@ class Test:
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """Names of the figures that the protocol asks for."""
+        """Names of the figures of the protocol."""
         return self._outcome.figures
 
     def figure(self, name: str) -> Figure:
@@ -199,12 +199,12 @@ class Test:
 
         Parameters
         ----------
-        name : such as ``force-displacement``; `figures` lists those that the protocol asks for, but
-            any may be drawn
+        name : such as ``force-displacement``; `figures` lists those of the protocol, but any may be
+            drawn
 
         Returns
         -------
-        A figure of matplotlib, which a notebook shows. Where its data is missing, it says so.
+        A matplotlib figure, which a notebook shows. It states if its data is missing.
 
         Raises
         ------
@@ -218,7 +218,7 @@ class Test:
         return draw_figure(self._whole, name)
 
     def dataset(self, part: str) -> Dataset:
-        """Give a part of the test as an xarray Dataset with its axes and units, in SI.
+        """Return a part of the test as an xarray Dataset with axes and units, in SI.
 
         Parameters
         ----------
@@ -229,37 +229,40 @@ class Test:
         UsageError
             If xarray is not installed, or there is no such part.
         ProcessingError
-            If the test did not come to it.
+            If the test does not have it.
         """
         from labpipe.api.data_sets import PARTS, dataset_of
 
-        known = [*PARTS, *self._whole.recordings]
-        if part not in known:
-            raise self._unknown(_PART, part, known)
-        found = dataset_of(self._whole, part)
-        if found is None:
+        parts = [*PARTS, *self._whole.recordings]
+        if part not in parts:
+            raise self._unknown(_PART, part, parts)
+        dataset = dataset_of(self._whole, part)
+        if dataset is None:
             raise self._missing(part)
-        return found
+        return dataset
 
     def __repr__(self) -> str:
-        return f"<labpipe test {self.name} ({self.protocol}): {self._became}>"
+        return f"<labpipe test {self.name} ({self.protocol}): {self._status_counts}>"
 
     @property
-    def _became(self) -> str:
+    def _status_counts(self) -> str:
         counts = Counter(result.status for result in self._outcome.results)
-        return ", ".join(f"{counts[each]} {each}" for each in Status if counts[each]) or "nothing"
+        return (
+            ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
+            or "nothing"
+        )
 
     def _repr_html_(self) -> str:
         return page_of(self._outcome)
 
-    def _unknown(self, kind: str, name: str, known: list[str]) -> UsageError:
-        some = ", ".join(nearest(name, known, most=7))
+    def _unknown(self, kind: str, name: str, names: list[str]) -> UsageError:
+        examples = ", ".join(nearest(name, names, most=7))
         text = error_text(
             self.name,
             "",
-            expected=f"a {kind} such as {some}" if known else f"a {kind}",
-            found=repr(name) if known else "none",
-            remedy="Choose one of these." if known else "Look at `quality`.",
+            expected=f"a {kind} such as {examples}" if names else f"a {kind}",
+            found=repr(name) if names else "none",
+            remedy="Choose one of these." if names else "Look at `quality`.",
         )
         return UsageError(text)
 
@@ -267,7 +270,9 @@ class Test:
         notes = self._outcome.quality
         why = next((note.message for note in notes if note.severity is Severity.ERROR), "")
         remedy = (
-            f"Why: {why.rstrip('.')}." if why else "Its protocol asks for none, or see `quality`."
+            f"Why: {why.rstrip('.')}."
+            if why
+            else "Its protocol does not ask for one, or see `quality`."
         )
         return ProcessingError(
             error_text(self.name, "", expected=f"a {what}", found="none", remedy=remedy)

@@ -1,7 +1,6 @@
-"""What a worker of a cluster does: a batch of tests, each in a process of its own.
+"""A batch of tests on a cluster worker, each in its own process.
 
-A crash in C does not take the worker down then, and the worker goes on telling its scheduler that
-it is there.
+A crash in C then does not end the worker, which stays connected to its scheduler.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ from labpipe.process.run import PROCESSING_VERSION
 from labpipe.process.test_runner import Task
 
 Versions: TypeAlias = tuple[str, int]
-"""Of labpipe, and of its way of processing."""
+"""Version of labpipe, and processing version."""
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Tests that a worker does one after the other.
+    """Tests that a worker processes in sequence.
 
     Parameters
     ----------
-    counter : where the cluster counts how often it was begun
+    counter : key under which the cluster counts starts of the batch
     tasks : the tests
-    home : working folder of whoever asks; relative paths of tasks mean that one
-    limit : s, after which a test is given up; None for no limit
-    versions : of whoever asks
+    home : working folder of the client; relative paths of tasks start there
+    limit : s, time limit of a test; None for no limit
+    versions : of the client
     """
 
     counter: tuple[str, str]
@@ -47,16 +46,16 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class FilesNotVisible:
-    """A test of which a worker does not see the files."""
+    """A test whose files are not visible to a worker."""
 
 
 @dataclass(frozen=True, slots=True)
 class LostBatch:
-    """A batch that was begun before, by a worker that is gone; this one left it alone.
+    """A batch that was started before on a lost worker, and was not started again.
 
     Parameters
     ----------
-    times : that it was begun
+    times : number of earlier starts
     """
 
     times: int
@@ -64,18 +63,16 @@ class LostBatch:
 
 Ended: TypeAlias = Outcome | ProcessDied | CallRaised | FilesNotVisible
 METADATA = "labpipe"
-"""Where the scheduler keeps how often batches were begun and not ended."""
-_IDLE = 60.0
-"""s without a batch, after which the process for tests is ended."""
+"""Key of the scheduler metadata that counts unfinished starts of batches."""
 
 
 def versions() -> Versions:
-    """Tell which labpipe a worker has."""
+    """Return the versions of a worker."""
     return __version__, PROCESSING_VERSION
 
 
-def do_batch(batch: Batch) -> tuple[str, Versions | LostBatch | list[Ended]]:
-    """Do the tests of a batch, on a worker.
+def process_batch(batch: Batch) -> tuple[str, Versions | LostBatch | list[Ended]]:
+    """Process the tests of a batch on a worker.
 
     Parameters
     ----------
@@ -84,7 +81,7 @@ def do_batch(batch: Batch) -> tuple[str, Versions | LostBatch | list[Ended]]:
     Returns
     -------
     address : of the worker
-    ended : what came of each test, in their order; the versions of this labpipe if they are others
+    ended : outcome of each test, in order; the versions of this labpipe if they differ
     """
     from distributed import get_client, get_worker
 
@@ -96,14 +93,14 @@ def do_batch(batch: Batch) -> tuple[str, Versions | LostBatch | list[Ended]]:
     client.set_metadata(counter, times + 1)
     if times:
         return address, LostBatch(times)
-    ended = do_here(batch)
-    # If the worker is lost before its results are fetched, they are made again: no death of theirs.
+    ended = process_locally(batch)
+    # If the worker is lost before its results are fetched, the batch is repeated without a penalty.
     client.set_metadata(counter, 0)
     return address, ended
 
 
-def do_here(batch: Batch) -> list[Ended]:
-    """Do the tests of a batch in a process for tests of this one.
+def process_locally(batch: Batch) -> list[Ended]:
+    """Process the tests of a batch in a child process.
 
     Parameters
     ----------
@@ -111,51 +108,53 @@ def do_here(batch: Batch) -> list[Ended]:
 
     Returns
     -------
-    What came of each, in their order.
+    Outcome of each test, in order.
     """
     seen = [task for task in batch.tasks if (batch.home / task.sheet).exists()]
     ended: dict[Path, Ended] = {}
-    with _crew(batch.limit) as crew:
-        for (_, task), outcome in crew.as_they_end([(batch.home, task) for task in seen]):
+    with _worker_pool(batch.limit) as pool:
+        for (_, task), outcome in pool.as_completed([(batch.home, task) for task in seen]):
             ended[task.sheet] = outcome
     return [ended.get(task.sheet, FilesNotVisible()) for task in batch.tasks]
 
 
-def _outcome_at(given: tuple[Path, Task]) -> Outcome:
-    """Process a test where relative paths mean what they meant to whoever asked."""
-    home, task = given
-    with suppress(OSError):  # not there: then paths are absolute, or the sheet would not be seen
+def _outcome_at(call: tuple[Path, Task]) -> Outcome:
+    """Process a test in the working folder of the client."""
+    home, task = call
+    with suppress(OSError):  # missing only if all paths are absolute
         os.chdir(home)
     return outcome_of(task)
 
 
-class _Kept(threading.local):
-    """The process for tests of each thread of this worker, kept for the next batch for a while."""
+class _IdlePools(threading.local):
+    """Process pools of a worker thread, kept for the next batch for a while."""
 
     def __init__(self) -> None:
-        self.crews: dict[float | None, WorkerPool[tuple[Path, Task], Outcome]] = {}
+        self.pools: dict[float | None, WorkerPool[tuple[Path, Task], Outcome]] = {}
         self.end = threading.Timer(0.0, lambda: None)
 
 
-_KEPT = _Kept()
+_IDLE_POOLS = _IdlePools()
 
 
 @contextmanager
-def _crew(limit: float | None) -> Iterator[WorkerPool[tuple[Path, Task], Outcome]]:
-    _KEPT.end.cancel()
-    crew = _KEPT.crews.pop(limit, None) or WorkerPool(_outcome_at, jobs=1, limit=limit)
+def _worker_pool(limit: float | None) -> Iterator[WorkerPool[tuple[Path, Task], Outcome]]:
+    # s without a batch, after which the process is closed
+    idle_limit = 60.0
+    _IDLE_POOLS.end.cancel()
+    pool = _IDLE_POOLS.pools.pop(limit, None) or WorkerPool(_outcome_at, jobs=1, limit=limit)
     try:
-        yield crew
+        yield pool
     except BaseException:
-        crew.leave()
+        pool.close()
         raise
-    _KEPT.crews[limit] = crew
-    _KEPT.end = threading.Timer(_IDLE, partial(_let_go, _KEPT.crews))
-    _KEPT.end.daemon = True
-    _KEPT.end.start()
+    _IDLE_POOLS.pools[limit] = pool
+    _IDLE_POOLS.end = threading.Timer(idle_limit, partial(_close_pools, _IDLE_POOLS.pools))
+    _IDLE_POOLS.end.daemon = True
+    _IDLE_POOLS.end.start()
 
 
-def _let_go(crews: dict[float | None, WorkerPool[tuple[Path, Task], Outcome]]) -> None:
-    while crews:
-        with suppress(KeyError):  # taken meanwhile
-            crews.popitem()[1].leave()
+def _close_pools(pools: dict[float | None, WorkerPool[tuple[Path, Task], Outcome]]) -> None:
+    while pools:
+        with suppress(KeyError):  # taken by the next batch
+            pools.popitem()[1].close()

@@ -1,4 +1,4 @@
-"""Where a campaign lies, and what lies in its folders."""
+"""Folders of a campaign and their content."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _OUTCOME = (SUMMARY_FILE, FAILURE_FILE, RESULT_FILE)
 
 @dataclass(frozen=True, slots=True)
 class CampaignFolders:
-    """A campaign: a folder of exports and a folder of results, at the same place below both.
+    """A campaign: a folder of exports and a folder of results with the same name.
 
     Parameters
     ----------
     name : the folder below ``raw`` and ``processed``, with slashes
-    raw : exports and test sheets, a folder per test; need not be there any more
-    processed : results, a folder per test; made when it is needed
+    raw : exports and test sheets, a folder per test; may be missing
+    processed : results, a folder per test; made on first use
     """
 
     name: str
@@ -36,7 +36,7 @@ class CampaignFolders:
 
 
 def find_campaign(folder: Path) -> CampaignFolders:
-    """Find both folders of a campaign by one of them.
+    """Find both folders of a campaign from one of them.
 
     Parameters
     ----------
@@ -45,25 +45,27 @@ def find_campaign(folder: Path) -> CampaignFolders:
     Raises
     ------
     UsageError
-        If it is not there, lies below neither, or is the folder of a test.
+        If it is missing, below neither, or the folder of a single test.
     """
     if not folder.is_dir():
-        found = "a file" if folder.exists() else "nothing of that name"
-        raise _no_campaign(folder, "the folder of a campaign", found)
+        description = "a file" if folder.exists() else "nothing of that name"
+        raise _no_campaign(folder, "the folder of a campaign", description)
     there = folder.resolve()
     for above in (there, *there.parents):
         if above.name in {RAW, PROCESSED}:
             name = there.relative_to(above)
-            raw, processed = (_as_typed(above.parent / each / name) for each in (RAW, PROCESSED))
+            raw, processed = (_as_typed(above.parent / top / name) for top in (RAW, PROCESSED))
             if (raw / SHEET_NAME).is_file():
-                raise _no_campaign(folder, "the folder of a campaign", "that of a single test")
+                raise _no_campaign(
+                    folder, "the folder of a campaign", "the folder of a single test"
+                )
             return CampaignFolders(name.as_posix(), raw, processed)
-    found = "one that lies below neither"
-    raise _no_campaign(folder, "a folder below 'raw' or 'processed'", found)
+    description = "a folder below neither"
+    raise _no_campaign(folder, "a folder below 'raw' or 'processed'", description)
 
 
 def name_of_campaign(folder: Path) -> str:
-    """Name the campaign whose results lie in a folder.
+    """Return the name of the campaign whose results are in a folder.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ def name_of_campaign(folder: Path) -> str:
 
     Returns
     -------
-    Its name; empty where the folder is that of no campaign.
+    The name; empty if the folder belongs to no campaign.
     """
     with suppress(UsageError):
         return find_campaign(folder).name
@@ -79,25 +81,25 @@ def name_of_campaign(folder: Path) -> str:
 
 
 def _as_typed(path: Path) -> Path:
-    """A path as seen from the working folder, if it lies below: messages are kept in files."""
+    """Return a path relative to the working folder if it is below it, for messages in files."""
     here = Path.cwd().resolve()
     return path.relative_to(here) if path.is_relative_to(here) else path
 
 
 def _no_campaign(folder: Path, expected: str, found: str) -> UsageError:
-    remedy = "Put the tests into raw/NAME, a folder each; results go to processed/NAME."
+    remedy = "Put each test into a folder below raw/NAME; results go to processed/NAME."
     return UsageError(error_text(folder, "", expected=expected, found=found, remedy=remedy))
 
 
 @dataclass(slots=True)
 class RawFolder:
-    """What lies below the folder of exports.
+    """Content of the folder of exports.
 
     Parameters
     ----------
-    sheets : test sheet by test, which is the folder that holds it, below the campaign
-    files : all files but hidden ones, below the campaign, with slashes
-    refused : what the system does not let see
+    sheets : test sheet by test, named by its folder below the campaign
+    files : all files except hidden ones, below the campaign, with slashes
+    refused : messages on what cannot be read
     """
 
     sheets: dict[str, Path] = field(default_factory=dict)
@@ -110,30 +112,32 @@ def list_raw(campaign: CampaignFolders) -> RawFolder:
 
     Parameters
     ----------
-    campaign : its folder of exports may be gone, and nothing is found then
+    campaign : if its folder of exports is missing, the lists are empty
     """
-    found = RawFolder()
-    for label, place, files, _ in _walk(campaign.raw, found.refused):
-        found.files += [f"{label}/{name}" if label else name for name in files]
+    listing = RawFolder()
+    for label, place, files, _ in _walk(campaign.raw, listing.refused):
+        listing.files += [f"{label}/{name}" if label else name for name in files]
         if SHEET_NAME not in files:
             continue
         sheet = Path(place, SHEET_NAME)
         if sheet.is_file():
-            found.sheets[label] = sheet
+            listing.sheets[label] = sheet
         else:
-            odd, remedy = "a pipe, or a link to nowhere", "Put the test sheet there."
-            found.refused.append(error_text(sheet, "", expected="a file", found=odd, remedy=remedy))
-    return found
+            odd, remedy = "a pipe or a broken link", "Put the test sheet there."
+            listing.refused.append(
+                error_text(sheet, "", expected="a file", found=odd, remedy=remedy)
+            )
+    return listing
 
 
 @dataclass(frozen=True, slots=True)
 class OutcomeFiles:
-    """Which files tell what became of a test, and how they look from outside.
+    """Files of the outcome of a test.
 
     Parameters
     ----------
     folder : of the results
-    marks : size, time and number of each file as text; the same for files that are unchanged
+    marks : size, time and inode of each file as text; equal for unchanged files
     """
 
     folder: Path
@@ -141,7 +145,7 @@ class OutcomeFiles:
 
     @property
     def has_results(self) -> bool:
-        """Whether there are whole results."""
+        """Whether there are complete results."""
         return f"{SUMMARY_FILE}:" in self.marks and f"{RESULT_FILE}:" in self.marks
 
     @property
@@ -155,23 +159,23 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
 
     Parameters
     ----------
-    campaign : its folder of results may not be there yet
+    campaign : its folder of results may be missing
 
     Returns
     -------
-    One for each folder that holds any file of an outcome.
+    Outcome files of each folder that has any.
     """
-    found = {}
+    outcomes = {}
     for label, place, files, hidden in _walk(campaign.processed, [], skipped=FIGURES):
-        is_mended = bool(hidden & {*STAGES}) and _mended(Path(place))
-        there = os.listdir(place) if is_mended else files  # noqa: PTH208  as the walk gives them
+        is_finish_interrupted = bool(hidden & {*STAGES}) and _finish_interrupted(Path(place))
+        there = os.listdir(place) if is_finish_interrupted else files  # noqa: PTH208  names, as from the walk
         if {*_OUTCOME} & {*there}:
-            found[label] = OutcomeFiles(Path(place), _marks(place, there))
-    return found
+            outcomes[label] = OutcomeFiles(Path(place), _marks(place, there))
+    return outcomes
 
 
-def _mended(folder: Path) -> bool:
-    """Bring to its end what a killed process began, unless another one is at work there."""
+def _finish_interrupted(folder: Path) -> bool:
+    """Finish what a killed process left unfinished, unless another process works there."""
     if not is_cut_off(folder):
         return False
     with suppress(StoreError), locked(folder), storing(folder):
@@ -179,52 +183,52 @@ def _mended(folder: Path) -> bool:
     return False
 
 
-def look_at_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
-    """Look at the outcome of one test.
+def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
+    """Find the outcome of one test.
 
     Parameters
     ----------
-    campaign : that it belongs to
+    campaign : of the test
     test : its folder below the campaign
     """
     folder = campaign.processed / test
-    _mended(folder)
+    _finish_interrupted(folder)
     files = [name for name in _OUTCOME if (folder / name).is_file()]
     return OutcomeFiles(folder, _marks(str(folder), files))
 
 
 def _marks(place: str, files: list[str]) -> str:
-    said = []
+    marks = []
     for name in _OUTCOME:
         if name not in files:
             continue
         with suppress(OSError):
-            about = os.stat(f"{place}/{name}")  # noqa: PTH116  ten thousand of them: Path is slow
-            said.append(f"{name}:{about.st_size}:{about.st_mtime_ns}:{about.st_ino}")
-    return " ".join(said)
+            about = os.stat(f"{place}/{name}")  # noqa: PTH116  Path is slow for ten thousand files
+            marks.append(f"{name}:{about.st_size}:{about.st_mtime_ns}:{about.st_ino}")
+    return " ".join(marks)
 
 
 def _walk(
     top: Path, refused: list[str], *, skipped: str = ""
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
-    """Folders below one, without hidden ones and links: files, and what is hidden."""
+    """Yield folders below a folder, without hidden ones and links: files and hidden names."""
     left = [("", str(top))]
     while left:
         label, place = left.pop()
         try:
             with os.scandir(place) as entries:
                 every = list(entries)
-            seen = [each for each in every if not each.name.startswith(".")]
-            refused += [_unfit_name(each.path) for each in seen if not _is_text(each.name)]
-            seen = [each for each in seen if _is_text(each.name)]
-            folders = {each.name for each in seen if each.is_dir(follow_symlinks=False)}
+            seen = [entry for entry in every if not entry.name.startswith(".")]
+            refused += [_name_error(entry.path) for entry in seen if not _is_text(entry.name)]
+            seen = [entry for entry in seen if _is_text(entry.name)]
+            folders = {entry.name for entry in seen if entry.is_dir(follow_symlinks=False)}
         except FileNotFoundError:
             continue
         except OSError as error:
             refused.append(refusal(error))
             continue
-        files = [each.name for each in seen if each.name not in folders]
-        yield label, place, files, {each.name for each in every if each.name.startswith(".")}
+        files = [entry.name for entry in seen if entry.name not in folders]
+        yield label, place, files, {entry.name for entry in every if entry.name.startswith(".")}
         left += [
             (f"{label}/{name}" if label else name, f"{place}/{name}")
             for name in sorted(folders, reverse=True)
@@ -233,11 +237,13 @@ def _walk(
 
 
 def _is_text(name: str) -> bool:
-    """Whether a name can be written in a file: those of Linux may be any bytes."""
+    """Whether a name is valid text: on Linux it may be any bytes."""
     return name.isascii() or not any("\ud800" <= sign <= "\udfff" for sign in name)
 
 
-def _unfit_name(path: str) -> str:
-    shown = path.encode("utf-8", "backslashreplace").decode()
-    found, remedy = "other bytes", "Rename it; it was left out."
-    return error_text(shown, "", expected="a name in UTF-8", found=found, remedy=remedy)
+def _name_error(path: str) -> str:
+    printable_path = path.encode("utf-8", "backslashreplace").decode()
+    description, remedy = "other bytes", "Rename it; it is left out."
+    return error_text(
+        printable_path, "", expected="a name in UTF-8", found=description, remedy=remedy
+    )

@@ -1,8 +1,8 @@
-"""The catalog of a campaign: an SQLite file that can be made anew from the files of its tests.
+"""The catalog of a campaign: an SQLite file that can be rebuilt from the files of its tests.
 
-Tables ``tests``, ``results``, ``inputs`` and ``decisions`` hold what the files say, and nothing
-else. ``seen`` holds how files looked, ``running`` who is at work where, ``times`` how long tests
-took: these stand in no other file, and are not compared.
+Tables ``tests``, ``results``, ``inputs`` and ``decisions`` copy the content of files. ``seen``
+(file stamps), ``running`` (claims of processes) and ``times`` (durations) exist only here and are
+not compared.
 """
 
 from __future__ import annotations
@@ -30,10 +30,8 @@ PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
     *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),
 )
 COMPARED: Final = ("tests", "results", "inputs", "decisions")
-"""Tables that a rebuild gives row for row."""
+"""Tables that a rebuild reproduces row for row."""
 TABLES: Final = (*COMPARED, "seen", "running", "times")
-_WAIT = 60.0
-"""s: how long another process may be writing."""
 _TABLES = """
 create table tests (
     folder text primary key, test text not null, state text not null, why text not null,
@@ -71,21 +69,21 @@ class TestRow:
 
     Parameters
     ----------
-    folder : of the test below the campaign, with slashes; names it
+    folder : of the test below the campaign, with slashes; the key
     test : its name
-    state : one of `STATES`, but ``running``
-    why : of a stale test what changed, of a rejected one the reason
-    code, reason : of a failure, or of the first result that is doubtful
-    protocol, type, spool, sample, date, operator : of summary.json, else of the test sheet
-    specimen : all that summary.json says of it, as JSON
-    labpipe : version that made the results, or failed to
-    run : key of the results; empty where there are none
-    failed_run : key of the last attempt, where that failed
+    state : one of `STATES` except ``running``
+    why : what changed for a stale test, the reason for a rejected one
+    code, reason : of a failure, or of the first doubtful result
+    protocol, type, spool, sample, date, operator : from summary.json, else the test sheet
+    specimen : from summary.json, as JSON
+    labpipe : version of the last attempt
+    run : key of the results; empty without results
+    failed_run : key of the last attempt if it failed
     sheet, resolved : SHA-256 of test sheet and resolved protocol of the last attempt
-    decided_by, decided : who rejected it, and when
+    decided_by, decided : person and time of a rejection
     """
 
-    __test__ = False  # not a test of this project, whatever its name suggests to pytest
+    __test__ = False  # pytest must not collect it
 
     folder: str
     test: str = ""
@@ -110,7 +108,7 @@ class TestRow:
 
     @property
     def attempt(self) -> str:
-        """Key of the last attempt; empty where there was none."""
+        """Key of the last attempt; empty without any."""
         return self.failed_run or self.run
 
 
@@ -120,12 +118,12 @@ RESULT_COLUMNS: Final = tuple(field.name for field in fields(ResultRow))
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """How a test looked when its row was made.
+    """State of the files of a test when its row was made.
 
     Parameters
     ----------
-    content : what it was made of, as `Content.as_text` gives it; empty where that was not asked
-    marks : how the files of its outcome looked
+    content : inputs of the test, from `Content.as_text`; empty if not determined
+    marks : of the files of its outcome
     """
 
     content: str = ""
@@ -134,15 +132,15 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """All that the catalog keeps of a test.
+    """Catalog entry of a test.
 
     Parameters
     ----------
     row : of the table ``tests``
-    seen : how it looked
+    seen : state of its files
     inputs : role, file and SHA-256 of the exports
-    results : of the last attempt that did not fail; both are None where they and the row are as
-        the catalog has them
+    results : of the last successful attempt; both are None if row, inputs and results are
+        unchanged
     """
 
     row: TestRow
@@ -152,13 +150,13 @@ class Entry:
 
 
 class Catalog:
-    """An open catalog. What SQLite refuses is said as a `StoreError`.
+    """An open catalog. SQLite errors are raised as `StoreError`.
 
     Parameters
     ----------
-    connection : to a file that has the tables
+    connection : to a file with the tables
     path : of the file, for messages
-    in_memory : whether it is a copy that nobody else sees
+    in_memory : whether it is a private copy in memory
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, *, in_memory: bool) -> None:
@@ -170,8 +168,8 @@ class Catalog:
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
-        """Change several things, or none."""
-        with speaking(self.path):
+        """Run several changes in one transaction."""
+        with sqlite_errors(self.path):
             self._connection.execute("begin immediate")
             try:
                 yield self._connection
@@ -181,53 +179,53 @@ class Catalog:
             self._connection.commit()
 
     def _all(self, sql: str, *values: object) -> list[Any]:
-        with speaking(self.path):
+        with sqlite_errors(self.path):
             return self._connection.execute(sql, values).fetchall()
 
     def rows(self) -> dict[str, TestRow]:
-        """All rows of ``tests``, by folder."""
-        found = self._all(f"select {', '.join(TEST_COLUMNS)} from tests")
-        return {row[0]: TestRow(*row) for row in found}
+        """Return all rows of ``tests`` by folder."""
+        rows = self._all(f"select {', '.join(TEST_COLUMNS)} from tests")
+        return {row[0]: TestRow(*row) for row in rows}
 
     def seen(self) -> dict[str, Seen]:
-        """How tests looked, by folder."""
-        found = self._all("select folder, content, marks from seen")
-        return {folder: Seen(content, marks) for folder, content, marks in found}
+        """Return the recorded state of files by folder."""
+        rows = self._all("select folder, content, marks from seen")
+        return {folder: Seen(content, marks) for folder, content, marks in rows}
 
     def row_of(self, folder: str) -> TestRow | None:
-        """The row of a test; None where there is none.
+        """Return the row of a test, or None.
 
         Parameters
         ----------
         folder : of the test
         """
-        found = self._all(f"select {', '.join(TEST_COLUMNS)} from tests where folder = ?", folder)
-        return TestRow(*found[0]) if found else None
+        rows = self._all(f"select {', '.join(TEST_COLUMNS)} from tests where folder = ?", folder)
+        return TestRow(*rows[0]) if rows else None
 
     def seen_of(self, folder: str) -> Seen | None:
-        """How a test looked; None where it was not seen yet.
+        """Return the recorded state of the files of a test, or None.
 
         Parameters
         ----------
         folder : of the test
         """
-        found = self._all("select content, marks from seen where folder = ?", folder)
-        return Seen(*found[0]) if found else None
+        rows = self._all("select content, marks from seen where folder = ?", folder)
+        return Seen(*rows[0]) if rows else None
 
     def put_seen(self, folder: str, seen: Seen) -> None:
-        """Write how a test looks.
+        """Record the state of the files of a test.
 
         Parameters
         ----------
         folder : of the test
-        seen : how it looks
+        seen : the state
         """
         with self._writing() as connection:
             values = (folder, seen.content, seen.marks)
             connection.execute("insert or replace into seen values (?, ?, ?)", values)
 
     def results_of(self, folder: str) -> tuple[ResultRow, ...]:
-        """Results of a test, in order.
+        """Return the results of a test, in order.
 
         Parameters
         ----------
@@ -238,7 +236,7 @@ class Catalog:
         return tuple(ResultRow(*row) for row in self._all(sql, folder))
 
     def has_failed_results(self) -> bool:
-        """Whether any result of a test that is not rejected failed."""
+        """Return whether any result failed in a test that is not rejected."""
         sql = (
             "select 1 from results join tests on tests.folder = results.folder"
             " where results.status = 'failed' and tests.state <> 'rejected' limit 1"
@@ -246,7 +244,7 @@ class Catalog:
         return bool(self._all(sql))
 
     def inputs_of(self, folder: str) -> tuple[tuple[str, str, str], ...]:
-        """Role, file and SHA-256 of the exports of a test, in order.
+        """Return role, file and SHA-256 of the exports of a test, in order.
 
         Parameters
         ----------
@@ -256,27 +254,27 @@ class Catalog:
         return tuple(self._all(sql, folder))
 
     def put(self, entries: Iterable[Entry], before: Mapping[str, Seen] | None = None) -> None:
-        """Write what is kept of tests.
+        """Write entries of tests.
 
         Parameters
         ----------
         entries : of the tests
-        before : how they looked when the entries were begun; a test that looks otherwise in the
-            catalog by now was written by another process, which knows more. None to write all
+        before : recorded states when the entries were begun; a test whose recorded state has
+            changed since was written by another process and is skipped. None to write all
         """
         with self._writing() as connection:
-            known = self.seen() if before is not None else {}
+            stored = self.seen() if before is not None else {}
             for entry in entries:
                 folder = entry.row.folder
-                if before is None or known.get(folder) == before.get(folder):
+                if before is None or stored.get(folder) == before.get(folder):
                     _put(connection, entry)
 
-    def forget(self, folders: Iterable[str]) -> None:
-        """Take tests out.
+    def remove(self, folders: Iterable[str]) -> None:
+        """Remove tests.
 
         Parameters
         ----------
-        folders : that are there no more
+        folders : of the tests
         """
         with self._writing() as connection:
             for folder in folders:
@@ -284,30 +282,30 @@ class Catalog:
                     connection.execute(f"delete from {table} where folder = ?", (folder,))
 
     def decisions(self) -> list[tuple[Decision, bool]]:
-        """All decisions in order, and whether each counts."""
+        """Return all decisions in order, and whether each is applied."""
         sql = 'select test, run, decision, because, "by", "when", note, applied from decisions'
-        found = self._all(f"{sql} order by place")
-        return [(Decision(*row[:-1]), bool(row[-1])) for row in found]
+        rows = self._all(f"{sql} order by place")
+        return [(Decision(*row[:-1]), bool(row[-1])) for row in rows]
 
     def put_decisions(self, decisions: Sequence[tuple[Decision, bool]]) -> None:
         """Replace all decisions.
 
         Parameters
         ----------
-        decisions : in order, and whether each counts
+        decisions : in order, and whether each is applied
         """
         if decisions == self.decisions():
             return
         sql = "insert into decisions values (?, ?, ?, ?, ?, ?, ?, ?, ?)"
-        rows = [(n, *astuple(each), on) for n, (each, on) in enumerate(decisions)]
+        rows = [(n, *astuple(decision), on) for n, (decision, on) in enumerate(decisions)]
         with self._writing() as connection:
             connection.execute("delete from decisions")
             connection.executemany(sql, rows)
 
     def claims(self) -> dict[str, Claim]:
-        """Who is at work on which test, by folder; dead ones are left out."""
-        found = self._all("select folder, host, pid, process, since from running")
-        claims = {folder: Claim(*rest) for folder, *rest in found}
+        """Return claims of live processes by folder of the test."""
+        rows = self._all("select folder, host, pid, process, since from running")
+        claims = {folder: Claim(*rest) for folder, *rest in rows}
         return {folder: claim for folder, claim in claims.items() if is_alive(claim)}
 
     def claim(self, folder: str) -> bool:
@@ -319,7 +317,7 @@ class Catalog:
 
         Returns
         -------
-        False where another process that lives has it.
+        False if another live process has claimed it.
         """
         with self._writing() as connection:
             sql = "select host, pid, process, since from running where folder = ?"
@@ -330,17 +328,17 @@ class Catalog:
         return True
 
     def release(self, folder: str) -> None:
-        """Give a claim back.
+        """Release a claim.
 
         Parameters
         ----------
-        folder : of a test that this process has claimed
+        folder : of a test claimed by this process
         """
         with self._writing() as connection:
             connection.execute("delete from running where folder = ?", (folder,))
 
     def release_dead(self) -> None:
-        """Take away claims of processes that ended before they gave them back."""
+        """Delete the claims of processes that have ended."""
         alive = self.claims()
         dead = {folder for (folder,) in self._all("select folder from running")} - alive.keys()
         if dead:
@@ -349,39 +347,39 @@ class Catalog:
                 connection.executemany(sql, [(folder,) for folder in dead])
 
     def put_time(self, folder: str, finished: str, seconds: float) -> None:
-        """Write when a test was processed, and how long it took.
+        """Record when a test was processed, and its duration.
 
         Parameters
         ----------
         folder : of the test
         finished : time, ISO 8601
-        seconds : that it took
+        seconds : duration
         """
         with self._writing() as connection:
             values = (folder, finished, seconds)
             connection.execute("insert or replace into times values (?, ?, ?)", values)
 
     def content(self) -> dict[str, list[Any]]:
-        """All rows of the tables that a rebuild gives, in order: for comparing."""
+        """Return all rows of the compared tables, sorted."""
         return {table: sorted(self._all(f"select * from {table}"), key=repr) for table in COMPARED}
 
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
-        """Hand out a connection that cannot change anything, for a query."""
+        """Open a read-only connection for a query."""
         if self.in_memory:
             self._connection.execute("pragma query_only = on")
             yield self._connection
             self._connection.execute("pragma query_only = off")
             return
-        with speaking(self.path):
-            connection = connected(self.path, "ro")
+        with sqlite_errors(self.path):
+            connection = open_connection(self.path, "ro")
         with closing(connection):
             yield connection
 
 
 @contextmanager
-def speaking(path: Path) -> Iterator[None]:
-    """Say what SQLite refuses as a `StoreError`.
+def sqlite_errors(path: Path) -> Iterator[None]:
+    """Raise SQLite errors as `StoreError`.
 
     Parameters
     ----------
@@ -390,15 +388,15 @@ def speaking(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        said = str(error)
-        remedy = "`labpipe campaign rebuild` makes it anew from the files of the tests."
-        if "lock" in said or "busy" in said:
+        message = str(error)
+        remedy = "`labpipe campaign rebuild` rebuilds it from the files of the tests."
+        if "lock" in message or "busy" in message:
             remedy = "Another labpipe is writing: wait until it is done, and try again."
-        elif "readonly" in said or "unable to open" in said or "full" in said:
-            remedy = "Look at the disk and its permissions."
-        expected = "a catalog that can be read and written"
+        elif "readonly" in message or "unable to open" in message or "full" in message:
+            remedy = "Check the disk and its permissions."
+        expected = "a readable and writable catalog"
         raise StoreError(
-            error_text(path, "", expected=expected, found=said, remedy=remedy)
+            error_text(path, "", expected=expected, found=message, remedy=remedy)
         ) from error
 
 
@@ -415,12 +413,12 @@ def _put(connection: sqlite3.Connection, entry: Entry) -> None:
     holes = ", ".join("?" * (len(RESULT_COLUMNS) + 2))
     results = [(folder, place, *astuple(result)) for place, result in enumerate(entry.results)]
     connection.executemany(f"insert into results values ({holes})", results)
-    inputs = [(folder, place, *each) for place, each in enumerate(entry.inputs)]
+    inputs = [(folder, place, *export) for place, export in enumerate(entry.inputs)]
     connection.executemany("insert into inputs values (?, ?, ?, ?, ?)", inputs)
 
 
 def make_tables(connection: sqlite3.Connection) -> None:
-    """Make the tables of an empty catalog.
+    """Create the tables of an empty catalog.
 
     Parameters
     ----------
@@ -432,51 +430,53 @@ def make_tables(connection: sqlite3.Connection) -> None:
     )
 
 
-def connected(path: Path, mode: str) -> sqlite3.Connection:
+def open_connection(path: Path, mode: str) -> sqlite3.Connection:
     """Open the file of a catalog.
 
     Parameters
     ----------
     path : of the file
-    mode : ``ro``, ``rw`` or ``rwc``, which makes it. With ``ro`` a file in a folder where SQLite
-        cannot write its own files is opened as one that does not change
+    mode : ``ro``, ``rw``, or ``rwc`` to create it. With ``ro``, a file in a folder without write
+        access is opened as immutable
     """
-    uri = uri_of(path.absolute())
+    uri = file_uri(path.absolute())
     try:
-        connection = in_autocommit(f"{uri}?mode={mode}")
+        connection = connect_autocommit(f"{uri}?mode={mode}")
         connection.execute("select count(*) from sqlite_schema")
     except sqlite3.OperationalError:
         if mode != "ro" or can_write(path):
             raise
-        connection = in_autocommit(f"{uri}?mode=ro&immutable=1")
+        connection = connect_autocommit(f"{uri}?mode=ro&immutable=1")
     return connection
 
 
-def uri_of(path: PurePath) -> str:
-    """Name a file as SQLite takes it, whatever characters its name has.
+def file_uri(path: PurePath) -> str:
+    """Return the URI of a file for SQLite, for any characters in its name.
 
     Parameters
     ----------
-    path : absolute; of a network drive of Windows, too, whose server SQLite wants as a folder
+    path : absolute; may be on a Windows network drive, whose server SQLite takes as a folder
     """
     uri = path.as_uri()
     return uri if uri.startswith("file:///") else uri.replace("file://", "file:////", 1)
 
 
-def in_autocommit(uri: str) -> sqlite3.Connection:
-    """Connect; every statement counts at once, but between ``begin`` and ``commit``.
+def connect_autocommit(uri: str) -> sqlite3.Connection:
+    """Connect in autocommit mode, with explicit transactions.
 
     Parameters
     ----------
     uri : of a file, or ``:memory:``
     """
+    # s to wait for another process that writes
+    lock_timeout = 60.0
     return sqlite3.connect(
-        uri, uri=True, timeout=_WAIT, isolation_level=None, check_same_thread=False
+        uri, uri=True, timeout=lock_timeout, isolation_level=None, check_same_thread=False
     )
 
 
 def can_write(path: Path) -> bool:
-    """Whether a catalog can be written, and files beside it.
+    """Return whether a catalog, and files beside it, can be written.
 
     Parameters
     ----------
@@ -487,11 +487,11 @@ def can_write(path: Path) -> bool:
     )
 
 
-def as_json(said: Mapping[str, Any]) -> str:
-    """Text of an object that is the same for the same object.
+def as_json(content: Mapping[str, Any]) -> str:
+    """Write an object as JSON with sorted keys, so that equal objects have equal text.
 
     Parameters
     ----------
-    said : the object
+    content : the object
     """
-    return json.dumps(said, ensure_ascii=False, sort_keys=True)
+    return json.dumps(content, ensure_ascii=False, sort_keys=True)

@@ -1,4 +1,4 @@
-"""The file of a catalog: opened, made, refused where it is newer, put aside where it is damaged."""
+"""Open and make the file of a catalog; refuse newer ones and set damaged ones aside."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from labpipe.campaign.catalog import (
     TABLES,
     Catalog,
     can_write,
-    connected,
-    in_autocommit,
+    connect_autocommit,
     make_tables,
-    speaking,
+    open_connection,
+    sqlite_errors,
 )
 from labpipe.campaign.remote_drives import is_on_this_machine
 from labpipe.errors import UsageError, error_text
@@ -25,15 +25,15 @@ from labpipe.store.replace import storing
 
 _DAMAGED: Final = "it was damaged ({})"
 _NOT_DAMAGED: Final = ("lock", "readonly", "unable to open", "busy")
-"""Words of SQLite for what says nothing about the file."""
+"""Words in SQLite errors that do not mean a damaged file."""
 
 
-class NoCatalog(Exception):  # noqa: N818  no error: it is made anew then
-    """There is no sound catalog.
+class NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
+    """There is no usable catalog.
 
     Parameters
     ----------
-    why : what there is
+    why : there is none
     """
 
     def __init__(self, why: str) -> None:
@@ -45,29 +45,29 @@ def open_catalog(folder: Path) -> Catalog:
 
     Parameters
     ----------
-    folder : of the results; where it cannot be written, a copy in memory is opened
+    folder : of the results; if read-only, a copy in memory is opened
 
     Raises
     ------
     NoCatalog
-        If there is none, or a damaged one.
+        If there is none, or it is damaged.
     UsageError
-        If it is of a newer labpipe, or no catalog at all.
+        If it was made by a newer labpipe, or is not a catalog.
     """
     path = folder / CATALOG
     if not path.is_file():
         raise NoCatalog("no file" if path.exists() else "there was none")
     try:
-        with closing(connected(path, "ro")) as connection:
-            _check(connection, path)
+        with closing(open_connection(path, "ro")) as connection:
+            _check_tables(connection, path)
         if not can_write(path):
-            return _copied(path)
-        connection = connected(path, "rw")
+            return _copy_to_memory(path)
+        connection = open_connection(path, "rw")
         _set_journal(connection, path)
         return Catalog(connection, path, in_memory=False)
     except sqlite3.DatabaseError as error:
         if any(word in str(error) for word in _NOT_DAMAGED):
-            with speaking(path):
+            with sqlite_errors(path):
                 raise
         raise NoCatalog(_DAMAGED.format(error)) from error
 
@@ -77,9 +77,8 @@ def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
 
     Parameters
     ----------
-    folder : of the results, made if it is not there; where it cannot be written, the catalog is
-        made in memory
-    keep_old : whether what stood there is put aside, as ``catalog.sqlite.damaged``
+    folder : of the results, made if missing; if read-only, the catalog is made in memory
+    keep_old : whether an existing file is kept as ``catalog.sqlite.damaged``
 
     Raises
     ------
@@ -88,7 +87,7 @@ def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
     """
     path = folder / CATALOG
     if not can_write(path):
-        memory = in_autocommit(":memory:")
+        memory = connect_autocommit(":memory:")
         make_tables(memory)
         return Catalog(memory, path, in_memory=True)
     with storing(path):
@@ -96,37 +95,37 @@ def new_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
             path.replace(path.with_name(f"{CATALOG}.damaged"))
         for ending in ("", "-wal", "-shm", "-journal"):
             path.with_name(CATALOG + ending).unlink(missing_ok=True)
-    with speaking(path):
-        connection = connected(path, "rwc")
+    with sqlite_errors(path):
+        connection = open_connection(path, "rwc")
         _set_journal(connection, path)
         make_tables(connection)
     return Catalog(connection, path, in_memory=False)
 
 
-def _copied(path: Path) -> Catalog:
-    memory = in_autocommit(":memory:")
-    with closing(connected(path, "ro")) as connection:
+def _copy_to_memory(path: Path) -> Catalog:
+    memory = connect_autocommit(":memory:")
+    with closing(open_connection(path, "ro")) as connection:
         connection.backup(memory)
     return Catalog(memory, path, in_memory=True)
 
 
-def _check(connection: sqlite3.Connection, path: Path) -> None:
-    """Refuse what is newer, or no catalog; tell what is damaged."""
+def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
+    """Raise for newer, foreign and damaged files."""
     (program,) = connection.execute("pragma application_id").fetchone()
     (version,) = connection.execute("pragma user_version").fetchone()
     tables = {name for (name,) in connection.execute("select name from sqlite_schema")}
     if program != PROGRAM and tables:
-        found = "a data base of another program"
+        description = "a database of another program"
         raise UsageError(
-            error_text(path, "", expected="a catalog of labpipe", found=found,
-                      remedy="Move it away: the catalog is made from the files of the tests.")
+            error_text(path, "", expected="a catalog of labpipe", found=description,
+                      remedy="Move it away: the catalog is rebuilt from the files of the tests.")
         )  # fmt: skip
     if version > SCHEMA:
         remedy = (
-            "A newer labpipe made it: use that one, or move it away, and it is made anew from the"
-            " files of the tests."
+            "A newer labpipe made it: use that version, or move the file away to rebuild it from"
+            " the files of the tests."
         )
-        expected = f"a catalog of the version {SCHEMA}"
+        expected = f"a catalog of version {SCHEMA}"
         raise UsageError(
             error_text(path, "", expected=expected, found=f"version {version}", remedy=remedy)
         )
@@ -139,9 +138,9 @@ def _check(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _set_journal(connection: sqlite3.Connection, path: Path) -> None:
-    """Let readers and a writer work at a time, where the drive keeps the promises this needs."""
+    """Allow concurrent readers and a writer, where the drive supports it."""
     mode = "wal" if is_on_this_machine(path) else "delete"
-    with suppress(sqlite3.OperationalError):  # in use: it stays as it is
+    with suppress(sqlite3.OperationalError):  # in use: the mode stays
         connection.execute(f"pragma journal_mode = {mode}")
     connection.execute(
         "pragma synchronous = normal" if mode == "wal" else "pragma synchronous = full"

@@ -1,4 +1,4 @@
-"""What people decide of tests: accepted or rejected, why, by whom; bound to what was tested."""
+"""Decisions of people on tests: accepted or rejected, why, by whom; bound to a result key."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.campaign.outcome_rows import ResultRow, plain
+from labpipe.campaign.outcome_rows import ResultRow, encodable
 from labpipe.errors import StoreError, UsageError, error_text
 from labpipe.store.read import read_run
 from labpipe.store.replace import locked, replacing
@@ -19,15 +19,11 @@ SCHEMA: Final = 1
 ACCEPT, REJECT = "accept", "reject"
 NO_SUCH_TEST: Final = "there is no such test"
 OPEN_AGAIN: Final = "open again: exports, sheet, protocol or labpipe changed since"
-OTHER_KEY: Final = "it was made on another key: exports, sheet, protocol or labpipe changed"
+OTHER_KEY: Final = "exports, sheet, protocol or labpipe changed since the decision"
 _TEXTS = ("test", "run", "decision", "because", "by", "when")
 _NEEDED = ("test", "run", "decision", "because", "by")
 _MOST_BYTES = 50_000_000
-_PATIENCE = 30.0
-"""s: how long another process may be writing."""
-_SHARE = 0.1
-"""Share of an interval that a number may move by before a decision on it is asked for again."""
-_MEND = "Mend the file, or move it away and decide again; nothing in it was changed."
+_REPAIR = "Repair the file, or move it away and decide again; the file was not changed."
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +33,11 @@ class Decision:
     Parameters
     ----------
     test : its folder below the campaign
-    run : key of what was decided on; a decision counts for that key and no other
+    run : key of the results; the decision applies to this key only
     decision : ``accept`` or ``reject``
-    because, by : why, and who decided
+    because, by : reason and person
     when : time of the decision, ISO 8601, as it is written
-    note : where it was carried over from another key, why
+    note : reason why it was carried over from another key
     """
 
     test: str
@@ -55,14 +51,14 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class DecisionFile:
-    """What a file of decisions holds.
+    """Content of a file of decisions.
 
     Parameters
     ----------
-    decisions : those that can be read, in order
+    decisions : the readable ones, in order
     faults : what is wrong with the file or with single decisions, as messages
-    is_whole : whether the file as such could be read; no decision of it is known otherwise
-    document : all of it, as it was
+    is_whole : whether the file could be read; there are no decisions otherwise
+    document : its complete content
     """
 
     decisions: tuple[Decision, ...] = ()
@@ -77,27 +73,27 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
     Parameters
     ----------
     folder : of the results of the campaign
-    campaign : its name; a file of another one is said. Empty for not known
+    campaign : its name, to report files of another one; empty if not known
 
     Returns
     -------
-    The decisions; none where there is no file. Whatever is wrong is said in `faults`.
+    The decisions; none without a file. Problems are in `faults`.
     """
     path = folder / DECISIONS
     return read_decision_file(path, campaign) if path.exists() else DecisionFile()
 
 
 def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
-    """Read decisions, whatever their file is called and wherever it lies.
+    """Read decisions from any file.
 
     Parameters
     ----------
     path : of the file
-    campaign : its name; a file of another one is said. Empty for not known
+    campaign : its name, to report files of another one; empty if not known
 
     Returns
     -------
-    The decisions. Whatever is wrong, also that there is no such file, is said in `faults`.
+    The decisions. Problems, including a missing file, are in `faults`.
     """
     document = _document(path)
     if isinstance(document, str):
@@ -106,17 +102,17 @@ def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
 
 
 def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") -> DecisionFile:
-    """Take the decisions out of a document.
+    """Parse the decisions of a document.
 
     Parameters
     ----------
     document : with a list ``decisions``
-    path : of where it stands, for messages
-    campaign : its name; a document of another one is said. Empty for not known
+    path : of the document, for messages
+    campaign : its name, to report documents of another one; empty if not known
 
     Returns
     -------
-    The decisions. What is wrong with single ones is said in `faults`.
+    The decisions. Problems with single ones are in `faults`.
     """
     faults = []
     if campaign and document.get("campaign", campaign) != campaign:
@@ -126,72 +122,74 @@ def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") ->
                 "campaign",
                 expected=f"decisions of {campaign!r}",
                 found=f"those of {document['campaign']!r}",
-                remedy="Those that were made on the same exports, sheet and protocol count.",
+                remedy="Decisions on the same exports, sheet and protocol are applied.",
             )
         )
-    read = [_decision(path, number, key) for number, key in enumerate(document["decisions"])]
-    faults += [each for each in read if isinstance(each, str)]
-    decisions = tuple(each for each in read if isinstance(each, Decision))
+    read = [_decision(path, number, entry) for number, entry in enumerate(document["decisions"])]
+    faults += [entry for entry in read if isinstance(entry, str)]
+    decisions = tuple(entry for entry in read if isinstance(entry, Decision))
     return DecisionFile(decisions, tuple(faults), document=document)
 
 
 def _document(path: Path) -> dict[str, Any] | str:
-    """The content of the file, or what is wrong with it."""
+    """Read the content of the file, or return a message."""
     try:
         if path.stat().st_size > _MOST_BYTES:
-            return _broken(path, "", f"{path.stat().st_size} bytes")
+            return _file_error(path, "", f"{path.stat().st_size} bytes")
         document = json.loads(path.read_text(encoding="utf-8-sig"))
     except json.JSONDecodeError as error:
-        return _broken(path, f"line {error.lineno}, column {error.colno}", error.msg)
+        return _file_error(path, f"line {error.lineno}, column {error.colno}", error.msg)
     except (OSError, ValueError, RecursionError) as error:
-        return _broken(path, "", getattr(error, "strerror", None) or "text that is no JSON")
+        return _file_error(path, "", getattr(error, "strerror", None) or "text that is not JSON")
     return checked_document(document, path)
 
 
 def checked_document(document: object, path: Path) -> dict[str, Any] | str:
-    """Check that something is a document of decisions.
+    """Check a document of decisions.
 
     Parameters
     ----------
-    document : as JSON gives it
-    path : of where it stands, for messages
+    document : parsed JSON
+    path : of the document, for messages
 
     Returns
     -------
-    The document, or what is wrong with it.
+    The document, or a message.
     """
     if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
-        return _broken(path, "", "JSON without a list 'decisions'")
+        return _file_error(path, "", "JSON without a list 'decisions'")
     if document.get("schema") != SCHEMA:
-        found = f"{document.get('schema')!r}, where this labpipe knows {SCHEMA}"
-        return _broken(path, "schema", found)
+        description = f"{document.get('schema')!r}; this labpipe reads {SCHEMA}"
+        return _file_error(path, "schema", description)
     return document
 
 
-def _broken(path: Path, place: str, found: str) -> str:
-    return error_text(path, place, expected="decisions in JSON", found=found, remedy=_MEND)
+def _file_error(path: Path, place: str, found: str) -> str:
+    return error_text(path, place, expected="decisions in JSON", found=found, remedy=_REPAIR)
 
 
-def _decision(path: Path, number: int, said: object) -> Decision | str:
-    """One decision, or what is wrong with it."""
+def _decision(path: Path, number: int, entry: object) -> Decision | str:
+    """Parse one decision, or return a message."""
     place = f"decisions.{number}"
-    if not isinstance(said, dict):
-        return error_text(path, place, expected="a decision", found=repr(said)[:60], remedy=_MEND)
-    missing = [key for key in _NEEDED if not str(said.get(key) or "").strip()]
+    if not isinstance(entry, dict):
+        return error_text(
+            path, place, expected="a decision", found=repr(entry)[:60], remedy=_REPAIR
+        )
+    missing = [key for key in _NEEDED if not str(entry.get(key) or "").strip()]
     if missing:
-        found = f"none of {', '.join(missing)}"
-        return error_text(path, place, expected="test, run, decision, because and by", found=found,
-                         remedy=_MEND)  # fmt: skip
-    if said["decision"] not in {ACCEPT, REJECT}:
-        found = repr(said["decision"])[:60]
+        description = f"none of {', '.join(missing)}"
+        expected = "test, run, decision, because and by"
+        return error_text(path, place, expected=expected, found=description, remedy=_REPAIR)
+    if entry["decision"] not in {ACCEPT, REJECT}:
+        description = repr(entry["decision"])[:60]
         expected = f"{ACCEPT} or {REJECT}"
-        return error_text(path, place, expected=expected, found=found, remedy=_MEND)
-    texts = {key: plain(said.get(key) or "") for key in (*_TEXTS, "note")}
+        return error_text(path, place, expected=expected, found=description, remedy=_REPAIR)
+    texts = {key: encodable(entry.get(key) or "") for key in (*_TEXTS, "note")}
     return Decision(**texts)
 
 
 def by_test_and_run(decisions: Iterable[Decision]) -> dict[tuple[str, str], Decision]:
-    """Find the decision that counts for each test and key: the last one.
+    """Return the last decision for each test and key.
 
     Parameters
     ----------
@@ -201,9 +199,9 @@ def by_test_and_run(decisions: Iterable[Decision]) -> dict[tuple[str, str], Deci
 
 
 def in_force(decisions: Iterable[Decision], *, run: str) -> Decision | None:
-    """Find the decision that counts for a test: the last one on its key.
+    """Return the decision that applies to a test: the last one on its key.
 
-    A test that was rejected on another key stays out until a person decides again.
+    A test that was rejected on another key stays rejected until a person decides again.
 
     Parameters
     ----------
@@ -211,64 +209,66 @@ def in_force(decisions: Iterable[Decision], *, run: str) -> Decision | None:
     run : key of its results
     """
     newest_first = [*decisions][::-1]
-    own = next((decision for decision in newest_first if decision.run == run), None)
-    if own is None and newest_first and newest_first[0].decision == REJECT:
+    current = next((decision for decision in newest_first if decision.run == run), None)
+    if current is None and newest_first and newest_first[0].decision == REJECT:
         last = newest_first[0]
         return replace(last, because=f"{last.because} ({OPEN_AGAIN})")
-    return own
+    return current
 
 
-def not_applied(
+def unapplied_decisions(
     decisions: Sequence[Decision], runs: Mapping[str, str]
 ) -> Iterator[tuple[Decision, str]]:
-    """Find decisions that count for nothing now.
+    """Find decisions that are not applied.
 
     Parameters
     ----------
     decisions : in order
-    runs : key of each test as it stands, by test
+    runs : present key of each test, by test
 
     Yields
     ------
-    Each test's last decision and why it is not applied, if it is not.
+    Each test's last decision, and why it is not applied.
     """
     last: dict[str, Decision] = {}
     for decision in decisions:
-        counts = decision.test in last and last[decision.test].run == runs.get(decision.test)
-        if not counts or decision.run == runs.get(decision.test):
+        is_current = decision.test in last and last[decision.test].run == runs.get(decision.test)
+        if not is_current or decision.run == runs.get(decision.test):
             last[decision.test] = decision
-    for test, each in last.items():
+    for test, decision in last.items():
         if test not in runs:
-            yield each, NO_SUCH_TEST
-        elif runs[test] != each.run:
-            yield each, OTHER_KEY
+            yield decision, NO_SUCH_TEST
+        elif runs[test] != decision.run:
+            yield decision, OTHER_KEY
 
 
 def add_decisions(folder: Path, campaign: str, decisions: Sequence[Decision]) -> None:
-    """Write decisions behind those that there are.
+    """Append decisions to those of a campaign.
 
     Parameters
     ----------
-    folder : of the results of the campaign; made if it is not there
+    folder : of the results of the campaign; made if missing
     campaign : its name
     decisions : new ones
 
     Raises
     ------
     UsageError
-        If the file that is there cannot be read: it stays as it is.
+        If the existing file cannot be read; it is not changed.
     StoreError
-        If it cannot be written, or another process is at work in the folder.
+        If it cannot be written, or another process holds the lock.
 
     Notes
     -----
-    What else the file holds, also what this labpipe does not understand, stays in it.
+    All other content of the file is kept, known to this labpipe or not.
     """
-    with locked(folder, patience=_PATIENCE):
-        known = read_decisions(folder)
-        if not known.is_whole:
-            raise UsageError("\n".join(known.faults))
-        document = {"schema": SCHEMA, "campaign": campaign, "decisions": [], **known.document}
+    # s to wait for another process that writes
+    lock_timeout = 30.0
+    with locked(folder, patience=lock_timeout):
+        earlier = read_decisions(folder)
+        if not earlier.is_whole:
+            raise UsageError("\n".join(earlier.faults))
+        document = {"schema": SCHEMA, "campaign": campaign, "decisions": [], **earlier.document}
         document["decisions"] = [*document["decisions"], *map(decision_entry, decisions)]
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         with replacing(folder / DECISIONS) as temporary:
@@ -287,12 +287,12 @@ def decision_entry(decision: Decision) -> dict[str, str]:
 
 
 def now() -> str:
-    """The time, as decisions state it."""
+    """Return the time in the format of decisions."""
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
 
 def largest_move(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> float:
-    """Compare the numbers of a test before and after.
+    """Compare the results of a test before and after.
 
     Parameters
     ----------
@@ -300,28 +300,28 @@ def largest_move(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> flo
 
     Returns
     -------
-    How far the number that moved most did, in widths of its interval before; infinite where a
-    result came, went, failed, or moved and has no interval.
+    The largest change in widths of the earlier interval; infinite if a result was added, lost or
+    failed, or changed without an interval.
     """
-    if [result_row.name for result_row in before] != [result_row.name for result_row in after]:
+    if [row.name for row in before] != [row.name for row in after]:
         return float("inf")
-    return max(map(_move, before, after), default=0.0)
+    return max(map(_relative_move, before, after), default=0.0)
 
 
-def _move(before: ResultRow, after: ResultRow) -> float:
+def _relative_move(before: ResultRow, after: ResultRow) -> float:
     if before.value == after.value:
         return 0.0
-    known = (before.value, before.lower, before.upper, after.value)
-    if any(number is None for number in known):
+    numbers = (before.value, before.lower, before.upper, after.value)
+    if any(number is None for number in numbers):
         return float("inf")
-    value, lower, upper, other = (float(number or 0.0) for number in known)
+    value, lower, upper, other = (float(number or 0.0) for number in numbers)
     return abs(other - value) / (upper - lower) if upper > lower else float("inf")
 
 
-def carried_over(
+def carry_over(
     decision: Decision, run: str, before: Sequence[ResultRow], after: Sequence[ResultRow]
 ) -> Decision | None:
-    """Carry a decision over to a test that was only processed by a newer labpipe.
+    """Carry a decision over to results of a newer labpipe on the same inputs.
 
     Parameters
     ----------
@@ -331,11 +331,12 @@ def carried_over(
 
     Returns
     -------
-    The same decision on the new key, with a note; None where a number moved by more than a tenth of
-    its interval: then it has to be decided again.
+    The same decision on the new key, with a note; None if a number moved by more than a tenth of
+    its interval, which needs a new decision.
     """
+    max_move = 0.1
     moved = largest_move(before, after)
-    if moved > _SHARE:
+    if moved > max_move:
         return None
     note = (
         f"carried over from {decision.run}: only the processing version changed, and no number"
@@ -346,24 +347,24 @@ def carried_over(
     )
 
 
-def home_of(test: Path, shared: Path) -> Path:
-    """Find the folder that has the decisions on a test.
+def decision_folder(test: Path, shared: Path) -> Path:
+    """Find the folder with the decisions on a test.
 
     Parameters
     ----------
     test : folder of its results
-    shared : folder that counts as that of the campaign where none has decisions yet
+    shared : folder of the campaign, used while none has decisions
 
     Returns
     -------
-    The nearest around the test that has decisions, resolved.
+    The nearest folder above the test with decisions, resolved.
     """
     around = test.resolve().parents
-    return next((each for each in around if (each / DECISIONS).is_file()), shared.resolve())
+    return next((parent for parent in around if (parent / DECISIONS).is_file()), shared.resolve())
 
 
 def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
-    """Find what was decided on tests, by their results.
+    """Find the decisions on tests by their results.
 
     Parameters
     ----------
@@ -371,42 +372,41 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
 
     Returns
     -------
-    By file, the decisions on that test, in order and of whatever key; only of campaigns that have
-    decisions.
+    Decisions on each test by file, in order, for any key; only of campaigns with decisions.
 
     Raises
     ------
     StoreError
-        If the decisions cannot be read: a rejected test must not slip in.
+        If the decisions cannot be read: rejected tests must stay out.
     """
     decisions: dict[Path, tuple[Decision, ...]] = {}
     read: dict[Path, dict[str, list[Decision]]] = {}
     for file in files:
         test = file.resolve().parent
-        home = home_of(test, test.parent)
+        home = decision_folder(test, test.parent)
         if not (home / DECISIONS).is_file():
             continue
         if home not in read:
-            known = read_decisions(home)
-            if not known.is_whole:
-                raise StoreError("\n".join(known.faults))
+            stored = read_decisions(home)
+            if not stored.is_whole:
+                raise StoreError("\n".join(stored.faults))
             read[home] = {}
-            for decision in known.decisions:
+            for decision in stored.decisions:
                 read[home].setdefault(decision.test, []).append(decision)
         decisions[file] = tuple(read[home].get(test.relative_to(home).as_posix(), ()))
     return decisions
 
 
 def label_of(file: Path, shared: Path) -> str:
-    """Name a test as decisions on it do: by its folder below that of its campaign.
+    """Return the label of a test in decisions: its folder below the campaign.
 
     Parameters
     ----------
     file : a result.h5
-    shared : folder that counts as that of the campaign where none has decisions yet
+    shared : folder of the campaign, used while none has decisions
     """
     test = file.resolve().parent
-    home = home_of(test, shared)
+    home = decision_folder(test, shared)
     return test.relative_to(home).as_posix()
 
 
@@ -419,8 +419,8 @@ def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
 
     Returns
     -------
-    left : those that count, in order
-    rejected : by file, why one does not, by whom and when
+    left : the others, in order
+    rejected : reason, person and time by file
 
     Raises
     ------
@@ -429,9 +429,9 @@ def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
     """
     rejected = {}
     for file, decisions in decisions_on(files).items():
-        found = in_force(decisions, run=read_run(file)) if decisions else None
-        if found is not None and found.decision == REJECT:
-            rejected[file] = decision_sentence(found)
+        decision = in_force(decisions, run=read_run(file)) if decisions else None
+        if decision is not None and decision.decision == REJECT:
+            rejected[file] = decision_sentence(decision)
     left = [file for file in files if file not in rejected]
     if not left:
         raise UsageError("\n".join(f"{file}: rejected: {why}" for file, why in rejected.items()))
@@ -439,7 +439,7 @@ def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
 
 
 def decision_sentence(decision: Decision) -> str:
-    """Say why, by whom and when something was decided.
+    """Write reason, person and time of a decision.
 
     Parameters
     ----------

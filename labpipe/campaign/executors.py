@@ -1,4 +1,4 @@
-"""Where the tests of a campaign are processed: on this machine, or on a cluster."""
+"""Executors: process tests on this machine or on a cluster."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from contextlib import closing
 from typing import TypeAlias
 
 from labpipe.campaign.machine import default_jobs
-from labpipe.campaign.outcomes import Outcome, outcome_of, settled
-from labpipe.campaign.workers import as_they_end
+from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
+from labpipe.campaign.workers import as_completed
 from labpipe.errors import UsageError, error_text
 from labpipe.process.test_runner import Task
 
 __all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local"]
 
 Executor: TypeAlias = Callable[[Iterable[Task]], Generator[Outcome, None, None]]
-"""Takes tasks one by one as it can begin them; gives outcomes in the order in which they end."""
+"""Takes tasks as it can start them; yields outcomes in the order of completion."""
 
 
 def local(jobs: int, *, limit: float | None = None) -> Executor:
-    """Process tests on this machine, each in a process that it cannot take others down with.
+    """Process tests on this machine, each isolated in its own process.
 
     Parameters
     ----------
-    jobs : how many at a time
-    limit : s, after which a test is given up; None for no limit
+    jobs : number of tests at the same time
+    limit : s, time limit of a test; None for no limit
 
     Returns
     -------
@@ -32,9 +32,9 @@ def local(jobs: int, *, limit: float | None = None) -> Executor:
     """
 
     def executor(tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
-        with closing(as_they_end(outcome_of, tasks, jobs=jobs, limit=limit)) as ended:
+        with closing(as_completed(outcome_of, tasks, jobs=jobs, limit=limit)) as ended:
             for task, outcome in ended:
-                yield settled(task, outcome)
+                yield outcome_of_call(task, outcome)
 
     return executor
 
@@ -45,19 +45,18 @@ def dask(address: str, *, limit: float | None = None) -> Executor:
     Parameters
     ----------
     address : of its scheduler, ``HOST:PORT``
-    limit : s, after which a test is given up; None for no limit
+    limit : s, time limit of a test; None for no limit
 
     Returns
     -------
-    The executor. It connects when there is something to do, and raises `UsageError` where there is
-    no scheduler, no worker, or none with this labpipe; `ProcessingError` where the scheduler goes
-    away before all is done.
+    The executor. It connects on the first task, and raises `UsageError` if there is no scheduler
+    or no worker with this labpipe, `ProcessingError` if the scheduler is lost during the run.
     """
 
     def executor(tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
-        from labpipe.campaign.cluster import dealt  # distributed is an extra, and takes its time
+        from labpipe.campaign.cluster import process_on_cluster  # distributed is an extra
 
-        yield from dealt(tasks, address, limit=limit)
+        yield from process_on_cluster(tasks, address, limit=limit)
 
     return executor
 
@@ -66,18 +65,18 @@ _CLUSTER = "dask://"
 
 
 def executor_of(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
-    """Give the executor that a command line names.
+    """Return the executor named on the command line.
 
     Parameters
     ----------
     text : ``local`` or ``dask://HOST:PORT``
-    jobs : how many at a time on this machine; None for `default_jobs`
-    limit : s, after which a test is given up; None for no limit
+    jobs : number of tests at the same time on this machine; None for `default_jobs`
+    limit : s, time limit of a test; None for no limit
 
     Raises
     ------
     UsageError
-        If it names none.
+        If the text is neither.
     """
     if text == "local":
         return local(jobs or default_jobs(), limit=limit)

@@ -1,4 +1,4 @@
-"""Whether files stand still: exports that are written, copied or locked are waited for."""
+"""Whether files have stopped changing: exports being written, copied or locked are waited for."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ Mark: TypeAlias = tuple[int, int]
 
 @dataclass(slots=True)
 class _Seen:
-    """A file as it was last seen.
+    """State of a file at the last look.
 
     Parameters
     ----------
     mark : size and time
-    since : when it first had them, by the clock of the watch: that of a drive may differ
-    moving_since : when it last began to change
-    stood : whether it was seen to stand still with this mark
+    since : start of this state, by the clock of the watch (the clock of a drive may differ)
+    moving_since : start of the last changes
+    was_still : whether it was found unchanged and readable with this mark
     """
 
     mark: Mark
     since: float
     moving_since: float
-    stood: bool = False
+    was_still: bool = False
 
 
 class FileStability:
-    """Files that were looked at again and again.
+    """Files under repeated observation.
 
     Parameters
     ----------
-    clock : gives seconds that never go back
-    still_for : s, a file that has not changed for so long stands still
+    clock : monotonic, s
+    still_for : s without a change, after which a file is still
     """
 
     def __init__(self, clock: Callable[[], float], still_for: float) -> None:
@@ -52,8 +52,8 @@ class FileStability:
 
         Returns
         -------
-        ``still``: it has been as it is for long enough, and can be opened; ``growing``: it changed;
-        ``locked``: it stands still, but the system does not let it be opened; ``gone``.
+        ``still``: unchanged for long enough and readable; ``growing``: changed recently;
+        ``locked``: unchanged, but cannot be opened; ``gone``.
         """
         now = self._clock()
         try:
@@ -67,24 +67,24 @@ class FileStability:
             self._seen[path] = _Seen(mark, now, now)
             return "growing"
         if seen.mark != mark:
-            self._seen[path] = _Seen(mark, now, now if seen.stood else seen.moving_since)
+            self._seen[path] = _Seen(mark, now, now if seen.was_still else seen.moving_since)
             return "growing"
         if now - seen.since < self.still_for:
             return "growing"
-        seen.stood = _opens(path)
-        return "still" if seen.stood else "locked"
+        seen.was_still = _opens(path)
+        return "still" if seen.was_still else "locked"
 
     def mark(self, path: Path) -> Mark | None:
-        """Size and time of a file when it was last looked at; None if it is gone."""
+        """Return size and time of a file at the last look; None if it is gone."""
         return self._seen[path].mark if path in self._seen else None
 
     def since(self, paths: Iterable[Path]) -> float:
-        """When the last of some files changed; the clock's now where there is none."""
-        known = [self._seen[path].since for path in paths if path in self._seen]
-        return max(known, default=self._clock())
+        """Return when the last of some files changed; the present without any."""
+        times = [self._seen[path].since for path in paths if path in self._seen]
+        return max(times, default=self._clock())
 
     def moving_for(self, path: Path) -> float:
-        """For how long a file has been changing or locked, s."""
+        """Return for how long a file has been changing or locked, s."""
         seen = self._seen.get(path)
         return 0.0 if seen is None else self._clock() - seen.moving_since
 

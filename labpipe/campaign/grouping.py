@@ -1,4 +1,4 @@
-"""Which samples stand together, with which settings, and how groups differ pair by pair."""
+"""Group samples, compare their processing settings, and compare groups in pairs."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from labpipe.statistics.groups import compare_groups
 from labpipe.statistics.two_groups import judged
 
 _SECTIONS = ("align", "steps", "curve", "branches", "results")
-"""What makes numbers of a recording; the rest of a protocol speaks of the sample and its files."""
+"""Sections of a protocol that control processing; the rest describes the sample and files."""
 
 _ABSENT = "none"
-_MOST_KEYS = 3
-"""Settings that a verdict names one by one."""
+_MAX_LISTED_SETTINGS = 3
+"""Settings of a block that are named one by one."""
 
 Settings = Mapping[str, str]
 Unlike = Mapping[str, list[str]]
-"""Tests by the value that a setting has in them."""
+"""Tests by the value of a setting."""
 
 
 def settings_of(protocol: Protocol) -> Settings:
-    """List what a protocol says about processing.
+    """List the processing settings of a protocol.
 
     Parameters
     ----------
-    protocol : resolved: the overrides of the test are in it
+    protocol : resolved, with the overrides of the test
 
     Returns
     -------
-    Value by dotted key, such as ``results.stiffness_first.from``. Items of a list go by their name
-    or kind, and the list itself is there too, for their order.
+    Value by dotted key, such as ``results.stiffness_first.from``. Items of a list have their
+    name or kind as key; the list itself is included for their order.
     """
     data = protocol.model_dump(mode="json", by_alias=True)
     return dict(_flat({key: data[key] for key in _SECTIONS if data.get(key) is not None}, ""))
@@ -67,61 +67,63 @@ def _flat(data: object, at: str) -> Iterator[tuple[str, str]]:
 
 
 def _by_label(items: Sequence[Any]) -> dict[str, Any]:
-    """Items by name, or by kind, with a number where that is taken."""
-    found: dict[str, Any] = {}
+    """Return items by name or kind, with a number if that is taken."""
+    labelled: dict[str, Any] = {}
     times: Counter[str] = Counter()
     for item in items:
         label = next((str(item[key]) for key in ("name", "step", "result") if key in item), "item")
         times[label] += 1
-        found[label if times[label] == 1 else f"{label} {times[label]}"] = item
-    return found
+        labelled[label if times[label] == 1 else f"{label} {times[label]}"] = item
+    return labelled
 
 
 def setting_notes(settings: Mapping[str, Settings], noted: Sequence[str] = ()) -> list[QualityNote]:
-    """Warn where tests that are averaged were processed otherwise.
+    """Warn if tests that are averaged were processed with different settings.
 
     Parameters
     ----------
     settings : by test
-    noted : results, or ``slips``, whose difference is noted already
+    noted : results, or ``slips``, with a note on their difference already
 
     Returns
     -------
-    One note ``protocols_differ`` per setting, at its key; of a block of the protocol in which more
-    than `_MOST_KEYS` settings differ, as where a test lacks an optional export, one for the block.
+    One note ``protocols_differ`` per setting, at its key; one per block of the protocol in which
+    more than `_MAX_LISTED_SETTINGS` settings differ, such as without an optional export.
     """
     blocks: dict[str, dict[str, Unlike]] = {}
     for key, tests in differing(settings).items():
         if not _is_noted(key, noted):
             blocks.setdefault(key.partition(".")[0], {})[key] = tests
     notes = []
-    for block, own in blocks.items():
-        named = {key: parted(tests) for key, tests in own.items()}
-        shown = named if len(own) <= _MOST_KEYS else {block: _of_block(named)}
+    for block, differences in blocks.items():
+        named = {key: parted(tests) for key, tests in differences.items()}
+        texts = named if len(differences) <= _MAX_LISTED_SETTINGS else {block: _block_text(named)}
         those = tuple(
-            dict.fromkeys(test for tests in own.values() for test in tests_with_fewer_facts(tests))
+            dict.fromkeys(
+                test for tests in differences.values() for test in tests_with_fewer_facts(tests)
+            )
         )
         notes += [
             QualityNote(
                 PROTOCOLS_DIFFER,
                 Severity.WARNING,
                 key,
-                f"set otherwise from test to test: {said}",
+                f"different settings among the tests: {text}",
                 tests=those,
             )
-            for key, said in shown.items()
+            for key, text in texts.items()
         ]
     return notes
 
 
-def _of_block(own: Mapping[str, str]) -> str:
-    """How a block differs, by the first of its settings."""
-    key, said = next(iter(own.items()))
-    return f"{len(own)} settings, the first {key}: {said}"
+def _block_text(texts: Mapping[str, str]) -> str:
+    """Describe the differences of a block by its first setting."""
+    key, text = next(iter(texts.items()))
+    return f"{len(texts)} settings, the first {key}: {text}"
 
 
 def differing(settings: Mapping[str, Settings]) -> dict[str, Unlike]:
-    """Find the settings that are not the same in all tests.
+    """Find the settings that differ among tests.
 
     Parameters
     ----------
@@ -129,29 +131,29 @@ def differing(settings: Mapping[str, Settings]) -> dict[str, Unlike]:
 
     Returns
     -------
-    By key, the tests by value. Where a list lacks an item in some test, the list is named and not
-    all that the item says.
+    Tests by value, by key. If a test lacks an item of a list, the list is returned instead of all
+    keys of the item.
     """
-    keys = dict.fromkeys(key for own in settings.values() for key in own)
-    found: dict[str, Unlike] = {}
+    keys = dict.fromkeys(key for values in settings.values() for key in values)
+    unlike: dict[str, Unlike] = {}
     for key in keys:
         tests: dict[str, list[str]] = {}
-        for test, own in settings.items():
-            tests.setdefault(own.get(key, _ABSENT), []).append(test)
-        is_told = _ABSENT in tests and any(key.startswith(f"{known}.") for known in found)
-        if len(tests) > 1 and not is_told:
-            found[key] = tests
-    return found
+        for test, values in settings.items():
+            tests.setdefault(values.get(key, _ABSENT), []).append(test)
+        is_listed = _ABSENT in tests and any(key.startswith(f"{parent}.") for parent in unlike)
+        if len(tests) > 1 and not is_listed:
+            unlike[key] = tests
+    return unlike
 
 
 def settings_by_test(
     samples: Sequence[Sample], settings: Mapping[str, Settings]
 ) -> dict[str, Settings]:
-    """Settings of samples by test; of tests of one name, by file.
+    """Return settings of samples by test; by file for tests with the same name.
 
     Parameters
     ----------
-    samples : of one group, or of two that are compared
+    samples : of a group, or of two groups that are compared
     settings : by file
     """
     times = Counter(sample.test for sample in samples)
@@ -162,7 +164,7 @@ def settings_by_test(
 
 
 def differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
-    """Name the settings that differ among the tests of a comparison; empty where none does.
+    """Describe the settings that differ among the tests of a comparison.
 
     Parameters
     ----------
@@ -170,13 +172,17 @@ def differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
 
     Returns
     -------
-    Of more than `_MOST_KEYS` settings, the blocks of the protocol that they stand in: the notes of
-    the groups have them all.
+    One text, or none. More than `_MAX_LISTED_SETTINGS` settings are summarised by blocks of the
+    protocol; the notes of the groups list them all.
     """
     keys = list(differing(settings))
-    if len(keys) > _MOST_KEYS:
+    if len(keys) > _MAX_LISTED_SETTINGS:
         keys = list(dict.fromkeys(key.partition(".")[0] for key in keys))
-    return (f"the tests were processed otherwise: {', '.join(keys)} differ",) if keys else ()
+    return (
+        (f"the tests were processed with different settings: {', '.join(keys)} differ",)
+        if keys
+        else ()
+    )
 
 
 def _is_noted(key: str, noted: Sequence[str]) -> bool:
@@ -188,46 +194,45 @@ _LENGTH = "length"
 
 
 class Key(NamedTuple):
-    """What the samples of a group have alike.
+    """Fields that the samples of a group share.
 
     Parameters
     ----------
-    words : one per field that groups are made by; empty for a sample whose sheet does not say it
+    field_values : one per grouping field; empty if the sheet does not state it
     protocol : name of the protocol
-    more : field and word of what else they have alike and other samples with these words have
-        otherwise, such as a length; empty where nothing differs, or fields were asked for
+    more : further fields and values that divide samples with these values, such as a length;
+        empty without any, or if the fields were chosen
     """
 
-    words: tuple[str, ...]
+    field_values: tuple[str, ...]
     protocol: str
     more: tuple[tuple[str, str], ...] = ()
 
 
 def key_of(sample: Sample, by: Sequence[str]) -> Key:
-    """Tell the group of a sample.
+    """Return the group of a sample.
 
     Parameters
     ----------
     sample : with or without the fields
-    by : fields that groups are made by
+    by : grouping fields
     """
-    own = fields_of(sample.specimen)
-    return Key(tuple(own.get(name, _WITHOUT) for name in by), sample.protocol)
+    fields = fields_of(sample.specimen)
+    return Key(tuple(fields.get(name, _WITHOUT) for name in by), sample.protocol)
 
 
 def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[Key, list[Sample]]:
-    """Put samples into the groups of a report.
+    """Divide samples into the groups of a report.
 
     Parameters
     ----------
     samples : in any order
-    by : fields that groups are made by, and by no other; if empty, the type and all else of the
-        specimen that differs within a type (`divide`)
+    by : grouping fields; if empty, the type and all fields of the specimen that differ within
+        a type (`divide`)
 
     Returns
     -------
-    Samples by what they have alike, in the order of `in_turn`. Tests of two protocols are in two
-    groups.
+    Samples by group, in the order of `sort_keys`. Tests of two protocols are in two groups.
     """
     members: dict[Key, list[Sample]] = {}
     for sample in samples:
@@ -235,39 +240,38 @@ def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[Key, lis
     if not by:
         members = {
             key._replace(more=tuple(part.fields.items())): list(part.samples)
-            for key, own in members.items()
-            for part in divide(own)
+            for key, group_samples in members.items()
+            for part in divide(group_samples)
         }
-    return {key: members[key] for key in in_turn(members, by or (TYPE,))}
+    return {key: members[key] for key in sort_keys(members, by or (TYPE,))}
 
 
-def in_turn(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
-    """Put groups in order: types by the alphabet, other fields as `in_order` says.
+def sort_keys(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
+    """Sort groups: types alphabetically, other fields by `in_order`.
 
     Parameters
     ----------
     keys : of the groups
-    by : fields that they were made by
+    by : grouping fields
     """
 
     def turn(key: Key) -> tuple[object, ...]:
-        words: list[object] = [
+        sort_values: list[object] = [
             word if name == TYPE else in_order(name, word or NOT_SAID)
-            for name, word in zip(by, key.words, strict=True)
+            for name, word in zip(by, key.field_values, strict=True)
         ]
-        return (*words, key.protocol, *(in_order(name, word) for name, word in key.more))
+        return (*sort_values, key.protocol, *(in_order(name, word) for name, word in key.more))
 
     return sorted(keys, key=turn)
 
 
 def group_names(keys: Sequence[Key], by: Sequence[str]) -> dict[Key, str]:
-    """Name groups after their fields, and their protocol where two share all else.
+    """Name groups by their fields, and by their protocol if two share all fields.
 
     Parameters
     ----------
     keys : of the groups
-    by : fields that they were made by; of a type, the name is the word alone, and so it is of a
-        length that divides a type
+    by : grouping fields; a type, or a length that divides a type, is named by its value alone
 
     Examples
     --------
@@ -276,26 +280,26 @@ def group_names(keys: Sequence[Key], by: Sequence[str]) -> dict[Key, str]:
     >>> list(group_names([Key(("A1",), "bend", (("length", "85 mm"),))], ["type"]).values())
     ['A1, 85 mm']
     """
-    protocols = Counter(words for words, _ in {(key.words, key.protocol) for key in keys})
+    protocols = Counter(labels for labels, _ in {(key.field_values, key.protocol) for key in keys})
     names = {}
     for key in keys:
-        words = [_word(name, word) for name, word in zip(by, key.words, strict=True)]
-        words += [key.protocol] if protocols[key.words] > 1 else []
-        words += [word if name == _LENGTH else _word(name, word) for name, word in key.more]
-        names[key] = ", ".join(words)
+        labels = [_word(name, word) for name, word in zip(by, key.field_values, strict=True)]
+        labels += [key.protocol] if protocols[key.field_values] > 1 else []
+        labels += [word if name == _LENGTH else _word(name, word) for name, word in key.more]
+        names[key] = ", ".join(labels)
     return names
 
 
 def _word(name: str, word: str) -> str:
-    said = name.replace("_", " ")
+    label = name.replace("_", " ")
     if word == _WITHOUT:
-        return f"without {said}"
-    return word if name == TYPE else f"{said} {word}"
+        return f"without {label}"
+    return word if name == TYPE else f"{label} {word}"
 
 
-def without(key: Key, by: Sequence[str]) -> list[str]:
-    """List the fields that the sheets of a group do not say."""
-    return [name for name, word in zip(by, key.words, strict=True) if word == _WITHOUT]
+def missing_fields(key: Key, by: Sequence[str]) -> list[str]:
+    """List the fields that the sheets of a group do not state."""
+    return [name for name, word in zip(by, key.field_values, strict=True) if word == _WITHOUT]
 
 
 def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) -> None:
@@ -305,30 +309,30 @@ def check_fields(wanted: Sequence[str], samples: Sequence[Sample], option: str) 
     ----------
     wanted : as typed
     samples : all of the report
-    option : that they were typed behind
+    option : of the command line
 
     Raises
     ------
     UsageError
-        If there is one, with those there are, the nearest first.
+        If there is one; the message lists the fields, the nearest first.
     """
-    known = known_fields(sample.specimen for sample in samples)
-    unknown = [name for name in wanted if name not in known]
+    fields = known_fields(sample.specimen for sample in samples)
+    unknown = [name for name in wanted if name not in fields]
     if not unknown:
         return
-    best = nearest(unknown[0], known, most=1)[0]
+    best = nearest(unknown[0], fields, most=1)[0]
     message = error_text(
         option,
         "",
-        expected=f"fields of these test sheets, which are {', '.join(known)}",
+        expected=f"fields of these test sheets: {', '.join(fields)}",
         found=", ".join(map(repr, unknown)),
-        remedy=f"Write {best}, or another of them.",
+        remedy=f"Nearest: {best}.",
     )
     raise UsageError(message)
 
 
-def with_own_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]:
-    """Tell apart spools of one name that belong to several types.
+def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]:
+    """Rename spools that have the same name in several types.
 
     Parameters
     ----------
@@ -336,14 +340,14 @@ def with_own_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]
 
     Returns
     -------
-    The samples, with the type before the name of such spools; and the names they had.
+    The samples, with the type before the name of such spools; and the original names.
     """
     belong = {(sample.specimen.spool, sample.specimen.type) for sample in samples}
     times = Counter(spool for spool, _ in belong)
     shared = sorted(spool for spool, count in times.items() if count > 1)
     named = [
-        replace(sample, specimen=replace(own, spool=f"{own.type} {own.spool}"))
-        if (own := sample.specimen).spool in shared
+        replace(sample, specimen=replace(specimen, spool=f"{specimen.type} {specimen.spool}"))
+        if (specimen := sample.specimen).spool in shared
         else sample
         for sample in samples
     ]
@@ -351,7 +355,7 @@ def with_own_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]
 
 
 _ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")
-"""Questions in the order of a report; any others follow."""
+"""Fields in the order of a report; others follow."""
 
 
 QUESTIONS = "answers to questions"
@@ -365,11 +369,11 @@ class Differences:
 
     Parameters
     ----------
-    shown : pair by pair
-    pairs_not_shown : of groups, that differ otherwise than was asked for
+    listed : by pair
+    pairs_not_shown : number of pairs of groups that do not fit `alone`
     """
 
-    shown: tuple[Difference, ...]
+    listed: tuple[Difference, ...]
     pairs_not_shown: int = 0
 
 
@@ -381,48 +385,48 @@ def find_differences(
     by: Sequence[str],
     alone: str = "",
 ) -> Differences:
-    """Compare groups of one protocol in the numbers that the protocol calls main.
+    """Compare groups of the same protocol in its main numbers.
 
     Parameters
     ----------
     groups : of the report
-    wishes : what each protocol says of groups
-    settings : by file, what its test was processed with
-    by : fields that the groups were made by
-    alone : show only pairs that differ in this field and no other; empty for all
+    wishes : group settings by protocol
+    settings : processing settings by file
+    by : grouping fields
+    alone : list only pairs that differ in this field alone; empty for all
 
     Returns
     -------
-    First the pairs that differ in one field, question by question. In those the group that has
-    less of it is the first: none before half-lap, 7 before 12. They alone are judged, in three
-    families: `QUESTIONS`, the first main number in pairs that differ in a field of the sheets;
-    `TYPES`, the same in pairs of types; `OTHERS`, the other main numbers in all these pairs. What
-    is left out by `alone` does not count.
+    First the pairs that differ in one field, field by field, with the lower value first: none
+    before half-lap, 7 before 12. Only these are judged, in three families: `QUESTIONS`, the first
+    main number in pairs that differ in a field of the sheets; `TYPES`, the same in pairs of types;
+    `OTHERS`, the other main numbers in all these pairs. Pairs excluded by `alone` are not counted.
     """
     pairs = [
-        found
+        pair_differences
         for one, other in combinations(groups, 2)
         if one.protocol == other.protocol
-        and (found := _compared(one, other, wishes[one.protocol], settings, by))
+        and (pair_differences := _compare(one, other, wishes[one.protocol], settings, by))
     ]
-    shown = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
-    flat = [each for pair in sorted(shown, key=_question_first) for each in pair]
-    return Differences(tuple(_judged(flat)), len(pairs) - len(shown))
+    shown_pairs = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
+    flat = [difference for pair in sorted(shown_pairs, key=_question_rank) for difference in pair]
+    return Differences(tuple(_judge(flat)), len(pairs) - len(shown_pairs))
 
 
-def _judged(differences: Sequence[Difference]) -> Iterator[Difference]:
-    """Differences in their order, those that were asked for with verdicts."""
+def _judge(differences: Sequence[Difference]) -> Iterator[Difference]:
+    """Yield differences in order, with verdicts for those of a family."""
     families: dict[str, list[Difference]] = {}
-    for each in differences:
-        families.setdefault(each.family, []).append(each)
-    found = {
-        family: iter(judged(family, own) if family else own) for family, own in families.items()
+    for difference in differences:
+        families.setdefault(difference.family, []).append(difference)
+    judged_by_family = {
+        family: iter(judged(family, members) if family else members)
+        for family, members in families.items()
     }
     for difference in differences:
-        yield next(found[difference.family])
+        yield next(judged_by_family[difference.family])
 
 
-def _question_first(pair: Sequence[Difference]) -> tuple[int, str]:
+def _question_rank(pair: Sequence[Difference]) -> tuple[int, str]:
     question = pair[0].question
     if not question:
         return len(_ORDER) + 2, ""
@@ -431,34 +435,34 @@ def _question_first(pair: Sequence[Difference]) -> tuple[int, str]:
     return (_ORDER.index(question), "") if question in _ORDER else (len(_ORDER), question)
 
 
-def _compared(
+def _compare(
     one: Group,
     other: Group,
-    said: Groups,
+    options: Groups,
     settings: Mapping[str, Settings],
     by: Sequence[str],
 ) -> list[Difference]:
-    """Differences of a pair, with what they answer and what speaks against comparing it."""
+    """Return the differences of a pair, with their family and caveats."""
     fields = differing_fields(one, other, by)
     if len(fields) == 1 and _is_backwards(fields):
         one, other = other, one
         fields = {name: (after, before) for name, (before, after) in fields.items()}
     unlike = differing_settings(settings_by_test((*one.samples, *other.samples), settings))
-    names = said.main or tuple(number.name for number in one.numbers[:1])
-    compared = compare_groups(one, other, names=names, margin=said.margin)
+    names = options.main or tuple(number.name for number in one.numbers[:1])
+    compared = compare_groups(one, other, names=names, margin=options.margin)
     return [
         replace(
-            each,
-            caveats=(*each.caveats, *unlike),
+            difference,
+            caveats=(*difference.caveats, *unlike),
             fields=fields,
-            family=_family(list(fields), is_first=each is compared[0]),
+            family=_family(list(fields), is_first=difference is compared[0]),
         )
-        for each in compared
+        for difference in compared
     ]
 
 
 def _family(fields: Sequence[str], *, is_first: bool) -> str:
-    """Which comparisons one is judged with; none where the groups differ in several fields."""
+    """Return the family of a comparison; empty for groups that differ in several fields."""
     if len(fields) != 1:
         return ""
     if not is_first:

@@ -1,4 +1,4 @@
-"""How many tests this machine can take at a time."""
+"""Number of tests that this machine can process at the same time."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from contextlib import suppress
 from pathlib import Path
 
 BYTES_PER_TEST = 750_000_000
-"""What the process of one test takes: a cantilever test of full size (70 MB of exports, figures as
-SVG and PNG) was measured at 540 MB, a tensile test at 175 MB, of which 85 MB are the libraries."""
+"""Memory for the process of one test: a cantilever test of full size (70 MB of exports, figures as
+SVG and PNG) takes 540 MB, a tensile test 175 MB, of which 85 MB are the libraries."""
 _MEMINFO = Path("/proc/meminfo")
 _CONTAINER = Path("/sys/fs/cgroup")
 
 
 def default_jobs() -> int:
-    """Number of tests at a time by default: the cores, fewer where memory is short.
+    """Return the default number of parallel tests: the cores, fewer if memory is short.
 
     Returns
     -------
-    At least 1. Where nobody knows the free memory (neither the system nor `psutil`), the cores.
+    At least 1. The number of cores if the free memory is not known.
     """
     free = _free_memory()
     cores = _cores()
@@ -27,16 +27,16 @@ def default_jobs() -> int:
 
 
 def _cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores available to this process."""
     with suppress(AttributeError):  # neither on Windows nor on macOS
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _free_memory() -> int | None:
-    """Bytes that are free, or can be made free, on this machine and in this container."""
-    known = [free for free in (_free_on_machine(), _free_in_container()) if free is not None]
-    return min(known, default=None)
+    """Return the available bytes on this machine and in this container."""
+    limits = [free for free in (_free_on_machine(), _free_in_container()) if free is not None]
+    return min(limits, default=None)
 
 
 def _free_on_machine() -> int | None:
@@ -52,7 +52,7 @@ def _free_on_machine() -> int | None:
 
 
 def _free_in_container() -> int | None:
-    with suppress(OSError, ValueError):  # "max" is no number: no limit
-        most = int((_CONTAINER / "memory.max").read_text("ascii"))
-        return max(most - int((_CONTAINER / "memory.current").read_text("ascii")), 0)
+    with suppress(OSError, ValueError):  # "max" means no limit
+        limit = int((_CONTAINER / "memory.max").read_text("ascii"))
+        return max(limit - int((_CONTAINER / "memory.current").read_text("ascii")), 0)
     return None

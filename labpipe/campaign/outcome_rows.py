@@ -1,4 +1,4 @@
-"""From the files of a test to its rows of the catalog: summary.json, failure.json."""
+"""Read the catalog rows of a test from its files summary.json and failure.json."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.summaries import SUMMARY_SCHEMA, sealed
 
 NEWER_RESULT: Final = "newer_result"
-"""Code of a test whose results are of a labpipe newer than this one; they are left alone."""
+"""Code of a test whose results are from a newer labpipe; they are not changed."""
 _SPECIMEN = ("type", "spool", "sample")
 
 
 @dataclass(frozen=True, slots=True)
 class ResultRow:
-    """A result as the catalog has it; numbers are SI, None where they are not available.
+    """A result in the catalog; numbers are SI, None if not available.
 
     Parameters
     ----------
     name, value, unit, lower, upper, level, estimate, status : as in summary.json
-    code, reason : why it is doubtful or failed, codes and sentences; empty where it is neither
-    seal : SHA-256 over its numbers; empty where summary.json has none
+    code, reason : codes and messages if doubtful or failed; else empty
+    seal : SHA-256 of its numbers; empty if summary.json has none
     """
 
     name: str
@@ -46,20 +46,20 @@ class ResultRow:
 
 @dataclass(frozen=True, slots=True)
 class StoredOutcome:
-    """What the files of a test say of it.
+    """Outcome of a test from its files.
 
     Parameters
     ----------
-    test, protocol, date, operator, labpipe : as in summary.json; empty where nothing says them
-    specimen : all that summary.json says of it
-    run : key of the results; empty where there are none
-    failed_run : key of the last attempt, where that failed; may be empty even then
+    test, protocol, date, operator, labpipe : as in summary.json; empty if missing
+    specimen : as in summary.json
+    run : key of the results; empty without results
+    failed_run : key of the last attempt if it failed; may be empty even then
     has_failed : whether the last attempt failed
-    code, reason : why it failed, or the first result is doubtful; empty where neither is so
-    sheet, protocol_text : SHA-256 of test sheet and resolved protocol; empty where not known
+    code, reason : of the failure, or of the first doubtful result; else empty
+    sheet, protocol_text : SHA-256 of test sheet and resolved protocol; empty if not known
     inputs : role, file and SHA-256 of the exports
-    results : of the last attempt that did not fail
-    unreadable : what is wrong with summary.json; empty where it is whole or not there
+    results : of the last successful attempt
+    unreadable : fault of summary.json; empty if it is valid or missing
     """
 
     test: str = ""
@@ -85,129 +85,129 @@ class StoredOutcome:
         return self.failed_run if self.has_failed else self.run
 
 
-def plain(said: object) -> str:
-    """Text that every file and data base takes: half characters are written out.
+def encodable(value: object) -> str:
+    """Return text that any file and database accepts: lone surrogates are escaped.
 
     Parameters
     ----------
-    said : text, or what has a text
+    value : text, or anything else
     """
-    return str(said).encode("utf-8", "backslashreplace").decode()
+    return str(value).encode("utf-8", "backslashreplace").decode()
 
 
 def read_outcome_files(files: OutcomeFiles | None) -> StoredOutcome:
-    """Read what became of a test.
+    """Read the outcome of a test.
 
     Parameters
     ----------
-    files : as they lie; None for none
+    files : of the outcome; None for none
 
     Returns
     -------
-    The outcome. A failure of the very key that the results have is an older attempt, which is left
-    out: a process was killed between the results and taking it away.
+    The outcome. A failure with the key of the results is ignored: it is left over from a process
+    that was killed before deleting it.
     """
     if files is None:
         return StoredOutcome()
-    done = _summary(files.folder / SUMMARY_FILE) if files.has_results else StoredOutcome()
+    done = _read_summary(files.folder / SUMMARY_FILE) if files.has_results else StoredOutcome()
     if not files.has_results and f"{SUMMARY_FILE}:" in files.marks:
-        done = StoredOutcome(unreadable=f"{RESULT_FILE} is gone")
+        done = StoredOutcome(unreadable=f"{RESULT_FILE} is missing")
     if not files.has_failure:
         return done
-    return _failed(done, _object(files.folder / FAILURE_FILE) or {})
+    return _with_failure(done, _read_object(files.folder / FAILURE_FILE) or {})
 
 
-def _failed(done: StoredOutcome, said: Mapping[str, Any]) -> StoredOutcome:
-    run = plain(said.get("run") or "")
+def _with_failure(done: StoredOutcome, failure: Mapping[str, Any]) -> StoredOutcome:
+    run = encodable(failure.get("run") or "")
     if run and run == done.run:
         return done
-    made_of = said.get("made_of") or {}
+    made_of = failure.get("made_of") or {}
     failed = replace(
         done,
         failed_run=run,
         has_failed=True,
-        code=plain(said.get("code") or "unknown"),
-        reason=plain(said.get("reason") or ""),
-        labpipe=plain(said.get("labpipe") or done.labpipe),
+        code=encodable(failure.get("code") or "unknown"),
+        reason=encodable(failure.get("reason") or ""),
+        labpipe=encodable(failure.get("labpipe") or done.labpipe),
     )
     try:
-        inputs = _inputs(said.get("inputs") or [])
+        inputs = _inputs(failure.get("inputs") or [])
         return replace(
             failed,
             inputs=inputs,
-            sheet=plain(made_of.get("sheet", "")),
-            protocol_text=plain(made_of.get("protocol", "")),
+            sheet=encodable(made_of.get("sheet", "")),
+            protocol_text=encodable(made_of.get("protocol", "")),
         )
     except (KeyError, TypeError, AttributeError):
         return failed
 
 
-def _summary(path: Path) -> StoredOutcome:
-    said = _object(path)
-    if said is None:
+def _read_summary(path: Path) -> StoredOutcome:
+    content = _read_object(path)
+    if content is None:
         return StoredOutcome(unreadable=f"{SUMMARY_FILE} cannot be read")
-    if isinstance(said.get("schema"), int) and said["schema"] > SUMMARY_SCHEMA:
+    if isinstance(content.get("schema"), int) and content["schema"] > SUMMARY_SCHEMA:
         reason = error_text(
             path,
             "schema",
-            expected=f"{SUMMARY_SCHEMA}, or one before it",
-            found=str(said["schema"]),
-            remedy="A newer labpipe made it: use that one.",
+            expected=f"{SUMMARY_SCHEMA} or less",
+            found=str(content["schema"]),
+            remedy="A newer labpipe made it: use that version.",
         )
         return StoredOutcome(has_failed=True, code=NEWER_RESULT, reason=reason)
     try:
-        return _outcome(said)
+        return _parse_outcome(content)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        return StoredOutcome(unreadable=f"{SUMMARY_FILE} lacks something ({error})")
+        return StoredOutcome(unreadable=f"{SUMMARY_FILE} is damaged ({error})")
 
 
-def _outcome(said: Mapping[str, Any]) -> StoredOutcome:
-    made_of = said.get("made_of") or {}
-    results = tuple(_row(entry) for entry in said["results"])
+def _parse_outcome(content: Mapping[str, Any]) -> StoredOutcome:
+    made_of = content.get("made_of") or {}
+    results = tuple(_result_row(entry) for entry in content["results"])
     doubted = next((result for result in results if result.status != "ok"), None)
     return StoredOutcome(
-        test=plain(said["test"]),
-        protocol=plain(said["protocol"]),
-        date=plain(said.get("date") or ""),
-        operator=plain(said.get("operator") or ""),
-        labpipe=plain(said["labpipe"]),
-        specimen={**dict.fromkeys(_SPECIMEN, ""), **said["specimen"]},
-        run=plain(said["run"]),
+        test=encodable(content["test"]),
+        protocol=encodable(content["protocol"]),
+        date=encodable(content.get("date") or ""),
+        operator=encodable(content.get("operator") or ""),
+        labpipe=encodable(content["labpipe"]),
+        specimen={**dict.fromkeys(_SPECIMEN, ""), **content["specimen"]},
+        run=encodable(content["run"]),
         code="" if doubted is None else doubted.code,
         reason="" if doubted is None else f"{doubted.name}: {doubted.reason}",
-        sheet=plain(made_of.get("sheet", "")),
-        protocol_text=plain(made_of.get("protocol", "")),
-        inputs=_inputs(said["inputs"]),
+        sheet=encodable(made_of.get("sheet", "")),
+        protocol_text=encodable(made_of.get("protocol", "")),
+        inputs=_inputs(content["inputs"]),
         results=results,
     )
 
 
-def _inputs(said: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, str, str], ...]:
+def _inputs(entries: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, str, str], ...]:
     return tuple(
-        (plain(sentence["role"]), plain(sentence["file"]), plain(sentence["sha256"]))
-        for sentence in said
+        (encodable(entry["role"]), encodable(entry["file"]), encodable(entry["sha256"]))
+        for entry in entries
     )
 
 
-def _row(entry: Mapping[str, Any]) -> ResultRow:
-    said = entry["reasons"]
+def _result_row(entry: Mapping[str, Any]) -> ResultRow:
+    reasons = entry["reasons"]
     numbers = [_number(entry[key]) for key in ("value", "lower", "upper", "level", "estimate")]
     value, lower, upper, level, estimate = numbers
-    seal = plain(entry.get("seal") or "")
+    seal = encodable(entry.get("seal") or "")
     if seal and seal != sealed(entry):
-        message = f"the numbers of {entry['name']} as they were written"
+        message = f"the numbers of {entry['name']} were changed"
         raise ValueError(message)
     return ResultRow(
-        name=plain(entry["name"]),
+        name=encodable(entry["name"]),
         value=value,
-        unit=plain(entry["unit"]),
+        unit=encodable(entry["unit"]),
         lower=lower,
         upper=upper,
         level=level,
         estimate=estimate,
-        status=plain(entry["status"]),
-        code=plain(", ".join(str(sentence["code"]) for sentence in said)),
-        reason=plain("; ".join(str(sentence["message"]) for sentence in said)),
+        status=encodable(entry["status"]),
+        code=encodable(", ".join(str(reason["code"]) for reason in reasons)),
+        reason=encodable("; ".join(str(reason["message"]) for reason in reasons)),
         seal=seal,
     )
 
@@ -216,10 +216,10 @@ def _number(value: object) -> float | None:
     return None if value is None else float(str(value))
 
 
-def _object(path: Path) -> dict[str, Any] | None:
-    """The object of a JSON file; None where it is none."""
+def _read_object(path: Path) -> dict[str, Any] | None:
+    """Read the object of a JSON file; return None for anything else."""
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return said if isinstance(said, dict) else None
+    return content if isinstance(content, dict) else None

@@ -1,4 +1,4 @@
-"""What became of a test, small enough to be handed on by the million."""
+"""Outcomes of tests, small enough to pass between processes by the million."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from labpipe.campaign.workers import CallRaised, ProcessDied, why
+from labpipe.campaign.workers import CallRaised, ProcessDied, describe_death
 from labpipe.process.test_runner import Refused, Task, attempt, refuse
 from labpipe.records.result import Status
 
@@ -16,18 +16,17 @@ State: TypeAlias = Literal["ok", "doubtful", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one test.
+    """Outcome of a test.
 
     Parameters
     ----------
     sheet : as in its task
-    folder : of its results; None where it is not known
-    state : ``failed`` exactly when there are no new results; ``doubtful`` when a result is doubtful
-        or failed
-    code : of the failure, or of the first reason of the first result that is not ok; else empty
-    reason : the same in words
-    run : key of the results; of a test that failed as far as it could be computed, else empty
-    seconds : that it took, by the clock
+    folder : of its results; None if not known
+    state : ``failed`` without new results; ``doubtful`` if a result is doubtful or failed
+    code : of the failure, or the first reason of the first result that is not ok; else empty
+    reason : its message
+    run : key of the results, or of the failed attempt; empty if not known
+    seconds : duration
     """
 
     sheet: Path
@@ -40,7 +39,7 @@ class Outcome:
 
 
 def outcome_of(task: Task) -> Outcome:
-    """Process one test, whatever becomes of it.
+    """Process one test and return its outcome, also if it fails.
 
     Parameters
     ----------
@@ -50,7 +49,7 @@ def outcome_of(task: Task) -> Outcome:
     done = attempt(task)
     seconds = time.perf_counter() - start
     if isinstance(done, Refused):
-        return given_up(done, seconds)
+        return failed_outcome(done, seconds)
     doubted = next(
         (result for result in done.result.results if result.status is not Status.OK), None
     )
@@ -61,33 +60,33 @@ def outcome_of(task: Task) -> Outcome:
     return Outcome(task.sheet, done.folder, "doubtful", first.code, reason, run, seconds)
 
 
-def settled(task: Task, ended: Outcome | ProcessDied | CallRaised) -> Outcome:
-    """Make an outcome of what came from the process of a test.
+def outcome_of_call(task: Task, ended: Outcome | ProcessDied | CallRaised) -> Outcome:
+    """Make the outcome of a test from the result of its process.
 
     Parameters
     ----------
     task : the test
-    ended : what came
+    ended : result of the process
 
     Raises
     ------
     Exception
-        What cannot be: that the process could not hand over what it had.
+        If the call itself raised, which is a fault of labpipe.
     """
     if isinstance(ended, CallRaised):
         raise ended.error
     if isinstance(ended, ProcessDied):
-        return given_up(refuse(task, *why(task.sheet, ended), is_read=False))
+        return failed_outcome(refuse(task, *describe_death(task.sheet, ended), is_read=False))
     return ended
 
 
-def given_up(refused: Refused, seconds: float = 0.0) -> Outcome:
-    """Make an outcome of a test that could not be processed.
+def failed_outcome(refused: Refused, seconds: float = 0.0) -> Outcome:
+    """Make the outcome of a test that was refused.
 
     Parameters
     ----------
-    refused : why
-    seconds : that it took
+    refused : test and reason
+    seconds : duration
     """
     return Outcome(
         refused.test, refused.folder, "failed", refused.code, refused.reason, refused.run, seconds

@@ -1,6 +1,6 @@
-"""What the protocol of a test states for the groups of a report.
+"""Facts of a protocol for the groups of a report.
 
-Which sizes its specimen has, which of its numbers the rig sets, and which can be negative.
+The sizes of its specimen, the numbers set by the rig, and those that can be negative.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from labpipe.records.result import Specimen
 
 @dataclass(frozen=True, slots=True)
 class NumberKinds:
-    """Results of a protocol that groups treat otherwise than the rest, by stem: no cycle, no part.
+    """Results that groups treat specially, by name without cycle and part.
 
     Parameters
     ----------
-    signed : that can be negative
-    set_by_rig : that say how the rig was driven, not how the specimen behaves
+    signed : may be negative
+    set_by_rig : describe the motion of the rig, not the specimen
     """
 
     signed: frozenset[str] = frozenset()
@@ -28,11 +28,11 @@ class NumberKinds:
 
 
 def number_kinds(protocol: Protocol) -> NumberKinds:
-    """Tell apart the results of a protocol.
+    """Classify the results of a protocol.
 
     Parameters
     ----------
-    protocol : resolved; where it states the stroke, the rig sets what follows the stroke
+    protocol : resolved; if it states the stroke, the rig sets results that depend on the stroke
     """
     outputs = dict(_outputs(protocol))
     is_set = protocol.rig.stroke is not None
@@ -44,20 +44,20 @@ def number_kinds(protocol: Protocol) -> NumberKinds:
 
 def _outputs(protocol: Protocol) -> Iterator[tuple[str, Output]]:
     for entry in protocol.results:
-        said = {field.name: getattr(entry, field.name) for field in fields(entry)}
-        yield from ((output.name.format_map(said), output) for output in entry.outputs)
+        values = {field.name: getattr(entry, field.name) for field in fields(entry)}
+        yield from ((output.name.format_map(values), output) for output in entry.outputs)
 
 
-def with_sizes(specimen: Specimen, said: SpecimenBlock) -> Specimen:
-    """Add to a specimen the sizes that its protocol states; its sheet overrides them.
+def add_sizes(specimen: Specimen, block: SpecimenBlock) -> Specimen:
+    """Add the sizes of the protocol to a specimen; its sheet overrides them.
 
     Parameters
     ----------
-    specimen : as its sheet describes it
-    said : of the resolved protocol, which holds the overrides of the test
+    specimen : from its sheet
+    block : of the resolved protocol, with the overrides of the test
     """
-    section = {} if said.section is None else {**vars(said.section)}
-    section.pop("area", None)  # no length
-    sizes = {"length": said.length, "span": said.span, **section}
+    section = {} if block.section is None else {**vars(block.section)}
+    section.pop("area", None)  # not a length
+    sizes = {"length": block.length, "span": block.span, **section}
     stated = {name: size for name, size in sizes.items() if size is not None}
     return replace(specimen, dimensions={**stated, **specimen.dimensions})

@@ -1,4 +1,4 @@
-"""Three lines on a test that was just made: well or not, its numbers, what to look at."""
+"""Three lines on a new test: status, numbers, and actions at the bench."""
 
 from __future__ import annotations
 
@@ -20,64 +20,58 @@ from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.report.wording import shown_in
 from labpipe.statistics.means import t_quantile
 
-SHOWN: Final = 3
-"""Numbers that a verdict shows."""
-ENOUGH: Final = 6
-"""Tests from which on a spread says what is outside; below, only the range is shown."""
-_OUTSIDE: Final = 0.05
-"""Chance that any of the numbers shown of a test like the others is called outside."""
-_NAMED = 4
-"""Results that are named as doubtful or failed."""
-_ACTIONS = 3
-"""Things to look at that are listed."""
-_WITHOUT = ("spool", "sample", "uncertainty")
-"""What tests of one group may differ in."""
+MAX_NUMBERS: Final = 3
+"""Numbers in a verdict."""
+MIN_GROUP_TESTS: Final = 6
+"""Tests needed to judge what is outside the spread; with fewer, only the range is shown."""
+_IGNORED_FIELDS = ("spool", "sample", "uncertainty")
+"""Fields of the specimen that may differ within a group."""
 
 
 @dataclass(slots=True)
 class Group:
-    """Values of the tests so far that are alike but for spool and sample, by result.
+    """Values of tests that are equal except for spool and sample, by result.
 
     Parameters
     ----------
-    values : of each result those that are ok, by folder of the test
+    values : ok values of each result by folder of the test
     """
 
     values: dict[str, dict[Path, float]] = field(default_factory=dict)
 
     def of(self, name: str, *, but: Path) -> list[float]:
-        """Values of one result, without those of one test."""
+        """Return the values of a result without those of one test."""
         return [value for folder, value in self.values.get(name, {}).items() if folder != but]
 
 
-class GroupsSoFar:
-    """The numbers of the tests of a campaign, read once each from their ``summary.json``."""
+class CampaignGroups:
+    """The numbers of the tests of a campaign, each read once from its ``summary.json``."""
 
     def __init__(self) -> None:
         self._groups: dict[str, Group] = {}
         self._seen: dict[Path, tuple[str, str]] = {}
 
     def group_of(self, summary: Mapping[str, Any]) -> Group:
-        """Find the tests that are like another.
+        """Return the group of a test.
 
         Parameters
         ----------
-        summary : of the other, as its summary.json says
+        summary : of the test, from its summary.json
         """
         return self._groups.setdefault(_key(summary), Group())
 
     def read(self, results: Mapping[Path, str]) -> None:
-        """Read what is new or changed, and forget what is not there any more.
+        """Read new and changed tests, and remove missing ones.
 
         Parameters
         ----------
-        results : key of the results of each test that counts, by their folder
+        results : key of the results of each valid test, by folder
         """
         for folder in self._seen.keys() - results.keys():
-            self._forget(folder)
+            self._remove(folder)
         for folder, run in results.items():
             if run and self._seen.get(folder, ("", ""))[0] != run:
-                self._forget(folder)
+                self._remove(folder)
                 self._read(folder, run)
 
     def _read(self, folder: Path, run: str) -> None:
@@ -87,11 +81,11 @@ class GroupsSoFar:
         key = _key(summary)
         self._seen[folder] = (run, key)
         group = self._groups.setdefault(key, Group())
-        for each in summary["results"]:
-            if each.get("status") == "ok" and isinstance(each.get("value"), float | int):
-                group.values.setdefault(each["name"], {})[folder] = float(each["value"])
+        for result in summary["results"]:
+            if result.get("status") == "ok" and isinstance(result.get("value"), float | int):
+                group.values.setdefault(result["name"], {})[folder] = float(result["value"])
 
-    def _forget(self, folder: Path) -> None:
+    def _remove(self, folder: Path) -> None:
         _, key = self._seen.pop(folder, ("", ""))
         for values in self._groups.get(key, Group()).values.values():
             values.pop(folder, None)
@@ -106,135 +100,148 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
 
     Returns
     -------
-    As it is written; None where there is none that can be read.
+    Its content; None if it is missing or unreadable.
     """
     with suppress(OSError, ValueError):
-        said = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        return said if isinstance(said, dict) and isinstance(said.get("results"), list) else None
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        return (
+            summary
+            if isinstance(summary, dict) and isinstance(summary.get("results"), list)
+            else None
+        )
     return None
 
 
 def _key(summary: Mapping[str, Any]) -> str:
     specimen = summary.get("specimen")
-    said = dict(specimen) if isinstance(specimen, Mapping) else {}
-    kept = {key: value for key, value in said.items() if key not in _WITHOUT}
-    return json.dumps([summary.get("protocol"), kept], sort_keys=True)
+    fields = dict(specimen) if isinstance(specimen, Mapping) else {}
+    group_fields = {key: value for key, value in fields.items() if key not in _IGNORED_FIELDS}
+    return json.dumps([summary.get("protocol"), group_fields], sort_keys=True)
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """How numbers of a test are shown.
+class DisplaySettings:
+    """Display settings of a test.
 
     Parameters
     ----------
     display : unit by quantity
-    main : results that the protocol compares groups by, most wanted first
+    main : results by which the protocol compares groups, in order
     """
 
     display: Mapping[str, str] = field(default_factory=dict)
     main: tuple[str, ...] = ()
 
 
-def shown_by(sheet: Path) -> Shown:
-    """Read from the protocol of a test how its numbers are shown.
+def display_settings(sheet: Path) -> DisplaySettings:
+    """Read the display settings of a test from its protocol.
 
     Parameters
     ----------
-    sheet : its test.yaml; where it cannot be read, numbers are shown in SI
+    sheet : its test.yaml; if unreadable, SI is used
     """
     with suppress(LabpipeError, OSError):
         protocol = resolve(load_test_sheet(sheet), sheet, follow_links=True)
-        return Shown(dict(protocol.report.display), protocol.groups.main)
-    return Shown()
+        return DisplaySettings(dict(protocol.report.display), protocol.groups.main)
+    return DisplaySettings()
 
 
 def verdict(
-    name: str, folder: Path, summary: Mapping[str, Any], group: Group, shown: Shown
+    name: str, folder: Path, summary: Mapping[str, Any], group: Group, settings: DisplaySettings
 ) -> list[str]:
-    """Word the verdict on a processed test.
+    """Write the verdict on a processed test.
 
     Parameters
     ----------
     name : of the test
     folder : of its results
-    summary : as its summary.json says
-    group : the tests like it so far
-    shown : how its numbers are shown
+    summary : from its summary.json
+    group : of the test
+    settings : for display
 
     Returns
     -------
-    Three lines: well or not and which numbers; first numbers against the group; what to look at.
+    Three lines: status; main numbers compared with the group; what to check.
     """
     results = summary["results"]
-    numbers = [_number(each, group, folder, shown) for each in _first(results, shown)]
+    numbers = [
+        _number(result, group, folder, settings) for result in _main_results(results, settings)
+    ]
     outside = [number.name for number in numbers if number.is_outside]
-    states = {state: _of(results, state) for state in ("failed", "doubtful")}
+    states = {state: _names_with(results, state) for state in ("failed", "doubtful")}
     n_ok = len(results) - sum(map(len, states.values()))
-    parts = [f"{len(names)} {state} ({_named(names)})" for state, names in states.items() if names]
+    parts = [
+        f"{len(names)} {state} ({_name_list(names)})" for state, names in states.items() if names
+    ]
     is_well = not parts and not outside
-    parts += [f"outside the group: {_named(outside)}"] if outside else []
+    parts += [f"outside the group: {_name_list(outside)}"] if outside else []
     head = f"{name}: {'WELL' if is_well else 'LOOK'}, {', '.join([f'{n_ok} ok', *parts])}"
     codes = [reason["code"] for result in results for reason in _reasons(result)]
     codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
     what = actions_for(codes, outside=bool(outside))
-    return [head, f"  {_line(numbers)}", f"  {what}"]
+    return [head, f"  {_number_line(numbers)}", f"  {what}"]
 
 
-def _line(numbers: Sequence[_Number]) -> str:
-    """The numbers, and what they are compared with; once, where that is the same for all."""
-    behind = list(dict.fromkeys(number.against for number in numbers))
-    if len(behind) == 1:
-        return f"{'; '.join(number.text for number in numbers)}; {behind[0]}"
+def _number_line(numbers: Sequence[_Number]) -> str:
+    """Write the numbers and their comparison, which is written once if common to all."""
+    comparisons = list(dict.fromkeys(number.against for number in numbers))
+    if len(comparisons) == 1:
+        return f"{'; '.join(number.text for number in numbers)}; {comparisons[0]}"
     return "; ".join(f"{number.text}, {number.against}" for number in numbers) or "no numbers"
 
 
-def refused(name: str, code: str, reason: str) -> list[str]:
-    """Word the verdict on a test that could not be processed.
+def failure_lines(name: str, code: str, reason: str) -> list[str]:
+    """Write the verdict on a test that could not be processed.
 
     Parameters
     ----------
     name : of the test
-    code, reason : why
+    code, reason : of the failure
 
     Returns
     -------
-    Three lines, as `verdict` gives them.
+    Three lines, as from `verdict`.
     """
     first = " ".join(reason.splitlines()[0].split()) if reason else code
     return [f"{name}: FAILED ({code})", f"  {first}", f"  {actions_for([code])}"]
 
 
 def actions_for(codes: Iterable[str], *, outside: bool = False) -> str:
-    """Say what to look at while the specimen is mounted.
+    """Write what to check while the specimen is mounted.
 
     Parameters
     ----------
-    codes : of what was found, most important first
+    codes : of findings, most important first
     outside : whether a number is outside its group
 
     Returns
     -------
     One line.
     """
-    known = actions()
-    found = list(dict.fromkeys(known[code] for code in codes if code in known))
-    found += ["compare the set-up with that of the other tests before you dismount"] * outside
-    if not found:
-        return "nothing to look at: the specimen can come off"
-    more = f"; and {len(found) - _ACTIONS} more in summary.json" if len(found) > _ACTIONS else ""
-    return f"while it is mounted: {'; '.join(found[:_ACTIONS])}{more}"
+    max_actions = 3
+    bench_actions = actions()
+    chosen = list(dict.fromkeys(bench_actions[code] for code in codes if code in bench_actions))
+    chosen += ["compare the set-up with that of the other tests before dismounting"] * outside
+    if not chosen:
+        return "nothing to check: the specimen can be dismounted"
+    more = (
+        f"; and {len(chosen) - max_actions} more in summary.json"
+        if len(chosen) > max_actions
+        else ""
+    )
+    return f"while it is mounted: {'; '.join(chosen[:max_actions])}{more}"
 
 
 @cache
 def actions() -> dict[str, str]:
-    """Read what to do at the bench, by code."""
+    """Read the actions at the bench by code."""
     text = (files("labpipe.campaign") / "bench_actions.toml").read_text(encoding="utf-8")
     return {code: load["do"] for load in tomllib.loads(text)["action"] for code in load["codes"]}
 
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """A number as it is shown, what it is compared with, and whether it is outside of that."""
+    """A formatted number, its comparison, and whether it is outside of the group."""
 
     name: str
     text: str
@@ -242,48 +249,55 @@ class _Number:
     is_outside: bool = False
 
 
-def _first(results: Sequence[Mapping[str, Any]], shown: Shown) -> list[Mapping[str, Any]]:
-    """The numbers that say most: those that the protocol compares by, else the first ones."""
-    own = [result for result in results if not result["name"].startswith("clock_")]
-    later = [each for each in own if each["name"].rpartition(".")[2].isdecimal()]
-    repeats = [each for each in later if not each["name"].endswith(".1")]
-    ranked = [each for name in shown.main for each in own if each["name"] == name]
-    ranked += [each for each in own if each not in ranked and each not in repeats]
-    known = [each for each in ranked if each.get("value") is not None]
-    return known[:SHOWN]
+def _main_results(
+    results: Sequence[Mapping[str, Any]], settings: DisplaySettings
+) -> list[Mapping[str, Any]]:
+    """Return the main results: those by which the protocol compares, else the first ones."""
+    test_results = [result for result in results if not result["name"].startswith("clock_")]
+    later = [result for result in test_results if result["name"].rpartition(".")[2].isdecimal()]
+    repeats = [result for result in later if not result["name"].endswith(".1")]
+    ranked = [result for name in settings.main for result in test_results if result["name"] == name]
+    ranked += [result for result in test_results if result not in ranked and result not in repeats]
+    available = [result for result in ranked if result.get("value") is not None]
+    return available[:MAX_NUMBERS]
 
 
-def _number(each: Mapping[str, Any], group: Group, folder: Path, shown: Shown) -> _Number:
-    scale = shown_in(each["name"], each["unit"], shown.display)
-    others = np.array(group.of(each["name"], but=folder))
-    value = float(each["value"])
-    text = f"{each['name']} {scale.factor * value:.4g} {scale.unit}".rstrip()
+def _number(
+    result: Mapping[str, Any], group: Group, folder: Path, settings: DisplaySettings
+) -> _Number:
+    scale = shown_in(result["name"], result["unit"], settings.display)
+    others = np.array(group.of(result["name"], but=folder))
+    value = float(result["value"])
+    text = f"{result['name']} {scale.factor * value:.4g} {scale.unit}".rstrip()
     n = len(others)
     if n == 0:
-        return _Number(each["name"], text, "the first of its group")
-    if n < ENOUGH:
+        return _Number(result["name"], text, "first of its group")
+    if n < MIN_GROUP_TESTS:
         low, high = sorted(scale.factor * np.array([others.min(), others.max()]))
         so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
         against = f"n = {n} so far, too few to judge"
-        return _Number(each["name"], f"{text} (so far {so_far})", against)
-    reach = t_quantile(n - 1, _OUTSIDE / SHOWN) * float(np.std(others, ddof=1)) * sqrt(1 + 1 / n)
+        return _Number(result["name"], f"{text} (so far {so_far})", against)
+    false_alarm_rate = 0.05  # of all numbers of a verdict together
+    quantile = t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
+    reach = quantile * float(np.std(others, ddof=1)) * sqrt(1 + 1 / n)
     centre = float(others.mean())
     low, high = (scale.factor * (centre + side * reach) for side in (-1.0, 1.0))
     is_outside = abs(value - centre) > reach
     place = "OUTSIDE" if is_outside else "within"
-    shown_as = f"{text} ({place} {low:.4g} to {high:.4g})"
-    return _Number(each["name"], shown_as, f"n = {n} so far", is_outside)
+    text_with_range = f"{text} ({place} {low:.4g} to {high:.4g})"
+    return _Number(result["name"], text_with_range, f"n = {n} so far", is_outside)
 
 
-def _of(results: Iterable[Mapping[str, Any]], state: str) -> list[str]:
+def _names_with(results: Iterable[Mapping[str, Any]], state: str) -> list[str]:
     return [result["name"] for result in results if result["status"] == state]
 
 
-def _named(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more
+def _name_list(names: Sequence[str]) -> str:
+    max_names = 4
+    more = f" and {len(names) - max_names} more" if len(names) > max_names else ""
+    return ", ".join(names[:max_names]) + more
 
 
 def _reasons(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    said = result.get("reasons")
-    return said if isinstance(said, list) else []
+    reasons = result.get("reasons")
+    return reasons if isinstance(reasons, list) else []

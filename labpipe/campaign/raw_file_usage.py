@@ -1,4 +1,4 @@
-"""What every file below a campaign's folder of exports is for."""
+"""Use of each file below the folder of exports of a campaign."""
 
 from __future__ import annotations
 
@@ -11,46 +11,46 @@ from labpipe.protocol.campaign_plan import PLAN_NAME
 USED, WAITING, UNKNOWN = "used", "waiting", "unknown"
 
 
-def account_for_files(keeper: CatalogSync, overview: Overview) -> dict[str, list[str]]:
-    """Say what became of every file.
+def account_for_files(sync: CatalogSync, overview: Overview) -> dict[str, list[str]]:
+    """Determine the use of each file.
 
     Parameters
     ----------
-    keeper : of the catalog
+    sync : of the catalog
     overview : of the campaign
 
     Returns
     -------
-    Files below the campaign, sorted, by ``used`` (in results), ``waiting`` (of a test that is to
-    be processed), ``failed`` (of a test that failed) and ``unknown`` (no test sheet names them).
+    Sorted files below the campaign: ``used`` (in results), ``waiting`` (of a test to process),
+    ``failed`` (of a failed test) and ``unknown`` (in no test sheet).
     """
-    found: dict[str, list[str]] = {USED: [], WAITING: [], FAILED: [], UNKNOWN: []}
+    files_by_use: dict[str, list[str]] = {USED: [], WAITING: [], FAILED: [], UNKNOWN: []}
     owner: dict[str, str] = {}
     for folder, sheet in overview.raw.sheets.items():
         state = overview.state_of(folder)
-        became = WAITING if state in {PENDING, STALE, RUNNING} else USED
-        became = FAILED if state == FAILED else became
-        for name in keeper.files_of(folder, sheet):
-            owner[f"{folder}/{name}" if folder else name] = became
-    owner |= {file: became for file, became in _by_plan(keeper).items() if file not in owner}
+        use = WAITING if state in {PENDING, STALE, RUNNING} else USED
+        use = FAILED if state == FAILED else use
+        for name in sync.files_of(folder, sheet):
+            owner[f"{folder}/{name}" if folder else name] = use
+    owner |= {file: use for file, use in _by_plan(sync).items() if file not in owner}
     for file in overview.raw.files:
-        found[owner.get(file, UNKNOWN)].append(file)
-    return {became: sorted(files) for became, files in found.items()}
+        files_by_use[owner.get(file, UNKNOWN)].append(file)
+    return {use: sorted(files) for use, files in files_by_use.items()}
 
 
-def _by_plan(keeper: CatalogSync) -> dict[str, str]:
-    """The campaign YAML, and exports that it pairs: used where their test has a sheet."""
-    raw = keeper.campaign.raw
+def _by_plan(sync: CatalogSync) -> dict[str, str]:
+    """Return the use of the campaign YAML and of the exports that it pairs."""
+    raw = sync.campaign.raw
     if not (raw / PLAN_NAME).is_file():
         return {}
-    found = {PLAN_NAME: USED}
+    use_by_file = {PLAN_NAME: USED}
     try:
         listed = list_candidates(raw, plan_of(raw))
-    except (LabpipeError, OSError):  # `labpipe check` says what is wrong with it
-        return found
+    except (LabpipeError, OSError):  # `labpipe check` reports the fault
+        return use_by_file
     for candidate in listed.candidates:
         if candidate.by_role or not candidate.sheet.exists():
-            became = USED if candidate.sheet.exists() else WAITING
+            use = USED if candidate.sheet.exists() else WAITING
             files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
-            found |= {path.relative_to(raw).as_posix(): became for path in files}
-    return found
+            use_by_file |= {path.relative_to(raw).as_posix(): use for path in files}
+    return use_by_file

@@ -1,4 +1,4 @@
-"""The catalog brought up to date with the files of a campaign, or made anew from them."""
+"""Update the catalog from the files of a campaign, or rebuild it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from labpipe.campaign.campaign_folders import (
     CampaignFolders,
     OutcomeFiles,
     RawFolder,
+    find_outcome,
     list_processed,
     list_raw,
-    look_at_outcome,
 )
 from labpipe.campaign.catalog import (
     CATALOG,
@@ -33,18 +33,18 @@ from labpipe.campaign.catalog import (
     can_write,
 )
 from labpipe.campaign.catalog_file import NoCatalog, new_catalog, open_catalog
-from labpipe.campaign.content_keys import Content, ContentKeys, changes, parse_content
+from labpipe.campaign.content_keys import Content, ContentKeys, describe_changes, parse_content
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
     DecisionFile,
     add_decisions,
     by_test_and_run,
-    carried_over,
+    carry_over,
     in_force,
     read_decisions,
 )
-from labpipe.campaign.outcome_rows import NEWER_RESULT, StoredOutcome, plain, read_outcome_files
+from labpipe.campaign.outcome_rows import NEWER_RESULT, StoredOutcome, encodable, read_outcome_files
 from labpipe.campaign.test_locks import Claim
 from labpipe.errors import LabpipeError, StoreError, error_text
 from labpipe.protocol.load import load_test_sheet
@@ -53,22 +53,22 @@ from labpipe.store.replace import locked
 
 _WITHOUT_SHEET = "without test.yaml"
 PATIENCE = 30.0
-"""s: how long to wait until another process has made the catalog, or written its decisions."""
+"""s to wait for another process that makes the catalog."""
 
 
 @dataclass(slots=True)
 class Overview:
-    """A campaign as it stands.
+    """State of a campaign.
 
     Parameters
     ----------
     rows : of all tests, by folder
-    claims : who is at work, by folder
+    claims : of processes at work, by folder
     raw : test sheets and files
-    decisions : all of them, and whether each counts
-    notes : what a person should be told: a catalog made anew, decisions that cannot be read
-    bad_input : whether a note is about a file that a person has to mend
-    has_failed_results : whether any result of a test that is not rejected failed
+    decisions : all, and whether each is applied
+    notes : messages, such as on a rebuilt catalog or unreadable decisions
+    bad_input : whether a note is on a file that needs repair
+    has_failed_results : whether any result failed in a test that is not rejected
     """
 
     rows: dict[str, TestRow]
@@ -80,7 +80,7 @@ class Overview:
     has_failed_results: bool = False
 
     def state_of(self, folder: str) -> str:
-        """State of a test, also that another process is at work on it.
+        """Return the state of a test, ``running`` if a process works on it.
 
         Parameters
         ----------
@@ -95,70 +95,72 @@ class Overview:
 
 
 @contextmanager
-def opened_campaign(campaign: CampaignFolders, *, anew: bool = False) -> Iterator[CatalogSync]:
-    """Open the catalog of a campaign; it is made anew where there is no sound one.
+def open_campaign(campaign: CampaignFolders, *, start_empty: bool = False) -> Iterator[CatalogSync]:
+    """Open the catalog of a campaign; rebuild it if there is no usable one.
 
     Parameters
     ----------
     campaign : its folders
-    anew : whether it is made anew in any case
+    start_empty : whether to rebuild it in any case
 
     Raises
     ------
     LabpipeError
-        If it is of a newer labpipe, or cannot be made.
+        If it was made by a newer labpipe, or cannot be made.
     """
     notes: list[str] = []
-    catalog = _opened(campaign, notes, anew=anew)
+    catalog = _open_or_make_catalog(campaign, notes, start_empty=start_empty)
     try:
         yield CatalogSync(campaign, catalog, notes)
     finally:
         catalog.close()
 
 
-def _opened(campaign: CampaignFolders, notes: list[str], *, anew: bool) -> Catalog:
+def _open_or_make_catalog(
+    campaign: CampaignFolders, notes: list[str], *, start_empty: bool
+) -> Catalog:
     folder = campaign.processed
-    if not anew:
+    if not start_empty:
         with suppress(NoCatalog):
             return open_catalog(folder)
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
     path = folder / CATALOG
     if not can_write(path):
-        notes.append(f"{path}: the folder cannot be written: a catalog was made in memory")
+        notes.append(f"{path}: the folder is read-only: the catalog was made in memory")
         return new_catalog(folder)
     with locked(folder, patience=PATIENCE):
         try:
-            found = open_catalog(folder)
+            catalog = open_catalog(folder)
         except NoCatalog as why:
             if path.exists():
-                notes.append(f"{path}: made anew from the files of the tests: {why}")
+                notes.append(f"{path}: rebuilt from the files of the tests: {why}")
             return new_catalog(folder)
-        if not anew:
-            return found  # another process has just made it
-        with closing(found):
-            _refuse_at_work(found)
+        if not start_empty:
+            return catalog  # another process has just made it
+        with closing(catalog):
+            _refuse_if_running(catalog)
         return new_catalog(folder, keep_old=False)
 
 
-def _refuse_at_work(catalog: Catalog) -> None:
+def _refuse_if_running(catalog: Catalog) -> None:
     for folder, claim in catalog.claims().items():
-        found = f"process {claim.pid} on {claim.host.split()[0]} at work on {folder!r}"
-        remedy = "Wait until it is done, or end it, and try again."
+        description = f"process {claim.pid} on {claim.host.split()[0]} at work on {folder!r}"
+        remedy = "Wait until it is done, or end it, then try again."
         text = error_text(
-            catalog.path, "", expected="no process at work", found=found, remedy=remedy
+            catalog.path, "", expected="no process at work", found=description, remedy=remedy
         )
         raise StoreError(text)
 
 
 class CatalogSync:
-    """Keeps the catalog of a campaign in step with its files.
+    """Keeps the catalog of a campaign up to date with its files.
 
     Parameters
     ----------
     campaign : its folders
     catalog : open
-    notes : what a person should be told so far
+    notes : messages so far
     """
 
     def __init__(self, campaign: CampaignFolders, catalog: Catalog, notes: list[str]) -> None:
@@ -168,18 +170,18 @@ class CatalogSync:
         self._in_force: dict[tuple[str, str], Decision] = {}
 
     def refresh(self) -> Overview:
-        """Bring the catalog up to date with all files.
+        """Update the catalog from all files.
 
         Returns
         -------
-        The campaign as it stands. Files that look as they did are not opened.
+        State of the campaign. Unchanged files are not opened.
         """
         raw, outcomes = list_raw(self.campaign), list_processed(self.campaign)
         rows, seen = self.catalog.rows(), self.catalog.seen()
         self.read_decisions()
         changed: dict[str, Entry] = {}
         for folder in sorted(raw.sheets.keys() | outcomes.keys()):
-            entry = self._renewed(
+            entry = self._new_entry(
                 folder, raw.sheets.get(folder), outcomes.get(folder), rows.get(folder),
                 seen.get(folder),
             )  # fmt: skip
@@ -189,34 +191,34 @@ class CatalogSync:
         if changed:
             self.catalog.put(changed.values(), seen)
         if gone:
-            self.catalog.forget(gone)
+            self.catalog.remove(gone)
         rows = {folder: row for folder, row in rows.items() if folder not in gone}
         rows |= {folder: entry.row for folder, entry in changed.items()}
         return self._overview(dict(sorted(rows.items())), raw)
 
     def renew(self, folder: str) -> TestRow:
-        """Bring one test up to date, such as one that has just been processed.
+        """Update one test, such as after processing.
 
         Parameters
         ----------
         folder : of the test
         """
         sheet = self.campaign.raw / folder / SHEET_NAME
-        files = look_at_outcome(self.campaign, folder)
+        files = find_outcome(self.campaign, folder)
         row, seen = self.catalog.row_of(folder), self.catalog.seen_of(folder)
         there = sheet if sheet.is_file() else None
-        entry = self._renewed(folder, there, files, row, seen)
+        entry = self._new_entry(folder, there, files, row, seen)
         if entry is not None:
             self.catalog.put([entry])
             return entry.row
         return row or TestRow(folder)
 
     def content_of(self, folder: str) -> Content:
-        """Tell what a test is made of, and keep it.
+        """Determine the inputs of a test, and record them.
 
         Parameters
         ----------
-        folder : of the test, which has a test sheet
+        folder : of the test, with a test sheet
         """
         seen = self.catalog.seen_of(folder) or Seen()
         sheet = self.campaign.raw / folder / SHEET_NAME
@@ -225,16 +227,16 @@ class CatalogSync:
         return content
 
     def files_of(self, folder: str, sheet: Path) -> tuple[str, ...]:
-        """Files that a test names, below its folder; none where its sheet is wrong.
+        """Return the files that a test names, below its folder; only its sheet if that is faulty.
 
         Parameters
         ----------
         folder : of the test
         sheet : its test.yaml
         """
-        known = parse_content((self.catalog.seen_of(folder) or Seen()).content)
-        if known is not None and known.stamps:
-            return tuple(known.stamps)
+        content = parse_content((self.catalog.seen_of(folder) or Seen()).content)
+        if content is not None and content.stamps:
+            return tuple(content.stamps)
         try:
             files = load_test_sheet(sheet).files
         except LabpipeError:
@@ -242,7 +244,7 @@ class CatalogSync:
         return (SHEET_NAME, *(name for names in files.values() for name in names))
 
     def read_decisions(self) -> None:
-        """Read the decisions of the campaign, which count in what is renewed from then on."""
+        """Read the decisions of the campaign, for later updates."""
         campaign = self.campaign
         self._decisions = read_decisions(campaign.processed, campaign.name)
         self._in_force = by_test_and_run(self._decisions.decisions)
@@ -262,7 +264,7 @@ class CatalogSync:
         has_failed = self.catalog.has_failed_results()
         return Overview(rows, self.catalog.claims(), raw, decisions, notes, is_bad, has_failed)
 
-    def _renewed(
+    def _new_entry(
         self,
         folder: str,
         sheet: Path | None,
@@ -270,26 +272,26 @@ class CatalogSync:
         row: TestRow | None,
         seen: Seen | None,
     ) -> Entry | None:
-        """What the catalog is to keep of a test; None where it has it."""
+        """Make the entry of a test; return None if the catalog is up to date."""
         marks = files.marks if files is not None else ""
-        known = parse_content(seen.content) if seen is not None else None
-        now = self._keys.content_of(sheet, known) if sheet is not None and marks else None
-        content = known if now is None else now
-        kept = Seen(
+        stored = parse_content(seen.content) if seen is not None else None
+        now = self._keys.content_of(sheet, stored) if sheet is not None and marks else None
+        content = stored if now is None else now
+        renewed = Seen(
             "" if content is None else content.as_text(),
             marks if sheet is not None else f"{marks} {_WITHOUT_SHEET}",
         )
-        is_same = now is None or (known is not None and known.key == now.key)
-        looks_same = seen is not None and seen.marks == kept.marks
-        if row is not None and looks_same and is_same and self._fits(row, now):
-            return None if content == known else Entry(row, kept)
+        is_same = now is None or (stored is not None and stored.key == now.key)
+        looks_same = seen is not None and seen.marks == renewed.marks
+        if row is not None and looks_same and is_same and self._is_current(row, now):
+            return None if content == stored else Entry(row, renewed)
         outcome = read_outcome_files(files)
         decision = self._decision_on(folder, outcome, row)
-        made = _row(folder, outcome, now, decision)
-        return Entry(made, kept, outcome.inputs, outcome.results)
+        new_row = _row(folder, outcome, now, decision)
+        return Entry(new_row, renewed, outcome.inputs, outcome.results)
 
-    def _fits(self, row: TestRow, content: Content | None) -> bool:
-        """Whether a row says what it would say if it were made anew from the same files."""
+    def _is_current(self, row: TestRow, content: Content | None) -> bool:
+        """Whether a row is still valid for the present content and decisions."""
         if row.state == PENDING:
             return True
         is_stale = content is not None and content.key != row.attempt
@@ -298,8 +300,8 @@ class CatalogSync:
         decision = self._rejection(row.folder, row.attempt)
         if decision is None:
             return row.state != REJECTED
-        said = (decision.because, decision.by, decision.when)
-        return row.state == REJECTED and said == (row.why, row.decided_by, row.decided)
+        facts = (decision.because, decision.by, decision.when)
+        return row.state == REJECTED and facts == (row.why, row.decided_by, row.decided)
 
     def _rejection(self, folder: str, run: str) -> Decision | None:
         decision = in_force(self._on_test.get(folder, ()), run=run)
@@ -308,21 +310,21 @@ class CatalogSync:
     def _decision_on(
         self, folder: str, outcome: StoredOutcome, row: TestRow | None
     ) -> Decision | None:
-        """The rejection of a test; carried over where only the way of processing changed."""
+        """Return the rejection of a test; carry it over if only the processing version changed."""
         if (folder, outcome.attempt) in self._in_force or row is None or outcome.has_failed:
             return self._rejection(folder, outcome.attempt)
         old = self._in_force.get((folder, row.run))
-        if old is None or not outcome.run or not self._is_made_of_the_same(row, outcome):
+        if old is None or not outcome.run or not self._has_same_inputs(row, outcome):
             return self._rejection(folder, outcome.attempt)
         before = self.catalog.results_of(folder)
-        carried = carried_over(old, outcome.run, before, outcome.results)
+        carried = carry_over(old, outcome.run, before, outcome.results)
         if carried is None or self.catalog.in_memory:
             return self._rejection(folder, outcome.attempt)
         add_decisions(self.campaign.processed, self.campaign.name, [carried])
         self.read_decisions()
         return self._rejection(folder, outcome.run)
 
-    def _is_made_of_the_same(self, row: TestRow, outcome: StoredOutcome) -> bool:
+    def _has_same_inputs(self, row: TestRow, outcome: StoredOutcome) -> bool:
         """Whether exports, sheet and protocol of a test are those of its row."""
         texts = (outcome.sheet, outcome.protocol_text)
         same = all(texts) and texts == (row.sheet, row.resolved) and not row.failed_run
@@ -332,7 +334,7 @@ class CatalogSync:
 def _row(
     folder: str, outcome: StoredOutcome, content: Content | None, rejection: Decision | None
 ) -> TestRow:
-    """The row of a test."""
+    """Make the row of a test."""
     about = dict(content.about) if content is not None else {}
     specimen = outcome.specimen or {key: about.get(key, "") for key in ("type", "spool", "sample")}
     state, why = _state(outcome, content, rejection)
@@ -345,12 +347,12 @@ def _row(
         code=outcome.code,
         reason=outcome.reason,
         protocol=outcome.protocol or about.get("protocol", ""),
-        type=plain(specimen["type"]),
-        spool=plain(specimen["spool"]),
-        sample=plain(specimen["sample"]),
+        type=encodable(specimen["type"]),
+        spool=encodable(specimen["spool"]),
+        sample=encodable(specimen["sample"]),
         date=outcome.date or about.get("date", ""),
         operator=outcome.operator or about.get("operator", ""),
-        specimen=plain(as_json(specimen)),
+        specimen=encodable(as_json(specimen)),
         labpipe=outcome.labpipe,
         run=outcome.run,
         failed_run=outcome.failed_run,
@@ -364,13 +366,13 @@ def _row(
 def _state(
     outcome: StoredOutcome, content: Content | None, rejection: Decision | None
 ) -> tuple[str, str]:
-    """State of a test, and why."""
+    """Return the state of a test and the reason."""
     if outcome.code == NEWER_RESULT:
         return FAILED, ""
     if not outcome.attempt and not outcome.has_failed:
         return PENDING, outcome.unreadable
     if content is not None and content.key != outcome.attempt:
-        now = changes(
+        now = describe_changes(
             inputs=outcome.inputs, sheet=outcome.sheet, protocol=outcome.protocol_text, now=content
         )
         return STALE, now

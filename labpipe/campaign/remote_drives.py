@@ -1,4 +1,4 @@
-"""Whether a file lies on a disk of this machine, or on a drive that several machines share."""
+"""Whether a file is on a local disk or on a shared drive."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ _SHARED = frozenset(
     {"nfs", "nfs4", "cifs", "smb3", "smbfs", "afs", "ceph", "lustre", "gpfs", "9p", "ncpfs"}
     | {"beegfs", "glusterfs", "virtiofs", "vboxsf", "vmhgfs", "davfs"}
 )
-"""Kinds of file systems that are shared, or whose memory maps may be out of date."""
+"""File systems that are shared, or whose memory maps may be outdated."""
 
 
 def shared_kind(mounts: str, path: str) -> str:
-    """Find the kind of the file system that a path lies on.
+    """Return the type of the file system of a path.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def shared_kind(mounts: str, path: str) -> str:
 
     Returns
     -------
-    Such as ``nfs4``; empty where it is not known.
+    A name such as ``nfs4``; empty if not known.
     """
     best, kind = "", ""
     for line in mounts.splitlines():
@@ -38,15 +38,15 @@ def shared_kind(mounts: str, path: str) -> str:
 
 
 def is_on_this_machine(path: Path) -> bool:
-    """Whether a file lies on a disk of this machine.
+    """Return whether a file is on a local disk.
 
     Parameters
     ----------
-    path : of the file, or where one will be
+    path : of a file, which may be missing
 
     Returns
     -------
-    False also where that cannot be told.
+    False also if it is not known.
     """
     if sys.platform == "win32":
         import ctypes

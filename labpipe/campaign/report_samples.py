@@ -1,4 +1,4 @@
-"""What a report keeps of a processed test: thin curves, few shapes, its numbers, its origin."""
+"""Reduce a processed test to its data for a report: thinned curves, few shapes, numbers."""
 
 from __future__ import annotations
 
@@ -13,20 +13,14 @@ from labpipe.records.result import TestResult
 from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import Drawable
 
-_POINTS = 2000
-"""Points of a branch that a report keeps, each the mean of its samples: so many that a slip or a
-corner is smeared over less than a line is thick."""
-_STEPS = 6
-"""Shapes of a test that are drawn, beside the first."""
-
 
 def sample_of(read: Drawable, *, source: str, label: str = "") -> Sample:
-    """Keep of a processed test what a report needs.
+    """Reduce a processed test to its data for a report.
 
     Parameters
     ----------
     read : with or without recordings
-    source : file it was read from
+    source : its file
     label : of the test in its campaign
     """
     result = read.result
@@ -63,7 +57,7 @@ def frames_at_steps(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
 
     Returns
     -------
-    frames : the first at or beyond each step; none without a first loading
+    frames : first at or beyond each step; none without a loading branch
     deflection : shape of `frames`, m, of the curve at these frames
     """
     none = np.empty(0, dtype=np.int64), np.empty(0)
@@ -71,23 +65,27 @@ def frames_at_steps(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
     first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
     if first is None or result.curve is None:
         return none
-    way: Floats = np.interp(time, result.curve.time, result.curve.displacement)
-    way[(time < first.start_time) | (time > first.stop_time)] = np.nan
-    if not np.isfinite(way).any():
+    deflection: Floats = np.interp(time, result.curve.time, result.curve.displacement)
+    deflection[(time < first.start_time) | (time > first.stop_time)] = np.nan
+    if not np.isfinite(deflection).any():
         return none
-    levels = _levels(float(np.nanmax(way)))
-    reached = [np.flatnonzero(way >= level) for level in levels]
+    levels = _levels(float(np.nanmax(deflection)))
+    reached = [np.flatnonzero(deflection >= level) for level in levels]
     frames = np.unique([hits[0] for hits in reached if len(hits)]).astype(np.int64)
-    return frames, way[frames]
+    return frames, deflection[frames]
 
 
-def _levels(most: float) -> Floats:
-    """Round steps from zero up to the largest deflection, m."""
-    if not most > 0.0:
+def _levels(largest: float) -> Floats:
+    """Return round steps from zero to the largest deflection, m."""
+    # shapes drawn of a test, without the first
+    max_steps = 6
+    if not largest > 0.0:
         return np.zeros(1)
-    power = 10.0 ** floor(log10(most / _STEPS))
-    step = next(each * power for each in (1.0, 2.0, 5.0, 10.0) if each * power * _STEPS >= most)
-    return np.arange(0.0, most, step)
+    power = 10.0 ** floor(log10(largest / max_steps))
+    step = next(
+        factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power * max_steps >= largest
+    )
+    return np.arange(0.0, largest, step)
 
 
 def _branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ...]:
@@ -96,7 +94,9 @@ def _branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ..
 
 
 def _thin(result: TestResult, branch: Branch) -> SampleCurve:
-    """A branch as means over equal numbers of samples, up to the failure."""
+    """Average a branch over blocks of samples, up to the failure."""
+    # points of a branch: enough to smear a slip or a corner by less than a line width
+    max_points = 2000
     curve = result.curve
     if curve is None:
         message = "a branch without a curve"
@@ -106,15 +106,15 @@ def _thin(result: TestResult, branch: Branch) -> SampleCurve:
     measured = result.aligned.series["force"].values[part] if result.aligned is not None else force
     order = slice(None) if branch.direction is Direction.LOADING else slice(None, None, -1)
     return SampleCurve(
-        displacement=block_means(curve.displacement[part][order], _POINTS),
-        force=block_means(force[order], _POINTS),
-        as_measured=block_means(measured[order], _POINTS),
+        displacement=block_means(curve.displacement[part][order], max_points),
+        force=block_means(force[order], max_points),
+        as_measured=block_means(measured[order], max_points),
         cycle=branch.cycle,
     )
 
 
 def _stop_before_failure(result: TestResult, branch: Branch, displacement: Floats) -> int:
-    """Where a branch ends: at its last sample, or at the last one before the specimen broke."""
+    """Return the end of a branch: its last sample, or the last one before the failure."""
     at = next(
         (result.value for result in result.results if result.name == "failure_displacement"), None
     )

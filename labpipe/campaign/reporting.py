@@ -1,4 +1,4 @@
-"""From processed tests to the report of a campaign."""
+"""Make the report of a campaign from processed tests."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from labpipe.campaign.grouping import (
     division,
     find_differences,
     group_names,
+    missing_fields,
+    rename_shared_spools,
     setting_notes,
     settings_by_test,
     settings_of,
-    with_own_spools,
-    without,
 )
-from labpipe.campaign.protocol_facts import NumberKinds, number_kinds, with_sizes
+from labpipe.campaign.protocol_facts import NumberKinds, add_sizes, number_kinds
 from labpipe.campaign.report_samples import frames_at_steps, sample_of
 from labpipe.campaign.test_pages import pages_of
 from labpipe.errors import LabpipeError, UsageError
@@ -61,14 +61,14 @@ from labpipe.studies.wire_specs import read_wire_sheet
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """What a report is wanted to show.
+    """Groups and comparisons of a report.
 
     Parameters
     ----------
-    by : fields of the test sheets that groups are made by; if empty, the type and all else of the
-        specimen that differs within a type
-    alone : show only pairs of groups that differ in this field and no other; empty for all
-    wires : wire sheet, for the bounds of harness bundles; None for none
+    by : fields of the test sheets to group by; if empty, the type and all fields of the specimen
+        that differ within a type
+    alone : show only pairs of groups that differ in this field alone; empty for all
+    wires : wire sheet, for the bounds of harness bundles
     """
 
     by: tuple[str, ...] = ()
@@ -76,18 +76,18 @@ class ReportOptions:
     wires: Path | None = None
 
 
-AS_SHEETS_DIFFER = ReportOptions()
+DEFAULT_OPTIONS = ReportOptions()
 
 
 @dataclass(frozen=True, slots=True)
 class ReportContext:
-    """What a report has beside groups and comparisons.
+    """Letterhead and additional files of a report.
 
     Parameters
     ----------
-    letterhead : who it is from and for
-    formats : of figures as files: ``svg``, ``png``, ``pdf``; none for no files
-    has_test_pages : a page for each test
+    letterhead : laboratory, customer and order
+    formats : of figure files: ``svg``, ``png``, ``pdf``; empty for no files
+    has_test_pages : whether each test has a page
     """
 
     letterhead: Letterhead = PLAIN
@@ -95,7 +95,7 @@ class ReportContext:
     has_test_pages: bool = False
 
 
-NOTHING_BESIDE = ReportContext()
+DEFAULT_CONTEXT = ReportContext()
 
 
 RECIPE_FILE = "report.json"
@@ -103,84 +103,86 @@ RECIPE_FILE = "report.json"
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How a report was made, kept beside it, so that it can be made again.
+    """Options of a report, stored beside it to make it again.
 
     Parameters
     ----------
     title : of the report
-    wanted : groups and comparisons
-    beside : letterhead, figures as files, pages of tests
+    options : groups and comparisons
+    context : letterhead, figures as files, pages of tests
     """
 
     title: str = ""
-    wanted: ReportOptions = AS_SHEETS_DIFFER
-    beside: ReportContext = NOTHING_BESIDE
+    options: ReportOptions = DEFAULT_OPTIONS
+    context: ReportContext = DEFAULT_CONTEXT
 
     @classmethod
     def read(cls, folder: Path) -> Recipe:
-        """Read the recipe of the report in a folder; an empty one where there is none."""
+        """Read the recipe of the report in a folder; without one, return an empty one."""
         try:
-            kept = json.loads((folder / RECIPE_FILE).read_text(encoding="utf-8"))
-            wires = None if kept["wires"] is None else folder / kept["wires"]
+            recipe = json.loads((folder / RECIPE_FILE).read_text(encoding="utf-8"))
+            wires = None if recipe["wires"] is None else folder / recipe["wires"]
             letterhead = Letterhead(
-                tuple((name, said) for name, said in kept["letterhead"]), kept["logo"]
+                tuple((name, text) for name, text in recipe["letterhead"]), recipe["logo"]
             )
-            beside = ReportContext(letterhead, tuple(kept["figures"]), kept["pages"])
+            context = ReportContext(letterhead, tuple(recipe["figures"]), recipe["pages"])
             return cls(
-                kept["title"], ReportOptions(tuple(kept["by"]), kept["compare"], wires), beside
+                recipe["title"],
+                ReportOptions(tuple(recipe["by"]), recipe["compare"], wires),
+                context,
             )
-        except (OSError, ValueError, KeyError, TypeError):  # of an earlier labpipe, or changed
+        except (OSError, ValueError, KeyError, TypeError):  # of an earlier labpipe, or edited
             return cls()
 
     def text(self, folder: Path) -> str:
-        """JSON; the wire sheet as seen from the folder of the report."""
-        wires, letterhead = self.wanted.wires, self.beside.letterhead
-        kept = {
+        """Write JSON, with the wire sheet relative to the folder of the report."""
+        wires, letterhead = self.options.wires, self.context.letterhead
+        recipe = {
             "title": self.title,
-            "by": self.wanted.by,
-            "compare": self.wanted.alone,
+            "by": self.options.by,
+            "compare": self.options.alone,
             "wires": None if wires is None else os.path.relpath(wires, folder),
             "letterhead": letterhead.facts,
             "logo": letterhead.logo,
-            "figures": self.beside.formats,
-            "pages": self.beside.has_test_pages,
+            "figures": self.context.formats,
+            "pages": self.context.has_test_pages,
         }
-        return json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
+        return json.dumps(recipe, indent=1, ensure_ascii=False) + "\n"
 
     def or_earlier(self, earlier: Recipe) -> Recipe:
-        """What this one says, and where it says nothing, what an earlier one said.
+        """Fill the missing options of this recipe from an earlier one.
 
         Parameters
         ----------
         earlier : recipe
         """
-        own, then = self.beside, earlier.beside
-        facts = dict(then.letterhead.facts) | dict(own.letterhead.facts)
-        logo = own.letterhead.logo or then.letterhead.logo
+        context, then = self.context, earlier.context
+        facts = dict(then.letterhead.facts) | dict(context.letterhead.facts)
+        logo = context.letterhead.logo or then.letterhead.logo
         return Recipe(
             self.title or earlier.title,
             ReportOptions(
-                self.wanted.by or earlier.wanted.by,
-                self.wanted.alone or earlier.wanted.alone,
-                self.wanted.wires or earlier.wanted.wires,
+                self.options.by or earlier.options.by,
+                self.options.alone or earlier.options.alone,
+                self.options.wires or earlier.options.wires,
             ),
             ReportContext(
                 Letterhead(tuple(facts.items()), logo),
-                own.formats or then.formats,
-                own.has_test_pages or then.has_test_pages,
+                context.formats or then.formats,
+                context.has_test_pages or then.has_test_pages,
             ),
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reported:
-    """A report and where it was written.
+    """A report and its files.
 
     Parameters
     ----------
-    folder : holds report.html and tables.xlsx; figures and pages of tests where they are wanted
-    campaign : what it shows
-    files : all of them, the page first
+    folder : with report.html, tables.xlsx, and optional figures and pages of tests
+    campaign : its content
+    files : the page first
     """
 
     folder: Path
@@ -194,19 +196,19 @@ def report_tests(
     out: Path | None = None,
     title: str = "",
     say: Callable[[str], None] = lambda _: None,
-    wanted: ReportOptions = AS_SHEETS_DIFFER,
-    beside: ReportContext = NOTHING_BESIDE,
+    options: ReportOptions = DEFAULT_OPTIONS,
+    context: ReportContext = DEFAULT_CONTEXT,
 ) -> Reported:
-    """Put processed tests together into one report.
+    """Make one report from processed tests.
 
     Parameters
     ----------
-    targets : result.h5 files, or folders that hold some
-    out : folder of the report; None for ``report`` in the folder that all tests share
-    title : of the report; the name of that folder if empty
-    say : is given the name of each test as it is read
-    wanted : groups and comparisons
-    beside : letterhead, figures as files, pages of tests
+    targets : result.h5 files, or folders with some
+    out : folder of the report; None for ``report`` in the common folder of the tests
+    title : of the report; the name of the common folder if empty
+    say : called with the name of each test when it is read
+    options : groups and comparisons
+    context : letterhead, figures as files, pages of tests
 
     Returns
     -------
@@ -215,20 +217,20 @@ def report_tests(
     Raises
     ------
     LabpipeError
-        If there is no processed test, none can be read, two have one name, no test sheet has a
-        field that is wanted, the wire sheet has faults, or the report cannot be written; an earlier
-        report is then as it was.
+        If there is no processed test, none can be read, two have the same name, no test sheet has a
+        requested field, the wire sheet has faults, or the report cannot be written; an earlier
+        report is then unchanged.
     """
     files = find_results(targets)
     shared = shared_folder(files)
-    campaign = make_campaign(files, title or shared.resolve().name, say, wanted)
+    campaign = make_campaign(files, title or shared.resolve().name, say, options)
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
-        pages = pages_of(campaign) if beside.has_test_pages else {}
-        extras = Extras(beside.letterhead, beside.formats, pages)
+        pages = pages_of(campaign) if context.has_test_pages else {}
+        extras = Extras(context.letterhead, context.formats, pages)
         written = write_report(campaign, stage, extras)
-        recipe = Recipe(title, wanted, beside).text(folder)
+        recipe = Recipe(title, options, context).text(folder)
         (stage / RECIPE_FILE).write_text(recipe, encoding="utf-8", newline="\n")
     return Reported(folder, campaign, tuple(folder / path.relative_to(stage) for path in written))
 
@@ -237,46 +239,45 @@ def make_campaign(
     files: Sequence[Path],
     title: str,
     say: Callable[[str], None] = lambda _: None,
-    wanted: ReportOptions = AS_SHEETS_DIFFER,
+    options: ReportOptions = DEFAULT_OPTIONS,
 ) -> Campaign:
-    """Read processed tests one after the other and put them into groups.
+    """Read processed tests and group them.
 
     Parameters
     ----------
-    files : result.h5 files; one that cannot be read, is made of the same recording as another, or
-        was rejected is left out, with the reason
+    files : result.h5 files; unreadable, repeated and rejected ones are left out with the reason
     title : of the report
-    say : is given the name of each test as it is read
-    wanted : groups and comparisons
+    say : called with the name of each test when it is read
+    options : groups and comparisons
 
     Returns
     -------
-    Groups that have the wanted fields and the protocol alike, and how they differ.
+    Groups of equal fields and protocol, and their differences.
 
     Raises
     ------
     LabpipeError
-        If no file can be read, all were rejected, decisions cannot be read, two tests have one
-        name, no test sheet has a field that is wanted, or the wire sheet has faults.
+        If no file can be read, all were rejected, decisions cannot be read, two tests have the same
+        name, no test sheet has a requested field, or the wire sheet has faults.
     """
-    wires = None if wanted.wires is None else read_wire_sheet(wanted.wires)
-    read = _read(files, say)
-    check_fields(wanted.by, read.samples, "--by")
-    check_fields(list(filter(None, [wanted.alone])), read.samples, "--compare")
-    groups, by = _groups(read, wanted.by), wanted.by or (TYPE,)
-    differences = find_differences(groups, read.wishes, read.settings, by=by, alone=wanted.alone)
+    wires = None if options.wires is None else read_wire_sheet(options.wires)
+    read = _read_tests(files, say)
+    check_fields(options.by, read.samples, "--by")
+    check_fields(list(filter(None, [options.alone])), read.samples, "--compare")
+    groups, by = _groups(read, options.by), options.by or (TYPE,)
+    differences = find_differences(groups, read.wishes, read.settings, by=by, alone=options.alone)
     return Campaign(
         title=title,
         groups=tuple(groups),
-        differences=differences.shown,
+        differences=differences.listed,
         left_out=read.left_out,
         rejected=read.rejected,
         labpipe_version=__version__,
         by=by,
-        compared=wanted.alone,
+        compared=options.alone,
         pairs_not_shown=differences.pairs_not_shown,
         places=() if wires is None else tuple(find_places(groups, wires)),
-        wire_sheet="" if wanted.wires is None else wanted.wires.name,
+        wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(read.rejected_samples),
         name=name_of_campaign(shared_folder(files)),
         decisions=tuple(map(decision_entry, read.decisions)),
@@ -285,8 +286,8 @@ def make_campaign(
 
 
 @dataclass(frozen=True, slots=True)
-class _Read:
-    """What was read: samples, what protocols say of them, settings by file, what does not count."""
+class _ReadTests:
+    """Samples with settings of their protocols, and tests that are left out or rejected."""
 
     samples: list[Sample]
     wishes: dict[str, Groups]
@@ -298,8 +299,8 @@ class _Read:
     decisions: list[Decision]
 
 
-def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
-    read = _Read([], {}, {}, {}, {}, {}, [], [])
+def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _ReadTests:
+    read = _ReadTests([], {}, {}, {}, {}, {}, [], [])
     decided, shared = decisions_on(files), shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
@@ -308,12 +309,12 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
             drawable = read_drawable(file, frames_at_steps)
             result = drawable.result
             check_summary(result, file.parent / SUMMARY_FILE)
-            # What concerns a group is said by its protocol, as each result stored it.
+            # Group settings come from the protocol stored in each result.
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
             read.left_out[str(file)] = str(error)
             continue
-        specimen = with_sizes(result.specimen, protocol.specimen)
+        specimen = add_sizes(result.specimen, protocol.specimen)
         sized = replace(drawable, result=replace(result, specimen=specimen))
         sample = sample_of(sized, source=str(file), label=label_of(file, shared))
         read.decisions.extend(decided.get(file, ()))
@@ -330,21 +331,21 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
         recordings.append((file, recording_of(result, protocol)))
         read.samples.append(sample)
     if not read.samples:
-        said = [f"{file}: rejected: {why}" for file, why in read.rejected.items()]
-        raise UsageError("\n".join([*read.left_out.values(), *said]))
+        rejections = [f"{file}: rejected: {why}" for file, why in read.rejected.items()]
+        raise UsageError("\n".join([*read.left_out.values(), *rejections]))
     refuse_repeated([(sample.test, Path(sample.source)) for sample in read.samples], "name")
     copies = find_copies(recordings)
     samples = [sample for sample in read.samples if sample.source not in copies]
     return replace(read, samples=samples, left_out=read.left_out | copies)
 
 
-def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
+def _groups(read: _ReadTests, by: Sequence[str]) -> list[Group]:
     members, by = division(read.samples, by), by or (TYPE,)
     names = group_names(list(members), by)
     groups = []
     for key, name in names.items():
-        said = read.wishes[key.protocol], read.kinds[key.protocol]
-        group = _group(name, members[key], *said, without(key, by))
+        facts = read.wishes[key.protocol], read.kinds[key.protocol]
+        group = _group(name, members[key], *facts, missing_fields(key, by))
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
         unlike = setting_notes(settings_by_test(group.samples, read.settings), noted)
         groups.append(replace(group, notes=(*unlike, *group.notes)))
@@ -358,8 +359,8 @@ def _group(
     kinds: NumberKinds,
     not_said: Sequence[str],
 ) -> Group:
-    samples, renamed = with_own_spools(members)
-    # Results that say something about the specimen, so that no table has to leave any out.
+    samples, renamed = rename_shared_spools(members)
+    # Only results that describe the specimen.
     of_specimens = [
         replace(sample, results=tuple(one for one in sample.results if is_main(one.name)))
         for sample in samples

@@ -1,4 +1,4 @@
-"""The tests of a campaign that are new or changed, processed: once each, by whoever comes first."""
+"""Process the new and changed tests of a campaign, each claimed by one run."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog import FAILED, PENDING, STALE, TestRow
 from labpipe.campaign.decisions import Decision, add_decisions, now
 from labpipe.campaign.executors import Executor, Outcome, Task
-from labpipe.campaign.refreshing import CatalogSync, Overview, opened_campaign
+from labpipe.campaign.refreshing import CatalogSync, Overview, open_campaign
 from labpipe.errors import StoreError, UsageError, error_text, nearest
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import storing
 
-_PAUSE, _TRIES = 1.0, 60
-"""s between two looks at a folder that another process still writes, and how many there are."""
+_RETRY_PAUSE, _TRIES = 1.0, 60
+"""s between attempts to process a test that another process still writes, and their number."""
 
 
 @dataclass(slots=True)
 class RunSummary:
-    """What a run did.
+    """Summary of a run.
 
     Parameters
     ----------
-    overview : the campaign after it
+    overview : the campaign after the run
     processed : outcomes of the tests that were processed, by folder
-    elsewhere : tests that another labpipe was at work on
+    elsewhere : tests claimed by another labpipe
     """
 
     overview: Overview
@@ -40,12 +40,12 @@ class RunSummary:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """What is drawn of each test.
+    """Figures of each test.
 
     Parameters
     ----------
     figures : whether figures are drawn, as SVG
-    png : whether as PNG, too
+    png : whether also as PNG
     """
 
     figures: bool = True
@@ -61,46 +61,46 @@ def run_campaign(
     drawing: Drawing = Drawing(),
     follow_links: bool = False,
     begin: Callable[[int], None] = lambda _: None,
-    told: Callable[[str, Outcome], None] = lambda *_: None,
+    on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
 ) -> RunSummary:
-    """Process what is new or changed in a campaign, and nothing else.
+    """Process the new and changed tests of a campaign.
 
     Parameters
     ----------
     campaign : its folders
     executor : processes the tests
-    only : tests to look at; None for all
+    only : tests to consider; None for all
     again : tests to process even if nothing changed
-    drawing : what is drawn of them
-    follow_links : whether exports may be links out of the folder of their test
-    begin : is given the number of tests that are to be processed
-    told : is given each test that was processed and what became of it
+    drawing : figures of the tests
+    follow_links : whether exports may be links to files outside the test folder
+    begin : called with the number of tests to process
+    on_outcome : called with each processed test and its outcome
 
     Returns
     -------
-    What was done. Two runs at a time share the work: each test is claimed by one of them.
+    Summary. Simultaneous runs share the work: each test is claimed by one of them.
 
     Raises
     ------
     LabpipeError
-        If the catalog is of a newer labpipe, or the folder of results cannot be written.
+        If the catalog is from a newer labpipe, or the folder of results cannot be written.
     """
-    with opened_campaign(campaign) as keeper:
-        if keeper.catalog.in_memory:
-            raise _cannot_write(campaign)
-        run = _Run(keeper, drawing, follow_links=follow_links, told=told)
+    with open_campaign(campaign) as sync:
+        if sync.catalog.in_memory:
+            raise _write_error(campaign)
+        run = _Run(sync, drawing, follow_links=follow_links, on_outcome=on_outcome)
         return run.all(executor, only, again, begin)
 
 
-def run_some(
+def run_tests(
     campaign: CampaignFolders,
     executor: Executor,
     folders: Collection[str],
     *,
     again: Collection[str] = (),
-    told: Callable[[str, Outcome], None] = lambda *_: None,
+    on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
 ) -> dict[str, TestRow | None]:
-    """Process some tests if they are new or changed, without a look at all the others.
+    """Process some tests if they are new or changed, without checking all others.
 
     Parameters
     ----------
@@ -108,40 +108,40 @@ def run_some(
     executor : processes the tests
     folders : of the tests, below the campaign
     again : those to process even if nothing changed
-    told : is given each test that was processed and what became of it
+    on_outcome : called with each processed test and its outcome
 
     Returns
     -------
-    Row of each test; None for one that another labpipe is at work on.
+    Row of each test; None for one claimed by another labpipe.
 
     Raises
     ------
     LabpipeError
         As `run_campaign`.
     """
-    with opened_campaign(campaign) as keeper:
-        if keeper.catalog.in_memory:
-            raise _cannot_write(campaign)
-        keeper.catalog.release_dead()
-        keeper.read_decisions()
-        run = _Run(keeper, Drawing(), follow_links=False, told=told)
+    with open_campaign(campaign) as sync:
+        if sync.catalog.in_memory:
+            raise _write_error(campaign)
+        sync.catalog.release_dead()
+        sync.read_decisions()
+        run = _Run(sync, Drawing(), follow_links=False, on_outcome=on_outcome)
         elsewhere = run.some(executor, list(folders), again)
-        rows = {folder: keeper.renew(folder) for folder in folders}
+        rows = {folder: sync.renew(folder) for folder in folders}
     return {folder: None if folder in elsewhere else row for folder, row in rows.items()}
 
 
 class _Run:
-    """A run at work: it claims tests as an executor takes them, and settles them as they end."""
+    """A run: it claims tests when an executor takes them, and records their outcomes."""
 
     def __init__(
         self,
-        keeper: CatalogSync,
+        sync: CatalogSync,
         drawing: Drawing,
         *,
         follow_links: bool,
-        told: Callable[[str, Outcome], None],
+        on_outcome: Callable[[str, Outcome], None],
     ) -> None:
-        self._keeper, self._drawing, self._told = keeper, drawing, told
+        self._sync, self._drawing, self._on_outcome = sync, drawing, on_outcome
         self._follow_links = follow_links
         self._at_work: dict[Path, str] = {}
         self._in_use: list[str] = []
@@ -154,10 +154,10 @@ class _Run:
         again: Collection[str],
         begin: Callable[[int], None],
     ) -> RunSummary:
-        """Process all that is due."""
-        keeper = self._keeper
-        keeper.catalog.release_dead()
-        overview = keeper.refresh()
+        """Process all new and changed tests."""
+        sync = self._sync
+        sync.catalog.release_dead()
+        overview = sync.refresh()
         due = [
             folder
             for folder, row in overview.rows.items()
@@ -168,25 +168,25 @@ class _Run:
         begin(len(due))
         self.some(executor, due, again)
         if due:
-            overview = keeper.refresh()
+            overview = sync.refresh()
         self._ran.overview = overview
         return self._ran
 
     def some(
         self, executor: Executor, due: list[str], again: Collection[str] = ()
     ) -> Sequence[str]:
-        """Process some tests; gives those that another labpipe is at work on."""
+        """Process some tests; return those claimed by another labpipe."""
         try:
             self._process(executor, due, again)
             for _ in range(_TRIES):
                 if not self._in_use:
                     break
-                time.sleep(_PAUSE)
+                time.sleep(_RETRY_PAUSE)
                 left, self._in_use = self._in_use, []
                 self._process(executor, left, again)
         finally:
             for folder in self._at_work.values():
-                self._keeper.catalog.release(folder)
+                self._sync.catalog.release(folder)
         self._ran.elsewhere += self._in_use
         return self._ran.elsewhere
 
@@ -196,65 +196,65 @@ class _Run:
                 self._settle(outcome)
 
     def _tasks(self, due: list[str], again: Collection[str]) -> Generator[Task, None, None]:
-        """Claim tests one by one; one that another run has done meanwhile is left out."""
-        keeper = self._keeper
+        """Claim tests one by one; skip those processed by another run meanwhile."""
+        sync = self._sync
         for folder in due:
-            if not keeper.catalog.claim(folder):
+            if not sync.catalog.claim(folder):
                 self._ran.elsewhere.append(folder)
                 continue
-            row = keeper.renew(folder)
-            sheet = keeper.campaign.raw / folder / SHEET_NAME
+            row = sync.renew(folder)
+            sheet = sync.campaign.raw / folder / SHEET_NAME
             if (row.state not in {PENDING, STALE} and folder not in again) or not sheet.is_file():
-                keeper.catalog.release(folder)
+                sync.catalog.release(folder)
                 continue
             self._at_work[sheet] = folder
             yield Task(
                 sheet,
-                keeper.campaign.processed / folder,
+                sync.campaign.processed / folder,
                 figures=self._drawing.figures,
                 png=self._drawing.png,
                 follow_links=self._follow_links,
-                run=keeper.content_of(folder).key,
+                run=sync.content_of(folder).key,
             )
 
     def _settle(self, outcome: Outcome) -> None:
         folder = self._at_work.pop(outcome.sheet)
-        catalog = self._keeper.catalog
-        if outcome.code == "in_use":  # of a process that outlived its run, such as a killed one
+        catalog = self._sync.catalog
+        if outcome.code == "in_use":  # a process that outlived its killed run
             self._in_use.append(folder)
         else:
-            self._keeper.renew(folder)
+            self._sync.renew(folder)
             catalog.put_time(folder, now(), outcome.seconds)
             self._ran.processed[folder] = outcome
-            self._told(folder, outcome)
+            self._on_outcome(folder, outcome)
         catalog.release(folder)
 
 
-def _cannot_write(campaign: CampaignFolders) -> StoreError:
+def _write_error(campaign: CampaignFolders) -> StoreError:
     return StoreError(
         error_text(
             campaign.processed,
             "",
-            expected="a folder to write in",
-            found="one that cannot be written",
+            expected="a writable folder",
+            found="a read-only one",
             remedy="Change its permissions; nothing was processed.",
         )
     )
 
 
-def look(campaign: CampaignFolders) -> Overview:
-    """Tell how a campaign stands, without processing anything.
+def read_overview(campaign: CampaignFolders) -> Overview:
+    """Return the state of a campaign without processing.
 
     Parameters
     ----------
     campaign : its folders; they need not be writable
     """
-    with opened_campaign(campaign) as keeper:
-        return keeper.refresh()
+    with open_campaign(campaign) as sync:
+        return sync.refresh()
 
 
 def rebuild(campaign: CampaignFolders) -> Overview:
-    """Make the catalog of a campaign anew from the files of its tests.
+    """Rebuild the catalog of a campaign from the files of its tests.
 
     Parameters
     ----------
@@ -262,19 +262,19 @@ def rebuild(campaign: CampaignFolders) -> Overview:
 
     Returns
     -------
-    The campaign as it stands.
+    State of the campaign.
 
     Raises
     ------
     LabpipeError
-        If a process is at work on the campaign, or the catalog is of a newer labpipe.
+        If a process works on the campaign, or the catalog is from a newer labpipe.
     """
-    with opened_campaign(campaign, anew=True) as keeper:
-        return keeper.refresh()
+    with open_campaign(campaign, start_empty=True) as sync:
+        return sync.refresh()
 
 
 def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
-    """Take failures away, so that their tests are processed again.
+    """Delete failures, so that their tests are processed again.
 
     Parameters
     ----------
@@ -290,73 +290,80 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
     UsageError
         If no failure has that code.
     """
-    with opened_campaign(campaign) as keeper:
-        if keeper.catalog.in_memory:
-            raise _cannot_write(campaign)
-        overview = keeper.refresh()
+    with open_campaign(campaign) as sync:
+        if sync.catalog.in_memory:
+            raise _write_error(campaign)
+        overview = sync.refresh()
         failed = {folder: row for folder, row in overview.rows.items() if row.state == FAILED}
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
         if code and not chosen:
-            known = sorted({row.code for row in failed.values()})
-            found = ", ".join(known) if known else "no failure at all"
-            near = nearest(code, known, most=1)
-            remedy = f"Nearest: {near[0]}." if near else "There is nothing to do."
+            codes = sorted({row.code for row in failed.values()})
+            description = ", ".join(codes) if codes else "no failures"
+            near = nearest(code, codes, most=1)
+            remedy = f"Nearest: {near[0]}." if near else "There is nothing to clear."
             raise UsageError(
-                error_text(campaign.processed, "", expected=f"failures of the code {code!r}",
-                          found=found, remedy=remedy)
+                error_text(campaign.processed, "", expected=f"failures with the code {code!r}",
+                          found=description, remedy=remedy)
             )  # fmt: skip
         for folder in chosen:
             path = campaign.processed / folder / FAILURE_FILE
             with storing(path):
                 path.unlink(missing_ok=True)
-            keeper.renew(folder)
+            sync.renew(folder)
     return chosen
 
 
-def decide(campaign: CampaignFolders, test: str, said: Decision) -> TestRow:
-    """Decide on a test.
+def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
+    """Record a decision on a test.
 
     Parameters
     ----------
     campaign : its folders
     test : its folder below the campaign, or its name
-    said : decision, reason and who decides
+    decision : with reason and person
 
     Returns
     -------
-    The row of the test after it.
+    The new row of the test.
 
     Raises
     ------
     LabpipeError
-        If there is no such test, it was not processed yet, or the decisions cannot be written.
+        If there is no such test, it is not processed yet, or the decisions cannot be written.
     """
-    with opened_campaign(campaign) as keeper:
-        if keeper.catalog.in_memory:
-            raise _cannot_write(campaign)
-        overview = keeper.refresh()
-        row = _row_called(campaign, overview, test)
+    with open_campaign(campaign) as sync:
+        if sync.catalog.in_memory:
+            raise _write_error(campaign)
+        overview = sync.refresh()
+        row = _find_row(campaign, overview, test)
         if not row.attempt:
-            found, remedy = "one that was not", "Process it first: labpipe campaign run."
+            description, remedy = (
+                "one that is not processed",
+                "Process it first: labpipe campaign run.",
+            )
             raise UsageError(
-                error_text(test, "", expected="a test that was processed", found=found,
+                error_text(test, "", expected="a processed test", found=description,
                           remedy=remedy)
             )  # fmt: skip
-        entry = Decision(row.folder, row.attempt, said.decision, said.because, said.by, now())
+        entry = Decision(
+            row.folder, row.attempt, decision.decision, decision.because, decision.by, now()
+        )
         add_decisions(campaign.processed, campaign.name, [entry])
-        return keeper.refresh().rows[row.folder]
+        return sync.refresh().rows[row.folder]
 
 
-def _row_called(campaign: CampaignFolders, overview: Overview, test: str) -> TestRow:
-    """The row of a test by its folder, or by its name where only one has it."""
+def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestRow:
+    """Find the row of a test by its folder, or by its name if it is unique."""
     label = test.replace("\\", "/").strip("/")
     if label in overview.rows:
         return overview.rows[label]
     named = [row for row in overview.rows.values() if row.test == test]
     if len(named) == 1:
         return named[0]
-    known = nearest(label, [*overview.rows], most=3)
-    found = f"{len(named)} of that name" if named else "none of that name"
+    similar = nearest(label, [*overview.rows], most=3)
+    description = f"{len(named)} of that name" if named else "none of that name"
     expected = f"a test of {campaign.name!r}"
-    remedy = f"Nearest: {', '.join(known)}." if known else "Look with labpipe campaign status."
-    raise UsageError(error_text(test, "", expected=expected, found=found, remedy=remedy))
+    remedy = (
+        f"Nearest: {', '.join(similar)}." if similar else "List them with labpipe campaign status."
+    )
+    raise UsageError(error_text(test, "", expected=expected, found=description, remedy=remedy))

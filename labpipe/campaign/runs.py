@@ -1,4 +1,4 @@
-"""Many tests or other calls in their order, several at a time, each safe from the others."""
+"""Run tests or other calls in parallel processes, with results in order."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from labpipe.campaign.workers import ProcessDied, in_processes, why
+from labpipe.campaign.workers import ProcessDied, describe_death, in_processes
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.process.output_paths import refuse_repeated
 from labpipe.process.run import Processed, name_of, results_folder_of
@@ -28,33 +28,33 @@ def process_tests(
     limit: float | None = None,
     begin: Callable[[Path], Say] = lambda _: _say_nothing,
 ) -> Iterator[Processed | Refused]:
-    """Process tests in order; a bad one does not stop the others.
+    """Process tests in order; a faulty one does not stop the others.
 
     Parameters
     ----------
     tests : test.yaml or result.h5 files
     out, png, follow_links : see `labpipe.process.run.process_test`
-    figures : tells of a test whether it is drawn
-    jobs : how many at a time; one of several is in a process of its own, a single test in this one
-    limit : s, after which one of several is given up; None for no limit
-    begin : called with each test as it begins, gives what is called with its stages; of several
-        tests, with the stage that they are waited for alone
+    figures : whether figures of a test are drawn
+    jobs : number of tests at the same time; each of several has its own process
+    limit : s, time limit of each of several tests; None for no limit
+    begin : called with each test at its start; returns a function that is called with each stage
+        (of several tests, only with ``wait``)
 
     Yields
     ------
-    Each test without its recordings and stages, which are in its result.h5.
+    Each test without recordings and stages, which are in its result.h5.
 
     Raises
     ------
     UsageError
-        If results of two tests would go to one folder; nothing is processed then.
+        If two tests have the same folder of results; nothing is processed then.
     """
     goals = _goals(tests, out)
-    known = {test: goal for test, goal in goals.items() if isinstance(goal, Path)}
-    refuse_repeated([(str(goal.absolute()), test) for test, goal in known.items()], _GOAL)
+    folders = {test: goal for test, goal in goals.items() if isinstance(goal, Path)}
+    refuse_repeated([(str(goal.absolute()), test) for test, goal in folders.items()], _GOAL)
     tasks = {
         test: Task(test, goal, figures(test), png=png, follow_links=follow_links)
-        for test, goal in known.items()
+        for test, goal in folders.items()
     }
     if len(tests) == 1:
         for test in tests:
@@ -75,7 +75,7 @@ _GOAL = "folder of results"
 
 
 def _goals(tests: Sequence[Path], out: Path | None) -> dict[Path, Path | LabpipeError]:
-    """Folder of the results of each test, or why it is not known."""
+    """Return the folder of the results of each test, or an error."""
     goals: dict[Path, Path | LabpipeError] = {}
     for test in tests:
         try:
@@ -88,7 +88,7 @@ def _goals(tests: Sequence[Path], out: Path | None) -> dict[Path, Path | Labpipe
 def _next(task: Task, outcomes: Iterator[Processed | Refused | ProcessDied]) -> Processed | Refused:
     done = next(outcomes)
     if isinstance(done, ProcessDied):
-        return refuse(task, *why(task.sheet, done), is_read=False)
+        return refuse(task, *describe_death(task.sheet, done), is_read=False)
     return done
 
 
@@ -98,31 +98,31 @@ def _refused(test: Path, error: object) -> Refused:
 
 
 def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
-    """Call functions, several at a time in processes of their own.
+    """Call functions in parallel, each in its own process.
 
     Parameters
     ----------
-    calls : partials of functions at the top of a module, with their arguments
-    jobs : how many at a time
+    calls : partials of module-level functions with their arguments
+    jobs : number of calls at the same time
 
     Returns
     -------
-    What they gave, in their order.
+    Their results, in order.
 
     Raises
     ------
     ProcessingError
-        If a process ended before its call did.
+        If a process ended before its call.
     """
     if jobs == 1:
         return [call() for call in calls]
-    given: list[T] = []
+    results: list[T] = []
     for outcome in in_processes(calls, jobs=jobs):
         if isinstance(outcome, ProcessDied):
-            code, reason = why("labpipe", outcome)
+            code, reason = describe_death("labpipe", outcome)
             raise ProcessingError(reason, code=code)
-        given.append(outcome)
-    return given
+        results.append(outcome)
+    return results
 
 
 def _say_nothing(_: str) -> None:

@@ -1,4 +1,4 @@
-"""Decisions that the page of a report saved, taken into those of its campaign."""
+"""Import decisions that a report page saved into those of its campaign."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from labpipe.campaign.decisions import (
     OTHER_KEY,
     Decision,
     add_decisions,
+    decision_folder,
     decisions_on,
-    home_of,
     label_of,
     now,
     read_decision_file,
@@ -26,58 +26,67 @@ from labpipe.store.read import read_run
 
 @dataclass(slots=True)
 class ImportedDecisions:
-    """What became of decisions that were handed in.
+    """Result of importing decisions.
 
     Parameters
     ----------
-    added : those that are new, in order
-    known : number of those that stood there already
-    left : those that do not count, and why
+    added : new decisions, in order
+    n_known : number of decisions that were stored already
+    left : decisions that were not imported, and why
     """
 
     added: list[Decision] = field(default_factory=list)
-    known: int = 0
+    n_known: int = 0
     left: list[tuple[Decision, str]] = field(default_factory=list)
 
 
-def take_in_file(
+def import_decision_file(
     folder: Path, campaign: str, file: Path
 ) -> tuple[ImportedDecisions, tuple[str, ...]]:
-    """Take in the decisions of a file that a page saved.
+    """Import the decisions of a file that a page saved.
 
     Parameters
     ----------
     folder : of the results of the campaign
     campaign : its name
-    file : of the form of ``decisions.json``, whatever its name
+    file : in the format of ``decisions.json``, with any name
 
     Returns
     -------
-    What became of them, and what is wrong with the file or with single decisions, as messages.
+    The result, and messages on faults of the file or of single decisions.
 
     Raises
     ------
     LabpipeError
-        If the file cannot be read, is that of the campaign itself, or nothing can be written.
+        If the file cannot be read, is that of the campaign itself, or decisions cannot be written.
     """
     if not file.is_file():
-        found, remedy = "nothing of that name", "A page saves it in the folder of downloads."
+        description, remedy = (
+            "nothing of that name",
+            "The browser saves it in the downloads folder.",
+        )
         raise UsageError(
-            error_text(file, "", expected="a file that a page saved", found=found, remedy=remedy)
+            error_text(
+                file, "", expected="a file saved by a report page", found=description, remedy=remedy
+            )
         )
     if file.resolve() == (folder / DECISIONS).resolve():
-        found, remedy = "the campaign's own", "What stands in it counts already."
+        description, remedy = "that of the campaign", "Its decisions are applied already."
         raise UsageError(
-            error_text(file, "", expected="a file that a page saved", found=found, remedy=remedy)
+            error_text(
+                file, "", expected="a file saved by a report page", found=description, remedy=remedy
+            )
         )
     read = read_decision_file(file, campaign)
     if not read.is_whole:
         raise UsageError("\n".join(read.faults))
-    return take_in(folder, campaign, read.decisions), read.faults
+    return import_decisions(folder, campaign, read.decisions), read.faults
 
 
-def take_in(folder: Path, campaign: str, decisions: Iterable[Decision]) -> ImportedDecisions:
-    """Add decisions to those of a campaign: the new ones that were made on results as they stand.
+def import_decisions(
+    folder: Path, campaign: str, decisions: Iterable[Decision]
+) -> ImportedDecisions:
+    """Add new decisions on the present results to those of a campaign.
 
     Parameters
     ----------
@@ -87,44 +96,44 @@ def take_in(folder: Path, campaign: str, decisions: Iterable[Decision]) -> Impor
 
     Returns
     -------
-    What became of them.
+    The result.
 
     Raises
     ------
     LabpipeError
-        If decisions that are there cannot be read or written.
+        If stored decisions cannot be read or written.
 
     Notes
     -----
-    Labels of tests are looked up among the tests that there are; no path is made of them. Each
-    decision goes where a report looks for it: to the nearest ``decisions.json`` around its test.
+    Labels are compared with those of existing tests; no path is made from them. Each decision is
+    stored where a report reads it: in the nearest ``decisions.json`` above its test.
     """
     wanted = list(dict.fromkeys(decisions))
     files = _results(folder)
-    named = {file: None for each in wanted for file in files.get(each.test, ())}
-    standing = {file: {*own} for file, own in decisions_on([*named]).items()}
+    named = {file: None for decision in wanted for file in files.get(decision.test, ())}
+    stored = {file: {*labelled} for file, labelled in decisions_on([*named]).items()}
     labels = {file: label_of(file, folder) for file in named}
     runs = {file: _run_of(file) for file in named}
     taken = ImportedDecisions()
     at_home: dict[Path, list[Decision]] = {}
-    for each in wanted:
-        file, why = _meant(each, files.get(each.test, ()), runs)
+    for decision in wanted:
+        file, why = _find_decided_result(decision, files.get(decision.test, ()), runs)
         if file is None:
-            taken.left.append((each, why))
+            taken.left.append((decision, why))
             continue
-        own = replace(each, test=labels[file])
-        if own in standing.get(file, ()):
-            taken.known += 1
+        labelled = replace(decision, test=labels[file])
+        if labelled in stored.get(file, ()):
+            taken.n_known += 1
         else:
-            taken.added.append(each)
-            at_home.setdefault(home_of(file.parent, folder), []).append(own)
+            taken.added.append(decision)
+            at_home.setdefault(decision_folder(file.parent, folder), []).append(labelled)
     for home, new in at_home.items():
         add_decisions(home, campaign, new)
     return taken
 
 
 def _results(folder: Path) -> dict[str, list[Path]]:
-    """Results of the tests by their label, and by their folder below the campaign."""
+    """Find results by label of the test, and by folder below the campaign."""
     results: dict[str, list[Path]] = {}
     for file in files_below(folder, RESULT_FILE):
         for label in {label_of(file, folder), file.parent.relative_to(folder).as_posix()}:
@@ -133,19 +142,19 @@ def _results(folder: Path) -> dict[str, list[Path]]:
 
 
 def _run_of(file: Path) -> str | LabpipeError:
-    """Key of a result, or why it cannot be read."""
+    """Read the key of a result, or return the error."""
     try:
         return read_run(file)
     except LabpipeError as error:
         return error
 
 
-def _meant(
+def _find_decided_result(
     decision: Decision, files: Iterable[Path], runs: Mapping[Path, str | LabpipeError]
 ) -> tuple[Path | None, str]:
-    """The result that a decision was made on, or why there is none."""
+    """Find the result of a decision, or return why there is none."""
     if decision.when and not _is_time(decision.when):
-        return None, f"its time {decision.when[:40]!r} is none such as {now()}"
+        return None, f"its time {decision.when[:40]!r} is not in the form {now()}"
     why = NO_SUCH_TEST
     for file in files:
         if runs[file] == decision.run:
@@ -155,7 +164,7 @@ def _meant(
 
 
 def _is_time(text: str) -> bool:
-    """Check whether a text is a time of ISO 8601, as decisions state it."""
+    """Return whether a text is an ISO 8601 time."""
     try:
         datetime.fromisoformat(text)
     except ValueError:

@@ -1,8 +1,7 @@
-"""A report served by the machine it lies on, to that machine alone: decisions are saved at once.
+"""Serve a report to a browser on the same machine, and save decisions.
 
-The standard library's server is enough: one person looks at one report, a few requests a minute,
-and each answer is a file or takes a second of work. What a framework would add, such as sessions,
-templates and many connections, is not needed, and its release would have to be trusted, too.
+The server of the standard library is sufficient: one user, a few requests a minute, and each answer
+is a file or takes a second of work.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from labpipe.campaign.decisions import (
     decisions_on,
     label_of,
 )
-from labpipe.campaign.saved_decisions import ImportedDecisions, take_in
+from labpipe.campaign.saved_decisions import ImportedDecisions, import_decisions
 from labpipe.errors import LabpipeError, UsageError, error_text, refusal
 from labpipe.process.output_paths import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE
@@ -48,7 +47,7 @@ _TYPES: Final = {
     ".yaml": "text/plain; charset=utf-8",
     ".csv": "text/plain; charset=utf-8",
 }
-"""What a browser may show; everything else is a download."""
+"""Types that a browser may display; all others are downloads."""
 _HEADERS: Final = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -57,21 +56,21 @@ _HEADERS: Final = {
     "X-Frame-Options": "DENY",
 }
 _NO_SCRIPT: Final = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
-"""Policy of all but labpipe's own pages: a file that somebody put there must not decide."""
+"""Policy of all files except labpipe's own pages: other files must not run scripts."""
 
 
 @dataclass(slots=True)
 class Site:
-    """What is served.
+    """A served report.
 
     Parameters
     ----------
     folder : of the results of the campaign
     campaign : its name
-    report : folder that holds report.html
-    make_report : makes the report again, there
-    make_test_page : makes the page of a test of its result file
-    token : first part of every address; who does not know it gets nothing
+    report : folder of report.html
+    make_report : makes the report again
+    make_test_page : makes the page of a test from its result file
+    token : first part of every address; required for access
     """
 
     folder: Path
@@ -84,7 +83,7 @@ class Site:
 
 
 class RefusedError(Exception):
-    """A request that is not answered, with the status that says so."""
+    """A refused request, with its HTTP status."""
 
     def __init__(self, status: HTTPStatus, why: str) -> None:
         super().__init__(why)
@@ -96,8 +95,8 @@ class ReportServer(ThreadingHTTPServer):
 
     Parameters
     ----------
-    site : what is served
-    port : number of the port; 0 for any that is free
+    site : to serve
+    port : number; 0 for any free one
 
     Raises
     ------
@@ -106,37 +105,37 @@ class ReportServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    allow_reuse_address = os.name != "nt"  # there it would let another program in beside us
+    allow_reuse_address = os.name != "nt"  # on Windows it allows other programs on the same port
 
     def __init__(self, site: Site, port: int) -> None:
         self.site = site
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
-            raise _no_port(port, error) from error
+            raise _port_error(port, error) from error
 
     def server_bind(self) -> None:
-        """Bind without asking for the name of this machine, which may need a network."""
+        """Bind without resolving the host name, which may need a network."""
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = LOOPBACK, int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Show what goes wrong, but for a browser that went away, also before it was answered."""
+        """Print errors, except for closed connections."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
     @property
     def address(self) -> str:
-        """Where a browser finds the report."""
+        """Address of the report."""
         return f"http://{LOOPBACK}:{self.server_port}/{self.site.token}/"
 
 
-def _no_port(port: int, error: Exception) -> UsageError:
-    found = (getattr(error, "strerror", None) or "no such number").lower()
-    remedy = "Choose another with --port, or 0 for any."
+def _port_error(port: int, error: Exception) -> UsageError:
+    description = (getattr(error, "strerror", None) or "an impossible number").lower()
+    remedy = "Choose another with --port, or 0 for any free one."
     return UsageError(
-        error_text(f"--port {port}", "", expected="a free port", found=found, remedy=remedy)
+        error_text(f"--port {port}", "", expected="a free port", found=description, remedy=remedy)
     )
 
 
@@ -154,7 +153,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(self._post)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: the terminal is for the person who started the server."""
+        """Do not print requests."""
 
     def _answer(self, make: Callable[[list[str]], None]) -> None:
         try:
@@ -164,12 +163,12 @@ class _Handler(BaseHTTPRequestHandler):
         except LabpipeError as error:
             self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
         except (ConnectionError, TimeoutError):
-            raise  # the browser went away
+            raise  # the browser closed the connection
         except OSError as error:
             self._send_json({"error": refusal(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _parts(self) -> list[str]:
-        """Parts of the address behind the token, of a request that may be answered."""
+        """Check a request, and return the parts of its address after the token."""
         _check_sender(self.headers, self.server.server_port)
         try:
             parts = unquote(urlsplit(self.path).path, errors="strict").split("/")[1:]
@@ -193,14 +192,14 @@ class _Handler(BaseHTTPRequestHandler):
             return
         if len(parts) == 3 and parts[:2] == [REPORT, _TESTS]:
             with site.work:
-                text = site.make_test_page(_test_called("/".join(parts[1:]), site))
+                text = site.make_test_page(_find_test("/".join(parts[1:]), site))
             self._send(text.encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
             return
-        self._send_file(_file_at(parts, site))
+        self._send_file(_find_file(parts, site))
 
     def _post(self, parts: list[str]) -> None:
         if self.headers.get("Origin") is None:
-            raise RefusedError(HTTPStatus.FORBIDDEN, "Expected a request of the report's own page.")
+            raise RefusedError(HTTPStatus.FORBIDDEN, "Expected a request from the report page.")
         body = self._body()
         site = self.server.site
         if parts == [REPORT, "decisions"]:
@@ -215,14 +214,14 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_json(answer)
 
     def _body(self) -> bytes:
-        # Of what a page may send.
+        # of a request body
         max_bytes = 5_000_000
-        said = self.headers.get("Content-Length", "")
-        length = whole_number(said)
+        header = self.headers.get("Content-Length", "")
+        length = whole_number(header)
         if length is None or length > max_bytes:
             self.close_connection = True
-            found = f"expected at most {max_bytes} bytes, found {said[:20] or 'no length'}."
-            raise RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"decisions: {found}")
+            limits = f"expected at most {max_bytes} bytes, found {header[:20] or 'no length'}."
+            raise RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"decisions: {limits}")
         return self.rfile.read(length)
 
     def _redirect(self, place: str) -> None:
@@ -236,8 +235,8 @@ class _Handler(BaseHTTPRequestHandler):
         more = {} if kind else {"Content-Disposition": "attachment"}
         self._send(file.read_bytes(), kind or "application/octet-stream", more=more)
 
-    def _send_json(self, said: object, status: HTTPStatus = HTTPStatus.OK) -> None:
-        text = json.dumps(said).encode()
+    def _send_json(self, content: object, status: HTTPStatus = HTTPStatus.OK) -> None:
+        text = json.dumps(content).encode()
         self._send(text, _TYPES[".json"], status=status)
 
     def _send(
@@ -265,25 +264,27 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _check_sender(headers: Any, port: int) -> None:
-    """Refuse what another site sends, or sends for by a name of its own that leads here."""
-    own = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
+    """Refuse requests of other sites, also under a host name of theirs."""
+    own_hosts = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
     host, origin = headers.get("Host", ""), headers.get("Origin")
-    if host not in own:
+    if host not in own_hosts:
         why = f"Host: expected {LOOPBACK}:{port}, found {host!r}. Open the address as printed."
         raise RefusedError(HTTPStatus.FORBIDDEN, why)
     if origin is not None and origin != f"http://{host}":
         why = f"Origin: expected http://{host}, found {origin!r}. Open the address as printed."
         raise RefusedError(HTTPStatus.FORBIDDEN, why)
     if headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
-        raise RefusedError(HTTPStatus.FORBIDDEN, "Another site asks. Open the address as printed.")
+        raise RefusedError(
+            HTTPStatus.FORBIDDEN, "The request came from another site. Open the address as printed."
+        )
 
 
 def _not_found() -> RefusedError:
     return RefusedError(HTTPStatus.NOT_FOUND, "There is no such file in this campaign.")
 
 
-def _file_at(parts: list[str], site: Site) -> Path:
-    """A file of the report or of the campaign; none that is hidden or lies elsewhere."""
+def _find_file(parts: list[str], site: Site) -> Path:
+    """Find a file of the report or campaign; refuse hidden files and others."""
     if any(not part or part.startswith(".") or set(part) & set('\\:\0"') for part in parts):
         raise _not_found()
     is_report = parts[0] == REPORT
@@ -294,8 +295,8 @@ def _file_at(parts: list[str], site: Site) -> Path:
     return file
 
 
-def _test_called(name: str, site: Site) -> Path:
-    """Result of the test whose page has a name."""
+def _find_test(name: str, site: Site) -> Path:
+    """Find the result of a test by the name of its page."""
     for file in files_below(site.folder, RESULT_FILE):
         if page_file(label_of(file, site.folder)) == name:
             return file
@@ -303,7 +304,7 @@ def _test_called(name: str, site: Site) -> Path:
 
 
 def _save(body: bytes, site: Site) -> dict[str, Any]:
-    """Take in what the page sends; gives all decisions as they stand then."""
+    """Import the decisions of a page; return the answer with all decisions."""
     name = Path("decisions")
     try:
         document = checked_document(json.loads(body), name)
@@ -313,14 +314,14 @@ def _save(body: bytes, site: Site) -> dict[str, Any]:
     if isinstance(read, str) or read.faults:
         why = read if isinstance(read, str) else "\n".join(read.faults)
         raise RefusedError(HTTPStatus.BAD_REQUEST, why)
-    taken = take_in(site.folder, site.campaign, read.decisions)
-    standing = decisions_on(files_below(site.folder, RESULT_FILE))
-    entries = [decision_entry(each) for own in standing.values() for each in own]
-    return {"said": _said_of(taken), "decisions": entries}
+    taken = import_decisions(site.folder, site.campaign, read.decisions)
+    stored = decisions_on(files_below(site.folder, RESULT_FILE))
+    entries = [decision_entry(decision) for decisions in stored.values() for decision in decisions]
+    return {"said": _save_message(taken), "decisions": entries}
 
 
-def _said_of(taken: ImportedDecisions) -> str:
-    said = [f"{count_of(len(taken.added) + taken.known, 'decision')} saved."]
-    said += [f"{each.test}: not saved: {why}." for each, why in taken.left]
-    said += ["They count once the report is made again."] * bool(taken.added)
-    return " ".join(said)
+def _save_message(taken: ImportedDecisions) -> str:
+    sentences = [f"{count_of(len(taken.added) + taken.n_known, 'decision')} saved."]
+    sentences += [f"{decision.test}: not saved: {why}." for decision, why in taken.left]
+    sentences += ["They take effect when the report is made again."] * bool(taken.added)
+    return " ".join(sentences)

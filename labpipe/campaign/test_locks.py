@@ -1,4 +1,4 @@
-"""Who is at work on a test: a process on a host, and whether it still lives."""
+"""Claims of processes on tests, and whether these processes are alive."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-LONGEST = 24 * 3600.0
-"""s: a claim of another host that is older is taken for dead; no test takes as long."""
+MAX_CLAIM_AGE = 24 * 3600.0
+"""s after which a claim of another host is taken for dead; no test takes as long."""
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A process that is at work on a test.
+    """A process that works on a test.
 
     Parameters
     ----------
-    host : name of its machine, and of the container on it
-    pid : its number there
-    process : what tells it from another process that gets the same number later; empty where the
-        system does not tell
+    host : name of its machine and container
+    pid : process id
+    process : start of the process, which distinguishes it from later ones with the same id; empty
+        if not known
     since : time, s since 1970
     """
 
@@ -35,12 +35,12 @@ class Claim:
 
 
 def new_claim() -> Claim:
-    """The claim of this process, from now on."""
-    return Claim(_host(), os.getpid(), _started(os.getpid()), time.time())
+    """Make a claim of this process."""
+    return Claim(_host(), os.getpid(), _start_time(os.getpid()), time.time())
 
 
 def is_alive(claim: Claim) -> bool:
-    """Whether a claim still holds.
+    """Return whether a claim is valid.
 
     Parameters
     ----------
@@ -48,25 +48,24 @@ def is_alive(claim: Claim) -> bool:
 
     Returns
     -------
-    Of a process of this host, whether it lives. Of another host, whether the claim is young: a
-    time that is far ahead is that of a clock that was set back.
+    For a process of this host, whether it is alive; for another host, whether the claim is recent.
     """
     if claim.host != _host():
-        return abs(time.time() - claim.since) < LONGEST
-    return _lives(claim.pid) and _started(claim.pid) == claim.process
+        return abs(time.time() - claim.since) < MAX_CLAIM_AGE
+    return _is_running(claim.pid) and _start_time(claim.pid) == claim.process
 
 
 @cache
 def _host() -> str:
-    """Name of the machine; in a container with that of its numbers of processes."""
+    """Return the name of the machine with its namespace of process ids."""
     space = ""
     with suppress(OSError):
         space = str(Path("/proc/self/ns/pid").readlink())
     return f"{socket.gethostname()} {space}".strip()
 
 
-def _started(pid: int) -> str:
-    """When a process was started, in ticks since the machine was; empty where nothing says it."""
+def _start_time(pid: int) -> str:
+    """Return the start of a process, in ticks since boot; empty if not known."""
     with suppress(OSError, IndexError):
         about = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="utf-8").strip()
@@ -79,7 +78,7 @@ if sys.platform == "win32":
 
     _QUERY, _STILL_ACTIVE = 0x1000, 259
 
-    def _lives(pid: int) -> bool:
+    def _is_running(pid: int) -> bool:
         kernel = ctypes.windll.kernel32
         handle = kernel.OpenProcess(_QUERY, False, pid)
         if not handle:
@@ -91,7 +90,7 @@ if sys.platform == "win32":
 
 else:
 
-    def _lives(pid: int) -> bool:
+    def _is_running(pid: int) -> bool:
         try:
             os.kill(pid, 0)
         except ProcessLookupError:
@@ -101,7 +100,7 @@ else:
         return not _is_zombie(pid)
 
     def _is_zombie(pid: int) -> bool:
-        """Whether a process has ended and only waits to be looked after."""
+        """Return whether a process has ended but is not reaped."""
         with suppress(OSError, IndexError):
             about = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
             return about.rpartition(")")[2].split()[0] in {"Z", "X"}

@@ -1,4 +1,4 @@
-"""Pages of single tests, made of their result files."""
+"""Pages of single tests from their result files."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from labpipe.store.read import read_result
 
 
 def page_of_test(file: Path, report: str = "") -> str:
-    """Make the page of a test: who, when and with what, its numbers and its figures.
+    """Make the page of a test: facts, numbers and figures.
 
     Parameters
     ----------
     file : its result.h5
-    report : id of the report that it stands beside; empty for none
+    report : id of the report that links to it; empty for none
 
     Returns
     -------
-    An HTML document that needs no other file, no network and no script.
+    A self-contained HTML document without scripts.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def page_of_test(file: Path, report: str = "") -> str:
 
 
 def pages_of(campaign: Campaign) -> dict[str, str]:
-    """Make the pages of all tests of a report, the rejected ones too.
+    """Make the pages of all tests of a report, including rejected ones.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def pages_of(campaign: Campaign) -> dict[str, str]:
 
     Returns
     -------
-    Page by its address below the report.
+    Pages by address below the report.
     """
     report = report_id(campaign)
     return {

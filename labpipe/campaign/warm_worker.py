@@ -1,4 +1,4 @@
-"""One process that stays: what it needs is imported before a recording ends."""
+"""A persistent process with its modules imported before a recording ends."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TypeVar, cast
 
-from labpipe.campaign.outcomes import Outcome, outcome_of, settled
-from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, why
+from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
+from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, describe_death
 from labpipe.errors import ProcessingError
 from labpipe.process.protocol_match import all_protocols
 from labpipe.process.run import draw_figures
@@ -19,7 +19,7 @@ from labpipe.process.test_runner import Task
 
 T = TypeVar("T")
 
-_NEEDED = (
+_MODULES = (
     "labpipe.campaign.pairing",
     "labpipe.process.run",
     "labpipe.process.story",
@@ -35,92 +35,96 @@ _NEEDED = (
     "scipy.interpolate",
     "scipy.stats",
 )
-"""What a test imports as it is processed and drawn."""
+"""Modules that processing and figures import."""
 
 
 class WarmWorker:
-    """A process that does one call after the other; one that dies costs its call alone.
+    """A process that runs calls in sequence; if it dies, only its call fails.
 
     Parameters
     ----------
-    limit : s, after which a call is given up and its process ended
+    limit : s, time limit of a call, after which its process is ended
     """
 
     def __init__(self, *, limit: float = 3600.0) -> None:
-        self._crew: WorkerPool[Callable[[], object], object] = WorkerPool(_do, jobs=1, limit=limit)
-        self._behind: threading.Thread | None = None
+        self._pool: WorkerPool[Callable[[], object], object] = WorkerPool(
+            _call, jobs=1, limit=limit
+        )
+        self._background: threading.Thread | None = None
 
     def warm(self) -> None:
-        """Begin to import what tests need; this call does not wait for it."""
-        self._begin(_import_all)
+        """Start importing the modules of tests, without waiting."""
+        self._start(_import_all)
 
     def call(self, work: Callable[[], T], *, about: object) -> T:
-        """Do a call in the process and wait for it.
+        """Run a call in the process and wait for it.
 
         Parameters
         ----------
-        work : what can be pickled, as what it gives
-        about : what it is done for, such as a file, for messages
+        work : can be pickled, and so can its result
+        about : subject for messages, such as a file
 
         Raises
         ------
         ProcessingError
-            If the process dies, or the call takes too long; another takes its place.
+            If the process dies, or the call takes too long; the process is replaced.
         LabpipeError
-            What the call raises.
+            If the call raises it.
         """
-        outcome = self._ended(work)
+        outcome = self._wait_and_run(work)
         if isinstance(outcome, CallRaised):
             raise outcome.error
         if isinstance(outcome, ProcessDied):
-            _, reason = why(about, outcome)
+            _, reason = describe_death(about, outcome)
             raise ProcessingError(reason)
         return outcome
 
     def draw(self, folder: Path) -> None:
-        """Begin to draw the figures of a processed test; this call does not wait for it.
+        """Start drawing the figures of a processed test, without waiting.
 
         Parameters
         ----------
         folder : of its results
         """
-        self._begin(partial(draw_figures, folder))
+        self._start(partial(draw_figures, folder))
 
     def executor(self, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
-        """Process tests, numbers only; see `labpipe.campaign.executors.Executor`."""
+        """Process tests without figures; see `labpipe.campaign.executors.Executor`."""
         for task in tasks:
-            yield settled(task, self._ended(partial(outcome_of, replace(task, figures=False))))
+            yield outcome_of_call(
+                task, self._wait_and_run(partial(outcome_of, replace(task, figures=False)))
+            )
 
-    def leave(self) -> None:
-        """Wait until it has done what was begun, and end it."""
+    def close(self) -> None:
+        """Wait for the started call, and end the process."""
         self._wait()
-        self._crew.leave()
+        self._pool.close()
 
-    def _begin(self, work: Callable[[], object]) -> None:
-        """Have a call done behind: figures, or imports; what becomes of them shows elsewhere."""
+    def _start(self, work: Callable[[], object]) -> None:
+        """Run a call in the background, such as imports or figures; its result is not used."""
         self._wait()
-        self._behind = threading.Thread(target=self._done, args=(work,))
-        self._behind.start()
+        self._background = threading.Thread(target=self._run, args=(work,))
+        self._background.start()
 
-    def _ended(self, work: Callable[[], T]) -> T | ProcessDied | CallRaised:
+    def _wait_and_run(self, work: Callable[[], T]) -> T | ProcessDied | CallRaised:
         self._wait()
-        return self._done(work)
+        return self._run(work)
 
-    def _done(self, work: Callable[[], T]) -> T | ProcessDied | CallRaised:
-        ((_, outcome),) = self._crew.as_they_end([work])
+    def _run(self, work: Callable[[], T]) -> T | ProcessDied | CallRaised:
+        ((_, outcome),) = self._pool.as_completed([work])
         return cast("T | ProcessDied | CallRaised", outcome)
 
     def _wait(self) -> None:
-        if self._behind is not None:
-            self._behind.join()
-            self._behind = None
+        if self._background is not None:
+            self._background.join()
+            self._background = None
 
 
-def _do(work: Callable[[], object]) -> object:
+def _call(work: Callable[[], object]) -> object:
     return work()
 
 
 def _import_all() -> None:
-    for name in _NEEDED:
+    for name in _MODULES:
         import_module(name)
-    all_protocols()  # parsed once, and with them the units
+    all_protocols()  # parses protocols and units once

@@ -1,4 +1,4 @@
-"""Watching the folder of a campaign: a verdict on each test seconds after its recording ends."""
+"""Watch the folder of a campaign, and report each test seconds after its recording ends."""
 
 from __future__ import annotations
 
@@ -11,50 +11,51 @@ from typing import Protocol
 
 from labpipe.campaign.executors import Outcome
 from labpipe.campaign.file_stability import FileStability, Mark
-from labpipe.campaign.pairing import Candidate, RawListing, Written, list_candidates, plan_of
-from labpipe.campaign.quick_look import GroupsSoFar, read_summary, refused, shown_by, verdict
+from labpipe.campaign.pairing import Candidate, PairingOutcome, RawListing, list_candidates, plan_of
+from labpipe.campaign.quick_look import (
+    CampaignGroups,
+    display_settings,
+    failure_lines,
+    read_summary,
+    verdict,
+)
 from labpipe.errors import LabpipeError
 from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
 
-LONG = 3600.0
-"""s, after which a file that still grows or is still locked is said once more."""
-_TURNS = 40
-"""Looks until a test that was dealt with a while ago is looked at again: ten thousand tests are too
-many for a look each quarter of a second, above all on a network drive."""
-_AGAIN = 5.0
-"""s, between two tries to read exports that could not be read."""
+REMINDER_DELAY = 3600.0
+"""s after which a growing or locked file is reported again."""
 
 Marks = tuple[tuple[str, Mark | None], ...]
 
 
 class Campaign(Protocol):
-    """What a watch asks of the campaign that it watches."""
+    """Interface of a watched campaign."""
 
     @property
     def raw(self) -> Path:
         """Folder of the exports."""
 
     def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
-        """Of some test sheets, those whose results are not there or are of other exports."""
+        """Return the test sheets without results for their present exports."""
 
     def process(self, sheet: Path, *, again: bool = False) -> Outcome | None:
-        """Process a test and remember what became of it; None where nothing changed."""
+        """Process a test; return its outcome, or None if nothing changed."""
 
     def results(self) -> Mapping[Path, str]:
-        """Key of the results of each test that counts, by their folder; none that is rejected."""
+        """Return the key of the results of each test that is not rejected, by folder."""
 
 
 @dataclass(slots=True)
 class _Test:
-    """A test as the watch has seen it.
+    """State of a test in the watch.
 
     Parameters
     ----------
-    done, tried : size and time of its files when it was dealt with, and when that was last tried
-    settled : when it was dealt with
-    waits : what was last said that it waits for
-    next_try : when it is dealt with again, by the clock, if nothing changes
-    again : whether it failed because its files were gone, and is to be processed all the same
+    done, tried : size and time of its files when it was handled, and at the last attempt
+    settled : time when it was handled
+    waits : missing roles in the last message
+    next_try : time of the next attempt if nothing changes
+    again : whether its files were missing during processing, so that it is processed again
     """
 
     done: Marks = ()
@@ -67,40 +68,41 @@ class _Test:
 
 @dataclass(slots=True)
 class _Announcer:
-    """Says everything once.
+    """Prints messages, on request only once.
 
     Parameters
     ----------
-    say : is given each line
+    say : called with each message
+    printed : messages so far
     """
 
     say: Callable[[str], None]
-    said: set[str] = field(default_factory=set)
+    printed: set[str] = field(default_factory=set)
 
-    def once(self, text: str) -> None:
-        """Say a line, unless it was said before."""
-        if text not in self.said:
-            self.said.add(text)
+    def say_once(self, text: str) -> None:
+        """Print a message unless it was printed before."""
+        if text not in self.printed:
+            self.printed.add(text)
             self.say(text)
 
 
 class Watcher:
-    """Looks at a folder again and again.
+    """Looks at the folder of a campaign repeatedly.
 
     Parameters
     ----------
-    campaign : that is watched
+    campaign : to watch
     pair : writes the sheet of a test, as `pair_test`
-    draw : is handed the folder of results once the verdict on a test is said
-    say : is given each line
-    clock : gives seconds that never go back
+    draw : called with the folder of results after the verdict on a test
+    say : called with each message
+    clock : monotonic, s
     """
 
     def __init__(
         self,
         campaign: Campaign,
         *,
-        pair: Callable[[Candidate, CampaignPlan, float], Written],
+        pair: Callable[[Candidate, CampaignPlan, float], PairingOutcome],
         draw: Callable[[Path], None],
         say: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
@@ -110,65 +112,69 @@ class Watcher:
         self.plan = plan_of(campaign.raw)
         self._plan_mark = _mark(campaign.raw / PLAN_NAME)
         self._files = FileStability(clock, self.plan.still_for)
-        self._voice = _Announcer(say)
+        self._announcer = _Announcer(say)
         self._tests: dict[Path, _Test] = {}
-        self._groups = GroupsSoFar()
+        self._groups = CampaignGroups()
         self._turn = 0
         self._is_gone = self._has_begun = False
 
     def prepare(self) -> None:
-        """Read the numbers of the tests so far, so that the first verdict need not wait for it."""
+        """Read the numbers of earlier tests before the first verdict."""
         self._groups.read(self._campaign.results())
 
     def look(self) -> bool:
-        """Look once, and deal with the newest test that is ready.
+        """Look once, and handle the newest test that is ready.
 
         Returns
         -------
-        Whether more tests are ready: then there is no reason to pause.
+        Whether more tests are ready, so that there is no pause.
         """
         self._turn += 1
         try:
             self._campaign.raw.stat()
             self._read_plan()
-            listed = list_candidates(self._campaign.raw, self.plan, rests=self._rests)
+            listed = list_candidates(self._campaign.raw, self.plan, is_skipped=self._is_skipped)
             ready = self._ready(listed)
             if ready:
-                self._deal_with(ready[0])
+                self._handle(ready[0])
         except OSError as error:
-            self._say_gone(error)
+            self._report_missing_folder(error)
             return False
         if self._is_gone:
             self._is_gone = False
-            self._voice.say(f"{self._campaign.raw}: is there again")
+            self._announcer.say(f"{self._campaign.raw}: available again")
         return len(ready) > 1
 
-    def _rests(self, folder: Path) -> bool:
-        """Whether a test was dealt with a while ago and it is not its turn."""
+    def _is_skipped(self, folder: Path) -> bool:
+        """Whether a test was handled a while ago and is skipped in this look."""
+        # Ten thousand tests are too many to check in every look.
+        looks_between = 40
         test = self._tests.get(folder)
         if test is None or not test.done or self._clock() - test.settled < self.plan.patience:
             return False
-        return (hash(folder) - self._turn) % _TURNS != 0
+        return (hash(folder) - self._turn) % looks_between != 0
 
-    def _say_gone(self, error: OSError) -> None:
+    def _report_missing_folder(self, error: OSError) -> None:
         if not self._is_gone:
             self._is_gone = True
             why = (error.strerror or str(error)).lower()
-            self._voice.say(f"{error.filename or self._campaign.raw}: {why}; waited for")
+            self._announcer.say(f"{error.filename or self._campaign.raw}: {why}; waiting for it")
 
     def _ready(self, listed: RawListing) -> list[Candidate]:
-        """Tests that can be dealt with, the newest first."""
-        for path, why in listed.strangers.items():
-            if self._files.look(path) == "still" and self._stood(path) > self.plan.patience:
-                self._voice.once(f"{_shown(self._below(path))}: not used, {why}")
+        """Return the tests that are ready, the newest first."""
+        for path, why in listed.unmatched.items():
+            if self._files.look(path) == "still" and self._still_for(path) > self.plan.patience:
+                self._announcer.say_once(f"{_printable(self._below(path))}: not used: {why}")
         ready = [candidate for candidate in listed.candidates if self._is_ready(candidate)]
         if ready and not self._has_begun:
             self._has_begun = True
             ready = self._without_processed(ready)
-        return sorted(ready, key=lambda each: self._files.since(_paths(each)), reverse=True)
+        return sorted(
+            ready, key=lambda candidate: self._files.since(_paths(candidate)), reverse=True
+        )
 
     def _read_plan(self) -> None:
-        """Read the campaign YAML again where it changed; a wrong one is said, the last one kept."""
+        """Read a changed campaign YAML; report a faulty one and keep the last."""
         path = self._campaign.raw / PLAN_NAME
         mark = _mark(path)
         if mark == self._plan_mark:
@@ -177,28 +183,30 @@ class Watcher:
         try:
             self.plan = plan_of(self._campaign.raw)
         except LabpipeError as error:
-            self._voice.say(f"{error}\n  the last {PLAN_NAME} that was right still counts")
+            self._announcer.say(f"{error}\n  the last valid {PLAN_NAME} is used")
             return
         self._files.still_for = self.plan.still_for
         self._tests = {
             folder: _Test(test.done, settled=test.settled) for folder, test in self._tests.items()
         }
-        self._voice.say(f"{PLAN_NAME} was read again")
+        self._announcer.say(f"{PLAN_NAME} was read again")
 
     def _without_processed(self, ready: list[Candidate]) -> list[Candidate]:
-        """Leave out the tests that were processed before the watch began."""
+        """Leave out tests that were processed before the watch."""
         sheets = {candidate.sheet for candidate in ready if candidate.sheet.exists()}
         unprocessed = set(self._campaign.unprocessed(sheets))
         left = []
-        for each in ready:
-            if each.sheet in sheets and each.sheet not in unprocessed:
-                self._tests[each.folder] = _Test(self._marks(each), settled=-self.plan.patience)
+        for candidate in ready:
+            if candidate.sheet in sheets and candidate.sheet not in unprocessed:
+                self._tests[candidate.folder] = _Test(
+                    self._marks(candidate), settled=-self.plan.patience
+                )
             else:
-                left.append(each)
+                left.append(candidate)
         return left
 
     def _is_ready(self, candidate: Candidate) -> bool:
-        """Whether all files of a test stand still, and were not dealt with as they are."""
+        """Whether all files of a test are still, and were not handled in this state."""
         test = self._tests.setdefault(candidate.folder, _Test())
         states = {path: self._files.look(path) for path in _paths(candidate)}
         for path, state in states.items():
@@ -214,22 +222,26 @@ class Watcher:
 
     def _say_waiting(self, candidate: Candidate, path: Path, state: str) -> None:
         moving = self._files.moving_for(path)
-        name = f"{_called(candidate)}: {_shown(path.name)}"
+        name = f"{_display_name(candidate)}: {_printable(path.name)}"
         if state == "locked" and moving > self.plan.patience:
-            self._voice.once(f"{name} cannot be opened, another program holds it; waited for")
-        if moving > LONG and state in ("growing", "locked"):
+            self._announcer.say_once(
+                f"{name} cannot be opened, another program uses it; waiting for it"
+            )
+        if moving > REMINDER_DELAY and state in ("growing", "locked"):
             what = "is still being written" if state == "growing" else "still cannot be opened"
-            self._voice.once(f"{name} {what} after an hour; waited for")
+            self._announcer.say_once(f"{name} {what} after an hour; waiting for it")
 
-    def _deal_with(self, candidate: Candidate) -> None:
+    def _handle(self, candidate: Candidate) -> None:
+        # s between attempts
+        retry_delay = 5.0
         test = self._tests[candidate.folder]
         marks = self._marks(candidate)
-        test.tried, test.next_try = marks, self._clock() + _AGAIN
+        test.tried, test.next_try = marks, self._clock() + retry_delay
         try:
             written = self._pair(candidate, self.plan, self._waited(candidate))
         except LabpipeError as error:
             test.done = marks
-            self._voice.once(f"{_called(candidate)}: {error}")
+            self._announcer.say_once(f"{_display_name(candidate)}: {error}")
             return
         if written.sheet is None:
             self._say_missing(candidate, test, written)
@@ -240,12 +252,12 @@ class Watcher:
             test.done, test.settled, test.waits = self._marks(candidate), self._clock(), ""
 
     def _is_processed(self, candidate: Candidate) -> bool:
-        """Have a test processed; False where it is to be tried again."""
+        """Process a test; return False if it is to be tried again."""
         test = self._tests[candidate.folder]
         try:
             outcome = self._campaign.process(candidate.sheet, again=test.again)
         except LabpipeError as error:
-            self._voice.once(f"{_called(candidate)}: {error}")
+            self._announcer.say_once(f"{_display_name(candidate)}: {error}")
             return False
         test.again = False
         if outcome is not None:
@@ -259,45 +271,45 @@ class Watcher:
     def _waited(self, candidate: Candidate) -> float:
         return self._clock() - self._files.since(candidate.files.values())
 
-    def _say_missing(self, candidate: Candidate, test: _Test, written: Written) -> None:
-        """Say once what a test waits for; it is dealt with again when a file comes, or later."""
+    def _say_missing(self, candidate: Candidate, test: _Test, written: PairingOutcome) -> None:
+        """Report once what a test waits for."""
         for name, why in written.unread.items():
-            stood = self._stood(candidate.files.get(name, candidate.folder / name))
-            what = f"{_called(candidate)}: {_shown(name)} cannot be read"
+            stood = self._still_for(candidate.files.get(name, candidate.folder / name))
+            what = f"{_display_name(candidate)}: {_printable(name)} cannot be read"
             if stood > self.plan.patience:
-                self._voice.once(f"{what} yet ({why}); waited for")
-            if stood > LONG:
-                self._voice.once(f"{what} after an hour; waited for")
+                self._announcer.say_once(f"{what} yet ({why}); waiting for it")
+            if stood > REMINDER_DELAY:
+                self._announcer.say_once(f"{what} after an hour; waiting for it")
         waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits
-            self._voice.say(f"{_called(candidate)}: waits for {waits}")
+            self._announcer.say(f"{_display_name(candidate)}: waits for {waits}")
 
-    def _say_sheet(self, candidate: Candidate, written: Written) -> None:
+    def _say_sheet(self, candidate: Candidate, written: PairingOutcome) -> None:
         lines = [
-            f"{_called(candidate)}: wrote {_shown(self._below(candidate.sheet))}"
+            f"{_display_name(candidate)}: wrote {_printable(self._below(candidate.sheet))}"
         ] * written.is_new
-        lines += [f"{'  ' * written.is_new}{sentence}" for sentence in written.said]
+        lines += [f"{'  ' * written.is_new}{message}" for message in written.messages]
         if written.open:
-            lines.append(f"  to be filled in: {', '.join(written.open)}; it is processed then")
+            lines.append(f"  to fill in: {', '.join(written.open)}; it is processed then")
         if lines:
-            self._voice.say("\n".join(lines))
+            self._announcer.say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         self._groups.read(self._campaign.results())
         summary = None if outcome.folder is None else read_summary(outcome.folder)
         if outcome.state == "failed" or outcome.folder is None or summary is None:
-            lines = refused(_called(candidate), outcome.code, outcome.reason)
+            lines = failure_lines(_display_name(candidate), outcome.code, outcome.reason)
         else:
-            group, shown = self._groups.group_of(summary), shown_by(candidate.sheet)
-            lines = verdict(_called(candidate), outcome.folder, summary, group, shown)
+            group, settings = self._groups.group_of(summary), display_settings(candidate.sheet)
+            lines = verdict(_display_name(candidate), outcome.folder, summary, group, settings)
             self._draw(outcome.folder)
-        self._voice.say("\n".join(lines))
+        self._announcer.say("\n".join(lines))
 
     def _marks(self, candidate: Candidate) -> Marks:
         return tuple((str(path), self._files.mark(path)) for path in _paths(candidate))
 
-    def _stood(self, path: Path) -> float:
+    def _still_for(self, path: Path) -> float:
         return self._clock() - self._files.since([path])
 
     def _below(self, path: Path) -> str:
@@ -307,14 +319,14 @@ class Watcher:
 
 
 def _refuse_vanished(candidate: Candidate) -> None:
-    """Raise what the system refuses where exports are gone: that is no fault of the test."""
+    """Raise an `OSError` if exports are missing, which is not a fault of the test."""
     for path in (candidate.sheet, *candidate.files.values()):
         with path.open("rb") as stream:
             stream.read(1)
 
 
-def _called(candidate: Candidate) -> str:
-    return _shown(candidate.name)
+def _display_name(candidate: Candidate) -> str:
+    return _printable(candidate.name)
 
 
 def _paths(candidate: Candidate) -> list[Path]:
@@ -329,6 +341,6 @@ def _mark(path: Path) -> Mark | None:
     return about.st_size, about.st_mtime_ns
 
 
-def _shown(name: str) -> str:
-    """A name as a terminal can show it."""
+def _printable(name: str) -> str:
+    """Escape a name for a terminal."""
     return name if name.isprintable() else repr(name)[1:-1]

@@ -1,4 +1,4 @@
-"""Processes that do one call after the other; one that dies costs its call alone."""
+"""Pools of processes for calls; if a process dies, only its call fails."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class ProcessDied:
-    """What became of a call whose process ended before the call did.
+    """Outcome of a call whose process ended before the call.
 
     Parameters
     ----------
-    exit_code : of the process; of one that a signal ended, minus its number
-    limit : s; at which the process was ended because the call had not come to its end; else None
+    exit_code : of the process; minus the number of a signal
+    limit : s, time limit if it was exceeded; else None
     """
 
     exit_code: int
@@ -41,7 +41,7 @@ class ProcessDied:
 
     @property
     def how(self) -> str:
-        """The signal, or the exit code, in words."""
+        """Text on the signal or exit code."""
         if self.exit_code >= 0:
             return f"with exit code {self.exit_code}"
         with suppress(ValueError):
@@ -49,13 +49,13 @@ class ProcessDied:
         return f"by the signal {-self.exit_code}"
 
 
-def why(what: object, died: ProcessDied) -> tuple[str, str]:
-    """Word that a process died.
+def describe_death(what: object, died: ProcessDied) -> tuple[str, str]:
+    """Describe the death of a process.
 
     Parameters
     ----------
-    what : it was at, such as the file of a test
-    died : how
+    what : subject of the call, such as the file of a test
+    died : the outcome
 
     Returns
     -------
@@ -64,22 +64,24 @@ def why(what: object, died: ProcessDied) -> tuple[str, str]:
     """
     if died.limit is not None:
         expected = f"an end within {died.limit / 60.0:g} minutes"
-        found = "none, so that it was ended"
-        remedy = "Look whether the export is damaged; else choose a longer --limit."
-        return "time_limit", error_text(what, "", expected=expected, found=found, remedy=remedy)
+        description = "no end; the process was ended"
+        remedy = "Check the export for damage, or choose a longer --limit."
+        return "time_limit", error_text(
+            what, "", expected=expected, found=description, remedy=remedy
+        )
     reason = error_text(
         what,
         "",
-        expected="a process that comes to its end",
+        expected="a process that completes",
         found=f"that it was ended {died.how}",
-        remedy="Often the memory was used up: close other programs, or choose fewer --jobs.",
+        remedy="Often memory runs out: close other programs, or choose fewer --jobs.",
     )
     return "process_died", reason
 
 
 @dataclass(frozen=True, slots=True)
 class CallRaised:
-    """What became of a call that raised.
+    """Outcome of a call that raised an exception.
 
     Parameters
     ----------
@@ -90,19 +92,19 @@ class CallRaised:
 
 
 class WorkerPool(Generic[A, T]):
-    """Processes for many calls of one function.
+    """Pool of processes for calls of one function.
 
     Parameters
     ----------
-    work : what can be pickled, such as a function at the top of a module
-    jobs : processes at the most; each is started when it is first needed
-    limit : s, after which a call is given up and its process ended; None for no limit
+    work : can be pickled, such as a module-level function
+    jobs : maximum number of processes, which are started on first use
+    limit : s, time limit of a call, after which its process is ended; None for no limit
 
     Notes
     -----
-    They are started anew, and not copied from this process: a copy of one that has threads may wait
-    for locks that nobody holds. Nor are they children in the way of `multiprocessing`: a worker of
-    a cluster may not have such. Where this process is killed, they end at once.
+    Processes are not forked, since forks of processes with threads may deadlock, and do not use
+    `multiprocessing`, which workers of a cluster must not use. If this process is killed, they end
+    at once.
     """
 
     def __init__(self, work: Callable[[A], T], *, jobs: int, limit: float | None = None) -> None:
@@ -110,35 +112,34 @@ class WorkerPool(Generic[A, T]):
         start = partial(_Worker[A], work, self._events, limit)
         self._workers = [start() for _ in range(jobs)]
 
-    def as_they_end(
-        self, given: Iterable[A]
+    def as_completed(
+        self, arguments: Iterable[A]
     ) -> Generator[tuple[A, T | ProcessDied | CallRaised], None, None]:
-        """Call the function on many things, several at a time.
+        """Call the function on many arguments in parallel.
 
         Parameters
         ----------
-        given : what can be pickled; taken one by one, as processes become free
+        arguments : can be pickled; taken when processes become free
 
         Yields
         ------
-        What was given and what the call gave, in the order in which calls end; `ProcessDied` where
-        the process was killed, crashed, ran out of memory or took too long. Another process takes
-        its place then.
+        Argument and result in the order of completion; `ProcessDied` if the process was killed,
+        crashed, ran out of memory or took too long, and is replaced.
         """
-        left = iter(given)
-        for worker, each in zip(self._workers, left, strict=False):
-            worker.begin(each)
-        while busy := [worker for worker in self._workers if worker.is_at_work]:
+        left = iter(arguments)
+        for worker, argument in zip(self._workers, left, strict=False):
+            worker.begin(argument)
+        while busy := [worker for worker in self._workers if worker.is_busy]:
             for worker, outcome in self._ended(busy):
-                ended = worker.given.pop(), outcome
-                for each in islice(left, 1):
-                    worker.begin(each)
+                ended = worker.arguments.pop(), outcome
+                for argument in islice(left, 1):
+                    worker.begin(argument)
                 yield ended
 
     def _ended(
         self, busy: Sequence[_Worker[A]]
     ) -> list[tuple[_Worker[A], T | ProcessDied | CallRaised]]:
-        """The next worker that is done, or none where only the time of one was over."""
+        """Return the next completed worker, or none if a time limit was exceeded."""
         wait = min(worker.left for worker in busy)
         try:
             event = self._events.get(timeout=min(max(wait, 0.0), threading.TIMEOUT_MAX))
@@ -149,89 +150,87 @@ class WorkerPool(Generic[A, T]):
             return []
         for worker in busy:
             if worker.process is event.process:
-                return [(worker, worker.died() if event.said is None else _outcome_in(event.said))]
-        return []  # one that had nothing to do died
+                return [
+                    (
+                        worker,
+                        worker.died() if event.message is None else pickle.loads(event.message),
+                    )
+                ]
+        return []  # an idle worker died
 
-    def leave(self) -> None:
-        """Wait until what was begun is done, and end the processes."""
+    def close(self) -> None:
+        """Wait for started calls, and end the processes."""
         for worker in self._workers:
-            worker.dismiss()
+            worker.finish()
         for worker in self._workers:
-            worker.leave()
+            worker.close()
 
 
-def as_they_end(
-    work: Callable[[A], T], given: Iterable[A], *, jobs: int, limit: float | None = None
+def as_completed(
+    work: Callable[[A], T], arguments: Iterable[A], *, jobs: int, limit: float | None = None
 ) -> Generator[tuple[A, T | ProcessDied | CallRaised], None, None]:
-    """Call a function on many things in a `WorkerPool` that is there for them alone.
+    """Call a function on many arguments in a temporary `WorkerPool`.
 
     Parameters
     ----------
     work, jobs, limit : see `WorkerPool`
-    given : see `WorkerPool.as_they_end`
+    arguments : see `WorkerPool.as_completed`
 
     Yields
     ------
-    As `WorkerPool.as_they_end`.
+    As `WorkerPool.as_completed`.
 
     Notes
     -----
-    When the caller goes away, as with an interrupt, calls that were begun are waited for.
+    On an interrupt, started calls are completed.
     """
-    crew = WorkerPool(work, jobs=jobs, limit=limit)
+    pool = WorkerPool(work, jobs=jobs, limit=limit)
     try:
-        yield from crew.as_they_end(given)
+        yield from pool.as_completed(arguments)
     finally:
-        crew.leave()
+        pool.close()
 
 
 def in_processes(
     calls: Sequence[Callable[[], T]], *, jobs: int, limit: float | None = None
 ) -> Generator[T | ProcessDied, None, None]:
-    """Call functions, several at a time, as `as_they_end` does.
+    """Call functions in parallel processes, with results in order.
 
     Parameters
     ----------
-    calls : what can be pickled, such as partials of functions at the top of a module
+    calls : can be pickled, such as partials of module-level functions
     jobs, limit : see `WorkerPool`
 
     Yields
     ------
-    What they gave, in their order; `ProcessDied` where the process ended first.
+    Their results in order; `ProcessDied` if the process ended first.
 
     Raises
     ------
     Exception
-        What a call raised.
+        If a call raises it.
     """
     done: dict[int, T | ProcessDied | CallRaised] = {}
-    with closing(as_they_end(_call, enumerate(calls), jobs=jobs, limit=limit)) as ended:
+    with closing(as_completed(_call, enumerate(calls), jobs=jobs, limit=limit)) as ended:
         for number in range(len(calls)):
             while number not in done:
                 (which, _), outcome = next(ended)
                 done[which] = outcome
-            yield _given(done.pop(number))
+            outcome = done.pop(number)
+            if isinstance(outcome, CallRaised):
+                raise outcome.error
+            yield outcome
 
 
 def _call(numbered: tuple[int, Callable[[], T]]) -> T:
     return numbered[1]()
 
 
-def _given(outcome: T | ProcessDied | CallRaised) -> T | ProcessDied:
-    if isinstance(outcome, CallRaised):
-        raise outcome.error
-    return outcome
-
-
-def _outcome_in(said: bytes) -> Any:
-    return pickle.loads(said)
-
-
 class _Event(NamedTuple):
-    """What came from a process; None where it ended."""
+    """A message from a process; None at its end."""
 
     process: subprocess.Popen[bytes]
-    said: bytes | None
+    message: bytes | None
 
 
 _START = (
@@ -241,7 +240,7 @@ _START = (
 
 
 class _Worker(Generic[A]):
-    """A process, started when it is first needed and whenever the last one died."""
+    """A process, started on first use and restarted after its death."""
 
     def __init__(
         self, work: Callable[[A], Any], events: queue.SimpleQueue[_Event], limit: float | None
@@ -249,41 +248,41 @@ class _Worker(Generic[A]):
         self._work, self._events, self._limit = work, events, limit
         self._until = float("inf")
         self._is_late = False
-        self.given: list[A] = []
+        self.arguments: list[A] = []
         self.process: subprocess.Popen[bytes] | None = None
 
     @property
-    def is_at_work(self) -> bool:
-        """Whether it has something to do."""
-        return bool(self.given)
+    def is_busy(self) -> bool:
+        """Whether it has a call."""
+        return bool(self.arguments)
 
     @property
     def left(self) -> float:
-        """Time that it has for its call, s; no end where it has been told to end."""
+        """Remaining time for its call, s; infinite once it is being ended."""
         return self._until - time.monotonic()
 
-    def begin(self, given: A) -> None:
-        """Hand it something to do."""
-        call = pickle.dumps((self._work, given))
-        self.given.append(given)
+    def begin(self, argument: A) -> None:
+        """Send it a call."""
+        call = pickle.dumps((self._work, argument))
+        self.arguments.append(argument)
         self._is_late = False
         self._until = float("inf") if self._limit is None else time.monotonic() + self._limit
         if self.process is not None and self.process.poll() is not None:
-            self.died()  # between two calls: none of them is to blame
+            self.died()  # between calls, so that none of them failed
         if self.process is None:
-            self.process = _started()
-            listen = partial(_listen, self.process, self._events)
+            self.process = _start_process()
+            listen = partial(_read_answers, self.process, self._events)
             threading.Thread(target=listen, daemon=True).start()
         _send(self.process, call)
 
     def end(self) -> None:
-        """End what takes too long."""
+        """Kill the process after its time limit."""
         self._until, self._is_late = float("inf"), True
         if self.process is not None:
             _kill(self.process)
 
     def died(self) -> ProcessDied:
-        """Take its end, once there is one."""
+        """Collect its exit code."""
         process, self.process = self.process, None
         if process is None:
             return ProcessDied(0)
@@ -293,30 +292,30 @@ class _Worker(Generic[A]):
                     pipe.close()
         return ProcessDied(process.wait(), self._limit if self._is_late else None)
 
-    def dismiss(self) -> None:
-        """Say that nothing comes after what it was handed."""
+    def finish(self) -> None:
+        """Tell the process to end after its call."""
         if self.process is not None:
             _send(self.process, b"")
 
-    def leave(self) -> None:
-        """Wait until it has done that."""
+    def close(self) -> None:
+        """Wait for its end."""
         if self.process is not None:
             try:
                 self.process.wait(None if self._limit is None else max(self.left, 0.1))
             except subprocess.TimeoutExpired:
                 _kill(self.process)
             self.died()
-        self.given.clear()
+        self.arguments.clear()
 
 
-def _started() -> subprocess.Popen[bytes]:
-    # The matrices of a test are small: more than one thread of BLAS only waits for the others.
+def _start_process() -> subprocess.Popen[bytes]:
+    # The matrices of a test are too small for more than one BLAS thread.
     return subprocess.Popen(
         [sys.executable, "-c", _START, json.dumps(sys.path)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
-        start_new_session=True,  # what it started itself ends with it
+        start_new_session=True,  # its own child processes end with it
     )
 
 
@@ -333,13 +332,13 @@ _LENGTH = struct.Struct("<Q")
 
 def _send(process: subprocess.Popen[bytes], message: bytes) -> None:
     if process.stdin is not None:
-        with suppress(OSError, ValueError):  # it died meanwhile: the listener tells
+        with suppress(OSError, ValueError):  # it died: the reading thread reports it
             process.stdin.write(_LENGTH.pack(len(message)) + message)
             process.stdin.flush()
 
 
-def _received(stream: IO[bytes]) -> bytes | None:
-    """The next message; None where the other end is closed."""
+def _read_message(stream: IO[bytes]) -> bytes | None:
+    """Read the next message; return None if the other end is closed."""
     with suppress(OSError, ValueError):
         head = stream.read(_LENGTH.size)
         if len(head) == _LENGTH.size:
@@ -349,32 +348,28 @@ def _received(stream: IO[bytes]) -> bytes | None:
     return None
 
 
-def _listen(process: subprocess.Popen[bytes], events: queue.SimpleQueue[_Event]) -> None:
+def _read_answers(process: subprocess.Popen[bytes], events: queue.SimpleQueue[_Event]) -> None:
     while process.stdout is not None:
-        said = _received(process.stdout)
-        events.put(_Event(process, said))
-        if said is None:
+        message = _read_message(process.stdout)
+        events.put(_Event(process, message))
+        if message is None:
             return
 
 
-_FIRST_TO_GO = "500"  # of -1000 to 1000
-
-
 def serve() -> NoReturn:
-    """Do what comes through standard input, in a process of a `WorkerPool`.
+    """Run the calls from standard input, in a process of a `WorkerPool`.
 
-    Interrupts are left to the process that a person started: it says so, and what was begun is
-    brought to its end. Where that process is gone, this one goes, too. What libraries print goes to
-    standard error, and they have nothing to read.
+    Interrupts are handled by the parent, so that started calls are completed. This process ends
+    with its parent. Output of libraries goes to standard error; their input is empty.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(OSError):  # where the memory is used up, Linux takes this process and no other
-        Path("/proc/self/oom_score_adj").write_text(_FIRST_TO_GO, encoding="ascii")
-    asked, out = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with suppress(OSError):  # out of memory, Linux then kills this process first
+        Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
+    requests, out = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_hear, args=(asked, calls), daemon=True).start()
+    threading.Thread(target=_read_calls, args=(requests, calls), daemon=True).start()
     status = 0
     try:
         while call := calls.get():
@@ -386,15 +381,15 @@ def serve() -> NoReturn:
     os._exit(status)
 
 
-def _hear(asked: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
-    while (call := _received(asked)) is not None:
+def _read_calls(requests: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
+    while (call := _read_message(requests)) is not None:
         calls.put(call)
-    os._exit(1)  # nobody waits for the outcome; files are all old or all new
+    os._exit(1)  # no receiver for the outcome; files are complete, old or new
 
 
 def _outcome(call: bytes) -> bytes:
     try:
-        work, given = pickle.loads(call)
-        return pickle.dumps(work(given))
-    except Exception as error:  # noqa: BLE001  it is handed to the process that asked
+        work, argument = pickle.loads(call)
+        return pickle.dumps(work(argument))
+    except Exception as error:  # noqa: BLE001  returned to the caller
         return pickle.dumps(CallRaised(error))

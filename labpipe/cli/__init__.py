@@ -1,7 +1,7 @@
-"""The command line: parse arguments, call what does the work, print.
+"""The command line: parse the arguments, call the work, print the outcome.
 
 Only the standard library is imported here; each command imports what it needs when it runs, so
-that ``labpipe --help`` answers in a blink.
+that ``labpipe --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -20,27 +20,25 @@ from labpipe import __version__
 
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-_NO_FIGURES = "numbers only; figures drawn before stay as they are"
-_SHOWN = 60
 _COMPLETION = "_ARGCOMPLETE"
-"""Set in the environment by the script of `labpipe completion`."""
+"""Environment variable that the script of `labpipe completion` sets."""
 _NO_MEMORY = (
-    "expected data that go into the memory, found that it was used up. Close other programs, or"
-    " take fewer files; earlier results are as they were."
+    "expected enough free memory, found none left. Close other programs, or process fewer files;"
+    " earlier results are unchanged."
 )
 _EPILOG = """\
 exit status: 0 done; 1 some results failed (they are listed); 2 bad input or usage
 
 first steps:
-  labpipe demo                      see it work, on a synthetic test of each kind
+  labpipe demo                      process a synthetic test of each kind
   labpipe inspect take.csv          what is in this export?
   labpipe new raw/A2/A2-085-1       write the test.yaml of a test
-  labpipe check raw/A2              is everything there, and spelt right?
+  labpipe check raw/A2              find faults in protocols and test sheets
   labpipe process raw/A2/A2-085-1   numbers and figures
-  labpipe campaign run raw/A2       process what is new or changed, as often as you like
+  labpipe campaign run raw/A2       process new and changed tests
   labpipe report processed/A2       means, bands and tables of many tests
-  labpipe serve processed/A2        the report in the browser, to decide on its tests
-  labpipe examples                  get a wire sheet and the protocols, to start from
+  labpipe serve processed/A2        show the report in the browser, decide on tests
+  labpipe examples                  copy a wire sheet and the protocols as a start
   labpipe model examples/wires.xlsx
                                     stiffness of wires from their dimensions
   labpipe bundle "19 B1" --wire examples/wires.xlsx
@@ -61,26 +59,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     Exit status: 0 done, 1 some results failed, 2 bad input or usage, 130 interrupted.
     """
-    if _COMPLETION in os.environ:  # a shell asks what may follow
+    if _COMPLETION in os.environ:  # a shell asks for completions
         from argcomplete import autocomplete
 
-        autocomplete(_parser(_COMMANDS))  # and ends
+        autocomplete(_parser(_COMMANDS))  # exits
     options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(arguments)
     if arguments is not None:
         return _run(options)
-    if not sys.warnoptions:  # numpy's are for those who change labpipe: `python -W default` shows
+    if not sys.warnoptions:  # numpy's, for developers only: `python -W default` shows
         warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
-        return _run(options, once_imported=_spare_the_collector)
+        return _run(options, once_imported=_freeze_imported_objects)
     finally:
-        _spare_the_collector()
+        _freeze_imported_objects()
 
 
 def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lambda: None) -> int:
-    from labpipe.errors import LabpipeError, code_of, refusal  # help need not wait for it
+    from labpipe.errors import LabpipeError, code_of, refusal  # not needed for --help
 
-    # The matrices of a test are small: more than one thread of BLAS only waits for the others.
+    # The matrices of a test are too small for more than one BLAS thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a name that a terminal cannot show
@@ -92,32 +90,32 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
         print(f"labpipe {options.command}: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("labpipe: interrupted; earlier results are as they were", file=sys.stderr)
+        print("labpipe: interrupted; earlier results are unchanged", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader of a pipe went away; what Python would flush at exit has nowhere to go.
+        # The reader of the pipe has closed it: discard what Python flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
         if (code := code_of(error)) == "fault_of_labpipe":
             raise
-        said = _NO_MEMORY if code == "out_of_memory" else refusal(error)
-        print(f"labpipe {options.command}: {said}", file=sys.stderr)
+        message = _NO_MEMORY if code == "out_of_memory" else refusal(error)
+        print(f"labpipe {options.command}: {message}", file=sys.stderr)
         return BAD_INPUT
 
 
-def _spare_the_collector() -> None:
-    """Let the collector work, but not on what there is by now.
+def _freeze_imported_objects() -> None:
+    """Enable garbage collection for objects created from now on.
 
-    Modules are a hundred thousand objects that last: to look through them for garbage again and
-    again, and once more when the process ends, takes a sixth of the time of a test.
+    Modules are a hundred thousand permanent objects: scanning them for garbage takes a sixth of
+    the time of a test.
     """
     gc.freeze()
     gc.enable()
 
 
 def _parser(typed: Collection[str]) -> argparse.ArgumentParser:
-    """Parser of all commands; only one that was typed has arguments."""
+    """Build the parser of all commands; only a typed command gets its arguments."""
     parser = argparse.ArgumentParser(
         prog="labpipe",
         usage="labpipe [-h] [--version] COMMAND ...",
@@ -126,7 +124,7 @@ def _parser(typed: Collection[str]) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"labpipe {__version__}")
-    # As long as the longest command is indented, or argparse puts that one on two lines.
+    # The metavar is as long as the longest command, or argparse breaks its line.
     commands = parser.add_subparsers(
         dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
@@ -140,9 +138,9 @@ def _parser(typed: Collection[str]) -> argparse.ArgumentParser:
 
 
 def _demo(parser: argparse.ArgumentParser) -> None:
-    where = "folder that gets raw/demo and processed/demo (default: here)"
+    where = "folder for raw/demo and processed/demo (default: working folder)"
     parser.add_argument("folder", nargs="?", type=_path, default=Path(), metavar="DIR", help=where)
-    whole = "make the whole campaigns, 99 tests with a report each, and calibrate: some minutes"
+    whole = "process all 99 tests of three campaigns, report and calibrate; takes minutes"
     parser.add_argument("--full", action="store_true", help=whole)
     _figures(parser)
     _jobs(parser)
@@ -154,38 +152,38 @@ def _inspect(parser: argparse.ArgumentParser) -> None:
 
 
 def _new(parser: argparse.ArgumentParser) -> None:
-    where = "of the test, or of the campaign: a sheet for each folder in it"
+    where = "folder of a test, or of a campaign: each folder in it gets a sheet"
     parser.add_argument("folder", type=_path, metavar="DIR", help=where)
     parser.add_argument("--from", dest="sheet", type=_path, metavar="SHEET", help="campaign sheet")
-    which = "(default: the one that fits the exports best)"
+    which = "name of the protocol (default: the one that fits the exports best)"
     parser.add_argument("--protocol", metavar="NAME", help=which)
     parser.add_argument("--type", help="specimen type, such as A2")
     parser.add_argument("--spool", help="spool the sample was cut from, such as A2-s1")
     parser.add_argument("--sample", help="number of the sample on its spool")
     parser.add_argument("--length", help='free length with its unit, such as "85 mm"')
     parser.add_argument("--date", help="day of the test, such as 2026-03-04")
-    parser.add_argument("--operator", help="who ran it")
+    parser.add_argument("--operator", help="person who ran the test")
     for role in ("force", "markers", "frame"):
-        parser.add_argument(f"--{role}", metavar="FILE", help=f"export of the role {role}")
+        parser.add_argument(f"--{role}", metavar="FILE", help=f"export for the role {role}")
     change = (
-        "override a value of the protocol, such as markers.clamp=Base, or fill a column of a"
-        " campaign sheet, such as tape=PVC; can be repeated"
+        "override a value of the protocol, such as markers.clamp=Base, or fill a column of the"
+        " sheet, such as tape=PVC; may be repeated"
     )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=change)
-    parser.add_argument("--because", help="why the protocol's values are overridden")
-    parser.add_argument("--overwrite", action="store_true", help="replace a test.yaml that exists")
+    parser.add_argument("--because", help="reason for overriding protocol values")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing test.yaml")
 
 
 def _check(parser: argparse.ArgumentParser) -> None:
-    where = "protocols, tests or campaigns (default: protocols/ and raw/)"
+    where = "protocol, test or campaign (default: protocols/ and raw/)"
     parser.add_argument("paths", nargs="*", type=_path, metavar="PATH", help=where)
     _follow_links(parser)
 
 
 def _process(parser: argparse.ArgumentParser) -> None:
-    what = "test folder, campaign folder, test.yaml, or a result.h5 to process again"
+    what = "test folder, campaign folder, test.yaml, or result.h5 to process again"
     parser.add_argument("tests", nargs="+", type=_path, metavar="TEST", help=what)
-    parser.add_argument("--out", type=_path, metavar="DIR", help="write to DIR/<test> instead")
+    parser.add_argument("--out", type=_path, metavar="DIR", help="write results to DIR/<test>")
     _figures(parser)
     parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
     _follow_links(parser)
@@ -194,37 +192,39 @@ def _process(parser: argparse.ArgumentParser) -> None:
 
 
 def _figures(parser: argparse.ArgumentParser) -> None:
-    drawn = parser.add_mutually_exclusive_group()
-    drawn.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
-    drawn.add_argument("--png", action="store_true", help="draw figures as PNG, too")
+    figures = parser.add_mutually_exclusive_group()
+    numbers_only = "write numbers only; existing figures are not changed"
+    figures.add_argument("--no-figures", action="store_true", help=numbers_only)
+    figures.add_argument("--png", action="store_true", help="also draw figures as PNG")
 
 
 def _follow_links(parser: argparse.ArgumentParser) -> None:
-    what = "exports may be links out of the folder of their test, such as into a store"
+    what = "read exports that are links to files outside the test folder"
     parser.add_argument("--follow-links", action="store_true", help=what)
 
 
 def _path(text: str) -> Path:
+    max_shown_chars = 60
     try:
         Path(text).resolve().exists()
-    except (OSError, RuntimeError, ValueError) as error:  # too long a name, a loop of links
+    except (OSError, RuntimeError, ValueError) as error:  # name too long, loop of links
         why = getattr(error, "strerror", None) or "a link that leads back to itself"
-        shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-        message = f"expected the name of a file or a folder, found {shown!r} ({why})"
+        shown_text = text if len(text) <= max_shown_chars else f"{text[:max_shown_chars]}..."
+        message = f"expected the name of a file or a folder, found {shown_text!r} ({why})"
         raise argparse.ArgumentTypeError(message) from error
     return Path(text)
 
 
 def _jobs(parser: argparse.ArgumentParser) -> None:
     what = (
-        "tests at a time, each in a process of its own (default: the cores, fewer where memory is"
-        " short)"
+        "number of tests processed at the same time, each in its own process (default: number of"
+        " cores, fewer if memory is short)"
     )
     parser.add_argument("--jobs", type=_count, metavar="N", help=what)
 
 
 def _limit(parser: argparse.ArgumentParser) -> None:
-    what = "minutes after which a test of many is given up (default: %(default)s)"
+    what = "time limit per test of many, in minutes (default: %(default)s)"
     parser.add_argument("--limit", type=_count, default=60, metavar="MINUTES", help=what)
 
 
@@ -235,44 +235,46 @@ def _count(text: str) -> int:
     return int(text)
 
 
-_LETTERHEAD = {"lab": "name of the laboratory", "customer": "who it is for", "order": "its number"}
+_LETTERHEAD = {"lab": "laboratory", "customer": "customer", "order": "order number"}
 
 
 def _report(parser: argparse.ArgumentParser) -> None:
-    _what_is_reported(parser)
-    parser.add_argument("--pages", action="store_true", help="make a page for each test, too")
-    figures = "save every figure as a file: svg, png, pdf, or several of them (default: svg)"
+    _report_contents(parser)
+    parser.add_argument("--pages", action="store_true", help="also make a page for each test")
+    figures = "save every figure as a file: svg, png, pdf, or several (default: svg)"
     parser.add_argument(
         "--figures", nargs="?", const="svg", default="", metavar="FORMAT[,FORMAT...]", help=figures
     )
 
 
-def _what_is_reported(parser: argparse.ArgumentParser) -> None:
+def _report_contents(parser: argparse.ArgumentParser) -> None:
     what = "folder with processed tests, or a result.h5"
     parser.add_argument("paths", nargs="+", type=_path, metavar="PATH", help=what)
     where = "folder of the report (default: report, beside the tests)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
-    parser.add_argument("--title", default="", help="of the report (default: the folder's name)")
+    parser.add_argument(
+        "--title", default="", help="title of the report (default: name of the folder)"
+    )
     for name, what in _LETTERHEAD.items():
-        parser.add_argument(f"--{name}", default="", metavar="WORDS", help=f"{what}, for page one")
-    logo = "a picture for page one, PNG or JPEG, at most 200 kB"
+        parser.add_argument(f"--{name}", default="", metavar="TEXT", help=f"{what}, on page one")
+    logo = "logo on page one, PNG or JPEG, at most 200 kB"
     parser.add_argument("--logo", type=_path, metavar="PICTURE", help=logo)
     fields = (
-        "fields of the test sheets that groups are made by, such as wire,taping (default: type, "
-        "and all else of the specimen that differs within a type)"
+        "fields of the test sheets to group by, such as wire,taping (default: type, and all fields"
+        " of the specimen that differ within a type)"
     )
     parser.add_argument("--by", default="", metavar="FIELD[,FIELD...]", help=fields)
-    alone = "show only pairs of groups that differ in this field and no other, such as taping"
+    alone = "show only pairs of groups that differ in this field alone, such as taping"
     parser.add_argument("--compare", default="", metavar="FIELD", help=alone)
-    sheet = "wire sheet: shows where bundles lie between wires that slip and wires that stick"
+    sheet = "wire sheet; compares bundles with the bounds of slipping and sticking wires"
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
 
 
 def _serve(parser: argparse.ArgumentParser) -> None:
-    _what_is_reported(parser)
-    which = "of this machine's own address; 0 for any that is free (default: %(default)s)"
+    _report_contents(parser)
+    which = "port on the local address; 0 for any free one (default: %(default)s)"
     parser.add_argument("--port", type=_whole, default=8765, metavar="N", help=which)
-    shut = "print the address only; else it is opened in the browser"
+    shut = "print the address; do not open a browser"
     parser.add_argument("--no-browser", action="store_true", help=shut)
 
 
@@ -284,19 +286,19 @@ def _whole(text: str) -> int:
 
 
 _CAMPAIGN = {
-    "run": "process what is new or changed, and nothing else",
-    "status": "states of all tests, what failed, waits or is unknown",
-    "query": "results of many tests that fit a condition",
-    "replay": "clear failures and process their tests again",
+    "run": "process new and changed tests only",
+    "status": "show states of all tests, failures, pending tests and unknown files",
+    "query": "select results of many tests by a condition",
+    "replay": "clear failures and process these tests again",
     "decide": "accept or reject a test",
-    "rebuild": "make the catalog anew from the files of the tests",
-    "watch": "wait for exports, and judge each test seconds after its recording ends",
+    "rebuild": "rebuild the catalog from the files of the tests",
+    "watch": "wait for exports and report each test seconds after its recording ends",
 }
 
 
 def _campaign(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION ...", required=True)
-    where = "the campaign: raw/NAME with a folder per test, or processed/NAME"
+    where = "campaign: raw/NAME with a folder per test, or processed/NAME"
     for name, about in _CAMPAIGN.items():
         action = actions.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
         action.add_argument("folder", type=_path, metavar="DIR", help=where)
@@ -308,7 +310,7 @@ def _campaign_run(parser: argparse.ArgumentParser) -> None:
     _follow_links(parser)
     _jobs(parser)
     _limit(parser)
-    who = "what processes the tests: local, or dask://HOST:PORT (default: %(default)s)"
+    who = "where tests are processed: local, or dask://HOST:PORT (default: %(default)s)"
     parser.add_argument("--executor", default="local", metavar="WHERE", help=who)
 
 
@@ -320,9 +322,9 @@ def _campaign_query(parser: argparse.ArgumentParser) -> None:
     what = "condition in SQL, such as \"name = 'peak_force.1' and type = 'A1'\" (default: all)"
     parser.add_argument("--where", default="", metavar="CONDITION", help=what)
     kinds = ("table", "csv", "json", "xlsx")
-    form = "of what is printed (default: %(default)s)"
+    form = "output format (default: %(default)s)"
     parser.add_argument("--out", choices=kinds, default="table", metavar="FORM", help=form)
-    where = "file to write, which xlsx needs (default: standard output)"
+    where = "file to write; required for xlsx (default: standard output)"
     parser.add_argument("--file", type=_path, metavar="FILE", help=where)
 
 
@@ -335,17 +337,17 @@ def _campaign_replay(parser: argparse.ArgumentParser) -> None:
 def _campaign_decide(parser: argparse.ArgumentParser) -> None:
     what = "name of the test, or its folder below DIR"
     parser.add_argument("test", nargs="?", default="", metavar="TEST", help=what)
-    parser.add_argument("decision", nargs="?", choices=("accept", "reject"), help="what is decided")
-    parser.add_argument("--because", default="", metavar="REASON", help="why")
-    parser.add_argument("--by", default="", metavar="WHO", help="who decides")
+    parser.add_argument("decision", nargs="?", choices=("accept", "reject"), help="the decision")
+    parser.add_argument("--because", default="", metavar="REASON", help="reason for the decision")
+    parser.add_argument("--by", default="", metavar="WHO", help="person who decides")
     example = 'raw/A2 A2-085-1 reject --because "slipped in the grip" --by AT'
     parser.epilog = f"such as: labpipe campaign decide {example}"
-    saved = "take in the decisions that the page of a report saved, in place of TEST"
+    saved = "import decisions that a report page saved, instead of TEST"
     parser.add_argument("--from", dest="saved", type=_path, metavar="FILE", help=saved)
 
 
 def _campaign_watch(parser: argparse.ArgumentParser) -> None:
-    drawn = "numbers only; else figures are drawn once the verdict is said"
+    drawn = "write numbers only; by default figures are drawn after the verdict"
     parser.add_argument("--no-figures", action="store_true", help=drawn)
 
 
@@ -377,7 +379,9 @@ def _bundle(parser: argparse.ArgumentParser) -> None:
     )
     where = "packed, symmetric or asymmetric (default: that of the test.yaml, else packed)"
     parser.add_argument("--arrangement", metavar="WORD", help=where)
-    bore = 'inner diameter of a conduit, such as "10.7 mm"; of several, the best filled is chosen'
+    bore = (
+        'inner diameter of a conduit, such as "10.7 mm"; may be repeated: the best filled is used'
+    )
     parser.add_argument("--bore", action="append", default=[], metavar="LENGTH", help=bore)
     where = "folder of the results (default: processed/bundles/<name>)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
@@ -386,9 +390,9 @@ def _bundle(parser: argparse.ArgumentParser) -> None:
 
 
 def _harness(parser: argparse.ArgumentParser) -> None:
-    what = "harness YAML: a line, what holds it, and what moves it"
+    what = "harness YAML: a line, its supports and its motion"
     parser.add_argument("files", nargs="+", type=_path, metavar="HARNESS", help=what)
-    sheet = "wire sheet in place of the one that the file names"
+    sheet = "wire sheet, instead of the one named in the file"
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
     where = "folder of the results (default: processed/harness/<name of the file>)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
@@ -403,7 +407,7 @@ def _calibrate(parser: argparse.ArgumentParser) -> None:
         "wire sheet with the specimen types as its wires (default: wires.xlsx or wires.csv here)"
     )
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
-    plan = "calibration YAML: which wire, what is free, fixed or has a prior (default: all free)"
+    plan = "calibration YAML: wire; free, fixed and prior parameters (default: all free)"
     parser.add_argument("--plan", type=_path, metavar="FILE", help=plan)
     where = "folder of the results (default: calibration, beside the tests)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
@@ -413,23 +417,35 @@ def _calibrate(parser: argparse.ArgumentParser) -> None:
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--out", type=_path, default=Path("raw"), metavar="DIR", help="(default: raw)"
+        "--out",
+        type=_path,
+        default=Path("raw"),
+        metavar="DIR",
+        help="folder of the test (default: raw)",
     )
-    parser.add_argument("--name", default="synthetic-1", help="of the test (default: %(default)s)")
-    kind = "what is tested (default: %(default)s)"
+    parser.add_argument(
+        "--name", default="synthetic-1", help="name of the test (default: %(default)s)"
+    )
+    kind = "kind of specimen (default: %(default)s)"
     kinds = ("wire", "taped-bundle", "conduit-bundle")
     parser.add_argument("--kind", choices=kinds, default="wire", help=kind)
-    which = "of a bundle: TWB-B1-19-PVC, CWB-2a ... (default: the first with 19 wires)"
+    which = "type of a bundle: TWB-B1-19-PVC, CWB-2a ... (default: the first with 19 wires)"
     parser.add_argument("--type", default=None, metavar="TYPE", help=which)
-    parser.add_argument("--rate", default="10 kHz", help="of the force (default: %(default)s)")
-    parser.add_argument("--fps", default="50 Hz", help="of the cameras (default: %(default)s)")
-    cycles = "of a cantilever test (default: 3); a conduit bundle is bent once"
+    parser.add_argument(
+        "--rate", default="10 kHz", help="sampling rate of the force (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--fps", default="50 Hz", help="frame rate of the cameras (default: %(default)s)"
+    )
+    cycles = "cycles of a cantilever test (default: 3); a conduit bundle is bent once"
     parser.add_argument("--cycles", type=int, default=None, help=cycles)
-    parser.add_argument("--seed", type=int, default=1, help="(default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=1, help="seed of the noise (default: %(default)s)"
+    )
 
 
 def _examples(parser: argparse.ArgumentParser) -> None:
-    where = "folder that gets them (default: %(default)s)"
+    where = "folder for the copies (default: %(default)s)"
     parser.add_argument(
         "folder", nargs="?", type=_path, default=Path("examples"), metavar="DIR", help=where
     )
@@ -437,25 +453,25 @@ def _examples(parser: argparse.ArgumentParser) -> None:
 
 def _completion(parser: argparse.ArgumentParser) -> None:
     shells = ("bash", "zsh", "fish", "powershell")
-    what = f"that is to complete: {', '.join(shells)}"
+    what = f"shell to complete in: {', '.join(shells)}"
     parser.add_argument("shell", choices=shells, metavar="SHELL", help=what)
 
 
 _COMMANDS = {
-    "demo": ("synthetic tests in vendor formats, processed and reported", _demo),
-    "inspect": ("what an export holds: channels, rate, gaps, oddities", _inspect),
-    "new": ("write test.yaml files: by what lies there, or from a table", _new),
-    "check": ("protocols and tests against each other and the files", _check),
-    "process": ("exports to result.h5, summary.json and figures", _process),
-    "campaign": ("many tests: only what changed; states, queries, decisions", _campaign),
-    "report": ("processed tests to one page, figures and a workbook", _report),
-    "serve": ("a report in the browser that saves decisions on tests", _serve),
-    "model": ("wire dimensions to stiffness tables and simulation decks", _model),
-    "bundle": ("bounds of a harness bundle's bending stiffness", _bundle),
-    "harness": ("a line between clips to its shape, forces and bend radii", _harness),
-    "calibrate": ("cantilever tests to a calibrated wire model", _calibrate),
-    "simulate": ("synthetic exports of a test, with known truth", _simulate),
+    "demo": ("make, process and report synthetic tests in vendor formats", _demo),
+    "inspect": ("show what an export contains: channels, rate, gaps, oddities", _inspect),
+    "new": ("write test.yaml files from the exports or from a campaign sheet", _new),
+    "check": ("check protocols and test sheets without processing", _check),
+    "process": ("process exports into result.h5, summary.json and figures", _process),
+    "campaign": ("process many tests incrementally; states, queries, decisions", _campaign),
+    "report": ("summarise processed tests in a page, figures and a workbook", _report),
+    "serve": ("show a report in the browser and save decisions on tests", _serve),
+    "model": ("compute stiffness tables and simulation decks of wires", _model),
+    "bundle": ("compute bounds of a harness bundle's bending stiffness", _bundle),
+    "harness": ("compute shape, forces and bend radii of a line between clips", _harness),
+    "calibrate": ("calibrate a wire model with cantilever tests", _calibrate),
+    "simulate": ("write synthetic exports of a test with known truth", _simulate),
     "examples": ("copy a wire sheet, a calibration plan, harnesses, the protocols", _examples),
-    "completion": ("a script that lets Tab complete commands and options", _completion),
+    "completion": ("print a script for Tab completion of commands and options", _completion),
 }
-"""What each command is for, and its arguments."""
+"""Help text of each command, and the function that adds its arguments."""

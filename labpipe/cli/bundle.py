@@ -15,11 +15,11 @@ from labpipe.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
 from labpipe.units import parse_quantity
 from labpipe.wire.bundle_packing import WANTED_FRACTION
 
-_WIDTH = 44
+_LABEL_WIDTH = 44
 
 
 def run(options: argparse.Namespace) -> int:
-    """Work out between what bounds the bending of a harness bundle lies."""
+    """Print the bounds of a harness bundle's bending stiffness."""
     modelled = model_bundle(
         options.bundle,
         wires=options.wire,
@@ -37,13 +37,13 @@ def _bore(text: str) -> float:
     try:
         bore = parse_quantity(text, "m")
     except ValueError as error:
-        raise _not_a_bore(text) from error
+        raise _bore_error(text) from error
     if not bore > 0.0:
-        raise _not_a_bore(text)
+        raise _bore_error(text)
     return bore
 
 
-def _not_a_bore(text: str) -> UsageError:
+def _bore_error(text: str) -> UsageError:
     message = error_text(
         "--bore",
         "",
@@ -63,8 +63,7 @@ def bundle_table(modelled: ModelledBundle) -> str:
 
     Returns
     -------
-    The bounds of its stiffness, its principal axes, how full its conduit is, the notes, and where
-    the files are.
+    Its stiffness bounds, principal axes, packing fractions, notes and the folder of the files.
     """
     model = modelled.model
     least, largest = model.principal
@@ -75,24 +74,24 @@ def bundle_table(modelled: ModelledBundle) -> str:
         _stiffness("EI, nothing slips, bent along y", model.high),
         _stiffness("  in the least stiff direction", least),
         _stiffness(f"  in the stiffest ({_direction(modelled)})", largest),
-        f"  {'smallest bore for the wires as they lie':<{_WIDTH}}"
+        f"  {'smallest bore for the wires as they lie':<{_LABEL_WIDTH}}"
         f"{1e3 * model.smallest_bore:>12.5g} mm",
         *_conduits(modelled),
     ]
-    lines += [*_friction(modelled)]
+    lines += _friction(modelled)
     lines += [f"  {note.severity}: {note.message}" for note in model.notes]
     return "\n".join([*lines, f"results: {from_here(modelled.folder)}"])
 
 
 def _stiffness(label: str, value: float) -> str:
-    digits = float(f"{1e6 * value:.5g}")  # never as a power of ten
-    return f"  {label:<{_WIDTH}}{digits:>12.10g} N mm^2"
+    digits = float(f"{1e6 * value:.5g}")  # never in scientific notation
+    return f"  {label:<{_LABEL_WIDTH}}{digits:>12.10g} N mm^2"
 
 
 def _friction(modelled: ModelledBundle) -> Iterator[str]:
     label_width = 52
     if modelled.no_friction:
-        yield f"  no loop is predicted: {modelled.no_friction}"
+        yield f"  no hysteresis loop predicted: {modelled.no_friction}"
     fit = modelled.friction
     if fit is None:
         return
@@ -100,13 +99,13 @@ def _friction(modelled: ModelledBundle) -> Iterator[str]:
     held = f"{written(fit.held):>6} %, 95 %: {written(fit.held_lower)} to {written(fit.held_upper)}"
     for label, number in (
         ("share of the wires' axial stiffness that takes part", _share(fit.composite_share)),
-        ("share of it still held once they slip (fitted)", held),
-        ("error where it was fitted, of the peak force", _share(fit.error_fitted)),
-        ("error of what was left out, of the peak force", _share(fit.error_held_out)),
+        ("share of it that remains once they slip (fitted)", held),
+        ("error on fitted cycles, of the peak force", _share(fit.error_fitted)),
+        ("error on cycles left out, of the peak force", _share(fit.error_held_out)),
     ):
         yield f"  {label:<{label_width}}{number} %"
     loss = f"{1e3 * fit.loss:.3g} mJ measured, {1e3 * fit.predicted_loss:.3g} mJ predicted"
-    yield f"  {'work lost over the cycles left out':<{label_width}}{loss}"
+    yield f"  {'energy lost over the cycles left out':<{label_width}}{loss}"
 
 
 def _share(share: float) -> str:
@@ -116,17 +115,17 @@ def _share(share: float) -> str:
 def _direction(modelled: ModelledBundle) -> str:
     least, largest = modelled.model.principal
     if largest - least <= 1e-6 * largest:
-        return "all are alike"
+        return "the same in all directions"
     return f"{math.degrees(modelled.model.principal_angle):.3g} deg from x"
 
 
 def _conduits(modelled: ModelledBundle) -> Iterator[str]:
     label = f"bore for a packing fraction of {WANTED_FRACTION:g}"
     mark = "  the wires do not fit" if modelled.wanted_bore < modelled.model.smallest_bore else ""
-    yield f"  {label:<{_WIDTH}}{1e3 * modelled.wanted_bore:>12.5g} mm{mark}"
+    yield f"  {label:<{_LABEL_WIDTH}}{1e3 * modelled.wanted_bore:>12.5g} mm{mark}"
     chosen = modelled.model.bundle.conduit_bore
     for conduit in modelled.conduits:
         label = f"packing fraction in a bore of {1e3 * conduit.bore:.4g} mm"
         mark = "" if conduit.holds else "  the wires do not fit"
         mark = "  chosen" if conduit.bore == chosen and len(modelled.conduits) > 1 else mark
-        yield f"  {label:<{_WIDTH}}{conduit.packing_fraction:>12.3g}{mark}"
+        yield f"  {label:<{_LABEL_WIDTH}}{conduit.packing_fraction:>12.3g}{mark}"

@@ -31,11 +31,10 @@ _DOUBTED = {
     Identifiability.AT_BOUND,
     Identifiability.AGAINST_PRIOR,
 }
-_WIDEST = 28
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate the wire model by processed cantilever tests that were not rejected."""
+    """Calibrate the wire model with processed cantilever tests that were not rejected."""
     left, rejected = without_rejected(find_results(options.paths))
     for file, why in rejected.items():
         print(escaped(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr)
@@ -60,63 +59,66 @@ def calibration_table(done: Calibrated) -> str:
 
     Parameters
     ----------
-    done : the calibration and what it was compared with
+    done : the calibration and its validation
 
     Returns
     -------
-    The parameters with intervals, what is not identified, a line per wire and length, notes, and
-    where the files are.
+    The parameters with intervals, what is not identified, a line per wire and length, notes and
+    the folder of the files.
     """
-    found = done.calibration
+    calibration = done.calibration
     lines = [
-        f"{found.wire}: {found.n_points} points of {found.n_samples} "
-        f"sample{'s' * (found.n_samples != 1)}, rms "
-        f"{_rounded(1e3 * found.rmse, 3)} mN ({_percent(found.rmse_share)} of the largest force)"
+        f"{calibration.wire}: {calibration.n_points} points of {calibration.n_samples} "
+        f"sample{'s' * (calibration.n_samples != 1)}, rms "
+        f"{_rounded(1e3 * calibration.rmse, 3)} mN ({_percent(calibration.rmse_share)} of the "
+        f"largest force)"
     ]
-    lines += [_parameter(parameter) for parameter in found.parameters]
-    lines += [f"  {parameter.words}" for parameter in found.parameters if parameter.words]
+    lines += [_parameter(parameter) for parameter in calibration.parameters]
+    lines += [f"  {parameter.words}" for parameter in calibration.parameters if parameter.words]
     priors = [
         parameter.conflict.message
-        for parameter in found.parameters
+        for parameter in calibration.parameters
         if parameter.conflict is not None
     ]
     lines += [f"  {message}" for message in priors]
-    if found.friction_separability is not None:
-        lines.append(f"  {found.friction_separability.words}")
+    if calibration.friction_separability is not None:
+        lines.append(f"  {calibration.friction_separability.words}")
     lines += ["", *_groups(done)]
     lines += comparison_lines(done.comparisons)
-    shown = {*(parameter.words for parameter in found.parameters), *priors}
+    printed_messages = {*(parameter.words for parameter in calibration.parameters), *priors}
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
-        for note in found.notes
-        if note.message not in shown
+        for note in calibration.notes
+        if note.message not in printed_messages
     ]
     lines.append(f"results: {from_here(done.folder)}")
     return "\n".join(lines)
 
 
-def _parameter(each: CalibratedParameter) -> str:
-    factor, unit = DISPLAYED[each.name]
-    if math.isnan(each.value):
-        return f"  {each.name:<20}{'-':>10} {unit:<4} does not act"
-    mark = "?" if each.verdict in _DOUBTED else " "
-    own = next((part for part in each.intervals if part.lower <= each.value <= part.upper), None)
-    written = plain_numbers(each.value, own or each.interval, factor, DIGITS)
-    line = f"{mark} {each.name:<20}{written(each.value):>10} {unit:<4}"
-    if each.interval is None:
-        return f"{line} {each.verdict}"
+def _parameter(parameter: CalibratedParameter) -> str:
+    factor, unit = DISPLAYED[parameter.name]
+    if math.isnan(parameter.value):
+        return f"  {parameter.name:<20}{'-':>10} {unit:<4} has no effect"
+    mark = "?" if parameter.verdict in _DOUBTED else " "
+    enclosing = next(
+        (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper), None
+    )
+    written = plain_numbers(parameter.value, enclosing or parameter.interval, factor, DIGITS)
+    line = f"{mark} {parameter.name:<20}{written(parameter.value):>10} {unit:<4}"
+    if parameter.interval is None:
+        return f"{line} {parameter.verdict}"
     ends = [
         [*map(plain_numbers(part.lower, part, factor), (part.lower, part.upper))]
-        for part in each.intervals
+        for part in parameter.intervals
     ]
-    ends[0][0] = "?" if each.is_open_below else ends[0][0]
-    ends[-1][1] = "?" if each.is_open_above else ends[-1][1]
+    ends[0][0] = "?" if parameter.is_open_below else ends[0][0]
+    ends[-1][1] = "?" if parameter.is_open_above else ends[-1][1]
     parts = " or ".join(f"{low} to {high}" for low, high in ends)
-    return f"{line} 95 %: {parts}  {each.verdict}"
+    return f"{line} 95 %: {parts}  {parameter.verdict}"
 
 
 def _rounded(number: float, digits: int) -> str:
-    """Some digits, never as a power of ten."""
+    """Write a number with some digits, never in scientific notation."""
     return np.format_float_positional(float(f"{number:.{digits}g}"), trim="-")
 
 
@@ -125,23 +127,21 @@ def _percent(share: float, digits: int = 2) -> str:
 
 
 def _cells(rmse: float, share: str, inside: str) -> str:
-    """Columns of errors, apart however wide they are."""
+    """Lay out the columns of errors, always with a space between them."""
     return f" {_rounded(1e3 * rmse, 3):>8} {share:>8} {inside:>8}"
 
 
 def _groups(done: Calibrated) -> list[str]:
-    heading = (
-        f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'tests are'}"
-    )
+    heading = f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'role'}"
     return [heading, *(_group(group) for group in done.groups)]
 
 
-def _group(each: ValidationGroup) -> str:
-    role = "calibrating" if each.is_calibrated else "predicted"
-    head = f"  {f'{each.wire}, {1e3 * each.length:.4g} mm':<14}{len(each.samples):>8}"
-    errors = each.errors
+def _group(group: ValidationGroup) -> str:
+    role = "calibrating" if group.is_calibrated else "predicted"
+    head = f"  {f'{group.wire}, {1e3 * group.length:.4g} mm':<14}{len(group.samples):>8}"
+    errors = group.errors
     if errors is None:
-        return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {each.reason or ''}"
+        return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {group.reason or ''}"
     cells = _cells(errors.rmse, _percent(errors.rmse_share), _percent(errors.inside, 3))
     return f"{head}{cells}  {role}"
 
@@ -155,34 +155,36 @@ def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str
 
     Returns
     -------
-    A heading, a line for each curve and what it is compared with, and what was left out; nothing
-    without any.
+    A heading, a line for each curve and comparison, and the notes; nothing without curves.
     """
+    max_name_width = 28
     if not comparisons:
         return []
-    width = min(_WIDEST, max(len(comparison.curve.name) for comparison in comparisons))
+    width = min(max_name_width, max(len(comparison.curve.name) for comparison in comparisons))
     width = max(width, len("external curve"))
     heading = f"  {'external curve':<{width}}  {'compared with':<22}{'points':>8}{'rms mN':>9}"
     lines = ["", f"{heading}{'of peak':>9}{'in band':>9}"]
-    for external_curve_comparison in comparisons:
-        curve = external_curve_comparison.curve
-        of = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
-        for what, found in (
-            ("tests", external_curve_comparison.tests),
-            ("model", external_curve_comparison.model),
+    for comparison in comparisons:
+        curve = comparison.curve
+        specimen = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
+        for kind, match in (
+            ("tests", comparison.tests),
+            ("model", comparison.model),
         ):
-            if found is not None:
-                called = (
-                    curve.name if len(curve.name) <= _WIDEST else f"{curve.name[: _WIDEST - 1]}…"
+            if match is not None:
+                curve_name = (
+                    curve.name
+                    if len(curve.name) <= max_name_width
+                    else f"{curve.name[: max_name_width - 1]}…"
                 )
-                name = f"  {called:<{width}}  {f'{what} of {of}':<22}"
-                lines.append(f"{name}{_numbers(found)}")
+                name = f"  {curve_name:<{width}}  {f'{kind} of {specimen}':<22}"
+                lines.append(f"{name}{_numbers(match)}")
     notes = [note for comparison in comparisons for note in comparison.notes]
     return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]
 
 
-def _numbers(found: CurveMatch) -> str:
-    errors = found.errors
+def _numbers(match: CurveMatch) -> str:
+    errors = match.errors
     if errors is None:
         return f"{0:>8}{'-':>9}{'-':>9}{'-':>9}"
     inside = _percent(errors.inside, 3) if math.isfinite(errors.inside) else "-"

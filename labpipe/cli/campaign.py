@@ -11,11 +11,11 @@ from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
-from labpipe.campaign.decisions import Decision, decision_sentence, not_applied
+from labpipe.campaign.decisions import Decision, decision_sentence, unapplied_decisions
 from labpipe.campaign.executors import executor_of
-from labpipe.campaign.queries import answered, escaped, write_answer, write_workbook
+from labpipe.campaign.queries import escaped, query_results, write_answer, write_workbook
 from labpipe.campaign.raw_file_usage import account_for_files
-from labpipe.campaign.refreshing import Overview, opened_campaign
+from labpipe.campaign.refreshing import Overview, open_campaign
 from labpipe.campaign.running import (
     Drawing,
     RunSummary,
@@ -24,17 +24,17 @@ from labpipe.campaign.running import (
     rebuild,
     run_campaign,
 )
-from labpipe.campaign.saved_decisions import take_in_file
+from labpipe.campaign.saved_decisions import import_decision_file
 from labpipe.cli.terminal import counting, from_here
 from labpipe.errors import UsageError, error_text
 from labpipe.report.wording import count_of
 
-_SHOWN = 20
-"""Tests, or files, that a list shows."""
+_MAX_LISTED = 20
+"""Tests or files in a list."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do what is asked of a campaign."""
+    """Run an action on a campaign."""
     return int(_ACTIONS[options.action](options, find_campaign(options.folder)))
 
 
@@ -42,7 +42,7 @@ def _run(
     options: argparse.Namespace, campaign: CampaignFolders, again: list[str] | None = None
 ) -> int:
     executor = executor_of(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
-    with counting("test") as (begin, told):
+    with counting("test") as (begin, show_ended):
         ran = run_campaign(
             campaign,
             executor,
@@ -50,18 +50,18 @@ def _run(
             drawing=Drawing(figures=not options.no_figures, png=options.png),
             follow_links=options.follow_links,
             begin=begin,
-            told=lambda folder, outcome: told(f"{escaped(folder)}: {outcome.state}"),
+            on_outcome=lambda folder, outcome: show_ended(f"{escaped(folder)}: {outcome.state}"),
         )
-    _tell(ran.overview)
-    print(_after_run(campaign, ran))
+    _print_notes(ran.overview)
+    print(_run_report(campaign, ran))
     return _status_of(ran.overview)
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
-    with opened_campaign(campaign) as keeper:
-        overview = keeper.refresh()
-        files = account_for_files(keeper, overview)
-    _tell(overview)
+    with open_campaign(campaign) as sync:
+        overview = sync.refresh()
+        files = account_for_files(sync, overview)
+    _print_notes(overview)
     if options.json:
         print(json.dumps(_as_json(campaign, overview, files), indent=2))
     else:
@@ -75,10 +75,10 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
             error_text("--out xlsx", "", expected="a file to write", found="none",
                       remedy="Add --file results.xlsx.")
         )  # fmt: skip
-    with opened_campaign(campaign) as keeper:
-        overview = keeper.refresh()
-        _tell(overview)
-        with answered(keeper.catalog, options.where) as answer:
+    with open_campaign(campaign) as sync:
+        overview = sync.refresh()
+        _print_notes(overview)
+        with query_results(sync.catalog, options.where) as answer:
             if options.out == "xlsx":
                 count = write_workbook(answer, options.file)
             elif options.file is not None:
@@ -105,47 +105,45 @@ def _replay(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.saved is not None:
-        return _take_in(options, campaign)
+        return _import_decisions(options, campaign)
     if not options.test or not options.decision:
         raise UsageError(
             error_text("labpipe campaign decide", "", expected="a test and accept or reject",
-                      found="none", remedy="Or name a file that a page saved, with --from.")
+                      found="none", remedy="Or name a file saved by a report page with --from.")
         )  # fmt: skip
     for key in ("because", "by"):
         if not getattr(options, key).strip():
             raise UsageError(
-                error_text(f"--{key}", "", expected="words", found="none",
-                          remedy="Others will want to know.")
+                error_text(f"--{key}", "", expected="a text", found="none",
+                          remedy="It is kept with the decision.")
             )  # fmt: skip
-    said = Decision("", "", options.decision, options.because.strip(), options.by.strip())
-    row = decide(campaign, options.test, said)
+    decision = Decision("", "", options.decision, options.because.strip(), options.by.strip())
+    row = decide(campaign, options.test, decision)
     print(f"{escaped(row.folder)}: {row.state}")
     return 0
 
 
-def _take_in(options: argparse.Namespace, campaign: CampaignFolders) -> int:
-    """Take in decisions that the page of a report saved."""
+def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    """Import the decisions that a report page saved."""
     if options.test:
         raise UsageError(
-            error_text("--from", "", expected="nothing but the folder beside it",
-                      found=options.test, remedy="Decide on a test, or take in a file.")
+            error_text("--from", "", expected="no test beside it", found=options.test,
+                      remedy="Decide on a test, or import a file.")
         )  # fmt: skip
-    taken, faults = take_in_file(campaign.processed, campaign.name, options.saved)
+    taken, faults = import_decision_file(campaign.processed, campaign.name, options.saved)
     for fault in faults:
         print(f"labpipe campaign: {escaped(fault)}", file=sys.stderr)
     for decision in taken.added:
         print(escaped(f"{decision.test}: {decision.decision}: {decision_sentence(decision)}"))
     for decision, why in taken.left:
-        print(
-            escaped(f"{decision.test}: {decision.decision} does not count: {why}"), file=sys.stderr
-        )
-    print(f"{count_of(len(taken.added), 'decision')} taken in, {taken.known} known before")
+        print(escaped(f"{decision.test}: {decision.decision} not imported: {why}"), file=sys.stderr)
+    print(f"{count_of(len(taken.added), 'decision')} imported, {taken.n_known} already known")
     return 2 if faults or taken.left else 0
 
 
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
     overview = rebuild(campaign)
-    _tell(overview)
+    _print_notes(overview)
     print(_counts(campaign, overview))
     return _status_of(overview)
 
@@ -153,12 +151,12 @@ def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     from labpipe.campaign.watched_campaign import watch
 
-    watch(campaign, figures=not options.no_figures, say=_say_now)
+    watch(campaign, figures=not options.no_figures, say=_print_with_time)
     return 0
 
 
-def _say_now(text: str) -> None:
-    """Print a message of a watch with the time, also where the output goes to a file."""
+def _print_with_time(text: str) -> None:
+    """Print a message of a watch with the time, without buffering."""
     print(f"{datetime.now():%H:%M:%S}  {text}", flush=True)
 
 
@@ -173,68 +171,73 @@ _ACTIONS: dict[str, Any] = {
 }
 
 
-def _tell(overview: Overview) -> None:
+def _print_notes(overview: Overview) -> None:
     for note in overview.notes:
         print(f"labpipe campaign: {escaped(note)}", file=sys.stderr)
 
 
 def _status_of(overview: Overview) -> int:
-    """Exit status: 2 where a test failed or a file has to be mended, 1 where a result failed."""
+    """Return the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
     if overview.bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
 
 
-def _after_run(campaign: CampaignFolders, ran: RunSummary) -> str:
+def _run_report(campaign: CampaignFolders, ran: RunSummary) -> str:
     done, total = len(ran.processed), len(ran.overview.rows)
     lines = [_counts(campaign, ran.overview), f"  processed {done} of {total}"]
     if ran.elsewhere:
         lines.append(
-            f"  another labpipe is at work on {len(ran.elsewhere)}: {_some(ran.elsewhere)}"
+            f"  processed by another labpipe: {len(ran.elsewhere)}: {_first_names(ran.elsewhere)}"
         )
     failed = [row for row in ran.overview.rows.values() if row.state == FAILED]
-    lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_SHOWN]]
-    if len(failed) > _SHOWN:
-        lines.append(f"  ... {len(failed) - _SHOWN} more: labpipe campaign status")
+    lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
+    if len(failed) > _MAX_LISTED:
+        lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
     lines += _open_decisions(ran.overview)
     return "\n".join(map(escaped, lines))
 
 
 def _counts(campaign: CampaignFolders, overview: Overview) -> str:
     counts = overview.counts
-    said = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
-    return escaped(f"{campaign.name}: {said}  ->  {from_here(campaign.processed)}")
+    states = (
+        ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
+    )
+    return escaped(f"{campaign.name}: {states}  ->  {from_here(campaign.processed)}")
 
 
 def _lists(overview: Overview, files: dict[str, list[str]]) -> list[str]:
-    """What needs a look, by state; then decisions that do not count, and files nobody names."""
+    """List tests that need attention by state, then open decisions and unknown files."""
     lines: list[str] = []
-    says: dict[str, Callable[[TestRow], str]] = {
+    descriptions: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,
-        RUNNING: lambda row: _who(overview, row.folder),
+        RUNNING: lambda row: _claimant(overview, row.folder),
         REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
     }
-    for state, say in says.items():
+    for state, describe in descriptions.items():
         rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
-        lines += _listed(state, [f"{row.folder}  {say(row)}".rstrip() for row in rows])
+        lines += _listed(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
     lines += _open_decisions(overview)
     lines += _listed("unknown files", files["unknown"])
     return lines
 
 
 def _open_decisions(overview: Overview) -> list[str]:
-    """Decisions whose test has changed since, or is gone."""
+    """List decisions whose test has changed since or no longer exists."""
     runs = {folder: row.attempt for folder, row in overview.rows.items()}
-    decisions = not_applied([decision for decision, _ in overview.decisions], runs)
+    decisions = unapplied_decisions([decision for decision, _ in overview.decisions], runs)
     return _listed(
-        "decisions that are open again",
-        [f"{one.test}  {one.decision} ({one.by}, {one.when}): {why}" for one, why in decisions],
+        "open decisions",
+        [
+            f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {why}"
+            for decision, why in decisions
+        ],
     )
 
 
-def _who(overview: Overview, folder: str) -> str:
+def _claimant(overview: Overview, folder: str) -> str:
     claim = overview.claims[folder]
     return f"process {claim.pid} on {claim.host.split()[0]}"
 
@@ -242,11 +245,15 @@ def _who(overview: Overview, folder: str) -> str:
 def _listed(heading: str, lines: list[str]) -> list[str]:
     if not lines:
         return []
-    more = [f"  ... {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []
-    return [f"{heading} ({len(lines)})", *(f"  {escaped(line)}" for line in lines[:_SHOWN]), *more]
+    more = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
+    return [
+        f"{heading} ({len(lines)})",
+        *(f"  {escaped(line)}" for line in lines[:_MAX_LISTED]),
+        *more,
+    ]
 
 
-def _some(names: list[str]) -> str:
+def _first_names(names: list[str]) -> str:
     return ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
 
 
@@ -254,7 +261,7 @@ def _as_json(
     campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
 ) -> dict[str, Any]:
     runs = {folder: row.attempt for folder, row in overview.rows.items()}
-    left = not_applied([each for each, _ in overview.decisions], runs)
+    left = unapplied_decisions([decision for decision, _ in overview.decisions], runs)
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
     return {
         "campaign": campaign.name,
@@ -268,8 +275,8 @@ def _as_json(
             for folder, claim in overview.claims.items()
         },
         "decisions_not_applied": [
-            {"test": each.test, "decision": each.decision, "by": each.by, "why": why}
-            for each, why in left
+            {"test": decision.test, "decision": decision.decision, "by": decision.by, "why": why}
+            for decision, why in left
         ],
         "files": files,
         "notes": overview.notes,

@@ -9,7 +9,7 @@ from labpipe.process.checking import check_paths
 
 
 def run(options: argparse.Namespace) -> int:
-    """Find everything that is wrong with protocols and tests, without processing."""
+    """Print the faults of protocols and tests, without processing."""
     checked = check_paths(options.paths, follow_links=options.follow_links)
     for finding in checked.findings:
         print(finding.message, file=sys.stderr)

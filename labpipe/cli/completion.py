@@ -6,7 +6,7 @@ import argparse
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what a shell is to be told, so that Tab completes commands, options and files."""
+    """Print the script that lets a shell complete commands, options and files."""
     from argcomplete.shell_integration import shellcode
 
     print(shellcode(["labpipe"], shell=options.shell), end="")

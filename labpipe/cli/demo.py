@@ -42,7 +42,7 @@ CAMPAIGNS: Mapping[str, Sequence[Campaign]] = {
     "tensile": (TensileCampaign(),),
     "harness": SMALL_HARNESS,
 }
-"""Of the full demo, by the folder that they go to."""
+"""Campaigns of the full demo by folder name."""
 FIRST_LOOK: Sequence[Campaign] = (
     ChosenTests(CAMPAIGNS[WIRES], ("A2-085-1",)),
     ChosenTests(
@@ -50,24 +50,24 @@ FIRST_LOOK: Sequence[Campaign] = (
     ),
     ChosenTests(CAMPAIGNS["harness"], ("TWB-B2-19-PVC-1", "CWB-2c-1")),
 )
-"""A test of each kind: those whose numbers the reference of results shows."""
-PLAN = "version: 1\nwire: A2   # its tests calibrate; tests of other wires are predicted\n"
+"""A test of each kind: those in the reference of results."""
+PLAN = "version: 1\nwire: A2   # wire to calibrate; tests of other wires are predicted\n"
 SHEET_WORDS = "{wire: A2, sheet: wires.xlsx}"
 CALIBRATED_WORDS = "{wire: A2, sheet: wires.xlsx, calibration: calibration.json}"
-"""Section of an example, and what the demo puts in its place: the wire that it has calibrated."""
-_LOOK_AT = ("stiffness-lines", "wire-shapes", "force-displacement")
-"""Of the figures of a test, the one that says most: the first of these that it has."""
+"""Section of an example, and its replacement with the calibrated wire."""
+_MAIN_FIGURES = ("stiffness-lines", "wire-shapes", "force-displacement")
+"""Figures to look at first; the first of these that a test has is listed."""
 _NEXT = """
 next:
   labpipe inspect {export}
-                            what an export holds; then try one of yours
-  labpipe new FOLDER        write the test sheet of a folder with exports of yours
+                            show what an export contains; then try your own
+  labpipe new FOLDER        write the test sheet for a folder with your exports
   labpipe process FOLDER    results with intervals, quality notes, figures
-  labpipe demo --full       three campaigns of 99 tests, a calibration and four lines, in minutes"""
+  labpipe demo --full       99 tests, a calibration and four harness lines; takes minutes"""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Make synthetic tests in vendor formats, process and report them, and say where."""
+    """Make synthetic tests in vendor formats, process and report them, and list the files."""
     options.jobs = options.jobs or default_jobs()
     raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
     if options.full:
@@ -76,79 +76,81 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
-    """One test of each kind and one report: enough to see what comes out."""
+    """Process and report one test of each kind."""
     print(f"making a synthetic test of each kind in {raw}", file=sys.stderr)
-    made = run_jobs(
-        [partial(simulate_campaigns, [each], raw) for each in FIRST_LOOK], jobs=options.jobs
+    folders_by_kind = run_jobs(
+        [partial(simulate_campaigns, [campaign], raw) for campaign in FIRST_LOOK], jobs=options.jobs
     )
     wires = write_wire_sheet(raw)
-    tests = [folder / SHEET_NAME for folders in made for folder in folders]
+    tests = [folder / SHEET_NAME for folders in folders_by_kind for folder in folders]
     processed, refused = process_all(
         tests, out=out, figures=lambda _: not options.no_figures, png=options.png, jobs=options.jobs
     )
     if not processed:
-        return 2  # each has its message
+        return 2  # messages are printed already
     first, *others = processed
     print("\n".join((table(first), "", *map(headline, others))))
     page, status = _report(out, wires)
     print("\nopen in a browser, the report first:")
-    print("\n".join(f"  {from_here(path)}" for path in (page, *_shown_first(processed))))
+    print("\n".join(f"  {from_here(path)}" for path in (page, *_main_figures(processed))))
     print(_NEXT.format(export=from_here(raw / first.result.test / first.result.inputs[0].file)))
     return _status(processed, refused, status)
 
 
-def _shown_first(processed: Sequence[Processed]) -> list[Path]:
-    """A figure of each test."""
+def _main_figures(processed: Sequence[Processed]) -> list[Path]:
+    """Return one figure of each test."""
     return [
-        next(path for name in _LOOK_AT for path in processed.figures if path.name == f"{name}.svg")
-        for processed in processed
-        if processed.figures
+        next(path for name in _MAIN_FIGURES for path in test.figures if path.name == f"{name}.svg")
+        for test in processed
+        if test.figures
     ]
 
 
 def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
-    """Three campaigns with a report each, a calibration, and the lines of four harnesses."""
+    """Process three campaigns, report each, calibrate, and compute four harness lines."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
     run_jobs(
         [partial(simulate_campaigns, campaign, raw / name) for name, campaign in CAMPAIGNS.items()],
         jobs=options.jobs,
     )
-    processed, refused = _processed(raw, out, options)
-    print(_shown(processed))
+    processed, refused = _process_campaigns(raw, out, options)
+    print(_results(processed))
     wires = write_wire_sheet(raw / WIRES)
-    print(f"reports of {', '.join(CAMPAIGNS)}", file=sys.stderr)
+    print(f"reporting {', '.join(CAMPAIGNS)}", file=sys.stderr)
     reports = run_jobs(
         [partial(_report, out / name, wires) for name in CAMPAIGNS], jobs=options.jobs
     )
-    calibrated = _calibrated(raw / WIRES, out / WIRES, wires, is_drawn=not options.no_figures)
+    calibrated = _calibrate(raw / WIRES, out / WIRES, wires, is_drawn=not options.no_figures)
     print(f"\n{calibration_table(calibrated)}")
-    harnesses = _harnesses(raw / LINES, out / LINES, calibrated.folder / MODEL_FILE, options)
+    harnesses = _follow_harnesses(raw / LINES, out / LINES, calibrated.folder / MODEL_FILE, options)
     print("\n".join(f"\n{harness_table(harness)}" for harness in harnesses))
-    _name_files([page for page, _ in reports], processed, calibrated, harnesses)
+    _print_files([page for page, _ in reports], processed, calibrated, harnesses)
     is_failed = [int(harness.status is Status.FAILED) for harness in harnesses]
     return _status(processed, refused, *(status for _, status in reports), *is_failed)
 
 
 def _status(processed: Sequence[Processed], refused: int, *reports: int) -> int:
-    """Exit status: 2 where a test was refused, 1 where a result failed, else as of the reports."""
-    failed = int(any(processed.n_failed for processed in processed))
+    """Return the exit status: 2 if a test was refused, 1 if a result failed, else the reports'."""
+    failed = int(any(test.n_failed for test in processed))
     return 2 if refused else max(failed, *reports)
 
 
 def _report(folder: Path, wires: Path) -> tuple[Path, int]:
-    """Report a campaign; its page, and what became of it."""
+    """Report a campaign; return its page and the exit status."""
     title = f"Synthetic demo campaign: {folder.name}"
-    reported = report_tests([folder], title=title, wanted=ReportOptions(wires=wires))
+    reported = report_tests([folder], title=title, options=ReportOptions(wires=wires))
     return reported.files[0], status_of(reported)
 
 
-def _processed(raw: Path, out: Path, options: argparse.Namespace) -> tuple[list[Processed], int]:
-    """Process campaign by campaign, and draw the first test of each specimen type."""
+def _process_campaigns(
+    raw: Path, out: Path, options: argparse.Namespace
+) -> tuple[list[Processed], int]:
+    """Process each campaign, and draw the first test of each specimen type."""
     processed, refused = [], 0
     for name in CAMPAIGNS:
         tests = find_tests([raw / name])
         drawn = set() if options.no_figures else _first_of_each_type(tests)
-        done, wrong = process_all(
+        done, n_refused = process_all(
             tests,
             out=out / name,
             figures=drawn.__contains__,
@@ -156,7 +158,7 @@ def _processed(raw: Path, out: Path, options: argparse.Namespace) -> tuple[list[
             jobs=options.jobs,
         )
         processed += done
-        refused += wrong
+        refused += n_refused
     return processed, refused
 
 
@@ -167,17 +169,17 @@ def _first_of_each_type(tests: Sequence[Path]) -> set[Path]:
     return set(firsts.values())
 
 
-def _calibrated(raw: Path, out: Path, wires: Path, *, is_drawn: bool) -> Calibrated:
-    """Calibrate one of the wires, with the plan that a person would write."""
+def _calibrate(raw: Path, out: Path, wires: Path, *, is_drawn: bool) -> Calibrated:
+    """Calibrate one of the wires with a plan."""
     plan = raw / "plan.yaml"
     plan.write_text(PLAN, encoding="utf-8")
     return calibrate_tests([out], wires=wires, plan=plan, figures=is_drawn)
 
 
-def _harnesses(
+def _follow_harnesses(
     raw: Path, out: Path, calibration: Path, options: argparse.Namespace
 ) -> list[FollowedHarness]:
-    """Follow the lines of the examples; that of the calibrated wire has its law, and bands."""
+    """Compute the example lines; those of the calibrated wire use its law."""
     examples = shipped_folder("examples")
     raw.mkdir(parents=True, exist_ok=True)
     copyfile(examples / DEFAULT_SHEET, raw / DEFAULT_SHEET)
@@ -187,13 +189,13 @@ def _harnesses(
         file = raw / example.name
         text = example.read_text(encoding="utf-8")
         file.write_text(text.replace(SHEET_WORDS, CALIBRATED_WORDS), encoding="utf-8")
-        print(f"following {file.stem}", file=sys.stderr)
+        print(f"computing {file.stem}", file=sys.stderr)
         figures = not options.no_figures
         done.append(follow_harness(file, out=out / file.stem, figures=figures, png=options.png))
     return done
 
 
-def _name_files(
+def _print_files(
     pages: Sequence[Path],
     processed: Sequence[Processed],
     calibrated: Calibrated,
@@ -205,22 +207,19 @@ def _name_files(
     lines = [path for harness in harnesses for path in harness.files]
     drawn = [path for path in (*firsts, *calibrated.files, *lines) if path.suffix == ".svg"]
     if drawn:
-        print("\nfigures to look at, of a test of each kind, the calibration and the lines:")
+        print("\nfigures of a test of each kind, the calibration and the lines:")
         print("\n".join(f"  {from_here(path)}" for path in drawn))
 
 
-def _shown(processed: Sequence[Processed]) -> str:
-    """The first test of each kind in full, the others in a line."""
+def _results(processed: Sequence[Processed]) -> str:
+    """Lay out the first test of each kind in full, the others in one line."""
     firsts = _firsts(processed)
-    shown = [
-        f"\n{table(processed)}\n" if processed in firsts else headline(processed)
-        for processed in processed
-    ]
-    return "\n".join(shown).replace("\n\n\n", "\n\n").strip()
+    lines = [f"\n{table(test)}\n" if test in firsts else headline(test) for test in processed]
+    return "\n".join(lines).replace("\n\n\n", "\n\n").strip()
 
 
 def _firsts(processed: Sequence[Processed]) -> list[Processed]:
     kinds: dict[str, Processed] = {}
-    for each in processed:
-        kinds.setdefault(each.result.protocol, each)
+    for test in processed:
+        kinds.setdefault(test.result.protocol, test)
     return list(kinds.values())

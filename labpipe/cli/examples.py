@@ -14,10 +14,10 @@ from labpipe.store.replace import storing
 
 
 def run(options: argparse.Namespace) -> int:
-    """Copy what a lab starts from: a wire sheet, a calibration plan, harnesses, the protocols."""
+    """Copy a wire sheet, a calibration plan, harnesses and the protocols."""
     wanted = _copies(options.folder)
     for goal, source in wanted.items():
-        _refuse_another(goal, source)
+        _refuse_different(goal, source)
     with storing(options.folder):
         for goal, source in wanted.items():
             goal.parent.mkdir(parents=True, exist_ok=True)
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _copies(folder: Path) -> Mapping[Path, Path]:
-    """Files by where they go; those that stand there unchanged are left out."""
+    """Return the source of each copy, without files that would be copied onto themselves."""
     examples, protocols = shipped_folder("examples"), shipped_folder("protocols")
     files = {folder / path.name: path for path in sorted(examples.iterdir())}
     files |= {folder / "protocols" / path.name: path for path in sorted(protocols.iterdir())}
@@ -38,13 +38,13 @@ def _copies(folder: Path) -> Mapping[Path, Path]:
     }
 
 
-def _refuse_another(goal: Path, source: Path) -> None:
+def _refuse_different(goal: Path, source: Path) -> None:
     if goal.exists() and goal.read_bytes() != source.read_bytes():
         message = error_text(
             goal,
             "",
-            expected="the example as it comes with labpipe, or no such file",
-            found="another one",
+            expected="the example unchanged, or no such file",
+            found="a different file",
             remedy="Move it away, or name another folder; nothing was written.",
         )
         raise UsageError(message)

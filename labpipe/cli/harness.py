@@ -16,23 +16,23 @@ from labpipe.report.wording import count_of, plain_numbers, unit_words
 from labpipe.studies.harness_solution import FollowedHarness
 from labpipe.studies.harness_study import Watcher, as_json, follow_harness
 
-_SHOWN = {
+_DISPLAY_UNITS = {
     "m": (1e3, "mm"),
     "N": (1.0, "N"),
     "N*m": (1e3, "N*mm"),
     "1/m": (1.0, "1/m"),
     "J": (1e3, "mJ"),
 }
-_WIDTH = 32
+_NAME_WIDTH = 32
 
 
 def run(options: argparse.Namespace) -> int:
-    """Follow the line of each harness, and say what became of it."""
+    """Compute the line of each harness and print its results."""
     statuses = []
     for file in options.files:
         out = options.out if options.out is None or len(options.files) == 1 else None
         with following() as watcher:
-            found = follow_harness(
+            harness = follow_harness(
                 file,
                 wires=options.wire,
                 out=out or _own_folder(options.out, file),
@@ -40,8 +40,8 @@ def run(options: argparse.Namespace) -> int:
                 png=options.png,
                 watcher=watcher,
             )
-        print(json.dumps(as_json(found)) if options.json else harness_table(found))
-        faults = list(_faults(found))
+        print(json.dumps(as_json(harness)) if options.json else harness_table(harness))
+        faults = list(_faults(harness))
         for fault in faults:
             print(f"labpipe harness: {file}: {fault}", file=sys.stderr)
         statuses.append(1 if faults else 0)
@@ -50,13 +50,13 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def following() -> Iterator[Watcher]:
-    """Show lines and steps as they are followed: a bar on a terminal, a line for each in a pipe."""
+    """Show progress over lines and steps: a bar on a terminal, a line for each in a pipe."""
     if not sys.stderr.isatty():
         names, total = itertools.count(1), [0]
 
-        def say(words: str) -> None:
+        def say(name: str) -> None:
             if total[0] > 1:
-                print(f"{next(names)}/{total[0]} {words}", file=sys.stderr)
+                print(f"{next(names)}/{total[0]} {name}", file=sys.stderr)
 
         yield Watcher(lambda lines, _: total.__setitem__(0, lines), say)
         return
@@ -68,77 +68,82 @@ def following() -> Iterator[Watcher]:
         )
 
 
-def _faults(found: FollowedHarness) -> Iterator[str]:
-    """What a script that lays harnesses has to stop at; an assumed bend radius is no promise."""
-    if found.status is Status.FAILED:
-        yield from (f"{reason.code}: {reason.message}" for reason in found.reasons)
-    elif not found.limit.is_assumed and found.sharpest.radius < found.limit.radius:
-        yield "".join(_limit(found)).strip()
+def _faults(harness: FollowedHarness) -> Iterator[str]:
+    """Yield the faults that set the exit status; an assumed bend radius is none."""
+    if harness.status is Status.FAILED:
+        yield from (f"{reason.code}: {reason.message}" for reason in harness.reasons)
+    elif not harness.limit.is_assumed and harness.sharpest.radius < harness.limit.radius:
+        yield "".join(_limit(harness)).strip()
 
 
 def _own_folder(out: Path | None, file: Path) -> Path | None:
-    """Folder of one of several files below the one that was asked for."""
+    """Return the folder of one of several files below the folder of the option."""
     return None if out is None else out / file.stem
 
 
-def harness_table(found: FollowedHarness) -> str:
+def harness_table(solution: FollowedHarness) -> str:
     """Lay out a harness for a terminal.
 
     Parameters
     ----------
-    found : that was followed
+    solution : of the harness
 
     Returns
     -------
-    Its status, its numbers, its allowed bend radius, doubts, and where the files are.
+    Its status, results, allowed bend radius, doubts and the folder of the files.
     """
-    line, steps = found.prepared.line, found.harness.steps
-    became = found.status if found.status is Status.FAILED else statuses_of(found.results)
+    line, steps = solution.prepared.line, solution.harness.steps
+    status = solution.status if solution.status is Status.FAILED else statuses_of(solution.results)
     head = (
-        f"{found.file.stem}: {became}; {1e3 * line.length:.6g} mm of {found.material.name}, "
+        f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "
         f"{count_of(len(line.lengths), 'element')}, {count_of(steps, 'step')}"
     )
-    if found.status is Status.FAILED:
-        reached = len(found.path.states) - 1
-        way = f"to step {reached} of {steps}" if reached >= 0 else "not even laid as at the start"
-        return f"{head}\n  followed {way}; earlier results stay"
-    lines = [head, *map(_line, found.results), *_limit(found), *_sweep(found)]
-    own = [
-        reason for result in found.results for reason in result.reasons if result.value is not None
+    if solution.status is Status.FAILED:
+        reached = len(solution.path.states) - 1
+        progress = (
+            f"solved to step {reached} of {steps}" if reached >= 0 else "initial shape not found"
+        )
+        return f"{head}\n  {progress}; earlier results are unchanged"
+    lines = [head, *map(_line, solution.results), *_limit(solution), *_sweep(solution)]
+    result_reasons = [
+        reason
+        for result in solution.results
+        for reason in result.reasons
+        if result.value is not None
     ]
-    said = dict.fromkeys([*found.reasons, *own])
-    lines += [f"  doubtful: {sentence.code}: {sentence.message}" for sentence in said]
-    lines += [f"  {note.severity}: {note.message}" for note in found.material.notes]
-    return "\n".join([*lines, f"results: {from_here(found.folder)}"])
+    reasons = dict.fromkeys([*solution.reasons, *result_reasons])
+    lines += [f"  doubtful: {reason.code}: {reason.message}" for reason in reasons]
+    lines += [f"  {note.severity}: {note.message}" for note in solution.material.notes]
+    return "\n".join([*lines, f"results: {from_here(solution.folder)}"])
 
 
 def _line(result: Result) -> str:
-    factor, unit = _SHOWN[result.unit]
+    factor, unit = _DISPLAY_UNITS[result.unit]
     if result.value is None:
-        return f"  {result.name:<{_WIDTH}}{'-':>11}  {result.why}"
+        return f"  {result.name:<{_NAME_WIDTH}}{'-':>11}  {result.why}"
     written = plain_numbers(result.value, result.interval, factor)
-    shown = f"  {result.name:<{_WIDTH}}{written(result.value):>11} {unit_words(unit):<5}"
+    line = f"  {result.name:<{_NAME_WIDTH}}{written(result.value):>11} {unit_words(unit):<5}"
     if result.interval is not None:
-        shown += f"  95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
+        line += f"  95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
     doubts = [result.status] if result.status is Status.DOUBTFUL else []
-    return "  ".join([shown, *doubts, result.remark]).rstrip()
+    return "  ".join([line, *doubts, result.remark]).rstrip()
 
 
-def _limit(found: FollowedHarness) -> Iterator[str]:
-    limit, bend = found.limit, found.sharpest
+def _limit(harness: FollowedHarness) -> Iterator[str]:
+    limit, bend = harness.limit, harness.sharpest
     verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
-    verdict += " (doubtful)" if found.is_bend_doubtful else ""
+    verdict += " (doubtful)" if harness.is_bend_doubtful else ""
     where = f"step {bend.step}, {1e3 * bend.place:.4g} mm from the start"
-    words = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.source}): {verdict}"
+    line = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.source}): {verdict}"
     yield (
-        words if bend.radius >= limit.radius else f"{words}, {1e3 * bend.radius:.4g} mm at {where}"
+        line if bend.radius >= limit.radius else f"{line}, {1e3 * bend.radius:.4g} mm at {where}"
     )
 
 
-def _sweep(found: FollowedHarness) -> Iterator[str]:
-    if found.sweep:
-        yield "  length of the line    smallest bend radius    on the way"
-    for finding in found.sweep:
+def _sweep(harness: FollowedHarness) -> Iterator[str]:
+    if harness.sweep:
+        yield "  length of the line    smallest bend radius    on the path"
+    for finding in harness.sweep:
         if finding.status == "failed":
             yield f"  {1e3 * finding.length:>12.5g} mm        -  {finding.reasons[0].message}"
             continue

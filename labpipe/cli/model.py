@@ -21,9 +21,8 @@ _HEADING = (
     *("first slip", "range", "force at 0.3 L"),
 )
 _UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
-_WORDS = 3  # columns of words, flush left
+_TEXT_COLUMNS = 3  # left-aligned
 _DEFLECTION = 0.3  # of the length
-_MOST_NAMED = 10  # wires after a note
 
 
 def run(options: argparse.Namespace) -> int:
@@ -47,18 +46,18 @@ def model_table(modelled: ModelledWires) -> str:
 
     Returns
     -------
-    A line per wire, the notes that many of them share shown once, then where the files are.
+    A line per wire, each note once, then the folder of the files.
     """
     rows = [_HEADING, _UNITS, *(_cells(table) for table in modelled.tables)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADING))]
     lines = [_line(row, widths) for row in rows]
-    lines += ["", *_notes(modelled.tables), *_stated(modelled)]
+    lines += ["", *_notes(modelled.tables), *_stress_tables(modelled)]
     if modelled.refused:
-        names = _named(tuple(modelled.refused), 0)
+        names = _wire_list(tuple(modelled.refused), 0)
         lines.append(f"  not modelled: {names} (reasons below)")
     if modelled.removed:
-        names = _named(modelled.removed, 0)
-        lines.append(f"  no longer in the sheet, files taken away: {names}")
+        names = _wire_list(modelled.removed, 0)
+        lines.append(f"  no longer in the sheet, files removed: {names}")
     lines.append(f"results: {from_here(modelled.folder)}")
     return "\n".join(lines)
 
@@ -78,46 +77,47 @@ def _cells(table: WireTable) -> tuple[str, ...]:
 
 
 def _force(table: WireTable) -> str:
-    """End load at the deflection of the heading; a dash where the curve does not reach it."""
+    """Return the end load at the deflection of the heading; a dash beyond the curve."""
     force = force_at(table, _DEFLECTION * table.spec.length)
     return "-" if np.isnan(force) else f"{force:.4g}"
 
 
 def _line(row: Sequence[str], widths: Sequence[int]) -> str:
     cells = [
-        f"{cell:<{width}}" if column < _WORDS else f"{cell:>{width}}"
+        f"{cell:<{width}}" if column < _TEXT_COLUMNS else f"{cell:>{width}}"
         for column, (cell, width) in enumerate(zip(row, widths, strict=True))
     ]
     return "  ".join(cells).rstrip()
 
 
 def _notes(tables: Sequence[WireTable]) -> list[str]:
-    """Notes with the wires they concern, equal ones once; warnings first."""
+    """List each note once with its wires; warnings first."""
     wires: dict[tuple[Severity, str], list[str]] = {}
     for table in tables:
         for note in table.notes:
             wires.setdefault((note.severity, note.message), []).append(table.name)
     order = sorted(wires, key=lambda key: key[0] is Severity.INFO)
     return [
-        f"  {severity}: {message}  [{_named(wires[severity, message], len(tables))}]"
+        f"  {severity}: {message}  [{_wire_list(wires[severity, message], len(tables))}]"
         for severity, message in order
     ]
 
 
-def _stated(modelled: ModelledWires) -> list[str]:
-    """Stress tables with the wires that name them."""
+def _stress_tables(modelled: ModelledWires) -> list[str]:
+    """List stress tables with the wires that use them."""
     wires: dict[str, list[str]] = {}
     for table in modelled.tables:
         if curves := modelled.curves.get(table.name):
             wires.setdefault(describe_stress_tables(curves), []).append(table.name)
     count = len(modelled.tables)
-    return [f"  info: {words}  [{_named(names, count)}]" for words, names in wires.items()]
+    return [f"  info: {tables}  [{_wire_list(names, count)}]" for tables, names in wires.items()]
 
 
-def _named(names: Sequence[str], count: int) -> str:
-    """Name some wires; all of very many are named in the workbook."""
-    if len(names) <= _MOST_NAMED:
+def _wire_list(names: Sequence[str], count: int) -> str:
+    """List the first wires; the workbook lists all."""
+    max_names = 10
+    if len(names) <= max_names:
         return ", ".join(names)
     if len(names) == count:
         return f"all {count} wires"
-    return f"{', '.join(names[:_MOST_NAMED])} and {len(names) - _MOST_NAMED} more"
+    return f"{', '.join(names[:max_names])} and {len(names) - max_names} more"

@@ -57,7 +57,8 @@ def _describe(sheet: InferredSheet, printed: Collection[str]) -> str:
     if sheet.kept:
         return f"kept  {sheet.path}: it exists already; --overwrite replaces it"
     sentences = (
-        sentence.partition("\n")[0] if sentence in printed else sentence for sentence in sheet.remarks
+        sentence.partition("\n")[0] if sentence in printed else sentence
+        for sentence in sheet.remarks
     )
     lines = [f"wrote {sheet.path}", *(f"  {sentence}" for sentence in sentences)]
     if sheet.open:

@@ -19,12 +19,11 @@ from labpipe.records.result import Result
 from labpipe.report.wording import shown_in
 from labpipe.store.summaries import summary
 
-_MOST_CYCLES = 8
-_FINISHED = "a process was killed while it replaced the files here; that was finished first"
+_FINISHED = "completed a replacement of files that a killed process had left unfinished"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Process tests; a bad one does not stop the others."""
+    """Process tests; a faulty one does not stop the others."""
     tests = find_tests(options.tests)
     processed, refused = process_all(
         tests,
@@ -36,15 +35,15 @@ def run(options: argparse.Namespace) -> int:
         follow_links=options.follow_links,
     )
     if not processed:
-        return 2  # each has its message
+        return 2  # messages are printed already
     if options.json:
-        summaries = [summary(each.result) for each in processed]
+        summaries = [summary(test.result) for test in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
     else:
-        print("\n\n".join(table(each) for each in processed))
+        print("\n\n".join(table(test) for test in processed))
     if refused:
         return 2
-    return 1 if any(each.n_failed for each in processed) else 0
+    return 1 if any(test.n_failed for test in processed) else 0
 
 
 def process_all(
@@ -57,12 +56,12 @@ def process_all(
     png: bool = False,
     follow_links: bool = False,
 ) -> tuple[list[Processed], int]:
-    """Process tests and say what is wrong with those that cannot be.
+    """Process tests, and print why any are refused.
 
     Returns
     -------
-    processed : those that were
-    refused : number of those that were not
+    processed : the processed tests
+    refused : number of tests that were refused
     """
     processed, refused = [], 0
     with progress(len(tests)) as begin:
@@ -95,19 +94,19 @@ def table(processed: Processed) -> str:
 
     Returns
     -------
-    A heading, one line per result, then what is doubtful or failed with its reasons.
+    A heading, one line per result, then reasons for doubtful and failed results.
     """
     result = processed.result
     lines, width = [headline(processed)], name_width(result.name for result in result.results)
     quantities: dict[str, list[Result]] = {}  # energy.1, energy.2, ... together
-    for each in result.results:
-        quantities.setdefault(each.name.partition(".")[0], []).append(each)
+    for quantity in result.results:
+        quantities.setdefault(quantity.name.partition(".")[0], []).append(quantity)
     for several in quantities.values():
         lines += _lines(several, dict(result.display), width)
     reasons: dict[str, list[str]] = {}
-    for each in result.results:
-        if each.reasons:
-            reasons.setdefault(f"{each.status}: {each.why}", []).append(each.name)
+    for quantity in result.results:
+        if quantity.reasons:
+            reasons.setdefault(f"{quantity.status}: {quantity.why}", []).append(quantity.name)
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
     warnings = [note for note in result.quality if note.severity != "info"]
     lines += [f"  {note.severity}: {_placed(note)}" for note in warnings]
@@ -115,34 +114,35 @@ def table(processed: Processed) -> str:
 
 
 def _placed(note: QualityNote) -> str:
-    """What a note says, and where, unless it begins with that."""
-    is_said = note.message.startswith(note.where.partition(",")[0])
-    return note.message if is_said else f"{note.where}: {note.message}"
+    """Return the message of a note, with its place in front unless it begins with it."""
+    has_place = note.message.startswith(note.where.partition(",")[0])
+    return note.message if has_place else f"{note.where}: {note.message}"
 
 
 def headline(processed: Processed) -> str:
-    """Say in one line what became of a test.
+    """Summarise a test in one line.
 
     Parameters
     ----------
     processed : the test
     """
     result = processed.result
-    became = statuses_of(result.results)
-    return f"{result.test}  ({result.protocol}): {became}  ->  {from_here(processed.folder)}"
+    counts = statuses_of(result.results)
+    return f"{result.test}  ({result.protocol}): {counts}  ->  {from_here(processed.folder)}"
 
 
 def _lines(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """One line each; of many cycles only the first ones and the range of the rest."""
-    if len(results) <= _MOST_CYCLES:
+    """Lay out one line per result; of many cycles the first ones and the range of the rest."""
+    max_lines = 8
+    if len(results) <= max_lines:
         return [result_line(result, display, width) for result in results]
-    rest = results[_MOST_CYCLES // 2 :]
+    rest = results[max_lines // 2 :]
     values = [result.value for result in rest if result.value is not None]
-    lines = [result_line(result, display, width) for result in results[: _MOST_CYCLES // 2]]
+    lines = [result_line(result, display, width) for result in results[: max_lines // 2]]
     if values:
-        shown = shown_in(results[0].name, results[0].unit, display)
-        low, high = shown.factor * min(values), shown.factor * max(values)
-        span = f"{low:.5g} to {high:.5g} {shown.unit}"
+        display_scale = shown_in(results[0].name, results[0].unit, display)
+        low, high = display_scale.factor * min(values), display_scale.factor * max(values)
+        span = f"{low:.5g} to {high:.5g} {display_scale.unit}"
         name = f"... to {rest[-1].name}"
         lines.append(f"  {name:<{width}} {span} ({len(rest)} more in summary.json)")
     return lines

@@ -21,23 +21,23 @@ from labpipe.report.saving import FORMATS
 
 
 def run(options: argparse.Namespace) -> int:
-    """Put processed tests together into a page, figures and a workbook."""
-    files, beside = find_results(options.paths), _beside(options)
+    """Report processed tests in a page, figures and a workbook."""
+    files, context = find_results(options.paths), _report_context(options)
     with reading(len(files)) as say:
         reported = report_tests(
             files,
             out=options.out,
             title=options.title,
             say=say,
-            wanted=wanted_by(options),
-            beside=beside,
+            options=report_options(options),
+            context=context,
         )
     print(report_table(reported))
     return status_of(reported)
 
 
-def wanted_by(options: argparse.Namespace) -> ReportOptions:
-    """Read groups and comparisons as they were typed.
+def report_options(options: argparse.Namespace) -> ReportOptions:
+    """Read groups and comparisons from the options.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def wanted_by(options: argparse.Namespace) -> ReportOptions:
 
 
 def letterhead_of(options: argparse.Namespace) -> Letterhead:
-    """Who a report is from and for, as it was typed.
+    """Read the letterhead from the options.
 
     Parameters
     ----------
@@ -57,31 +57,31 @@ def letterhead_of(options: argparse.Namespace) -> Letterhead:
     Raises
     ------
     UsageError
-        If the logo is no picture that a page can show.
+        If the logo is not a PNG or JPEG of the allowed size.
     """
-    words = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
+    entries = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
     logo = "" if options.logo is None else read_logo(options.logo)
-    return Letterhead(tuple((name, said) for name, said in words.items() if said), logo)
+    return Letterhead(tuple((name, text) for name, text in entries.items() if text), logo)
 
 
-def _beside(options: argparse.Namespace) -> ReportContext:
-    """Letterhead, figures as files and pages of tests, as they were typed."""
+def _report_context(options: argparse.Namespace) -> ReportContext:
+    """Read letterhead, figure formats and test pages from the options."""
     wanted = tuple(dict.fromkeys(filter(None, map(str.strip, options.figures.split(",")))))
-    unknown = [each for each in wanted if each not in FORMATS]
+    unknown = [name for name in wanted if name not in FORMATS]
     if unknown:
         message = error_text(
             "--figures",
             "",
-            expected=f"some of {', '.join(FORMATS)}",
+            expected=f"one or more of {', '.join(FORMATS)}",
             found=", ".join(map(repr, unknown)),
-            remedy=f"Write {nearest(unknown[0], list(FORMATS), most=1)[0]}, or another of them.",
+            remedy=f"Nearest: {nearest(unknown[0], list(FORMATS), most=1)[0]}.",
         )
         raise UsageError(message)
     return ReportContext(letterhead_of(options), wanted, options.pages)
 
 
 def status_of(reported: Reported) -> int:
-    """Exit status: 2 where a test could not be read, 1 where a result failed, else 0."""
+    """Print the tests left out; return 2 for any of these, 1 for failed results, else 0."""
     for reason in reported.campaign.left_out.values():
         print(f"labpipe report: left out: {reason}", file=sys.stderr)
     if reported.campaign.left_out:
@@ -100,7 +100,7 @@ def report_table(reported: Reported) -> str:
 
     Returns
     -------
-    A heading per group, one line per number with its interval, then where the files are.
+    A heading per group, one line per number with its interval, then the path of the report.
     """
     lines: list[str] = []
     for group in reported.campaign.groups:
@@ -128,7 +128,7 @@ def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> s
     value = mean.mean if mean is not None else None
     interval = mean.interval if mean is not None else None
     status = Status.FAILED if value is None else Status.OK
-    reasons = (Reason("no_samples", "no sample has it"),) if value is None else ()
+    reasons = (Reason("no_samples", "no sample has this result"),) if value is None else ()
     as_result = Result(
         number.name,
         value,

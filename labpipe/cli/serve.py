@@ -10,14 +10,14 @@ from labpipe.campaign.campaign_folders import name_of_campaign
 from labpipe.campaign.reporting import Recipe, ReportContext, report_tests
 from labpipe.campaign.serving import REPORT, ReportServer, Site
 from labpipe.campaign.test_pages import page_of_test
-from labpipe.cli.report import letterhead_of, wanted_by
+from labpipe.cli.report import letterhead_of, report_options
 from labpipe.cli.terminal import reading
 from labpipe.process.output_paths import find_results, shared_folder
 from labpipe.report.lab_report import PAGE_FILE
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve a report until it is interrupted; makes it where there is none yet."""
+    """Serve a report until interrupted; make it first if there is none."""
     folder = shared_folder(find_results(options.paths))
     report = folder / REPORT if options.out is None else options.out
     site = Site(
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         if not (report / PAGE_FILE).is_file():
             _make(options, report)
         print(f"{options.title or site.campaign or folder.name}: {server.address}")
-        print("Only this machine can open it. Ctrl+C ends it.", flush=True)
+        print("Reachable from this machine only. Press Ctrl+C to stop.", flush=True)
         if not options.no_browser:
             webbrowser.open(server.address)
         try:
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _make(options: argparse.Namespace, folder: Path) -> None:
     files = find_results(options.paths)
-    typed = Recipe(options.title, wanted_by(options), ReportContext(letterhead_of(options)))
+    typed = Recipe(options.title, report_options(options), ReportContext(letterhead_of(options)))
     recipe = typed.or_earlier(Recipe.read(folder))
     with reading(len(files)) as say:
         report_tests(
@@ -47,6 +47,6 @@ def _make(options: argparse.Namespace, folder: Path) -> None:
             out=options.out,
             title=recipe.title,
             say=say,
-            wanted=recipe.wanted,
-            beside=recipe.beside,
+            options=recipe.options,
+            context=recipe.context,
         )

@@ -19,10 +19,9 @@ from labpipe.virtual_lab import (
     taped_scenario,
 )
 
-_USUAL = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
-_CYCLES = 3
+_DEFAULT_TYPES = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
 _WIRE = "W1"
-"""A wire that no wire sheet has: its law is given by numbers, not by strands."""
+"""Not in any wire sheet: its law is given by numbers, not by strands."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -33,8 +32,8 @@ def run(options: argparse.Namespace) -> int:
         message = error_text(
             "options",
             "",
-            expected='--rate and --fps such as "10 kHz" and "50 Hz", a cycle, a plain name, a type '
-            "and cycles that the kind has",
+            expected='--rate and --fps such as "10 kHz" and "50 Hz", at least one cycle, a plain '
+            "name, and a type and cycles that fit the kind",
             found=str(error),
             remedy="See `labpipe simulate --help`.",
         )
@@ -45,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _simulate(options: argparse.Namespace) -> Path:
     rate, fps = (parse_quantity(text, "1/s") for text in (options.rate, options.fps))
-    cycles = _CYCLES if options.cycles is None else options.cycles
+    cycles = 3 if options.cycles is None else options.cycles
     _check(rate=rate, fps=fps, cycles=cycles, name=options.name)
     if options.kind == "conduit-bundle":
         return _conduit(options, rate=rate, fps=fps)
@@ -60,7 +59,7 @@ def _simulate(options: argparse.Namespace) -> Path:
 
 
 def _cantilever(options: argparse.Namespace) -> CantileverScenario:
-    """The usual wire, or the bundle that the options ask for."""
+    """Return the default wire, or the bundle of the options."""
     if options.kind == "wire":
         if options.type is not None:
             message = f"type={options.type} of a wire"
@@ -79,16 +78,16 @@ def _conduit(options: argparse.Namespace, *, rate: float, fps: float) -> Path:
     return simulate_test(scenario, options.out / options.name, options.seed)
 
 
-def _type(options: argparse.Namespace, known: Container[str]) -> str:
-    kind = _USUAL[options.kind] if options.type is None else str(options.type)
-    if kind not in known:
+def _type(options: argparse.Namespace, types: Container[str]) -> str:
+    kind = _DEFAULT_TYPES[options.kind] if options.type is None else str(options.type)
+    if kind not in types:
         message = f"type={kind} of a {options.kind}"
         raise ValueError(message)
     return kind
 
 
 def _check(*, rate: float, fps: float, cycles: int, name: str) -> None:
-    """Refuse what no virtual test can be made of."""
+    """Refuse numbers and names that make no virtual test."""
     numbers = {"rate": rate, "fps": fps, "cycles": cycles}
     wrong = [f"{key}={value:g}" for key, value in numbers.items() if not value >= 1]
     if not re.fullmatch(r"\w[\w.+-]*", name):

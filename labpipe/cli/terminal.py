@@ -1,4 +1,4 @@
-"""What the commands share on a terminal: progress, and the line of a result."""
+"""Terminal output that commands share: progress, and the line of a result."""
 
 from __future__ import annotations
 
@@ -15,15 +15,13 @@ from labpipe.report.wording import plain_numbers, shown_in
 
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
-_LEAST_WIDTH = 26
-_INTERVAL_WIDTH = 26
 DIGITS = 5
-"""Of a number without an interval."""
+"""Significant digits of a number without an interval."""
 
 
 @contextmanager
 def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
-    """Show how far tests are: with a bar on a terminal, with a line each in a pipe.
+    """Show the progress of tests: a bar on a terminal, a line each in a pipe.
 
     Parameters
     ----------
@@ -31,7 +29,7 @@ def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
 
     Yields
     ------
-    begin : to be called with each test; it gives what is to be called with each stage as it begins
+    begin : call it with each test; it returns a function to call at the start of each stage
     """
     numbers = itertools.count()
     if not sys.stderr.isatty():
@@ -60,7 +58,7 @@ def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
 
 @contextmanager
 def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
-    """Show what has ended, in any order: with a bar on a terminal, with a line each in a pipe.
+    """Show what has ended, in any order: a bar on a terminal, a line each in a pipe.
 
     Parameters
     ----------
@@ -68,13 +66,14 @@ def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str],
 
     Yields
     ------
-    begin, told : to be called with the number of things, and with the words on each that has ended
+    begin : call it with the total number
+    show : call it with a text on each thing that has ended
     """
     total, done = [0], itertools.count(1)
     if not sys.stderr.isatty():
 
-        def say(words: str) -> None:
-            print(f"{next(done)}/{total[0]} {words}", file=sys.stderr)
+        def say(text: str) -> None:
+            print(f"{next(done)}/{total[0]} {text}", file=sys.stderr)
 
         yield partial(total.__setitem__, 0), say
         return
@@ -82,8 +81,8 @@ def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str],
 
     with tqdm(unit=unit, leave=False, delay=1.0) as bar:
 
-        def show(words: str) -> None:
-            bar.set_description(words)
+        def show(text: str) -> None:
+            bar.set_description(text)
             bar.update()
 
         yield bar.reset, show
@@ -99,7 +98,7 @@ def reading(count: int) -> Iterator[Callable[[str], None]]:
 
     Yields
     ------
-    say : to be called with the name of each test
+    say : call it with the name of each test
     """
     if not sys.stderr.isatty():
         yield lambda _: None
@@ -116,7 +115,7 @@ def reading(count: int) -> Iterator[Callable[[str], None]]:
 
 
 def from_here(path: Path) -> Path:
-    """A path as seen from the working folder, if it lies below.
+    """Return a path relative to the working folder, if it is below it.
 
     Parameters
     ----------
@@ -127,8 +126,9 @@ def from_here(path: Path) -> Path:
 
 
 def name_width(names: Iterable[str]) -> int:
-    """Room for the names of a table."""
-    return max(_LEAST_WIDTH, *(len(name) for name in names), 0)
+    """Return the column width for the names of a table."""
+    min_width = 26
+    return max(min_width, *(len(name) for name in names), 0)
 
 
 def statuses_of(results: Iterable[Result]) -> str:
@@ -143,26 +143,27 @@ def statuses_of(results: Iterable[Result]) -> str:
 
 
 def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
-    """A result with its interval and what most of that is made of, in its display unit.
+    """Lay out a result with its interval and its largest contribution, in its display unit.
 
     Parameters
     ----------
     result : of a test, or the mean of a group
     display : unit by quantity
-    width : of the name
+    width : of the column of names
     """
+    interval_width = 26
     factor, unit = shown_in(result.name, result.unit, display)
     mark = _MARK[result.status]
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
     written = plain_numbers(result.value, result.interval, factor, DIGITS)
-    shown = f"{mark} {result.name:<{width}}{written(result.value):>12} {unit:<6}"
+    line = f"{mark} {result.name:<{width}}{written(result.value):>12} {unit:<6}"
     if result.interval is None:
-        return shown
+        return line
     interval = f"95 %: {written(result.interval.lower)} to {written(result.interval.upper)}"
     if result.apart is not None:
         interval = f"estimate {written(result.apart)}, {interval}"
     if result.largest_share is None:
-        return f"{shown} {interval}"
+        return f"{line} {interval}"
     cause, share = result.largest_share
-    return f"{shown} {interval:<{_INTERVAL_WIDTH}} {cause} {100.0 * share:.0f} %"
+    return f"{line} {interval:<{interval_width}} {cause} {100.0 * share:.0f} %"

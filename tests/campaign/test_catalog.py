@@ -18,9 +18,9 @@ from labpipe.campaign import machine
 from labpipe.campaign.campaign_folders import (
     CampaignFolders,
     find_campaign,
+    find_outcome,
     list_processed,
     list_raw,
-    look_at_outcome,
 )
 from labpipe.campaign.catalog import (
     OK,
@@ -30,15 +30,15 @@ from labpipe.campaign.catalog import (
     Entry,
     Seen,
     TestRow,
-    speaking,
-    uri_of,
+    file_uri,
+    sqlite_errors,
 )
 from labpipe.campaign.catalog_file import new_catalog, open_catalog
 from labpipe.campaign.machine import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.outcome_rows import ResultRow
 from labpipe.campaign.remote_drives import is_on_this_machine, shared_kind
-from labpipe.campaign.running import look
-from labpipe.campaign.test_locks import LONGEST, is_alive, new_claim
+from labpipe.campaign.running import read_overview
+from labpipe.campaign.test_locks import MAX_CLAIM_AGE, is_alive, new_claim
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 
@@ -94,7 +94,7 @@ def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatc
     ],
 )
 def test_paths_as_sqlite_takes_them(path: PurePath, uri: str) -> None:
-    assert uri_of(path) == uri
+    assert file_uri(path) == uri
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,10 @@ def test_paths_as_sqlite_takes_them(path: PurePath, uri: str) -> None:
     ],
 )
 def test_what_sqlite_says_is_said_with_what_to_do(said: str, remedy: str) -> None:
-    with pytest.raises(StoreError, match=f"found {said}. {remedy}"), speaking(Path("c.sqlite")):
+    with (
+        pytest.raises(StoreError, match=f"found {said}. {remedy}"),
+        sqlite_errors(Path("c.sqlite")),
+    ):
         raise sqlite3.OperationalError(said)
 
 
@@ -128,9 +131,9 @@ def test_a_catalog_that_is_damaged_or_gone_is_made_anew(
         path.unlink()
     else:
         path.write_bytes(b"no data base " * 500 if length == 100 else path.read_bytes()[:length])
-    overview = look(kept.folders)
+    overview = read_overview(kept.folders)
     assert overview.counts == {OK: 1}
-    message = f"{path}: made anew from the files of the tests: it was damaged ("
+    message = f"{path}: rebuilt from the files of the tests: it was damaged ("
     assert [note.startswith(message) for note in overview.notes] == [True] * (length is not None)
     assert path.with_name("catalog.sqlite.damaged").exists() == (length is not None)
     assert content_of(kept) == before
@@ -142,7 +145,7 @@ def test_a_catalog_that_is_damaged_or_gone_is_made_anew(
     ("statement", "message"),
     [
         (f"pragma user_version = {SCHEMA + 1}", f"{SCHEMA}, found version {SCHEMA + 1}. A newer"),
-        ("pragma application_id = 7", "found a data base of another program. Move it away"),
+        ("pragma application_id = 7", "found a database of another program. Move it away"),
     ],
 )
 def test_a_data_base_of_another_program_is_refused(
@@ -221,7 +224,7 @@ def test_a_name_of_other_bytes_is_said(campaign: CampaignFolders) -> None:
     found = list_raw(campaign)
     assert len(found.refused) == 1
     assert found.refused[0].endswith(
-        "\\udcff: expected a name in UTF-8, found other bytes. Rename it; it was left out."
+        "\\udcff: expected a name in UTF-8, found other bytes. Rename it; it is left out."
     )
 
 
@@ -238,7 +241,7 @@ def test_outcomes_and_what_changes_their_marks(campaign: CampaignFolders) -> Non
     ):
         (folder / name).write_text(text, "utf-8")
         marks.append(list_processed(campaign)["T1"])
-        assert marks[-1] == look_at_outcome(campaign, "T1")
+        assert marks[-1] == find_outcome(campaign, "T1")
         assert (marks[-1].has_results, marks[-1].has_failure) == (has_results, has_failure)
         assert marks.count(marks[-1]) == 1
 
@@ -258,7 +261,7 @@ def test_a_process_that_ended_does_not_hold_its_claim() -> None:
 def test_of_another_host_the_claim_must_be_young() -> None:
     other = replace(new_claim(), host="elsewhere", pid=1)
     assert is_alive(other)
-    for age in (LONGEST + 1, -LONGEST - 1):  # the second: a clock that was set back
+    for age in (MAX_CLAIM_AGE + 1, -MAX_CLAIM_AGE - 1):  # the second: a clock that was set back
         assert not is_alive(replace(other, since=time.time() - age))
 
 

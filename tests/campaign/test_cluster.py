@@ -93,7 +93,7 @@ def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_p
     codes = {name: outcome.code for name, outcome in outcomes.items() if outcome.state == "failed"}
     assert codes == {"S-0002": "worker_died", "S-0004": "process_died"}
     assert len(outcomes) == 6
-    message = f"{labs[2].sheet}: expected a worker that comes to the end of this test, found that 2"
+    message = f"{labs[2].sheet}: expected a worker that completes this test, found that 2"
     assert outcomes["S-0002"].reason.startswith(message)
     stored = json.loads((tmp_path / "out" / "S-0002" / "failure.json").read_text("utf-8"))
     assert (stored["code"], stored["run"]) == ("worker_died", "0a")
@@ -102,7 +102,7 @@ def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_p
 def test_what_cannot_be_processed_fails_as_on_one_machine(
     alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT", 60.0)  # a busy machine starts workers slowly
+    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 60.0)  # a busy machine starts workers slowly
     alone.add_worker()
     labs = small_pulls(tmp_path, 3)
     labs[1].export.unlink()
@@ -116,9 +116,11 @@ def test_what_cannot_be_processed_fails_as_on_one_machine(
 def test_workers_with_another_labpipe(
     machines: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT", 2.0)
+    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 2.0)
     monkeypatch.setattr(batches, "__version__", "9.9")  # of labpipe here
-    said = r"expected workers with labpipe 9\.9, found workers with another one, \('.*', \d+\)\. "
+    said = (
+        r"expected workers with labpipe 9\.9, found workers with another version, \('.*', \d+\)\. "
+    )
     with pytest.raises(UsageError, match=said) as raised:
         list(dask(machines.address)(tasks_of(small_pulls(tmp_path, 1), tmp_path / "out")))
     assert raised.value.code == "no_cluster"
@@ -156,13 +158,13 @@ def test_tests_go_to_workers_that_see_them(alone: Cluster, own: list[TensileLab]
         os.close(handle)
     (failed,) = (outcome for outcome in outcomes if outcome.state == "failed")
     assert (failed.sheet, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
-    message = f"{sheet}: expected a worker that sees the files that are seen here, found none"
+    message = f"{sheet}: expected a worker that sees the files of this machine, found none"
     assert failed.reason.startswith(f"{message} (workers: 2).")
     assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
 
 
 def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT", 1.0)
+    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 1.0)
     message = "--executor: expected a dask scheduler at 127.0.0.1:1, found none that answers. Start"
     with pytest.raises(UsageError, match=message) as raised:
         list(dask("127.0.0.1:1")([Task(tmp_path)]))
@@ -178,7 +180,7 @@ def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
     assert next(iter(outcomes)).state != "failed"
     alone.scheduler.kill()
     start = time.monotonic()
-    said = r"--executor: expected the scheduler at .* until all is done, found that it, or every"
+    said = r"--executor: expected the scheduler at .* until the end of the run, found that it, or every"
     with pytest.raises(ProcessingError, match=said) as raised:
         list(outcomes)
     assert raised.value.code == "no_cluster"

@@ -11,7 +11,7 @@ import pytest
 from labpipe.campaign.content_keys import (
     Content,
     ContentKeys,
-    changes,
+    describe_changes,
     parse_content,
     stamp_of,
 )
@@ -168,4 +168,4 @@ EXTRA = (*NOW.inputs, ("frame", "c.csv", "3"))
 def test_what_changed_is_said(
     inputs: tuple[tuple[str, str, str], ...], texts: str, message: str
 ) -> None:
-    assert changes(inputs=inputs, sheet=texts[:1], protocol=texts[1:], now=NOW) == message
+    assert describe_changes(inputs=inputs, sheet=texts[:1], protocol=texts[1:], now=NOW) == message

@@ -16,12 +16,12 @@ from labpipe.campaign.decisions import (
     add_decisions,
     decisions_on,
     largest_move,
-    not_applied,
     read_decisions,
+    unapplied_decisions,
 )
 from labpipe.campaign.outcome_rows import ResultRow
-from labpipe.campaign.running import decide, look, rebuild
-from labpipe.campaign.saved_decisions import take_in, take_in_file
+from labpipe.campaign.running import decide, read_overview, rebuild
+from labpipe.campaign.saved_decisions import import_decision_file, import_decisions
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 from tests.builders.pulled_campaigns import decision_on, make_pulls
@@ -69,20 +69,20 @@ def test_a_rejected_test_that_changed_stays_out_until_a_person_decides(kept: Kep
     decide(kept.folders, "T1", REJECT)
     export = kept.raw / "T1" / "frame.csv"
     export.write_text("99", "utf-8")
-    assert look(kept.folders).rows["T1"].state == STALE
+    assert read_overview(kept.folders).rows["T1"].state == STALE
     kept.run()
-    overview = look(kept.folders)
+    overview = read_overview(kept.folders)
     assert overview.rows["T1"].state == REJECTED
     assert "slipped in the grip (open again: " in overview.rows["T1"].why
     runs = {folder: row.attempt for folder, row in overview.rows.items()}
-    ((left, why),) = not_applied([each for each, _ in overview.decisions], runs)
+    ((left, why),) = unapplied_decisions([each for each, _ in overview.decisions], runs)
     assert left.because == "slipped in the grip"
-    assert why.startswith("it was made on another key")
+    assert why.startswith("exports, sheet, protocol or labpipe changed")
     decide(kept.folders, "T1", replace(REJECT, decision="accept"))
-    assert look(kept.folders).rows["T1"].state == OK
+    assert read_overview(kept.folders).rows["T1"].state == OK
     export.write_text("62.5", "utf-8")
     kept.run()
-    assert look(kept.folders).rows["T1"].state == REJECTED
+    assert read_overview(kept.folders).rows["T1"].state == REJECTED
 
 
 def test_which_test_is_meant(kept: KeptCampaign) -> None:
@@ -98,8 +98,8 @@ BROKEN = {
     '{"schema": 1, "decisions": [}': "line 1, column 29",
     "[]": "found JSON without a list 'decisions'",
     '{"schema": 1, "decisions": {}}': "found JSON without a list 'decisions'",
-    '{"schema": 2, "decisions": []}': "schema: expected decisions in JSON, found 2, where",
-    "[" * 100_000: "expected decisions in JSON, found text that is no JSON",
+    '{"schema": 2, "decisions": []}': "schema: expected decisions in JSON, found 2; this",
+    "[" * 100_000: "expected decisions in JSON, found text that is not JSON",
 }
 
 
@@ -107,7 +107,7 @@ BROKEN = {
 def test_a_file_that_cannot_be_read_is_said_and_stays(kept: KeptCampaign, text: str) -> None:
     path = kept.processed / "decisions.json"
     path.write_text(text, "utf-8")
-    overview = look(kept.folders)
+    overview = read_overview(kept.folders)
     assert overview.bad_input
     assert BROKEN[text] in overview.notes[0]
     with pytest.raises(UsageError, match="Mend the file, or move it away and decide again"):
@@ -125,7 +125,7 @@ def test_single_decisions_that_cannot_be_read_are_said_and_stay(kept: KeptCampai
     path.write_text(json.dumps(document | {"remark": "by hand", "decisions": [
         *mine, *document["decisions"]
     ]}), "utf-8-sig")  # fmt: skip
-    overview = look(kept.folders)
+    overview = read_overview(kept.folders)
     assert overview.rows["T1"].state == REJECTED
     assert [note.partition(": expected ")[2].partition(". ")[0] for note in overview.notes] == [
         "a decision, found 'a word'",
@@ -146,10 +146,10 @@ def test_a_decision_is_carried_over_to_a_newer_way_of_processing(
     old = decide(kept.folders, "T1", REJECT)
     monkeypatch.setattr("labpipe.process.run.PROCESSING_VERSION", 1000)
     monkeypatch.setattr("labpipe.campaign.content_keys._code", lambda: "newer")
-    assert look(kept.folders).rows["T1"].why == "newer labpipe"
+    assert read_overview(kept.folders).rows["T1"].why == "newer labpipe"
     kept.stand_in.shift = shift
     kept.run()
-    row = look(kept.folders).rows["T1"]
+    row = read_overview(kept.folders).rows["T1"]
     assert (row.state, row.why == REJECT.because) == (REJECTED, is_carried)
     assert row.run != old.run
     decisions = written(kept)["decisions"]
@@ -212,16 +212,16 @@ def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -
     other = replace(mine, run="0" * 64)
     stray = replace(mine, test="../c/T-1")
     file = saved(tmp_path / "decisions (1).json", mine, accepted, accepted, other, stray)
-    taken, faults = take_in_file(processed, "c", file)
+    taken, faults = import_decision_file(processed, "c", file)
     assert taken.added == [accepted]
-    assert taken.known == 1
+    assert taken.n_known == 1
     assert [(each.test, why.split(":")[0]) for each, why in taken.left] == [
-        ("T-1", "it was made on another key"),
+        ("T-1", "exports, sheet, protocol or labpipe changed"),
         ("../c/T-1", "there is no such test"),
     ]
     assert faults == ()
     assert read_decisions(processed).decisions == (mine, accepted)
-    assert take_in_file(processed, "c", file)[0].added == []
+    assert import_decision_file(processed, "c", file)[0].added == []
 
 
 def test_a_test_below_a_nearer_file_is_decided_on_there(processed: Path) -> None:
@@ -230,11 +230,11 @@ def test_a_test_below_a_nearer_file_is_decided_on_there(processed: Path) -> None
     (processed / "T-3").rename(inner / "T-3")
     add_decisions(inner, "c/inner", [])
     said = decision_on(processed, "inner/T-3")
-    assert take_in(processed, "c", [said]).added == [said]
+    assert import_decisions(processed, "c", [said]).added == [said]
     assert read_decisions(inner).decisions == (replace(said, test="T-3"),)
     assert not (processed / "decisions.json").exists()
     later = replace(said, test="T-3", when="2026-03-11")  # as the page names it from now on
-    assert take_in(processed, "c", [said, later]).known == 1
+    assert import_decisions(processed, "c", [said, later]).n_known == 1
     assert len(read_decisions(inner).decisions) == 2
 
 
@@ -243,12 +243,12 @@ def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path
     broken.write_text("{", "utf-8")
     own = saved(processed / "decisions.json", decision_on(processed, "T-1"))
     for given, message in (
-        (file, "expected a file that a page saved, found nothing of that name"),
+        (file, "expected a file saved by a report page, found nothing of that name"),
         (broken, "line 1, column 2: expected decisions in JSON"),
-        (own, r"found the campaign's own\. What stands in it counts"),
+        (own, r"found that of the campaign\. What stands in it counts"),
     ):
         with pytest.raises(UsageError, match=message):
-            take_in_file(processed, "c", given)
+            import_decision_file(processed, "c", given)
     saved(file, decision_on(processed, "T-2"), campaign="other")
     ran = run("campaign", "decide", processed, "--from", file)
     assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from labpipe.campaign.executors import executor_of
-from labpipe.campaign.outcomes import Outcome, outcome_of, settled
+from labpipe.campaign.outcomes import Outcome, outcome_of, outcome_of_call
 from labpipe.campaign.runs import process_tests, run_jobs
 from labpipe.campaign.warm_worker import WarmWorker
 from labpipe.campaign.workers import CallRaised, ProcessDied, WorkerPool, in_processes
@@ -130,14 +130,14 @@ def test_what_is_printed_and_read_there_is_no_message_of_ours() -> None:
 def test_a_process_that_dies_between_two_calls_costs_none() -> None:
     pool: WorkerPool[str, int] = WorkerPool(int, jobs=1)
     try:
-        assert list(pool.as_they_end(["1"])) == [("1", 1)]
+        assert list(pool.as_completed(["1"])) == [("1", 1)]
         (worker,) = pool._workers
         assert worker.process is not None
         worker.process.kill()
         worker.process.wait()
-        assert list(pool.as_they_end(["2", "3"])) == [("2", 2), ("3", 3)]
+        assert list(pool.as_completed(["2", "3"])) == [("2", 2), ("3", 3)]
     finally:
-        pool.leave()
+        pool.close()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
@@ -151,8 +151,8 @@ ORPHANS = """
 import os, time
 from functools import partial
 from pathlib import Path
-from labpipe.campaign.workers import as_they_end
-ended = as_they_end(eval, ["__import__('os').getpid()", "__import__('time').sleep(60)"], jobs=1)
+from labpipe.campaign.workers import as_completed
+ended = as_completed(eval, ["__import__('os').getpid()", "__import__('time').sleep(60)"], jobs=1)
 print(next(ended)[1], flush=True)
 time.sleep(60)
 """
@@ -184,16 +184,16 @@ def test_the_first_result_that_is_not_ok_counts(tmp_path: Path) -> None:
 
 def test_what_came_of_a_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
-    died = settled(task, ProcessDied(-signal.SIGTERM))
+    died = outcome_of_call(task, ProcessDied(-signal.SIGTERM))
     assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
-    late = settled(task, ProcessDied(-signal.SIGTERM, 120.0))
+    late = outcome_of_call(task, ProcessDied(-signal.SIGTERM, 120.0))
     assert late.code == "time_limit"
-    assert "expected an end within 2 minutes, found none" in late.reason
+    assert "expected an end within 2 minutes, found no end" in late.reason
     assert {died.code, late.code} <= CODES.keys()
     done = Outcome(task.sheet, None, "ok")
-    assert settled(task, done) is done
+    assert outcome_of_call(task, done) is done
     with pytest.raises(ZeroDivisionError):
-        settled(task, CallRaised(ZeroDivisionError()))
+        outcome_of_call(task, CallRaised(ZeroDivisionError()))
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +201,7 @@ def worker() -> Iterator[WarmWorker]:
     made = WarmWorker()
     made.warm()
     yield made
-    made.leave()
+    made.close()
 
 
 def refuse() -> None:

@@ -16,12 +16,12 @@ from labpipe.campaign.grouping import (
     division,
     find_differences,
     group_names,
-    in_turn,
     key_of,
+    missing_fields,
+    rename_shared_spools,
     setting_notes,
     settings_of,
-    with_own_spools,
-    without,
+    sort_keys,
 )
 from labpipe.errors import UsageError
 from labpipe.protocol.load import dump_protocol, find_protocol, load_protocol, parse_protocol
@@ -46,23 +46,23 @@ TUBE = bundle_sample(None, 3, spool="s2")
 def test_keys_and_names() -> None:
     by = ("wire", "cured")
     keys = [key_of(sample, by) for sample in (SEVEN, TWELVE, TUBE)]
-    assert [key.words for key in keys] == [("B1", "24 h"), ("B1", ""), ("", "")]
+    assert [key.field_values for key in keys] == [("B1", "24 h"), ("B1", ""), ("", "")]
     assert list(group_names(keys, by).values()) == [
         "wire B1, cured 24 h",
         "wire B1, without cured",
         "without wire, without cured",
     ]
-    assert [without(key, by) for key in keys[:2]] == [[], ["cured"]]
+    assert [missing_fields(key, by) for key in keys[:2]] == [[], ["cured"]]
     for field, words in (("number", ["", "7", "12"]), ("type", ["tube-10", "tube-5"])):
         shuffled = [Key((word,), "p") for word in reversed(words)]
-        assert [key.words[0] for key in in_turn(shuffled, (field,))] == words
+        assert [key.field_values[0] for key in sort_keys(shuffled, (field,))] == words
 
 
 def test_an_unknown_field_is_told_with_the_nearest() -> None:
     with pytest.raises(UsageError) as told:
         check_fields(["wire", "tapping"], [SEVEN, TUBE], "--by")
     assert str(told.value) == (
-        "--by: expected fields of these test sheets, which are type, spool, wire, number,"
+        "--by: expected fields of these test sheets: type, spool, wire, number,"
         " composition, arrangement, tape, taping, conduit, cured, length, found 'tapping'."
         " Write taping, or another of them."
     )
@@ -70,13 +70,13 @@ def test_an_unknown_field_is_told_with_the_nearest() -> None:
 
 
 def test_spools_of_one_name_belong_to_their_types() -> None:
-    samples, renamed = with_own_spools([SEVEN, TWELVE, TUBE])
+    samples, renamed = rename_shared_spools([SEVEN, TWELVE, TUBE])
     assert renamed == ["s1"]
     assert [sample.specimen.spool for sample in samples] == [
         f"{SEVEN.specimen.type} s1", f"{TWELVE.specimen.type} s1", "s2",
     ]  # fmt: skip
     again = replace(SEVEN, test="other")
-    assert with_own_spools([SEVEN, again]) == ([SEVEN, again], [])
+    assert rename_shared_spools([SEVEN, again]) == ([SEVEN, again], [])
 
 
 def test_lengths_of_one_type_are_two_groups_unless_asked_otherwise() -> None:
@@ -139,8 +139,8 @@ def test_tests_that_were_processed_otherwise_are_told() -> None:
     settings[samples[0].source] = {"results.kink.to": "4 mm"}
     wishes = {PROTOCOL: Groups(main=MAIN)}
     differences = find_differences(grouped(samples), wishes, settings, by=("type",))
-    message = "; the tests were processed otherwise: results.kink.to differ"
-    assert differences.shown[0].words.endswith(message)
+    message = "; the tests were processed with different settings: results.kink.to differ"
+    assert differences.listed[0].words.endswith(message)
 
 
 @pytest.fixture(scope="module")
@@ -161,14 +161,14 @@ def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
     other = settings_of(changed(tube, "force_below: 50 %", "force_below: 20 %"))
     (note,) = setting_notes({"a": own, "b": own, "c": other})
     assert (note.code, note.where) == ("protocols_differ", "curve.failure.force_below")
-    assert note.message == "set otherwise from test to test: 20 % (c) and 50 % (a, b)"
+    assert note.message == "different settings among the tests: 20 % (c) and 50 % (a, b)"
     assert differing_settings({"a": own, "c": other}) == (
-        "the tests were processed otherwise: curve.failure.force_below differ",
+        "the tests were processed with different settings: curve.failure.force_below differ",
     )
     assert not differing_settings({"a": own, "b": own})
     bare = settings_of(tube.model_copy(update={"steps": (), "results": (), "branches": None}))
     assert differing_settings({"a": own, "b": bare}) == (
-        "the tests were processed otherwise: steps, branches, results differ",
+        "the tests were processed with different settings: steps, branches, results differ",
     )
 
 
@@ -180,6 +180,6 @@ def test_a_block_that_differs_in_many_settings_is_told_once(tube: Protocol) -> N
     notes = setting_notes({"with": own | {f"align.a{k}": "y" for k in range(5)}, "without": other})
     (align,) = [note for note in notes if note.where == "align"]
     assert align.message == (
-        "set otherwise from test to test: 5 settings, the first align.a0: y (with) and x (without)"
+        "different settings among the tests: 5 settings, the first align.a0: y (with) and x (without)"
     )
     assert not [note for note in notes if note.where.startswith("align.")]

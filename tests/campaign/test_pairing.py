@@ -77,7 +77,7 @@ def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
 
     assert state(candidate.folder) == before
     assert not written.is_new
-    assert written.said == (
+    assert written.messages == (
         "look: A2-085-3.csv is another one than its copy in the folder of the test;"
         " the copy counts",
     )
@@ -116,10 +116,10 @@ def test_files_that_no_rule_takes(campaign: Path) -> None:
     listed = list_candidates(campaign, plan_of(campaign))
 
     assert [candidate.name for candidate in listed.candidates] == ["A2-085-3", "A2-085-4"]
-    assert {path.name: why for path, why in listed.strangers.items()} == {
-        "notes.docx": "its name is of no pattern in campaign.yaml",
+    assert {path.name: why for path, why in listed.unmatched.items()} == {
+        "notes.docx": "its name fits no pattern in campaign.yaml",
         "a\nb.csv": "its name has control characters; rename it",
-        "A2-085-3_Force.mat": "A2-085-3_FORCE.mat is the force of the same test already",
+        "A2-085-3_Force.mat": "A2-085-3_FORCE.mat is already the force of the same test",
     }
 
 
@@ -131,7 +131,7 @@ def test_one_folder_per_test(lab: Lab) -> None:
     plan = plan_of(folder)
     listed = list_candidates(folder, plan)
     assert [candidate.name for candidate in listed.candidates] == ["T1"]
-    assert listed.strangers == {folder / "loose.csv": "it is in no folder of a test"}
+    assert listed.unmatched == {folder / "loose.csv": "it is not in the folder of a test"}
     written = pair_test(listed.candidates[0], plan)
     assert written.open == ("type", "spool", "sample")
     with pytest.raises(ProtocolError, match=r"specimen\.spool"):
@@ -148,7 +148,7 @@ def test_folders_by_their_pattern(lab: Lab) -> None:
     (folder / "campaign.yaml").write_text(plan, encoding="utf-8")
     listed = list_candidates(folder, plan_of(folder))
     (candidate,) = listed.candidates
-    assert list(listed.strangers) == [folder / "other" / "x.csv"]
+    assert list(listed.unmatched) == [folder / "other" / "x.csv"]
     assert pair_test(candidate, plan_of(folder)).open == ()
     specimen = load_test_sheet(candidate.sheet).specimen
     fields = (specimen.spool, specimen.type, specimen.sample, specimen.length)

@@ -14,7 +14,7 @@ import pytest
 from labpipe.campaign.catalog import OK, Catalog, Entry, Seen, TestRow, as_json
 from labpipe.campaign.catalog_file import new_catalog
 from labpipe.campaign.outcome_rows import ResultRow
-from labpipe.campaign.queries import Answer, answered, escaped, write_answer, write_workbook
+from labpipe.campaign.queries import Answer, escaped, query_results, write_answer, write_workbook
 from labpipe.errors import UsageError
 
 NASTY = "=1+1 " + string.printable + "\x00\x1b[31m\u202eü"
@@ -53,7 +53,7 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
 
 
 def asked(catalog: Catalog, where: str) -> list[dict[str, object]]:
-    with answered(catalog, where) as answer:
+    with query_results(catalog, where) as answer:
         return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
 
 
@@ -84,22 +84,22 @@ ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) sele
     ("where", "said"),
     [
         ("forse > 1", r"found no such column: forse\. Nearest: "),
-        ("type = A1 or nam = 2", r"found no such column: A1\. Nearest: .*Text stands in single"),
+        ("type = A1 or nam = 2", r"found no such column: A1\. Nearest: .*Write text in single"),
         ("name = 'x", "found unrecognized token"),
         ("1; drop table tests", "found near"),
         ("1) ; drop table tests; --", "one statement at a time"),
         ("load_extension('x')", "found "),
-        ("(select count(*) from pragma_table_info('tests')) > 0", "A condition can only look at"),
+        ("(select count(*) from pragma_table_info('tests')) > 0", "A condition can only read"),
         ("value > 'a\x00b'", "found "),
         (f"{'(' * 5000}1{')' * 5000}", "found "),
         ("'\ud800' = name", "found "),
-        (f"{ENDLESS} > 0", r"found one without an end\. A recursive part needs a limit"),
+        (f"{ENDLESS} > 0", r"found one that takes too long\. Limit its recursive part"),
     ],
 )
 def test_a_condition_that_is_none(
     catalog: Catalog, where: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.queries._STEPS", 1000)
+    monkeypatch.setattr("labpipe.campaign.queries._STEPS_PER_CHECK", 1000)
     with pytest.raises(
         UsageError, match=r"(?s)^--where, .*: expected a condition in SQL"
     ) as caught:
@@ -110,7 +110,7 @@ def test_a_condition_that_is_none(
 
 def written(catalog: Catalog, form: str, where: str = "") -> str:
     out = io.StringIO()
-    with answered(catalog, where) as answer:
+    with query_results(catalog, where) as answer:
         write_answer(answer, form, out)
     return out.getvalue()
 
@@ -139,7 +139,7 @@ def test_a_text_in_a_csv_is_no_formula(cell: str) -> None:
 
 
 def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None:
-    with answered(catalog, "") as answer:
+    with query_results(catalog, "") as answer:
         assert write_workbook(answer, tmp_path / "out.xlsx") == 4
     sheet = openpyxl.load_workbook(tmp_path / "out.xlsx")["results"]
     rows = list(sheet.iter_rows())
@@ -154,9 +154,9 @@ def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None
 def test_more_rows_than_a_sheet_takes(
     catalog: Catalog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.queries._MOST_ROWS", 3)
-    message = "expected 3 rows at the most, found 4. Ask for less with --where, or take"
-    with answered(catalog, "") as answer, pytest.raises(UsageError, match=message):
+    monkeypatch.setattr("labpipe.campaign.queries._MAX_SHEET_ROWS", 3)
+    message = "expected 3 rows at most, found 4. Ask for less with --where, or take"
+    with query_results(catalog, "") as answer, pytest.raises(UsageError, match=message):
         write_workbook(answer, tmp_path / "out.xlsx")
     assert not (tmp_path / "out.xlsx").exists()
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
-from labpipe.campaign.protocol_facts import number_kinds, with_sizes
+from labpipe.campaign.protocol_facts import add_sizes, number_kinds
 from labpipe.campaign.report_samples import frames_at_steps, sample_of
 from labpipe.campaign.reporting import (
     RECIPE_FILE,
@@ -148,7 +148,7 @@ def test_main_numbers_come_first_and_are_compared(labelled: list[Path]) -> None:
 
 
 def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
-    by_cure = make_campaign(labelled, "", wanted=ReportOptions(by=("cured",)))
+    by_cure = make_campaign(labelled, "", options=ReportOptions(by=("cured",)))
     assert [group.name for group in by_cure.groups] == ["without cured", "cured 24 h", "cured 48 h"]
     assert by_cure.by == ("cured",)
     none, first, _ = by_cure.groups
@@ -159,7 +159,7 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     other = {"type": ("hose", "tube"), "cured": ("not said", "48 h")}
     assert by_cure.differences[-1].fields == other
     wanted = ReportOptions(by=("type", "cured"), alone="cured")
-    campaign = make_campaign(labelled, "", wanted=wanted)
+    campaign = make_campaign(labelled, "", options=wanted)
     names = [group.name for group in campaign.groups]
     assert names == ["hose, without cured", "tube, cured 24 h", "tube, cured 48 h"]
     assert {str(one.fields) for one in campaign.differences} == {"{'cured': ('24 h', '48 h')}"}
@@ -172,18 +172,18 @@ def test_a_report_is_made_again_as_it_was(results: Path, tmp_path: Path) -> None
     made = Recipe("Tubes", ReportOptions(("spool",), "", tmp_path / "w.xlsx"), beside)
     (tmp_path / RECIPE_FILE).write_text(made.text(tmp_path), encoding="utf-8")
     assert Recipe.read(tmp_path) == made
-    typed = Recipe("Other", beside=ReportContext(Letterhead((("Order", "4712"),))))
+    typed = Recipe("Other", context=ReportContext(Letterhead((("Order", "4712"),))))
     again = typed.or_earlier(Recipe.read(tmp_path))
-    assert (again.title, again.wanted) == ("Other", made.wanted)
+    assert (again.title, again.options) == ("Other", made.options)
     facts = (("Customer", "a"), ("Order", "4712"))
-    assert again.beside.letterhead == Letterhead(facts, "data:x")
+    assert again.context.letterhead == Letterhead(facts, "data:x")
     assert Recipe.read(results) == Recipe()
-    report = report_tests([results], title="Tubes", beside=ReportContext(letterhead))
-    assert Recipe.read(report.folder).beside.letterhead == letterhead
+    report = report_tests([results], title="Tubes", context=ReportContext(letterhead))
+    assert Recipe.read(report.folder).context.letterhead == letterhead
 
 
 def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
-    campaign = make_campaign(find_results([done]), "", wanted=ReportOptions(wires=EXAMPLES))
+    campaign = make_campaign(find_results([done]), "", options=ReportOptions(wires=EXAMPLES))
     assert (campaign.wire_sheet, campaign.places) == ("wires.xlsx", ())
     said: list[str] = []
     with pytest.raises(LabpipeError, match=r"none\.xlsx"):
@@ -280,10 +280,10 @@ def test_frames_at_round_steps_of_the_first_loading(done: Path) -> None:
 def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them() -> None:
     section = Section.model_validate({"width": "18.8 mm", "area": "5 mm^2"})
     said = SpecimenBlock.model_validate({"length": "300 mm", "section": section})
-    specimen = with_sizes(Specimen("tape", "s1", "1", {"length": 0.25}), said)
+    specimen = add_sizes(Specimen("tape", "s1", "1", {"length": 0.25}), said)
     assert specimen.dimensions == {"length": 0.25, "width": 0.0188}
     bare = Specimen("tape", "s1", "1")
-    assert with_sizes(bare, SpecimenBlock()) == bare
+    assert add_sizes(bare, SpecimenBlock()) == bare
 
 
 @pytest.mark.parametrize(

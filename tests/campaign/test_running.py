@@ -15,13 +15,13 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.campaign_folders import find_campaign, look_at_outcome
+from labpipe.campaign.campaign_folders import find_campaign, find_outcome
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.outcome_rows import StoredOutcome, read_outcome_files
 from labpipe.campaign.raw_file_usage import account_for_files
-from labpipe.campaign.refreshing import opened_campaign
-from labpipe.campaign.running import clear_failures, decide, look, rebuild, run_some
+from labpipe.campaign.refreshing import open_campaign
+from labpipe.campaign.running import clear_failures, decide, read_overview, rebuild, run_tests
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.process.run import process_test
 from labpipe.store.failure_file import FailedTest, write_failure
@@ -39,7 +39,7 @@ def kept(tmp_path: Path) -> KeptCampaign:
 
 
 def states(kept: KeptCampaign) -> dict[str, str]:
-    return {folder: row.state for folder, row in look(kept.folders).rows.items()}
+    return {folder: row.state for folder, row in read_overview(kept.folders).rows.items()}
 
 
 def test_what_is_new_or_changed_is_processed_and_nothing_else(kept: KeptCampaign) -> None:
@@ -48,7 +48,7 @@ def test_what_is_new_or_changed_is_processed_and_nothing_else(kept: KeptCampaign
     ran = kept.run()
     assert kept.stand_in.processed == ["T1", "T2", "T3"]
     assert {name: outcome.state for name, outcome in ran.processed.items()} == expected
-    rows = look(kept.folders).rows
+    rows = read_overview(kept.folders).rows
     assert {name: row.state for name, row in rows.items()} == expected
     assert (rows["T3"].code, rows["T3"].reason[:5]) == ("unreadable_export", "a unr")
     kept.run()
@@ -57,7 +57,7 @@ def test_what_is_new_or_changed_is_processed_and_nothing_else(kept: KeptCampaign
     sheet = kept.raw / "T1" / "test.yaml"
     sheet.write_text(sheet.read_text("utf-8") + "operator: somebody\n", "utf-8")
     kept.add("T4")
-    rows = look(kept.folders).rows
+    rows = read_overview(kept.folders).rows
     assert {name: (row.state, row.why) for name, row in rows.items() if row.why} == {
         "T1": (STALE, "sheet changed"),
         "T2": (STALE, "export changed (frame.csv)"),
@@ -80,7 +80,7 @@ def test_a_changed_protocol_runs_its_tests_again(
     kept.run()
     assert kept.stand_in.processed == []
     own.write_text(text.replace("crosshead_speed: 0.423", "crosshead_speed: 0.5"), "utf-8")
-    assert look(kept.folders).rows["P"].why == "protocol changed"
+    assert read_overview(kept.folders).rows["P"].why == "protocol changed"
     kept.run()
     assert kept.stand_in.processed == ["P"]
 
@@ -99,7 +99,7 @@ def test_exports_that_were_taken_away(kept: KeptCampaign) -> None:
 def test_failures_are_cleared_by_code(kept: KeptCampaign) -> None:
     kept.add("T4", "fail process_died")
     kept.run()
-    message = "expected failures of the code 'proces', found process_died, unreadable_export"
+    message = "expected failures with the code 'proces', found process_died, unreadable_export"
     with pytest.raises(UsageError, match=message):
         clear_failures(kept.folders, "proces")
     for code, names in (("process_died", ["T4"]), ("", ["T3", "T4"])):
@@ -113,9 +113,9 @@ def test_a_result_of_a_newer_labpipe_is_left_alone_until_it_is_cleared(kept: Kep
     kept.run()
     path = kept.processed / "T1" / "summary.json"
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), "schema": 99}), "utf-8")
-    row = look(kept.folders).rows["T1"]
+    row = read_overview(kept.folders).rows["T1"]
     assert (row.state, row.code) == (FAILED, "newer_result")
-    assert "expected 2, or one before it, found 99. A newer labpipe made it" in row.reason
+    assert "expected 2 or less, found 99. A newer labpipe made it" in row.reason
     kept.run()
     assert kept.stand_in.processed == []
     kept.run(again=clear_failures(kept.folders, "newer_result"))
@@ -138,7 +138,7 @@ def test_a_damaged_summary_is_made_again(kept: KeptCampaign, damage: str | dict[
     path = kept.processed / "T1" / "summary.json"
     before = json.loads(path.read_text("utf-8"))
     path.write_text(damage if isinstance(damage, str) else json.dumps(before | damage), "utf-8")
-    row = look(kept.folders).rows["T1"]
+    row = read_overview(kept.folders).rows["T1"]
     assert row.state == PENDING
     assert row.why.startswith("summary.json ")
     kept.run()
@@ -172,7 +172,7 @@ def test_what_ends_a_run_gives_its_claims_back(kept: KeptCampaign, error: BaseEx
     kept.stand_in.before = before
     with pytest.raises(type(error)):
         kept.run()
-    overview = look(kept.folders)
+    overview = read_overview(kept.folders)
     assert (overview.claims, overview.counts) == ({}, {OK: 1, PENDING: 2})
 
 
@@ -186,14 +186,14 @@ def test_a_folder_that_cannot_be_written(
     with pytest.raises(StoreError, match="expected a folder to write in, found one that cannot"):
         kept.run()
     (kept.processed / "catalog.sqlite").unlink()
-    overview = look(kept.folders)
+    overview = read_overview(kept.folders)
     assert overview.rows["T1"].state == OK
     assert overview.notes == [
         f"{kept.processed / 'catalog.sqlite'}: the folder cannot be written: a catalog was made in"
         " memory"
     ]
     monkeypatch.undo()
-    look(kept.folders)
+    read_overview(kept.folders)
     assert content_of(kept) == before
 
 
@@ -225,7 +225,7 @@ def test_killed_now_and_then(kept: KeptCampaign, repository: Path, moments: list
             process.kill()
         (kept.raw / f"K{number % 20:02d}" / "frame.csv").write_text(f"{70 + number}", "utf-8")
     kept.run()
-    overview = look(kept.folders)
+    overview = read_overview(kept.folders)
     assert (overview.counts[OK], overview.claims) == (21, {})
     before = content_of(kept)
     assert len(before["results"]) == 22
@@ -237,12 +237,14 @@ def test_killed_now_and_then(kept: KeptCampaign, repository: Path, moments: list
 
 def test_some_tests_alone(kept: KeptCampaign) -> None:
     told: list[str] = []
-    ran = run_some(kept.folders, kept.stand_in, ["T2"], told=lambda folder, _: told.append(folder))
+    ran = run_tests(
+        kept.folders, kept.stand_in, ["T2"], on_outcome=lambda folder, _: told.append(folder)
+    )
     assert told == kept.stand_in.processed == ["T2"]
     assert {folder: row.state for folder, row in ran.items() if row} == {"T2": DOUBTFUL}
     assert states(kept) == {"T1": PENDING, "T2": DOUBTFUL, "T3": PENDING}
 
-    assert run_some(kept.folders, kept.stand_in, ["T2"]) == ran
+    assert run_tests(kept.folders, kept.stand_in, ["T2"]) == ran
     assert kept.stand_in.processed == ["T2"]  # not again
 
 
@@ -258,7 +260,7 @@ def test_odd_names_are_kept(tmp_path: Path) -> None:
         sheet.write_text(text, "utf-8")
     kept.run()
     assert sorted(kept.stand_in.processed) == sorted(f"x{name}" for name in ODD)
-    assert look(kept.folders).counts == {OK: len(ODD)}
+    assert read_overview(kept.folders).counts == {OK: len(ODD)}
     kept.run()
     assert kept.stand_in.processed == []
 
@@ -336,7 +338,7 @@ def follow(home: Path, seed: int, steps: int) -> None:
     accidents = Accidents(kept, seed)
     for _ in range(steps):
         accidents.happen()
-        look(kept.folders)
+        read_overview(kept.folders)
         before = content_of(kept)
         rebuild(kept.folders)
         assert content_of(kept) == before, accidents.said[-6:]
@@ -373,8 +375,8 @@ def test_every_file_is_used_waiting_failed_or_unknown(tmp_path: Path) -> None:
     odd = [f"incoming/{name}.csv" for name in ("T1_frame", "T9_frame", "x")]
     for name in (*odd, "T1/photo.jpg", "notes \x07.txt"):
         (kept.raw / name).write_text("", "utf-8")
-    with opened_campaign(kept.folders) as keeper:
-        files = account_for_files(keeper, keeper.refresh())
+    with open_campaign(kept.folders) as sync:
+        files = account_for_files(sync, sync.refresh())
     assert files == {
         "used": ["T1/frame.csv", "T1/test.yaml", "campaign.yaml", odd[0]],
         "waiting": ["T4/test.yaml", odd[1], "more/T3/frame.csv", "more/T3/test.yaml"],
@@ -392,13 +394,13 @@ def one_test(tmp_path: Path) -> KeptCampaign:
 
 
 def outcome(one_test: KeptCampaign) -> StoredOutcome:
-    return read_outcome_files(look_at_outcome(one_test.folders, "T1"))
+    return read_outcome_files(find_outcome(one_test.folders, "T1"))
 
 
 def test_of_a_real_test(tmp_path: Path) -> None:
     lab = small_pulls(tmp_path, 1)[0]
     made = process_test(lab.sheet, figures=False).result
-    stored = read_outcome_files(look_at_outcome(find_campaign(lab.raw.parent), lab.name))
+    stored = read_outcome_files(find_outcome(find_campaign(lab.raw.parent), lab.name))
     assert (stored.test, stored.run, stored.protocol) == (made.test, made.run, made.protocol)
     assert made.specimen.dimensions.items() <= stored.specimen.items()
     assert [(one.name, one.value, one.unit, one.status) for one in stored.results] == [
@@ -446,7 +448,7 @@ def test_half_characters_are_written_out(one_test: KeptCampaign) -> None:
 def test_a_test_that_an_orphan_still_writes_is_tried_again(
     kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.running._PAUSE", 0.01)
+    monkeypatch.setattr("labpipe.campaign.running._RETRY_PAUSE", 0.01)
     (kept.raw / "T1" / "frame.csv").write_text("fail in_use", "utf-8")
     tries: list[str] = []
 

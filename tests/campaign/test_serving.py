@@ -144,8 +144,8 @@ def test_who_has_no_token_gets_nothing(asked: Asked) -> None:
         ({"Host": "127.0.0.1"}, "found '127.0.0.1'."),
         ({"Origin": "http://evil.example"}, "Origin: expected http://127.0.0.1:"),
         ({"Origin": "null"}, "found 'null'"),
-        ({"Sec_Fetch_Site": "cross-site"}, "Another site asks."),
-        ({"Sec_Fetch_Site": "same-site"}, "Another site asks."),
+        ({"Sec_Fetch_Site": "cross-site"}, "The request came from another site."),
+        ({"Sec_Fetch_Site": "same-site"}, "The request came from another site."),
     ],
 )
 def test_other_sites_are_refused(asked: Asked, headers: dict[str, str], why: str) -> None:
@@ -171,8 +171,8 @@ def test_decisions_are_saved_at_once(asked: Asked) -> None:
     assert answer.status == 200
     assert answer.said["decisions"] == [entry]
     assert answer.said["said"] == (
-        "1 decision saved. T-1: not saved: it was made on another key: exports, sheet, protocol or"
-        " labpipe changed. They count once the report is made again."
+        "1 decision saved. T-1: not saved: exports, sheet, protocol or labpipe changed: exports, sheet, protocol or"
+        " labpipe changed. They take effect when the report is made again."
     )
     (kept,) = read_decisions(asked.site.folder).decisions
     assert (kept.test, kept.decision, kept.when) == ("T-2", "reject", WHEN)
@@ -231,7 +231,7 @@ def test_a_decision_at_no_time_is_not_saved(asked: Asked, when: str) -> None:
     entry = asdict(decision_on(asked.site.folder, "T-1")) | {"when": when}
     answer = asked.post("report/decisions", {"schema": 1, "decisions": [entry]})
     assert answer.said["decisions"] == []
-    assert f"T-1: not saved: its time '{when[:40]}' is none such as 20" in answer.said["said"]
+    assert f"T-1: not saved: its time '{when[:40]}' is not in the form 20" in answer.said["said"]
     assert not (asked.site.folder / "decisions.json").exists()
 
 

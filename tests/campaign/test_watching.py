@@ -20,8 +20,15 @@ import pytest
 from labpipe.campaign.campaign_folders import find_campaign
 from labpipe.campaign.executors import Outcome, local
 from labpipe.campaign.pairing import pair_test
-from labpipe.campaign.quick_look import GroupsSoFar, Shown, actions, actions_for, refused, verdict
-from labpipe.campaign.running import look
+from labpipe.campaign.quick_look import (
+    CampaignGroups,
+    DisplaySettings,
+    actions,
+    actions_for,
+    failure_lines,
+    verdict,
+)
+from labpipe.campaign.running import read_overview
 from labpipe.campaign.watched_campaign import WatchedCampaign
 from labpipe.campaign.watching import Watcher
 from labpipe.errors import CODES, ProcessingError, ProtocolError
@@ -138,8 +145,8 @@ def test_a_test_is_paired_processed_and_judged_once(
     assert said[0] == "A2-085-1: wrote A2-085-1/test.yaml"
     assert said[-3:] == [
         "A2-085-1: WELL, 1 ok",
-        "  peak_force.1 1 N; the first of its group",
-        "  nothing to look at: the specimen can come off",
+        "  peak_force.1 1 N; first of its group",
+        "  nothing to check: the specimen can be dismounted",
     ]
     assert bench.drawn == ["A2-085-1"]
     assert bench.go(20) == ""
@@ -169,7 +176,10 @@ def test_a_file_that_cannot_be_read_yet_is_said_after_a_while_and_read_once_it_c
     assert bench.go(50, step=5) == ""
     said = bench.go(30, step=5)
     assert said.startswith("A2-085-1: force.mat cannot be read yet (expected a whole MAT v5 file")
-    assert bench.go(3600, step=30) == "A2-085-1: force.mat cannot be read after an hour; waited for"
+    assert (
+        bench.go(3600, step=30)
+        == "A2-085-1: force.mat cannot be read after an hour; waiting for it"
+    )
     assert bench.go(3600, step=30) == ""
     (folder / "force.mat").write_bytes(exports["force.mat"])
     assert "WELL" in bench.go(3)
@@ -183,7 +193,7 @@ def test_a_locked_file_is_waited_for(
         patch.setattr("labpipe.campaign.file_stability._opens", lambda path: path.suffix != ".mat")
         assert bench.go(59, step=1) == ""
         assert bench.go(10, step=1) == (
-            "A2-085-1: force.mat cannot be opened, another program holds it; waited for"
+            "A2-085-1: force.mat cannot be opened, another program uses it; waiting for it"
         )
         assert "still cannot be opened after an hour" in bench.go(3600, step=30)
     assert "WELL" in bench.go(3)
@@ -196,11 +206,11 @@ def test_a_folder_that_goes_away_is_said_once_and_waited_for(
     bench.go(3)
     away = bench.campaign.home / "away"
     bench.campaign.raw.rename(away)
-    assert bench.go(30) == f"{bench.campaign.raw}: no such file or directory; waited for"
+    assert bench.go(30) == f"{bench.campaign.raw}: no such file or directory; waiting for it"
     away.rename(bench.campaign.raw)
     put(bench, "A2-085-2", exports)
     said = bench.go(6)
-    assert said.startswith(f"{bench.campaign.raw}: is there again\n")
+    assert said.startswith(f"{bench.campaign.raw}: available again\n")
     assert "A2-085-2: WELL" in said
     assert bench.campaign.asked == ["A2-085-1", "A2-085-2"]
 
@@ -215,7 +225,7 @@ def test_a_test_that_fails_or_has_gaps_is_processed_again_once_it_changed(
     sheet = put(bench, "A2-085-1", exports) / "test.yaml"
     message = bench.go(20)
     assert message.startswith("campaign.yaml was read again")
-    assert message.splitlines()[-1] == "  to be filled in: spool; it is processed then"
+    assert message.splitlines()[-1] == "  to fill in: spool; it is processed then"
     assert bench.campaign.asked == []
     text = sheet.read_text("utf-8").replace("spool:   # to be filled in", "spool: s")
     sheet.write_text(text, "utf-8")
@@ -236,7 +246,7 @@ def test_a_campaign_yaml_that_is_wrong_does_not_count(
     (bench.campaign.raw / "campaign.yaml").write_text("version: 1\nprotocl: x\n", encoding="utf-8")
     message = bench.go(10)
     assert "Did you mean 'protocol'?" in message
-    assert message.count("the last campaign.yaml that was right still counts") == 1
+    assert message.count("the last campaign.yaml is used") == 1
     put(bench, "A2-085-1", exports)
     assert "A2-085-1: WELL" in bench.go(4)
     with pytest.raises(ProtocolError):
@@ -262,7 +272,7 @@ def test_what_is_not_used_is_said_once(bench: Bench, exports: dict[str, bytes]) 
     folder = put(bench, "A2-085-1", exports)
     (folder / "a\nb\x1b[2J.csv").write_bytes(exports["take.csv"])
     said = bench.go(200, step=2)
-    assert "loose.csv: not used, it is in no folder of a test" in said
+    assert "loose.csv: not used, it is not in the folder of a test" in said
     assert "A2-085-1/a\\nb\\x1b[2J.csv: not used, its name has control characters" in said
     assert "\x1b" not in said
     assert "A2-085-1: WELL" in said
@@ -318,25 +328,25 @@ def watch(lab: Lab) -> Iterator[subprocess.Popen[str]]:
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
 def test_from_the_end_of_a_recording_to_figures(lab: Lab, watch: subprocess.Popen[str]) -> None:
     campaign = lab.raw.parent
-    wait_for(watch, "; Ctrl-C ends it")
+    wait_for(watch, "; press Ctrl+C to stop")
     (lab.home / "exports").rename(campaign / "T7")
     wait_for(watch, "T7: wrote T7/test.yaml")
     assert "WELL" in wait_for(watch, "T7: ")
-    assert wait_for(watch, "peak_force.1 ").endswith("; the first of its group")
-    wait_for(watch, "  nothing to look at: the specimen can come off")
+    assert wait_for(watch, "peak_force.1 ").endswith("; first of its group")
+    wait_for(watch, "  nothing to check: the specimen can be dismounted")
     figures = lab.home / "processed" / "c" / "T7" / "figures"
     while not figures.exists() and watch.poll() is None:
         time.sleep(0.1)
     watch.send_signal(signal.SIGINT)
-    wait_for(watch, "labpipe: interrupted; earlier results are as they were")
+    wait_for(watch, "labpipe: interrupted; earlier results are unchanged")
     assert watch.wait() == 130
     assert len(list(figures.iterdir())) == 6
-    overview = look(find_campaign(campaign))
+    overview = read_overview(find_campaign(campaign))
     assert {name: row.state for name, row in overview.rows.items()} == {"T7": "ok"}
 
 
 Summary = dict[str, Any]
-MM = Shown({"force": "mN"}, ("peak_force.1",))
+MM = DisplaySettings({"force": "mN"}, ("peak_force.1",))
 
 
 def summary(
@@ -359,7 +369,7 @@ def put_summary(folder: Path, said: Summary) -> Path:
 
 
 def lines(tmp_path: Path, said: Summary, before: Sequence[Summary] = ()) -> list[str]:
-    groups = GroupsSoFar()
+    groups = CampaignGroups()
     groups.read(
         {put_summary(tmp_path / f"T{i}", summary): "run" for i, summary in enumerate(before)}
     )
@@ -378,7 +388,7 @@ def test_a_number_outside_the_spread_so_far(tmp_path: Path) -> None:
 
 
 def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -> None:
-    groups = GroupsSoFar()
+    groups = CampaignGroups()
     folders = [put_summary(tmp_path / f"T{i}", summary(i)) for i in range(3)]
     long = put_summary(tmp_path / "L", summary(9.0, length=0.1))
     doubted = put_summary(tmp_path / "D", summary(9.0, status="doubtful", codes=["gap"]))
@@ -425,7 +435,7 @@ def test_words_of_verdicts(tmp_path: Path, approved: Approve) -> None:
         for number, (said, before) in enumerate(cases)
         for line in lines(tmp_path / str(number), said, before)
     ]
-    told += refused("T", "unreadable_export", "f.mat: expected a, found b. Do.\nmore")
+    told += failure_lines("T", "unreadable_export", "f.mat: expected a, found b. Do.\nmore")
     approved([*told, actions_for(["slack_unknown", "no_break", "gap", "saturation", "cut", "gap"])])
 
 
@@ -433,14 +443,14 @@ def test_words_of_verdicts(tmp_path: Path, approved: Approve) -> None:
 def test_a_test_that_another_labpipe_processes_is_tried_again(lab: Lab) -> None:
     folders = find_campaign(lab.raw.parent)
     watched = WatchedCampaign(folders, local(1))
-    from labpipe.campaign.refreshing import opened_campaign
+    from labpipe.campaign.refreshing import open_campaign
 
-    with opened_campaign(folders) as keeper:
-        keeper.refresh()
-        assert keeper.catalog.claim("T1")
+    with open_campaign(folders) as sync:
+        sync.refresh()
+        assert sync.catalog.claim("T1")
         with pytest.raises(ProcessingError, match=r"another labpipe at work on it"):
             watched.process(lab.sheet)
-        keeper.catalog.release("T1")
+        sync.catalog.release("T1")
     outcome = watched.process(lab.sheet)
     assert outcome is not None
     assert outcome.state == "ok"

@@ -23,7 +23,7 @@ from tests.builders.small_tests import Lab, Run
     ("error", "message"),
     [
         (LabpipeError("take.csv, line 3: expected this, found that. Do so."), "take.csv, line 3: "),
-        (MemoryError(), "expected data that go into the memory, found that"),
+        (MemoryError(), "expected enough free memory, found none left"),
     ],
 )
 def test_message_names_the_command(
@@ -98,7 +98,7 @@ def test_new_sees_what_lies_there(run: Run, lab: Lab) -> None:
     ran = run("new", folder)
     assert (ran.status, ran.err) == (DONE, "")
     assert ran.out.splitlines()[0] == f"wrote {folder / 'test.yaml'}"
-    assert ran.out.splitlines()[-1] == "  to be filled in: spool"
+    assert ran.out.splitlines()[-1] == "  to fill in: spool"
     assert "(specimen.spool): expected text, found nothing." in run("check", folder).err
     assert run("new", folder, "--spool", "A2-s1", "--overwrite").status == DONE
     assert run("check", folder).status == DONE
@@ -191,7 +191,7 @@ def test_a_file_of_ones_own_is_never_replaced(run: Run, tmp_path: Path) -> None:
     own.write_text("mine", encoding="utf-8")
     ran = run("examples", tmp_path)
     assert ran.status == BAD_INPUT
-    assert f"{own}: expected the example as it comes with labpipe, or no such file" in ran.err
+    assert f"{own}: expected the example unchanged, or no such file" in ran.err
     assert contents(tmp_path) == {"protocols/tensile.yaml": b"mine"}
 
 
@@ -229,7 +229,7 @@ def test_what_a_kind_does_not_have(run: Run, tmp_path: Path, options: str, rejec
     ran = run("simulate", "--out", tmp_path, *options.split())
     assert ran.status == BAD_INPUT
     assert ran.err.startswith("labpipe simulate: options: expected --rate and --fps such as ")
-    assert f"cycles that the kind has, found {rejected}. See `labpipe simulate --help`." in ran.err
+    assert f"cycles that fit the kind, found {rejected}. See `labpipe simulate --help`." in ran.err
 
 
 @pytest.fixture(scope="module")
@@ -259,7 +259,9 @@ def test_it_makes_the_report_and_opens_it(
     assert "Tubes" in page.read_text("utf-8")
     (address,) = opened
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{32}/", address)
-    assert ran.out == f"Tubes: {address}\nOnly this machine can open it. Ctrl+C ends it.\n\n"
+    assert (
+        ran.out == f"Tubes: {address}\nReachable from this machine only. Press Ctrl+C to stop.\n\n"
+    )
     page.write_text("as it was", "utf-8")
     run("serve", processed, "--port", "0", "--no-browser")
     assert page.read_text("utf-8") == "as it was"

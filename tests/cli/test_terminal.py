@@ -156,7 +156,7 @@ def test_a_processed_bundle_predicts_its_cycles(run: Run, tmp_path: Path) -> Non
     assert any(line.startswith("  work lost over the cycles left out") for line in lines)
     write_result(replace(bent_bundle(), results=()), tmp_path / "result.h5")
     ran = run("bundle", tmp_path, *out)
-    assert "  no loop is predicted: the test has no kink (kink_displacement" in ran.out
+    assert "  no hysteresis loop predicted: the test has no kink (kink_displacement" in ran.out
 
 
 @pytest.mark.parametrize("bore", ["10.7", "0 mm", "2 N"])

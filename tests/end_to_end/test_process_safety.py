@@ -90,7 +90,7 @@ def test_interrupt(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, stage: s
     raw, earlier = state(lab.home / "raw"), state(lab.processed)
     ran = run("process", lab.raw)
     assert ran.status == 130
-    assert "labpipe: interrupted; earlier results are as they were" in ran.err
+    assert "labpipe: interrupted; earlier results are unchanged" in ran.err
     assert state(lab.home / "raw") == raw
     assert state(lab.processed) == earlier
 
@@ -120,7 +120,7 @@ def test_real_interrupt(lab: Lab) -> None:
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert "interrupted; earlier results are as they were" in said
+    assert "interrupted; earlier results are unchanged" in said
     assert "Traceback" not in said
     assert state(lab.home / "raw") == raw
     assert state(lab.processed) == earlier
