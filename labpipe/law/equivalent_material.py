@@ -118,9 +118,11 @@ def equivalent_material(
     radius = 0.5 * diameter
     elastic = elastic_share * float(curvature[-1])
     strain = np.geomspace(elastic, float(curvature[-1]), n_knots) * radius
-    secant = _moment_at(elastic, curvature, moment) / elastic
+    secant = float(np.interp(elastic, np.append(0.0, curvature), np.append(0.0, moment))) / elastic
     modulus = secant / (0.25 * np.pi * radius**4)
-    parts = modulus * _segment_moments(curvature, strain, radius) / moment[:, np.newaxis]
+    # moments of bars with unit slope in one segment of strain only
+    segments = np.diff(_plastic_moment(curvature[:, None], strain, radius), axis=1, prepend=0.0)
+    parts = modulus * segments / moment[:, np.newaxis]
     above = curvature > elastic
     remaining = 1.0 - parts[above, 0]
     slopes = _bounded_slopes(parts[above, 1:], remaining)
@@ -129,27 +131,16 @@ def equivalent_material(
     return EquivalentMaterial(diameter, modulus, strain, stress, curvature, parts @ shares - 1.0)
 
 
-def _bounded_slopes(parts: Floats, right_side: Floats) -> Floats:
+def _bounded_slopes(parts: Floats, target: Floats) -> Floats:
     """Solve least squares with bounded slopes; by NNLS where that meets the upper bound."""
     max_slope = 0.999  # of the modulus: as steep as it, a curve has no plastic strain
     rounds_per_slope = 20  # with the default of one some searches stop early
     max_iterations = rounds_per_slope * parts.shape[1]
-    slopes = nnls(parts, right_side, maxiter=max_iterations)[0]
+    slopes = nnls(parts, target, maxiter=max_iterations)[0]
     if np.any(slopes > max_slope):
         bounds = (0.0, max_slope)
-        slopes = lsq_linear(
-            parts, right_side, bounds=bounds, method="bvls", max_iter=max_iterations
-        ).x
+        slopes = lsq_linear(parts, target, bounds=bounds, method="bvls", max_iter=max_iterations).x
     return np.asarray(slopes)
-
-
-def _moment_at(at: float, curvature: Floats, moment: Floats) -> float:
-    return float(np.interp(at, np.append(0.0, curvature), np.append(0.0, moment)))
-
-
-def _segment_moments(curvature: Floats, strain: Floats, radius: float) -> Floats:
-    """Return the moments of bars with unit slope in one segment of strain only, (m, n)."""
-    return np.diff(_plastic_moment(curvature[:, np.newaxis], strain, radius), axis=1, prepend=0.0)
 
 
 def _plastic_moment(curvature: Floats, strain: Floats, radius: float) -> Floats:

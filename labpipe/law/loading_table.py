@@ -74,12 +74,12 @@ class LoadingTable:
         the wire is bent as far the other way.
         """
         curvature, slope = self.bend(moment)
-        is_reversed = self._is_reversed(rest, moment)
-        if is_reversed.any():
-            way = 0.5 * (moment - rest)[is_reversed]
+        reverses = self._reverses(rest, moment)
+        if reverses.any():
+            way = 0.5 * (moment - rest)[reverses]
             bent, rise = self.bend(way)
-            before = np.broadcast_to(self.bend(rest)[0], moment.shape)[is_reversed]
-            curvature[is_reversed], slope[is_reversed] = before + 2.0 * bent, rise
+            before = np.broadcast_to(self.bend(rest)[0], moment.shape)[reverses]
+            curvature[reverses], slope[reverses] = before + 2.0 * bent, rise
         return curvature, slope
 
     def changes(self, moment: Floats) -> Floats:
@@ -99,22 +99,20 @@ class LoadingTable:
         rest_change : shape (parameters, stations), N m, derivative of the rest
         """
         changes = self.changes(moment)
-        is_reversed = self._is_reversed(rest, moment)
-        if is_reversed.any():
+        reverses = self._reverses(rest, moment)
+        if reverses.any():
             way = 0.5 * (moment - rest)
             slack = self.bend(rest)[1] - self.bend(way)[1]
             back = self.changes(rest)[:, None, :] + 2.0 * self.changes(way)
             back = back + slack * rest_change[:, None, :]
-            changes = np.where(is_reversed, back, changes)
+            changes = np.where(reverses, back, changes)
         return changes
 
     def _panel(self, size: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
         return np.minimum(np.searchsorted(self.moment[1:], size, side="right"), len(self.first) - 1)
 
     @staticmethod
-    def _is_reversed(
-        rest: Floats, moment: Floats
-    ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def _reverses(rest: Floats, moment: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         way = moment - rest
         turned: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] = (way * rest < 0.0) & (
             np.abs(way) < 2.0 * np.abs(rest)

@@ -184,7 +184,7 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
 def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) -> DahlLaw:
     max_exchanges = 40
-    convergence_tolerance = 1e-9  # of the error, absolute and relative
+    tolerance = 1e-9  # of the error, absolute and relative
     decay = np.geomspace(least, largest, _N_DECAYS)
     spring = np.broadcast_to(curvature / moment, (_N_DECAYS, len(curvature)))
     slider = -np.expm1(-curvature / decay[:, None]) / moment
@@ -197,22 +197,17 @@ def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) 
         errors = 1.0 - stiffness[:, None] * spring - height[:, None] * slider
         worst = np.argmax(np.abs(errors), axis=1)
         largest_error = np.take_along_axis(errors, worst[:, None], axis=1)[:, 0]
-        is_moving = (
-            np.abs(largest_error)
-            > np.abs(even) * (1.0 + convergence_tolerance) + convergence_tolerance
-        )
+        is_moving = np.abs(largest_error) > np.abs(even) * (1.0 + tolerance) + tolerance
         if not is_moving.any():
             break
-        swapped = _exchange_points(
-            points, worst, np.sign(largest_error), np.sign(even[:, None]) * signs
-        )
+        swapped = _exchange(points, worst, np.sign(largest_error), np.sign(even[:, None]) * signs)
         points = np.where(is_moving[:, None], swapped, points)
     error = np.where((stiffness >= 0.0) & (height >= 0.0), np.abs(largest_error), np.inf)
     at = int(np.argmin(error))
     return DahlLaw(*map(float, (stiffness[at], height[at], decay[at], error[at])))
 
 
-def _exchange_points(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
+def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
     """Exchange the worst point in, keeping alternating signs."""
     place = np.sum(points < worst[:, None], axis=1)
     row = np.arange(len(points))

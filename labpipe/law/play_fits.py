@@ -59,10 +59,8 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
         the message states the curvature.
     """
     max_bridged_share = 0.01  # of the moment: more would be another law
-    corners = _upper_corners(curvature, moment)
-    bridged = np.interp(
-        curvature, np.append(0.0, curvature[corners]), np.append(0.0, moment[corners])
-    )
+    hull = _upper_corners(curvature, moment)
+    bridged = np.interp(curvature, np.append(0.0, curvature[hull]), np.append(0.0, moment[hull]))
     excess = bridged / moment - 1.0
     if np.any(excess > max_bridged_share):
         at = int(np.argmax(excess))
@@ -71,7 +69,7 @@ def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
             f"{100.0 * excess[at]:.2g} % above it, allowed is {100.0 * max_bridged_share:.0f} %"
         )
         raise ValueError(message)
-    return polygon_law(curvature[corners], moment[corners])
+    return polygon_law(curvature[hull], moment[hull])
 
 
 def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:

@@ -86,7 +86,7 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     ones are merged until few enough are left.
     """
     n_slips = 48  # slip curvatures to choose from
-    last_slip_factor = 1.6  # vector sliders slide together, scalar ones only until there
+    last_factor = 1.6  # vector sliders slide together, scalar ones only until there
     if directions < 2:
         message = f"directions={directions}: allowed are numbers >= 2"
         raise ValueError(message)
@@ -94,19 +94,16 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
         message = f"most={most}: allowed are numbers >= 1"
         raise ValueError(message)
     size = _curvatures(law)
-    vector_moment = slider_moment(law, size)
+    target = slider_moment(law, size)
     if not law.stiffnesses.size:
         slips, stiffnesses = np.zeros(0), np.array([law.stiffness])
     else:
-        ends = (
-            0.5 * law.slip_curvatures[0],
-            min(last_slip_factor * law.slip_curvatures[-1], law.last),
-        )
+        ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
         slips = np.geomspace(*ends, n_slips)
-        stiffnesses = _fit_stiffnesses(size, vector_moment, slips, directions)
+        stiffnesses = _fit_stiffnesses(size, target, slips, directions)
         while np.count_nonzero(stiffnesses[1:]) > most or not np.all(stiffnesses[1:]):
             slips = _fewer_slips(slips, stiffnesses[1:])
-            stiffnesses = _fit_stiffnesses(size, vector_moment, slips, directions)
+            stiffnesses = _fit_stiffnesses(size, target, slips, directions)
     springs = 2.0 * stiffnesses / directions
     scalar_law = DirectionalLaw(directions, float(springs[0]), springs[1:], slips, 0.0, 0.0)
     return _with_errors(law, scalar_law)
@@ -142,25 +139,22 @@ def _curvatures(law: SliderLaw) -> Floats:
 def _with_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
     """Return the law with its largest errors."""
     size = _curvatures(law)
-    vector_moment = slider_moment(law, size)
+    target = slider_moment(law, size)
     along, aside = _components(scalar_law, size)
     return replace(
         scalar_law,
-        error=float(np.max(np.abs(along / vector_moment[:, None] - 1.0))),
-        sideways=float(np.max(np.abs(aside / vector_moment[:, None]))),
+        error=float(np.max(np.abs(along / target[:, None] - 1.0))),
+        sideways=float(np.max(np.abs(aside / target[:, None]))),
     )
 
 
-def _fit_stiffnesses(size: Floats, vector_moment: Floats, slips: Floats, directions: int) -> Floats:
+def _fit_stiffnesses(size: Floats, target: Floats, slips: Floats, directions: int) -> Floats:
     """Fit the stiffness of the spring, then of the sliders, as vector sliders, N m^2."""
-    columns = (
-        np.column_stack([size, _mean_held_curvature(size, slips, directions)])
-        / vector_moment[:, None]
-    )
+    columns = np.column_stack([size, _mean_held(size, slips, directions)]) / target[:, None]
     return np.asarray(nnls(columns, np.ones(len(size)))[0])
 
 
-def _mean_held_curvature(size: Floats, slips: Floats, directions: int) -> Floats:
+def _mean_held(size: Floats, slips: Floats, directions: int) -> Floats:
     """Return the mean held curvature along the curvature, over all its directions, 1/m.
 
     Shape (curvatures, slips). A slider whose component of the curvature is p slides from slip / p

@@ -178,19 +178,15 @@ def _node_curvatures(vectors: Floats) -> Floats:
 
 
 def _smallest_radius(vectors: Floats) -> Floats:
-    largest = _node_curvatures(vectors).max(axis=-1)
-    return np.asarray(
-        np.divide(1.0, largest, out=np.full_like(largest, np.inf), where=largest > 0.0)
-    )
+    peak = _node_curvatures(vectors).max(axis=-1)
+    return np.asarray(np.divide(1.0, peak, out=np.full_like(peak, np.inf), where=peak > 0.0))
 
 
 def _bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
     bands = {name: field_band(responses, f"{name} {number}") for name in _PLAIN_FIELDS}
     name = f"{_CURVATURE_FIELD} {number}"
-    curvature = band_of(
-        responses, lambda response: _value_and_draws(response, name, _node_curvatures)
-    )
-    radius = band_of(responses, lambda response: _value_and_draws(response, name, _smallest_radius))
+    curvature = band_of(responses, lambda response: _with_draws(response, name, _node_curvatures))
+    radius = band_of(responses, lambda response: _with_draws(response, name, _smallest_radius))
     best = responses[0]
     shares = {
         field: best.shares(f"{field} {number}") for field in ("positions", "reaction_forces")
@@ -200,7 +196,7 @@ def _bands(responses: Sequence[Response], number: int, step: int) -> StateBands:
     )
 
 
-def _value_and_draws(
+def _with_draws(
     response: Response, name: str, measure: Callable[[Floats], Floats]
 ) -> tuple[Floats, Floats]:
     return measure(response.value[name]), measure(response.drawn(name))
@@ -234,9 +230,7 @@ def _side_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
 
 def _jump_notes(solvers: Sequence[_Solver]) -> Iterator[QualityNote]:
     """Note jumps at different steps; step 0, where the line is laid, does not count."""
-    differing = [
-        snapped for look in solvers for snapped in look.snapped if snapped != look.snapped[0]
-    ]
+    differing = [jumps for look in solvers for jumps in look.snapped if jumps != look.snapped[0]]
     if differing:
         steps = solvers[0].snapped[0], differing[0]
         at, other = (", ".join(map(str, step)) or "none" for step in steps)

@@ -50,11 +50,9 @@ def work_done(
     moved = last.positions - first.positions
     work = 0.5 * float(np.sum((pulls[0][0] + pulls[1][0]) * (new.held - old.held)))
     work += 0.5 * float(np.sum((old.forces + new.forces) * moved))
-    work += 0.5 * float(
-        np.sum((pulls[0][1] + pulls[1][1]) * _turns_in_space(old.clamps, new.clamps))
-    )
+    work += 0.5 * float(np.sum((pulls[0][1] + pulls[1][1]) * _turns(old.clamps, new.clamps)))
     if np.any(old.moments) or np.any(new.moments):
-        turned = _turns_in_space(first.frames, last.frames)
+        turned = _turns(first.frames, last.frames)
         work += 0.5 * float(np.sum((old.moments + new.moments) * turned))
     if len(new.anchors):
         tensions = balances[0].tensions + balances[1].tensions
@@ -65,7 +63,7 @@ def work_done(
     return work
 
 
-def _turns_in_space(before: Floats, behind: Floats) -> Floats:
+def _turns(before: Floats, behind: Floats) -> Floats:
     """Return rotation vectors in space, rad, between frames."""
     rotation = rotation_vectors(multiply(conjugate(before), behind))
     return np.asarray(np.einsum("nxy,ny->nx", matrices(before), rotation))

@@ -9,13 +9,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import ArtificialDrag, Assembly, Balance, Demands, LineMemory, Shape
-from labpipe.rod.rotations import (
-    conjugate,
-    from_rotation_vectors,
-    multiply,
-    rotation_vectors,
-    unit,
-)
+from labpipe.rod.rotations import conjugate, from_rotation_vectors, multiply, rotation_vectors, unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ nodes move to row 0 of their paths, and weight and loads grow to row 0 of theirs
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,12 +16,9 @@ from labpipe.rod.assembly import Demands, Shape
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane, Ring, String
 from labpipe.rod.line import Line
 from labpipe.rod.ring_contact import nearest_place, point_at
-from labpipe.rod.rotations import (
-    conjugate,
-    from_rotation_vectors,
-    multiply,
-    rotation_vectors,
-)
+from labpipe.rod.rotations import conjugate, from_rotation_vectors, multiply, rotation_vectors
+
+T = TypeVar("T")
 
 
 class Schedule:
@@ -54,7 +52,7 @@ class Schedule:
         self.string_nodes = np.array([self.node(boundaries[k]) for k in self.strings], dtype=int)
         for k in (*self._of(Load), *self._of(Moment)):
             self.node(boundaries[k])
-        self.start_places = np.array([self._ring_start(self._ring(k)) for k in self.rings])
+        self.start_places = np.array([self._ring_start(self._get(Ring, k)) for k in self.rings])
         self._require_one_each()
         here = replace(line, positions=start.positions, frames=start.frames)
         self._start_frames = {k: here.frame_at(node) for k, node in self.held_nodes.items()}
@@ -107,7 +105,8 @@ class Schedule:
 
     def grips(self, step: int) -> tuple[int, ...]:
         """Return the indices of the boundaries that hold a node in a step."""
-        return tuple(k for k in self.held if _is_holding(self.boundaries[k], step))
+        releases = ((k, self._get(Held, k).release) for k in self.held)
+        return tuple(k for k, release in releases if release is None or step < release)
 
     def force_scale(self) -> float:
         """Return the size of the forces on the whole line, N."""
@@ -133,13 +132,13 @@ class Schedule:
         share = min(1.0, time + 1.0)
         forces, moments = self._loads(time, share)
         held, clamps = self._places(time, share, grips)
-        anchors = np.array([_row_at(self._string(k).anchor, time) for k in self.strings])
+        anchors = np.array([_row_at(self._get(String, k).anchor, time) for k in self.strings])
         rings = self._ring_places(time, share)
         return Demands(held, clamps, forces, moments, anchors.reshape(-1, 3), rings)
 
     def _ring_places(self, time: float, share: float) -> Floats:
         """Return the positions of the rings, which move from the line to their paths at first."""
-        places = [_row_at(self._ring(k).position, time) for k in self.rings]
+        places = [_row_at(self._get(Ring, k).position, time) for k in self.rings]
         goal = np.array(places).reshape(-1, 3)
         if share < 1.0:
             starts = [point_at(self.start.positions, u) for u in self.start_places]
@@ -162,7 +161,7 @@ class Schedule:
         held = np.zeros((len(grips), 3))
         clamps = []
         for row, k in enumerate(grips):
-            grip, node = self._held(k), self.held_nodes[k]
+            grip, node = self._get(Held, k), self.held_nodes[k]
             goal = _row_at(grip.position, time)
             held[row] = share * goal + (1.0 - share) * self.start.positions[node]
             if grip.frame is not None:
@@ -172,19 +171,9 @@ class Schedule:
                 clamps.append(frame)
         return held, np.array(clamps).reshape(-1, 4)
 
-    def _ring(self, k: int) -> Ring:
+    def _get(self, kind: type[T], k: int) -> T:
         boundary = self.boundaries[k]
-        assert isinstance(boundary, Ring)
-        return boundary
-
-    def _held(self, k: int) -> Held:
-        boundary = self.boundaries[k]
-        assert isinstance(boundary, Held)
-        return boundary
-
-    def _string(self, k: int) -> String:
-        boundary = self.boundaries[k]
-        assert isinstance(boundary, String)
+        assert isinstance(boundary, kind)
         return boundary
 
     def _turn(self, moments: Floats, node: int, moment: Floats) -> None:
@@ -197,10 +186,6 @@ def boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
     """Return the name of a boundary for messages."""
     k = next(i for i, candidate in enumerate(boundaries) if candidate is boundary)
     return boundary.name or f"boundary {k} ({type(boundary).__name__})"
-
-
-def _is_holding(boundary: Boundary, step: int) -> bool:
-    return isinstance(boundary, Held) and (boundary.release is None or step < boundary.release)
 
 
 def _largest(path: Floats) -> float:

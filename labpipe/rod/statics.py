@@ -90,10 +90,6 @@ def follow(
     return walk.path()
 
 
-def _largest_distance(before: Floats, behind: Floats) -> float:
-    return float(np.max(np.abs(behind - before)))
-
-
 class _NoEquilibriumError(Exception):
     """No further equilibrium, with the reason."""
 
@@ -371,11 +367,8 @@ class _Walk:
             if size < last_drag:
                 if self._reach_rest(time):
                     return True
-                if (
-                    rested is not None
-                    and _largest_distance(rested, shape.positions)
-                    < rest_tolerance * self.line.length
-                ):
+                moved = np.inf if rested is None else np.max(np.abs(shape.positions - rested))
+                if moved < rest_tolerance * self.line.length:
                     return False
                 rested = shape.positions
                 size *= drag_increase

@@ -10,7 +10,7 @@ The axial forces F are those of `wire.friction`, the strands' own moments m thos
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -53,11 +53,8 @@ class MomentCurve:
 
     def __post_init__(self) -> None:
         shape = (len(self.curvature),)
-        for name in (
-            *("curvature", "stick", "slip", "bending", "plastic", "insulation"),
-            "tangent_stiffness",
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+        for item in fields(self)[:7]:
+            object.__setattr__(self, item.name, frozen(getattr(self, item.name), shape=shape))
 
     @property
     def moment(self) -> Floats:

@@ -57,7 +57,7 @@ def arrange(
     if bundle.positions:
         centres = _stated_centres(bundle, diameter)
         return _layout(STATED, centres, kind, diameter)
-    centres = _arranged_centres(bundle, np.asarray(diameters, dtype=np.float64), stiffness, seed)
+    centres = _lay_out(bundle, np.asarray(diameters, dtype=np.float64), stiffness, seed)
     return _layout(bundle.arrangement, centres, kind, diameter)
 
 
@@ -80,9 +80,7 @@ def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
     return centres
 
 
-def _arranged_centres(
-    bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int
-) -> Floats:
+def _lay_out(bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int) -> Floats:
     """Return the centres of the wires, kind by kind, m."""
     equal_diameter_share = 1e-9
     places = sites(bundle.number, seed=seed)
@@ -269,13 +267,11 @@ def _find_exchange(kind: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
     member = (kind[:, None] == np.arange(kind.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     pull = traits @ ((member.T @ traits) / count[:, None]).T  # t_i . S_k / n_k
-    own_pull, among = pull[np.arange(len(kind)), kind], pull[:, kind]
+    pulls, among = pull[np.arange(len(kind)), kind], pull[:, kind]
     size = np.sum(traits**2, axis=1)
     apart = size[:, None] + size - 2.0 * traits @ traits.T
     share = 1.0 / count[kind]
-    change = (share[:, None] + share) * apart + 2.0 * (
-        among + among.T - own_pull[:, None] - own_pull
-    )
+    change = (share[:, None] + share) * apart + 2.0 * (among + among.T - pulls[:, None] - pulls)
     beside = (near @ member)[:, kind]
     own_beside = np.diag(beside)
     alike = beside + beside.T - own_beside[:, None] - own_beside - 2.0 * near
@@ -291,7 +287,7 @@ N_HEAP_STARTS = 8
 
 _HEAP_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
 """Centre of a heap: a wire, three wires around a gap, two wires side by side."""
-_WIDTH_ROUNDING = 1e-9
+_WIDTH_ROUND = 1e-9
 
 
 def sites(number: int, *, seed: int = 0) -> Floats:
@@ -318,9 +314,7 @@ def sites(number: int, *, seed: int = 0) -> Floats:
         message = f"number={number!r}: allowed are whole numbers >= 1"
         raise ValueError(message)
     core = _hexagon_centre(number) if number <= max_hexagon_wires else None
-    places = (
-        _hexagonal_heap(number, core) if core is not None else _densest_equal_heap(number, seed)
-    )
+    places = _hexagonal_heap(number, core) if core is not None else _densest_heap(number, seed)
     points = places - places.mean(axis=0)
     angle = np.round(np.arctan2(points[:, 1], points[:, 0]), 9) % np.round(2.0 * np.pi, 9)
     return np.asarray(points[np.lexsort([angle, np.round(np.hypot(*points.T), 9)])])
@@ -359,7 +353,7 @@ def _lattice_heap(number: int, core: Floats) -> Floats:
     return np.asarray(points[np.argsort(np.round(np.hypot(*points.T), 9), kind="stable")[:number]])
 
 
-def _densest_equal_heap(number: int, seed: int) -> Floats:
+def _densest_heap(number: int, seed: int) -> Floats:
     """Return the heap in the smallest circle, from lattices and from random starts."""
     rng = np.random.default_rng(seed)
     diameters = np.ones(number)
@@ -371,9 +365,7 @@ def _densest_equal_heap(number: int, seed: int) -> Floats:
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
         heaps = [*heaps, densest_heap(starts, diameters)]
     widths = np.array([holding_circle(heap, diameters)[1] for heap in heaps])
-    return heaps[
-        int(np.argmax(widths < widths.min() + _WIDTH_ROUNDING))
-    ]  # of equal ones, the first
+    return heaps[int(np.argmax(widths < widths.min() + _WIDTH_ROUND))]  # of equal ones, the first
 
 
 def _lattice_centres() -> Floats:
@@ -381,7 +373,7 @@ def _lattice_centres() -> Floats:
     n_edge_points = 8
     share = np.linspace(0.0, 1.0, n_edge_points + 1)
     one, other = np.meshgrid(share, share)
-    inside = one + other <= 1.0 + _WIDTH_ROUNDING
+    inside = one + other <= 1.0 + _WIDTH_ROUND
     edges = _HEAP_CENTRES[1:] - _HEAP_CENTRES[0]
     points = np.column_stack([one[inside], other[inside]]) @ edges
     return np.concatenate([_HEAP_CENTRES, np.asarray(points)])

@@ -55,27 +55,25 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     `stretching_moment`). The interaction of bending and stretching in one wire is neglected.
     With friction between wires and compliant tape, a bundle lies between the two.
     """
-    kind_tables = [_table(wire.type, tables) for wire in bundle.wires]
+    kinds = [_table(wire.type, tables) for wire in bundle.wires]
     counts = [wire.number for wire in bundle.wires]
-    diameters = [
-        _diameter(wire, table) for wire, table in zip(bundle.wires, kind_tables, strict=True)
-    ]
-    axial = np.array([table.axial_stiffness for table in kind_tables])
+    diameters = [_diameter(wire, table) for wire, table in zip(bundle.wires, kinds, strict=True)]
+    axial = np.array([table.axial_stiffness for table in kinds])
     layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
-    stick_stiffness = np.array([table.stick_stiffness for table in kind_tables])
+    stick_stiffness = np.array([table.stick_stiffness for table in kinds])
     stuck = sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
-    curvature, notes = _common_range(kind_tables, layout)
-    slip = slipping_moment(curvature, kind_tables, counts)
-    stick = slip + stretching_moment(curvature, layout.y, layout.kind, kind_tables)
+    curvature, notes = _common_range(kinds, layout)
+    slip = slipping_moment(curvature, kinds, counts)
+    stick = slip + stretching_moment(curvature, layout.y, layout.kind, kinds)
     free = float(stick_stiffness[layout.kind].sum())
     high = float(stuck.tensor[1, 1])
-    straight_ranges = _straight_ranges(kind_tables, layout, stuck.neutral[1])
+    straight_ranges = _straight_ranges(kinds, layout, stuck.neutral[1])
     middle, smallest = _conduit_circle(bundle, layout)
     bore = bundle.conduit_bore
     return BundleModel(
         bundle=bundle,
         layout=layout,
-        low=float(np.dot(counts, [table.slip_stiffness for table in kind_tables])),
+        low=float(np.dot(counts, [table.slip_stiffness for table in kinds])),
         free=free,
         high=high,
         tensor=stuck.tensor,
@@ -92,7 +90,7 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
         doubtful_curvature=straight_ranges[0],
         doubtful_curvature_stick=straight_ranges[1],
         notes=(
-            *_diameter_notes(bundle, kind_tables),
+            *_diameter_notes(bundle, kinds),
             *notes,
             *_oblique_notes(stuck),
             *_yield_notes(high, free, curvature, stick),
@@ -112,13 +110,13 @@ def _table(type_: str, tables: Mapping[str, WireTable]) -> WireTable:
 def _diameter(wire: BundleWire, table: WireTable) -> float:
     """Return the diameter over the insulation, m; refuse one that suggests a wrong unit."""
     max_factor = 2.0  # beyond it the two cannot be one wire
-    sheet_diameter = 2.0 * table.layout.wire_radius
+    nominal = 2.0 * table.layout.wire_radius
     if wire.diameter is None:
-        return sheet_diameter
-    if not sheet_diameter / max_factor <= wire.diameter <= max_factor * sheet_diameter:
+        return nominal
+    if not nominal / max_factor <= wire.diameter <= max_factor * nominal:
         message = (
             f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, the "
-            f"wire sheet {1e3 * sheet_diameter:.4g} mm; allowed is a factor of up to "
+            f"wire sheet {1e3 * nominal:.4g} mm; allowed is a factor of up to "
             f"{max_factor:g}: check the unit, or leave the diameter out"
         )
         raise ValueError(message)
@@ -144,15 +142,12 @@ def _conduit_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, 
 def _diameter_notes(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[QualityNote]:
     diameter_tolerance = 0.05
     for wire, table in zip(bundle.wires, kinds, strict=True):
-        sheet_diameter = 2.0 * table.layout.wire_radius
-        if (
-            wire.diameter
-            and abs(wire.diameter - sheet_diameter) > diameter_tolerance * sheet_diameter
-        ):
+        nominal = 2.0 * table.layout.wire_radius
+        if wire.diameter and abs(wire.diameter - nominal) > diameter_tolerance * nominal:
             message = (
                 f"{wire.type}: the bundle has {1e3 * wire.diameter:.4g} mm over the insulation, "
                 f"used to place the wires; the law is for a wire of "
-                f"{1e3 * sheet_diameter:.4g} mm"
+                f"{1e3 * nominal:.4g} mm"
             )
             yield QualityNote("diameter_differs", Severity.WARNING, "bundle", message)
 

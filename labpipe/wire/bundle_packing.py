@@ -212,14 +212,12 @@ def _harden(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     stiffness_growth = 10.0
     max_stiffness = 1e3
     hardening_limits = (4, 8, 1500)  # at least, at most, and over the number of wires in between
-    overlap_tolerance = 1e-6  # mean diameters, of wires that push each other
+    tolerance = 1e-6  # mean diameters, of wires that push each other
     centres, stiffness = begin, _CONTACT_STIFFNESSES[-1]
     least, most, shared = hardening_limits
     for _ in range(max(least, min(most, shared // len(diameters)))):
         force = np.maximum(contacts.force + stiffness * _overlaps(centres, contacts)[0], 0.0)
-        is_hard = (
-            np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * overlap_tolerance
-        )
+        is_hard = np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * tolerance
         contacts = replace(contacts, force=force)
         if is_hard:
             break
@@ -243,32 +241,27 @@ def _solve_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     step, number = np.inf, len(diameters)
     for _ in range(newton_steps):
         depth, along = _overlaps(centres, contacts)
-        active = (force > 0.0) | (depth > rest_tolerance)
-        first, second, u, f = (
-            contacts.first[active],
-            contacts.second[active],
-            along[active],
-            force[active],
-        )
+        on = (force > 0.0) | (depth > rest_tolerance)
+        first, second, u, f = (contacts.first[on], contacts.second[on], along[on], force[on])
         pushes, row = np.zeros((len(f), number, 2)), np.arange(len(f))
         pushes[row, first], pushes[row, second] = -u, u
         push = pushes.reshape(len(f), -1)
         across = np.eye(2) - u[:, :, None] * u[:, None, :]
-        turn = -(f / (contacts.touching - depth)[active])[:, None, None] * across
+        turn = -(f / (contacts.touching - depth)[on])[:, None, None] * across
         bend = np.zeros((number, number, 2, 2))
         for one, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1)):
             np.add.at(bend, (one, other), sign * turn)
         np.add.at(bend, (second, first), -turn)
         stiff = bend.transpose(0, 2, 1, 3).reshape(2 * number, -1) + np.diag(pull)
         system = np.block([[stiff, push.T], [push, np.zeros((len(f), len(f)))]])
-        unbalanced = np.concatenate([pull * centres.ravel() + push.T @ f, depth[active]])
+        unbalanced = np.concatenate([pull * centres.ravel() + push.T @ f, depth[on]])
         solution = lstsq(system, -unbalanced, cond=rank_tolerance, lapack_driver="gelsy")[0]
         last, step = step, float(np.max(np.abs(solution[: 2 * number])))
         if step > max(0.5 * last, rest_tolerance) or step > max_step:
             return begin
         centres = centres + solution[: 2 * number].reshape(-1, 2)
         force = force.copy()
-        force[active] = np.maximum(f + solution[2 * number :], 0.0)
+        force[on] = np.maximum(f + solution[2 * number :], 0.0)
         if step < rest_tolerance:
             return np.asarray(centres)
     return begin

@@ -262,7 +262,7 @@ def bend_to_travel(
     ValueError
         If no equilibrium is found on the way, or the law ends (the message states the curvature).
     """
-    slack_tolerance = 1e-12  # m: a string that just spans counts as slack
+    limit = 1e-12  # m: a string that just spans counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
@@ -273,10 +273,7 @@ def bend_to_travel(
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
         bent = settle(law, present, length, weight, travel=travel)
-        if (
-            bent is None
-            or rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - slack_tolerance
-        ):
+        if bent is None or rig.travel_to_taut_string(*_tip(law, bent, length)) < travel - limit:
             return None
         return replace(bent, load=0.0)  # not the rounding error of the last pull
 
@@ -343,14 +340,10 @@ def settle(
     """
     near = Unknowns(state.moment, state.load) if guess is None else guess
     weight = state.self_weight
-    equilibrium = solve(
-        law, state.plays, length, condition, near, tolerance=tolerance, self_weight=weight
-    )
-    if equilibrium is None or _turns_too_far(equilibrium, length):
+    root = solve(law, state.plays, length, condition, near, tolerance=tolerance, self_weight=weight)
+    if root is None or _turns_too_far(root, length):
         return None
-    return WireState(
-        equilibrium.moment, equilibrium.plays, equilibrium.force, equilibrium.load, travel, weight
-    )
+    return WireState(root.moment, root.plays, root.force, root.load, travel, weight)
 
 
 def _turns_too_far(equilibrium: Equilibrium, length: float) -> bool:

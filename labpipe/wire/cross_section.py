@@ -256,14 +256,11 @@ def concentric(layers: tuple[Layer, ...], insulation: Insulation | None = None) 
     ValueError
         If the strands of a ring overlap each other, or the outermost ring overlaps the bore.
     """
-    radii = [0.0 if layers[0].count == 1 else _touching_radius(layers[0])]
+    n, touching = layers[0].count, layers[0].diameter / (2.0 * np.sin(np.pi / layers[0].count))
+    radii = [0.0 if n == 1 else float(touching)]
     for inner, outer in pairwise(layers):
         radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
     return place("concentric", layers, _rings(layers, radii), insulation)
-
-
-def _touching_radius(layer: Layer) -> float:
-    return float(layer.diameter / (2.0 * np.sin(np.pi / layer.count)))
 
 
 def _rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
@@ -330,10 +327,7 @@ def _require_bore(insulation: Insulation | None, needed: float) -> None:
 
 
 def place(
-    kind: str,
-    layers: tuple[Layer, ...],
-    centres: Floats,
-    insulation: Insulation | None,
+    kind: str, layers: tuple[Layer, ...], centres: Floats, insulation: Insulation | None
 ) -> CrossSection:
     """Place round strands at given centres, if they fit.
 

@@ -128,10 +128,10 @@ def polygon_of(law: MomentLaw, top: float) -> Polygon:
     top : N m, the last corner
     """
     widths = law.half_widths
-    return _polygon_through(law, np.union1d(widths[widths < top], top * _GRADED))
+    return _polygon(law, np.union1d(widths[widths < top], top * _GRADED))
 
 
-def _polygon_through(law: MomentLaw, corners: Floats) -> Polygon:
+def _polygon(law: MomentLaw, corners: Floats) -> Polygon:
     """Return the polygon of a first loading through some moments, and its W*."""
     moment = np.append(0.0, corners)
     step = np.diff(moment)
@@ -202,9 +202,7 @@ def _ladder(law: MomentLaw, length: float, farthest: float) -> tuple[EndLoads, F
     for _ in range(max_raises):
         rungs = base * _LADDER
         corners = np.union1d(law.half_widths[:1], rungs[-1] * _GRADED)
-        states, tail = _at_moments(
-            _polygon_through(law, corners[corners <= rungs[-1]]), length, rungs
-        )
+        states, tail = _at_moments(_polygon(law, corners[corners <= rungs[-1]]), length, rungs)
         if states.deflection[-1] >= farthest:
             break
         base = float(rungs[-1])
@@ -256,10 +254,7 @@ def _integrate(
     per_length *= fall
     cubed *= fall
     return _Integrals(
-        length,
-        length - per_length @ nodes.weight,
-        cubed_sum,
-        cubed_sum - cubed @ nodes.weight,
+        length, length - per_length @ nodes.weight, cubed_sum, cubed_sum - cubed @ nodes.weight
     )
 
 
@@ -351,9 +346,9 @@ def _at_moments(polygon: Polygon, length: float, clamp: Floats) -> tuple[EndLoad
     for _ in range(_NEWTON_STEPS):
         gap = _tip_gap(level)
         sine = np.tanh(level)
-        integrals = _integrate(polygon, clamp, sine / energy, gap, room)
-        missing = length - sine / energy * integrals.length
-        step = missing * energy / (gap * (2.0 - gap) * integrals.cubed)
+        sums = _integrate(polygon, clamp, sine / energy, gap, room)
+        missing = length - sine / energy * sums.length
+        step = missing * energy / (gap * (2.0 - gap) * sums.cubed)
         before = level
         level = _bounded_level(level, np.clip(step, -_MAX_LEVEL_STEP, _MAX_LEVEL_STEP))
         if np.all(np.abs(level - before) < _LAST_LEVEL_STEP * level):
@@ -400,16 +395,14 @@ def _newton_step(
     curvature, energy = _at_clamp(polygon, clamp)
     gap = _tip_gap(level)
     c = np.tanh(level) / energy  # 1 / P
-    integrals = _integrate(polygon, clamp, c, gap, room)
+    sums = _integrate(polygon, clamp, c, gap, room)
     per_clamp = c * curvature
     c_by_clamp, c_by_level = -per_clamp / energy * clamp, gap * (2.0 - gap) / energy
-    rise_by_c = integrals.rise + integrals.cubed_rise
-    length_by_clamp = (
-        c * clamp * (1.0 + per_clamp * integrals.cubed_rise) + c_by_clamp * integrals.cubed
-    )
-    rise_by_clamp = c * clamp * per_clamp * integrals.cubed + c_by_clamp * rise_by_c
-    length_by_level, rise_by_level = integrals.cubed * c_by_level, rise_by_c * c_by_level
-    no_length, no_rise = length - c * integrals.length, wanted - c * integrals.rise
+    rise_by_c = sums.rise + sums.cubed_rise
+    length_by_clamp = c * clamp * (1.0 + per_clamp * sums.cubed_rise) + c_by_clamp * sums.cubed
+    rise_by_clamp = c * clamp * per_clamp * sums.cubed + c_by_clamp * rise_by_c
+    length_by_level, rise_by_level = sums.cubed * c_by_level, rise_by_c * c_by_level
+    no_length, no_rise = length - c * sums.length, wanted - c * sums.rise
     step = np.array(
         [
             rise_by_level * no_length - length_by_level * no_rise,

@@ -125,9 +125,7 @@ def _from_rest(
     count = len(goes_on) if goes_on.all() else int(np.argmin(goes_on))
     table, wanted = LoadingTable.of_plays(law), deflections[:count]
     states_at = heavy_states(
-        *(table, length, None, self_weight, wanted),
-        n_stations=HEAVY_STATIONS,
-        with_changes=False,
+        *(table, length, None, self_weight, wanted), n_stations=HEAVY_STATIONS, with_changes=False
     )
     done = states_at.count_loading()
     plays = respond(law, states_at.rest, unbent_plays(law, len(states_at.rest))).plays
@@ -178,18 +176,12 @@ def _bend_one(
     law: MomentLaw, state: WireState, length: float, deflection: float, guess: Unknowns | None
 ) -> WireState:
     """Bend a wire to a deflection, in one step if a guess allows."""
-    newton_tolerance = 1e-5  # from a good guess; the next change would be 1e-10
+    tolerance = 1e-5  # from a good guess; the next change would be 1e-10
     state_ = None
     if guess is not None:
         condition = EndLoad(deflection)
         state_ = settle(
-            law,
-            state,
-            length,
-            condition,
-            travel=deflection,
-            guess=guess,
-            tolerance=newton_tolerance,
+            law, state, length, condition, travel=deflection, guess=guess, tolerance=tolerance
         )
     return deflect(law, state, length, deflection) if state_ is None else state_
 
@@ -224,8 +216,7 @@ def _extrapolated(states: list[WireState], travel: float) -> Unknowns | None:
         return None
     if steps[0] * steps[-1] <= 0.0:
         states, at = states[-2:], at[-2:]
-    shares = [
-        float(np.prod([(travel - b) / (a - b) for b in at if b != a])) for a in at
-    ]  # Lagrange weights
+    # Lagrange weights
+    shares = [float(np.prod([(travel - b) / (a - b) for b in at if b != a])) for a in at]
     moment = np.sum([n * state.moment for n, state in zip(shares, states, strict=True)], axis=0)
     return Unknowns(moment, sum(n * state.load for n, state in zip(shares, states, strict=True)))

@@ -19,7 +19,7 @@ x = A cos(beta) - B sin(beta), y = A sin(beta) + B cos(beta).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypeAlias
 
 import numpy as np
@@ -57,11 +57,8 @@ class LoadingCurve:
 
     def __post_init__(self) -> None:
         shape = (len(self.deflection),)
-        for name in (
-            *("deflection", "tension", "x", "tip_angle", "clamp_curvature", "clamp_moment"),
-            "stiffness",
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+        for item in fields(self)[:7]:
+            object.__setattr__(self, item.name, frozen(getattr(self, item.name), shape=shape))
         change = frozen(self.tension_change, shape=(None, *shape))
         object.__setattr__(self, "tension_change", change)
 
@@ -113,14 +110,12 @@ def load_cantilever(
         shift = -rule.energy * balance.cosine / (1.0 + sine) ** 2
         (a, b), (c, d) = slopes(balance, rig)
         matrix = ((a * growth, b + a * shift), (c * growth, d + c * shift))
-        excess_step, lean_step = solve_pair(
-            matrix, balance.arc_length - length, misfit(balance, rig)
-        )
-        error = np.abs(excess_step * growth) / balance.force + np.abs(lean_step)
+        excess_step, turn = solve_pair(matrix, balance.arc_length - length, misfit(balance, rig))
+        error = np.abs(excess_step * growth) / balance.force + np.abs(turn)
         if error.max() <= force_tolerance:
             return _curve(law, rule, balance, rig, has_memory=has_memory)
         excess = excess - np.minimum(np.maximum(excess_step, -max_step), max_step)
-        lean = lean - np.minimum(np.maximum(lean_step, -max_lean_step), max_lean_step)
+        lean = lean - np.minimum(np.maximum(turn, -max_lean_step), max_lean_step)
     count = int(np.sum(error > force_tolerance))
     message = f"length={length!r}: no equilibrium found at {count} of {len(lean)} loads"
     raise ValueError(message)

@@ -123,11 +123,7 @@ class _Bent:
 
 
 def load_heavy(
-    table: LoadingTable,
-    length: float,
-    rig: StringRig | None,
-    self_weight: float,
-    deflection: float,
+    table: LoadingTable, length: float, rig: StringRig | None, self_weight: float, deflection: float
 ) -> LoadingCurve:
     """Load a wire with weight from rest to a deflection.
 
@@ -153,7 +149,7 @@ def load_heavy(
     wanted = deflection * (np.arange(1, POINTS + 1) / POINTS) ** CROWDING
     at = heavy_states(table, length, rig, self_weight, wanted)
     stop = at.count_loading()
-    at_rest = _rest_slope(at)
+    rest_slope = float((at.tension[0] - at.rest_tension) / at.deflection[0])  # before slip
 
     def from_rest(rest: float, values: Floats) -> Floats:
         return np.concatenate([[rest], values[:stop]])
@@ -167,14 +163,9 @@ def load_heavy(
         tip_angle=from_rest(0.0, at.tip_angle),
         clamp_curvature=from_rest(float(bent[0]), at.curvature),
         clamp_moment=from_rest(float(at.rest[0]), at.moment[:, 0]),
-        stiffness=from_rest(at_rest, at.tension_change[0]),
+        stiffness=from_rest(rest_slope, at.tension_change[0]),
         tension_change=np.hstack([np.zeros((len(change), 1)), change]),
     )
-
-
-def _rest_slope(at: HeavyStates) -> float:
-    """Slope of tension against deflection at rest, N/m: where nothing slips yet, that so far."""
-    return float((at.tension[0] - at.rest_tension) / at.deflection[0])
 
 
 def heavy_states(
@@ -335,15 +326,10 @@ def _jacobian(wire: _Wire, bent: _Bent) -> Floats:
         jacobian[:, :n, :n] -= leans[:, :, None] * x_by[:, None, :]
     at = np.arange(n)
     jacobian[:, at, at] += 1.0
-    jacobian[:, :n, n] = -_moments_by_tension(bent)
+    by_x, by_y = bent.by_tension[:, :, None]
+    jacobian[:, :n, n] = -(bent.lever_x * by_x + bent.lever_y * by_y)
     jacobian[:, n, :n] = y_by
     return jacobian
-
-
-def _moments_by_tension(bent: _Bent) -> Floats:
-    """Return the derivative of the moments by the tension, m, shape (n, stations)."""
-    by = bent.by_tension
-    return np.asarray(bent.lever_x * by[0][:, None] + bent.lever_y * by[1][:, None])
 
 
 def _sensitivity(wire: _Wire, bent: _Bent, curvature_changes: Floats) -> Floats:

@@ -120,10 +120,8 @@ class LawFamily:
         """
         # of the first stiffness, for a slider that a changed law does not use
         min_slider_share = 1e-9
-        changed_values = {
-            name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs
-        }
-        spec = with_values(self.spec, {**self.values, **changed_values})
+        changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
+        spec = with_values(self.spec, {**self.values, **changed})
         built = build(spec)
         corners = self.corners
         curve = moment_curvature(

@@ -160,11 +160,7 @@ def _ordered_strands(centres: Floats, layers: tuple[Layer, ...]) -> Floats:
 
 
 def lay_out(
-    layers: tuple[Layer, ...],
-    insulation: Insulation,
-    *,
-    kind: Kind | None = None,
-    seed: int = 0,
+    layers: tuple[Layer, ...], insulation: Insulation, *, kind: Kind | None = None, seed: int = 0
 ) -> CrossSection:
     """Lay the strands out in one of four layouts.
 

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 LAMINAE = 64
-_STRAIN_DECADES = (-14.0, -6.0, 0.0)
+_DECADES = (-14.0, -6.0, 0.0)
 """Powers of ten of the rim's strain: nearly elastic, then plastic."""
-_STRAIN_ROUNDING = 1e-12  # of the last strain of a curve
+_ROUNDING = 1e-12  # of the last strain of a curve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,9 +107,7 @@ def _polygon_share(
     """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
-    strain = np.where(
-        rim_strain <= material.largest_strain * (1.0 + _STRAIN_ROUNDING), rim_strain, np.nan
-    )
+    strain = np.where(rim_strain <= material.largest_strain * (1.0 + _ROUNDING), rim_strain, np.nan)
     sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
@@ -190,8 +188,8 @@ def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
 
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:
-    last = min(material.largest_strain, 10.0 ** _STRAIN_DECADES[-1])
-    if np.any(rim > last * (1.0 + _STRAIN_ROUNDING)):
+    last = min(material.largest_strain, 10.0 ** _DECADES[-1])
+    if np.any(rim > last * (1.0 + _ROUNDING)):
         message = (
             f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
             f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "
@@ -206,10 +204,8 @@ def _share_table(
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
     """Return the first strain, and splines of elastic share and slope against log strain."""
     knots_per_decade = (12, 64)
-    end = min(np.log10(material.largest_strain), _STRAIN_DECADES[-1])
-    stretches = zip(
-        _STRAIN_DECADES, (min(_STRAIN_DECADES[1], end), end), knots_per_decade, strict=False
-    )
+    end = min(np.log10(material.largest_strain), _DECADES[-1])
+    stretches = zip(_DECADES, (min(_DECADES[1], end), end), knots_per_decade, strict=False)
     powers = [np.linspace(a, b, max(4, round((b - a) * n)) + 1) for a, b, n in stretches if b > a]
     strain = np.unique(10.0 ** np.concatenate(powers))
     strain[-1] = min(strain[-1], material.largest_strain)

@@ -90,32 +90,32 @@ _UNLIKELY_RISE = 1.727
 """Rise of the objective at 99 %, over that at 95 %: up to it other solutions are reported."""
 
 
-def make_calibration(calibration_fit: CalibrationFit) -> Calibration:
+def make_calibration(result: CalibrationFit) -> Calibration:
     """Make the record of a calibration.
 
     Parameters
     ----------
     found : the fit and all that it rests on
     """
-    problem = calibration_fit.problem
-    solutions = tuple(_solution(calibration_fit, valley) for valley in calibration_fit.valleys)
+    problem = result.problem
+    solutions = tuple(_solution(result, valley) for valley in result.valleys)
     solutions = tuple(
         solution for solution in solutions if solution.rise <= _UNLIKELY_RISE * solution.limit
     )
-    parameters = tuple(_parameter(calibration_fit, solutions, number) for number in range(P))
-    compared = tuple(_agreements(calibration_fit))
+    parameters = tuple(_parameter(result, solutions, number) for number in range(P))
+    compared = tuple(_agreements(result))
     sse = sum(curve.sse for curve in compared)
     rmse = float(np.sqrt(sse / problem.n_points))
-    levels = _noise_levels(calibration_fit)
+    levels = _noise_levels(result)
     return Calibration(
         wire=problem.curves[0].wire,
         parameters=parameters,
         solutions=solutions,
-        widening=calibration_fit.widening,
-        correlations=_correlations(calibration_fit.spread.covariance[:P, :P], calibration_fit.free),
+        widening=result.widening,
+        correlations=_correlations(result.spread.covariance[:P, :P], result.free),
         levels=levels,
-        separability=_separability(calibration_fit),
-        friction_separability=_friction_separability(calibration_fit),
+        separability=_separability(result),
+        friction_separability=_friction_separability(result),
         curves=compared,
         n_points=problem.n_points,
         n_samples=problem.n_samples,
@@ -123,40 +123,38 @@ def make_calibration(calibration_fit: CalibrationFit) -> Calibration:
         rmse=rmse,
         rmse_share=rmse / max(curve.peak for curve in problem.curves),
         method=METHOD,
-        notes=tuple(_notes(calibration_fit, parameters, solutions, compared)),
+        notes=tuple(_notes(result, parameters, solutions, compared)),
     )
 
 
-def _solution(calibration_fit: CalibrationFit, valley: LocalMinimum) -> Solution:
+def _solution(result: CalibrationFit, valley: LocalMinimum) -> Solution:
     residuals = [
         curve.force - model.force
-        for curve, model in zip(calibration_fit.problem.curves, valley.fit.models, strict=True)
+        for curve, model in zip(result.problem.curves, valley.fit.models, strict=True)
     ]
-    acts = np.array(calibration_fit.problem.parts.has)
+    acts = np.array(result.problem.parts.has)
     return Solution(
         values=np.where(acts, np.exp(valley.fit.point.logs), np.nan),
         rise=valley.rise,
         rmse=float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))),
         covariance=valley.spread.covariance,
         mixture=valley.mixture,
-        limit=limit_of(calibration_fit, valley),
+        limit=limit_of(result, valley),
     )
 
 
 def _parameter(
-    calibration_fit: CalibrationFit, solutions: tuple[Solution, ...], number: int
+    result: CalibrationFit, solutions: tuple[Solution, ...], number: int
 ) -> CalibratedParameter:
     """Return one parameter, with profile, verdict and comparison with its prior."""
     name = PARAMETERS[number]
-    value = float(np.exp(calibration_fit.fit.point.logs[number]))
-    if not calibration_fit.free[number]:
-        return _fixed_parameter(calibration_fit, number, value)
-    error = float(np.sqrt(calibration_fit.spread.covariance[number, number]))
-    profiles_ = traces(calibration_fit, number)
+    value = float(np.exp(result.fit.point.logs[number]))
+    if not result.free[number]:
+        return _fixed_parameter(result, number, value)
+    error = float(np.sqrt(result.spread.covariance[number, number]))
+    profiles_ = traces(result, number)
     intervals = union(profiles_)
-    conflict = (
-        _prior_conflict(calibration_fit, number) if _has_prior(calibration_fit, number) else None
-    )
+    conflict = _prior_conflict(result, number) if result.problem.precision[number] > 0.0 else None
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
@@ -165,10 +163,10 @@ def _parameter(
             Interval(float(np.exp(low)), float(np.exp(high))) for low, high in intervals
         ),
         log_error=error,
-        freedom=calibration_fit.spread.freedom(np.eye(P + 1)[number]),
+        freedom=result.spread.freedom(np.eye(P + 1)[number]),
         is_open_below=any(trace.is_open_below for trace in profiles_),
         is_open_above=any(trace.is_open_above for trace in profiles_),
-        at_bound=_reached_bound(calibration_fit, number),
+        at_bound=_reached_bound(result, number),
         verdict=Identifiability.WELL,
         words="",
         profiles=tuple(map(_profile, profiles_)),
@@ -179,15 +177,13 @@ def _parameter(
         for solution in solutions
         if not solution.is_allowed
     )
-    ends = _interval_at_99(calibration_fit, number, parameter)
-    parameter = replace(
-        parameter, verdict=_judge_parameter(calibration_fit, number, parameter, others, ends)
-    )
+    ends = _interval_at_99(result, number, parameter)
+    parameter = replace(parameter, verdict=_verdict(result, number, parameter, others, ends))
     return replace(parameter, words=describe_parameter(parameter, others, ends))
 
 
 def _interval_at_99(
-    calibration_fit: CalibrationFit, number: int, parameter: CalibratedParameter
+    result: CalibrationFit, number: int, parameter: CalibratedParameter
 ) -> tuple[float, float]:
     """Return the ends of what the tests allow at 99 %, including the line of minima.
 
@@ -195,15 +191,15 @@ def _interval_at_99(
     """
     min_span = 1.5  # with a narrower interval the one at 99 % spans less than `WELL`, too
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    ends = [low, high, *np.exp(reach(calibration_fit, number, _UNLIKELY_RISE)).tolist()]
+    ends = [low, high, *np.exp(reach(result, number, _UNLIKELY_RISE)).tolist()]
     if min_span < high / low < WELL:
-        for trace in traces(calibration_fit, number, unlikely=_UNLIKELY_RISE):
+        for trace in traces(result, number, unlikely=_UNLIKELY_RISE):
             ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)
 
 
-def _judge_parameter(
-    calibration_fit: CalibrationFit,
+def _verdict(
+    result: CalibrationFit,
     number: int,
     parameter: CalibratedParameter,
     others: Sequence[tuple[float, float]],
@@ -212,7 +208,7 @@ def _judge_parameter(
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     wide = [*ends, *(value for value, _ in others)]
     conflict = parameter.conflict
-    prior = np.inf if conflict is None else float(calibration_fit.problem.precision[number]) ** -0.5
+    prior = np.inf if conflict is None else float(result.problem.precision[number]) ** -0.5
     return verdict_of(
         high / low,
         span_with_others=max(wide) / min(wide),
@@ -225,12 +221,10 @@ def _judge_parameter(
     )
 
 
-def _fixed_parameter(
-    calibration_fit: CalibrationFit, number: int, value: float
-) -> CalibratedParameter:
+def _fixed_parameter(result: CalibrationFit, number: int, value: float) -> CalibratedParameter:
     """Return a parameter that was not fitted; NaN where it does not act on the wire."""
     name = PARAMETERS[number]
-    acts = calibration_fit.problem.parts.has[number]
+    acts = result.problem.parts.has[number]
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
@@ -243,9 +237,7 @@ def _fixed_parameter(
         at_bound="",
         verdict=Identifiability.FIXED,
         words="",
-        source=calibration_fit.settings.choices[name].source
-        if name in calibration_fit.settings.choices
-        else "",
+        source=result.settings.choices[name].source if name in result.settings.choices else "",
     )
     return replace(
         parameter,
@@ -253,15 +245,11 @@ def _fixed_parameter(
     )
 
 
-def _has_prior(calibration_fit: CalibrationFit, number: int) -> bool:
-    return bool(calibration_fit.problem.precision[number] > 0.0)
-
-
-def _reached_bound(calibration_fit: CalibrationFit, number: int) -> str:
+def _reached_bound(result: CalibrationFit, number: int) -> str:
     """Return the bound that the search presses on; none on a flat objective."""
     min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
-    at, problem = calibration_fit.fit.point.logs[number], calibration_fit.problem
-    pull = float(pull_of(problem, calibration_fit.levels, calibration_fit.fit)[number])
+    at, problem = result.fit.point.logs[number], result.problem
+    pull = float(pull_of(problem, result.levels, result.fit)[number])
     if at <= problem.lower[number] and pull < -min_bound_slope:
         return "lower"
     return "upper" if at >= problem.upper[number] and pull > min_bound_slope else ""
@@ -271,38 +259,31 @@ def _profile(trace: Trace) -> Profile:
     return Profile(np.exp(trace.logs), trace.deviance, trace.threshold_below, trace.threshold_above)
 
 
-def _prior_conflict(calibration_fit: CalibrationFit, number: int) -> PriorConflict:
+def _prior_conflict(result: CalibrationFit, number: int) -> PriorConflict:
     """Fit without one prior; the loss of the objective is the square of the conflict."""
     name = PARAMETERS[number]
-    precision = calibration_fit.problem.precision.copy()
+    precision = result.problem.precision.copy()
     precision[number] = 0.0
-    alone = replace(calibration_fit.problem, precision=precision)
+    alone = replace(result.problem, precision=precision)
     fits = [
-        search(alone, calibration_fit.levels, valley.fit.point, calibration_fit.free)
-        for valley in calibration_fit.valleys
+        search(alone, result.levels, valley.fit.point, result.free) for valley in result.valleys
     ]
     fit = min(fits, key=lambda fit: fit.objective)
     spread = uncertainty(
-        alone,
-        fit,
-        calibration_fit.free,
-        calibration_fit.levels,
-        is_scatter_known=calibration_fit.is_scatter_known,
+        alone, fit, result.free, result.levels, is_scatter_known=result.is_scatter_known
     )
-    variance, prior_variance = (
-        float(spread.covariance[number, number]),
-        1.0 / calibration_fit.problem.precision[number],
-    )
+    variance = float(spread.covariance[number, number])
+    prior_variance = 1.0 / result.problem.precision[number]
     freedom = spread.freedom(np.eye(P + 1)[number]) * ((variance + prior_variance) / variance) ** 2
     numbers = PriorConflict(
-        centre=float(np.exp(calibration_fit.problem.centre[number])),
-        factor=float(calibration_fit.settings.choices[name].factor or np.nan),
+        centre=float(np.exp(result.problem.centre[number])),
+        factor=float(result.settings.choices[name].factor or np.nan),
         alone=float(np.exp(fit.point.logs[number])),
-        size=float(np.sqrt(max(calibration_fit.fit.objective - fit.objective, 0.0))),
+        size=float(np.sqrt(max(result.fit.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         contradicts=False,
         message="",
-        source=calibration_fit.settings.choices[name].source,
+        source=result.settings.choices[name].source,
     )
     return weigh_prior(name, numbers)
 
@@ -315,65 +296,60 @@ def _correlations(covariance: Floats, free: Flags) -> Floats:
     return out
 
 
-def _agreements(calibration_fit: CalibrationFit) -> Iterator[CurveAgreement]:
-    point = calibration_fit.fit.point
+def _agreements(result: CalibrationFit) -> Iterator[CurveAgreement]:
+    point = result.fit.point
     for curve, model, sample in zip(
-        calibration_fit.problem.curves,
-        calibration_fit.fit.models,
-        calibration_fit.problem.sample,
-        strict=True,
+        result.problem.curves, result.fit.models, result.problem.sample, strict=True
     ):
         yield agreement(curve, model.force, float(np.exp(point.gain + point.offsets[sample])))
 
 
-def _noise_levels(calibration_fit: CalibrationFit) -> NoiseLevels:
-    spread, levels = calibration_fit.spread.level_covariance, calibration_fit.levels
-    scatter_freedom = np.inf if calibration_fit.is_scatter_known else 0.0
+def _noise_levels(result: CalibrationFit) -> NoiseLevels:
+    spread, levels = result.spread.level_covariance, result.levels
+    scatter_freedom = np.inf if result.is_scatter_known else 0.0
     if spread[1, 1] > 0.0:
         scatter_freedom = 2.0 / float(spread[1, 1])
     return NoiseLevels(
         noise_factor=float(np.sqrt(levels.noise)),
         correlation=levels.correlation,
         scatter=levels.scatter,
-        gain=calibration_fit.problem.gain,
+        gain=result.problem.gain,
         scatter_freedom=scatter_freedom,
         noise_freedom=2.0 / float(spread[0, 0]),
     )
 
 
-def _separability(calibration_fit: CalibrationFit) -> Separability:
+def _separability(result: CalibrationFit) -> Separability:
     """Return the separability of the acting parameters, by noise without scatter of samples."""
-    acting = [number for number in range(P) if calibration_fit.problem.parts.has[number]]
+    acting = [number for number in range(P) if result.problem.parts.has[number]]
     columns = []
-    for curve, model in zip(
-        calibration_fit.problem.curves, calibration_fit.fit.models, strict=True
-    ):
+    for curve, model in zip(result.problem.curves, result.fit.models, strict=True):
         scaled = model.change[acting].T / np.asarray(curve.noise)[:, None]
-        columns.append(whiten(scaled, calibration_fit.levels.correlation))
-    jacobian = np.concatenate(columns) / np.sqrt(calibration_fit.levels.noise)
+        columns.append(whiten(scaled, result.levels.correlation))
+    jacobian = np.concatenate(columns) / np.sqrt(result.levels.noise)
     return separability(
         tuple(PARAMETERS[number] for number in acting), jacobian, "the parameters that act"
     )
 
 
-def _friction_separability(calibration_fit: CalibrationFit) -> Separability | None:
+def _friction_separability(result: CalibrationFit) -> Separability | None:
     """Return the separability of mu_s, mu_p and F_rad."""
-    if not calibration_fit.problem.parts.has[0]:
+    if not result.problem.parts.has[0]:
         return None
     jacobian = friction_jacobian(
-        calibration_fit.wire.section,
-        calibration_fit.wire.contacts,
-        np.exp(calibration_fit.fit.point.logs),
-        calibration_fit.problem.curves,
-        orientation=calibration_fit.wire.orientation,
-        correlation=calibration_fit.levels.correlation,
+        result.wire.section,
+        result.wire.contacts,
+        np.exp(result.fit.point.logs),
+        result.problem.curves,
+        orientation=result.wire.orientation,
+        correlation=result.levels.correlation,
     )
-    jacobian /= np.sqrt(calibration_fit.levels.noise)
+    jacobian /= np.sqrt(result.levels.noise)
     return separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
 
 
 def _notes(
-    calibration_fit: CalibrationFit,
+    result: CalibrationFit,
     parameters: tuple[CalibratedParameter, ...],
     solutions: tuple[Solution, ...],
     compared: tuple[CurveAgreement, ...],
@@ -381,19 +357,19 @@ def _notes(
     for parameter in parameters:
         yield from _parameter_notes(parameter)
     if len(solutions) > 1:
-        where = calibration_fit.problem.curves[0].wire
+        where = result.problem.curves[0].wire
         message = two_solutions(solutions)
         yield QualityNote("two_solutions", Severity.WARNING, where, message)
-    yield from _level_notes(calibration_fit, compared)
+    yield from _level_notes(result, compared)
 
 
 def _level_notes(
-    calibration_fit: CalibrationFit, compared: tuple[CurveAgreement, ...]
+    result: CalibrationFit, compared: tuple[CurveAgreement, ...]
 ) -> Iterator[QualityNote]:
     noise_ratio_range = (0.8, 1.25)  # estimated noise over stated noise
     max_correlation = 0.3  # of neighbouring residuals, without a note
-    levels, where = calibration_fit.levels, calibration_fit.problem.curves[0].wire
-    if calibration_fit.problem.n_samples == 1 and not calibration_fit.is_scatter_known:
+    levels, where = result.levels, result.problem.curves[0].wire
+    if result.problem.n_samples == 1 and not result.is_scatter_known:
         message = (
             "one sample: the scatter of samples is unknown, so the intervals apply to this sample, "
             "not to the wire"
@@ -414,8 +390,8 @@ def _level_notes(
             f"model that misses the shape of the curves; the intervals weight the points less"
         )
         yield QualityNote("residuals_correlated", Severity.WARNING, where, message)
-    if not calibration_fit.fit.settled:
-        message = f"the search did not converge within {calibration_fit.fit.steps} steps"
+    if not result.fit.settled:
+        message = f"the search did not converge within {result.fit.steps} steps"
         yield QualityNote("search_unsettled", Severity.WARNING, where, message)
 
 

@@ -528,9 +528,7 @@ def friction_jacobian(
             changed = _scale_friction(contacts, factors[0], factors[1])
             parts = split_wire(section, changed, orientation=orientation)
             phi = force * factors[2] * (changed.inner[-1] + changed.outer[-1])
-            forces.append(
-                _whitened_forces(parts, np.array([phi, *values[1:]]), curves, correlation)
-            )
+            forces.append(_whitened(parts, np.array([phi, *values[1:]]), curves, correlation))
         columns.append((forces[0] - forces[1]) / (2.0 * step))
     return np.column_stack(columns)
 
@@ -542,7 +540,7 @@ def _scale_friction(contacts: Contacts, strand: float, insulation: float) -> Con
     return replace(contacts, inner=inner, outer=outer, radial_force=1.0)
 
 
-def _whitened_forces(
+def _whitened(
     parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...], correlation: float
 ) -> Floats:
     models = model_forces(parts, values, curves)

@@ -40,7 +40,7 @@ _TABLE_STRAINS = (1e-9, 100.0, 32)
 """Range of rim strains of the copper's table, and its knots per decade. Scaling the strength shifts
 the strains."""
 _POINTS = 44  # of a loading curve
-_MIN_KNOT_SPACING = 1e-6
+_MIN_GAP = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +148,8 @@ def split_wire(section: CrossSection, contacts: Contacts, *, orientation: float 
     friction = _friction(section, contacts, orientation)
     tube = section.insulation
     phi = contacts.radial_force * friction.coefficients if friction else np.nan
-    copper = tuple(_copper(section, exponent) for exponent in sorted(_exponents(section)))
+    exponents = {_exponent(layer.material) for layer in section.layers}
+    copper = tuple(_copper(section, exponent) for exponent in sorted(exponents))
     has_plastic = any(part.exponent > 0.0 for part in copper)
     nominal = np.array([phi, tube.modulus if tube else np.nan, 1.0 if has_plastic else np.nan])
     inertia = tube.bending_stiffness / tube.modulus if tube else 0.0
@@ -166,7 +167,7 @@ def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> 
     onsets = onsets[np.isfinite(onsets)]
     even = np.geomspace(onsets.min(), end_factor * onsets.max(), n_knots)
     knots = np.union1d(onsets, even)
-    knots = knots[np.diff(knots, prepend=0.0) > _MIN_KNOT_SPACING * knots]
+    knots = knots[np.diff(knots, prepend=0.0) > _MIN_GAP * knots]
     law = moment_curvature(section, unit, knots, orientation=orientation)
     curvature = np.concatenate([[0.0], knots])
     moment = np.concatenate([[0.0], law.stick + law.slip])
@@ -206,10 +207,6 @@ def _insulation_moment(
     share, work = parts.tube(level).T
     bend = np.where(curvature > first, parts.tube(level, 1)[:, 0], 0.0)
     return stiffness * share * curvature, stiffness * (share + bend), energy * work
-
-
-def _exponents(section: CrossSection) -> set[float]:
-    return {_exponent(layer.material) for layer in section.layers}
 
 
 def _exponent(material: object) -> float:
@@ -339,9 +336,7 @@ def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, In
     corners = corners[corners < largest]
     near = even[np.minimum(np.searchsorted(even, corners), len(even) - 1)]
     below = even[np.maximum(np.searchsorted(even, corners) - 1, 0)]
-    is_apart = (
-        np.minimum(np.abs(near - corners), np.abs(below - corners)) > _MIN_KNOT_SPACING * corners
-    )
+    is_apart = np.minimum(np.abs(near - corners), np.abs(below - corners)) > _MIN_GAP * corners
     edges = np.concatenate([[0.0], np.sort(np.concatenate([even, corners[is_apart]]))])
     return edges, np.searchsorted(edges, even)
 

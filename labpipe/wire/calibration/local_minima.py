@@ -22,14 +22,7 @@ from labpipe.records.wire_calibration import (
 )
 from labpipe.wire.calibration.law_components import model_forces
 from labpipe.wire.calibration.nonlinearity import widening
-from labpipe.wire.calibration.parameter_search import (
-    Fit,
-    Levels,
-    Point,
-    Problem,
-    products,
-    search,
-)
+from labpipe.wire.calibration.parameter_search import Fit, Levels, Point, Problem, products, search
 from labpipe.wire.calibration.scatter_mixture import mix
 from labpipe.wire.calibration.variances import (
     Uncertainty,
@@ -41,8 +34,8 @@ from labpipe.wire.calibration.variances import (
 _TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_SCALE)
 _STRIDE = 0.3
 """Spacing of points on the line, in logarithms of the copper's strength."""
-_SAME_PLACE_STRIDES = 0.1
-"""Points closer than this share of a stride are one."""
+_SAME_PLACE = 0.1 * _STRIDE
+"""Distance below which points are one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +71,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MinimaAndLevels:
+class Minima:
     """Local minima and levels.
 
     Parameters
@@ -95,9 +88,7 @@ class MinimaAndLevels:
     widening: float
 
 
-def find_minima(
-    problem: Problem, logs: Floats, free: Flags, *, scatter: float | None
-) -> MinimaAndLevels:
+def find_minima(problem: Problem, logs: Floats, free: Flags, *, scatter: float | None) -> Minima:
     """Find all local minima, and the levels at the lowest.
 
     Parameters
@@ -130,25 +121,20 @@ def find_minima(
     fits = _distinct_minima([fit, *(minimum for minimum in minima if minimum is not None)])
     fits = [fit for fit in fits if fit.objective - fits[0].objective <= max_rise]
     others_on_line = [
-        element
-        for element in line
-        if abs(_log_copper(element) - _log_copper(fits[0])) > _SAME_PLACE_STRIDES * _STRIDE
+        element for element in line if abs(_strength(element) - _strength(fits[0])) > _SAME_PLACE
     ]
-    line = sorted([*others_on_line, fits[0]], key=_log_copper)
+    line = sorted([*others_on_line, fits[0]], key=_strength)
     rises = [0.0 if element is fits[0] else max(element.objective - least, 0.0) for element in line]
     place = np.array([[*element.point.logs, element.point.gain] for element in line])
     wider = widening(problem, levels, line, fits[0])
-    return MinimaAndLevels(fits, levels, Line(place, np.array(rises)), wider)
+    return Minima(fits, levels, Line(place, np.array(rises)), wider)
 
 
 def _distinct_minima(fits: list[Fit]) -> list[Fit]:
     """Return distinct minima, the lowest first: two searches may end in one."""
     distinct: list[Fit] = []
     for fit in sorted(fits, key=lambda fit: fit.objective):
-        if all(
-            abs(_log_copper(fit) - _log_copper(other)) > _SAME_PLACE_STRIDES * _STRIDE
-            for other in distinct
-        ):
+        if all(abs(_strength(fit) - _strength(other)) > _SAME_PLACE for other in distinct):
             distinct.append(fit)
     return distinct
 
@@ -259,7 +245,7 @@ def find_local_minima(
         if dip is not fit:
             least = _search_again(problem, levels, dip, free, lowest=fit.objective)
             minima += [] if least is None else [least]
-    minima.sort(key=_log_copper)
+    minima.sort(key=_strength)
     distinct: list[Fit] = []
     for minimum in minima:
         if distinct and _hill_height(line, distinct[-1], minimum) < min_hill:
@@ -269,7 +255,7 @@ def find_local_minima(
     return distinct
 
 
-def _log_copper(fit: Fit) -> float:
+def _strength(fit: Fit) -> float:
     return float(fit.point.logs[_COPPER])
 
 
@@ -290,7 +276,7 @@ def line_of(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit
         return [fit]
     others = free.copy()
     others[_COPPER] = False
-    at, low, high = _log_copper(fit), float(problem.lower[_COPPER]), float(problem.upper[_COPPER])
+    at, low, high = _strength(fit), float(problem.lower[_COPPER]), float(problem.upper[_COPPER])
     down = _follow(problem, levels, fit, others, _steps(at, low))
     up = _follow(problem, levels, fit, others, _steps(at, high))
     return [*down[::-1], fit, *up]
@@ -303,7 +289,7 @@ def _steps(at: float, bound: float) -> Floats:
 
 def _follow(problem: Problem, levels: Levels, fit: Fit, others: Flags, stops: Floats) -> list[Fit]:
     """Fit at one stop after the other, each started by extrapolation."""
-    objective_tolerance = 0.01
+    tolerance = 0.01
     fits = [fit]
     for stop in stops:
         last = fits[-1].point
@@ -313,9 +299,7 @@ def _follow(problem: Problem, levels: Levels, fit: Fit, others: Flags, stops: Fl
         logs[_COPPER] = stop
         try:
             start, low = replace(last, logs=logs), fit.objective
-            fits.append(
-                search(problem, levels, start, others, enough=objective_tolerance, lowest=low)
-            )
+            fits.append(search(problem, levels, start, others, enough=tolerance, lowest=low))
         except ValueError:
             break  # the model cannot follow the curves with such copper
     return fits[1:]
@@ -331,9 +315,7 @@ def _low_points(line: list[Fit]) -> Iterator[Fit]:
 
 def _hill_height(line: list[Fit], one: Fit, other: Fit) -> float:
     """Return how far the line rises above two minima between them."""
-    between = [
-        fit.objective for fit in line if _log_copper(one) < _log_copper(fit) < _log_copper(other)
-    ]
+    between = [fit.objective for fit in line if _strength(one) < _strength(fit) < _strength(other)]
     return max(between, default=-np.inf) - max(one.objective, other.objective)
 
 

@@ -109,20 +109,18 @@ def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | Cal
     A common error e of n curves shifts their mean by e, as do n independent errors of n^(1/2) e;
     only the differences between curves then count for less than they could.
     """
-    usable_curves = tuple(_finite_points(curve) for curve in curves)
-    usable_curves = tuple(curve for curve in usable_curves if len(curve.force))
-    root_n = np.sqrt(len(usable_curves))
-    usable_curves = tuple(
-        replace(curve, scale_error=root_n * curve.scale_error) for curve in usable_curves
-    )
-    if not usable_curves:
+    finite = tuple(_finite_points(curve) for curve in curves)
+    finite = tuple(curve for curve in finite if len(curve.force))
+    root_n = np.sqrt(len(finite))
+    finite = tuple(replace(curve, scale_error=root_n * curve.scale_error) for curve in finite)
+    if not finite:
         message = f"none of {len(curves)} curves has a point with deflection and force"
         return CalibrationFailure("no_sample_usable", message)
-    wires = sorted({curve.wire for curve in usable_curves})
+    wires = sorted({curve.wire for curve in finite})
     if len(wires) > 1:
         message = f"curves of {len(wires)} wires: {', '.join(wires)}; expected one"
         return CalibrationFailure("wires_mixed", message)
-    for curve in usable_curves:
+    for curve in finite:
         if not np.all(np.asarray(curve.noise) > 0.0):
             noise = 1e3 * np.min(curve.noise)
             message = f"{curve.test}: expected a positive noise, found {noise:.4g} mN"
@@ -135,16 +133,16 @@ def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | Cal
                 "length"
             )
             return CalibrationFailure("deflection_too_large", message)
-    return usable_curves
+    return finite
 
 
 def _finite_points(curve: MeasuredCurve) -> MeasuredCurve:
-    is_finite = np.isfinite(curve.deflection) & np.isfinite(curve.force)
+    valid = np.isfinite(curve.deflection) & np.isfinite(curve.force)
     return replace(
         curve,
-        deflection=curve.deflection[is_finite],
-        force=curve.force[is_finite],
-        noise=np.asarray(curve.noise)[is_finite],
+        deflection=curve.deflection[valid],
+        force=curve.force[valid],
+        noise=np.asarray(curve.noise)[valid],
     )
 
 
@@ -187,20 +185,18 @@ def curve_errors(
     -----
     Eqs. (3.28) and (3.29) of the source. SSE grows with the number of points.
     """
-    is_finite = np.isfinite(force) & np.isfinite(model)
-    if not is_finite.any():
+    valid = np.isfinite(force) & np.isfinite(model)
+    if not valid.any():
         message = "no point has both a measured and a modelled force"
         raise ValueError(message)
-    residuals = force[is_finite] - model[is_finite]
+    residuals = force[valid] - model[valid]
     sse = float(residuals @ residuals)
     rmse = float(np.sqrt(sse / len(residuals)))
     inside = np.nan
     if lower is not None and upper is not None:
-        inside = float(
-            np.mean((lower[is_finite] <= force[is_finite]) & (force[is_finite] <= upper[is_finite]))
-        )
+        inside = float(np.mean((lower[valid] <= force[valid]) & (force[valid] <= upper[valid])))
     return CurveErrors(
-        len(residuals), sse, rmse, rmse / float(np.max(np.abs(force[is_finite]))), inside
+        len(residuals), sse, rmse, rmse / float(np.max(np.abs(force[valid]))), inside
     )
 
 

@@ -24,7 +24,7 @@ from labpipe.records.arrays import Floats
 from labpipe.wire.calibration.law_components import whitened_products
 from labpipe.wire.calibration.parameter_search import Fit, Levels, Problem
 
-_FALSE_ALARM_RATE = 0.05
+_ALARM_RATE = 0.05
 
 
 def widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> float:
@@ -39,7 +39,7 @@ def widening(problem: Problem, levels: Levels, line: list[Fit], base: Fit) -> fl
     start = next(number for number, fit in enumerate(line) if fit is base)
     products = _differences(problem, levels, line, base)
     angle = swept(products, range(start - 1, -1, -1)) + swept(products, range(start + 1, len(line)))
-    return tube_quantile(angle) / float(ndtri(1.0 - 0.5 * _FALSE_ALARM_RATE))
+    return tube_quantile(angle) / float(ndtri(1.0 - 0.5 * _ALARM_RATE))
 
 
 def tube_quantile(angle: float) -> float:
@@ -56,9 +56,7 @@ def tube_quantile(angle: float) -> float:
     """
 
     def excess(q: float) -> float:
-        return (
-            float(2.0 * ndtr(-q) + angle / (2.0 * np.pi) * np.exp(-0.5 * q * q)) - _FALSE_ALARM_RATE
-        )
+        return float(2.0 * ndtr(-q) + angle / (2.0 * np.pi) * np.exp(-0.5 * q * q)) - _ALARM_RATE
 
     return float(brentq(excess, 1.9, 10.0))
 

@@ -149,7 +149,7 @@ def search(
         if float(step @ pull) <= max(enough, rise_share * (fit.objective - lowest)):
             return replace(fit, steps=steps, settled=True)
         steps += 1
-        next_fit = _take_step(problem, levels, fit, step, float(step @ pull))
+        next_fit = _advance(problem, levels, fit, step, float(step @ pull))
         if next_fit is not None and next_fit.objective <= fit.objective:
             slow = max(idle_gain, (fit.objective - lowest) / _MAX_STEPS)
             idle = idle + 1 if fit.objective - next_fit.objective <= slow else 0
@@ -190,28 +190,24 @@ def products(
     return grams
 
 
-def _take_step(
-    problem: Problem, levels: Levels, here: Fit, step: Floats, gain: float
-) -> Fit | None:
+def _advance(problem: Problem, levels: Levels, here: Fit, step: Floats, gain: float) -> Fit | None:
     """Evaluate a step, or part of it if a parabola has its minimum well before.
 
     In a narrow curved valley whole steps oscillate between its sides.
     """
     whole_share = 0.75  # of a step, from which the whole step is taken
     shortest_share = 0.1
-    whole = _evaluate_or_none(problem, levels, _move(problem, here.point, step))
+    whole = _try(problem, levels, _move(problem, here.point, step))
     if whole is None:
         return None
     share = gain / max(whole.objective - here.objective + 2.0 * gain, gain)
     if share > whole_share:
         return whole
-    part = _evaluate_or_none(
-        problem, levels, _move(problem, here.point, max(share, shortest_share) * step)
-    )
+    part = _try(problem, levels, _move(problem, here.point, max(share, shortest_share) * step))
     return part if part is not None and part.objective < whole.objective else whole
 
 
-def _evaluate_or_none(problem: Problem, levels: Levels, point: Point) -> Fit | None:
+def _try(problem: Problem, levels: Levels, point: Point) -> Fit | None:
     """Evaluate a point; None where the model cannot follow, so that the step is shortened."""
     try:
         return _evaluate(problem, levels, point)

@@ -61,9 +61,7 @@ class _Side:
     seen: tuple[tuple[float, float], ...]
 
 
-def traces(
-    calibration_fit: CalibrationFit, number: int, *, unlikely: float = 1.0
-) -> tuple[Trace, ...]:
+def traces(result: CalibrationFit, number: int, *, unlikely: float = 1.0) -> tuple[Trace, ...]:
     """Follow the objective from each of its minima within the interval of a parameter.
 
     Parameters
@@ -72,11 +70,9 @@ def traces(
     number : of the parameter
     unlikely : height up to which the objective is followed, over that of the 95 % set
     """
-    limits = (
-        (valley, unlikely * limit_of(calibration_fit, valley)) for valley in calibration_fit.valleys
-    )
+    limits = ((valley, unlikely * limit_of(result, valley)) for valley in result.valleys)
     allowed = (valley for valley, limit in limits if valley.rise < limit)
-    return tuple(trace(calibration_fit, number, valley, unlikely=unlikely) for valley in allowed)
+    return tuple(trace(result, number, valley, unlikely=unlikely) for valley in allowed)
 
 
 def union(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
@@ -90,7 +86,7 @@ def union(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
     return tuple(joined)
 
 
-def limit_of(calibration_fit: CalibrationFit, valley: LocalMinimum) -> float:
+def limit_of(result: CalibrationFit, valley: LocalMinimum) -> float:
     """Return the rise of the objective below which a minimum is in the 95 % set.
 
     Parameters
@@ -104,12 +100,12 @@ def limit_of(calibration_fit: CalibrationFit, valley: LocalMinimum) -> float:
     from the lowest minimum. The shape of the curves selects the minimum, so that this is the
     quantile of many points even where the level depends on few samples.
     """
-    here, there = calibration_fit.fit.point, valley.fit.point
+    here, there = result.fit.point, valley.fit.point
     way = np.append(there.logs - here.logs, there.gain - here.gain)
-    return float(_limits(calibration_fit, way[None, :])[0])
+    return float(_limits(result, way[None, :])[0])
 
 
-def reach(calibration_fit: CalibrationFit, number: int, unlikely: float) -> tuple[float, float]:
+def reach(result: CalibrationFit, number: int, unlikely: float) -> tuple[float, float]:
     """Return the range of a parameter on the line of minima, in logarithms.
 
     Parameters
@@ -118,12 +114,10 @@ def reach(calibration_fit: CalibrationFit, number: int, unlikely: float) -> tupl
     number : of the parameter
     unlikely : height up to which the line is followed, over that of the 95 % set
     """
-    here = calibration_fit.fit.point
-    ways = calibration_fit.line.place - np.append(here.logs, here.gain)
-    height = np.sqrt(
-        calibration_fit.line.rise / np.maximum(_limits(calibration_fit, ways), 1e-30) / unlikely
-    )
-    values, inside = calibration_fit.line.place[:, number], height <= 1.0
+    here = result.fit.point
+    ways = result.line.place - np.append(here.logs, here.gain)
+    height = np.sqrt(result.line.rise / np.maximum(_limits(result, ways), 1e-30) / unlikely)
+    values, inside = result.line.place[:, number], height <= 1.0
     ends = [values[inside]]
     for low, high in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
         leaves = inside[low] & ~inside[high]
@@ -134,20 +128,20 @@ def reach(calibration_fit: CalibrationFit, number: int, unlikely: float) -> tupl
     return float(reached.min()), float(reached.max())
 
 
-def _limits(calibration_fit: CalibrationFit, ways: Floats) -> Floats:
+def _limits(result: CalibrationFit, ways: Floats) -> Floats:
     """Return the squared quantiles of combinations of parameters and gain, in standard errors."""
-    lowest = calibration_fit.valleys[0]
+    lowest = result.valleys[0]
     error = np.sqrt(np.einsum("ni,ij,nj->n", ways, lowest.spread.covariance, ways))
     below, above = quantiles(lowest.mixture, ways)
     roots = [
         _min_quantile(float(end), float(one))
         for end, one in zip(np.maximum(-below, above), error, strict=True)
     ]
-    return np.asarray((calibration_fit.widening * np.array(roots)) ** 2)
+    return np.asarray((result.widening * np.array(roots)) ** 2)
 
 
 def trace(
-    calibration_fit: CalibrationFit, number: int, valley: LocalMinimum, *, unlikely: float = 1.0
+    result: CalibrationFit, number: int, valley: LocalMinimum, *, unlikely: float = 1.0
 ) -> Trace:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted.
 
@@ -158,16 +152,11 @@ def trace(
     valley : start; its rise counts towards the height
     unlikely : as for `traces`
     """
-    problem, levels, fit, free = (
-        calibration_fit.problem,
-        calibration_fit.levels,
-        valley.fit,
-        calibration_fit.free,
-    )
+    problem, levels, fit, free = (result.problem, result.levels, valley.fit, result.free)
     error = float(np.sqrt(valley.spread.covariance[number, number]))
     below, above = quantiles(valley.mixture, np.eye(P + 1)[[number]])
-    taken = valley.rise / limit_of(calibration_fit, valley) if valley.rise > 0.0 else 0.0
-    wide = calibration_fit.widening * float(np.sqrt(unlikely - taken))
+    taken = valley.rise / limit_of(result, valley) if valley.rise > 0.0 else 0.0
+    wide = result.widening * float(np.sqrt(unlikely - taken))
     roots = [wide * _min_quantile(end, error) for end in (-below[0], above[0])]
     others = free.copy()
     others[number] = False
@@ -180,10 +169,8 @@ def trace(
         )
         sides.append(_find_end(walk, root, error))
     middle = (float(fit.point.logs[number]), 0.0)
-    one = len(calibration_fit.valleys) == 1
-    seen = sorted(
-        {middle, *(p for side in sides for p in (side.seen if one else _points_to_hill(side)))}
-    )
+    one = len(result.valleys) == 1
+    seen = sorted({middle, *(p for side in sides for p in (side.seen if one else _uphill(side)))})
     logs, heights = np.array(seen).T
     return Trace(
         logs,
@@ -197,7 +184,7 @@ def trace(
     )
 
 
-def _points_to_hill(side: _Side) -> list[tuple[float, float]]:
+def _uphill(side: _Side) -> list[tuple[float, float]]:
     """Return the points up to the first hill; another minimum behind it is followed separately."""
     points: list[tuple[float, float]] = []
     for place, height in sorted(side.seen, key=lambda point: abs(point[0] - side.start)):
