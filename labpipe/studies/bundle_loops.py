@@ -70,6 +70,10 @@ def bundle_loop(test: TestResult) -> BundleLoop:
     share = 1.0 if "length" in dimensions else 0.5  # two halves carry the force between supports
     rows, branch = _thin_branches(curve, min_deflection_share * length)
     slide = values.get("plateau_displacement")
+    self_weight = 0.0
+    if "length" in dimensions:
+        specimen = parse_protocol(test.protocol_yaml, test.test).specimen
+        self_weight = GRAVITY * (specimen.mass_per_length or 0.0)
     return BundleLoop(
         length=length,
         deflection=curve.displacement[rows],
@@ -77,14 +81,8 @@ def bundle_loop(test: TestResult) -> BundleLoop:
         branch=branch,
         kink=(kink[0], share * kink[1]),
         slide=np.inf if slide is None else slide,
-        self_weight=_self_weight(test) if "length" in dimensions else 0.0,
+        self_weight=self_weight,
     )
-
-
-def _self_weight(test: TestResult) -> float:
-    """Return the weight per length of the test sheet, N/m; 0 where it has none."""
-    specimen = parse_protocol(test.protocol_yaml, test.test).specimen
-    return GRAVITY * (specimen.mass_per_length or 0.0)
 
 
 def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:

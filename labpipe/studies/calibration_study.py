@@ -158,18 +158,13 @@ def calibration_json(
 
 def _parameter_json(parameter: CalibratedParameter) -> dict[str, object]:
     interval, conflict = parameter.interval, parameter.conflict
-    ends = () if interval is None else (interval.lower, interval.upper)
-    lower, upper = map(finite_or_none, ends or (None, None))
+    lower, upper = (None, None) if interval is None else _numbers([interval.lower, interval.upper])
     return {
         "name": parameter.name,
         "value": finite_or_none(parameter.value),
         "unit": parameter.unit,
-        "lower": None
-        if interval is None or parameter.is_open_below
-        else finite_or_none(interval.lower),
-        "upper": None
-        if interval is None or parameter.is_open_above
-        else finite_or_none(interval.upper),
+        "lower": None if parameter.is_open_below else lower,
+        "upper": None if parameter.is_open_above else upper,
         "level": None if interval is None else interval.level,
         "intervals": _intervals(parameter),
         "verdict": str(parameter.verdict),

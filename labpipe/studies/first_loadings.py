@@ -253,6 +253,10 @@ def first_loading(
             "points or up_to"
         )
         raise NotUsableError(message)
+    string, rig = protocol.rig.string, None
+    if string is not None:
+        weight = GRAVITY * string.counterweight
+        rig = StringRig(string.length, weight, length, string.length)
     sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
     common_scale_error, test_scale_error = scale_errors(result)
     measured = MeasuredCurve(
@@ -263,7 +267,7 @@ def first_loading(
         deflection=deflection[taken],
         force=force[taken],
         noise=_noise(deflection[usable], force[usable])[taken[usable]],
-        rig=_rig(protocol, length),
+        rig=rig,
         zero_error=force_zero_error(protocol, curve, branch),
         place_error=place_error(result, protocol, curve, branch),
         scale_error=common_scale_error,
@@ -452,14 +456,6 @@ def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
         message = f"its first loading failed: {peak.why}"
         raise NotUsableError(message)
     return curve, first[0]
-
-
-def _rig(protocol: Protocol, length: float) -> StringRig | None:
-    """Return string and counterweight of the protocol; None without a string."""
-    string = protocol.rig.string
-    if string is None:
-        return None
-    return StringRig(string.length, GRAVITY * string.counterweight, length, string.length)
 
 
 def _doubt_notes(result: TestResult) -> list[QualityNote]:

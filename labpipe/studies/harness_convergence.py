@@ -232,9 +232,8 @@ def _allowed_change(
     min_size_share = 1e-3  # of the largest number of the same unit
     like = [abs(other.value) for other in numbers if other.unit == number.unit]
     like.append(reference_size(number.unit, prepared.line))
-    size = max(
-        abs(number.value), min_size_share * max(value for value in like if math.isfinite(value))
-    )
+    largest = max(value for value in like if math.isfinite(value))
+    size = max(abs(number.value), min_size_share * largest)
     if number.is_signed:
         size = max(size, min_coordinate_share * prepared.line.length)
     band = intervals.get(number.name)

@@ -229,9 +229,8 @@ def jump_doubt(path: RodPath, prepared: PreparedLine) -> Doubt | None:
         f"step {at}: the line jumped (it snapped or was released) and lost {100.0 * share:.0f} % "
         "of the energy; history-dependent results depend on its motion, which is unknown"
     )
-    return Doubt(
-        Reason("jumped", message), (ENERGY_LOST, RESIDUAL, MOMENT, *_names_after_release(prepared))
-    )
+    names = (ENERGY_LOST, RESIDUAL, MOMENT, *_names_after_release(prepared))
+    return Doubt(Reason("jumped", message), names)
 
 
 def element_doubt(path: RodPath, line: Line) -> Doubt | None:
@@ -259,10 +258,9 @@ def element_doubt(path: RodPath, line: Line) -> Doubt | None:
         f"{np.degrees(turn):.0f} deg over one of its {count} elements; the error of its bend "
         f"exceeds 1 %: take {math.ceil(count * turn / max_turn)} elements or more"
     )
-    has_memory = len(line.section.law.stiffnesses) > 0
-    names: tuple[str, ...] = (
-        (RADIUS_ON_PATH, RESIDUAL, ENERGY_LOST) if has_memory else (RADIUS_ON_PATH,)
-    )
+    names: tuple[str, ...] = (RADIUS_ON_PATH,)
+    if len(line.section.law.stiffnesses):
+        names += (RESIDUAL, ENERGY_LOST)
     if turn > excessive_turn:
         names = ("", RADIUS_ON_PATH)
     elif turns[-1].max() > max_turn:
@@ -354,11 +352,8 @@ def numbers_of(path: RodPath, prepared: PreparedLine) -> tuple[Number, ...]:
         return float(evaluate_number(name, fields.__getitem__, prepared, steps))
 
     bends = _bend_numbers(path, prepared, value(LOWEST_POINT))
-    return (
-        *bends,
-        *_force_numbers(path, prepared, value),
-        *_release_numbers(path, prepared, value),
-    )
+    forces = _force_numbers(path, prepared, value)
+    return (*bends, *forces, *_release_numbers(path, prepared, value))
 
 
 def results_of(

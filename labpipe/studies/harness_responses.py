@@ -81,12 +81,9 @@ def fields_of(path: RodPath, prepared: PreparedLine) -> dict[str, Floats]:
     numbers; `RESIDUAL`, the vectors of `curvature_after_release`; `ENERGY_LOST`.
     """
     last, line = path.last, prepared.line
-    bent = {
-        f"{CURVATURES}{step}": curvature_vectors(state, line)
-        for step, state in enumerate(path.states)
-    }
+    bent = [curvature_vectors(state, line) for state in path.states]
     return {
-        **bent,
+        **{f"{CURVATURES}{step}": vectors for step, vectors in enumerate(bent)},
         **dict(_boundary_fields(path, prepared)),
         POSITIONS: last.positions,
         RESIDUAL: curvature_after_release(line.section.law, last.rests),
@@ -114,10 +111,9 @@ def number_names(fields: Fields) -> tuple[str, ...]:
     ----------
     fields : of a line
     """
-    at_boundaries = [
-        field for field in fields if field != POSITIONS and not field.startswith(CURVATURES)
-    ]
-    return (RADIUS, RADIUS_ON_PATH, LOWEST_POINT, *at_boundaries)
+    shape = (POSITIONS, CURVATURES)
+    others = [field for field in fields if not field.startswith(shape)]
+    return (RADIUS, RADIUS_ON_PATH, LOWEST_POINT, *others)
 
 
 def evaluate_number(
@@ -135,9 +131,8 @@ def evaluate_number(
     if name == RADIUS:
         return _max_curvature(field(f"{CURVATURES}{steps}"))
     if name == RADIUS_ON_PATH:  # step by step, to limit the memory for draws
-        return reduce(
-            np.maximum, (_max_curvature(field(f"{CURVATURES}{step}")) for step in range(steps + 1))
-        )
+        names = (f"{CURVATURES}{step}" for step in range(steps + 1))
+        return reduce(np.maximum, (_max_curvature(field(name)) for name in names))
     if name == LOWEST_POINT:
         return np.asarray(heights_of(field(POSITIONS), prepared).min(axis=-1))
     if name == RESIDUAL:

@@ -192,8 +192,11 @@ def _wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Mater
     if calibrated is not None and np.isfinite(calibrated.tested_curvature):
         limits["the tests of its calibration"] = calibrated.tested_curvature
     source = min(limits, key=lambda limit: limits[limit])
+    name = spec.name
+    if calibrated is not None and calibrated.wire != name:
+        name = f"{name} (calibrated as {calibrated.wire})"
     return Material(
-        _name(spec, calibrated),
+        name,
         tuple(partial(_family_section, family, spec.wire_diameter) for family in families),
         *(limits[source], source),
         files=tuple(files),
@@ -225,13 +228,6 @@ def _family_section(family: LawFamily, diameter: float, inputs: Mapping[str, flo
         mass_per_length=member.mass_per_length,
         diameter=diameter,
     )
-
-
-def _name(spec: WireSpec, calibrated: CalibratedFile | None) -> str:
-    """Return the name of a wire, with that of the calibrated wire if it is another."""
-    if calibrated is None or calibrated.wire == spec.name:
-        return spec.name
-    return f"{spec.name} (calibrated as {calibrated.wire})"
 
 
 def _scaled_section(section: Section, inputs: Mapping[str, float]) -> Section:

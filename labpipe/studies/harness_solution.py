@@ -185,9 +185,8 @@ def solve_harness(
     reasons = _all_reasons(path, prepared, material, bands)
     is_whole = path.status != FAILED
     status = (Status.DOUBTFUL if reasons else Status.OK) if is_whole else Status.FAILED
-    results = (
-        _results_with_doubts(harness, material, (path, prepared, bands), length) if is_whole else ()
-    )
+    solution = path, prepared, bands
+    results = _results_with_doubts(harness, material, solution, length) if is_whole else ()
     limit = bend_limit(harness, material)
     return FollowedHarness(
         *(file, harness, material, prepared, path, status, reasons, results, limit, folder),

@@ -13,7 +13,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.decks.mujoco_line import line_deck
 from labpipe.protocol.load import load_harness
-from labpipe.records.result import InputFile, Status
+from labpipe.records.result import Status
 from labpipe.report.harness_figure import FIGURE, SWEEP_FIGURE, save_harness_figure
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import locked, replacing, replacing_together, storing
@@ -191,7 +191,7 @@ def _sweep_csv(sweep: Sequence[SweepRun]) -> str:
 
 
 def _json_head(solution: FollowedHarness) -> dict[str, object]:
-    files = _files(solution)
+    files = (input_file("harness", solution.file), *solution.material.files)
     fingerprints = "".join([__version__, *(file.sha256 for file in files)])
     return {
         "schema": SCHEMA,
@@ -202,10 +202,6 @@ def _json_head(solution: FollowedHarness) -> dict[str, object]:
         "inputs": [{"role": file.role, "file": file.file, "sha256": file.sha256} for file in files],
         "status": str(solution.status),
     }
-
-
-def _files(solution: FollowedHarness) -> tuple[InputFile, ...]:
-    return (input_file("harness", solution.file), *solution.material.files)
 
 
 def as_json(solution: FollowedHarness) -> dict[str, object]:

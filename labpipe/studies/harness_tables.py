@@ -38,6 +38,7 @@ def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
     curvature = curvature_of(state, line)
     axes = matrices(state.frames)[:, :, 2]
     tension = np.einsum("nk,nk->n", state.forces, axes)
+    before, behind = np.insert(tension, 0, tension[0]), np.append(tension, tension[-1])
     moments = state.moments
     both = np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])
     torque = np.einsum("nsk,nsk->ns", moments, np.stack(both, axis=1))
@@ -49,19 +50,10 @@ def shape_columns(state: RodState, line: Line) -> dict[str, Floats]:
         "curvature [1/m]": curvature,
         "bend_radius [m]": radius_of(curvature),
         "kept_curvature [1/m]": residual_curvature(state, line.section.law),
-        "tension [N]": _at_nodes(tension),
+        "tension [N]": 0.5 * (before + behind),
         "bending_moment [N*m]": bending.max(axis=1),
         "torque [N*m]": np.where(np.abs(torque[:, 0]) > np.abs(torque[:, 1]), *torque.T),
     }
-
-
-def _at_nodes(of_elements: Floats) -> Floats:
-    """Return the mean of both sides at the nodes, shape (n + 1,)."""
-    before, behind = (
-        np.insert(of_elements, 0, of_elements[0]),
-        np.append(of_elements, of_elements[-1]),
-    )
-    return np.asarray(0.5 * (before + behind))
 
 
 def shape_csv(path: RodPath, line: Line, steps: Sequence[int], bands: Bands) -> str:
@@ -175,10 +167,7 @@ def shape_vtk(path: RodPath, line: Line, steps: Sequence[int], title: str) -> st
                 f"POINTS {len(points)} double",
                 *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
                 f"LINES {len(states)} {len(states) * (count + 1)}",
-                *(
-                    " ".join(map(str, [count, *row]))
-                    for row in np.arange(len(points)).reshape(-1, count)
-                ),
+                *(" ".join(map(str, [count, *nodes])) for nodes in nodes_of_lines),
                 f"CELL_DATA {len(states)}",
                 *_scalars("step", [float(step) for step in steps]),
                 f"POINT_DATA {len(points)}",

@@ -76,14 +76,11 @@ def bent_shapes(
         if len(reached):
             frame = int(reached[0])
             model = _model_shape(wire, length, rig, float(rise[frame]), largest_curvature)
-            markers, axis = _marker_positions(shape, frame), _fitted_axis(shape, frame)
+            measured = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
+            markers = shape.positions[frame, measured, :2]
+            axis = _fitted_axis(shape, frame)
             shapes.append(BentShape(float(rise[frame]), markers, axis, model))
     return tuple(shapes)
-
-
-def _marker_positions(shape: Shape, frame: int) -> Floats:
-    seen = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
-    return shape.positions[frame, seen, :2]
 
 
 def _fitted_axis(shape: Shape, frame: int) -> Floats:
