@@ -1,4 +1,4 @@
-"""The error tree: everything labpipe says to a person when input cannot be used."""
+"""The errors of labpipe about input that cannot be used."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class UsageError(LabpipeError):
 
 
 class ReadError(LabpipeError):
-    """An export cannot be read as the format it is said to be."""
+    """An export cannot be read in its stated format."""
 
     code = "unreadable_export"
 
@@ -83,7 +83,7 @@ CODES = MappingProxyType(
         "unknown": "failure.json cannot be read",
     }
 )
-"""Why a test failed, in one word each; words stay what they are from version to version."""
+"""Codes of failed tests, stable from version to version, and their meaning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,13 +108,13 @@ class Fault:
 
 
 def error_text(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
-    """Word one message: file, place: expected X, found Y. What to do.
+    """Format one message: file, place: expected X, found Y. What to do.
 
     Parameters
     ----------
     file : path or name of the file, shown as given
     place : line, cell, byte, channel or YAML key; empty when the whole file is meant
-    expected, found : what should stand there, and what does; no full stop at the end
+    expected, found : expected and actual content; no full stop at the end
     remedy : what the person at the bench can do, a whole sentence
 
     Returns
@@ -132,7 +132,7 @@ def error_text(file: object, place: str, *, expected: str, found: str, remedy: s
 
 
 _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread")
-"""What says that the memory is used up, where a library or a thread is refused for it."""
+"""Messages of libraries and threads that run out of memory."""
 
 
 def code_of(error: Exception) -> str:
@@ -159,7 +159,7 @@ def code_of(error: Exception) -> str:
 
 
 def refusal(error: Exception) -> str:
-    """Word what the operating system refuses.
+    """Describe an error of the operating system.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
     ----------
     word : what was written
     known : what would have been valid
-    most : how many to give back at the most
+    most : maximum number of words
 
     Returns
     -------
@@ -218,13 +218,13 @@ def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
 
 
 def in_test_sheet(key: str, value: str, **more: str) -> str:
-    """Word overrides as a test sheet writes them, for messages.
+    """Format overrides of a test sheet for messages.
 
     Parameters
     ----------
     key : dotted, of the protocol
-    value : what to write; ``...`` where only the person at the bench knows it
-    more : other keys and what to write there
+    value : of the key; ``...`` if only the user knows it
+    more : other keys and values
 
     Examples
     --------

@@ -222,7 +222,7 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
         is_back[other_branch.start : other_branch.stop] = (
             other_branch.direction is Direction.UNLOADING
         )
-    force = _loading_sign(curve) * curve.force[after]
+    force = _sign(curve) * curve.force[after]
     sample = final_loss(curve.time[after], force, rule, is_back[after])
     return sample if isinstance(sample, Failure) else sample + branch.start
 
@@ -234,7 +234,7 @@ def _find_failure(
         loading = slice(curve.branches[0].start, None)
         sense = sense_of_loading(curve.displacement[loading])
         sample = slow_loss(
-            sense * curve.displacement[loading], _loading_sign(curve) * curve.force[loading], rule
+            sense * curve.displacement[loading], _sign(curve) * curve.force[loading], rule
         )
         return (
             lost
@@ -245,11 +245,11 @@ def _find_failure(
         return lost
     loading = slice(loading_before(curve, lost).start, lost + 1)
     return FailurePoint(
-        lost, lost_earlier(curve.time[loading], _loading_sign(curve) * curve.force[loading], rule)
+        lost, lost_earlier(curve.time[loading], _sign(curve) * curve.force[loading], rule)
     )
 
 
-def _loading_sign(curve: Curve) -> float:
+def _sign(curve: Curve) -> float:
     """Return the sign of the force in the first loading."""
     first = curve.branches[0]
     return sense_of_loading(curve.force[first.start : first.stop])
@@ -289,12 +289,12 @@ def _correct_slips(test: ReducedTest, block: SlipsBlock) -> Corrected:
         return test, []
     decision = SlipDecision(block.decision)
     displacement, force = curve.displacement[stretch], curve.force[stretch]
-    slips_or_failure = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
-    if isinstance(slips_or_failure, Failure):
-        return test, [warning("slips_not_looked_for", test.signals.force, slips_or_failure.message)]
+    outcome = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
+    if isinstance(outcome, Failure):
+        return test, [warning("slips_not_looked_for", test.signals.force, outcome.message)]
     slips = tuple(
         replace(slip, start=slip.start + stretch.start, stop=slip.stop + stretch.start)
-        for slip in slips_or_failure
+        for slip in outcome
     )
     test = replace(test, slips=slips)
     if slips and decision is SlipDecision.REPAIRED:

@@ -13,18 +13,18 @@ from labpipe.process.certificates import DAY_KEYS
 from labpipe.records.recording import Recording
 from labpipe.units import parse_quantity
 
-_DAY_ENTRIES = (*DAY_KEYS, "Date", "Datum", "Date/heure", "Date/Clock time", "Data Header")
+_DAY_ENTRY_KEYS = (*DAY_KEYS, "Date", "Datum", "Date/heure", "Date/Clock time", "Data Header")
 """Metadata keys of the day of the test."""
-_OPERATOR_ENTRIES = ("User", "author", "Operator", "Prüfer", "Tester", "Bediener", "Opérateur")
-_SPECIMEN_ENTRIES = (
+_OPERATOR_KEYS = ("User", "author", "Operator", "Prüfer", "Tester", "Bediener", "Opérateur")
+_SPECIMEN_KEYS = (
     "Specimen label",
     "Specimen number (included)",
     "Probebezeichnung",
     "Probenbezeichnung",
     "aktuelle Probe",
 )
-_TEST_ENTRIES = ("Take Name", "Test Run")
-_SIZE_ENTRIES = MappingProxyType(
+_TEST_KEYS = ("Take Name", "Test Run")
+_SIZE_KEYS = MappingProxyType(
     {
         "length": ("Length", "Einspannlänge"),
         "width": ("Width", "Probenbreite b0"),
@@ -92,23 +92,21 @@ def facts_of_export(name: str, recording: Recording) -> tuple[Fact, ...]:
     Its facts. The modification time of the file is not one of them: copying changes it.
     """
     entries = dict(_entries(recording.metadata))
-    dated_entries = {
-        name_of_entry: text for name_of_entry, text in entries.items() if _has_date(text)
-    }
+    dated_entries = {key_name: text for key_name, text in entries.items() if _has_date(text)}
     facts = [
         Fact("date", day_in(text), name, text)
-        for text in _first_filled(dated_entries, _DAY_ENTRIES)
+        for text in _first_filled(dated_entries, _DAY_ENTRY_KEYS)
     ]
     if not facts:
         facts = [Fact("date", day, f"the name of {name}", name) for day in days_in_name(name)]
-    for key, entry_names in (
-        ("operator", _OPERATOR_ENTRIES),
-        ("specimen", _SPECIMEN_ENTRIES),
-        ("take", _TEST_ENTRIES),
+    for key, names in (
+        ("operator", _OPERATOR_KEYS),
+        ("specimen", _SPECIMEN_KEYS),
+        ("take", _TEST_KEYS),
     ):
-        facts += [Fact(key, text, name, text) for text in _first_filled(entries, entry_names)]
-    for key, entry_names in _SIZE_ENTRIES.items():
-        sizes = [text for text in _first_filled(entries, entry_names) if _is_length(text)]
+        facts += [Fact(key, text, name, text) for text in _first_filled(entries, names)]
+    for key, names in _SIZE_KEYS.items():
+        sizes = [text for text in _first_filled(entries, names) if _is_length(text)]
         facts += [Fact(key, text, name, text) for text in sizes]
     return tuple(facts)
 

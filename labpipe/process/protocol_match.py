@@ -174,7 +174,7 @@ def _fit_protocol(
     if set(stated_roles) - set(protocol.sources):
         return None
     unused = list(exports)
-    role_exports: dict[str, _RoleExports] = {}
+    by_role: dict[str, _RoleExports] = {}
     for role, source in protocol.sources.items():
         candidates = (
             [export for export in unused if export.name in stated_roles[role]]
@@ -183,24 +183,23 @@ def _fit_protocol(
         )
         for_role = _exports_of_role(candidates, source)
         if for_role.exports:
-            role_exports[role] = for_role
+            by_role[role] = for_role
             unused = [export for export in unused if export not in for_role.exports]
         elif not source.optional:
             return None
     recordings = {
         role: finding.recording
-        for role, finding in role_exports.items()
+        for role, finding in by_role.items()
         if finding.recording is not None
     }
     takes = [export.markers for export in recordings.values() if export.markers is not None]
     clamp = None if protocol.markers is None else protocol.markers.clamp
     bodies = [body.name for take in takes for body in take.bodies]
-    faults = [finding.fault for finding in role_exports.values() if finding.fault]
+    faults = [finding.fault for finding in by_role.values() if finding.fault]
     if clamp is not None and takes and clamp not in bodies:
         faults.append(f"the take has no rigid body {clamp!r}, which 'markers.clamp' names")
     files = {
-        role: tuple(export.name for export in finding.exports)
-        for role, finding in role_exports.items()
+        role: tuple(export.name for export in finding.exports) for role, finding in by_role.items()
     }
     return Fit(
         protocol,
@@ -208,7 +207,7 @@ def _fit_protocol(
         tuple(faults),
         tuple(_signs(protocol, recordings, facts)),
         uses=sum(map(len, files.values())) + (clamp in bodies),
-        unclear=frozenset(role for role, finding in role_exports.items() if finding.is_unclear),
+        unclear=frozenset(role for role, finding in by_role.items() if finding.is_unclear),
     )
 
 
@@ -310,9 +309,9 @@ def _speed(time: Floats, places: Floats) -> float:
 
 
 def _marker_signs(protocol: Protocol, tracks: MarkerTracks) -> Iterator[Sign]:
-    settings = protocol.markers
-    body = None if settings is None or settings.clamp is None else tracks.body(settings.clamp)
-    if settings is None or body is None:
+    block = protocol.markers
+    body = None if block is None or block.clamp is None else tracks.body(block.clamp)
+    if block is None or body is None:
         return
     travel = _largest(np.linalg.norm(body.position - _first_position(body.position), axis=1))
     yield from _size_signs("travel of the clamp", travel, protocol.rig.stroke, _mm)
@@ -333,17 +332,17 @@ def marked_length(protocol: Protocol, tracks: MarkerTracks) -> float | None:
     -------
     m, from the clamped end to the string; None without a clamp or markers.
     """
-    settings = protocol.markers
-    body = None if settings is None or settings.clamp is None else tracks.body(settings.clamp)
+    block = protocol.markers
+    body = None if block is None or block.clamp is None else tracks.body(block.clamp)
     is_specimen = [not name.startswith(f"{body.name}:") for name in tracks.names] if body else []
     places = [
         _first_position(tracks.positions[:, i]) for i, is_used in enumerate(is_specimen) if is_used
     ]
-    if settings is None or body is None or not places:
+    if block is None or body is None or not places:
         return None
     distances = [float(np.linalg.norm(place - _first_position(body.position))) for place in places]
     finite = [distance for distance in distances if np.isfinite(distance)]
-    return max(finite) - settings.grip_offset + settings.pull_offset if finite else None
+    return max(finite) - block.grip_offset + block.pull_offset if finite else None
 
 
 def _first_position(positions: Floats) -> Floats:

@@ -67,7 +67,7 @@ def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     ):
         return ""
     key, likely_unit = source.key, _known_unit(stated)
-    is_alike = _is_same_unit(likely_unit, likely_unit, _si_unit(source))
+    is_alike = _same_unit(likely_unit, likely_unit, _si_unit(source))
     remedy = f"Write {likely_unit} there" if is_alike else _another_channel(source)
     wrong = in_test_sheet(f"{key}.wrong_unit_in_file", stated)
     return error_text(
@@ -92,7 +92,7 @@ def unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
         protocol_unit is None
         or not stated
         or protocol_unit == stated
-        or _is_same_unit(protocol_unit, stated, _si_unit(source))
+        or _same_unit(protocol_unit, stated, _si_unit(source))
     ):
         return []
     message = (
@@ -108,12 +108,12 @@ def _si_unit(source: ChannelSource) -> str:
 def _stated_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     """Describe what is wrong with the unit of the export, if the protocol states none."""
     stated, target = channel.unit_in_file, source.target_unit
-    if stated and _is_same_unit(stated, stated, target):
+    if stated and _same_unit(stated, stated, target):
         return ""
     expected, actual = f"a unit of the dimension of {target}", repr(stated)
     likely_unit = (
         _known_unit(stated)
-        if _is_same_unit(_known_unit(stated), _known_unit(stated), target)
+        if _same_unit(_known_unit(stated), _known_unit(stated), target)
         else "..."
     )
     remedy = f"Write {in_test_sheet(f'{source.key}.unit', likely_unit)}."
@@ -137,10 +137,10 @@ def _another_channel(source: ChannelSource) -> str:
 
 def _contradicts(stated: str, protocol_unit: str, si_unit: str) -> bool:
     """Check whether two units contradict each other; an unknown unit does not."""
-    if stated in _NO_UNIT or _is_same_unit(stated, protocol_unit, si_unit):
+    if stated in _NO_UNIT or _same_unit(stated, protocol_unit, si_unit):
         return False
     likely_unit = _known_unit(stated)
-    return is_unit(likely_unit) and not _is_same_unit(likely_unit, protocol_unit, si_unit)
+    return is_unit(likely_unit) and not _same_unit(likely_unit, protocol_unit, si_unit)
 
 
 def _known_unit(stated: str) -> str:
@@ -148,7 +148,7 @@ def _known_unit(stated: str) -> str:
     return stated if is_unit(stated) else _UNIT_SPELLINGS.get(stated.casefold(), stated)
 
 
-def _is_same_unit(one: str, other: str, si_unit: str) -> bool:
+def _same_unit(one: str, other: str, si_unit: str) -> bool:
     """Check whether two units of a dimension are equal."""
     try:
         return isclose(si_factor(one, si_unit), si_factor(other, si_unit), rel_tol=1e-9)
@@ -351,32 +351,26 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
         If a channel is missing, or its unit is unknown or of another dimension.
     """
     selected = [
-        (select_channel(recording, channel_source.channel, path), name, channel_source)
-        for name, channel_source in source.all_channels.items()
+        (select_channel(recording, spec.channel, path), name, spec)
+        for name, spec in source.all_channels.items()
     ]
-    channels = tuple(
-        _in_si(channel, name, channel_source, path) for channel, name, channel_source in selected
-    )
+    channels = tuple(_in_si(channel, name, spec, path) for channel, name, spec in selected)
     clocks = {channel.clock for channel in channels}
     kept_clocks = tuple(clock for clock in recording.clocks if clock.name in clocks)
     named = zip(channels, source.all_channels.values(), strict=True)
-    notes = [
-        note for channel, channel_source in named for note in unit_notes(channel, channel_source)
-    ]
+    notes = [note for channel, spec in named for note in unit_notes(channel, spec)]
     notes += [
-        _spelt_note(channel, name, channel_source)
-        for channel, name, channel_source in selected
-        if not is_exact_name(channel_source.channel, channel)
+        _spelt_note(channel, name, spec)
+        for channel, name, spec in selected
+        if not is_exact_name(spec.channel, channel)
     ]
     return replace(
         recording, channels=channels, clocks=kept_clocks, notes=(*recording.notes, *notes)
     )
 
 
-def _spelt_note(channel: Channel, name: str, channel_source: ChannelSource) -> QualityNote:
-    wanted = " or ".join(map(repr, channel_source.channel[:3])) + (
-        " ..." if len(channel_source.channel) > 3 else ""
-    )
+def _spelt_note(channel: Channel, name: str, spec: ChannelSource) -> QualityNote:
+    wanted = " or ".join(map(repr, spec.channel[:3])) + (" ..." if len(spec.channel) > 3 else "")
     message = f"the export has none called {wanted}: {channel.path!r} was used"
     return QualityNote("channel_spelt_otherwise", Severity.INFO, name, message)
 

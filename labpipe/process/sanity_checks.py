@@ -61,17 +61,12 @@ def check_rig(
         yield from _check_negative(_per_second(force), -1.2 * weight - 2e-3, "a string cannot push")
     if protocol.specimen.span is not None and force.has_time and not is_blocked:
         reason = "a load that presses on a specimen cannot pull it"
-        smoothed = _per_second(force)
+        means = _per_second(force)
         yield from _check_negative(
-            smoothed, -protocol.limits.pulling_force * float(np.nanmax(smoothed)), reason
+            means, -protocol.limits.pulling_force * float(np.nanmax(means)), reason
         )
-    length, settings = protocol.specimen.length, protocol.markers
-    if (
-        length is not None
-        and settings is not None
-        and settings.clamp is not None
-        and shape is not None
-    ):
+    length, block = protocol.specimen.length, protocol.markers
+    if length is not None and block is not None and block.clamp is not None and shape is not None:
         yield from _check_length(shape, length)
 
 
@@ -368,7 +363,7 @@ def find_cut_ends(
 
 def file_is_cut(findings: Findings) -> bool:
     """Check the notes of readers for exports whose last rows may be missing."""
-    return any(finding.code in _CUT_FILES for finding in findings.found)
+    return any(finding.code in _CUT_FILES for finding in findings.entries)
 
 
 def find_holds(where: str, motion: Motion, limits: Limits = LIMITS) -> Iterator[Finding]:

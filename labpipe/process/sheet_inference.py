@@ -203,10 +203,8 @@ class _TestInference:
 
     @cached_property
     def facts(self) -> CombinedFacts:
-        facts_by_export = [
-            facts_of_export(export.name, export.recording) for export in self._belonging
-        ]
-        facts = [fact for facts in facts_by_export for fact in facts if fact.key != "take"]
+        by_export = [facts_of_export(export.name, export.recording) for export in self._belonging]
+        facts = [fact for facts in by_export for fact in facts if fact.key != "take"]
         folder_facts = facts_of_folder(self.contents.folder.name)
         named = {fact.key for fact in folder_facts}
         # The lab chose the name of the folder; numbers of a program have no priority over it.
@@ -337,14 +335,14 @@ class _TestInference:
     def _about_facts(self) -> Iterator[str]:
         """Yield the values of each source, one line per source."""
         facts = [self.facts.facts[key] for key in _FACT_KEYS if key in self.facts.facts]
-        used_facts = [fact for fact in facts if fact.key not in self.stated]
-        for where in dict.fromkeys(fact.where for fact in used_facts):
-            statements = [
+        used = [fact for fact in facts if fact.key not in self.stated]
+        for where in dict.fromkeys(fact.where for fact in used):
+            parts = [
                 f"{fact.key} {fact.value}{_as_written(fact)}"
-                for fact in used_facts
+                for fact in used
                 if fact.where == where
             ]
-            yield f"{', '.join(statements)}: from {where}"
+            yield f"{', '.join(parts)}: from {where}"
 
     def _about_protocol(self) -> Iterator[str]:
         if "protocol" in self.stated:

@@ -160,21 +160,17 @@ def align_cameras(
     mid_span = prepared.signals.raw.get("mid_span")
     if mid_span is None or mid_span.clock == motion.clock:
         return prepared, {}, []
-    camera_strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
+    own_strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
     turns = turning_points(motion, strokes, window=window)
-    camera_turns = turning_points(mid_span, camera_strokes, window=window)
+    camera_turns = turning_points(mid_span, own_strokes, window=window)
     first = np.array([turn.middle for turn in turns if strokes[turn.stroke].sign > 0])
-    second = np.array(
-        [turn.middle for turn in camera_turns if camera_strokes[turn.stroke].sign > 0]
-    )
+    second = np.array([turn.middle for turn in camera_turns if own_strokes[turn.stroke].sign > 0])
     pairs, _ = match_peaks(first, second)
     if not len(pairs):
         message = "the cameras recorded no turn of mid-span at a turn of the motion"
         prepared, findings = _without_span(prepared, Failure("no_camera_clock", message))
         return prepared, {}, findings
-    errors = [
-        turn.arrival.time_error for turn in camera_turns if camera_strokes[turn.stroke].sign > 0
-    ]
+    errors = [turn.arrival.time_error for turn in camera_turns if own_strokes[turn.stroke].sign > 0]
     fit = _camera_fit(first[pairs[:, 0]], second[pairs[:, 1]], np.array(errors)[pairs[:, 1]])
     shape = prepared.shape
     if shape is not None:

@@ -100,12 +100,12 @@ def travel_from_speed(
     if rig.crosshead_speed is None or rig.stroke is None:
         message = "expected rig.crosshead_speed and rig.stroke"
         raise ValueError(message)
-    force, loading_time = (
+    force, duration = (
         with_rising_force(signals.raw[step.force]),
         rig.stroke / rig.crosshead_speed,
     )
     corner = _turn(force, step)
-    drive = Drive(corner.time - loading_time, corner.time, rig.crosshead_speed)
+    drive = Drive(corner.time - duration, corner.time, rig.crosshead_speed)
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
     travel = drive.travel(time)
     moved = {
@@ -114,11 +114,11 @@ def travel_from_speed(
     }
     signal = Signal(time, travel, "m", force.clock, moved=moved)
     summary = (
-        f"not measured: {1e3 * rig.crosshead_speed:.4g} mm/s over {loading_time:.4g} s up to the "
+        f"not measured: {1e3 * rig.crosshead_speed:.4g} mm/s over {duration:.4g} s up to the "
         f"corner of the force at {corner.time:.3f} s (standard error {1e3 * corner.time_error:.2g} "
         "ms), and back"
     )
-    half_width = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * loading_time))
+    half_width = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
     findings = [
         info_note("displacement_from_speed", step.channel, summary),
         *_start(force, drive, step.channel),
@@ -153,17 +153,17 @@ def _start(force: Signal, drive: Drive, channel: str) -> Iterator[Finding]:
     """Compare the take-off of the force with the start from speed and stroke."""
     # Share of the loading time.
     max_start_share = 0.02
-    take_off, loading_time = _take_off(force, drive.turn), drive.turn - drive.start
+    take_off, duration = _take_off(force, drive.turn), drive.turn - drive.start
     if take_off is None:
         message = "the force does not rise from rest, so that the start cannot be checked"
         yield info_note("start_not_seen", channel, message)
         return
     late = take_off.time - drive.start
-    if abs(late) <= max_start_share * loading_time + 3.0 * take_off.time_error:
+    if abs(late) <= max_start_share * duration + 3.0 * take_off.time_error:
         return
     message = (
         f"the force rises for {drive.turn - take_off.time:.2f} s before it turns, not for the "
-        f"{loading_time:.2f} s of the rig: check rig.crosshead_speed and rig.stroke"
+        f"{duration:.2f} s of the rig: check rig.crosshead_speed and rig.stroke"
     )
     yield doubtful("speed_unexpected", "rig.crosshead_speed", message, "displacement", "force")
 

@@ -237,7 +237,7 @@ def _twice_faults(names: tuple[str, ...], tag: str, seen: dict[str, str], path: 
 
 
 def _of_faults(stiffness: object, path: KeyPath, stiffnesses: list[str]) -> Faults:
-    """Find a result that is to be made of a stiffness that does not stand above it."""
+    """Find a result of a stiffness that is not above it in the list."""
     if not isinstance(stiffness, str) or stiffness in stiffnesses:
         return
     expected = "a stiffness above it in the list"

@@ -1,4 +1,4 @@
-"""Faults of a protocol or test sheet in the words of the bench, whichever check found them."""
+"""Faults of a protocol or test sheet in plain language, from all checks."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 from labpipe.errors import At, Fault, KeyPath, nearest
 
 _TYPE = "labpipe"
-_SHOWN = 200
-"""Signs of a value that a message shows."""
 _EXPECTED = {
     "model_type": "a block of keys with values",
     "model_attributes_type": "a block of keys with values",
@@ -28,12 +26,12 @@ _EXPECTED = {
 
 
 def one_of(word: str, valid: Iterable[str]) -> str:
-    """List what would have been valid, nearest first.
+    """List valid words, nearest first.
 
     Parameters
     ----------
-    word : what was written
-    valid : what would have been valid
+    word : the invalid one
+    valid : the valid ones
     """
     valid_words = sorted(set(valid))
     listed = nearest(word, valid_words, most=6)
@@ -42,7 +40,7 @@ def one_of(word: str, valid: Iterable[str]) -> str:
 
 
 def did_you_mean(word: str, valid: Iterable[str]) -> str:
-    """Offer the valid word that is most like the one written; empty if nothing is valid."""
+    """Suggest the most similar valid word; empty if there is none."""
     best = nearest(word, sorted(set(valid)), most=1)
     return f"Did you mean {best[0]!r}?" if best else ""
 
@@ -55,8 +53,8 @@ def shown(value: object) -> str:
         return "a block of keys" if value else "an empty block"
     if isinstance(value, Sequence) and not isinstance(value, str):
         return "a list" if value else "an empty list"
-    text = str(value)
-    return repr(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
+    text, max_shown = str(value), 200
+    return repr(text if len(text) <= max_shown else f"{text[:max_shown]}...")
 
 
 def error_of(*, expected: str, found: object, remedy: str = "") -> PydanticCustomError:
@@ -64,9 +62,9 @@ def error_of(*, expected: str, found: object, remedy: str = "") -> PydanticCusto
 
     Parameters
     ----------
-    expected : what should stand there
-    found : the value that does
-    remedy : what to do about it; may be empty
+    expected : valid values
+    found : the actual value
+    remedy : what to do; may be empty
     """
     return _error(Fault((), expected, shown(found), remedy))
 
@@ -76,7 +74,7 @@ def raised(faults: Iterable[Fault], data: object) -> ValidationError:
 
     Parameters
     ----------
-    faults : what is wrong, with paths from where the validator stands
+    faults : with paths relative to the validated block
     data : what was validated
     """
     lines = [InitErrorDetails(type=_error(fault), loc=fault.path, input=data) for fault in faults]
@@ -84,7 +82,7 @@ def raised(faults: Iterable[Fault], data: object) -> ValidationError:
 
 
 def faults_of(error: ValidationError, *, data: object, keys: Iterable[str]) -> list[Fault]:
-    """Word the errors of one block, those of its inner blocks being worded already.
+    """Convert the errors of one block; those of inner blocks are faults already.
 
     Parameters
     ----------
@@ -93,7 +91,7 @@ def faults_of(error: ValidationError, *, data: object, keys: Iterable[str]) -> l
     keys : the valid keys of the block
     """
     valid_keys = list(keys)
-    return [_worded(line, data, valid_keys) for line in error.errors(include_url=False)]
+    return [_fault_of(line, data, valid_keys) for line in error.errors(include_url=False)]
 
 
 def _error(fault: Fault) -> PydanticCustomError:
@@ -107,7 +105,7 @@ def _error(fault: Fault) -> PydanticCustomError:
     return PydanticCustomError(_TYPE, "expected {expected}, found {found}. {remedy}", context)
 
 
-def _worded(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
+def _fault_of(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
     path = _path_in(data, line["loc"])
     context = line.get("ctx", {})
     if line["type"] == "labpipe":
@@ -146,7 +144,7 @@ def _quoted(text: str) -> list[str]:
 
 
 def _path_in(data: object, location: tuple[int | str, ...]) -> KeyPath:
-    """Strip from a pydantic location what is no place in the YAML: union tags, missing keys."""
+    """Strip parts of a pydantic location that are not in the YAML: union tags, missing keys."""
     path: list[str | int] = []
     node: Any = data
     for part in location:

@@ -64,13 +64,13 @@ from labpipe.records.declarations import (
 
 
 class Block(BaseModel):
-    """A block of keys: frozen, closed to unknown keys, its faults in our words."""
+    """A frozen block of keys that refuses unknown keys, with faults in plain language."""
 
     # Built when first used: a test uses a protocol and a sheet, not each block on its own.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Turn the markers into validators before pydantic looks at the types."""
+        """Replace the markers by validators before pydantic reads the types."""
         super().__init_subclass__(**options)
         hints = inspect.get_annotations(cls, eval_str=True)
         keys = {name: _key(hint, name) for name, hint in hints.items()}
@@ -97,10 +97,10 @@ class Block(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _in_our_words(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Collect the faults within the parts and between them; the first at a place counts.
+    def _collect_faults(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Collect the faults of the parts and between them; the first at a place is reported.
 
-        A key that should not be there at all is reported as such, not by its wrong value.
+        Of an unknown key, only the key is reported, not its value.
         """
         between = cls.between(data)
         within: list[Fault] = []
@@ -118,7 +118,7 @@ class Block(BaseModel):
 
     @model_serializer(mode="wrap")
     def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what is None because it was left out."""
+        """Omit keys that are None by default."""
         fields = type(self).model_fields
         unset = {field.alias or name for name, field in fields.items() if field.default is None}
         return {
@@ -134,7 +134,7 @@ def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
     Parameters
     ----------
     hint : type of a field; a plain dataclass in it is read as a block of its settings
-    keys : what YAML calls the fields of the block, by name
+    keys : YAML keys of the fields of the block, by name
 
     Returns
     -------
@@ -154,18 +154,20 @@ def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
 
 
 def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) -> Any:
-    """Type with validators in place of its markers; a text among them is the description."""
+    """Return a type with validators in place of its markers; a text is the description."""
     annotations: list[Any] = []
     for marker in markers:
         match marker:
             case Quantity() | WholeNumber() | PatternText():
-                annotations += _reading(marker)
+                annotations += _annotations_of(marker)
             case TaggedChoice():
                 kinds = (Annotated[arg, _Settings(arg, marker.key)] for arg in get_args(inner))
                 return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
             case LargerThan():
                 quantity = next(marker for marker in markers if isinstance(marker, Quantity))
-                annotations.append(_above(marker.field, keys[marker.field], QuantityText(quantity)))
+                annotations.append(
+                    _larger_than(marker.field, keys[marker.field], QuantityText(quantity))
+                )
             case Key():
                 annotations.append(Field(alias=marker.name))
             case str():
@@ -175,8 +177,8 @@ def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) ->
     return Annotated[(validated(inner), *annotations)]
 
 
-def _reading(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
-    """What reads, writes and describes a value with a marker."""
+def _annotations_of(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
+    """Return validator, serializer and schema of a value with a marker."""
     match marker:
         case Quantity():
             text = QuantityText(marker)
@@ -191,12 +193,12 @@ def _reading(marker: Quantity | WholeNumber | PatternText) -> list[Any]:
 
 
 def _key(hint: Any, name: str) -> str:
-    """What YAML calls a field."""
+    """Return the YAML key of a field."""
     markers = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
     return next((marker.name for marker in markers if isinstance(marker, Key)), name)
 
 
-def _above(field: str, key: str, text: QuantityText) -> AfterValidator:
+def _larger_than(field: str, key: str, text: QuantityText) -> AfterValidator:
     """Refuse a value that is not above that of a field before it."""
 
     def checked(value: float, info: ValidationInfo) -> float:
@@ -210,13 +212,13 @@ def _above(field: str, key: str, text: QuantityText) -> AfterValidator:
 
 
 class _SettingsBlock(Block):
-    """A block that is made of plain settings."""
+    """A block that is generated from plain settings."""
 
     settings_kind: ClassVar[Any]
 
     @classmethod
     def between(cls, data: object) -> list[Fault]:
-        """Check one setting against another, where the settings have such a check."""
+        """Check one setting against another, if the settings define a check."""
         check = getattr(cls.settings_kind, "between", None)
         return list(check(data)) if check is not None and isinstance(data, Mapping) else []
 
@@ -227,8 +229,8 @@ def block_of(kind: Any, tag: str = "") -> type[Block]:
 
     Parameters
     ----------
-    kind : frozen dataclass; its fields are the keys, but for those that do not compare, which are
-        no settings. A static method ``between`` finds faults between them in the block as written.
+    kind : frozen dataclass; its fields are the keys, except those with ``compare=False``, which are
+        not settings. A static method ``between`` finds faults between them in the block as written.
     tag : key that distinguishes the kind from others of its list, and class variable with its value
 
     Returns

@@ -33,9 +33,9 @@ from labpipe.records.declarations import (
 )
 from labpipe.units import GRAVITY
 
-MOST_STEPS = 2000
-MOST_ELEMENTS = 2000
-FEWEST_ELEMENTS = 4
+MAX_STEPS = 2000
+MAX_ELEMENTS = 2000
+MIN_ELEMENTS = 4
 START, END = 0.0, math.inf
 """Places on a line that have a word; any other is a length from its start, m."""
 
@@ -126,7 +126,7 @@ Place: TypeAlias = Annotated[
         {"anyOf": [{"enum": list(_WORDS)}, _ALONG.schema], "description": "Where on the line"}
     ),
 ]
-Step: TypeAlias = Annotated[int, WholeNumber(1, MOST_STEPS)]
+Step: TypeAlias = Annotated[int, WholeNumber(1, MAX_STEPS)]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
 BendingStiffness: TypeAlias = Annotated[float, Quantity("N*m^2", "N*mm^2", "150 N*mm^2", above=0.0)]
 TorsionalStiffness: TypeAlias = Annotated[
@@ -230,7 +230,7 @@ class LineBlock(Block):
     """The line: length, section, rest shape, and where it lies at the start."""
 
     length: Length = Field(description="From one end to the other, unstretched")
-    elements: Annotated[int, WholeNumber(FEWEST_ELEMENTS, MOST_ELEMENTS)] = Field(
+    elements: Annotated[int, WholeNumber(MIN_ELEMENTS, MAX_ELEMENTS)] = Field(
         40, description="Pieces that it is divided into"
     )
     section: SectionBlock
@@ -389,7 +389,7 @@ class HarnessFile(Block):
     boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
         json_schema_extra={"minItems": 1}
     )
-    steps: Annotated[int, WholeNumber(1, MOST_STEPS)] = Field(
+    steps: Annotated[int, WholeNumber(1, MAX_STEPS)] = Field(
         40, description="Equilibria after the start; more where a path is hard to follow"
     )
     gravity: Acceleration = Field((0.0, 0.0, -GRAVITY), description="Three zeros for none")

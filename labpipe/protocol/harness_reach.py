@@ -1,7 +1,7 @@
 """Whether a line can come to its clips, rings and strings, and above its planes, at every step.
 
 Between waypoints everything that holds the line moves on a straight path, so that two such places
-are farthest from each other at a waypoint of one of them: only these steps are looked at.
+are farthest from each other at a waypoint of one of them: only these steps are checked.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from labpipe.protocol.harness_file import (
     Vector3,
 )
 
-_BARELY = 1.0 + 1e-9
-"""Times the length: a line may be straight between two clips."""
+REACH_FACTOR = 1.0 + 1e-9
+"""On the length, so that a line may be straight between two clips."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +162,7 @@ def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
 def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
     for number, boundary in enumerate(harness.boundaries):
         place = getattr(boundary, "at", START)
-        if math.isfinite(place) and place > length * _BARELY:
+        if math.isfinite(place) and place > length * REACH_FACTOR:
             expected = f"a place on the line, which is {_mm(length)} long"
             remedy = "Write 'end', or make the line longer."
             yield Fault(path or ("boundaries", number, "at"), expected, _mm(place), remedy)
@@ -320,7 +320,7 @@ def _apart(one: _HeldPlace, other: _HeldPlace, reach: float, path: KeyPath) -> I
     steps = sorted({leg.step for tie in (one, other) for leg in tie.legs} | {last})
     for step in (step for step in steps if step <= last):
         distance = math.dist(one.position(step), other.position(step))
-        if distance > reach * _BARELY:
+        if distance > reach * REACH_FACTOR:
             expected = f"at most the {_mm(reach)} that lie between {one.name!r} and {other.name!r}"
             actual = f"{_mm(distance)} between them at step {step}"
             yield Fault(path, expected, actual, "Bring them nearer, or make the line longer.")
@@ -337,7 +337,7 @@ def _out_of_reach(
     rooms += [
         (b[0] - a[0], one + other) for (a, one), (b, other) in pairwise(zip(ends, far, strict=True))
     ]
-    if rooms and not any(needed <= reach * _BARELY for reach, needed in rooms):
+    if rooms and not any(needed <= reach * REACH_FACTOR for reach, needed in rooms):
         reach, needed = min(rooms, key=lambda room: room[1] - room[0])
         expected = f"a ring that the line comes to: {_mm(reach)} of it are there"
         actual = f"a way of {_mm(needed)} by {ring.name!r}"

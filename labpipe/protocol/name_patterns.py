@@ -20,8 +20,8 @@ _PART = re.compile(r"\{([^{}]*)\}|(\*)|([{}])")
 _DIMENSION = re.compile(r"([a-z][a-z0-9_]*)\s+(\S+)")
 _LABEL = re.compile(r"labels\.[a-z][a-z0-9_]*")
 _WORD, _NUMBER, _DAY = r"[^/\\]+", r"\d+(?:[.,]\d+)?", r"\d{4}-\d{2}-\d{2}|\d{8}"
-_LONGEST = 300
-"""Letters of a pattern; and of a name, beyond which none is compared."""
+MAX_PATTERN_LENGTH = 300
+"""Characters of a pattern, and of a name that is compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class NamePattern:
     compiled: re.Pattern[str]
 
     def match(self, name: str) -> dict[str, str] | None:
-        """Take a name apart.
+        """Split a name into its fields.
 
         Parameters
         ----------
@@ -57,14 +57,14 @@ class NamePattern:
         >>> parse_name_pattern("{type}-{length mm}-{sample}_force.mat").match("A2-085-1_Force.MAT")
         {'type': 'A2', 'length': '85 mm', 'sample': '1'}
         """
-        match = self.compiled.fullmatch(name) if len(name) <= _LONGEST else None
+        match = self.compiled.fullmatch(name) if len(name) <= MAX_PATTERN_LENGTH else None
         if match is None:
             return None
         texts = {field: match[f"f{place}"] for place, field in enumerate(self.fields)}
         return {field: self._value(field, text) for field, text in texts.items()}
 
     def stem(self, name: str) -> str:
-        """Cut a name behind its last field, and before its folders.
+        """Return the part of a name up to its last field, without its folders.
 
         Parameters
         ----------
@@ -98,10 +98,10 @@ def parse_name_pattern(text: str) -> NamePattern:
     Raises
     ------
     ValueError
-        If it is none; the message says what is expected.
+        If it is invalid; the message says what is expected.
     """
-    if len(text) > _LONGEST:
-        message = f"a pattern of at most {_LONGEST} letters"
+    if len(text) > MAX_PATTERN_LENGTH:
+        message = f"a pattern of at most {MAX_PATTERN_LENGTH} letters"
         raise ValueError(message)
     units: dict[str, str] = {}
     fields: list[str] = []
@@ -126,7 +126,7 @@ def parse_name_pattern(text: str) -> NamePattern:
 
 
 def _field(written: str) -> tuple[str, str]:
-    """Name and unit of what stands between braces."""
+    """Return name and unit of the field between braces."""
     name = written.strip()
     if name in WORDS or _LABEL.fullmatch(name):
         return name, ""

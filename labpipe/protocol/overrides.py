@@ -19,14 +19,14 @@ from labpipe.units import whole_number
 
 SHEET_DIMENSIONS = ("length", "span", "mass_per_length")
 """Keys of the sheet's specimen that override those of the protocol."""
-_LEFT = {"follow_links": "Write it into the protocol, or give --follow-links."}
+_NOT_OVERRIDABLE = {"follow_links": "Write it into the protocol, or give --follow-links."}
 """Keys that a test sheet must not change, and what to do instead."""
 _LISTS = (("steps",), ("results",))
 """Blocks that a protocol may leave out and that are lists."""
 
 
 def with_overrides(protocol: Document, sheet: Document) -> Document:
-    """Put what a test sheet says into the protocol.
+    """Apply the overrides of a test sheet to the protocol.
 
     Parameters
     ----------
@@ -35,34 +35,36 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
 
     Returns
     -------
-    A new document in which changed values stand where the sheet has them, and overrides that lead
-    nowhere are faults. An item of a list that is overridden with nothing is taken out, a
-    result also out of those that the report shows first.
+    A new document, in which changed values have the positions of the sheet, and overrides of
+    unknown keys are faults. An item of a list that is overridden with nothing is removed, a
+    result also from those that the report shows first.
     """
     merged = Document(
         protocol.file, copy.deepcopy(protocol.data), dict(protocol.spots), list(protocol.faults)
     )
-    gone: dict[KeyPath, object] = {}
+    removed: dict[KeyPath, object] = {}
     sheet_data = sheet.data if isinstance(sheet.data, Mapping) else {}
     specimen, overrides = sheet_data.get("specimen") or {}, sheet_data.get("overrides") or {}
     sizes = _own_sizes(specimen)
     for key, path in sizes.items():
-        _put(merged, key, sheet, path, gone)
+        _set_value(merged, key, sheet, path, removed)
     for key, override in overrides.items():
         place = ("overrides", key, "value")
         if key in sizes:
             actual = f"{override['value']!r} beside {sheet.at(sizes[key])!r} in 'specimen'"
             fault = Fault(place, f"{key!r} once", actual, "Keep the one in 'specimen'.")
             merged.faults.append(sheet.place(fault))
-        elif key in _LEFT:
+        elif key in _NOT_OVERRIDABLE:
             expected, actual = "a key that a test may change", repr(key)
-            merged.faults.append(sheet.place(Fault(place[:2], expected, actual, _LEFT[key], "key")))
+            merged.faults.append(
+                sheet.place(Fault(place[:2], expected, actual, _NOT_OVERRIDABLE[key], "key"))
+            )
         else:
-            _put(merged, key, sheet, place, gone)
+            _set_value(merged, key, sheet, place, removed)
     align = merged.data.get("align") if isinstance(merged.data, Mapping) else None
     if "align" in overrides and isinstance(align, dict) and align.get("method") == "stated":
         align.setdefault("because", overrides["align"]["because"])
-    _take_out(merged, gone)
+    _remove_items(merged, removed)
     return merged
 
 
@@ -79,20 +81,20 @@ def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
     }
 
 
-def _take_out(merged: Document, gone: Mapping[KeyPath, object]) -> None:
-    """Take items out of their lists, and keep in mind which numbers the others had."""
-    paths = {*gone, *_shown_first(merged, [item for item in gone.values() if _names(item)])}
+def _remove_items(merged: Document, removed: Mapping[KeyPath, object]) -> None:
+    """Remove items from their lists, and record the original numbers of the others."""
+    paths = {*removed, *_shown_first(merged, [item for item in removed.values() if _names(item)])}
     for path in {path[:-1] for path in paths}:
         items: Any = merged.at(path)
         left = [number for number in range(len(items)) if (*path, number) not in paths]
         merged.numbers[path] = tuple(left)
-        merged.spots = dict(_moved(merged.spots, path, left))
+        merged.spots = dict(_shift_spots(merged.spots, path, left))
         items[:] = [items[number] for number in left]
 
 
-def _shown_first(merged: Document, gone: list[object]) -> Iterator[KeyPath]:
+def _shown_first(merged: Document, removed: list[object]) -> Iterator[KeyPath]:
     """Find the numbers of results that the report shows first, among those of some entries."""
-    names = {name for item in gone for name in _names(item)}
+    names = {name for item in removed for name in _names(item)}
     groups = merged.data.get("groups") if isinstance(merged.data, Mapping) else None
     main = groups.get("main") if isinstance(groups, Mapping) else None
     for number, name in enumerate(main if isinstance(main, list) else []):
@@ -100,10 +102,10 @@ def _shown_first(merged: Document, gone: list[object]) -> Iterator[KeyPath]:
             yield ("groups", "main", number)
 
 
-def _moved(
+def _shift_spots(
     spots: Mapping[KeyPath, YamlPosition], path: KeyPath, left: Sequence[int]
 ) -> Iterator[tuple[KeyPath, YamlPosition]]:
-    """Spots after items of the list at a path were taken out."""
+    """Yield the positions after items of the list at a path were removed."""
     depth = len(path)
     for old_path, spot in spots.items():
         if old_path[:depth] != path or len(old_path) == depth:
@@ -112,12 +114,12 @@ def _moved(
             yield (*path, left.index(int(old_path[depth])), *old_path[depth + 1 :]), spot
 
 
-def _put(
-    merged: Document, dotted: str, sheet: Document, source: KeyPath, gone: dict[KeyPath, object]
+def _set_value(
+    merged: Document, dotted: str, sheet: Document, source: KeyPath, removed: dict[KeyPath, object]
 ) -> None:
     """Set the value at a dotted key to the value at a path of the sheet.
 
-    An item of a list that is set to nothing goes into `gone`, as it was.
+    An item of a list that is set to nothing goes into `removed`, as it was.
     """
     spot = YamlPosition(sheet.file, sheet.spots[source[:2]].key, sheet.spots[source].value)
     node: Any = merged.data
@@ -126,7 +128,7 @@ def _put(
     for part in parts:
         key = _key_in(node, part)
         if key is None:
-            merged.faults.append(sheet.place(_astray(node, part, source[:2])))
+            merged.faults.append(sheet.place(_unknown_key(node, part, source[:2])))
             return
         path = (*path, key)
         if len(path) < len(parts):
@@ -141,7 +143,7 @@ def _put(
                 merged.spots[path] = spot
             node = node[key]
     if isinstance(path[-1], int) and sheet.at(source) is None:
-        gone[path] = merged.at(path)
+        removed[path] = merged.at(path)
     _forget_spots(merged, path)
     node[path[-1]] = copy.deepcopy(sheet.at(source))
     for inner in _paths_in(sheet.at(source)):
@@ -156,7 +158,7 @@ def _forget_spots(merged: Document, path: KeyPath) -> None:
 
 
 def _paths_in(value: object) -> Iterator[KeyPath]:
-    """Ways from a value to all that is in it, the value itself included."""
+    """Yield the paths from a value to everything in it, including itself."""
     yield ()
     items: Any = enumerate(value) if isinstance(value, list) else ()
     items = value.items() if isinstance(value, dict) else items
@@ -165,7 +167,7 @@ def _paths_in(value: object) -> Iterator[KeyPath]:
 
 
 def _key_in(node: object, part: str) -> str | int | None:
-    """Find what a part of a dotted key stands for: a key, or an item by number, name or kind."""
+    """Resolve a part of a dotted key: a key, or an item by number, name or kind."""
     if isinstance(node, dict):
         return part
     if not isinstance(node, list):
@@ -174,31 +176,31 @@ def _key_in(node: object, part: str) -> str | int | None:
         number = whole_number(part)
         return number if number is not None and number < len(node) else None
     # The name of a result first, then its kind: one stiffness of several may be `stiffness`.
-    for names_of in (_names, _words):
+    for names_of in (_names, _tags):
         matches = [i for i, item in enumerate(node) if part in names_of(item)]
         if len(matches) == 1:
             return matches[0]
     return None
 
 
-def _words(item: object) -> list[str]:
-    """What kind of step or result an item is."""
+def _tags(item: object) -> list[str]:
+    """List the tags of a step or result."""
     tags = [item.get(tag) for tag in ("step", "result")] if isinstance(item, Mapping) else []
     return [tag_value for tag_value in tags if isinstance(tag_value, str)]
 
 
 def _names(item: object) -> list[str]:
-    """What the results of an item are called, without the number of their cycle."""
+    """List the names of the results of an item, without cycle numbers."""
     if not isinstance(item, Mapping) or not isinstance(item.get("result"), str):
         return []
     return [name.partition(".")[0] for name in result_names(item["result"], item)]
 
 
-def _astray(node: object, part: str, path: KeyPath) -> Fault:
-    """Word a dotted key that leads nowhere."""
+def _unknown_key(node: object, part: str, path: KeyPath) -> Fault:
+    """Make the fault of an unknown dotted key."""
     if not isinstance(node, list):
         return Fault(path, "a key of the protocol", f"{part!r} below a plain value", at="key")
-    valid = [word for item in node for word in dict.fromkeys([*_words(item), *_names(item)])]
+    valid = [word for item in node for word in dict.fromkeys([*_tags(item), *_names(item)])]
     expected = f"a number from 0 to {len(node) - 1}, or a name that one item of the list has"
     remedy = "Use its number." if valid.count(part) > 1 else did_you_mean(part, valid)
     return Fault(path, expected, repr(part), remedy, "key")
@@ -243,7 +245,7 @@ def link_faults(sheet: TestSheet, folder: Path, *, followed: bool) -> Iterator[F
                 is_inside = (folder / name).resolve().is_relative_to(home)
             except (OSError, RuntimeError):  # Python 3.12 and before call a loop a RuntimeError
                 actual = f"{name!r}, a link that leads back to itself"
-                yield Fault(("files", role), "a file", actual, "Make the link anew.")
+                yield Fault(("files", role), "a file", actual, "Make the link again.")
                 continue
             if not (is_inside or followed):
                 expected = "a file inside the folder of the test"

@@ -180,7 +180,7 @@ class CalibrationPlan(Block):
         None, description="Standard deviation between samples, where it is known"
     )
     points: Annotated[int, WholeNumber(20, 5000)] = Field(272, description="Points of each curve")
-    up_to: Length | None = Field(None, description="Largest deflection that is looked at")
+    up_to: Length | None = Field(None, description="Largest deflection that is used")
     comparisons: tuple[Comparison, ...] = Field(
         (), description="Curves from elsewhere that tests and model are compared with"
     )

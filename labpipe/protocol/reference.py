@@ -2,7 +2,7 @@
 
 ``python -m labpipe.protocol.reference FOLDER`` writes them (``make reference``). With the schema
 named in its first line, an editor completes keys and marks faults while one types. A table of a
-page stands between ``<!-- table: NAME -->`` and ``<!-- end of table -->``; the prose around it is
+page is between ``<!-- table: NAME -->`` and ``<!-- end of table -->``; the prose around it is
 written by hand.
 """
 
@@ -190,7 +190,7 @@ def _table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def with_tables(page: str) -> str:
-    """Write the derived tables of a page afresh.
+    """Replace the derived tables of a page.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def with_tables(page: str) -> str:
 
 
 def write_reference(folder: Path) -> None:
-    """Write the JSON Schemas into a folder, and afresh the tables of its pages.
+    """Write the JSON Schemas into a folder, and update the tables of its pages.
 
     Parameters
     ----------

@@ -117,7 +117,7 @@ Along: TypeAlias = Annotated[
 
 
 class Markers(Block):
-    """What the markers of a take stand for."""
+    """Positions of the markers of a take on the specimen."""
 
     clamp: Text | None = Field(description="Rigid body at the clamped end; null if there is none")
     along: Along = Field(
@@ -209,7 +209,7 @@ class Slips(Block):
     decision: Literal["marked", "repaired", "cut"] = Field(
         description="marked: noted; repaired: the lost force is added back; cut: the curve ends"
     )
-    min_drop: Force = Field(description="Smaller losses of force are not looked at")
+    min_drop: Force = Field(description="Smaller losses of force are ignored")
 
 
 class Slack(Block):

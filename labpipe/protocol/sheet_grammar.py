@@ -45,15 +45,15 @@ from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
 from labpipe.units import parse_quantity
 
-DENSEST = pi / sqrt(12)
-"""Share of a plane that equal circles cover where they lie densest (Thue 1910)."""
-TOLERANCE = 0.01
-"""Wires may lie this share of the thinner one's diameter inside each other: they give way."""
+DENSEST_PACKING = pi / sqrt(12)
+"""Area fraction of the densest packing of equal circles (Thue 1910)."""
+OVERLAP_TOLERANCE = 0.01
+"""Share of the thinner diameter by which wires may overlap, because insulation is soft."""
 Places = tuple[tuple[float, float], ...]
 Circle = tuple[float, float, float]
 """x, y and diameter, m."""
 _WORDS = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
-_SAID = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
+_EXPECTED_WIRES = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def _number_alone(value: object) -> object:
 
 
 def wires_in_words(value: object) -> object:
-    """Read ``10 B1 + 9 B2 (1.6 mm)`` as the block it stands for.
+    """Read ``10 B1 + 9 B2 (1.6 mm)`` as a block.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def wires_in_words(value: object) -> object:
     for part in re.split(r"(?<!\s)\s+\+\s+", value.strip()):
         match = _WORDS.fullmatch(part)
         if match is None:
-            raise error_of(expected=_SAID, found=value)
+            raise error_of(expected=_EXPECTED_WIRES, found=value)
         if match[2] in wires:
             remedy = f"Add the numbers of {match[2]!r}."
             raise error_of(expected="each type once", found=value, remedy=remedy)
@@ -209,7 +209,7 @@ class SheetBundle(Block):
         diameters = [] if wires is None else _diameters(wires)
         if bore is None or not diameters:
             return bore
-        densest = 1.0 if len(diameters) == 1 else DENSEST
+        densest = 1.0 if len(diameters) == 1 else DENSEST_PACKING
         least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
         if bore < least:
             expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
@@ -278,7 +278,7 @@ def _overlap(one: Circle, other: Circle) -> float:
     """How deep one circle lies in another, m; 0 within the tolerance."""
     apart = hypot(one[0] - other[0], one[1] - other[1])
     depth = (one[2] + other[2]) / 2 - apart
-    return depth if depth > TOLERANCE * min(one[2], other[2]) else 0.0
+    return depth if depth > OVERLAP_TOLERANCE * min(one[2], other[2]) else 0.0
 
 
 def bundle_in_words(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -303,10 +303,10 @@ def bundle_in_words(text: str, *, arrangement: str = PACKED) -> Bundle:
         return SheetBundle.model_validate(data).record
     except ValidationError as error:
         faults = faults_of(error, data=data, keys=())
-        raise UsageError("\n".join(_worded(fault, text) for fault in faults)) from None
+        raise UsageError("\n".join(_fault_text(fault, text) for fault in faults)) from None
 
 
-def _worded(fault: Fault, text: str) -> str:
+def _fault_text(fault: Fault, text: str) -> str:
     place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
     remedy = fault.remedy or 'Write it like "10 B1 + 9 B2 (1.25 mm)", or give a test.yaml.'
     return error_text(text, place, expected=fault.expected, found=fault.found, remedy=remedy)

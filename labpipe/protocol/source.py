@@ -59,7 +59,7 @@ Names = Annotated[
 
 
 class Calibration(Block):
-    """A straight line from what the instrument wrote to what it stands for."""
+    """A linear calibration of a channel."""
 
     gain: Text = Field(description="Such as 0.5 N/V: target unit per unit of the channel")
     offset: Text | None = Field(None, description="Such as 0.01 N: added after the gain")

@@ -41,14 +41,14 @@ SI_UNITS: Final = MappingProxyType(
         "voltage": "V",
     }
 )
-"""The quantities that protocols speak of, and the SI unit of each."""
+"""The quantities of protocols and their SI units."""
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _DIMENSIONS = MappingProxyType(
     {si_unit: quantity for quantity, si_unit in SI_UNITS.items()}
     | {"m": "length", "rad": "an angle or a ratio", "J": "energy or moment"}
 )
-"""Words for what a unit is of."""
+"""Names of dimensions by SI unit."""
 _PARTS = re.compile(r"([-+]?\d+(?:[.,' \u2019\u00a0\u202f]\d{3}(?!\d))*(?:[.,]\d*)?)\s*+(.*)")
 """A number, perhaps with thousands separators or a decimal comma, and what follows it."""
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
@@ -83,7 +83,7 @@ def number_remedy(number: str, unit: str = "") -> str:
 
 
 def unit_remedy(unit: str, si_unit: str) -> str:
-    """Say what is wrong with a unit.
+    """Describe what is wrong with a unit.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ _SPAN_WORDS = "a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) o
 
 
 def parse_span(text: object) -> Span:
-    """Read the length of a stretch that a filter looks at.
+    """Read the length of the window of a filter.
 
     Parameters
     ----------
@@ -301,22 +301,22 @@ SPAN_SCHEMA: Final[JsonSchemaValue] = {
 
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
-"""Ends of lines, and characters that no page, workbook or drawing can hold."""
+"""Line ends, and characters that pages, workbooks and drawings cannot hold."""
 _NAME = re.compile(r"\w[\w.+-]*")
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
-_LONGEST_NAME = 120
-"""Bytes; file systems take 255, and an ending follows."""
+MAX_NAME_BYTES = 120
+"""File systems allow 255, and a suffix follows."""
 
 
 def _text(value: object) -> str:
-    """Take text, and the numbers that other YAML readers make of unquoted text such as 1."""
+    """Accept text, and numbers of other YAML readers for unquoted text such as 1."""
     if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
         raise error_of(expected="text", found=value)
     return str(value)
 
 
 def has_control_characters(text: str) -> bool:
-    """Whether a text has ends of lines, or characters that no page and no YAML can hold.
+    """Check whether a text has line ends, or characters that pages and YAML cannot hold.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ def _line(value: object) -> str:
 
 
 def is_name_of_a_test(text: str) -> bool:
-    """Whether a text can be the name of a test, whose files go to a folder of that name.
+    """Check whether a text can be the name of a test and of its folder.
 
     Parameters
     ----------
@@ -341,9 +341,9 @@ def is_name_of_a_test(text: str) -> bool:
 
     Returns
     -------
-    False for what leads elsewhere (``../x``), and for what some file system does not take.
+    False for paths (``../x``), and for names that some file system refuses.
     """
-    fits = _NAME.fullmatch(text) is not None and len(text.encode()) <= _LONGEST_NAME
+    fits = _NAME.fullmatch(text) is not None and len(text.encode()) <= MAX_NAME_BYTES
     return fits and _DEVICE.fullmatch(text) is None and not text.endswith(".")
 
 
@@ -373,13 +373,13 @@ def _file_stem(value: object) -> str:
         expected = "a name of letters, digits, '-', '_', '.' and '+'"
         raise error_of(expected=expected, found=value)
     if not is_name_of_a_test(text):
-        expected = f"a name that every system takes, of {_LONGEST_NAME} letters at the most"
+        expected = f"a name that every system accepts, of {MAX_NAME_BYTES} letters at most"
         raise error_of(expected=expected, found=value)
     return text
 
 
 def parse_word(of: PatternText, value: object) -> str:
-    """Take a text that has a form.
+    """Accept a text of a given form.
 
     Parameters
     ----------
@@ -397,7 +397,7 @@ def parse_word(of: PatternText, value: object) -> str:
 
 
 def file_inside(folder: str, remedy: str) -> BeforeValidator:
-    """Take the name of a file that is in a folder or below it.
+    """Accept the name of a file in a folder or below it.
 
     Parameters
     ----------
@@ -406,8 +406,8 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
 
     Returns
     -------
-    Validator that refuses what is no text or has control signs, a path from the root (of POSIX or
-    of Windows, on either system), and one with ``..``.
+    Validator that refuses control characters, absolute paths (of POSIX or Windows, on either
+    system), and paths with ``..``.
     """
 
     def check(value: object) -> str:
@@ -437,7 +437,7 @@ Text = Annotated[
 Line = Annotated[
     str, BeforeValidator(_line), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
 ]
-"""Text that stands in headings, tables and drawings."""
+"""Text for headings, tables and drawings."""
 Remark = Annotated[
     str,
     BeforeValidator(lambda value: "" if value is None else value),

@@ -24,9 +24,9 @@ Curve = tuple[Numbers, Numbers]
 """Strains and stresses, Pa."""
 _B = TypeVar("_B", bound=Block)
 
-AREAS_AGREE = 0.02
+MAX_AREA_DEVIATION = 0.02
 """Share by which a conductor area may differ from that of the strands' diameters."""
-MASSES_AGREE = 4.0 / 3.0
+MAX_MASS_RATIO = 4.0 / 3.0
 """Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap."""
 _UNITS = {
     "mm": ("_mm", 1e-3),
@@ -173,7 +173,7 @@ class WireRow(Block):
 
     @classmethod
     def between(cls, data: object) -> list[Fault]:
-        """Refuse stress tables beside the numbers that they stand for."""
+        """Refuse stress tables together with the numbers that they replace."""
         row, faults = data if isinstance(data, Mapping) else {}, []
         for table, numbers in _NUMBERS_OF.items():
             stated = [name for name in numbers if row.get(name)]
@@ -239,7 +239,7 @@ SIZES: Final = ("strand_diameter_mm", "strand_diameters_mm", "conductor_area_mm2
 _OF_THE_CURVE = ("conductor_modulus_gpa", "copper_k_mpa", "copper_n")
 _OF_THE_WALL = ("insulation_modulus_mpa", "insulation_strain")
 _NUMBERS_OF = {"stress_table": _OF_THE_CURVE, "insulation_table": _OF_THE_WALL}
-"""What each stress table stands for."""
+"""Columns that each stress table replaces."""
 _DENSITIES = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
 _ALWAYS_THERE = (*NEEDED, "lay_angles_deg")
 
@@ -276,8 +276,8 @@ def _size_faults(row: WireRow) -> Iterator[Fault]:
         expected = "a conductor area or a strand diameter"
         remedy = "Fill in conductor_area_mm2 or strand_diameter_mm."
         yield Fault(("strand_diameter_mm",), expected, "blank cells", remedy)
-    elif area and abs(area / row.copper - 1.0) > AREAS_AGREE:
-        expected = f"the {row.copper:.4g} mm^2 of the strands within {AREAS_AGREE:.0%}"
+    elif area and abs(area / row.copper - 1.0) > MAX_AREA_DEVIATION:
+        expected = f"the {row.copper:.4g} mm^2 of the strands within {MAX_AREA_DEVIATION:.0%}"
         remedy = "Correct the area or the strand diameter, or empty one of them."
         yield Fault(("conductor_area_mm2",), expected, f"{area:.4g} mm^2", remedy)
 
@@ -335,7 +335,7 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
     conductor = _density(row.conductor_density_kg_per_m3, "conductor_density")
     insulation = _density(row.insulation_density_kg_per_m3, "insulation_density")
     whole = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
-    if 1.0 / MASSES_AGREE <= stated / whole <= MASSES_AGREE:
+    if 1.0 / MAX_MASS_RATIO <= stated / whole <= MAX_MASS_RATIO:
         return
     expected = f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} "
     expected += f"kg/m^3, wall of {insulation:.4g} kg/m^3)"

@@ -1,8 +1,8 @@
-"""YAML text to plain values, remembering where each one stands.
+"""Parse YAML text into plain values with their positions.
 
-Unquoted words stay text: YAML 1.1 would make the number 333 of a test called ``0333``, and *false*
-of ``no``. What a value is, its key decides. Aliases, tags and repeated keys are refused: a protocol
-is read by people.
+Unquoted words remain text: YAML 1.1 would convert the test name ``0333`` to the number 333, and
+``no`` to *false*. The key decides the type of a value. Aliases, tags and repeated keys are refused,
+because people read protocols.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ Mark: TypeAlias = tuple[int, int]
 """Line and column, counted from 1."""
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
 _NOTHING = ("", "~", "null")
-_READ_TWO_WAYS = re.compile(r"[!?\t\r\x85\u2028\u2029\ufeff]|:\s*[]},]|[|>][-+\d]*#|---\s*\Z")
-"""What libyaml and Python's parser take or count differently: some characters, a key without a
-value in brackets, a comment that touches the sign of a block, nothing after three dashes."""
+_AMBIGUOUS_YAML = re.compile(r"[!?\t\r\x85\u2028\u2029\ufeff]|:\s*[]},]|[|>][-+\d]*#|---\s*\Z")
+"""Text that libyaml and the Python parser read differently: some characters, a key without a value
+in brackets, a comment directly after a block indicator, nothing after three dashes."""
 
 
 @dataclass(frozen=True, slots=True)
 class YamlPosition:
-    """Where a key and its value stand.
+    """The position of a key and its value.
 
     Parameters
     ----------
     file : name of the YAML file
-    key, value : where each begins
+    key, value : beginning of each
     """
 
     file: str
@@ -68,10 +68,9 @@ class Document:
     ----------
     file : its name, as in messages
     data : blocks as dict, lists as list, everything else as text or None
-    spots : where each value stands
-    faults : what is wrong with the YAML itself
-    numbers : by path of a list from which items were taken out, the numbers that those left have
-        where they were written
+    spots : position of each value
+    faults : of the YAML itself
+    numbers : by path of a list from which items were removed, the original numbers of the others
     """
 
     file: str
@@ -93,11 +92,11 @@ class Document:
         return node
 
     def place(self, fault: Fault, remark: str = "") -> PlacedFault:
-        """Say where a fault stands.
+        """Add its position to a fault.
 
         Parameters
         ----------
-        fault : what is wrong; a path that is not in the file stands for the block around it
+        fault : a path that is not in the file means the block around it
         remark : added to the end
         """
         path = fault.path
@@ -110,7 +109,7 @@ class Document:
         )
 
     def _as_written(self, path: KeyPath) -> KeyPath:
-        """Give items of lists the numbers that they have where they were written."""
+        """Replace numbers of list items by those in the file."""
         numbers = ((part, self.numbers.get(path[:i])) for i, part in enumerate(path))
         return tuple(
             written[part] if written is not None and isinstance(part, int) else part
@@ -119,7 +118,7 @@ class Document:
 
 
 def place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> PlacedFault:
-    """Word a fault with its line, column and dotted key.
+    """Describe a fault with its line, column and dotted key.
 
     Parameters
     ----------
@@ -145,7 +144,7 @@ def read_text(path: Path) -> str:
     Raises
     ------
     ProtocolError
-        If there is no such file, or it is no text of 1 MB at the most.
+        If there is no such file, or it is not text of at most 1 MB.
     """
     try:
         _require_readable(path)
@@ -165,7 +164,7 @@ def read_text(path: Path) -> str:
 
 
 def _require_readable(path: Path) -> None:
-    """Refuse what would be read for ever, or for minutes."""
+    """Refuse devices, and files that are too large."""
     max_bytes = 1_000_000
     if path.exists() and not path.is_file() and not path.is_dir():
         raise OSError(errno.EINVAL, "a pipe or a device")
@@ -183,7 +182,7 @@ def parse_yaml(text: str, file: str) -> Document:
 
     Returns
     -------
-    The document; faults that leave it readable (a repeated key) are in it.
+    The document, with faults that leave it readable, such as a repeated key.
 
     Raises
     ------
@@ -201,7 +200,7 @@ def parse_yaml(text: str, file: str) -> Document:
 
 
 class _Composer(Composer):
-    """Stops at an alias or endless nesting, before the YAML library is lost in it."""
+    """Refuses aliases and deep nesting."""
 
     depth = 0
 
@@ -223,18 +222,18 @@ class _Composer(Composer):
 
 
 class _AmbiguousYamlError(Exception):
-    """YAML that is right but that people should not have to read."""
+    """Valid YAML that is refused because it is hard to read."""
 
 
 class _Loader(_Composer, yaml.BaseLoader):
-    """Python's own parser: it words what is wrong."""
+    """The Python parser, which describes syntax errors."""
 
 
 _QuickLoader: type[yaml.BaseLoader] | type[yaml.CBaseLoader] = _Loader
 if yaml.__with_libyaml__:
 
     class _LibyamlLoader(_Composer, yaml.CBaseLoader):
-        """The parser of libyaml, seven times as fast."""
+        """The libyaml parser, seven times as fast."""
 
         def __init__(self, text: str) -> None:
             yaml.CBaseLoader.__init__(self, text)
@@ -245,8 +244,8 @@ if yaml.__with_libyaml__:
 
 @lru_cache(maxsize=64)
 def _quickly_composed(text: str) -> tuple[yaml.Node | None] | None:
-    """Nodes of a text, once for all tests that it belongs to; None where anything is wrong."""
-    if _READ_TWO_WAYS.search(text):
+    """Compose the nodes of a text, cached for all tests of a protocol; None if it has faults."""
+    if _AMBIGUOUS_YAML.search(text):
         return None
     try:
         return (yaml.compose(text, Loader=_QuickLoader),)
@@ -267,7 +266,7 @@ def _compose(text: str, file: str) -> yaml.Node | None:
 
 
 def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
-    """Word an error of the YAML library."""
+    """Describe an error of the YAML library."""
     mark = getattr(error, "problem_mark", None)
     if mark is not None:
         place = f"line {mark.line + 1}, column {mark.column + 1}"

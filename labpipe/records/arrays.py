@@ -21,7 +21,7 @@ Vector: TypeAlias = Annotated[Floats, "n"]
 class ArrayRecord:
     """A frozen record whose arrays are read-only, of the number type and the shape of their fields.
 
-    The axes of a field stand in its type, ``Annotated[Floats, "frames", 3]``: a length, the name of
+    The axes of a field are in its type, ``Annotated[Floats, "frames", 3]``: a length, the name of
     a tuple of the record with as many entries, or a word for a length that is the same throughout
     the record. Arrays of the right type are not copied.
 
@@ -67,7 +67,7 @@ def _arrays_of(kind: Any) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
 
 
 def frozen(values: object, *, shape: tuple[int | None, ...]) -> Floats:
-    """Give back `values` as a read-only float64 array of the stated shape.
+    """Return `values` as a read-only float64 array of the stated shape.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def _fits(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
 
 
 def median(values: Floats) -> float:
-    """Median of some numbers.
+    """Return the median.
 
     Parameters
     ----------
@@ -126,14 +126,14 @@ def median(values: Floats) -> float:
 
 
 def part_of(samples: Samples, stretch: slice) -> Samples:
-    """Take some of the samples: those with the numbers of a stretch among them."""
+    """Select a stretch of the samples."""
     if isinstance(samples, slice):
         return slice(samples.start + stretch.start, samples.start + stretch.stop)
     return samples[stretch]
 
 
 def ratio(over: Floats, under: Floats) -> Floats:
-    """Divide; NaN where there is nothing to divide by.
+    """Divide; NaN where the divisor is zero.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def stretches_of(flags: Flags) -> list[tuple[int, int]]:
 
 
 def samples_of(at: Ints) -> Samples:
-    """Take numbers of samples for a stretch where they are one, which is taken without a copy.
+    """Convert sample numbers to a slice if they are consecutive, which avoids copies.
 
     Parameters
     ----------

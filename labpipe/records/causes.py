@@ -1,6 +1,6 @@
-"""Causes of doubt about a number, and which of them all tests of a rig share.
+"""Causes of uncertainty, and which of them all tests of a rig share.
 
-What is shared does not average out: the mean of a hundred tests is as unsure of it as one test.
+Shared causes do not average out: they affect the mean of a hundred tests as much as one test.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import Final
 from labpipe.records.result import Contribution
 
 NOISE: Final = "noise"
-"""Where that of the force is not told from that of the displacement."""
+"""Noise of force and displacement that cannot be separated."""
 FIT: Final = "fit"
-"""What a fit leaves open that has an error of its own: a law, a clock, a slip."""
+"""Uncertainty of a fit with its own error: a law, a clock, a slip."""
 NOISE_OF_FORCE: Final = "noise of the force"
 NOISE_OF_DISPLACEMENT: Final = "noise of the displacement"
 SCALE_OF_FORCE: Final = "scale of the force"
@@ -24,7 +24,7 @@ DRIFT_OF_ZERO: Final = "drift of the zero"
 """How far the zero of the force moved after it was taken."""
 ZERO_OF_DISPLACEMENT: Final = "zero of the displacement"
 SHAPE: Final = "shape of the wire"
-"""What the displacement of another shape, fitted with one term more or fewer, changes."""
+"""Effect of a shape that is fitted with one term more or fewer."""
 COMPLIANCE: Final = "compliance of the frame"
 TURN: Final = "turn of the drive"
 SPEED: Final = "speed of the drive"
@@ -40,11 +40,11 @@ SECTION: Final = "section"
 SLACK: Final = "slack"
 REPAIRED_SLIPS: Final = "slips added back"
 RESOLUTION: Final = "resolution of the force"
-"""Half a step of a converter that is coarser than the noise."""
+"""Half a step of a converter with a resolution coarser than the noise."""
 STEP: Final = "sampling step"
 """Where between two samples a specimen broke, or a machine turned."""
 TANGENT: Final = "length of the tangents"
-"""What shorter tangents change where a curve has a corner."""
+"""Effect of shorter tangents at a corner of the curve."""
 
 IS_COMMON: Final[Mapping[str, bool]] = {
     NOISE: False,
@@ -53,7 +53,7 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     NOISE_OF_DISPLACEMENT: False,
     SCALE_OF_FORCE: True,
     SCALE_OF_DISPLACEMENT: True,
-    ZERO_OF_FORCE: False,  # taken anew in every test
+    ZERO_OF_FORCE: False,  # taken in every test
     DRIFT_OF_ZERO: False,
     ZERO_OF_DISPLACEMENT: False,
     SHAPE: False,
@@ -61,10 +61,10 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     TURN: False,  # found in the force of each test
     SPEED: True,
     GRIP: True,  # the clamp stays where it was set
-    PULL: False,  # markers are put on every specimen anew
+    PULL: False,  # markers are attached to every specimen
     CENTRE: False,
     MARKER_SIDE: False,
-    CLOCK_OFFSET: False,  # the clocks are started anew for every test
+    CLOCK_OFFSET: False,  # the clocks are started for every test
     CLOCK_DRIFT: False,
     LENGTH: False,  # every specimen is measured by itself
     SPAN: True,  # supports are set once for a series
@@ -75,7 +75,7 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     STEP: False,
     TANGENT: True,  # corners of all specimens are smeared alike
 }
-"""Whether all tests of a rig share a cause; every cause of a budget stands here."""
+"""Whether all tests of a rig share a cause, for every cause of a budget."""
 
 
 def contribution(cause: str, change: float) -> Contribution:
@@ -83,12 +83,12 @@ def contribution(cause: str, change: float) -> Contribution:
 
     Parameters
     ----------
-    cause : one of those that stand here
+    cause : a key of `IS_COMMON`
     change : as `Contribution` has it
 
     Raises
     ------
     KeyError
-        If it is not said of the cause whether tests of a rig share it.
+        If the cause is unknown.
     """
     return Contribution(cause, change, IS_COMMON[cause])

@@ -43,7 +43,7 @@ class Interval:
 
     @property
     def standard_error(self) -> float:
-        """Standard error that a normal 95 % interval stands for, in the unit of its ends."""
+        """Standard error of a normal 95 % interval, in the unit of its ends."""
         return (self.upper - self.lower) / (2.0 * _NORMAL_95)
 
 

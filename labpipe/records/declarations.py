@@ -177,7 +177,7 @@ class Output:
 
     Parameters
     ----------
-    name : in the summary; ``{name}`` and ``{of}`` stand for the settings that are called so
+    name : in the summary; ``{name}`` and ``{of}`` are replaced by the settings of that name
     unit : SI
     label : for people; empty where a protocol chooses the name
     rests_on : quantities; what makes one of them doubtful makes the number doubtful
@@ -267,7 +267,7 @@ def existing_in(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Step:
-    """One step, and where it stands in the list, which is no setting.
+    """One step with its number in the list, which is not a setting.
 
     It may work on markers, come after another step, and make channels.
     """

@@ -1,4 +1,4 @@
-"""What a fitter gives back: an estimate with its standard error, or the reason there is none."""
+"""Results of fits: an estimate with its standard error, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Estimate:
 
 
 Failure = Reason
-"""What stands in the place of an estimate that is not available: the reason why."""
+"""The reason why an estimate is not available."""
 
 
 def widened(estimate: Estimate, *errors: float) -> Estimate:
@@ -50,16 +50,16 @@ def widened(estimate: Estimate, *errors: float) -> Estimate:
     interval = estimate.interval
     if interval is not None and more > 0.0:
         added = Interval.normal_95(0.0, more).upper
-        middle = _within(estimate.value, interval)
+        middle = _centre_of(estimate.value, interval)
         lower, upper = hypot(middle - interval.lower, added), hypot(interval.upper - middle, added)
         interval = Interval(middle - lower, middle + upper)
     return Estimate(estimate.value, hypot(estimate.error, more), estimate.n, interval)
 
 
-def _within(value: float, interval: Interval) -> float:
-    """Where an interval is widened from: the value, or its middle where that leaves the value out.
+def _centre_of(value: float, interval: Interval) -> float:
+    """Return the value, or the middle of the interval if it does not contain the value.
 
-    What noise adds to a number on average is taken off its interval, not off the number.
+    The bias from noise is subtracted from the interval, not from the number.
     """
     is_inside = interval.lower <= value <= interval.upper
     return value if is_inside else 0.5 * (interval.lower + interval.upper)

@@ -36,7 +36,7 @@ class Reason:
 
 
 def worded(reasons: Iterable[Reason]) -> str:
-    """Word reasons for people: codes and sentences in one line, empty where there are none.
+    """Join reasons into one line for people: codes and sentences; empty if there are none.
 
     Examples
     --------
@@ -90,7 +90,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found in a test, and what follows from it.
+    """A finding about a test and its consequences.
 
     Parameters
     ----------
@@ -105,17 +105,17 @@ class Finding:
 
     @property
     def code(self) -> str:
-        """Of the note."""
+        """Code of the note."""
         return self.note.code
 
 
 def info_note(code: str, where: str, message: str) -> Finding:
-    """Note what changes nothing."""
+    """Make a note without consequences."""
     return Finding(QualityNote(code, Severity.INFO, where, message))
 
 
 def warning(code: str, where: str, message: str) -> Finding:
-    """Note what was repaired, or what somebody should look at."""
+    """Make a note about a repair, or about data that should be checked."""
     return Finding(QualityNote(code, Severity.WARNING, where, message))
 
 
@@ -132,12 +132,12 @@ def doubtful(
     during: tuple[float, float] | None = None,
     clock: str = "",
 ) -> Finding:
-    """Note what makes results doubtful that rest on a quantity.
+    """Make a note that results of some quantities are doubtful.
 
     Parameters
     ----------
     code, where, message : of the note
-    quantities, during, clock : as `Doubt` has them
+    quantities, during, clock : see `Doubt`
     """
     note = QualityNote(code, Severity.WARNING, where, message)
     reason = Reason(code, message)
@@ -149,7 +149,7 @@ def doubtful_stretches(quantity: str, note: QualityNote, clock: str, *, most: in
 
     Parameters
     ----------
-    quantity : as `Doubt` has it
+    quantity : see `Doubt`
     note : with stretches on the clock named `clock`, or without any
     clock : role of the recording
     most : stretches; more of them are taken as one, from the first to the last
@@ -170,31 +170,31 @@ def blocking(code: str, where: str, message: str) -> Finding:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """All that was found in a test, in order.
+    """All findings of a test in order.
 
     Parameters
     ----------
-    found : one after the other; what is found twice counts once
+    entries : in order of the checks; duplicates are counted once
     """
 
-    found: tuple[Finding, ...] = ()
+    entries: tuple[Finding, ...] = ()
 
     def __add__(self, more: Iterable[Finding]) -> Findings:
-        return Findings((*self.found, *more))
+        return Findings((*self.entries, *more))
 
     def without(self, code: str) -> Findings:
-        """Leave out what another finding explains better."""
-        return Findings(tuple(finding for finding in self.found if finding.code != code))
+        """Omit findings that another one explains."""
+        return Findings(tuple(finding for finding in self.entries if finding.code != code))
 
     @property
     def notes(self) -> tuple[QualityNote, ...]:
         """The notes, each once."""
-        return tuple(dict.fromkeys(finding.note for finding in self.found))
+        return tuple(dict.fromkeys(finding.note for finding in self.entries))
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """The doubts, each once."""
-        return tuple(dict.fromkeys(doubt for finding in self.found for doubt in finding.doubts))
+        return tuple(dict.fromkeys(doubt for finding in self.entries for doubt in finding.doubts))
 
     @property
     def blocked(self) -> Reason | None:
@@ -202,7 +202,7 @@ class Findings:
         return next(
             (
                 Reason(finding.code, finding.note.message)
-                for finding in self.found
+                for finding in self.entries
                 if finding.blocks
             ),
             None,

@@ -1,4 +1,4 @@
-"""What a reader makes of one export: channels on their own clocks, and marker tracks; formats."""
+"""Recordings of exports: channels on their own clocks, and marker tracks; formats."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ EXPORT_FORMATS: Final = (
     ),
     ExportFormat("load-frame", "labpipe.readers.load_frame", is_workbook=True),
 )
-"""In the order in which a file is asked for them."""
+"""In the order in which they are tried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class Channel(ArrayRecord):
     values : shape (n,), in `unit`; NaN where the export is blank
     clock : name of the clock it was sampled on
     unit : SI unit of `values`; None while neither file nor protocol has said it, in which case
-        `values` stand as in the file
+        `values` are those of the file
     unit_in_file : unit as the export writes it, empty if it does not
     calibration : in words, how `values` came from the file's numbers; empty if they are the same
     """

@@ -147,7 +147,7 @@ class Result:
 
     @property
     def likely(self) -> float | None:
-        """The estimate, which is the value where nothing else is said."""
+        """The estimate, or else the value."""
         return self.value if self.estimate is None else self.estimate
 
     @property

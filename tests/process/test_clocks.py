@@ -199,7 +199,7 @@ MOTIONS = {
 @pytest.mark.parametrize("name", MOTIONS)
 def test_motions_that_are_doubted(name: str, approved: Approve) -> None:
     findings, _ = turns_of(MOTIONS[name])
-    approved(f"{key}: {why}" for key, why in doubted(findings.found).items())
+    approved(f"{key}: {why}" for key, why in doubted(findings.entries).items())
 
 
 OFFSET, DRIFT = 1.25, 80e-6
@@ -252,7 +252,7 @@ class Joined:
 
     @property
     def doubted(self) -> dict[str, str]:
-        return doubted(self.findings.found)
+        return doubted(self.findings.entries)
 
 
 def seen(cycles: int, *, drift: float = DRIFT, noise: float = 1e-4) -> Seen:
@@ -464,8 +464,8 @@ def test_not_started_together(offset: float, word: str) -> None:
     fit, found = fitted(*recorded_together(offset, noise=1e-3))
 
     assert fit.offset == pytest.approx(offset, abs=0.02)
-    assert set(doubted(found.found)) == {"clock", "force"}
-    message = doubted(found.found)["clock"]
+    assert set(doubted(found.entries)) == {"clock", "force"}
+    message = doubted(found.entries)["clock"]
     assert message.startswith("not_started_together: the force turns ")
     assert f" ms {word} the motion, known to " in message
     assert message.endswith(
@@ -520,7 +520,7 @@ def test_it_is_taken_as_stated() -> None:
         "the offset of the clocks is stated, not measured: -3.2 s, standard uncertainty 0.02 s, "
         "drift 40 ppm, because: LED in frame 512"
     )
-    assert not doubted(found.found)
+    assert not doubted(found.entries)
 
 
 def test_without_an_uncertainty_it_is_known_to_a_sample() -> None:
@@ -546,7 +546,7 @@ def test_a_statement_that_the_force_contradicts(
     """A wrong sign is found, a statement that is known no better is not."""
     for sign in (1.0, -1.0):
         findings, _ = taken(stated(offset, uncertainty=uncertainty), sign=sign)
-        assert set(doubted(findings.found)) == ({"clock", "force"} if is_wrong else set())
-        assert ("clocks_stated_wrong: " in str(doubted(findings.found))) is is_wrong
+        assert set(doubted(findings.entries)) == ({"clock", "force"} if is_wrong else set())
+        assert ("clocks_stated_wrong: " in str(doubted(findings.entries))) is is_wrong
     never_peaks, _ = taken(stated(offset, uncertainty=uncertainty), sign=0.0)
-    assert not doubted(never_peaks.found)
+    assert not doubted(never_peaks.entries)

@@ -88,7 +88,7 @@ def test_travel_and_deflection(
     assert 0.0 < deflection.zero_error < 5e-5
     assert 0.0 < np.nanmax(np.abs(deflection.moved[SHAPE] - deflection.values)) < 1e-3
     assert {"specimen_frame", "shape_fit"} <= {note.code for note in found.notes}
-    assert not doubted(found.found)
+    assert not doubted(found.entries)
 
 
 def test_offsets_move_the_deflection_and_not_its_zero(
@@ -181,7 +181,7 @@ def test_a_stale_pose_of_the_clamp_is_not_believed(
     tracks: MarkerTracks, protocol: Protocol
 ) -> None:
     made, found = done(with_clamp(tracks, slice(400, 440), stale=True), protocol)
-    assert doubted(found.found)["displacement"].startswith(
+    assert doubted(found.entries)["displacement"].startswith(
         "clamp_frozen: Clamp keeps its last pose for 40"
     )
     assert made.take.clamp is not None
@@ -217,9 +217,9 @@ def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protoco
     mechanics = replace(usual.mechanics, stroke=0.04, cycles=1)
     found = observe(replace(usual, mechanics=mechanics), 3).markers.markers
     assert found is not None
-    assert "displacement" not in doubted(done(found, protocol)[1].found)
+    assert "displacement" not in doubted(done(found, protocol)[1].entries)
     _, said = done(found, protocol, grip_offset=0.016)
-    why = doubted(said.found)["displacement"]
+    why = doubted(said.entries)["displacement"]
     assert why.startswith("shape_misfit: the markers are ")
     assert "check grip_offset, centre_offset and terms" in why
 

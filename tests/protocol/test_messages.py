@@ -48,7 +48,7 @@ def faults(name: str) -> list[str]:
     return cases.partition("\n\n")[0].strip("\n").split("\n")
 
 
-def changes(case: str) -> list[Change]:
+def describe_changes(case: str) -> list[Change]:
     """The changes, old => new, of a case."""
     pairs = [pair.partition(" =>") for pair in case.replace("\\n", "\n").split(" && ")]
     return [(old, new.removeprefix(" ")) for old, _, new in pairs]
@@ -126,9 +126,9 @@ CONDUIT = Path(__file__).parents[2] / "protocols" / "conduit-bundle.yaml"
 def test_protocols(name: str, protocol: str, approved: Approve) -> None:
     approved(
         refused(
-            "; ".join(new or f"no {old}" for old, new in changes(case)),
+            "; ".join(new or f"no {old}" for old, new in describe_changes(case)),
             parse_protocol,
-            changed(protocol, changes(case)),
+            changed(protocol, describe_changes(case)),
             "p.yaml",
         )
         for case in faults(name)
@@ -137,7 +137,9 @@ def test_protocols(name: str, protocol: str, approved: Approve) -> None:
 
 def test_overrides(tell: Tell, approved: Approve) -> None:
     written = {line: f"{SHEET}overrides:\n  {line}\n" for line in faults("overrides")}
-    written |= {case: changed(SHEET, changes(case)) for case in faults("tests of a protocol")}
+    written |= {
+        case: changed(SHEET, describe_changes(case)) for case in faults("tests of a protocol")
+    }
     approved(
         "\n    ".join([line, *(message.replace(os.sep, "/") for message in tell(text))])
         for line, text in written.items()
@@ -167,7 +169,7 @@ files: {force: force.mat}
 
 def test_sheets(approved: Approve) -> None:
     sheets = {text: BUNDLE.format(text.replace("\\n", "\n    ")) for text in faults("bundles")}
-    sheets |= {case: changed(PLAIN, changes(case)) for case in faults("sheet")}
+    sheets |= {case: changed(PLAIN, describe_changes(case)) for case in faults("sheet")}
     approved(refused(new, _sheet, text) for new, text in sheets.items())
 
 
@@ -215,6 +217,6 @@ def test_plans(
 ) -> None:
     path, messages = tmp_path / "plan.yaml", []
     for case in faults(name):
-        path.write_text(changed(text, changes(case)), encoding="utf-8")
+        path.write_text(changed(text, describe_changes(case)), encoding="utf-8")
         messages.append(refused(case, load, path))
     approved(message.replace(f"{tmp_path.as_posix()}/", "") for message in messages)

@@ -302,7 +302,7 @@ files: {force: force.mat}
 PROTOCOL = "version: 1\nname: own\nsources: {force: {reader: dspace-mat, channel: x, unit: N}}\n"
 FOLLOWED_BY_TEST = "overrides: {follow_links: {value: true, because: x}}\n"
 OUTSIDE = "line 4, column 16 (files.force): expected a file inside the folder of the test, found"
-LOOP = "expected a file, found 'force.mat', a link that leads back to itself. Make the link anew."
+LOOP = "expected a file, found 'force.mat', a link that leads back to itself. Make the link again."
 
 
 @pytest.mark.parametrize(

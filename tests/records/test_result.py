@@ -110,7 +110,7 @@ def test_notes_and_doubts_count_once() -> None:
     each = doubtful("a", "c", "b", "force")
     other = doubtful("a", "c", "b", "clock")
     found = Findings((each, each)) + iter((other,))
-    assert len(found.found) == 3
+    assert len(found.entries) == 3
     assert found.notes == (each.note,)
     assert [doubt.quantity for doubt in found.doubts] == ["force", "clock"]
 
@@ -118,7 +118,7 @@ def test_notes_and_doubts_count_once() -> None:
 def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     assert Findings((not_available("x", "", ""),)).blocked is None
     several = Findings((warning("a", "", ""), warning("b", "", ""), warning("a", "", "again")))
-    assert [finding.code for finding in several.without("a").found] == ["b"]
+    assert [finding.code for finding in several.without("a").entries] == ["b"]
     found = Findings((warning("b", "", ""), blocking("c", "align", "three")))
     assert (found + iter([blocking("d", "align", "four")])).blocked == Reason("c", "three")
 
