@@ -48,8 +48,8 @@ def find_campaign(folder: Path) -> CampaignFolders:
         If it is missing, below neither, or the folder of a single test.
     """
     if not folder.is_dir():
-        description = "a file" if folder.exists() else "nothing of that name"
-        raise _no_campaign(folder, "the folder of a campaign", description)
+        state = "a file" if folder.exists() else "nothing of that name"
+        raise _no_campaign(folder, "the folder of a campaign", state)
     there = folder.resolve()
     for above in (there, *there.parents):
         if above.name in {RAW, PROCESSED}:
@@ -60,8 +60,8 @@ def find_campaign(folder: Path) -> CampaignFolders:
                     folder, "the folder of a campaign", "the folder of a single test"
                 )
             return CampaignFolders(name.as_posix(), raw, processed)
-    description = "a folder below neither"
-    raise _no_campaign(folder, "a folder below 'raw' or 'processed'", description)
+    state = "a folder below neither"
+    raise _no_campaign(folder, "a folder below 'raw' or 'processed'", state)
 
 
 def name_of_campaign(folder: Path) -> str:
@@ -243,7 +243,5 @@ def _is_text(name: str) -> bool:
 
 def _name_error(path: str) -> str:
     printable_path = path.encode("utf-8", "backslashreplace").decode()
-    description, remedy = "other bytes", "Rename it; it is left out."
-    return error_text(
-        printable_path, "", expected="a name in UTF-8", found=description, remedy=remedy
-    )
+    state, remedy = "other bytes", "Rename it; it is left out."
+    return error_text(printable_path, "", expected="a name in UTF-8", found=state, remedy=remedy)

@@ -115,9 +115,9 @@ def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
     (version,) = connection.execute("pragma user_version").fetchone()
     tables = {name for (name,) in connection.execute("select name from sqlite_schema")}
     if program != PROGRAM and tables:
-        description = "a database of another program"
+        state = "a database of another program"
         raise UsageError(
-            error_text(path, "", expected="a catalog of labpipe", found=description,
+            error_text(path, "", expected="a catalog of labpipe", found=state,
                       remedy="Move it away: the catalog is rebuilt from the files of the tests.")
         )  # fmt: skip
     if version > SCHEMA:

@@ -267,9 +267,9 @@ class _BatchScheduler:
             return self._handle_lost_worker(test_batch, 1)
         self._is_lost = True
         expected = "a scheduler and workers that can process tests"
-        description = f"that this failed ({type(error).__name__}: {_first_line(error)})"
+        state = f"that this failed ({type(error).__name__}: {_first_line(error)})"
         remedy = "Install the same labpipe on all machines, including the scheduler."
-        message = error_text("--executor", "", expected=expected, found=description, remedy=remedy)
+        message = error_text("--executor", "", expected=expected, found=state, remedy=remedy)
         raise ProcessingError(message, code="no_cluster") from error
 
     def _handle_lost_worker(self, test_batch: _TestBatch, times: int) -> Iterator[Outcome]:
@@ -291,14 +291,14 @@ class _BatchScheduler:
 
     def _refuse_unseen(self, test_batch: _TestBatch) -> Iterator[Outcome]:
         """Refuse tests whose files no worker sees; raise if no worker has seen any file yet."""
-        description = f"none (workers: {len(self._workers.fit)})"
+        state = f"none (workers: {len(self._workers.fit)})"
         remedy = (
             "Mount the folders of exports and results at the same path on all workers, on a shared"
             " drive."
         )
         for task in test_batch.tasks:
             expected = "a worker that sees the files of this machine"
-            reason = error_text(task.sheet, "", expected=expected, found=description, remedy=remedy)
+            reason = error_text(task.sheet, "", expected=expected, found=state, remedy=remedy)
             if not self._was_seen:
                 raise UsageError(reason, code="no_cluster")
             yield failed_outcome(refuse(task, "worker_without_data", reason, is_read=False))

@@ -159,8 +159,8 @@ def checked_document(document: object, path: Path) -> dict[str, Any] | str:
     if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
         return _file_error(path, "", "JSON without a list 'decisions'")
     if document.get("schema") != SCHEMA:
-        description = f"{document.get('schema')!r}; this labpipe reads {SCHEMA}"
-        return _file_error(path, "schema", description)
+        state = f"{document.get('schema')!r}; this labpipe reads {SCHEMA}"
+        return _file_error(path, "schema", state)
     return document
 
 
@@ -177,13 +177,13 @@ def _decision(path: Path, number: int, entry: object) -> Decision | str:
         )
     missing = [key for key in _NEEDED if not str(entry.get(key) or "").strip()]
     if missing:
-        description = f"none of {', '.join(missing)}"
+        state = f"none of {', '.join(missing)}"
         expected = "test, run, decision, because and by"
-        return error_text(path, place, expected=expected, found=description, remedy=_REPAIR)
+        return error_text(path, place, expected=expected, found=state, remedy=_REPAIR)
     if entry["decision"] not in {ACCEPT, REJECT}:
-        description = repr(entry["decision"])[:60]
+        state = repr(entry["decision"])[:60]
         expected = f"{ACCEPT} or {REJECT}"
-        return error_text(path, place, expected=expected, found=description, remedy=_REPAIR)
+        return error_text(path, place, expected=expected, found=state, remedy=_REPAIR)
     texts = {key: encodable(entry.get(key) or "") for key in (*_TEXTS, "note")}
     return Decision(**texts)
 

@@ -436,11 +436,7 @@ def _question_rank(pair: Sequence[Difference]) -> tuple[int, str]:
 
 
 def _compare(
-    one: Group,
-    other: Group,
-    options: Groups,
-    settings: Mapping[str, Settings],
-    by: Sequence[str],
+    one: Group, other: Group, options: Groups, settings: Mapping[str, Settings], by: Sequence[str]
 ) -> list[Difference]:
     """Return the differences of a pair, with their family and caveats."""
     fields = differing_fields(one, other, by)

@@ -14,12 +14,7 @@ from labpipe.process.protocol_match import all_protocols, majority
 from labpipe.process.sheet_inference import InferredTest, infer_test, neighbours_in, safe_name
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.campaign_plan import PLAN_NAME, ByFolder, ByName, CampaignPlan
-from labpipe.protocol.load import (
-    find_protocol,
-    load_campaign_plan,
-    load_protocol,
-    load_test_sheet,
-)
+from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import Role, Source
 from labpipe.protocol.values import has_control_characters
@@ -402,11 +397,9 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
         if goal.exists():
             if _differs(path, goal):
                 remedy = "Remove the wrong one."
-                description = "a different file of that name"
+                state = "a different file of that name"
                 raise StoreError(
-                    error_text(
-                        goal, "", expected=f"a copy of {path}", found=description, remedy=remedy
-                    )
+                    error_text(goal, "", expected=f"a copy of {path}", found=state, remedy=remedy)
                 )
             continue
         with storing(goal):

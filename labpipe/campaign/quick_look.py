@@ -11,7 +11,7 @@ from functools import cache
 from importlib.resources import files
 from math import sqrt
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -26,6 +26,10 @@ MIN_GROUP_TESTS: Final = 6
 """Tests needed to judge what is outside the spread; with fewer, only the range is shown."""
 _IGNORED_FIELDS = ("spool", "sample", "uncertainty")
 """Fields of the specimen that may differ within a group."""
+
+
+_Entry: TypeAlias = Mapping[str, Any]
+"""A result in summary.json."""
 
 
 @dataclass(slots=True)
@@ -164,15 +168,15 @@ def verdict(
     Three lines: status; main numbers compared with the group; what to check.
     """
     results = summary["results"]
-    numbers = [
-        _number(result, group, folder, settings) for result in _main_results(results, settings)
-    ]
+    main = _main_results(results, settings.main)
+    numbers = [_number(result, group, folder, settings.display) for result in main]
     outside = [number.name for number in numbers if number.is_outside]
-    states = {state: _names_with(results, state) for state in ("failed", "doubtful")}
-    n_ok = len(results) - sum(map(len, states.values()))
-    parts = [
-        f"{len(names)} {state} ({_name_list(names)})" for state, names in states.items() if names
-    ]
+    by_state = {
+        state: [result["name"] for result in results if result["status"] == state]
+        for state in ("failed", "doubtful")
+    }
+    n_ok = len(results) - sum(map(len, by_state.values()))
+    parts = [f"{len(bad)} {state} ({_name_list(bad)})" for state, bad in by_state.items() if bad]
     is_well = not parts and not outside
     parts += [f"outside the group: {_name_list(outside)}"] if outside else []
     head = f"{name}: {'WELL' if is_well else 'LOOK'}, {', '.join([f'{n_ok} ok', *parts])}"
@@ -224,11 +228,8 @@ def actions_for(codes: Iterable[str], *, outside: bool = False) -> str:
     chosen += ["compare the set-up with that of the other tests before dismounting"] * outside
     if not chosen:
         return "nothing to check: the specimen can be dismounted"
-    more = (
-        f"; and {len(chosen) - max_actions} more in summary.json"
-        if len(chosen) > max_actions
-        else ""
-    )
+    left = len(chosen) - max_actions
+    more = f"; and {left} more in summary.json" if left > 0 else ""
     return f"while it is mounted: {'; '.join(chosen[:max_actions])}{more}"
 
 
@@ -249,34 +250,32 @@ class _Number:
     is_outside: bool = False
 
 
-def _main_results(
-    results: Sequence[Mapping[str, Any]], settings: DisplaySettings
-) -> list[Mapping[str, Any]]:
+def _main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry]:
     """Return the main results: those by which the protocol compares, else the first ones."""
-    test_results = [result for result in results if not result["name"].startswith("clock_")]
-    later = [result for result in test_results if result["name"].rpartition(".")[2].isdecimal()]
+    candidates = [
+        result
+        for result in results
+        if not result["name"].startswith("clock_") and result.get("value") is not None
+    ]
+    later = [result for result in candidates if result["name"].rpartition(".")[2].isdecimal()]
     repeats = [result for result in later if not result["name"].endswith(".1")]
-    ranked = [result for name in settings.main for result in test_results if result["name"] == name]
-    ranked += [result for result in test_results if result not in ranked and result not in repeats]
-    available = [result for result in ranked if result.get("value") is not None]
-    return available[:MAX_NUMBERS]
+    ranked = [result for name in main for result in candidates if result["name"] == name]
+    ranked += [result for result in candidates if result not in ranked and result not in repeats]
+    return ranked[:MAX_NUMBERS]
 
 
-def _number(
-    result: Mapping[str, Any], group: Group, folder: Path, settings: DisplaySettings
-) -> _Number:
-    scale = shown_in(result["name"], result["unit"], settings.display)
-    others = np.array(group.of(result["name"], but=folder))
-    value = float(result["value"])
-    text = f"{result['name']} {scale.factor * value:.4g} {scale.unit}".rstrip()
+def _number(result: _Entry, group: Group, folder: Path, display: Mapping[str, str]) -> _Number:
+    name, value = result["name"], float(result["value"])
+    scale = shown_in(name, result["unit"], display)
+    others = np.array(group.of(name, but=folder))
+    text = f"{name} {scale.factor * value:.4g} {scale.unit}".rstrip()
     n = len(others)
     if n == 0:
-        return _Number(result["name"], text, "first of its group")
+        return _Number(name, text, "first of its group")
     if n < MIN_GROUP_TESTS:
         low, high = sorted(scale.factor * np.array([others.min(), others.max()]))
         so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
-        against = f"n = {n} so far, too few to judge"
-        return _Number(result["name"], f"{text} (so far {so_far})", against)
+        return _Number(name, f"{text} (so far {so_far})", f"n = {n} so far, too few to judge")
     false_alarm_rate = 0.05  # of all numbers of a verdict together
     quantile = t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
     reach = quantile * float(np.std(others, ddof=1)) * sqrt(1 + 1 / n)
@@ -284,12 +283,8 @@ def _number(
     low, high = (scale.factor * (centre + side * reach) for side in (-1.0, 1.0))
     is_outside = abs(value - centre) > reach
     place = "OUTSIDE" if is_outside else "within"
-    text_with_range = f"{text} ({place} {low:.4g} to {high:.4g})"
-    return _Number(result["name"], text_with_range, f"n = {n} so far", is_outside)
-
-
-def _names_with(results: Iterable[Mapping[str, Any]], state: str) -> list[str]:
-    return [result["name"] for result in results if result["status"] == state]
+    text += f" ({place} {low:.4g} to {high:.4g})"
+    return _Number(name, text, f"n = {n} so far", is_outside)
 
 
 def _name_list(names: Sequence[str]) -> str:

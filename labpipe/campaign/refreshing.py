@@ -145,10 +145,10 @@ def _open_or_make_catalog(
 
 def _refuse_if_running(catalog: Catalog) -> None:
     for folder, claim in catalog.claims().items():
-        description = f"process {claim.pid} on {claim.host.split()[0]} at work on {folder!r}"
+        state = f"process {claim.pid} on {claim.host.split()[0]} at work on {folder!r}"
         remedy = "Wait until it is done, or end it, then try again."
         text = error_text(
-            catalog.path, "", expected="no process at work", found=description, remedy=remedy
+            catalog.path, "", expected="no process at work", found=state, remedy=remedy
         )
         raise StoreError(text)
 

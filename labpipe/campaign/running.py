@@ -298,12 +298,12 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
         chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
         if code and not chosen:
             codes = sorted({row.code for row in failed.values()})
-            description = ", ".join(codes) if codes else "no failures"
+            state = ", ".join(codes) if codes else "no failures"
             near = nearest(code, codes, most=1)
             remedy = f"Nearest: {near[0]}." if near else "There is nothing to clear."
             raise UsageError(
                 error_text(campaign.processed, "", expected=f"failures with the code {code!r}",
-                          found=description, remedy=remedy)
+                          found=state, remedy=remedy)
             )  # fmt: skip
         for folder in chosen:
             path = campaign.processed / folder / FAILURE_FILE
@@ -337,12 +337,9 @@ def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
         overview = sync.refresh()
         row = _find_row(campaign, overview, test)
         if not row.attempt:
-            description, remedy = (
-                "one that is not processed",
-                "Process it first: labpipe campaign run.",
-            )
+            state, remedy = ("one that is not processed", "Process it first: labpipe campaign run.")
             raise UsageError(
-                error_text(test, "", expected="a processed test", found=description,
+                error_text(test, "", expected="a processed test", found=state,
                           remedy=remedy)
             )  # fmt: skip
         entry = Decision(
@@ -361,9 +358,9 @@ def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestR
     if len(named) == 1:
         return named[0]
     similar = nearest(label, [*overview.rows], most=3)
-    description = f"{len(named)} of that name" if named else "none of that name"
+    state = f"{len(named)} of that name" if named else "none of that name"
     expected = f"a test of {campaign.name!r}"
     remedy = (
         f"Nearest: {', '.join(similar)}." if similar else "List them with labpipe campaign status."
     )
-    raise UsageError(error_text(test, "", expected=expected, found=description, remedy=remedy))
+    raise UsageError(error_text(test, "", expected=expected, found=state, remedy=remedy))

@@ -61,20 +61,17 @@ def import_decision_file(
         If the file cannot be read, is that of the campaign itself, or decisions cannot be written.
     """
     if not file.is_file():
-        description, remedy = (
-            "nothing of that name",
-            "The browser saves it in the downloads folder.",
-        )
+        state, remedy = ("nothing of that name", "The browser saves it in the downloads folder.")
         raise UsageError(
             error_text(
-                file, "", expected="a file saved by a report page", found=description, remedy=remedy
+                file, "", expected="a file saved by a report page", found=state, remedy=remedy
             )
         )
     if file.resolve() == (folder / DECISIONS).resolve():
-        description, remedy = "that of the campaign", "Its decisions are applied already."
+        state, remedy = "that of the campaign", "Its decisions are applied already."
         raise UsageError(
             error_text(
-                file, "", expected="a file saved by a report page", found=description, remedy=remedy
+                file, "", expected="a file saved by a report page", found=state, remedy=remedy
             )
         )
     read = read_decision_file(file, campaign)

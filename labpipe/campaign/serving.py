@@ -132,10 +132,10 @@ class ReportServer(ThreadingHTTPServer):
 
 
 def _port_error(port: int, error: Exception) -> UsageError:
-    description = (getattr(error, "strerror", None) or "an impossible number").lower()
+    state = (getattr(error, "strerror", None) or "an impossible number").lower()
     remedy = "Choose another with --port, or 0 for any free one."
     return UsageError(
-        error_text(f"--port {port}", "", expected="a free port", found=description, remedy=remedy)
+        error_text(f"--port {port}", "", expected="a free port", found=state, remedy=remedy)
     )
 
 

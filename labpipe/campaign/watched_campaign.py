@@ -71,12 +71,9 @@ class WatchedCampaign:
         )
         row = rows[label]
         if row is None:
-            expected, description = (
-                "a free test",
-                "one that another labpipe processes",
-            )
+            expected, state = ("a free test", "one that another labpipe processes")
             remedy = "The watch tries again."
-            message = error_text(label, "", expected=expected, found=description, remedy=remedy)
+            message = error_text(label, "", expected=expected, found=state, remedy=remedy)
             raise ProcessingError(message, code="in_use")
         self._rows = {**self._rows, label: row}
         return outcomes[0] if outcomes else None

@@ -112,7 +112,7 @@ class Watcher:
         self.plan = plan_of(campaign.raw)
         self._plan_mark = _mark(campaign.raw / PLAN_NAME)
         self._files = FileStability(clock, self.plan.still_for)
-        self._announcer = _Announcer(say)
+        self._output = _Announcer(say)
         self._tests: dict[Path, _Test] = {}
         self._groups = CampaignGroups()
         self._turn = 0
@@ -138,11 +138,11 @@ class Watcher:
             if ready:
                 self._handle(ready[0])
         except OSError as error:
-            self._report_missing_folder(error)
+            self._say_gone(error)
             return False
         if self._is_gone:
             self._is_gone = False
-            self._announcer.say(f"{self._campaign.raw}: available again")
+            self._output.say(f"{self._campaign.raw}: available again")
         return len(ready) > 1
 
     def _is_skipped(self, folder: Path) -> bool:
@@ -154,17 +154,17 @@ class Watcher:
             return False
         return (hash(folder) - self._turn) % looks_between != 0
 
-    def _report_missing_folder(self, error: OSError) -> None:
+    def _say_gone(self, error: OSError) -> None:
         if not self._is_gone:
             self._is_gone = True
             why = (error.strerror or str(error)).lower()
-            self._announcer.say(f"{error.filename or self._campaign.raw}: {why}; waiting for it")
+            self._output.say(f"{error.filename or self._campaign.raw}: {why}; waiting for it")
 
     def _ready(self, listed: RawListing) -> list[Candidate]:
         """Return the tests that are ready, the newest first."""
         for path, why in listed.unmatched.items():
             if self._files.look(path) == "still" and self._still_for(path) > self.plan.patience:
-                self._announcer.say_once(f"{_printable(self._below(path))}: not used: {why}")
+                self._output.say_once(f"{_printable(self._below(path))}: not used: {why}")
         ready = [candidate for candidate in listed.candidates if self._is_ready(candidate)]
         if ready and not self._has_begun:
             self._has_begun = True
@@ -183,13 +183,13 @@ class Watcher:
         try:
             self.plan = plan_of(self._campaign.raw)
         except LabpipeError as error:
-            self._announcer.say(f"{error}\n  the last valid {PLAN_NAME} is used")
+            self._output.say(f"{error}\n  the last valid {PLAN_NAME} is used")
             return
         self._files.still_for = self.plan.still_for
         self._tests = {
             folder: _Test(test.done, settled=test.settled) for folder, test in self._tests.items()
         }
-        self._announcer.say(f"{PLAN_NAME} was read again")
+        self._output.say(f"{PLAN_NAME} was read again")
 
     def _without_processed(self, ready: list[Candidate]) -> list[Candidate]:
         """Leave out tests that were processed before the watch."""
@@ -222,14 +222,14 @@ class Watcher:
 
     def _say_waiting(self, candidate: Candidate, path: Path, state: str) -> None:
         moving = self._files.moving_for(path)
-        name = f"{_display_name(candidate)}: {_printable(path.name)}"
+        name = f"{_label(candidate)}: {_printable(path.name)}"
         if state == "locked" and moving > self.plan.patience:
-            self._announcer.say_once(
+            self._output.say_once(
                 f"{name} cannot be opened, another program uses it; waiting for it"
             )
         if moving > REMINDER_DELAY and state in ("growing", "locked"):
             what = "is still being written" if state == "growing" else "still cannot be opened"
-            self._announcer.say_once(f"{name} {what} after an hour; waiting for it")
+            self._output.say_once(f"{name} {what} after an hour; waiting for it")
 
     def _handle(self, candidate: Candidate) -> None:
         # s between attempts
@@ -241,7 +241,7 @@ class Watcher:
             written = self._pair(candidate, self.plan, self._waited(candidate))
         except LabpipeError as error:
             test.done = marks
-            self._announcer.say_once(f"{_display_name(candidate)}: {error}")
+            self._output.say_once(f"{_label(candidate)}: {error}")
             return
         if written.sheet is None:
             self._say_missing(candidate, test, written)
@@ -257,7 +257,7 @@ class Watcher:
         try:
             outcome = self._campaign.process(candidate.sheet, again=test.again)
         except LabpipeError as error:
-            self._announcer.say_once(f"{_display_name(candidate)}: {error}")
+            self._output.say_once(f"{_label(candidate)}: {error}")
             return False
         test.again = False
         if outcome is not None:
@@ -275,36 +275,36 @@ class Watcher:
         """Report once what a test waits for."""
         for name, why in written.unread.items():
             stood = self._still_for(candidate.files.get(name, candidate.folder / name))
-            what = f"{_display_name(candidate)}: {_printable(name)} cannot be read"
+            what = f"{_label(candidate)}: {_printable(name)} cannot be read"
             if stood > self.plan.patience:
-                self._announcer.say_once(f"{what} yet ({why}); waiting for it")
+                self._output.say_once(f"{what} yet ({why}); waiting for it")
             if stood > REMINDER_DELAY:
-                self._announcer.say_once(f"{what} after an hour; waiting for it")
+                self._output.say_once(f"{what} after an hour; waiting for it")
         waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits
-            self._announcer.say(f"{_display_name(candidate)}: waits for {waits}")
+            self._output.say(f"{_label(candidate)}: waits for {waits}")
 
     def _say_sheet(self, candidate: Candidate, written: PairingOutcome) -> None:
         lines = [
-            f"{_display_name(candidate)}: wrote {_printable(self._below(candidate.sheet))}"
+            f"{_label(candidate)}: wrote {_printable(self._below(candidate.sheet))}"
         ] * written.is_new
         lines += [f"{'  ' * written.is_new}{message}" for message in written.messages]
         if written.open:
             lines.append(f"  to fill in: {', '.join(written.open)}; it is processed then")
         if lines:
-            self._announcer.say("\n".join(lines))
+            self._output.say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         self._groups.read(self._campaign.results())
         summary = None if outcome.folder is None else read_summary(outcome.folder)
         if outcome.state == "failed" or outcome.folder is None or summary is None:
-            lines = failure_lines(_display_name(candidate), outcome.code, outcome.reason)
+            lines = failure_lines(_label(candidate), outcome.code, outcome.reason)
         else:
             group, settings = self._groups.group_of(summary), display_settings(candidate.sheet)
-            lines = verdict(_display_name(candidate), outcome.folder, summary, group, settings)
+            lines = verdict(_label(candidate), outcome.folder, summary, group, settings)
             self._draw(outcome.folder)
-        self._announcer.say("\n".join(lines))
+        self._output.say("\n".join(lines))
 
     def _marks(self, candidate: Candidate) -> Marks:
         return tuple((str(path), self._files.mark(path)) for path in _paths(candidate))
@@ -325,7 +325,7 @@ def _refuse_vanished(candidate: Candidate) -> None:
             stream.read(1)
 
 
-def _display_name(candidate: Candidate) -> str:
+def _label(candidate: Candidate) -> str:
     return _printable(candidate.name)
 
 

@@ -64,11 +64,9 @@ def describe_death(what: object, died: ProcessDied) -> tuple[str, str]:
     """
     if died.limit is not None:
         expected = f"an end within {died.limit / 60.0:g} minutes"
-        description = "no end; the process was ended"
+        state = "no end; the process was ended"
         remedy = "Check the export for damage, or choose a longer --limit."
-        return "time_limit", error_text(
-            what, "", expected=expected, found=description, remedy=remedy
-        )
+        return "time_limit", error_text(what, "", expected=expected, found=state, remedy=remedy)
     reason = error_text(
         what,
         "",

@@ -167,10 +167,7 @@ def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str
     for comparison in comparisons:
         curve = comparison.curve
         specimen = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
-        for kind, match in (
-            ("tests", comparison.tests),
-            ("model", comparison.model),
-        ):
+        for kind, match in (("tests", comparison.tests), ("model", comparison.model)):
             if match is not None:
                 curve_name = (
                     curve.name

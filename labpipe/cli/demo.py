@@ -151,11 +151,7 @@ def _process_campaigns(
         tests = find_tests([raw / name])
         drawn = set() if options.no_figures else _first_of_each_type(tests)
         done, n_refused = process_all(
-            tests,
-            out=out / name,
-            figures=drawn.__contains__,
-            png=options.png,
-            jobs=options.jobs,
+            tests, out=out / name, figures=drawn.__contains__, png=options.png, jobs=options.jobs
         )
         processed += done
         refused += n_refused

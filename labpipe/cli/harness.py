@@ -142,7 +142,7 @@ def _limit(harness: FollowedHarness) -> Iterator[str]:
 
 def _sweep(harness: FollowedHarness) -> Iterator[str]:
     if harness.sweep:
-        yield "  length of the line    smallest bend radius    on the path"
+        yield "  length of the line    smallest bend radius    on the way"
     for finding in harness.sweep:
         if finding.status == "failed":
             yield f"  {1e3 * finding.length:>12.5g} mm        -  {finding.reasons[0].message}"

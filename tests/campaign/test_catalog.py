@@ -101,8 +101,8 @@ def test_paths_as_sqlite_takes_them(path: PurePath, uri: str) -> None:
     ("said", "remedy"),
     [
         ("database is locked", "Another labpipe is writing"),
-        ("attempt to write a readonly database", "Look at the disk"),
-        ("database disk image is malformed", "`labpipe campaign rebuild` makes it anew"),
+        ("attempt to write a readonly database", "Check the disk"),
+        ("database disk image is malformed", "`labpipe campaign rebuild` rebuilds it"),
     ],
 )
 def test_what_sqlite_says_is_said_with_what_to_do(said: str, remedy: str) -> None:
@@ -189,8 +189,8 @@ def campaign(tmp_path: Path) -> CampaignFolders:
     [
         ("nowhere", "expected the folder of a campaign, found nothing of that name"),
         ("file", "expected the folder of a campaign, found a file"),
-        (".", "a folder below 'raw' or 'processed', found one that"),
-        ("raw/T1", r"a campaign, found that of a single test\. Put the"),
+        (".", "a folder below 'raw' or 'processed', found a folder below"),
+        ("raw/T1", r"a campaign, found the folder of a single test\. Put each"),
     ],
 )
 def test_folders_that_are_no_campaign(tmp_path: Path, place: str, message: str) -> None:
@@ -213,8 +213,8 @@ def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) ->
         *("T1", "figures", "linked", "more", "notes.txt")
     }
     assert listing.refused == [
-        f"{campaign.raw / 'figures' / 'test.yaml'}: expected a file, found a pipe, or a link to"
-        " nowhere. Put the test sheet there."
+        f"{campaign.raw / 'figures' / 'test.yaml'}: expected a file, found a pipe or a broken link."
+        " Put the test sheet there."
     ]
 
 

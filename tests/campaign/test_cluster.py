@@ -180,7 +180,7 @@ def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
     assert next(iter(outcomes)).state != "failed"
     alone.scheduler.kill()
     start = time.monotonic()
-    said = r"--executor: expected the scheduler at .* until the end of the run, found that it, or every"
+    said = r"--executor: expected the scheduler at .* until the end of the run, found that it, or"
     with pytest.raises(ProcessingError, match=said) as raised:
         list(outcomes)
     assert raised.value.code == "no_cluster"

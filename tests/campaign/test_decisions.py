@@ -89,7 +89,7 @@ def test_which_test_is_meant(kept: KeptCampaign) -> None:
     with pytest.raises(UsageError, match=r"T9: expected a test of 'C', found none of that name\."):
         decide(kept.folders, "T9", REJECT)
     kept.add("new")
-    with pytest.raises(UsageError, match="expected a test that was processed, found one that was"):
+    with pytest.raises(UsageError, match="expected a processed test, found one that is not"):
         decide(kept.folders, "new", REJECT)
 
 
@@ -110,7 +110,7 @@ def test_a_file_that_cannot_be_read_is_said_and_stays(kept: KeptCampaign, text: 
     overview = read_overview(kept.folders)
     assert overview.bad_input
     assert BROKEN[text] in overview.notes[0]
-    with pytest.raises(UsageError, match="Mend the file, or move it away and decide again"):
+    with pytest.raises(UsageError, match="Repair the file, or move it away and decide again"):
         decide(kept.folders, "T1", REJECT)
     assert path.read_text("utf-8") == text
     with pytest.raises(StoreError, match="expected decisions in JSON"):
@@ -216,7 +216,7 @@ def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -
     assert taken.added == [accepted]
     assert taken.n_known == 1
     assert [(each.test, why.split(":")[0]) for each, why in taken.left] == [
-        ("T-1", "exports, sheet, protocol or labpipe changed"),
+        ("T-1", "exports, sheet, protocol or labpipe changed since the decision"),
         ("../c/T-1", "there is no such test"),
     ]
     assert faults == ()
@@ -245,14 +245,14 @@ def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path
     for given, message in (
         (file, "expected a file saved by a report page, found nothing of that name"),
         (broken, "line 1, column 2: expected decisions in JSON"),
-        (own, r"found that of the campaign\. What stands in it counts"),
+        (own, r"found that of the campaign\. Its decisions are applied"),
     ):
         with pytest.raises(UsageError, match=message):
             import_decision_file(processed, "c", given)
     saved(file, decision_on(processed, "T-2"), campaign="other")
     ran = run("campaign", "decide", processed, "--from", file)
     assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err
-    assert "1 decision taken in" in ran.out
+    assert "1 decision imported" in ran.out
     ran = run("campaign", "decide", processed, "T-2", "accept", "--from", file)
     assert "--from: expected nothing but the folder beside it, found T-2" in ran.err
     ran = run("campaign", "decide", processed)

@@ -64,7 +64,7 @@ def test_an_unknown_field_is_told_with_the_nearest() -> None:
     assert str(told.value) == (
         "--by: expected fields of these test sheets: type, spool, wire, number,"
         " composition, arrangement, tape, taping, conduit, cured, length, found 'tapping'."
-        " Write taping, or another of them."
+        " Nearest: taping."
     )
     check_fields(["cured", "length"], [SEVEN, TUBE], "--by")
 
@@ -180,6 +180,7 @@ def test_a_block_that_differs_in_many_settings_is_told_once(tube: Protocol) -> N
     notes = setting_notes({"with": own | {f"align.a{k}": "y" for k in range(5)}, "without": other})
     (align,) = [note for note in notes if note.where == "align"]
     assert align.message == (
-        "different settings among the tests: 5 settings, the first align.a0: y (with) and x (without)"
+        "different settings among the tests:"
+        " 5 settings, the first align.a0: y (with) and x (without)"
     )
     assert not [note for note in notes if note.where.startswith("align.")]

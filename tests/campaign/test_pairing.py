@@ -78,8 +78,7 @@ def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
     assert state(candidate.folder) == before
     assert not written.is_new
     assert written.messages == (
-        "look: A2-085-3.csv is another one than its copy in the folder of the test;"
-        " the copy counts",
+        "check: A2-085-3.csv differs from its copy in the test folder, which is used",
     )
 
 
@@ -103,7 +102,9 @@ def test_a_file_in_the_way_of_a_copy_is_not_harmed(campaign: Path) -> None:
     (campaign / "A2-085-3").mkdir()
     other = campaign / "A2-085-3" / "A2-085-3.csv"
     other.write_bytes(b"by hand")
-    with pytest.raises(StoreError, match=r"expected a copy of .* found another file of that name"):
+    with pytest.raises(
+        StoreError, match=r"expected a copy of .* found a different file of that name"
+    ):
         pair_test(only(campaign), plan_of(campaign))
     assert other.read_bytes() == b"by hand"
 

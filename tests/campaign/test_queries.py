@@ -155,7 +155,7 @@ def test_more_rows_than_a_sheet_takes(
     catalog: Catalog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._MAX_SHEET_ROWS", 3)
-    message = "expected 3 rows at most, found 4. Ask for less with --where, or take"
+    message = "expected 3 rows at most, found 4. Select fewer with --where, or use"
     with query_results(catalog, "") as answer, pytest.raises(UsageError, match=message):
         write_workbook(answer, tmp_path / "out.xlsx")
     assert not (tmp_path / "out.xlsx").exists()

@@ -183,13 +183,13 @@ def test_a_folder_that_cannot_be_written(
     before = content_of(kept)
     monkeypatch.setattr("labpipe.campaign.catalog.os.access", lambda *_: False)
     assert states(kept) == {"T1": OK, "T2": PENDING, "T3": PENDING}
-    with pytest.raises(StoreError, match="expected a folder to write in, found one that cannot"):
+    with pytest.raises(StoreError, match="expected a writable folder, found a read-only"):
         kept.run()
     (kept.processed / "catalog.sqlite").unlink()
     overview = read_overview(kept.folders)
     assert overview.rows["T1"].state == OK
     assert overview.notes == [
-        f"{kept.processed / 'catalog.sqlite'}: the folder cannot be written: a catalog was made in"
+        f"{kept.processed / 'catalog.sqlite'}: the folder is read-only: the catalog was made in"
         " memory"
     ]
     monkeypatch.undo()

@@ -171,8 +171,8 @@ def test_decisions_are_saved_at_once(asked: Asked) -> None:
     assert answer.status == 200
     assert answer.said["decisions"] == [entry]
     assert answer.said["said"] == (
-        "1 decision saved. T-1: not saved: exports, sheet, protocol or labpipe changed: exports, sheet, protocol or"
-        " labpipe changed. They take effect when the report is made again."
+        "1 decision saved. T-1: not saved: exports, sheet, protocol or labpipe changed since the"
+        " decision. They take effect when the report is made again."
     )
     (kept,) = read_decisions(asked.site.folder).decisions
     assert (kept.test, kept.decision, kept.when) == ("T-2", "reject", WHEN)
@@ -245,12 +245,14 @@ def test_what_goes_wrong_is_said_to_the_page(asked: Asked) -> None:
     (asked.site.report / "report.html").unlink()
     gone = asked.get("report/report.html")
     assert gone.status == 500
-    assert "found no such file" in gone.said["error"]
+    assert "found an impossible file" in gone.said["error"]
 
 
 def test_a_port_in_use_is_said(asked: Asked) -> None:
     port = asked.server.server_port
     with pytest.raises(UsageError, match=rf"--port {port}: expected a free port, found address al"):
         ReportServer(asked.site, port)
-    with pytest.raises(UsageError, match=r"--port 99999: expected a free port, found no such"):
+    with pytest.raises(
+        UsageError, match=r"--port 99999: expected a free port, found an impossible"
+    ):
         ReportServer(asked.site, 99999)

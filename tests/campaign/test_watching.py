@@ -246,7 +246,7 @@ def test_a_campaign_yaml_that_is_wrong_does_not_count(
     (bench.campaign.raw / "campaign.yaml").write_text("version: 1\nprotocl: x\n", encoding="utf-8")
     message = bench.go(10)
     assert "Did you mean 'protocol'?" in message
-    assert message.count("the last campaign.yaml is used") == 1
+    assert message.count("the last valid campaign.yaml is used") == 1
     put(bench, "A2-085-1", exports)
     assert "A2-085-1: WELL" in bench.go(4)
     with pytest.raises(ProtocolError):
@@ -272,8 +272,8 @@ def test_what_is_not_used_is_said_once(bench: Bench, exports: dict[str, bytes]) 
     folder = put(bench, "A2-085-1", exports)
     (folder / "a\nb\x1b[2J.csv").write_bytes(exports["take.csv"])
     said = bench.go(200, step=2)
-    assert "loose.csv: not used, it is not in the folder of a test" in said
-    assert "A2-085-1/a\\nb\\x1b[2J.csv: not used, its name has control characters" in said
+    assert "loose.csv: not used: it is not in the folder of a test" in said
+    assert "A2-085-1/a\\nb\\x1b[2J.csv: not used: its name has control characters" in said
     assert "\x1b" not in said
     assert "A2-085-1: WELL" in said
     assert bench.go(200, step=2) == ""

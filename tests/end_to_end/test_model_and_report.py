@@ -118,7 +118,7 @@ def test_files_of_wires_that_left_the_sheet_are_taken_away(tmp_path: Path, run: 
     (out / "decks" / "mine.txt").write_text("a note of the lab", encoding="utf-8")
     done = run("model", str(sheet(tmp_path, A1)), "--out", str(out), "--no-figures")
     assert done.status == 0
-    assert "  no longer in the sheet, files taken away: A3" in done.out
+    assert "  no longer in the sheet, files removed: A3" in done.out
     assert {file.name for file in (out / "decks").iterdir()} == {
         "mine.txt",
         *(f"A1.{ending}" for ending in DECKS),
