@@ -107,7 +107,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     doubt = coarse_doubt(path, prepared, replace(other, path=torn), {})
     assert doubt is not None
     assert set(doubt.names) == set(numbers)
-    assert "the line cannot be followed (torn)" in doubt.reason.message
+    assert "the line cannot be solved (torn)" in doubt.reason.message
     assert doubt.reason.message.endswith("take 20")
 
 
@@ -129,7 +129,7 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
         assert (doubt is None) is (elements == 40)
         if doubt is not None and elements == 10:
             assert doubt.reason.code == "coarse_elements"
-            wanted = int(doubt.reason.message.split("too few; ")[1].split()[0])
+            wanted = int(doubt.reason.message.split("too few; take ")[1].split()[0])
             path, _ = walk(arched(wanted), 8)
             assert few_elements_doubt(path, arched(wanted), arched(wanted // 2), {}) is None
 

@@ -89,7 +89,7 @@ def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration)
     (wrong,) = compare(outcome, WIRES, tests)
     [note] = misfit_notes([wrong])
     assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
-    assert note.message.startswith("70 % of the points of the calibrating tests lie in the 95 %")
+    assert note.message.startswith("70 % of the points of the calibrating tests lie in their 95 %")
     assert not misfit_notes([replace(wrong, is_calibrated=False)])
 
 
