@@ -86,9 +86,9 @@ def _as_typed(path: Path) -> Path:
     return path.relative_to(here) if path.is_relative_to(here) else path
 
 
-def _no_campaign(folder: Path, expected: str, found: str) -> UsageError:
+def _no_campaign(folder: Path, expected: str, state: str) -> UsageError:
     remedy = "Put each test into a folder below raw/NAME; results go to processed/NAME."
-    return UsageError(error_text(folder, "", expected=expected, found=found, remedy=remedy))
+    return UsageError(error_text(folder, "", expected=expected, found=state, remedy=remedy))
 
 
 @dataclass(slots=True)

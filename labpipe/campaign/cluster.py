@@ -105,8 +105,8 @@ def _connect(address: str) -> Iterator[Client]:
 _NO_PACKAGE = "the package distributed"
 
 
-def _cluster_error(expected: str, found: str, remedy: str) -> UsageError:
-    message = error_text("--executor", "", expected=expected, found=found, remedy=remedy)
+def _cluster_error(expected: str, state: str, remedy: str) -> UsageError:
+    message = error_text("--executor", "", expected=expected, found=state, remedy=remedy)
     return UsageError(message, code="no_cluster")
 
 

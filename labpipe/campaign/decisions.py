@@ -164,8 +164,8 @@ def checked_document(document: object, path: Path) -> dict[str, Any] | str:
     return document
 
 
-def _file_error(path: Path, place: str, found: str) -> str:
-    return error_text(path, place, expected="decisions in JSON", found=found, remedy=_REPAIR)
+def _file_error(path: Path, place: str, state: str) -> str:
+    return error_text(path, place, expected="decisions in JSON", found=state, remedy=_REPAIR)
 
 
 def _decision(path: Path, number: int, entry: object) -> Decision | str:

@@ -125,7 +125,7 @@ def run_tests(
         sync.catalog.release_dead()
         sync.read_decisions()
         run = _Run(sync, Drawing(), follow_links=False, on_outcome=on_outcome)
-        elsewhere = run.some(executor, list(folders), again)
+        elsewhere = run.process(executor, list(folders), again)
         rows = {folder: sync.renew(folder) for folder in folders}
     return {folder: None if folder in elsewhere else row for folder, row in rows.items()}
 
@@ -166,13 +166,13 @@ class _Run:
             and (row.state in {PENDING, STALE} or folder in again)
         ]
         begin(len(due))
-        self.some(executor, due, again)
+        self.process(executor, due, again)
         if due:
             overview = sync.refresh()
         self._ran.overview = overview
         return self._ran
 
-    def some(
+    def process(
         self, executor: Executor, due: list[str], again: Collection[str] = ()
     ) -> Sequence[str]:
         """Process some tests; return those claimed by another labpipe."""

@@ -165,7 +165,7 @@ def test_tests_go_to_workers_that_see_them(alone: Cluster, own: list[TensileLab]
 
 def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT", 1.0)
-    message = "--executor: expected a dask scheduler at 127.0.0.1:1, found none that answers. Start"
+    message = "--executor: expected a dask scheduler at 127.0.0.1:1, found no answer. Start"
     with pytest.raises(UsageError, match=message) as raised:
         list(dask("127.0.0.1:1")([Task(tmp_path)]))
     assert raised.value.code == "no_cluster"

@@ -254,6 +254,6 @@ def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path
     assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err
     assert "1 decision imported" in ran.out
     ran = run("campaign", "decide", processed, "T-2", "accept", "--from", file)
-    assert "--from: expected nothing but the folder beside it, found T-2" in ran.err
+    assert "--from: expected no test beside it, found T-2" in ran.err
     ran = run("campaign", "decide", processed)
-    assert "expected a test and accept or reject, found none. Or name a file that a page" in ran.err
+    assert "expected a test and accept or reject, found none. Or name a file" in ran.err

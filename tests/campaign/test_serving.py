@@ -245,7 +245,7 @@ def test_what_goes_wrong_is_said_to_the_page(asked: Asked) -> None:
     (asked.site.report / "report.html").unlink()
     gone = asked.get("report/report.html")
     assert gone.status == 500
-    assert "found an impossible file" in gone.said["error"]
+    assert "found no such file" in gone.said["error"]
 
 
 def test_a_port_in_use_is_said(asked: Asked) -> None:
