@@ -25,8 +25,8 @@ def test_first_loading_is_that_of_the_wire_model(wire: StrandedWire) -> None:
     law = wire.law()
     curvature = np.geomspace(1e-3, 70.0, 200)
     moment = moment_curvature(wire.section(), wire.contacts(), curvature).moment
-    found = respond(law, moment, unbent_plays(law, len(moment))).curvature
-    assert found == pytest.approx(curvature, rel=2e-3)  # a polygon between its corners
+    curvatures = respond(law, moment, unbent_plays(law, len(moment))).curvature
+    assert curvatures == pytest.approx(curvature, rel=2e-3)  # a polygon between its corners
     assert law.stiffness == pytest.approx(stick_stiffness(wire.section()), rel=1e-3)
 
 
@@ -37,8 +37,8 @@ def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWir
     path = bend_along(wire.section(), wire.contacts(), np.concatenate([there, back]))
     top, down = path[len(there) - 1], path[len(there) :]
     history = respond(law, np.array([top]), unbent_plays(law, 1)).plays
-    found = respond(law, down, np.repeat(history, len(down), axis=0)).curvature
-    moment = np.interp(back[::-1], found[::-1], down[::-1])[::-1]
+    curvatures = respond(law, down, np.repeat(history, len(down), axis=0)).curvature
+    moment = np.interp(back[::-1], curvatures[::-1], down[::-1])[::-1]
     assert np.max(np.abs(moment - down)) < 1e-3 * top
 
 
