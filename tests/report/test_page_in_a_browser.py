@@ -153,7 +153,7 @@ def key_of(name: str) -> str:
 def campaign_of(names: Sequence[str], *decisions: Mapping[str, str]) -> Campaign:
     """Tests of these names, six in a group; of the first group one is doubtful, one failed."""
     samples = [
-        build_sample(f"s{number % 2}", f"{number}", seed=number, scale=1 + 0.01 * number)
+        build_sample(f"s{number // 6}", f"{number}", seed=number, scale=1 + 0.01 * number)
         for number in range(len(names))
     ]
     if len(names) >= 6:
