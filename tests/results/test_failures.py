@@ -109,7 +109,7 @@ def test_rows_without_times() -> None:
 
 
 def test_a_record_that_ends_while_loading() -> None:
-    """Not where the rig's stroke ends; without times it is told by its rows."""
+    """Not where the rig's stroke ends; without times its rows are named."""
     _, results = pulled(*pull(), results=["peak-force"], time=False)
     why = "partial_cycle: the record ends at sample 1000, while still loading"
     assert results["peak_force.1"].why == why

@@ -113,7 +113,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
 
 @pytest.mark.slow
 def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
-    """Those of 160 elements are the truth: where one is off by more than 2 % that is said."""
+    """Those of 160 elements are the truth: a deviation of more than 2 % is reported."""
     _, truth = walk(arched(160), 8)
     for elements in (6, 10, 40):
         prepared = arched(elements)

@@ -176,7 +176,7 @@ def test_a_line_that_buckles_loses_no_more_in_coarse_steps() -> None:
 
 
 def test_how_a_wire_unloads_is_an_assumption() -> None:
-    """Of a line let go its last shape depends on it; the bench carries the weight in any case.
+    """The last shape of a released line depends on it; the bench carries the weight in any case.
 
     So do forces of one that is held and was unbent: in the example of slack the wire is bent
     elsewhere and more sharply on the way.
