@@ -211,7 +211,7 @@ def weighing(grams: float, loading: FirstLoading) -> FirstLoading:
 def test_the_mass_of_the_test_or_of_the_sheet_of_wires(
     protocol: Protocol, approved: Approve
 ) -> None:
-    """The length of the test is used; a deviation of more than a third, or none, is reported."""
+    """The length of the test is used; a third off, or none, is reported."""
     light, sheet = taken(protocol), 6.85e-3 * GRAVITY
     contradicted = with_self_weight(weighing(9.5, light), sheet)
     assert contradicted.curve.self_weight == pytest.approx(9.5e-3 * GRAVITY)
