@@ -1,8 +1,9 @@
-"""Fits of lines against other programs, and how often their 95 % intervals hold.
+"""Fits of lines and beams against other programs, and how often their 95 % intervals hold.
 
 Two segments beside pwlf and piecewise-regression: one optimum, three programs. Seeded runs with
 white and autoregressive noise (correlation time of 1 to 10 % of the window) are compared with 95 %
 by an exact two-sided binomial test at 1 %; more of them are counted in `tests/coverage`.
+A beam on two rollers: Love (1927), secs. 260-263, by shooting from the roller to mid-span.
 """
 
 from __future__ import annotations
@@ -10,9 +11,12 @@ from __future__ import annotations
 import numpy as np
 import pwlf
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
+from labpipe.fits.beam_stiffness import Rollers, path_of_load
 from labpipe.fits.two_segments import Hinges, Segments
 from labpipe.records.arrays import Floats
 from labpipe.uncertainty.linear_fits import fit_linear
@@ -126,3 +130,35 @@ def test_pwlf(seed: int) -> None:
     assert squares == pytest.approx(model.ssr, rel=1e-5)
     assert float(found.break_point) == pytest.approx(breaks[1], abs=1e-2)
     assert [float(found.first), float(found.second)] == pytest.approx(model.slopes, rel=1e-3)
+
+
+def load_by_shooting(rollers: Rollers, deflection: float) -> float:
+    span, radius, friction = rollers.span, rollers.radius, rollers.friction
+
+    def missed(unknown: Floats) -> list[float]:
+        slope, push, length = (float(floats) for floats in unknown)
+        up = push * (np.cos(slope) + friction * np.sin(slope))
+        out = push * (-np.sin(slope) + friction * np.cos(slope))
+
+        def path(_: float, state: Floats) -> list[float]:
+            angle, bend, _, _ = state
+            turn = up * np.cos(angle) - out * np.sin(angle)
+            return [-bend, turn, -np.cos(angle), -np.sin(angle)]
+
+        start = [slope, 0.0, 0.5 * span - radius * np.sin(slope), 0.0]
+        end = solve_ivp(path, [0.0, length], start, rtol=1e-10, atol=1e-12).y[:, -1]
+        return [end[0], end[2], -end[3] + radius * (1.0 - np.cos(slope)) - deflection]
+
+    guess = 3.0 * deflection / span
+    first = [guess, 24.0 * deflection / span**3, 0.5 * span * (1.0 + guess**2 / 6.0)]
+    slope, push, _ = fsolve(missed, first, xtol=1e-12)
+    return float(2.0 * push * (np.cos(slope) + friction * np.sin(slope)))
+
+
+@pytest.mark.parametrize("deflection", [0.02, 0.2])
+@pytest.mark.parametrize("rollers", [Rollers(1.0), Rollers(1.0, 0.05), Rollers(1.0, 0.07, 0.3)])
+def test_load_at_a_deflection(rollers: Rollers, deflection: float) -> None:
+    known, loads = path_of_load(rollers)
+    found = float(np.interp(deflection, known, loads))
+    # 600 slopes joined by straight lines: 1e-5 of the load at the most.
+    assert found == pytest.approx(load_by_shooting(rollers, deflection), rel=1e-5)

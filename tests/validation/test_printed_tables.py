@@ -2,7 +2,9 @@
 
 NIST StRD Norris, NoInt1 and NoInt2 (itl.nist.gov/div898/strd/lls); Rosner, Technometrics 25 (1983)
 165 with critical values of the NIST/SEMATECH handbook (1.3.5.17.3); Student, Biometrika 6 (1908) 1
-with Welch's interval of R (``t.test``) and the equivalence test of TOSTER (``t_TOST``).
+with Welch's interval of R (``t.test``) and the equivalence test of TOSTER (``t_TOST``). ACSR
+Cardinal under 40 kN (friction 0.7, a curve named after Foti) is not insulated: pressure comes from
+its tension alone.
 """
 
 from __future__ import annotations
@@ -14,13 +16,15 @@ import numpy as np
 import pytest
 
 from labpipe.fits.least_squares import slope_of_line, zero_of_line
+from labpipe.records.arrays import Floats
 from labpipe.statistics.means import mean_interval, nested_mean
 from labpipe.statistics.outliers import find_suspects
 from labpipe.statistics.two_groups import contrast_of, difference_of_means, equivalence_p
 from labpipe.uncertainty.linear_fits import fit_linear
-from labpipe.wire.bending_law import stick_stiffness
+from labpipe.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
 from labpipe.wire.cross_section import concentric
-from tests.builders.stranded_wires import WIRES, layers_of, tube, wire
+from labpipe.wire.friction import Contacts
+from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
 NORRIS = """
 0.1 0.2 338.8 337.4 118.1 118.2 888.0 884.6 9.2 10.1 228.1 226.5 668.5 666.3 998.5 996.3
@@ -159,6 +163,51 @@ def test_bounds(name: str) -> None:
         assert low - 0.005 < PRINTED[name] < high
     else:
         assert PRINTED[name] < low
+
+
+TENSION = 40e3
+
+INNER_ONLY = Contacts((0.7,) * 4, (0.0,) * 4)
+
+"""Each layer rubs on what it is pressed against by its own pull and that of the layers outside."""
+
+SHARED = Contacts((0.7,) * 4, (0.35, 0.35, 0.35, 0.0), lay_lengths=True)
+
+"""Sliding against the layer outside is shared between the two; pressure by lay lengths."""
+
+
+@pytest.fixture(scope="module")
+def published(realdata: Path) -> tuple[Floats, Floats]:
+    file = realdata / "datasets" / "FLEXION_CARDINAL_H40kN_mu0.7_FOTI.csv"
+    curvature, moment = np.loadtxt(file, delimiter=",", skiprows=1).T
+    return curvature, moment
+
+
+def rms(contacts: Contacts, published: tuple[Floats, Floats], orientation: float = 0.0) -> float:
+    curvature, moment = published
+    found = moment_curvature(
+        cardinal(), contacts, curvature, tension=TENSION, orientation=orientation
+    )
+    return float(np.sqrt(np.mean((found.moment - moment) ** 2)))
+
+
+def test_stiffness_bounds() -> None:
+    """Published 30.2 N m^2 is with cos(alpha) for the helix; the energy average is 0.3 % less."""
+    assert slip_stiffness(cardinal()) == pytest.approx(30.2, rel=4e-3)
+    assert stick_stiffness(cardinal()) == pytest.approx(1891.0, rel=2e-4)
+
+
+@pytest.mark.realdata
+def test_friction_on_the_inner_side(published: tuple[Floats, Floats]) -> None:
+    assert rms(INNER_ONLY, published) <= 3.2
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("orientation", [0.0, 0.05, 0.1, 0.2])
+def test_lay_lengths_and_shared_sliding_are_closer(
+    published: tuple[Floats, Floats], orientation: float
+) -> None:
+    assert rms(SHARED, published, orientation) <= 1.5
 
 
 def test_worked_examples_of_a_page(repository: Path) -> None:

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from benchmarks import plain_loop
 from labpipe.wire.cross_section import (
     Insulation,
     Layer,
@@ -106,6 +107,9 @@ def test_overlaps() -> None:
     energy, gradient = overlap_energy(centres[:2].ravel(), 1.0, 9.0)
     assert energy == pytest.approx(2.0 * 0.5**2)  # the pair counts from both sides
     assert gradient == pytest.approx([2.0, 0.0, -2.0, 0.0])
+    flat = np.random.default_rng(2).normal(scale=4.0, size=74)
+    energy, _ = overlap_energy(flat, 1.0, 6.5)
+    assert energy == pytest.approx(plain_loop.overlap(flat, 1.0, 6.5), rel=1e-12)
     layers = lay_up(19, strand_diameter(0.86e-6, 19), [0.2, -0.26], ANNEALED_COPPER)
     assert hexagonal(layers, tube(1.8e-3)).overlap == pytest.approx(0.16e-6, abs=0.01e-6)
 

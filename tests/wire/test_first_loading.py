@@ -12,7 +12,14 @@ from labpipe.law.loading_table import LoadingTable
 from labpipe.law.play_fits import polygon_law
 from labpipe.law.plays import LinearLaw, MomentLaw
 from labpipe.records.arrays import Floats
-from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
+from labpipe.wire.cantilever import (
+    CantileverShape,
+    StringRig,
+    bend_to_deflection,
+    bend_to_travel,
+    held_level,
+    straight,
+)
 from labpipe.wire.first_loading import (
     LoadingCurve,
     force_at,
@@ -58,17 +65,37 @@ LAW = polygon_law(yielding(KNOTS), KNOTS)
 TABLE = LoadingTable.of_plays(LAW)
 
 
-@pytest.mark.parametrize("rig", [RIG, None])
-def test_a_separate_solver_finds_the_same_forces(rig: StringRig | None) -> None:
+@pytest.mark.parametrize("rig", [RIG, None], ids=["string", "end load"])
+def test_with_weight_a_separate_solver_finds_the_same(rig: StringRig | None) -> None:
+    """All points at once, and the path station by station."""
     string = {} if rig is None else {"string": 0.76, "counterweight": 0.0265}
     other = HeavyWire(yielding, HEAVY_LENGTH, WEIGHT, **string)
     resting = found = other.rest()
     curve = load_heavy(TABLE, HEAVY_LENGTH, rig, WEIGHT, 0.07)
-    assert curve.tension[0] == pytest.approx(other.pull(resting), rel=1e-4)
-    for deflection in (0.001, 0.004, 0.02, 0.06):
-        found = other.loaded(resting, deflection, found)
-        force = force_at(curve, np.array([deflection]))[0][0]
-        assert force == pytest.approx(other.pull(found) - other.pull(resting), rel=2e-4)
+    if rig is None:
+        shape = held_level(LAW, HEAVY_LENGTH, WEIGHT)
+    else:
+        state = straight(LAW, self_weight=WEIGHT)
+        shape = bend_to_travel(LAW, state, HEAVY_LENGTH, rig, 0.0)
+    rest, level = pull_of(shape, rig), float(shape.y[-1])
+    assert (rest, curve.tension[0]) == pytest.approx([other.pull(resting)] * 2, rel=1e-4)
+    assert curve.clamp_moment[0] == pytest.approx(shape.moment[0], rel=1e-4)
+    for goal in (0.001, 0.004, 0.02, 0.06):
+        if rig is None:
+            shape = bend_to_deflection(LAW, shape.state, HEAVY_LENGTH, goal)
+        else:
+            shape = bend_to_travel(LAW, shape.state, HEAVY_LENGTH, rig, goal)
+        deflection = float(shape.y[-1]) - level
+        found = other.loaded(resting, float(shape.y[-1]), found)
+        wanted = other.pull(found) - other.pull(resting)
+        assert pull_of(shape, rig) - rest == pytest.approx(wanted, rel=1e-4)
+        assert force_at(curve, np.array([deflection]))[0][0] == pytest.approx(wanted, rel=2e-4)
+        at = heavy_states(TABLE, HEAVY_LENGTH, rig, WEIGHT, np.array([deflection]))
+        assert at.moment[0, 0] == pytest.approx(shape.moment[0], rel=1e-4, abs=2e-8)
+
+
+def pull_of(shape: CantileverShape, rig: StringRig | None) -> float:
+    return float(shape.force[1] if rig is None else shape.tension)
 
 
 def test_it_is_that_of_the_path_station_by_station() -> None:
@@ -82,21 +109,6 @@ def test_it_is_that_of_the_path_station_by_station() -> None:
     bent = float(np.abs(shape.curvature).max()) * deepest / float(shape.y[-1])
     assert found == pytest.approx(bent, rel=0.03)
     assert curvature_of(wire, np.full(3, np.nan), curves) == pytest.approx(found, rel=1e-6)
-
-
-def test_with_weight_station_by_station() -> None:
-    state = straight(LAW, self_weight=WEIGHT)
-    shape = rest = bend_to_travel(LAW, state, HEAVY_LENGTH, RIG, 0.0)
-    curve = load_heavy(TABLE, HEAVY_LENGTH, RIG, WEIGHT, 0.07)
-    assert curve.clamp_moment[0] == pytest.approx(rest.moment[0], rel=1e-4)
-    for travel in (0.002, 0.03, 0.06):
-        shape = bend_to_travel(LAW, shape.state, HEAVY_LENGTH, RIG, travel)
-        deflection = np.array([shape.y[-1] - rest.y[-1]])
-        at = heavy_states(TABLE, HEAVY_LENGTH, RIG, WEIGHT, deflection)
-        assert at.moment[0, 0] == pytest.approx(shape.moment[0], rel=1e-4)
-        assert force_at(curve, deflection)[0][0] == pytest.approx(
-            shape.tension - rest.tension, rel=1e-4
-        )
 
 
 def test_first_loading_ends_where_the_tip_unloads() -> None:
