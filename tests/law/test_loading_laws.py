@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,8 +18,7 @@ from labpipe.law.loss_card import fit_dahl, turn_loss
 from labpipe.law.plays import LinearLaw, PlayLaw, first_curvature, respond, unbent_plays
 from labpipe.law.sliders import fit_sliders, slide, unbent_rests
 from labpipe.records.arrays import Floats
-from labpipe.wire.wire_table import wire_table as table_of
-from tests.builders.wire_tables import loss_card, spec_of, wire_table
+from tests.builders.wire_tables import loss_card, wire_table
 
 PLAYS_TABLE = PlayLaw(2.0, np.array([0.5, 1.0, 3.0]), np.array([0.5, 0.25, 1.0]))
 
@@ -187,21 +185,6 @@ def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
     starts = fine.holds_from(0.01), coarse.holds_from(0.01)
     assert None not in starts
     assert starts[0] < 0.1 * starts[1]  # type: ignore[operator]
-
-
-@pytest.mark.slow
-def test_a_search_with_many_turns_is_not_ended_half_way() -> None:
-    sticks = replace(
-        spec_of("C5", "C5"), layout="packed", copper_n=0.23, friction_insulation=0.003,
-        friction_strand=0.274, radial_force=1.0,
-    )  # fmt: skip
-    table = table_of(sticks)
-    curvature, moment = table.curvature[1:], table.moment[1:]
-    found = equivalent_material(curvature, moment, 2.0 * table.layout.wire_radius)
-    slopes = np.diff(found.stress) / np.diff(found.strain) / found.modulus
-    assert np.all((slopes > -1e-12) & (slopes < 1.0))
-    above = found.curvature > found.elastic_curvature
-    assert np.sum(found.error[above] ** 2) < 0.102  # 0.1031 where it ended half-way
 
 
 def test_laws_that_are_straight_or_stiffen() -> None:

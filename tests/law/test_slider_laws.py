@@ -159,14 +159,6 @@ def test_a_spring_and_one_slider_that_slides_all_along() -> None:
     assert spring.stiffness == pytest.approx(2.0 * 0.5 / 3.0)
 
 
-def test_more_directions_lose_less() -> None:
-    table = wire_table("A2")
-    law = fit_sliders(table.curvature, table.moment, 8, first=0.1, last=10.0)
-    errors = [in_directions(law, number).error for number in (2, 3, 4, 6)]
-    assert errors == sorted(errors, reverse=True)
-    assert len(in_directions(law, 4, most=5).stiffnesses) <= 5
-
-
 @pytest.mark.parametrize("name", ["A2", "C5"])
 def test_errors_by_the_sliders_themselves(name: str) -> None:
     """A node, and the mean of four that are turned: each direction by its own planar sliders."""

@@ -50,6 +50,7 @@ from labpipe.wire.materials import (
     RambergOsgood,
     StressTable,
 )
+from labpipe.wire.strand_bending import LAMINAE
 from tests.builders.stranded_wires import WIRES, cardinal, contacts_of, layers_of, wire
 from tests.judges.reference_wires import bend_along
 
@@ -337,3 +338,46 @@ def test_plateau_of_a_wire_that_yields_perfectly(drawn: Drawn) -> None:
     found = moment_curvature(bare, loose, np.array([1500.0, 2000.0]))
     assert found.moment == pytest.approx([plateau] * 2, rel=2e-4)
     assert np.all(np.abs(found.tangent_stiffness) < 1e-4 * own_stiffness(drawn))
+
+
+NAMES = st.sampled_from(["A1", "A2", "A3", "C4"])
+FRICTION = st.floats(0.0, 0.8)
+PRESS = st.floats(0.0, 3.0)
+
+
+@given(NAMES, FRICTION, PRESS, st.floats(0.1, 40.0), st.floats(0.0, 6.3))
+def test_first_loading_is_the_monotonic_law(
+    name: str, friction: float, press: float, peak: float, turn: float
+) -> None:
+    section = wire(name)
+    rings = len(section.layers) - 1
+    contacts = insulated(rings, strand=friction, insulation=friction / 2.0, radial_force=press)
+    for way in (peak * np.linspace(0.05, 1.0, 20), -peak * np.linspace(0.05, 1.0, 20)):
+        found = bend_along(section, contacts, way, orientation=turn)
+        law = moment_curvature(section, contacts, way, orientation=turn).moment
+        assert found == pytest.approx(law, rel=1e-9)
+
+
+def laminae(path: Floats, strength: float, modulus: float) -> Floats:
+    """Moments of a round strand, radius 1, of elastic-perfectly-plastic laminae, stepped each."""
+    roots, weights = np.polynomial.legendre.leggauss(LAMINAE)
+    angle = np.pi / 4.0 * (roots + 1.0)
+    height = np.sin(angle)
+    weight = np.pi * weights * height * np.cos(angle) ** 2
+    stress, before, moments = np.zeros(LAMINAE), 0.0, []
+    for kappa in path.tolist():
+        stress = np.clip(stress + modulus * height * (kappa - before), -strength, strength)
+        before = kappa
+        moments.append(float(stress @ weight))
+    return np.array(moments)
+
+
+@given(st.lists(st.floats(-40.0, 40.0), min_size=1, max_size=12))
+def test_memory_against_laminae_stepped_one_by_one(turns: list[float]) -> None:
+    """Any path, with its inner loops: kinematic laminae, each with a history of its own."""
+    strand = concentric((Layer(1, 2.0, 0.0, ElasticPerfectlyPlastic(1.0, 1e-2)),))
+    path = 1e-3 * np.array(turns)
+    found = bend_along(strand, contacts_of(strand), path)
+    # The spline meets a sharp yield to 1e-4 of the plateau, once for each turn remembered.
+    within = 1e-4 * 4e-2 / 3.0 * (2 * len(turns) + 1)
+    assert found == pytest.approx(laminae(path, 1e-2, 1.0), abs=within)

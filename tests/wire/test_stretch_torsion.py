@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric, hexagonal
+from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric
 from labpipe.wire.materials import Elastic
 from labpipe.wire.stretch_torsion import stretch_torsion
 
@@ -67,16 +67,3 @@ def own(angle: float) -> float:
     bend = float(np.linalg.norm(turn - twist * tangent))
     helix = MODULUS * SECOND * (twist**2 / 1.34 + bend**2) * along
     return float(MODULUS * SECOND / 1.34 + 6.0 * helix)
-
-
-def test_layers_laid_both_ways_turn_less() -> None:
-    """What cross-laid layers do to each other: the coupling is a difference."""
-    copper = Elastic(MODULUS)
-    layers = (Layer(1, 1e-3, 0.0, copper), Layer(6, 1e-3, 0.2, copper))
-    same, crossed = (
-        stretch_torsion(hexagonal((*layers, Layer(12, 1e-3, lay, copper)))) for lay in (0.2, -0.2)
-    )
-    assert abs(crossed.coupling) < 0.6 * same.coupling
-    assert crossed.coupling < 0.0 < same.coupling  # the outer layer has more strands, farther out
-    assert crossed.torsional == pytest.approx(same.torsional)
-    assert crossed.torsional_free > same.torsional_free

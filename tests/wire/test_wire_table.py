@@ -156,17 +156,6 @@ def test_other_numbers_give_the_law_of_the_wire_that_has_them(
     assert np.max(np.abs(moment / table.moment[inside] - 1.0)) < 0.015
 
 
-def test_stiffnesses_change_smoothly(family: LawFamily) -> None:
-    """Half a step to either side changes them by half as much, all but a slope's jump."""
-    for name in (INSULATION_MODULUS, COPPER_SCALE):
-        centre = np.log(1e9 if name == INSULATION_MODULUS else 1.0)
-        laws = [family.at({name: centre + log}).law for log in (0.02, 0.01, -0.01, -0.02)]
-        rows = np.array([[*law.stiffnesses, law.stiffness] for law in laws])
-        whole, half = rows[0] - rows[3], rows[1] - rows[2]
-        first = family.base.first_stiffness
-        assert np.max(np.abs(whole - 2.0 * half)) < 1e-3 * np.max(np.abs(whole)) + 1e-9 * first
-
-
 def test_it_may_look_around_other_values() -> None:
     spec, values = table_of("A2").spec, {COPPER_SCALE: 1.4, INSULATION_MODULUS: 0.7e9}
     family = family_of(spec, values)
@@ -176,21 +165,6 @@ def test_it_may_look_around_other_values() -> None:
     )
     own = {name: float(np.log(value)) for name, value in values.items()}
     assert family.at(own).law.stiffnesses == pytest.approx(family.at({}).law.stiffnesses)
-
-
-def test_layouts() -> None:
-    """Concentric where there is no hexagon, which is noted."""
-    three = {"layer_counts": (3,), "strand_diameters": (0.3e-3,)}
-    for changes, kind, radius, noted in (
-        ({}, "hexagonal", 0.32e-3, []),
-        ({"layout": "compressed", "layer_radii": (0.0, 0.3e-3)}, "compressed", 0.3e-3, []),
-        (three, "concentric", 0.3e-3 / 3**0.5, ["layout_fallback"]),
-    ):
-        built = build(replace(A2, **changes))
-        assert built.section.kind == kind
-        assert built.section.radius[-1] == pytest.approx(radius)
-        assert [note.code for note in built.notes] == noted
-    assert np.all(np.diff(wire_table(replace(A2, **three)).moment) > 0.0)  # type: ignore[arg-type]
 
 
 def test_contacts_materials_and_layers() -> None:

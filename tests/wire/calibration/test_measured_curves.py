@@ -147,45 +147,29 @@ def test_signs_and_neighbours_of_residuals() -> None:
     assert lag_one_correlation(np.zeros(5)) == 0.0
 
 
-NOTHING, UNKNOWN = np.zeros(0), np.full(len(OTHER), np.nan)
-
-
-@pytest.mark.parametrize(
-    ("at", "off", "band", "n", "inside"),
-    [
-        ([0.01, 0.02, 0.03, 0.04], [0.003, -0.003, 0.005, 0.0], BAND, 4, 0.75),
-        ([0.0, 0.01, 0.02, 0.03, 0.0501, 0.09], 0.0, BAND, 3, 1.0),
-        ([0.01, 0.02, 0.03], 0.0, None, 3, np.nan),
-        ([0.01, 0.02, 0.03], 0.0, (UNKNOWN, UNKNOWN), 3, np.nan),
-        ([0.04, 0.05, 0.06], 0.0, BAND, 0, np.nan),
-    ],
-    ids=["off", "nothing is extrapolated", "no band", "unknown band", "too few"],
-)
-def test_external_curves(
-    at: list[float], off: Floats, band: tuple[Floats, Floats] | None, n: int, inside: float
-) -> None:
-    deflection = np.array(at)
-    matched = compare_curves(
-        external(deflection, 2.0 * deflection + off), OTHER, LINE, band, "the tests"
-    )
-    assert (matched.errors is None) == (n == 0)
-    assert matched.left_out == len(at) - n
-    if matched.errors is not None:
-        within = (deflection > 0.0009) & (deflection < 0.05001)
-        rmse = float(np.sqrt(np.mean(np.square(off * np.ones(len(at))))))
-        assert matched.errors.n == n
-        assert matched.errors.inside == pytest.approx(inside, nan_ok=True)
-        assert matched.errors.rmse == pytest.approx(rmse, rel=1e-12, abs=1e-15)
-        share = rmse / (2.0 * deflection[within].max())
-        assert matched.errors.rmse_share == pytest.approx(share, rel=1e-12, abs=1e-13)
-        wanted = np.where(within, 2.0 * deflection, np.nan)
+def test_external_curves() -> None:
+    """Nothing is extrapolated: of six points three are compared, a fourth lies off the band."""
+    at = np.array([0.0, 0.01, 0.02, 0.03, 0.04, 0.0501, 0.09])
+    off = np.array([9.0, 0.003, -0.003, 0.005, 0.0, 9.0, 9.0])
+    for band, inside in ((BAND, 0.75), (None, np.nan), ((np.full(50, np.nan),) * 2, np.nan)):
+        matched = compare_curves(external(at, 2.0 * at + off), OTHER, LINE, band, "the tests")
+        assert matched.left_out == 3
+        wanted = [np.nan, 0.02, 0.04, 0.06, 0.08, np.nan, np.nan]
         np.testing.assert_allclose(matched.reference, wanted, rtol=1e-12)
+        assert matched.errors is not None
+        assert (matched.errors.n, matched.errors.inside) == (4, pytest.approx(inside, nan_ok=True))
+        rmse = np.sqrt((0.003**2 + 0.003**2 + 0.005**2) / 4.0)
+        assert matched.errors.rmse == pytest.approx(rmse, rel=1e-12)
+        assert matched.errors.rmse_share == pytest.approx(rmse / 0.08, rel=1e-12)
+    few = compare_curves(external(at[4:], at[4:]), OTHER, LINE, BAND, "the tests")
+    assert (few.errors, few.left_out) == (None, 3)
 
 
 def test_words_of_what_is_not_compared(approved: Approve) -> None:
     rows = [np.array([0.0, 0.01, 0.02, 0.03, 0.09]), np.array([0.04, 0.05, 0.06])]
     lines = [compare_curves(external(at, at), OTHER, LINE, BAND, "the tests").words for at in rows]
-    empty = compare_curves(external(OTHER, LINE), NOTHING, NOTHING, (NOTHING, NOTHING), "the tests")
+    none = np.zeros(0)
+    empty = compare_curves(external(OTHER, LINE), none, none, (none, none), "the tests")
     assert empty.errors is None
     approved([*lines, empty.words])
 
