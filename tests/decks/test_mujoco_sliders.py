@@ -112,36 +112,6 @@ def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     assert np.max(np.abs(places @ [0.0, -np.sin(towards), np.cos(towards)])) < 0.2e-3
 
 
-@pytest.mark.slow
-def test_a_load_that_jumps_leaves_more() -> None:
-    """Why the deck asks for a ramp, in numbers: with a tenth of its damping, and shorter steps."""
-    loads, _ = wanted("A2")
-    deck = mujoco_plane_deck(example("A2"), length=LENGTH)
-    for name, share in (("damping", 0.1), ("timestep", 0.3)):
-        value = re.search(rf'{name}="([^"]*)"', deck)
-        assert value is not None
-        deck = deck.replace(value[0], f'{name}="{share * float(value[1]):.9g}"')
-    jumped, ramped = (
-        float(tips(deck, loads[:1], ramp=ramp, rest=6000)[0, 1]) for ramp in (1, 1500)
-    )
-    assert ramped == pytest.approx(DEFLECTIONS[0], rel=0.015)
-    assert 1.05 * DEFLECTIONS[0] < jumped < 1.25 * DEFLECTIONS[0]
-
-
-@pytest.mark.slow
-def test_directions_that_are_not_turned_bend_sideways() -> None:
-    """Why the directions of the nodes are turned: else C4 leaves the plane of its load."""
-    deck = mujoco_space_deck(example("C4"), length=LENGTH)
-    rows = re.findall(r'<fixed class="slider_1">(.*?)</fixed>', deck)
-    first = [row.replace('_1"', '_@"') for row in rows[:4]]
-    for number, row in enumerate(rows):
-        deck = deck.replace(row, first[number % 4].replace("@", str(1 + number // 4)))
-    loads, _ = wanted("C4")
-    towards = TOWARDS[1]
-    positions = tips(deck, loads[-2:], towards)
-    assert np.max(np.abs(positions @ [0.0, -np.sin(towards), np.cos(towards)])) > 0.5e-3
-
-
 def _checked(deck: str) -> list[float]:
     """Load, deflection, and that without yielding, of the check at the head of a deck."""
     match = re.search(r"Check: pull_y = (\S+) N.* y = (\S+) m, within .* stops at (\S+) m", deck)
@@ -160,15 +130,6 @@ def test_the_check_of_a_deck(write: Callable[[WireTable], str]) -> None:
     elastic = re.sub(r' springyield="[^"]*"', "", deck)
     assert tips(elastic, np.array([load]))[0, 1] == pytest.approx(stuck, rel=0.02)
     assert stuck < 0.1 * deflection
-
-
-def test_a_version_that_does_not_know_of_yielding_refuses_the_deck() -> None:
-    """As MuJoCo 3 does with springyield: no version skips an attribute that it does not know."""
-    import mujoco
-
-    deck = mujoco_plane_deck(example("A2")).replace("springyield=", "springyields=")
-    with pytest.raises(ValueError, match="unrecognized attribute: 'springyields'"):
-        mujoco.MjModel.from_xml_string(deck)
 
 
 def test_the_check_of_a_law_that_ends_early() -> None:
