@@ -6,23 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.law.sliders import SliderLaw, linear_moment_law
+from labpipe.law.sliders import linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import ArtificialDrag, Assembly, Demands, LineMemory, Shape
 from labpipe.rod.banded import Band
 from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
-from labpipe.rod.cells import bend_cells
-from labpipe.rod.equilibrium import Equilibrium, find_equilibrium
 from labpipe.rod.input_distributions import join_distributions, stated_distribution
 from labpipe.rod.line import Line, Section
 from labpipe.rod.response import Fields, band_of, field_band, respond
-from labpipe.rod.rotations import from_rotation_vectors, multiply, skew, unit
-from labpipe.rod.states import merge_rests, split_rests
+from labpipe.rod.rotations import from_rotation_vectors, multiply, skew
 from labpipe.rod.supports import supports_of
 from tests.builders.rods import (
     LENGTH,
     SLIDING,
-    STIFFNESS,
     clamp,
     linear_section,
     ramp,
@@ -129,19 +125,6 @@ def test_the_tangent_is_that_of_differences(section: Section, dragged: bool) -> 
     np.testing.assert_allclose(exact, expected, atol=3e-7 * np.max(np.abs(expected)))
 
 
-def test_changes_are_undone_by_their_opposites() -> None:
-    case = Case(STRETCHING)
-    change = np.random.default_rng(2).normal(size=case.assembly.places.total)
-    there = case.assembly.changed(case.shape, change)
-    back = case.assembly.changed(there, -change)
-    np.testing.assert_allclose(back.positions, case.shape.positions, atol=1e-14)
-    np.testing.assert_allclose(unit(back.frames), unit(case.shape.frames), atol=1e-14)
-    moved = case.assembly.moved(case.shape, there)
-    turns = case.assembly.places.turns[:, None] + np.arange(3)
-    small = np.linalg.norm(change[turns], axis=1) < np.pi
-    np.testing.assert_allclose(moved[turns][small], change[turns][small], atol=1e-12)
-
-
 def test_solutions_are_those_of_the_dense_matrix() -> None:
     random = np.random.default_rng(0)
     rows = np.concatenate([np.arange(12), np.arange(10), np.arange(2, 12), np.array([4, 4])])
@@ -156,18 +139,6 @@ def test_solutions_are_those_of_the_dense_matrix() -> None:
     assert solution is not None
     np.testing.assert_allclose(solution, np.linalg.solve(dense, right), rtol=1e-10)
     assert band.solve(np.zeros_like(values), np.ones(12)) is None
-
-
-def test_a_cell_bent_in_one_plane_carries_the_moment_of_the_law() -> None:
-    law = SliderLaw(1e-3, np.array([2e-3, 1e-3]), np.array([1.0, 3.0]), 0.0, 50.0)
-    frames = np.array([[1.0, 0.0, 0.0, 0.0]]), from_rotation_vectors(np.array([[0.0, 0.2, 0.0]]))
-    none, rests = np.zeros((1, 3)), np.zeros((1, 2, 2))
-    cells = bend_cells(
-        Section(law, 8e-4), frames, np.array([0.1]), none, rests=rests, torques=np.zeros(1)
-    )
-    expected = 1e-3 * 2.0 + 2e-3 * 1.0 + 1e-3 * 2.0
-    np.testing.assert_allclose(cells.behind, [[0.0, expected, 0.0]], atol=1e-15)
-    np.testing.assert_allclose(cells.before, [[0.0, -expected, 0.0]], atol=1e-15)
 
 
 def test_a_twisted_line_stores_half_the_torque_times_the_turn() -> None:
@@ -293,22 +264,6 @@ def test_a_side_without_equilibrium_borrows_the_other() -> None:
     assert np.ptp(field_band([response], "one").upper) == 0.0
 
 
-def test_rests_go_to_both_sides_and_back() -> None:
-    """A clamp that is gone leaves the mean of both sides."""
-    line = straight_line(LENGTH, 5, sliding_section())
-    supports = supports_of(line, ((0, True), (2, True)))
-    rests = np.random.default_rng(0).normal(size=(len(supports.nodes), 3, 2))
-    parted = split_rests(supports, rests)
-    assert parted.shape == (6, 2, 3, 2)
-    assert not np.any(parted[0, 0])
-    assert not np.any(parted[5])
-    np.testing.assert_array_equal(parted[1, 0], parted[1, 1])
-    assert np.all(parted[2, 0] != parted[2, 1])
-    np.testing.assert_allclose(merge_rests(supports, parted), rests)
-    free = merge_rests(supports_of(line, ()), parted)
-    np.testing.assert_allclose(free[1], 0.5 * (rests[2] + rests[3]))
-
-
 def test_a_clamp_in_the_middle_takes_the_jump_of_the_moment() -> None:
     line = straight_line(LENGTH, 10, linear_section())
     load = Load(-1, ramp((0.0, 1e-4, 0.0), 2))
@@ -348,38 +303,3 @@ def test_the_bend_at_a_clamp_is_of_second_order() -> None:
         errors.append(abs(state.bendings[0] / wanted - 1.0))
     assert errors[0] < 0.01
     assert errors[0] > 4.0 * errors[1] > 16.0 * errors[2]
-
-
-def outcome_of_call(tip: Floats, *, moved: Floats | float = 0.0) -> Equilibrium | None:
-    """A cantilever from straight and free to a force at its tip and another place of its clamp."""
-    line = straight_line(LENGTH, 10, linear_section())
-    supports, force = supports_of(line, ((0, True),)), STIFFNESS / LENGTH**2
-    strings = (np.zeros(0, dtype=np.int64), np.zeros(0))
-    assembly = Assembly(line, supports, (), strings, n_rings=0, force=force)
-    shape = Shape(line.positions, line.frames, np.zeros(10), np.zeros((10, 3)))
-    memory = LineMemory(np.zeros((10, 0, 2)), np.zeros((0, 11, 3)), np.zeros(0))
-    none, forces = np.zeros((0, 3)), np.zeros((11, 3))
-    here = Demands(
-        line.positions[:1], line.frames[:1], forces.copy(), np.zeros((10, 3)), none, none
-    )
-    forces[-1] = force * tip
-    there = replace(here, forces=forces, held=here.held + moved)
-    return find_equilibrium(assembly, shape, memory, (here, there), force=force)
-
-
-def test_a_small_load_deflects_as_a_beam_and_a_clamp_takes_the_line_along() -> None:
-    load = np.array([0.0, 1e-3, 0.0])
-    bent = outcome_of_call(load)
-    assert bent is not None
-    assert bent.iterations <= 3
-    assert bent.shape.positions[-1, 1] == pytest.approx(1e-3 * LENGTH / 3.0, rel=2e-3)
-    force = STIFFNESS / LENGTH**2
-    np.testing.assert_allclose(
-        bent.shape.forces, np.tile(force * load, (10, 1)), atol=1e-12 * force
-    )
-    way = np.array([0.0, 0.01, 0.02])
-    taken = outcome_of_call(np.zeros(3), moved=way)
-    assert taken is not None
-    stations = np.linspace(0.0, LENGTH, 11)[:, None] * [1.0, 0.0, 0.0]
-    np.testing.assert_allclose(taken.shape.positions, stations + way, atol=1e-12)
-    assert outcome_of_call(np.array([-100.0, 50.0, 0.0])) is None  # a step too far

@@ -11,7 +11,6 @@ from labpipe.law.sliders import SliderLaw, linear_moment_law
 from labpipe.records.arrays import Floats
 from labpipe.rod.assembly import Shape
 from labpipe.rod.boundaries import Boundary, Gravity, Held, Load, Moment, Plane, Ring, String
-from labpipe.rod.directions import clamp_directions, directions_of
 from labpipe.rod.line import Line, Section, line_along
 from labpipe.rod.rotations import (
     conjugate,
@@ -23,7 +22,6 @@ from labpipe.rod.rotations import (
     rotation_vectors,
     shortest_turns,
     skew,
-    tangent_factors,
     unit,
 )
 from labpipe.rod.schedule import Schedule
@@ -105,13 +103,6 @@ def test_what_is_refused(approved: Approve) -> None:
     approved(messages)
 
 
-def test_a_plane_is_raised_along_its_normal() -> None:
-    table = Plane(np.array([1.0, 0.0, 0.0]), np.array([0.0, 3.0, 4.0]), 0.3, "table").raised(0.5)
-    assert table.point == pytest.approx([1.0, 0.3, 0.4])
-    assert (table.friction, table.name) == (0.3, "table")
-    assert table.normal == pytest.approx([0.0, 0.6, 0.8])
-
-
 def test_weight_and_moments_are_shared_by_nodes_and_elements() -> None:
     """What lets go holds up to its step."""
     forces = schedule(Gravity(np.array([0.0, 0.0, -10.0]))).demands(0.0, ()).forces
@@ -149,23 +140,6 @@ def test_a_line_is_laid_in_gradually() -> None:
     turned = matrices(LINE.frames[0]).T @ matrices(half.clamps)[0]
     assert np.arccos((np.trace(turned) - 1.0) / 2.0) == pytest.approx(0.3)
     np.testing.assert_allclose(plan.demands(0.0, (0,)).clamps, [frame])
-
-
-def test_anchors_and_rings() -> None:
-    anchor = np.linspace([0.0, 0.0, 1.0], [0.0, 0.0, 2.0], 3)
-    plan = schedule(String(4, anchor, 0.5), Ring(np.array([0.4, 0.02, 0.0])))
-    asked = plan.demands(0.5, ())
-    np.testing.assert_allclose(asked.anchors, [[0.0, 0.0, 1.25]])
-    np.testing.assert_allclose(asked.rings, [[0.4, 0.02, 0.0]])
-    assert plan.start_places == pytest.approx([1.6])
-    np.testing.assert_allclose(plan.demands(-0.5, ()).rings, [[0.4, 0.01, 0.0]], atol=1e-12)
-
-
-def test_the_size_of_the_forces() -> None:
-    own = 1e-3 / 1.0**2
-    assert schedule().force_scale() == pytest.approx(own)
-    pulled = schedule(Load(0, np.array([[0.0, 0, 0], [3.0, 4.0, 0], [1.0, 0, 0]])))
-    assert pulled.force_scale() == pytest.approx(5.0 + own)
 
 
 def uneven() -> Line:
@@ -209,17 +183,12 @@ def other(frames: Floats) -> Rotation:
     return Rotation.from_quat(np.roll(frames, -1, axis=1))
 
 
-def test_rotation_vectors_there_and_back() -> None:
-    vectors = some_vectors()
-    frames = from_rotation_vectors(vectors)
-    np.testing.assert_allclose(rotation_vectors(frames), vectors, atol=1e-14)
-    np.testing.assert_allclose(rotation_vectors(-frames), vectors, atol=1e-14)
-    np.testing.assert_allclose(other(frames).as_rotvec(), vectors, atol=1e-14)
-
-
-def test_products_and_matrices_are_those_of_scipy() -> None:
+def test_rotations_are_those_of_scipy() -> None:
     u, v = some_vectors(), some_vectors()[::-1]
     first, second = from_rotation_vectors(u), from_rotation_vectors(v)
+    np.testing.assert_allclose(other(first).as_rotvec(), u, atol=1e-14)
+    np.testing.assert_allclose(rotation_vectors(first), u, atol=1e-14)
+    np.testing.assert_allclose(rotation_vectors(-first), u, atol=1e-14)
     expected = (other(first) * other(second).inv()).as_matrix()
     np.testing.assert_allclose(matrices(multiply(first, conjugate(second))), expected, atol=1e-14)
     np.testing.assert_allclose(cross(u, v), np.cross(u, v), atol=1e-15)
@@ -246,47 +215,6 @@ def test_shortest_turns_turn_one_into_the_other_opposites_too() -> None:
     np.testing.assert_allclose(along, 0.0, atol=1e-14)
 
 
-def test_tangent_map_is_the_derivative_of_the_rotation_vector() -> None:
-    psi = some_vectors()[1:]
-    angles = np.linalg.norm(psi, axis=1)
-    factor = tangent_factors(angles)[0][:, None, None]
-    tangent = np.eye(3) + 0.5 * skew(psi) + factor * skew(psi) @ skew(psi)
-    step = 1e-6
-    for axis in np.eye(3):
-        ahead = multiply(from_rotation_vectors(psi), from_rotation_vectors(step * axis[None]))
-        back = multiply(from_rotation_vectors(psi), from_rotation_vectors(-step * axis[None]))
-        found = (rotation_vectors(ahead) - rotation_vectors(back)) / (2.0 * step)
-        np.testing.assert_allclose(found[:-2], (tangent @ axis)[:-2], rtol=1e-7, atol=1e-8)
-
-
-def test_series_and_closed_forms_of_the_tangent_meet() -> None:
-    first, second = tangent_factors(np.array([0.3 - 1e-9, 0.3 + 1e-9]))
-    assert first[0] == pytest.approx(first[1], rel=1e-10)
-    assert second[0] == pytest.approx(second[1], rel=1e-9)
-
-
 ANGLES = np.linspace(0.0, 1.2, 7)
 
 ARC = np.stack([np.sin(ANGLES), 1.0 - np.cos(ANGLES), 0.0 * ANGLES], axis=1)
-
-
-def test_clamps_that_leave_a_formed_line_as_it_is_lend_it_nothing_new() -> None:
-    line = line_along(ARC, linear_section(), is_formed=True)
-    supports = supports_of(line, ((0, True), (3, True), (6, True)))
-    clamps = np.array([line.frame_at(node) for node in (0, 3, 6)])
-    frames = matrices(line.frames)
-    lent = clamp_directions(supports, clamps)
-    way = directions_of(supports, frames, lent, np.zeros((6, 3)))
-    np.testing.assert_allclose(way.along, frames[:, :, 2], atol=1e-12)
-
-
-def test_directions_turn_with_the_frame_by_its_share() -> None:
-    line = line_along(ARC, linear_section())
-    supports = supports_of(line, ((0, True),))
-    clamps = multiply(line.frames[:1], from_rotation_vectors(np.array([[0.1, 0.0, 0.0]])))
-    lent = clamp_directions(supports, clamps)
-    way = directions_of(supports, matrices(line.frames), lent, np.zeros((6, 3)))
-    turned = np.arccos(way.along[0] @ matrices(line.frames)[0, :, 2])
-    assert turned == pytest.approx(0.1 * END_SHARE, rel=2e-3)
-    np.testing.assert_allclose(np.linalg.norm(way.along, axis=1), 1.0, rtol=1e-14)
-    np.testing.assert_allclose(way.along[1:], matrices(line.frames)[1:, :, 2], atol=1e-15)

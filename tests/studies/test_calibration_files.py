@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -8,16 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.errors import ProcessingError, UsageError
+from labpipe.errors import LabpipeError, ProcessingError, UsageError
 from labpipe.protocol.load import load_calibration_plan
+from labpipe.protocol.plans import CalibrationPlan
+from labpipe.records.group import Band
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     Calibration,
     ExternalCurve,
     ExternalCurveComparison,
-    ParameterChoice,
 )
 from labpipe.report.calibration_summary import ValidationGroup
+from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.studies.calibration_file import read_calibrated
 from labpipe.studies.calibration_study import (
     Calibrated,
@@ -27,9 +30,22 @@ from labpipe.studies.calibration_study import (
 )
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import FirstLoading
-from labpipe.studies.validation import compare
+from labpipe.studies.validation import (
+    built_wire,
+    compare,
+    default_sheet,
+    drop_copies,
+    mark_doubtful_parts,
+    misfit_notes,
+    require_wires,
+    wire_to_calibrate,
+)
+from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.tested_curvature import tested_curvature as reached
+from labpipe.wire.wire_table import straight_range
 from tests.approved import Approve
+from tests.builders.harness_files import SHEET
 from tests.builders.loading_tests import exact_curve, measured, wire_of
 from tests.builders.wire_tables import spec_of
 
@@ -84,9 +100,6 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
 CURVES = measured("A2")
 
 
-TWO_VALLEYS = measured("A3", (0.12,), seed=1)
-
-
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     outcome = calibrate(wire_of("A2"), CURVES, Settings())
@@ -94,13 +107,12 @@ def calibration() -> Calibration:
     return outcome
 
 
-LOADINGS = [FirstLoading(curve, 0.0, ()) for curve in CURVES]
 WIRES = {"A2": wire_of("A2"), "A1": wire_of("A1")}
 
 
 @cache
 def groups_of(calibration: Calibration) -> tuple[ValidationGroup, ...]:
-    return tuple(compare(calibration, WIRES, LOADINGS))
+    return tuple(compare(calibration, WIRES, loadings("A2")))
 
 
 def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> None:
@@ -134,20 +146,6 @@ def test_json_is_plain_and_whole(calibration_a3: Calibration, calibration: Calib
     assert (one["wire"], one["left_out"]) == ("A2", {"T9": "why"})
 
 
-@pytest.mark.slow
-def test_json_names_priors_and_what_was_held() -> None:
-    prior = ParameterChoice(1e9, factor=4.0, source="data sheet")
-    held = ParameterChoice(0.0465, is_fixed=True, source="a calibration of A2")
-    choices = {"insulation_modulus": prior, "radial_friction": held}
-    outcome = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(choices, gain=0.005))
-    assert isinstance(outcome, Calibration)
-    content = json.loads(json.dumps(as_json(Calibrated(Path("out"), outcome, (), {}, ()))))
-    friction, modulus, _ = content["parameters"]
-    assert (friction["source"], friction["intervals"]) == ("a calibration of A2", [])
-    assert modulus["prior"]["value"] == pytest.approx(1e9)
-    assert (modulus["prior"]["factor"], modulus["prior"]["source"]) == (4.0, "data sheet")
-
-
 def third(
     wire: str = "A2",
     length: float = 0.085,
@@ -163,7 +161,7 @@ def third(
 
 def held(calibration: Calibration, curve: ExternalCurve) -> ExternalCurveComparison:
     groups = groups_of(calibration)
-    (compared,) = compare_external_curves([curve], calibration, WIRES, groups, LOADINGS)
+    (compared,) = compare_external_curves([curve], calibration, WIRES, groups, loadings("A2"))
     return compared
 
 
@@ -198,27 +196,6 @@ def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calib
     ratio = normal.model.reference[-1] / pulled.model.reference[-1]
     assert ratio == pytest.approx(exact[1] / exact[0], abs=1e-3)
     assert ratio < 0.985
-
-
-@pytest.mark.slow
-def test_tests_without_a_string_are_loaded_alike(calibration: Calibration) -> None:
-    alike = [FirstLoading(replace(curve, rig=None), 0.0, ()) for curve in CURVES]
-    groups, curve = compare(calibration, WIRES, alike), third(is_normal=True)
-    (compared,) = compare_external_curves([curve], calibration, WIRES, groups, alike)
-    assert not compared.notes
-
-
-@pytest.mark.parametrize(
-    ("wire", "length"), [("A1", 0.085), pytest.param("A2", 0.12, marks=pytest.mark.slow)]
-)
-def test_without_tests_the_model_alone(calibration: Calibration, wire: str, length: float) -> None:
-    alone = held(calibration, third(wire, length))
-    assert alone.tests is None
-    assert alone.model.errors is not None
-    assert alone.model.errors.rmse_share < 0.03
-    (note,) = alone.notes
-    assert note.code == "external_curve_untested"
-    assert note.message.startswith(f"no test of {wire} at {1e3 * length:.4g} mm: compared with the")
 
 
 def test_what_lies_beyond_is_left_out_and_told(calibration: Calibration) -> None:
@@ -281,3 +258,148 @@ def test_all_that_is_wrong_is_told_at_once(tmp_path: Path, approved: Approve) ->
     with pytest.raises(UsageError) as outside:
         read(plan_of(inner))
     approved([wrong.value, outside.value])
+
+
+@cache
+def loadings(*names: str) -> list[FirstLoading]:
+    return [FirstLoading(curve, 0.0, ()) for name in names for curve in measured(name)]
+
+
+KNOWN = {spec.name: spec for spec in read_wire_sheet(SHEET)}
+WEAK = {name: replace(spec, insulation_strain=0.01) for name, spec in KNOWN.items()}
+
+
+@pytest.fixture(scope="module")
+def groups(calibration: Calibration) -> tuple[ValidationGroup, ...]:
+    return tuple(compare(calibration, WIRES, loadings("A1", "A2")))
+
+
+def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGroup, ...]) -> None:
+    assert [(group.wire, group.is_calibrated) for group in groups] == [("A2", True), ("A1", False)]
+    assert [len(group.samples) for group in groups] == [3, 3]
+    for group in groups:
+        assert group.errors is not None
+        assert group.errors.rmse_share < 0.05
+        assert group.errors.inside > 0.9
+        assert group.band.n == 3
+    group = groups[0]
+    assert group.errors is not None
+    assert group.prediction is not None
+    deflection, force = group.prediction.deflection, group.prediction.force
+    off = [curve.force - np.interp(curve.deflection, deflection, force) for curve in CURVES]
+    assert group.errors.n == sum(map(len, off))
+    assert group.errors.sse == pytest.approx(sum(float(part @ part) for part in off))
+
+
+@pytest.mark.slow
+def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration) -> None:
+    """A wave of 10 mN in the force, as no wire has, beside what the wire does."""
+    (right,) = compare(calibration, WIRES, loadings("A2"))
+    assert not misfit_notes([right])
+    waves = [replace(c, force=c.force + 0.01 * np.sin(c.deflection / 0.008)) for c in CURVES]
+    outcome = calibrate(wire_of("A2"), waves, Settings())
+    assert isinstance(outcome, Calibration)
+    tests = [FirstLoading(curve, 0.0, ()) for curve in waves]
+    (wrong,) = compare(outcome, WIRES, tests)
+    [note] = misfit_notes([wrong])
+    assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
+    assert note.message.startswith("70 % of the points of the calibrating tests lie in their 95 %")
+    assert not misfit_notes([replace(wrong, is_calibrated=False)])
+
+
+def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:
+    deep = replace(
+        CURVES[0],
+        deflection=np.linspace(1e-3, 0.95 * CURVES[0].length, 50),
+        force=np.linspace(0.0, 0.2, 50),
+        noise=1e-3,
+    )
+    (group,) = compare(calibration, WIRES, [FirstLoading(deep, 0.0, ())])
+    assert group.prediction is None
+    assert group.errors is None
+    assert group.reason is not None
+    assert group.reason.code == "no_prediction"
+
+
+def test_from_where_on_a_prediction_is_doubtful(
+    calibration: Calibration, groups: tuple[ValidationGroup, ...]
+) -> None:
+    """A wire that is bent to there and no farther has just the curvature of the limit."""
+    both = loadings("A1", "A2")
+    sure = mark_doubtful_parts(groups, calibration, WIRES, KNOWN, both)
+    assert [group.doubtful_deflection for group in sure] == [np.inf, np.inf]
+    for group in mark_doubtful_parts(groups, calibration, WIRES, WEAK, both):
+        assert group.prediction is not None
+        assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
+        curve = next(side.curve for side in both if side.curve.wire == group.wire)
+        ends = np.linspace(0.0, group.doubtful_deflection, 9)
+        bent = replace(curve, deflection=ends, force=ends, noise=ends)
+        curvature = reached(WIRES[group.wire], calibration.solutions[0].values, [bent])
+        assert curvature == pytest.approx(straight_range(WEAK[group.wire]), rel=2e-3)
+
+
+def test_the_band_is_one_of_means_and_not_of_noise(groups: tuple[ValidationGroup, ...]) -> None:
+    def roughness(band: Band) -> float:
+        return float(np.std(np.diff(band.upper - band.lower, 2)))
+
+    band = groups[0].band
+    points = mean_band(common_curves([(curve.deflection, curve.force) for curve in CURVES]))
+    assert roughness(band) < 0.2 * roughness(points)
+    deep = band.displacement > 0.01
+    share = band.mean[deep] / exact_curve("A2", 0.085)(band.displacement[deep])
+    noise = 0.002 / np.sqrt(3 * 272 / 50) / band.mean[deep]
+    factor = np.mean(share / noise**2) / np.mean(1.0 / noise**2)
+    assert np.max(np.abs(share - factor) / noise) < 4.0
+
+
+SHEET_PATH = Path("wires.xlsx")
+
+
+def wire_plan(wire: str | None = None) -> CalibrationPlan:
+    return CalibrationPlan(version=1, wire=wire)
+
+
+def test_the_sheet_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=r"expected a wire sheet, or wires.xlsx or wires.csv in"):
+        default_sheet()
+    (tmp_path / "wires.csv").touch()
+    assert default_sheet() == Path("wires.csv")
+
+
+def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
+    """Wires of tests are in the sheet, and can be built."""
+    spec, curve = spec_of("A2", "A2"), CURVES[0]
+    a2 = [FirstLoading(curve, 0.0, ())]
+    both = [*a2, FirstLoading(replace(curve, wire="A1", test="A1-1"), 0.0, ())]
+    assert wire_to_calibrate(a2, wire_plan(), None) == "A2"
+    assert wire_to_calibrate(both, wire_plan("A1"), None) == "A1"
+    require_wires(a2, {"A2": spec}, SHEET_PATH)
+    assert len(built_wire(spec, SHEET_PATH).section.layers) == 2
+    thin = replace(spec, wire_diameter=0.5 * spec.wire_diameter)
+    calls: list[Callable[[], object]] = [
+        lambda: wire_to_calibrate(both, wire_plan(), None),
+        lambda: wire_to_calibrate(a2, wire_plan("A3"), None),
+        lambda: require_wires(both, {"A2": spec}, SHEET_PATH),
+        lambda: built_wire(thin, SHEET_PATH),
+    ]
+    messages = []
+    for call in calls:
+        with pytest.raises(LabpipeError) as refused:
+            call()
+        messages.append(str(refused.value))
+    approved(messages)
+
+
+def test_a_copy_of_a_test_does_not_count() -> None:
+    first, other = (FirstLoading(curve, 0.0, ()) for curve in CURVES[:2])
+    one, two = (
+        replace(first, file=Path("x/T1/result.h5")),
+        replace(first, file=Path("y/T1/result.h5")),
+    )
+    originals, left_out = drop_copies([one, other, two])
+    assert originals == [one, other]
+    assert left_out == {
+        str(two.file): f"{two.file}: expected each test once, found the same first loading as in "
+        f"{one.file}. Remove the copy."
+    }

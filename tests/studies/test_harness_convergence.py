@@ -40,12 +40,6 @@ def led_round(steps: int, *, elements: int = 12) -> PreparedLine:
     return led(path, elements=elements)
 
 
-def bent_over(steps: int) -> PreparedLine:
-    """Its end goes straight and does not turn back, in space."""
-    share = np.linspace(0.0, 1.0, steps + 1)[:, None]
-    return led(LENGTH * (np.array([1.0, 0.0, 0.0]) + share * np.array([-0.2, 0.3, 0.1])))
-
-
 def arched(elements: int) -> PreparedLine:
     """A line without memory between two clamps, one brought nearer and lifted."""
     line = straight_line(LENGTH, elements, linear_section(mass=0.02))
@@ -80,15 +74,6 @@ def test_it_speaks_of_all_numbers_that_are_off() -> None:
         off = {name: abs(numbers[name] / truth[name] - 1.0) / MAX_CHANGE for name in names}
         named = number_names(doubt_of(prepared, 5 * steps))
         assert {name for name, share in off.items() if share > 1.2} <= named, (steps, off)
-
-
-@pytest.mark.slow
-def test_it_is_silent_where_few_steps_do() -> None:
-    """Eight steps are enough on a straight way."""
-    _, truth = walk(bent_over(64), 64)
-    for name, value in walk(bent_over(8), 8)[1].items():
-        assert value == pytest.approx(truth[name], rel=MAX_CHANGE, abs=1e-6)
-    assert doubt_of(bent_over(8), 8) is None
 
 
 @pytest.mark.slow

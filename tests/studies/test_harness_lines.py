@@ -23,7 +23,6 @@ from labpipe.records.arrays import Floats
 from labpipe.rod import boundaries as rod
 from labpipe.rod.line import Section
 from labpipe.rod.rotations import matrices
-from labpipe.rod.statics import follow
 from labpipe.studies.harness_line import PreparedLine, prepare_line
 from labpipe.studies.harness_section import Material, material_of
 from labpipe.studies.residual_curvature import (
@@ -169,21 +168,6 @@ def test_rings_strings_and_planes(tmp_path: Path) -> None:
     assert table.friction == 0.3
 
 
-@pytest.mark.slow
-def test_a_line_comes_to_a_ring_between_its_clips(tmp_path: Path) -> None:
-    """Of one that does not stretch: in its place from the start, the ring would tear it."""
-    text = arch(steps=4).replace(
-        "steps:",
-        "  - {kind: ring, name: eye, position: [80 mm, 12 mm, 0 mm], direction: [1, 0, 0]}\nsteps:",
-    )
-    prepared = line_of(tmp_path, text)
-    path = follow(prepared.line, prepared.boundaries, steps=4)
-    assert path.status == "ok"
-    apart = np.linalg.norm(path.last.positions - [0.08, 0.012, 0.0], axis=1)
-    assert np.min(apart) < 0.2 / 16 / 2
-    assert max(np.max(np.abs(state.reaction_forces)) for state in path.states) < 2.0
-
-
 def material(folder: Path, section: str, *, wires: Path | None = None, line: str = "") -> Material:
     file = written(folder, arch(section, line=line))
     return material_of(load_harness(file), file, wires)
@@ -296,17 +280,6 @@ def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
         energy, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}
     )
     assert curvature_after_release(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
-
-
-def test_many_stations_of_a_real_law_are_let_go() -> None:
-    law = followed(SLACK).prepared.line.section.law
-    rng = np.random.default_rng(5)
-    rests, now = unbent_rests(law, 100, is_vector=True), np.zeros((100, 2))
-    for _ in range(6):
-        now = now + rng.normal(scale=10.0, size=now.shape)
-        rests = slide_vector(law, now, rests).rests
-    left = slide_vector(law, curvature_after_release(law, rests), rests).moment
-    assert np.abs(left).max() < 1e-8 * law.stiffnesses @ law.slip_curvatures
 
 
 def test_a_laid_line_keeps_what_its_own_law_says() -> None:

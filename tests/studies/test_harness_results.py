@@ -9,14 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.law.sliders import slider_moment
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Interval
-from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 from labpipe.rod.path import Reason as RodReason
 from labpipe.rod.path import RodPath
-from labpipe.studies.harness_figure_data import drawn_harness, drawn_sweep
+from labpipe.studies.harness_figure_data import drawn_harness
 from labpipe.studies.harness_line import PreparedLine
 from labpipe.studies.harness_numbers import (
     Doubt,
@@ -42,7 +39,6 @@ from labpipe.studies.harness_responses import (
 from labpipe.studies.harness_solution import FollowedHarness
 from labpipe.studies.harness_study import follow_harness
 from labpipe.studies.harness_tables import forces_csv, shape_columns, shape_csv, shape_vtk
-from labpipe.studies.residual_curvature import residual_curvature
 from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
 
 ALONE = pushed(STIFFNESS).partition("  - kind: grip")[0] + "steps: 2\n"
@@ -160,21 +156,6 @@ def test_what_was_lost_in_a_jump_is_doubtful() -> None:
     assert doubtful_of(path, prepared, jump_doubt(path, prepared)) == MEMORY | shape
 
 
-@pytest.mark.slow
-def test_a_line_that_buckles_loses_no_more_in_coarse_steps() -> None:
-    """The example of slack: the end is pressed towards the start, so that it buckles at once."""
-    rows = []
-    for steps in (10, 40, 160):
-        _, _, prepared, path = followed(SLACK.replace("steps: 40", f"steps: {steps}"))
-        assert path.status == "ok"
-        assert jump_doubt(path, prepared) is None
-        numbers = by_name(path, prepared)
-        names = ("energy_lost", "moment.left", "moment.right", "kept_curvature")
-        rows.append([numbers[name].value for name in names])
-    assert rows[0] == pytest.approx(rows[2], rel=0.02)
-    assert rows[1] == pytest.approx(rows[2], rel=0.005)
-
-
 def test_how_a_wire_unloads_is_an_assumption() -> None:
     """The last shape of a released line depends on it; the bench carries the weight in any case.
 
@@ -222,26 +203,6 @@ def test_numbers_are_those_of_the_line() -> None:
         )
 
 
-@pytest.mark.slow
-def test_a_bend_that_is_let_go_is_kept_by_masings_rule() -> None:
-    """Without weight the line comes back to what the law says of where it was bent.
-
-    On its way down it may bend behind the gripper, too, and remember that.
-    """
-    _, _, prepared, path = followed(pushed() + WEIGHTLESS)
-    law, held = prepared.line.section.law, path.states[8]
-    predicted = residual_curvature(held, law)
-    bent = curvature_of(held, prepared.line)
-    was_bent = bent > 1.0
-    left = curvature_of(path.last, prepared.line)
-    assert left[was_bent] == pytest.approx(predicted[was_bent], abs=0.02 * predicted.max())
-    node = int(np.argmax(bent))
-    first = np.geomspace(1e-4, 1.0, 20_000) * bent[node]
-    moment = slider_moment(law, first)
-    half = float(np.interp(0.5 * moment[-1], moment, first))
-    assert predicted[node] == pytest.approx(bent[node] - 2.0 * half, abs=0.01 * bent[node])
-
-
 def test_curvature_at_rest_counts_in_the_radius() -> None:
     """A curled line that nothing bends is as round as its spool."""
     curl = "line: {length: 100 mm, elements: 12, spool: {curvature: 8 1/m}, section: "
@@ -249,14 +210,6 @@ def test_curvature_at_rest_counts_in_the_radius() -> None:
     _, _, prepared, path = followed(text + WEIGHTLESS)
     assert curvature_of(path.last, prepared.line)[1:-1] == pytest.approx(np.full(11, 8.0), rel=1e-6)
     assert sharpest(path, prepared.line, [2]).radius == pytest.approx(1.0 / 8.0, rel=1e-6)
-
-
-def test_intervals_and_doubts_go_to_the_results() -> None:
-    numbers = [Number("a", 1.0, "m"), Number("b", 2.0, "N", "there")]
-    reason = Reason("why", "so")
-    one, other = results_of(numbers, (reason,), {"b": Interval(1.0, 3.0, 0.95)})
-    assert (one.interval, one.status, one.reasons) == (None, Status.DOUBTFUL, (reason,))
-    assert (other.interval, other.remark) == (Interval(1.0, 3.0, 0.95), "there")
 
 
 def test_beyond_what_backs_the_law() -> None:
@@ -389,23 +342,3 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     assert [shape.step for shape in drawn.shapes] == [8, 10]
     assert drawn.allowed == pytest.approx(0.01)
     assert "Allowed bend radius 10 mm, assumed: 5 times the outer diameter of 2 mm." in drawn.note
-
-
-@pytest.mark.slow
-def test_bands_and_sweeps(tmp_path: Path) -> None:
-    section = STIFFNESS.replace("}", ", stiffness_uncertainty: 10 %}")
-    result = done(tmp_path, arch(section, more="sweep: {length: [240 mm, 190 mm]}\n"))
-    (shape,) = drawn_harness(result).shapes
-    assert shape.band is not None
-    low, high = shape.band
-    assert np.all((low <= shape.positions) & (shape.positions <= high))
-    assert shape.radius_band is not None
-    assert np.all(shape.radius_band[0] <= shape.radius_band[1])
-    sweep = drawn_sweep(result)
-    assert sweep is not None
-    assert sweep.length.tolist() == [0.19, 0.24]
-    assert sweep.radius_band is not None
-    low, high = sweep.radius_band
-    assert np.all((low <= sweep.radius) & (sweep.radius <= high))
-    assert len(sweep.shapes) == 2
-    assert drawn_harness(result).note.startswith("brought nearer. Line of")

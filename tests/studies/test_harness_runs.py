@@ -9,7 +9,6 @@ from io import StringIO
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import numpy as np
 import pytest
 from scipy.stats import rice
 
@@ -213,20 +212,6 @@ def test_what_is_nothing_but_rounding_is_no_doubt(tmp_path: Path) -> None:
     assert moment.value == pytest.approx(0.0, abs=1e-9)
     assert moment.value != 0.0
     assert {number.status for number in result.results} == {Status.OK}
-
-
-@pytest.mark.slow
-def test_loads_are_told_in_every_step(tmp_path: Path) -> None:
-    """All that acts on a line, its weight included, is in balance."""
-    push = "  - {kind: load, name: push, at: 55 mm, force: [0 N, 10 mN, -20 mN], by: 4}\nsteps:"
-    result = run(tmp_path, arch(TEN_PERCENT).replace("steps:", push))
-    weight, force = 0.007 * 0.2 * 9.80665, np.array([0.0, 0.01, -0.02])
-    for step, state in enumerate(result.path.states):
-        assert state.reaction_forces[2] == pytest.approx(min(1.0, step / 4) * force)
-    assert result.path.last.reaction_forces.sum(axis=0) == pytest.approx((0, 0, weight), abs=1e-9)
-    assert result.bands is not None
-    band = result.bands.line.states[-1].reaction_forces
-    assert (band.lower[2], band.upper[2]) == (pytest.approx(force), pytest.approx(force))
 
 
 def test_a_line_that_cannot_be_laid_is_bad_input(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from labpipe.studies.first_loadings import (
     NotUsableError,
     first_loading,
     force_zero_error,
-    noise_of,
     place_error,
     read_first_loadings,
     scale_errors,
@@ -108,12 +107,6 @@ def test_noise_of_the_deflection_is_in_that_of_the_force(protocol: Protocol) -> 
     wanted = np.hypot(NOISE, 0.2e-3 * slope) / np.sqrt(COUNT / 200)
     middle = (curve.deflection > 0.01) & (curve.deflection < 0.045)
     assert np.asarray(curve.noise)[middle] == pytest.approx(wanted[middle], rel=0.35)
-
-
-def test_white_noise_on_a_parabola() -> None:
-    at = np.linspace(0.0, 1.0, 6_000)
-    noise = 0.01 * np.random.default_rng(4).standard_normal(len(at))
-    assert noise_of(3.0 * at**2 + noise) == pytest.approx(0.01, rel=0.03)
 
 
 def test_rig_and_gain_are_those_of_the_protocol(protocol: Protocol) -> None:
@@ -280,8 +273,8 @@ def joined(error: float) -> Aligned:
     return Aligned(curve().time, {}, fit)
 
 
-def test_zero_of_white_noise_is_that_of_the_mean_over_the_part() -> None:
-    """Missing values count as absent."""
+def test_zeros_are_as_good_as_the_mean_over_their_part(protocol: Protocol) -> None:
+    """White noise: the protocol says over which part; missing values count as absent."""
     values = NOISE_ERRORS * np.random.default_rng(2).standard_normal(6_000)
     time = np.arange(6_000) / 100.0
     assert zero_error(time, values, None) == pytest.approx(NOISE_ERRORS / np.sqrt(6_000), rel=0.25)
@@ -290,16 +283,8 @@ def test_zero_of_white_noise_is_that_of_the_mean_over_the_part() -> None:
     values[::2] = np.nan
     expected = np.sqrt(np.nanvar(values[:400]) / 200)
     assert zero_error(time[:400], values[:400], None) == pytest.approx(expected, rel=0.4)
-
-
-def test_without_a_rest_nothing_is_known_of_a_zero(protocol: Protocol) -> None:
-    assert zero_error(np.zeros(0), np.zeros(0), 2.0) == 0.0
     assert zero_error(np.arange(3.0), np.full(3, np.nan), 2.0) == 0.0
-    at_once = replace(FIRST, start=0)
-    assert force_zero_error(protocol, curve(), at_once) == 0.0
-
-
-def test_the_protocol_says_over_which_stretch_zeros_are_taken(protocol: Protocol) -> None:
+    assert force_zero_error(protocol, curve(), replace(FIRST, start=0)) == 0.0
     error = force_zero_error(protocol, curve(), FIRST)
     assert error == pytest.approx(NOISE_ERRORS / np.sqrt(2.0 * RATE), rel=0.3)
     without = protocol.model_copy(update={"steps": (), "curve": None})
@@ -329,10 +314,7 @@ def test_the_scale_is_what_the_budget_of_the_peak_says_of_it() -> None:
     }
     peak = replace(PEAK_ERRORS, budget=tuple(Contribution(*row) for row in rows.items()))
     assert scale_errors(result(results=(peak,))) == pytest.approx((1e-4, 2e-4))
-
-
-def test_without_a_budget_all_of_the_interval_counts() -> None:
-    assert scale_errors(result()) == pytest.approx((2e-4, 0.0))
+    assert scale_errors(result()) == pytest.approx((2e-4, 0.0))  # all of the interval
     why = (Reason("no_cycle", "none"),)
     failed = Result(PEAK_ERRORS.name, None, "m", status=Status.FAILED, reasons=why)
     for results in ((), (failed,), (replace(PEAK_ERRORS, interval=None),)):
