@@ -93,18 +93,10 @@ def test_numbers_of_the_model() -> None:
 
 def test_the_stiffness_is_stated_or_the_slope_of_the_law_at_zero() -> None:
     table = wire_table("A2")
-    slipping = replace(
-        table,
-        slip_onsets=np.zeros(1),
-        moment=table.moment / 5.0,
-        secant_stiffness=table.secant_stiffness / 5.0,
-    )
-    slope = slipping.secant_stiffness[1]
-    assert slope < table.stick_stiffness / 4.0
-    assert (
-        f"bending stiffness {slope:.6g} N m2 (the slope of the law at zero, its first secant, as"
-        " strands slip at once), within 5 % of the wire's law at curvatures from 0 to "
-    ) in mujoco_deck(slipping)
+    secants = table.secant_stiffness / 5.0
+    slipping = replace(table, slip_onsets=np.zeros(1), moment=table.moment / 5.0)
+    text = mujoco_deck(replace(slipping, secant_stiffness=secants))
+    assert f"bending stiffness {secants[1]:.6g} N m2 (the slope of the law at zero" in text
     soft = mujoco_deck(table, stiffness=1e-4)
     assert "bending stiffness 0.0001 N m2 (as given), nowhere within 5 % of the wire's law" in soft
 

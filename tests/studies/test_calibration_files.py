@@ -12,7 +12,6 @@ import pytest
 from labpipe.errors import LabpipeError, ProcessingError, UsageError
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
-from labpipe.records.group import Band
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     Calibration,
@@ -20,7 +19,6 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
 )
 from labpipe.report.calibration_summary import ValidationGroup
-from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.studies.calibration_file import read_calibrated
 from labpipe.studies.calibration_study import (
     Calibrated,
@@ -336,20 +334,6 @@ def test_from_where_on_a_prediction_is_doubtful(
         bent = replace(curve, deflection=ends, force=ends, noise=ends)
         curvature = reached(WIRES[group.wire], calibration.solutions[0].values, [bent])
         assert curvature == pytest.approx(straight_range(WEAK[group.wire]), rel=2e-3)
-
-
-def test_the_band_is_one_of_means_and_not_of_noise(groups: tuple[ValidationGroup, ...]) -> None:
-    def roughness(band: Band) -> float:
-        return float(np.std(np.diff(band.upper - band.lower, 2)))
-
-    band = groups[0].band
-    points = mean_band(common_curves([(curve.deflection, curve.force) for curve in CURVES]))
-    assert roughness(band) < 0.2 * roughness(points)
-    deep = band.displacement > 0.01
-    share = band.mean[deep] / exact_curve("A2", 0.085)(band.displacement[deep])
-    noise = 0.002 / np.sqrt(3 * 272 / 50) / band.mean[deep]
-    factor = np.mean(share / noise**2) / np.mean(1.0 / noise**2)
-    assert np.max(np.abs(share - factor) / noise) < 4.0
 
 
 SHEET_PATH = Path("wires.xlsx")

@@ -32,7 +32,6 @@ from labpipe.wire.cantilever import (
     straight,
 )
 from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric
-from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.friction import (
     Contacts,
     arrange,
@@ -50,7 +49,6 @@ from labpipe.wire.materials import (
     RambergOsgood,
     StressTable,
 )
-from labpipe.wire.strand_bending import LAMINAE
 from tests.builders.stranded_wires import WIRES, cardinal, contacts_of, layers_of, wire
 from tests.judges.reference_wires import bend_along
 
@@ -226,19 +224,6 @@ def test_moment_of_the_sources_wires(name: str) -> None:
         assert found == pytest.approx(fine, rel=3e-5)
 
 
-@pytest.mark.parametrize("name", ["A2", "C4"])
-def test_cantilever_with_the_law_along_the_wire(name: str) -> None:
-    """End loads at 10, 30 and 50 mm on 85 mm, taken back to deflections by marching steps."""
-    section, contacts = wire(name), contacts_of(wire(name))
-    deflections = np.array([0.010, 0.030, 0.050])
-    law = play_law(section, contacts, largest_curvature=80.0)
-    loads = end_load_path(law, 0.085, deflections).load
-    kappa = np.append(0.0, np.geomspace(1e-3, 80.0, 2000))
-    moment = moment_curvature(section, contacts, kappa).moment
-    marched = [plain_loop.tip_deflection(load, 0.085, kappa, moment) for load in loads]
-    assert marched == pytest.approx(deflections, rel=2e-3)
-
-
 MODULUS, NU, YIELD = 110e9, 0.34, 60e6
 
 CURVATURES: Floats = np.array([1e-3, 0.05, 0.4, 3.0, 20.0, 60.0])
@@ -356,28 +341,3 @@ def test_first_loading_is_the_monotonic_law(
         found = bend_along(section, contacts, way, orientation=turn)
         law = moment_curvature(section, contacts, way, orientation=turn).moment
         assert found == pytest.approx(law, rel=1e-9)
-
-
-def laminae(path: Floats, strength: float, modulus: float) -> Floats:
-    """Moments of a round strand, radius 1, of elastic-perfectly-plastic laminae, stepped each."""
-    roots, weights = np.polynomial.legendre.leggauss(LAMINAE)
-    angle = np.pi / 4.0 * (roots + 1.0)
-    height = np.sin(angle)
-    weight = np.pi * weights * height * np.cos(angle) ** 2
-    stress, before, moments = np.zeros(LAMINAE), 0.0, []
-    for kappa in path.tolist():
-        stress = np.clip(stress + modulus * height * (kappa - before), -strength, strength)
-        before = kappa
-        moments.append(float(stress @ weight))
-    return np.array(moments)
-
-
-@given(st.lists(st.floats(-40.0, 40.0), min_size=1, max_size=12))
-def test_memory_against_laminae_stepped_one_by_one(turns: list[float]) -> None:
-    """Any path, with its inner loops: kinematic laminae, each with a history of its own."""
-    strand = concentric((Layer(1, 2.0, 0.0, ElasticPerfectlyPlastic(1.0, 1e-2)),))
-    path = 1e-3 * np.array(turns)
-    found = bend_along(strand, contacts_of(strand), path)
-    # The spline meets a sharp yield to 1e-4 of the plateau, once for each turn remembered.
-    within = 1e-4 * 4e-2 / 3.0 * (2 * len(turns) + 1)
-    assert found == pytest.approx(laminae(path, 1e-2, 1.0), abs=within)

@@ -95,19 +95,6 @@ def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     assert left < 1e-9 * np.linalg.norm(pull)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [60, 200])
-@pytest.mark.parametrize("kinds", [(1.1, 1.25), (1.0, 2.0, 1.5, 3.0)])
-def test_many_unequal_wires_come_together(number: int, kinds: tuple[float, ...]) -> None:
-    """A search by sequential least squares let some such heaps explode and left others loose."""
-    rng = np.random.default_rng(2)
-    diameters = rng.permutation(np.resize(kinds, number))
-    starts = [2.0 * np.sqrt(number) * rng.uniform(-1.0, 1.0, size=(number, 2)) for _ in range(2)]
-    found = densest_heap(starts, diameters)
-    assert largest_overlap(found, diameters / 2.0) < 1e-9
-    assert packing_fraction(diameters, 2.0 * holding_circle(found, diameters)[1]) > 0.6
-
-
 def test_circle_around_many_wires_touches_some_and_leaves_out_none() -> None:
     """More wires than are looked at first, the widest of them in the middle."""
     rng = np.random.default_rng(8)

@@ -156,17 +156,6 @@ def test_other_numbers_give_the_law_of_the_wire_that_has_them(
     assert np.max(np.abs(moment / table.moment[inside] - 1.0)) < 0.015
 
 
-def test_it_may_look_around_other_values() -> None:
-    spec, values = table_of("A2").spec, {COPPER_SCALE: 1.4, INSULATION_MODULUS: 0.7e9}
-    family = family_of(spec, values)
-    other = wire_table(with_values(spec, values))
-    assert slider_moment(family.at({}).law, other.curvature) == pytest.approx(
-        other.moment, rel=1.1 * family.base.error
-    )
-    own = {name: float(np.log(value)) for name, value in values.items()}
-    assert family.at(own).law.stiffnesses == pytest.approx(family.at({}).law.stiffnesses)
-
-
 def test_contacts_materials_and_layers() -> None:
     """Inner rings touch strands, the outermost the insulation."""
     insulation = build(A2).section.insulation
