@@ -13,7 +13,7 @@ from labpipe.rod.banded import Band
 from labpipe.rod.boundaries import Gravity, Held, Load, Moment, Plane, Ring, String
 from labpipe.rod.input_distributions import join_distributions, stated_distribution
 from labpipe.rod.line import Line, Section
-from labpipe.rod.response import Fields, band_of, field_band, respond
+from labpipe.rod.response import Fields, field_band, respond
 from labpipe.rod.rotations import from_rotation_vectors, multiply, skew
 from labpipe.rod.supports import supports_of
 from tests.builders.rods import (
@@ -238,19 +238,6 @@ def test_a_parabola_is_met_and_goes_on_straight() -> None:
     assert drawn[~beyond] == pytest.approx((1.0 + at[~beyond]) ** 2)
     line = np.where(at > 0.0, 9.0 + 6.0 * (at - 2.0), 1.0 - 2.0 * (at + 2.0))
     assert drawn[beyond] == pytest.approx(line[beyond])
-
-
-def test_a_least_value_is_taken_in_every_draw() -> None:
-    response = respond(straight, BELIEF)
-    assert response is not None
-    band = band_of(
-        [response],
-        lambda given: (given.value["sum"].min(axis=-1), given.drawn("sum").min(axis=-1)),
-    )
-    chance = np.random.default_rng(5)
-    a, b = 0.3 * chance.normal(size=200_000), 0.4 * chance.normal(size=200_000)
-    want = np.quantile(np.minimum(a + b, 2.0 * a), [0.025, 0.975])
-    assert [float(band.lower), float(band.upper)] == pytest.approx(want, rel=0.05)
 
 
 def test_a_side_without_equilibrium_borrows_the_other() -> None:

@@ -165,17 +165,6 @@ def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
     assert LAW_FACTOR not in one.names
 
 
-def test_what_is_fixed_does_not_move(calibration: Calibration) -> None:
-    solution = calibration.solutions[0]
-    mixture = solution.mixture
-    shift, covariance = mixture.shift.copy(), mixture.covariance.copy()
-    shift[:, 0], covariance[:, 0, :], covariance[:, :, 0] = 0.0, 0.0, 0.0
-    fixed = replace(solution, mixture=replace(mixture, shift=shift, covariance=covariance))
-    belief = calibrated_distributions([fixed])[0]
-    assert len(belief.causes) == 2
-    assert np.ptp(drawn(belief, {"radial_friction": 1.0})) < 1e-9
-
-
 def test_a_stated_deviation_is_drawn_from_students_t() -> None:
     for freedom, quantile in ((np.inf, 1.96), (4.0, float(stdtrit(4.0, 0.975)))):
         belief = stated_distribution("mass_factor", 0.02, freedom=freedom, draws=MANY)
