@@ -157,7 +157,8 @@ def test_external_curves() -> None:
         wanted = [np.nan, 0.02, 0.04, 0.06, 0.08, np.nan, np.nan]
         np.testing.assert_allclose(matched.reference, wanted, rtol=1e-12)
         assert matched.errors is not None
-        assert (matched.errors.n, matched.errors.inside) == (4, pytest.approx(inside, nan_ok=True))
+        assert matched.errors.n == 4
+        assert matched.errors.inside == pytest.approx(inside, nan_ok=True)
         rmse = np.sqrt((0.003**2 + 0.003**2 + 0.005**2) / 4.0)
         assert matched.errors.rmse == pytest.approx(rmse, rel=1e-12)
         assert matched.errors.rmse_share == pytest.approx(rmse / 0.08, rel=1e-12)
