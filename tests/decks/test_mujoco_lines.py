@@ -124,7 +124,7 @@ def test_refused() -> None:
         ({"edges": 2}, r"edges=2: allowed are numbers >= 3"),
     ):
         with pytest.raises(ValueError, match=message):
-            mujoco_deck(wire_table(), **changes)  # type: ignore[arg-type]
+            mujoco_deck(wire_table(), **changes)
 
 
 def ready(folder: Path, text: str) -> PreparedLine:
