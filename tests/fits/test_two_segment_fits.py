@@ -105,6 +105,17 @@ def test_replicates_are_the_optimum_of_brute_force() -> None:
         assert float(found.second[place]) == pytest.approx(second, rel=1e-9)
 
 
+def test_steps_and_waits_in_the_displacement() -> None:
+    """Places between which there is no sample, and many samples between two."""
+    d = np.repeat(np.linspace(0.002, 0.02, 25), 8)
+    d[96:104] = d[95]
+    f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
+    found = hinges_of(d, f).fitted(f + noise(1, 20, len(d)))
+    for at, first in zip(found.break_point, found.first, strict=True):
+        assert abs(float(at) - 0.0093) < 1e-3
+        assert abs(float(first) - 5000.0) < 200.0
+
+
 def test_order_and_unknown_samples() -> None:
     mixed = np.random.default_rng(0).permutation(len(D))
     mixed = mixed[np.argsort(D[mixed] + noise(1, len(D), deviation=2e-4))]  # as cameras see it
@@ -165,6 +176,13 @@ def bend_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
 
 def kink_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
     return why_no_kink(found, found, drawn, hinges)
+
+
+def test_slopes_that_change_together_are_sure_to_differ() -> None:
+    """Both are known to 1000 N/m, their difference to 10 N/m."""
+    both, own = noise(1, 200, deviation=1000.0), noise(2, 200, deviation=10.0)
+    drawn = segments(np.full(200, 0.0093), 5000.0 + both, 2700.0 + both + own)
+    assert bend_of(segments(0.0093, 5000.0, 2700.0), drawn, hinges_of(D, F)) is None
 
 
 def test_four_standard_errors_of_the_bend_by_hand() -> None:

@@ -125,7 +125,7 @@ def test_takes_without_clamp_or_markers(
     messages = []
     for change, given in TAKES.values():
         with pytest.raises(ProcessingError) as refused:
-            done(change(tracks), protocol, **given)
+            done(change(tracks), protocol, 0.0, **given)
         messages.append(str(refused.value))
     approved(messages)
 

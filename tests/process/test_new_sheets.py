@@ -26,7 +26,7 @@ from labpipe.process.sheet_writing import (
     write_inferred_sheet,
     write_inferred_sheets,
 )
-from labpipe.protocol.load import load_test_sheet
+from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.records.arrays import Floats
@@ -77,7 +77,8 @@ def test_one_test_sheet_per_row(tmp_path: Path) -> None:
     )
     assert [specimen.bundle for specimen in specimens] == [tube, mixed, None]
     assert [dict(part.labels) for part in specimens] == [{"cured": "24 h"}, {}, {}]
-    assert sheets[0].specimen.span == 0.1524
+    path = tmp_path / "raw" / "C-1" / "test.yaml"
+    assert resolve(sheets[0], path).specimen.span == 0.1524
 
 
 def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
