@@ -20,7 +20,6 @@ from labpipe.records.result import Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.reduced_test import ReducedTest
 from labpipe.virtual_lab import observe
-from tests.builders.reasons import doubted
 from tests.builders.small_tests import small_scenario
 
 TIME: Floats = np.arange(0.0, 50.0, 0.02)
@@ -125,7 +124,9 @@ def test_short_rests_leave_results_as_good(repository: Path) -> None:
         assert result.status is usual.status is Status.OK, result.why
         assert result.value == pytest.approx(usual.value, rel=0.02)
     made, results = reduced_wire(repository, rest=0.02)
-    assert "zero_not_at_rest" in doubted(made)["force"]
+    assert ("force", "zero_not_at_rest") in {
+        (doubt.quantity, doubt.reason.code) for doubt in made.findings.doubts
+    }
     assert results["peak_force.1"].status is Status.DOUBTFUL
 
 
